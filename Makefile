@@ -1,0 +1,38 @@
+# Every target makes .venv by itself; `make demo` and `make test` each take a fresh machine to their end.
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHON := $(shell for p in python3.12 python3.13 python3.14 python3; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 12))' >/dev/null 2>&1 && echo $$p && break; done)
+# One BLAS thread a process: the tests already run one process a core.
+PYTEST := $(BIN)/python -m pytest -n 2
+
+.PHONY: demo test test-all lint bench lock clean
+
+demo: $(VENV)/.done
+	$(BIN)/poseterior demo
+
+test: $(VENV)/.done
+	$(PYTEST) -m "not slow"
+
+test-all: $(VENV)/.done
+	$(PYTEST) -m slow
+
+lint: $(VENV)/.done
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(VENV)/.done
+	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
+
+$(VENV)/.done: pyproject.toml requirements.lock
+	@test -n "$(PYTHON)" || { echo "poseterior needs Python 3.12 or newer on the PATH (as python3.12 or python3); install one and run make again." >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable ".[dev]"
+	@touch $@
+
+lock: $(VENV)/.done
+	$(BIN)/python -m pip freeze --exclude-editable > requirements.lock
+
+clean:
+	rm -rf $(VENV) .pytest_cache .ruff_cache .mypy_cache

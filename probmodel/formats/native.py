@@ -1,0 +1,104 @@
+"""This project's own JSON of 2D joints: joints by name, so that no order can be mistaken.
+
+    {"format": "poseterior-detections", "version": 1,
+     "people": [{"keypoints": {"right_knee": [x, y, score], …}, "image_id": "785", "image_size": [640, 425]}]}
+
+A joint that is not there was not seen. Other keys (a `truth`, say) are left alone.
+"""
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from probmodel.detections import Detection, FloatArray
+from probmodel.failures import BadInput
+from probmodel.formats.common import (
+    Content,
+    at_least_one_joint,
+    image_name,
+    image_side,
+    mapping,
+    scored_point,
+    sequence,
+    shown,
+    skeleton_arrays,
+)  # fmt: skip
+from probmodel.skeleton import JOINT_INDEX, JOINTS
+
+FORMAT, VERSION, LAYOUT = "poseterior-detections", 1, "poseterior"
+
+
+def recognises(content: Content) -> bool:
+    """An object whose `format` is this one."""
+    return isinstance(content.json, dict) and content.json.get("format") == FORMAT
+
+
+def read(content: Content, threshold: float) -> list[Detection]:
+    """One detection for each of `people`, in order."""
+    source = content.source
+    document = mapping(content.json, source)
+    if document.get("format") != FORMAT:
+        raise BadInput(
+            f"'format' of {source} is {shown(document.get('format'))}, not '{FORMAT}'; choose --format auto."
+        )
+    version = document.get("version")
+    if isinstance(version, bool) or version != VERSION:
+        raise BadInput(f"'version' of {source} is {shown(version)}, but version {VERSION} is what can be read.")
+    people = sequence(document.get("people"), f"'people' of {source}")
+    detections = [_person(value, person, source, threshold) for person, value in enumerate(people)]
+    return at_least_one_joint(detections, source, threshold)
+
+
+def write(detections: Sequence[Detection]) -> str:
+    """The document that `read` turns into the same keypoints, scores, image ids and sizes.
+
+    Raises `BadInput` where nothing is seen in any of `detections`: no reader would accept the file.
+    """
+    if not any(detection.seen.any() for detection in detections):
+        raise BadInput("there is no joint in these detections, so there is nothing to write.")
+    people = ",\n".join(json.dumps(_record(detection), allow_nan=False) for detection in detections)
+    return f'{{"format": "{FORMAT}", "version": {VERSION}, "people": [\n{people}\n]}}\n'
+
+
+def _record(detection: Detection) -> dict[str, Any]:
+    seen = {
+        name: [*xy, score]
+        for name, xy, score in zip(JOINTS, detection.keypoints.tolist(), detection.score.tolist(), strict=True)
+        if score > 0
+    }
+    size = detection.image_size
+    return {
+        "keypoints": seen,
+        **({} if detection.image_id is None else {"image_id": detection.image_id}),
+        **({} if size is None else {"image_size": list(size)}),
+    }
+
+
+def _person(value: object, person: int, source: str, threshold: float) -> Detection:
+    where = f"person {person} of {source}"
+    record = mapping(value, where)
+    rows = _joints(record.get("keypoints"), where)
+    keypoints, score = skeleton_arrays({name: row for name, row in rows.items() if row[2] > threshold})
+    image = image_name(record.get("image_id"), f"'image_id' of {where}")
+    return Detection(keypoints, score, LAYOUT, source, person, image, _size(record.get("image_size"), where))
+
+
+def _joints(value: object, where: str) -> dict[str, FloatArray]:
+    rows = {}
+    for name, values in mapping(value, f"'keypoints' of {where}").items():
+        if name not in JOINT_INDEX:
+            raise BadInput(f"{where} has a joint {shown(name)}, which is none of {', '.join(JOINTS)}.")
+        if len(sequence(values, f"{name} of {where}")) != 3:
+            raise BadInput(f"{name} of {where} is {shown(values)} where [x, y, score] is needed.")
+        rows[name] = scored_point(values, f"{name} in {where}")
+    return rows
+
+
+def _size(value: object, where: str) -> tuple[int, int] | None:
+    if value is None:
+        return None
+    sides = sequence(value, f"'image_size' of {where}")
+    if len(sides) != 2:
+        raise BadInput(f"'image_size' of {where} is {shown(value)} where [width, height] is needed.")
+    width, height = (image_side(side, f"'image_size' of {where}") for side in sides)
+    return width, height

@@ -6,10 +6,13 @@ bnd1 ≤ e2·u ≤ bnd2 and bnd3 ≤ e3·u ≤ bnd4, with (n, e2, e3) an orthono
 The usual way in: `AnatomicalLimits.default()`, `.load(path)`, `.check(joints)`.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 import os
 import zipfile
+import zlib
+from collections.abc import Mapping
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -40,6 +43,9 @@ _SHAPES = {
     "fallback": (NUM_LOWER, 3),
 }
 _PLANES = ("normal", "tangent", "offset", "bounds")
+_BITS = {"occupied": "occupied", "has_plane": "offset"}
+"""Arrays stored as packed bits, and the table whose shape each has."""
+WRITER = "`poseterior learn`"
 LIMITS = ("none", "occupancy", "parent", "plane", "box")
 """What a bone can break. `parent`: its parent bone is where no lower bone was ever seen, so it has no plane."""
 
@@ -105,41 +111,29 @@ class AnatomicalLimits:
     @classmethod
     def load(cls, path: str | os.PathLike) -> "AnatomicalLimits":
         """Reads a file that `save` wrote. Raises `BadInput` where it is not one, is truncated or has other shapes."""
-        path = Path(path)
-        try:
-            with np.load(path, allow_pickle=False) as stored:
-                arrays = {key: stored[key] for key in stored.files}
-        except FileNotFoundError:
-            raise BadInput(f"there is no limits file at {path}; give the path of a .npz that `poseterior learn` wrote")\
-                from None  # fmt: skip
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
-            raise BadInput(f"{path} is not a limits file, or is truncated ({error}); write one with `poseterior learn`")\
-                from None  # fmt: skip
-        return cls._unpack(arrays, path)
+        return cls.unpack(read_tables(path), Path(path))
 
     @classmethod
-    def _unpack(cls, arrays: dict[str, np.ndarray], path: Path) -> "AnatomicalLimits":
+    def unpack(cls, arrays: Mapping[str, np.ndarray], path: Path) -> "AnatomicalLimits":
+        """Inverse of `pack`; other keys are ignored, errors name `path`."""
         missing = [key for key in ("occupied", "has_plane", *_PLANES, "reference", "fallback") if key not in arrays]
         if missing:
-            raise BadInput(f"{path} is not a limits file: it lacks {', '.join(missing)}; write one with `poseterior learn`")
-        size = int(np.prod(_SHAPES["offset"]))
-        bits = arrays["has_plane"]
-        if bits.dtype != np.uint8 or bits.size != -(-size // 8):
-            raise BadInput(f"{path}: has_plane has shape {bits.shape}, a limits file has ({-(-size // 8)},) bytes")
-        has_plane = np.unpackbits(bits, count=size).reshape(_SHAPES["offset"]).astype(bool)
-        tables: dict[str, Any] = {"reference": arrays["reference"], "fallback": arrays["fallback"]}
-        occupied = arrays["occupied"]
-        if occupied.dtype == np.uint8 and occupied.size * 8 == np.prod(_SHAPES["occupied"]):
-            tables["occupied"] = np.unpackbits(occupied).reshape(_SHAPES["occupied"]).astype(bool)
-        else:
-            raise BadInput(f"{path}: occupied has shape {occupied.shape}, a limits file has 4500 bytes of bits")
+            raise BadInput(f"{path} lacks {', '.join(missing)}, so it is no limits file; write one with {WRITER}")
+        occupied = _unpack_bits(arrays["occupied"], "occupied", path)
+        has_plane = _unpack_bits(arrays["has_plane"], "has_plane", path)
+        tables: dict[str, Any] = {}
+        for key in ("reference", "fallback"):
+            if arrays[key].shape != _SHAPES[key] or arrays[key].dtype.kind != "f":
+                raise BadInput(f"{path}: {key} has shape {arrays[key].shape}, not {_SHAPES[key]}; is it another model?")
+            tables[key] = arrays[key]
         for key in _PLANES:
-            if arrays[key].shape != (has_plane.sum(), *_SHAPES[key][3:]):
-                raise BadInput(f"{path}: {key} has shape {arrays[key].shape}, not {(has_plane.sum(), *_SHAPES[key][3:])}")
+            expected = (int(has_plane.sum()), *_SHAPES[key][3:])
+            if arrays[key].shape != expected or arrays[key].dtype.kind != "f":
+                raise BadInput(f"{path}: {key} has shape {arrays[key].shape}, not {expected}; is it another model?")
             tables[key] = np.full(_SHAPES[key], np.nan)
             tables[key][has_plane] = arrays[key]
         name = str(arrays["name"]) if "name" in arrays else path.stem
-        limits = cls(**tables, name=name)
+        limits = cls(**tables, occupied=occupied, name=name)
         limits.verify(str(path))
         return limits
 
@@ -153,7 +147,9 @@ class AnatomicalLimits:
         if not np.all(np.asarray(self.occupied)[1:] <= has_plane):
             raise BadInput(f"{source}: some occupied cells of upper bones have no plane for the lower bone")
         values = [np.asarray(getattr(self, key))[has_plane] for key in _PLANES]
-        if not all(np.isfinite(value).all() for value in [*values, np.asarray(self.reference), np.asarray(self.fallback)]):
+        if not all(
+            np.isfinite(value).all() for value in [*values, np.asarray(self.reference), np.asarray(self.fallback)]
+        ):
             raise BadInput(f"{source}: a plane or box holds a number that is not finite")
         normal, tangent, _, bounds = values
         if normal.size and np.abs(np.linalg.norm(normal, axis=-1) - 1).max() > 1e-4:
@@ -167,25 +163,19 @@ class AnatomicalLimits:
 
     def save(self, path: str | os.PathLike) -> None:
         """Writes a compact .npz, atomically; planes are kept for their cells only, without loss. No pickle."""
+        write_tables(path, self.pack())
+
+    def pack(self) -> dict[str, np.ndarray]:
+        """The tables as compact arrays for an .npz."""
         has_plane = self.has_plane
-        packed = {key: _compact(np.asarray(getattr(self, key))[has_plane]) for key in _PLANES}
-        path = Path(path)
-        partial = path.with_name(path.name + ".partial")
-        try:
-            with open(partial, "wb") as file:
-                np.savez_compressed(
-                    file,
-                    occupied=np.packbits(np.asarray(self.occupied)),
-                    has_plane=np.packbits(has_plane),
-                    reference=np.asarray(self.reference, float),
-                    fallback=np.asarray(self.fallback, float),
-                    name=np.array(self.name),
-                    **packed,
-                )
-            os.replace(partial, path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise BadInput(f"cannot write {path} ({error.strerror}); choose a folder that can be written to") from None
+        packed = {key: compact(np.asarray(getattr(self, key))[has_plane]) for key in _PLANES}
+        return packed | {
+            "occupied": np.packbits(np.asarray(self.occupied)),
+            "has_plane": np.packbits(has_plane),
+            "reference": np.asarray(self.reference, float),
+            "fallback": np.asarray(self.fallback, float),
+            "name": np.array(self.name),
+        }
 
     @property
     def has_plane(self) -> np.ndarray:
@@ -202,7 +192,7 @@ class AnatomicalLimits:
         return digest.hexdigest()
 
     def triples(self) -> jax.Array:
-        """Orthonormal triples `(4, 120, 60, 3, 3)`, rows n, e2, e3 (Gram–Schmidt of normal and tangent, e3 = n × e2)."""
+        """Orthonormal triples `(4, 120, 60, 3, 3)`, rows n, e2, e3 = n × e2 (Gram–Schmidt of normal, tangent)."""
         normal, tangent = jnp.asarray(self.normal), jnp.asarray(self.tangent)
         normal = normal / jnp.linalg.norm(normal, axis=-1, keepdims=True)
         second = tangent - jnp.sum(tangent * normal, axis=-1, keepdims=True) * normal
@@ -266,11 +256,45 @@ class AnatomicalLimits:
         return np.asarray(self.triples())
 
 
+def read_tables(path: str | os.PathLike) -> dict[str, np.ndarray]:
+    """All arrays of an .npz that `write_tables` wrote. Raises `BadInput` where it is not one, or is truncated."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return {key: stored[key] for key in stored.files}
+    except FileNotFoundError:
+        raise BadInput(f"there is no limits file at {path}; give the path of a .npz that {WRITER} wrote") from None
+    # A .npy gives a bare array, which is no context manager: AttributeError or TypeError by version.
+    except (OSError, ValueError, EOFError, KeyError, AttributeError, TypeError, NotImplementedError, zlib.error,
+            zipfile.BadZipFile, zipfile.LargeZipFile) as error:  # fmt: skip
+        raise BadInput(f"{path} is no limits file, or is truncated ({error}); write one with {WRITER}") from None
+
+
+def write_tables(path: str | os.PathLike, arrays: Mapping[str, np.ndarray]) -> None:
+    """Writes an .npz beside `path` and moves it there, so that no reader ever meets half a file."""
+    path = Path(path)
+    partial = path.with_name(path.name + ".partial")
+    try:
+        with open(partial, "wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+        os.replace(partial, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise BadInput(f"cannot write {path} ({error.strerror}); choose a folder that can be written to") from None
+
+
+def _unpack_bits(bits: np.ndarray, key: str, path: Path) -> np.ndarray:
+    size = int(np.prod(_SHAPES[_BITS[key]]))
+    if bits.dtype != np.uint8 or bits.shape != (size // 8,):
+        raise BadInput(f"{path}: {key} has shape {bits.shape}, a limits file has ({size // 8},) bytes of bits")
+    return np.unpackbits(bits).reshape(_SHAPES[_BITS[key]]).astype(bool)
+
+
 def _arcsine(value: np.ndarray) -> np.ndarray:
     return np.degrees(np.arcsin(np.clip(value, -1, 1)))
 
 
-def _compact(values: np.ndarray) -> np.ndarray:
+def compact(values: np.ndarray) -> np.ndarray:
     """float32 where that loses nothing, float64 otherwise."""
     single = values.astype(np.float32)
     return single if np.array_equal(single.astype(np.float64), values) else np.asarray(values, np.float64)

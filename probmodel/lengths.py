@@ -1,0 +1,84 @@
+"""Bone lengths: five groups, left and right shared, each lo + (hi - lo)·Beta(a, b), in body units (eq. 6).
+
+`LengthPrior` holds the fitted numbers; `BoneLength` is the distribution over the five.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpyro.distributions as dist
+from jax.scipy.special import betainc
+from jax.typing import ArrayLike
+from numpyro.distributions import Distribution, constraints
+
+from probmodel.regions import invert_monotone
+
+
+class LengthPrior(NamedTuple):
+    """Ranges `low`, `high` (body units) and Beta parameters `alpha`, `beta` of the length groups, `(5,)` each."""
+
+    low: ArrayLike
+    high: ArrayLike
+    alpha: ArrayLike
+    beta: ArrayLike
+
+
+class BoneLength(Distribution):
+    """Lengths `(5,)` of the groups head, upper_arm, forearm, upper_leg, lower_leg, in body units."""
+
+    arg_constraints: dict[str, Any] = {}  # noqa: RUF012 — NumPyro's own protocol
+    pytree_data_fields = ("prior",)
+
+    def __init__(self, prior: LengthPrior, *, validate_args: bool | None = None) -> None:
+        self.prior = LengthPrior(*(jnp.asarray(field) for field in prior))
+        shape = jnp.shape(self.prior.low)
+        super().__init__(batch_shape=shape[:-1], event_shape=shape[-1:], validate_args=validate_args)
+
+    @constraints.dependent_property(is_discrete=False, event_dim=1)
+    def support(self) -> constraints.Constraint:
+        return constraints.independent(constraints.interval(self.prior.low, self.prior.high), 1)
+
+    def _beta(self) -> dist.Beta:
+        return dist.Beta(self.prior.alpha, self.prior.beta, validate_args=False)
+
+    def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
+        """Lengths `sample_shape + batch_shape + (5,)`."""
+        return self._stretch(self._beta().sample(key, sample_shape))
+
+    def log_prob(self, value: ArrayLike) -> jax.Array:
+        """Log density with respect to length in body units, -inf outside the ranges."""
+        low, high = self.prior.low, self.prior.high
+        fraction = (jnp.asarray(value) - low) / (high - low)
+        inside = (fraction >= 0) & (fraction <= 1)
+        each = self._beta().log_prob(jnp.where(inside, fraction, 0.5)) - jnp.log(high - low)
+        return jnp.sum(jnp.where(inside, each, -jnp.inf), axis=-1)
+
+    def transport(self, cube: ArrayLike) -> jax.Array:
+        """Lengths at points `(..., 5)` of the unit cube: the quantile functions."""
+        return self._stretch(_beta_quantile(jnp.asarray(cube), self.prior.alpha, self.prior.beta))
+
+    def inverse(self, value: ArrayLike) -> jax.Array:
+        """The point `(..., 5)` of the unit cube of some lengths: the distribution functions."""
+        low, high = self.prior.low, self.prior.high
+        fraction = jnp.clip((jnp.asarray(value) - low) / (high - low), 0.0, 1.0)
+        return betainc(*jnp.broadcast_arrays(self.prior.alpha, self.prior.beta, fraction))
+
+    def _stretch(self, fraction: jax.Array) -> jax.Array:
+        low, high = self.prior.low, self.prior.high
+        # Rounding may carry a fraction of one past the end of the range.
+        return jnp.clip(low + (high - low) * fraction, low, high)
+
+
+def _beta_quantile(probability: jax.Array, alpha: ArrayLike, beta: ArrayLike) -> jax.Array:
+    def one(probability: jax.Array, alpha: jax.Array, beta: jax.Array) -> jax.Array:
+        law = dist.Beta(alpha, beta, validate_args=False)
+        return invert_monotone(
+            lambda x: betainc(alpha, beta, x),
+            lambda x: jnp.exp(law.log_prob(jnp.clip(x, 1e-300, 1 - 1e-16))),
+            probability,
+            jnp.zeros_like(probability),
+            jnp.ones_like(probability),
+        )
+
+    return jnp.vectorize(one)(probability, alpha, beta)

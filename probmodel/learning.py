@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -20,6 +21,7 @@ from probmodel.failures import BadInput
 from probmodel.frames import articulation
 from probmodel.limits import CELL, GRID, NUM_AZIMUTH, NUM_ELEVATION, AnatomicalLimits
 from probmodel.motion import Motion, read_motion
+from probmodel.overlap import cell_areas, cell_centres, fibonacci
 from probmodel.skeleton import (
     BONES,
     LENGTH_GROUPS,
@@ -36,6 +38,8 @@ REFERENCE = np.array([1.0, 0.0, 0.0])
 """The line through the shoulders or hips: only a limb stretched out exactly sideways is parallel to it, and limits
 learned from mirrored poses are mirror images of each other."""
 FALLBACK = np.tile([0.0, 1.0, 0.0], (NUM_LOWER, 1))
+SPINNING = 20.0
+"""Degrees from the reference within which a lower frame turns by more than a few degrees inside one parent cell."""
 LEARNING_RATE = 30.0
 """Frames a second that are learned from; neighbouring frames of 120 Hz capture say the same."""
 Progress = Callable[[str, int, int], None]
@@ -46,17 +50,31 @@ Progress = Callable[[str, int, int], None]
 class Tolerance:
     """How far beyond what was seen a bone may go. Degrees, but for `samples`.
 
-    `upper`: a direction this close to a seen one is possible. `closing`: gaps between possible directions that are
-    narrower than twice this are filled (dilation by `closing`, then erosion), and so are holes without a way out.
-    `neighbourhood`: a lower bone is judged by what was seen while its parent was this close, or closer to the
-    `samples` nearest distinct observations where there are fewer. `lower`: margin around planes and boxes.
+    `head`, `arm`, `leg`: an upper bone's direction this close to a seen one is possible. `closing`: gaps between
+    possible directions that are narrower than twice this are filled (dilation, then erosion), and so are holes without
+    a way out. `neighbourhood`: a lower bone is judged by what was seen while its parent was this close, or as close as
+    the `samples` nearest distinct observations where there are fewer. `lower`: margin around planes and boxes.
     """
 
-    upper: float = 6.0
-    closing: float = 20.0
-    neighbourhood: float = 12.0
-    samples: int = 60
-    lower: float = 6.0
+    head: float = 4.0
+    arm: float = 10.0
+    leg: float = 8.0
+    closing: float = 10.0
+    neighbourhood: float = 25.0
+    samples: int = 30
+    lower: float = 4.0
+
+    def __post_init__(self) -> None:
+        values = dataclasses.asdict(self)
+        bad = [name for name, value in values.items() if not 0 <= value <= (np.inf if name == "samples" else 90)]
+        if bad or self.samples < 1:
+            raise BadInput(f"the tolerance {(bad or ['samples'])[0]} is {values[(bad or ['samples'])[0]]}; "
+                           "degrees are 0 to 90, samples at least 1")  # fmt: skip
+
+    @property
+    def upper(self) -> tuple[float, ...]:
+        """`head`, `arm` or `leg`, in the order of `skeleton.UPPER_BONES`."""
+        return tuple(getattr(self, bone.name.rsplit("_", 1)[-1]) for bone in UPPER_BONES)
 
 
 class Poses(NamedTuple):
@@ -79,7 +97,7 @@ def learn_from(paths: Sequence[str | os.PathLike], progress: Progress | None = N
 def learn(
     motions: Sequence[Motion],
     *,
-    tolerance: Tolerance = Tolerance(),  # noqa: B008 - frozen
+    tolerance: Tolerance = Tolerance(),
     mirror: bool = True,
     num_torsos: int = 48,
     name: str = "learned",
@@ -90,8 +108,7 @@ def learn(
     Raises `BadInput` where no usable frame is left or a bone has length zero.
     """
     poses = gather(motions)
-    mirrored = np.concatenate([poses.joints, mirror_pose(poses.joints)]) if mirror else poses.joints
-    limits = learn_limits(mirrored, tolerance, name=name, progress=progress)
+    limits = learn_limits(poses.joints, tolerance, mirror=mirror, name=name, progress=progress)
     lengths = learn_lengths(poses)
     torsos = learn_torsos(poses.joints, num_torsos, mirror=mirror)
     return Anatomy(limits, LengthPrior(*(_single(field) for field in lengths)), _single(torsos))
@@ -143,27 +160,33 @@ def mirror_pose(joints: np.ndarray) -> np.ndarray:
 
 
 def learn_limits(
-    joints: np.ndarray, tolerance: Tolerance, *, name: str = "learned", progress: Progress | None = None
+    joints: np.ndarray,
+    tolerance: Tolerance,
+    *,
+    mirror: bool = True,
+    name: str = "learned",
+    progress: Progress | None = None,
 ) -> AnatomicalLimits:
-    """Limits from poses `(N, 15, 3)`, in which all of them are valid."""
+    """Limits from poses `(N, 15, 3)`, in which all of them are valid; with `mirror`, their mirror images are too, and
+    the tables of the left side are the mirror image of those of the right."""
+    if mirror:
+        joints = np.concatenate([joints, mirror_pose(joints)])
     with jax.enable_x64(True):
         local = articulation(joints, REFERENCE, FALLBACK)
         upper, lower = np.asarray(local.upper), np.asarray(local.lower)
-    occupied = np.stack([occupancy(upper[:, bone], tolerance) for bone in range(NUM_UPPER)])
-    tables = {
-        "normal": np.full((NUM_LOWER, *GRID, 3), np.nan),
-        "tangent": np.full((NUM_LOWER, *GRID, 3), np.nan),
-        "offset": np.full((NUM_LOWER, *GRID), np.nan),
-        "bounds": np.full((NUM_LOWER, *GRID, 4), np.nan),
-    }
-    for bone in range(NUM_LOWER):
+    tables = {key: np.full((NUM_LOWER, *GRID, *shape), np.nan) for key, shape in _TABLES.items()}
+    occupied = np.zeros((NUM_UPPER, *GRID), bool)
+    for bone, radius in enumerate(tolerance.upper):
+        occupied[bone] = occupancy(upper[:, bone], radius, tolerance.closing)
+    for bone, part in enumerate(LOWER_BONES):
         if progress is not None:
-            progress(f"limits of the {LOWER_BONES[bone].name.replace('_', ' ')}", bone, NUM_LOWER)
-        cells = np.argwhere(occupied[bone + 1])
-        seen = Observations.gather(upper[:, bone + 1], lower[:, bone])
-        fits = [fit_cell(seen.around(cell, tolerance), tolerance) for cell in cells]
-        for key, table in tables.items():
-            table[bone, cells[:, 0], cells[:, 1]] = [getattr(fit, key) for fit in fits]
+            progress(f"limits of the {part.name.replace('_', ' ')}", bone, NUM_LOWER)
+        if mirror and part.name.startswith("left"):
+            _mirror_tables(occupied, tables, bone)
+        else:
+            _learn_lower(tables, bone, np.argwhere(occupied[bone + 1]), upper[:, bone + 1], lower[:, bone], tolerance)
+    if mirror:
+        occupied[0] |= _mirror_cells(occupied[0])
     if progress is not None:
         progress("limits", NUM_LOWER, NUM_LOWER)
     return AnatomicalLimits(
@@ -172,19 +195,46 @@ def learn_limits(
     )  # fmt: skip
 
 
-def cell_centres() -> np.ndarray:
-    """Unit vectors `(120, 60, 3)` in the middle of the cells."""
-    return _cell_points(*np.meshgrid(np.arange(NUM_AZIMUTH) + 0.5, np.arange(NUM_ELEVATION) + 0.5, indexing="ij"))
+_TABLES: dict[str, tuple[int, ...]] = {"normal": (3,), "tangent": (3,), "offset": (), "bounds": (4,)}
 
 
-def cell_areas() -> np.ndarray:
-    """Areas `(120, 60)` of the cells in steradians."""
-    edges = np.sin(np.arange(NUM_ELEVATION + 1) * CELL - np.pi / 2)
-    return np.broadcast_to(CELL * np.diff(edges), GRID)
+def _learn_lower(
+    tables: dict[str, np.ndarray],
+    bone: int,
+    cells: np.ndarray,
+    parent: np.ndarray,
+    lower: np.ndarray,
+    tolerance: Tolerance,
+) -> None:
+    seen = Observations.gather(parent, lower)
+    for column, row in cells:
+        fit = fit_cell(seen.around(column, row, tolerance), tolerance.lower)
+        for key, table in tables.items():
+            table[bone, column, row] = getattr(fit, key)
 
 
-def _cell_points(column: np.ndarray, row: np.ndarray) -> np.ndarray:
-    azimuth, elevation = column * CELL - np.pi, row * CELL - np.pi / 2
+def _mirror_cells(table: np.ndarray) -> np.ndarray:
+    """A table `(120, 60, ...)` of the other side: mirrored directions have azimuth 180° minus the azimuth."""
+    return table[(NUM_AZIMUTH // 2 - 1 - np.arange(NUM_AZIMUTH)) % NUM_AZIMUTH]
+
+
+def _mirror_tables(occupied: np.ndarray, tables: dict[str, np.ndarray], left: int) -> None:
+    """Fills a left limb's tables from those of the right limb, which come one before them.
+
+    Mirrored, a local frame (u, v, w) of a lower bone becomes (u, v, −w), since v = reference × u and the reference is
+    the mirrored axis. So third components change their sign, and with the handedness of the plane's triple so does e3.
+    """
+    occupied[left + 1] = _mirror_cells(occupied[left])
+    for table in tables.values():
+        table[left] = _mirror_cells(table[left - 1])
+    for key in ("normal", "tangent"):
+        tables[key][left, ..., 2] *= -1
+    tables["bounds"][left] = tables["bounds"][left][..., [0, 1, 3, 2]] * np.array([1, 1, -1, -1])
+
+
+def _cell_points(column: ArrayLike, row: ArrayLike) -> np.ndarray:
+    """Unit vectors `(..., 3)` at places in the grid of cells; a half is the middle of a cell."""
+    azimuth, elevation = np.asarray(column) * CELL - np.pi, np.asarray(row) * CELL - np.pi / 2
     planar = np.cos(elevation)
     return np.stack([planar * np.cos(azimuth), planar * np.sin(azimuth), np.sin(elevation)], axis=-1)
 
@@ -201,15 +251,16 @@ def _chord(degrees: float) -> float:
     return 2 * np.sin(np.radians(degrees) / 2)
 
 
-def occupancy(vectors: np.ndarray, tolerance: Tolerance) -> np.ndarray:
-    """Occupied cells `(120, 60)` from unit vectors `(N, 3)`: within `tolerance.upper` of one, closed, without holes."""
+def occupancy(vectors: np.ndarray, radius: float, closing: float) -> np.ndarray:
+    """Occupied cells `(120, 60)` from unit vectors `(N, 3)`: those that hold one or whose centre lies within `radius`
+    degrees of one, closed by `closing` degrees, without holes."""
     seen = np.zeros(GRID, bool)
     seen[cells_of(vectors)] = True
-    grown = seen | _within(np.unique(vectors.round(3), axis=0), tolerance.upper)
+    # A thousandth of a radian is far below a cell; thinning makes the search ten times faster.
+    grown = seen | _within(np.unique(vectors.round(3), axis=0), radius)
     centres = cell_centres()
-    dilated = _within(centres[grown], tolerance.closing) | grown
-    outside = centres[~dilated]
-    closed = grown | (dilated & ~_within(outside, tolerance.closing)) if len(outside) else dilated
+    dilated = grown | _within(centres[grown], closing)
+    closed = dilated if dilated.all() else grown | (dilated & ~_within(centres[~dilated], closing))
     return _fill_holes(closed)
 
 
@@ -243,7 +294,7 @@ class Observations(NamedTuple):
     parent: np.ndarray
     lower: np.ndarray
     thinned: np.ndarray
-    """Indices of observations that differ in a cell of either direction."""
+    """Indices of distinct observations: one for each pair of cubes (`_cubes`)."""
     tree: cKDTree
     by_cell: dict[int, np.ndarray]
 
@@ -251,30 +302,28 @@ class Observations(NamedTuple):
     def gather(cls, parent: np.ndarray, lower: np.ndarray) -> "Observations":
         """From local unit vectors `(N, 3)` each."""
         own = np.ravel_multi_index(cells_of(parent), GRID)
-        both = own * (NUM_AZIMUTH * NUM_ELEVATION) + np.ravel_multi_index(cells_of(lower), GRID)
-        _, thinned = np.unique(both, return_index=True)
+        thinned = np.unique(_cubes(parent) * CUBES**3 + _cubes(lower), return_index=True)[1]
         order = np.argsort(own, kind="stable")
         cells, first = np.unique(own[order], return_index=True)
         by_cell = dict(zip(cells.tolist(), np.split(order, first[1:]), strict=True))
         return cls(parent, lower, thinned, cKDTree(parent[thinned]), by_cell)
 
-    def around(self, cell: np.ndarray, tolerance: Tolerance) -> np.ndarray:
+    def around(self, column: int, row: int, tolerance: Tolerance) -> np.ndarray:
         """Directions `(n, 3)` of the lower bone, in the local frame, seen in and near a cell of the parent."""
-        centre = _cell_points(cell[0] + 0.5, cell[1] + 0.5)
-        count = min(tolerance.samples, len(self.thinned))
-        far = np.max(self.tree.query(centre, k=count)[0])
-        near = self.thinned[self.tree.query_ball_point(centre, max(far * (1 + 1e-9), _chord(tolerance.neighbourhood)))]
-        own = self.by_cell.get(int(np.ravel_multi_index(tuple(cell), GRID)))
-        carried = self._carried(near, cell)
+        centre = _cell_points(column + 0.5, row + 0.5)
+        far = np.max(self.tree.query(centre, k=min(tolerance.samples, len(self.thinned)))[0])
+        radius = max(far * (1 + 1e-9), _chord(tolerance.neighbourhood))
+        carried = self._carried(self.thinned[self.tree.query_ball_point(centre, radius)], column, row)
+        own = self.by_cell.get(column * NUM_ELEVATION + row)
         return carried if own is None else np.concatenate([carried, self.lower[own]])
 
-    def _carried(self, near: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    def _carried(self, near: np.ndarray, column: int, row: int) -> np.ndarray:
         """Neighbours' directions as seen from the cell: the lower bone is carried along when its parent swings there
         by the shortest way, because the local frame itself spins fast where the parent nears the reference."""
         in_torso = np.einsum("nij,nj->ni", local_frames(self.parent[near]), self.lower[near])
         corners = np.array([(0.5, 0.5), (0.1, 0.1), (0.1, 0.9), (0.9, 0.1), (0.9, 0.9)])
-        points = _cell_points(*(cell + corners).T)
-        if abs(points[0] @ REFERENCE) < np.cos(np.radians(20)):
+        points = _cell_points(column + corners[:, 0], row + corners[:, 1])
+        if abs(points[0] @ REFERENCE) < np.cos(np.radians(SPINNING)):
             points = points[:1]
         moved = [local_frames(point[None])[0].T @ _swing(self.parent[near], in_torso, point).T for point in points]
         return np.concatenate([directions.T for directions in moved])
@@ -308,17 +357,31 @@ class CellFit(NamedTuple):
     bounds: np.ndarray
 
 
-def fit_cell(directions: np.ndarray, tolerance: Tolerance) -> CellFit:
+def fit_cell(directions: np.ndarray, margin: float) -> CellFit:
     """The plane that cuts off the largest cap without directions `(n, 3)`, a hemisphere at most, and the smallest box
-    around them in it; both moved outwards by `tolerance.lower` degrees."""
-    normal = largest_empty_cap(directions)
-    offset = -max(0.0, _widen((directions @ normal).max(), tolerance.lower))
-    tangent = smallest_box(directions, normal)
-    third = np.cross(normal, tangent)
-    sides = [directions @ tangent, directions @ third]
-    bounds = [_widen(edge, margin) for side in sides for edge, margin in
-              ((side.min(), -tolerance.lower), (side.max(), tolerance.lower))]  # fmt: skip
+    around them in it; both moved outwards by `margin` degrees."""
+    coarse = _thin(directions)
+    normal = largest_empty_cap(coarse)
+    tangent = smallest_box(coarse, normal)
+    offset = min(0.0, -_widen((directions @ normal).max(), margin))
+    across, along = directions @ tangent, directions @ np.cross(normal, tangent)
+    bounds = [_widen(across.min(), -margin), _widen(across.max(), margin),
+              _widen(along.min(), -margin), _widen(along.max(), margin)]  # fmt: skip
     return CellFit(normal, tangent, offset, np.array(bounds))
+
+
+CUBES = 32
+"""Observations that share a cube, of which this many divide [−1, 1], are one: 3.6° on a side."""
+
+
+def _cubes(directions: np.ndarray) -> np.ndarray:
+    """Index `(n,)` of the cube in which each of `directions` `(n, 3)` lies."""
+    return np.clip(np.floor((directions + 1) * (CUBES / 2)).astype(int), 0, CUBES - 1) @ CUBES ** np.arange(3)
+
+
+def _thin(directions: np.ndarray) -> np.ndarray:
+    """One of `directions` for each cube: enough to place a plane, whose offset is then exact."""
+    return directions[np.unique(_cubes(directions), return_index=True)[1]]
 
 
 def _widen(value: float, degrees: float) -> float:
@@ -327,16 +390,8 @@ def _widen(value: float, degrees: float) -> float:
     return float(np.sin(np.clip(angle, -np.pi / 2, np.pi / 2)))
 
 
-def _fibonacci(count: int) -> np.ndarray:
-    """`count` unit vectors `(count, 3)`, evenly over the sphere."""
-    index = np.arange(count) + 0.5
-    z = 1 - 2 * index / count
-    angle = np.pi * (1 + np.sqrt(5)) * index
-    return np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], axis=-1)
-
-
-_COARSE = _fibonacci(1500)
-_FINE = _fibonacci(40_000)
+_COARSE = fibonacci(1500)
+_FINE = fibonacci(40_000)
 _FINE = _FINE[_FINE[:, 2] > np.cos(np.radians(5))]
 
 
@@ -373,10 +428,10 @@ ALLOWANCE = 2.0
 
 
 def learn_lengths(poses: Poses) -> LengthPrior:
-    """Ranges and Beta distributions of the five length groups, by moments; subjects count alike, whatever their frames.
+    """Ranges and Beta distributions of the five length groups, by moments; each subject counts alike.
 
-    Limb bones of a recording are rigid, so a limb length's spread is between subjects. The head's bone is a chain, whose
-    length varies with the pose as well; its spread includes that.
+    Limb bones of a recording are rigid, so a limb length's spread is between subjects. The head's bone is a chain,
+    whose length varies with the pose as well; its spread includes that.
     """
     groups = [[i for i, bone in enumerate(BONES) if bone.length_group == group] for group in range(NUM_LENGTHS)]
     lengths = bone_lengths(poses.joints)

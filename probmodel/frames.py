@@ -95,7 +95,14 @@ def pose(torso: ArrayLike, upper: ArrayLike, lower: ArrayLike, length: ArrayLike
     """Forward kinematics: joints `(..., 15, 3)` from torso `(..., 6, 3)`, local unit vectors `upper` `(..., 5, 3)` and
     `lower` `(..., 4, 3)`, and bone lengths `length` `(..., 9)` in the order of `skeleton.BONES`."""
     one = jnp.vectorize(_pose, signature="(t,x),(u,x),(l,x),(b),(x),(l,x)->(j,x)")
-    return one(torso, upper, lower, length, reference, fallback)
+    return one(*_same_rank((torso, 2), (upper, 2), (lower, 2), (length, 1), (reference, 1), (fallback, 2)))
+
+
+def _same_rank(*arguments: tuple[ArrayLike, int]) -> list[jax.Array]:
+    """Arrays, given with the number of their own axes, with as many batch axes each: ranks are promoted here only."""
+    arrays = [(jnp.asarray(array), axes) for array, axes in arguments]
+    batch = max(array.ndim - axes for array, axes in arrays)
+    return [array.reshape((1,) * (batch + axes - array.ndim) + array.shape) for array, axes in arrays]
 
 
 def _pose(torso: jax.Array, upper: jax.Array, lower: jax.Array, length: jax.Array, reference: jax.Array,
@@ -115,7 +122,7 @@ def articulation(joints: ArrayLike, reference: ArrayLike, fallback: ArrayLike) -
     """Inverse of `pose`: joints `(..., 15, 3)` → torso, local directions and lengths. A bone of length zero has the
     zero vector as its direction."""
     one = jnp.vectorize(_articulation, signature="(j,x),(x),(l,x)->(t,x),(u,x),(l,x),(b)")
-    return Articulation(*one(joints, reference, fallback))
+    return Articulation(*one(*_same_rank((joints, 2), (reference, 1), (fallback, 2))))
 
 
 def _articulation(joints: jax.Array, reference: jax.Array, fallback: jax.Array) -> tuple[jax.Array, ...]:

@@ -78,12 +78,11 @@ def read_published(path: str | os.PathLike, static_pose: str | os.PathLike | Non
 
 
 def _read_mat(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise BadInput(f"{path} {what}; give the path of the published jointAngleModel_v2.mat")
     try:
         return scipy.io.loadmat(path, appendmat=False)
-    except FileNotFoundError:
-        raise BadInput(f"there is no file at {path}; give the path of the published jointAngleModel_v2.mat") from None
-    except IsADirectoryError:
-        raise BadInput(f"{path} is a folder; give the path of the published jointAngleModel_v2.mat") from None
     except Exception as error:  # The reader meets damaged files with errors of many unrelated kinds.
         raise BadInput(
             f"{path} is not a MATLAB file, or is truncated ({str(error) or type(error).__name__}); "

@@ -1,0 +1,12 @@
+"""How a posterior is computed: estimators of torso and camera, samplers with one face, hypotheses.
+
+    frame = inference.estimate_torso(detection)
+    result = inference.sample(model, frame, key=jax.random.key(0), num_samples=10_000)
+"""
+
+from inference.candidates import Candidate, Frame
+from inference.estimators import ESTIMATORS, estimate_torso
+from inference.results import Result
+from inference.sampler import SAMPLERS, sample
+
+__all__ = ["ESTIMATORS", "SAMPLERS", "Candidate", "Frame", "Result", "estimate_torso", "sample"]

@@ -10,7 +10,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import numpyro
 from jax.typing import ArrayLike
 from numpyro.handlers import mask
@@ -133,12 +132,6 @@ class PoseModel:
         return {"upper": self.upper, "lower": self.lower}
 
 
-def log_joint(model: PoseModel, observation: Observation, length: np.ndarray, upper: np.ndarray,
-              lower: np.ndarray) -> np.ndarray:  # fmt: skip
-    """`(n,)`: log joint density of poses and keypoints: prior without the torso, times the discs; -inf outside."""
-    return np.asarray(_log_joint(model, observation, jnp.asarray(length), jnp.asarray(upper), jnp.asarray(lower)))
-
-
 def _hinges(limits: AnatomicalLimits, measure: str) -> Hinge:
     missing = jnp.isnan(jnp.asarray(limits.offset))
     triple = jnp.where(missing[..., None, None], jnp.eye(3), limits.triples())
@@ -148,7 +141,9 @@ def _hinges(limits: AnatomicalLimits, measure: str) -> Hinge:
 
 
 @jax.jit
-def _log_joint(model: PoseModel, observation: Observation, length: jax.Array, upper: jax.Array,
-               lower: jax.Array) -> jax.Array:  # fmt: skip
+def log_joint(model: PoseModel, observation: Observation, length: ArrayLike, upper: ArrayLike,
+              lower: ArrayLike) -> jax.Array:  # fmt: skip
+    """`(...)`: log joint density of poses (lengths `(..., 5)`, directions `(..., 5, 3)`, `(..., 4, 3)`) and keypoints:
+    the prior without the torso, times the discs; -inf outside."""
     inside = observation.explains(model.joints(observation.view, length, upper, lower))
     return model.log_prior(length, upper, lower) + jnp.where(inside, observation.log_disc_density, -jnp.inf)

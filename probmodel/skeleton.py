@@ -65,3 +65,24 @@ MIRROR = tuple(
     JOINT_INDEX[name.replace("right", "LEFT").replace("left", "right").replace("LEFT", "left")] for name in JOINTS
 )
 """`MIRROR[i]` is the joint that joint i becomes when left and right are exchanged."""
+
+
+class Limb(NamedTuple):
+    """A chain of bones that hangs from the torso: an upper bone and, but for the head, the lower bone that follows."""
+
+    name: str
+    upper: int
+    lower: int | None
+
+    @property
+    def bones(self) -> tuple[Bone, ...]:
+        """The limb's bones, from the torso outwards."""
+        return (UPPER_BONES[self.upper],) + (() if self.lower is None else (LOWER_BONES[self.lower],))
+
+
+GROUPS = {
+    "head": (Limb("head", 0, None),),
+    "arms": (Limb("right arm", 1, 0), Limb("left arm", 2, 1)),
+    "legs": (Limb("right leg", 3, 2), Limb("left leg", 4, 3)),
+}
+"""Limbs that share bone lengths. Given torso and camera, the groups are independent of each other."""

@@ -1,0 +1,224 @@
+"""The one face of all samplers: `sample(model, frame, sampler=…, key=…, num_samples=…)` → `Result`.
+
+Exact rejection draws from the mixture over the frame's candidates: each candidate's evidence comes out of its own
+rejection, weighs it against the others, and decides how many of the draws are its own.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from inference.candidates import Candidate, Frame
+from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET, CandidateDraws, Result, build_tree
+from inference.samplers.limbs import Draws, Group, build_group
+from inference.samplers.reach import OutOfReach, nearest_miss, out_of_reach
+from inference.samplers.rejection import PROPOSALS, Budget, GroupSampler, Rate
+from probmodel.failures import BadInput
+from probmodel.model import PoseModel
+from probmodel.skeleton import GROUPS, NUM_LENGTHS, NUM_LOWER, NUM_UPPER
+
+SAMPLERS = {"rejection": "pruned", "rejection-group": "group", "rejection-prior": "prior"}
+"""Samplers by name: exact rejection with the pruned, the per-group and the whole-body proposal."""
+PILOTS = (64, 2000)
+"""Draws of each candidate from which the candidates are weighed, in two rounds, before the rest is shared out."""
+NEGLIGIBLE = 0.01
+"""A candidate whose share is below this after the first round (known to an eighth) needs no second."""
+STEP = 2000
+"""Draws between two reports of progress."""
+MAX_PROPOSALS = 1_000_000_000
+Progress = Callable[[int, int], None]
+
+
+@dataclass
+class CandidateSampler:
+    """Exact rejection under one candidate: its groups and what has been drawn of them."""
+
+    groups: dict[str, Group]
+    samplers: list[GroupSampler]
+    unreachable: list[OutOfReach]
+
+    def more(self, number: int, budget: Budget) -> bool:
+        """Goes on until every group holds `number` draws; False where it cannot."""
+        return not self.unreachable and all([sampler.more(number, budget) for sampler in self.samplers])
+
+    @property
+    def held(self) -> int:
+        """Whole bodies held."""
+        return min(sampler.held for sampler in self.samplers)
+
+    @property
+    def rates(self) -> list[Rate]:
+        return [rate for sampler in self.samplers for rate in sampler.rates]
+
+    @property
+    def log_evidence(self) -> float:
+        """Log prior probability that every seen joint lies in its disc; -inf where no draw was accepted."""
+        return -math.inf if self.unreachable or not self.held else sum(rate.log_probability for rate in self.rates)
+
+    @property
+    def log_evidence_se(self) -> float:
+        """Standard error of `log_evidence`."""
+        return math.inf if not self.held else math.sqrt(sum(rate.variance for rate in self.rates))
+
+    def bodies(self, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The first `number` draws as lengths `(n, 5)`, upper `(n, 5, 3)` and lower `(n, 4, 3)` directions."""
+        length = np.empty((number, NUM_LENGTHS))
+        upper, lower = np.empty((number, NUM_UPPER, 3)), np.empty((number, NUM_LOWER, 3))
+        if number:
+            draws = {name: part for sampler in self.samplers for name, part in sampler.draws().items()}
+            for name, limbs in GROUPS.items():
+                _place(draws[name], limbs, number, length, upper, lower)
+        return length, upper, lower
+
+
+def _place(draws: Draws, limbs: tuple, number: int, length: np.ndarray, upper: np.ndarray, lower: np.ndarray) -> None:
+    for column, bone in enumerate(limbs[0].bones):
+        length[:, bone.length_group] = draws.length[:number, column]
+    for row, limb in enumerate(limbs):
+        upper[:, limb.upper] = draws.upper[:number, row]
+        if limb.lower is not None:
+            lower[:, limb.lower] = draws.lower[:number, row]
+
+
+def sample(
+    model: PoseModel,
+    frame: Frame,
+    *,
+    key: jax.Array,
+    sampler: str = "rejection",
+    num_samples: int = 10_000,
+    max_proposals: int = MAX_PROPOSALS,
+    progress: Progress | None = None,
+) -> Result:
+    """Draws `num_samples` poses from the posterior over a frame's candidates.
+
+    `max_proposals` bounds the work; where it ends first, or where no pose is possible, the result says so in `status`
+    and `sentence` and holds the draws that were made. `progress(done, wanted)` is called now and then. Raises
+    `BadInput` on an unknown sampler or a number of samples below one.
+    """
+    if sampler not in SAMPLERS:
+        raise BadInput(f"there is no sampler {sampler!r}; choose one of {', '.join(SAMPLERS)}")
+    if num_samples < 1:
+        raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
+    started = time.perf_counter()
+    budget = Budget(max_proposals)
+    samplers = [
+        _candidate_sampler(jax.random.fold_in(key, index), sampler, model, frame, candidate)
+        for index, candidate in enumerate(frame.candidates)
+    ]
+    prior = log_prior_weights(frame)
+    log_weight = _weigh(samplers, prior, num_samples, budget)
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, len(samplers)))))
+    counts = rng.multinomial(num_samples, _shares(log_weight))
+    enough = _fill(samplers, counts, budget, progress)
+    held = [min(int(count), candidate.held) for count, candidate in zip(counts, samplers, strict=True)]
+    log_weight = prior + np.array([candidate.log_evidence for candidate in samplers])
+    shares = _shares(log_weight)
+    parts = [
+        CandidateDraws(*candidate.bodies(number), candidate.log_evidence, candidate.log_evidence_se, float(share))
+        for candidate, number, share in zip(samplers, held, shares, strict=True)
+    ]
+    evidence, error = _mixture_evidence(prior, parts)
+    attributes = {
+        "sampler": sampler,
+        "seed": _words(key),
+        "num_samples": num_samples,
+        "num_proposals": budget.spent,
+        "acceptance_rate": sum(held) / max(budget.spent, 1),
+        "log_evidence": evidence,
+        "log_evidence_se": error,
+        "wall_time_s": time.perf_counter() - started,
+    }
+    status, sentence = (COMPLETE, "") if enough else _explain(samplers, frame, budget, sum(held), num_samples)
+    return Result(build_tree(model, frame, parts, {**attributes, "status": status}, rng), status, sentence)
+
+
+def log_prior_weights(frame: Frame) -> np.ndarray:
+    """`(candidates,)`: what weighs a candidate beside its evidence: equal prior mass, the likelihood of the seen torso
+    joints, and the density of the limbs' discs, which depends on the candidate's scale (§ 6 of the model).
+
+    Where no candidate has all seen torso joints inside their discs, the torso's likelihood says nothing and is left
+    out. Normalised.
+    """
+    torso = np.array([frame.log_torso_likelihood(candidate) for candidate in frame.candidates])
+    discs = np.array([float(frame.observation(candidate).log_disc_density) for candidate in frame.candidates])
+    log_weight = discs + (torso if np.isfinite(torso).any() else 0.0)
+    return log_weight - np.logaddexp.reduce(log_weight)
+
+
+def _candidate_sampler(
+    key: jax.Array, sampler: str, model: PoseModel, frame: Frame, candidate: Candidate
+) -> CandidateSampler:
+    observation = frame.observation(candidate)
+    groups = {name: build_group(model, observation, name) for name in GROUPS}
+    unreachable = [joint for group in groups.values() for joint in out_of_reach(group)]
+    return CandidateSampler(groups, PROPOSALS[SAMPLERS[sampler]](key, groups), unreachable)
+
+
+def _weigh(samplers: list[CandidateSampler], prior: np.ndarray, number: int, budget: Budget) -> np.ndarray:
+    """Log weights of the candidates from pilot draws: few of each, more of those that turn out to matter."""
+    log_weight = np.where(np.isfinite(prior), 0.0, -np.inf)
+    for pilot in PILOTS if len(samplers) > 1 else ():
+        matters = _shares(log_weight) > NEGLIGIBLE
+        for index in np.flatnonzero(matters):
+            samplers[index].more(min(pilot, number), budget)
+        log_weight = prior + np.array([candidate.log_evidence for candidate in samplers])
+    return log_weight
+
+
+def _shares(log_weight: np.ndarray) -> np.ndarray:
+    """Weights that sum to one; where nothing has any, the first candidate (best reprojection) has all."""
+    if not np.isfinite(log_weight).any():
+        return np.eye(len(log_weight))[0]
+    share = np.exp(log_weight - log_weight.max())
+    return share / share.sum()
+
+
+def _fill(
+    samplers: list[CandidateSampler], counts: np.ndarray, budget: Budget, progress: Progress | None
+) -> bool:
+    done, wanted = 0, int(counts.sum())
+    for candidate, count in zip(samplers, counts, strict=True):
+        for target in [*range(STEP, int(count), STEP), int(count)]:
+            if target and not candidate.more(target, budget):
+                return False
+            if progress:
+                progress(done + target, wanted)
+        done += int(count)
+    return True
+
+
+def _mixture_evidence(prior: np.ndarray, parts: list[CandidateDraws]) -> tuple[float, float]:
+    """Log evidence of the mixture and its standard error, the candidates' errors being independent."""
+    log_terms = prior + np.array([part.log_evidence for part in parts])
+    if not np.isfinite(log_terms).any():
+        return -math.inf, math.inf
+    errors = np.array([part.log_evidence_se if share > 0 else 0.0 for part, share in zip(parts, _shares(log_terms), strict=True)])
+    return float(np.logaddexp.reduce(log_terms)), float(np.sqrt(np.sum((_shares(log_terms) * errors) ** 2)))
+
+
+def _explain(
+    samplers: list[CandidateSampler], frame: Frame, budget: Budget, held: int, wanted: int
+) -> tuple[str, str]:
+    """Why there are fewer draws than wanted, in a sentence that names the joint or the group."""
+    if all(candidate.unreachable for candidate in samplers):
+        joint = samplers[0].unreachable[0]
+        return IMPOSSIBLE, f"no pose explains {frame.detection.where}: " + joint.sentence(
+            float(frame.candidates[0].camera.scale)
+        )
+    index = next(index for index, candidate in enumerate(samplers) if not candidate.unreachable)
+    name = min(samplers[index].samplers, key=lambda sampler: sampler.held).slowest
+    miss = nearest_miss(samplers[index].groups[name])
+    scale = float(frame.candidates[index].camera.scale)
+    return OUT_OF_BUDGET, (
+        f"{held} of {wanted} draws after {budget.spent:,} proposals for {frame.detection.where}: the {name} stand in the "
+        f"way ({miss.sentence(scale)}); ask for fewer samples, allow more proposals, or mend that detection"
+    )
+
+
+def _words(key: jax.Array) -> str:
+    return " ".join(str(word) for word in np.asarray(jax.random.key_data(key)))

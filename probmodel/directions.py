@@ -14,7 +14,7 @@ from numpyro.distributions import Distribution, constraints
 from probmodel.cells import Cells
 from probmodel.hinges import Hinge
 from probmodel.regions import Region
-from probmodel.supports import directions, over_batch
+from probmodel.supports import directions, is_unit, over_batch
 
 
 class _Direction(Distribution):
@@ -49,7 +49,7 @@ class _Direction(Distribution):
         """Log density per steradian, -inf outside the support."""
 
         def masked(region: Region, u: jax.Array) -> jax.Array:
-            inside = region.contains(u)
+            inside = is_unit(u) & region.contains(u)
             # The density is evaluated at a harmless vector outside, so that no gradient is NaN.
             safe = jnp.where(inside, u, jnp.array([0.6, 0.48, 0.64]))
             return jnp.where(inside, region.log_density(safe), -jnp.inf)

@@ -1,7 +1,5 @@
 """The likelihood of one detected joint: uniform in a disc around the projected joint (§ 3 of the model)."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike

@@ -81,7 +81,7 @@ class Hinge(Region):
         u2 = jnp.clip(u2, self.nodes[0], self.nodes[-1])
         low, high = _intervals(self.offset, self.bounds, u2, self.measure)
         length = jnp.maximum(high - low, 0.0)
-        place = _place(u2, u3, self.measure)
+        place = _place(u1, u3, self.measure)
         which = jnp.where(u1 <= 0, 0, jnp.where(u3 > 0, 1, 2))
         before = jnp.cumsum(length) - length
         whole = jnp.sum(length)
@@ -108,13 +108,18 @@ class Hinge(Region):
     def _quantile(self, fraction: jax.Array) -> jax.Array:
         target = fraction * self.total
         piece = jnp.clip(jnp.searchsorted(self.areas, target, side="right") - 1, 0, len(self.nodes) - 2)
+        row, base = self.pattern[piece], self.areas[piece]
+        low, high = self.nodes[piece], self.nodes[piece + 1]
+        origin = row @ _primitives(self.offset, self.bounds, low, self.measure)
 
-        def length(u2: jax.Array) -> jax.Array:
-            return self.pattern[piece] @ _ends(self.offset, self.bounds, u2, self.measure)
+        def measure_below(u2: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+            value = base - origin + row @ _primitives(self.offset, self.bounds, u2, self.measure)
+            return value, row @ _ends(self.offset, self.bounds, u2, self.measure), jnp.zeros_like(u2)
 
-        return invert_monotone(
-            lambda u2: self._cumulative(u2, piece), length, target, self.nodes[piece], self.nodes[piece + 1]
-        )
+        noise = 4 * jnp.finfo(target.dtype).eps * (1 + self.total)
+        rise = self.areas[piece + 1] - base
+        start = low + (high - low) * (target - base) / jnp.where(rise > 0, rise, 1.0)
+        return invert_monotone(measure_below, target, low, high, start, noise)
 
 
 def _root(square: jax.Array) -> jax.Array:
@@ -123,18 +128,23 @@ def _root(square: jax.Array) -> jax.Array:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
-def _arcsine(value: jax.Array) -> jax.Array:
-    """arcsin, continued by ±π/2, with a finite gradient everywhere."""
-    inside = jnp.abs(value) < 1
-    return jnp.where(inside, jnp.arcsin(jnp.where(inside, value, 0.0)), jnp.sign(value) * jnp.pi / 2)
+def _arctan(opposite: jax.Array, adjacent: jax.Array) -> jax.Array:
+    """arctan(opposite/adjacent) for adjacent ≥ 0; 0 at the origin, with a finite gradient there too."""
+    origin = (opposite == 0) & (adjacent == 0)
+    return jnp.arctan2(opposite, jnp.where(origin, 1.0, adjacent))
 
 
-def _place(u2: jax.Array, u3: jax.Array, measure: str) -> jax.Array:
+def _to_rim(level: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """x clipped to where |x| ≤ √(1-c²), and r = √(1-x²-c²) there. Angles are taken as arctangents over r: an arcsine
+    of a ratio near one would lose half of the digits."""
+    limit = _root(1 - level**2)
+    free = jnp.clip(x, -limit, limit)
+    return free, _root((limit - free) * (limit + free))
+
+
+def _place(u1: jax.Array, u3: jax.Array, measure: str) -> jax.Array:
     """The coordinate in which the conditional law is uniform: β for "area", u3 for "box"."""
-    if measure == "box":
-        return u3
-    rho = _root(1 - u2**2)
-    return _arcsine(u3 / jnp.where(rho > 0, rho, 1.0))
+    return u3 if measure == "box" else _arctan(u3, jnp.abs(u1))
 
 
 def _ends(offset: jax.Array, bounds: jax.Array, u2: jax.Array, measure: str) -> jax.Array:
@@ -143,49 +153,49 @@ def _ends(offset: jax.Array, bounds: jax.Array, u2: jax.Array, measure: str) -> 
     The plane cuts the front at |β| = arccos(d/ρ) (only for d > 0) and the back at |β| = arccos(-d/ρ); for "box" the
     same places as values of u3 = ρ sin β.
     """
-    rho = _root(1 - u2**2)
-    cut = _root(rho**2 - offset**2)
-    front, behind = jnp.where(offset > 0, cut, rho), jnp.where(offset < 0, cut, rho)
-    ends = jnp.stack([jnp.clip(bounds[2], -rho, rho), jnp.clip(bounds[3], -rho, rho), front, behind])
-    return ends if measure == "box" else _arcsine(ends / jnp.where(rho > 0, rho, 1.0))
+    if measure == "box":
+        rim = _root(1 - u2**2)
+        low, high = jnp.clip(bounds[2], -rim, rim), jnp.clip(bounds[3], -rim, rim)
+        cut = _root(rim**2 - offset**2)
+    else:
+        low, high, plane = (_arctan(level, _to_rim(level, u2)[1]) for level in (bounds[2], bounds[3], jnp.abs(offset)))
+        rim = jnp.full_like(plane, jnp.pi / 2)
+        cut = rim - plane  # arccos(|d|/ρ) = π/2 - arcsin(|d|/ρ)
+    return jnp.stack([low, high, jnp.where(offset > 0, cut, rim), jnp.where(offset < 0, cut, rim)])
 
 
 def _primitives(offset: jax.Array, bounds: jax.Array, u2: jax.Array, measure: str) -> jax.Array:
     """`(4,)`: integrals of `_ends` over u2 from 0."""
     if measure == "box":
         low, high = (_clipped_primitive(bound, u2) for bound in (bounds[2], bounds[3]))
-        whole, cut = _half_disc(u2, 1.0), _half_disc(u2, 1 - offset**2)
+        whole, cut = _half_disc(u2, 0.0), _half_disc(u2, offset)
         return jnp.stack([low, high, jnp.where(offset > 0, cut, whole), jnp.where(offset < 0, cut, whole)])
     low, high, plane = (_arcsine_primitive(level, u2) for level in (bounds[2], bounds[3], jnp.abs(offset)))
     quarter = jnp.pi / 2 * u2
-    cut = quarter - plane  # arccos(|d|/ρ) = π/2 - arcsin(|d|/ρ)
+    cut = quarter - plane
     return jnp.stack([low, high, jnp.where(offset > 0, cut, quarter), jnp.where(offset < 0, cut, quarter)])
 
 
 def _arcsine_primitive(level: jax.Array, x: jax.Array) -> jax.Array:
-    """∫₀ˣ arcsin(clip(c/√(1-t²), -1, 1)) dt = x arcsin(c/√(1-x²)) + c arcsin(x/√(1-c²)) - arctan(xc/√(1-x²-c²))."""
-    limit = _root(1 - level**2)
-    free = jnp.clip(x, -limit, limit)
-    rest = _root(1 - free**2 - level**2)
-    rho = _root(1 - free**2)
-    angle = free * _arcsine(level / jnp.where(rho > 0, rho, 1.0))
-    angle = angle + level * _arcsine(free / jnp.where(limit > 0, limit, 1.0))
-    angle = angle - jnp.arctan2(free * level, rest)
+    """∫₀ˣ arcsin(clip(c/√(1-t²), -1, 1)) dt = x arctan(c/r) + c arctan(x/r) - arctan(xc/r) with r = √(1-x²-c²).
+
+    The derivative in r vanishes like r²: the rounding of r, of the order √eps at the rim, does no harm.
+    """
+    free, rest = _to_rim(level, x)
+    angle = free * _arctan(level, rest) + level * _arctan(free, rest) - _arctan(free * level, rest)
     return angle + jnp.sign(level) * jnp.pi / 2 * (x - free)
 
 
-def _half_disc(x: jax.Array, square: jax.Array | float) -> jax.Array:
-    """∫₀ˣ √(R² - t²) dt with R² = `square`, the integrand 0 beyond R."""
-    radius = _root(jnp.asarray(square) + 0.0 * x)
-    inside = jnp.clip(x, -radius, radius)
-    return (inside * _root(square - inside**2) + square * _arcsine(inside / jnp.where(radius > 0, radius, 1.0))) / 2
+def _half_disc(x: jax.Array, level: jax.Array | float) -> jax.Array:
+    """∫₀ˣ √(1 - c² - t²) dt, the integrand 0 beyond the rim; its derivative in the root vanishes at the rim."""
+    free, rest = _to_rim(jnp.asarray(level, x.dtype), x)
+    return (free * rest + (free**2 + rest**2) * _arctan(free, rest)) / 2
 
 
 def _clipped_primitive(bound: jax.Array, x: jax.Array) -> jax.Array:
     """∫₀ˣ clip(c, -√(1-t²), √(1-t²)) dt."""
-    limit = _root(1 - bound**2)
-    free = jnp.clip(x, -limit, limit)
-    return bound * free + jnp.sign(bound) * (_half_disc(x, 1.0) - _half_disc(free, 1.0))
+    free, _ = _to_rim(bound, x)
+    return bound * free + jnp.sign(bound) * (_half_disc(x, 0.0) - _half_disc(free, 0.0))
 
 
 def _selection(offset: jax.Array, bounds: jax.Array, u2: jax.Array, measure: str) -> tuple[jax.Array, jax.Array]:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpyro.distributions as dist
-from jax.scipy.special import betainc
+from jax.scipy.special import betainc, ndtri
 from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
 
@@ -39,6 +39,9 @@ class BoneLength(Distribution):
     def support(self) -> constraints.Constraint:
         return constraints.independent(constraints.interval(self.prior.low, self.prior.high), 1)
 
+    def _range(self) -> tuple[jax.Array, jax.Array]:
+        return jnp.asarray(self.prior.low), jnp.asarray(self.prior.high)
+
     def _beta(self) -> dist.Beta:
         return dist.Beta(self.prior.alpha, self.prior.beta, validate_args=False)
 
@@ -48,7 +51,7 @@ class BoneLength(Distribution):
 
     def log_prob(self, value: ArrayLike) -> jax.Array:
         """Log density with respect to length in body units, -inf outside the ranges."""
-        low, high = self.prior.low, self.prior.high
+        low, high = self._range()
         fraction = (jnp.asarray(value) - low) / (high - low)
         inside = (fraction >= 0) & (fraction <= 1)
         each = self._beta().log_prob(jnp.where(inside, fraction, 0.5)) - jnp.log(high - low)
@@ -60,12 +63,12 @@ class BoneLength(Distribution):
 
     def inverse(self, value: ArrayLike) -> jax.Array:
         """The point `(..., 5)` of the unit cube of some lengths: the distribution functions."""
-        low, high = self.prior.low, self.prior.high
+        low, high = self._range()
         fraction = jnp.clip((jnp.asarray(value) - low) / (high - low), 0.0, 1.0)
         return betainc(*jnp.broadcast_arrays(self.prior.alpha, self.prior.beta, fraction))
 
     def _stretch(self, fraction: jax.Array) -> jax.Array:
-        low, high = self.prior.low, self.prior.high
+        low, high = self._range()
         # Rounding may carry a fraction of one past the end of the range.
         return jnp.clip(low + (high - low) * fraction, low, high)
 
@@ -73,12 +76,31 @@ class BoneLength(Distribution):
 def _beta_quantile(probability: jax.Array, alpha: ArrayLike, beta: ArrayLike) -> jax.Array:
     def one(probability: jax.Array, alpha: jax.Array, beta: jax.Array) -> jax.Array:
         law = dist.Beta(alpha, beta, validate_args=False)
-        return invert_monotone(
-            lambda x: betainc(alpha, beta, x),
-            lambda x: jnp.exp(law.log_prob(jnp.clip(x, 1e-300, 1 - 1e-16))),
-            probability,
-            jnp.zeros_like(probability),
-            jnp.ones_like(probability),
-        )
+        smallest = jnp.finfo(probability.dtype).tiny
+        largest = 1 - jnp.finfo(probability.dtype).epsneg
+
+        def below(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+            inside = jnp.clip(x, smallest, largest)
+            slope = jnp.exp(law.log_prob(inside))
+            return betainc(alpha, beta, x), slope, (alpha - 1) / inside - (beta - 1) / (1 - inside)
+
+        zero = jnp.zeros_like(probability)
+        noise = 64 * jnp.finfo(probability.dtype).eps
+        return invert_monotone(below, probability, zero, zero + 1, _beta_guess(probability, alpha, beta), noise)
 
     return jnp.vectorize(one)(probability, alpha, beta)
+
+
+def _beta_guess(probability: jax.Array, alpha: jax.Array, beta: jax.Array) -> jax.Array:
+    """Roughly the quantile: for both parameters above one from the normal quantile (Abramowitz & Stegun, 26.5.22),
+    otherwise from the power laws at the two ends."""
+    # Where the approximation does not hold it is evaluated at harmless parameters, so that nothing is NaN.
+    a, b = jnp.maximum(alpha, 1.001), jnp.maximum(beta, 1.001)
+    edge = jnp.finfo(probability.dtype).eps
+    y = -ndtri(jnp.clip(probability, edge, 1 - edge))
+    p, q = 1 / (2 * a - 1), 1 / (2 * b - 1)
+    h, curve = 2 / (p + q), (y**2 - 3) / 6
+    w = y * jnp.sqrt(jnp.maximum(h + curve, 0.0)) / h - (q - p) * (curve + 5 / 6 - 2 / (3 * h))
+    bell = a / (a + b * jnp.exp(2 * w))
+    left, right = (alpha * probability) ** (1 / alpha), 1 - (beta * (1 - probability)) ** (1 / beta)
+    return jnp.where((alpha > 1) & (beta > 1), bell, jnp.where(probability < beta / (alpha + beta), left, right))

@@ -6,9 +6,23 @@ Distributions (`directions`), supports and bijections (`supports`) and the unit 
 """
 
 import abc
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+Curve = Callable[[jax.Array], tuple[jax.Array, jax.Array, jax.Array]]
+"""A function of one number that returns its value, its slope, and its second derivative over its slope."""
+
+
+class _Search(NamedTuple):
+    step: jax.Array
+    low: jax.Array
+    high: jax.Array
+    x: jax.Array
+    done: jax.Array
 
 
 class Region(abc.ABC):
@@ -31,31 +45,34 @@ class Region(abc.ABC):
         """The point `(2,)` of the unit square that `transport` sends to a unit vector `(3,)` of the region."""
 
 
-def invert_monotone(function, slope, target: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:  # type: ignore[no-untyped-def]
-    """Solves function(x) = target for x in [low, high], function increasing there with derivative `slope(x)`.
+def invert_monotone(function: Curve, target: jax.Array, low: jax.Array, high: jax.Array, start: jax.Array,
+                    noise: ArrayLike) -> jax.Array:  # fmt: skip
+    """Solves f(x) = target for x in [low, high], where f increases there; `function` returns f, f′ and f″/f′ at x.
 
-    Newton's method kept inside a shrinking bracket, to the last bits. Differentiable in `target` (slope 1/slope(x)),
-    not in the bracket: the derivative is that of the implicit function, not of the iterations.
+    Halley's method from `start` (Newton's where f″/f′ is given as 0), kept inside a shrinking bracket, until f misses
+    the target by no more than `noise`, the error of f itself. Differentiable once, in `target` (slope 1/f′), not in
+    the bracket: the derivative is that of the implicit function, not of the iterations.
     """
-    fixed = jax.lax.stop_gradient(target)
-    close = 8 * jnp.finfo(jnp.result_type(fixed)).eps
+    fixed, low, high, start = jax.lax.stop_gradient((target, low, high, start))
+    close = 2 * jnp.finfo(jnp.result_type(fixed)).eps
+    tiny = jnp.finfo(jnp.result_type(fixed)).tiny
 
-    def unfinished(state):  # type: ignore[no-untyped-def]
-        step, low, high, _, last = state
-        return (step < 80) & (high - low > close) & (jnp.abs(last) > close / 4)
+    def unfinished(state: _Search) -> jax.Array:
+        return ~state.done & (state.step < 80)
 
-    def narrow(state):  # type: ignore[no-untyped-def]
-        step, low, high, x, _ = state
-        error = function(x) - fixed
-        low, high = jnp.where(error < 0, x, low), jnp.where(error < 0, high, x)
-        newton = x - error / jnp.maximum(slope(x), jnp.finfo(error.dtype).tiny)
-        inside = (newton >= low) & (newton <= high)
-        after = jnp.where(inside, newton, (low + high) / 2)
-        return step + 1, low, high, after, jnp.where(error == 0, 0.0, after - x)
+    def narrow(state: _Search) -> _Search:
+        value, slope, bend = function(state.x)
+        error = value - fixed
+        low, high = jnp.where(error < 0, state.x, state.low), jnp.where(error < 0, state.high, state.x)
+        newton = error / jnp.maximum(slope, tiny)
+        after = state.x - newton / jnp.clip(1 - newton * bend / 2, 0.5, 2.0)
+        after = jnp.where((after >= low) & (after <= high), after, (low + high) / 2)
+        exact = jnp.abs(error) <= noise
+        done = exact | (jnp.abs(after - state.x) <= close) | (high - low <= close)
+        return _Search(state.step + 1, low, high, jnp.where(exact, state.x, after), done)
 
-    low, high = jax.lax.stop_gradient((low, high))
-    start = (low + high) / 2
-    solution = jax.lax.while_loop(unfinished, narrow, (0, low, high, start, jnp.full_like(start, jnp.inf)))[3]
-    solution = jax.lax.stop_gradient(jnp.clip(solution, low, high))
-    flat = jnp.maximum(jax.lax.stop_gradient(slope(solution)), jnp.finfo(solution.dtype).tiny)
+    # A bool that is false in every element of a batch: `False` alone would not be batched like the rest.
+    begin = _Search(jnp.zeros((), int), low, high, jnp.clip(start, low, high), jnp.isnan(fixed))
+    solution = jax.lax.stop_gradient(jax.lax.while_loop(unfinished, narrow, begin).x)
+    flat = jnp.maximum(jax.lax.stop_gradient(function(solution)[1]), tiny)
     return solution + (target - fixed) / flat

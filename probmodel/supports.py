@@ -31,6 +31,12 @@ def over_batch(function: Any, batch_ndim: int, parameters: Any, value: ArrayLike
     return function(parameters, value)
 
 
+def is_unit(vector: ArrayLike) -> jax.Array:
+    """`(...)` bool: whether vectors `(..., 3)` have length one, up to rounding."""
+    norm = jnp.linalg.norm(jnp.asarray(vector), axis=-1)
+    return jnp.abs(norm - 1) < 1000 * jnp.finfo(norm.dtype).eps
+
+
 class _Directions(constraints.Constraint):
     """Unit vectors `(3,)` in a region of the sphere."""
 
@@ -41,9 +47,7 @@ class _Directions(constraints.Constraint):
         self.batch_ndim = batch_ndim
 
     def __call__(self, x: ArrayLike) -> jax.Array:
-        norm = jnp.linalg.norm(jnp.asarray(x), axis=-1)
-        on_sphere = jnp.abs(norm - 1) < 100 * jnp.finfo(norm.dtype).eps
-        return on_sphere & over_batch(lambda region, u: region.contains(u), self.batch_ndim, self.region, x)
+        return over_batch(lambda region, u: is_unit(u) & region.contains(u), self.batch_ndim, self.region, x)
 
     def feasible_like(self, prototype: ArrayLike) -> jax.Array:
         """A direction of the region for every event of `prototype`."""
@@ -57,7 +61,7 @@ class _Directions(constraints.Constraint):
         if not isinstance(other, _Directions) or self.batch_ndim != other.batch_ndim:
             return False
         mine, theirs = jax.tree.leaves(self.region), jax.tree.leaves(other.region)
-        same_kind = jax.tree.structure(self.region) == jax.tree.structure(other.region)
+        same_kind = jax.tree_util.tree_structure(self.region) == jax.tree_util.tree_structure(other.region)
         return same_kind and all(bool(jnp.array_equal(a, b)) for a, b in zip(mine, theirs, strict=True))
 
     __hash__ = None  # type: ignore[assignment]

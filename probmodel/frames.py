@@ -52,7 +52,7 @@ def direction(azimuth: ArrayLike, elevation: ArrayLike) -> jax.Array:
 
 
 def azimuth_elevation(vector: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    """Azimuth and elevation (radians) of unit vectors `(..., 3)`; the paper's polar angle is π/2 minus the elevation."""
+    """Azimuth and elevation (radians) of unit vectors `(..., 3)`; the paper's polar angle is π/2 minus elevation."""
     x, y, z = jnp.moveaxis(jnp.asarray(vector), -1, 0)
     return jnp.arctan2(y, x), jnp.arctan2(z, jnp.hypot(x, y))
 

@@ -10,8 +10,6 @@ import contextlib
 import dataclasses
 import hashlib
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping
 from functools import cached_property
 from importlib import resources
@@ -256,17 +254,18 @@ class AnatomicalLimits:
         return np.asarray(self.triples())
 
 
-def read_tables(path: str | os.PathLike) -> dict[str, np.ndarray]:
-    """All arrays of an .npz that `write_tables` wrote. Raises `BadInput` where it is not one, or is truncated."""
+def read_tables(
+    path: str | os.PathLike, what: str = "limits file", advice: str = f"write one with {WRITER}"
+) -> dict[str, np.ndarray]:
+    """All arrays of an .npz. Raises `BadInput` where it is not one, or is damaged; `what` and `advice` go into it."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
             return {key: stored[key] for key in stored.files}
     except FileNotFoundError:
-        raise BadInput(f"there is no limits file at {path}; give the path of a .npz that {WRITER} wrote") from None
-    # A .npy gives a bare array, which is no context manager: AttributeError or TypeError by version.
-    except (OSError, ValueError, EOFError, KeyError, AttributeError, TypeError, NotImplementedError, zlib.error,
-            zipfile.BadZipFile, zipfile.LargeZipFile) as error:  # fmt: skip
-        raise BadInput(f"{path} is no limits file, or is truncated ({error}); write one with {WRITER}") from None
+        raise BadInput(f"there is no {what} at {path}; {advice}") from None
+    except Exception as error:  # numpy meets damaged files with errors of many unrelated kinds.
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise BadInput(f"{path} is no {what}, or is truncated ({reason}); {advice}") from None
 
 
 def write_tables(path: str | os.PathLike, arrays: Mapping[str, np.ndarray]) -> None:

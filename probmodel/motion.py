@@ -8,7 +8,6 @@ The usual way in: `read_motion(path)`.
 import dataclasses
 import os
 import re
-import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probmodel.failures import BadInput
+from probmodel.limits import read_tables
 from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 
 INCH = 25.4
@@ -499,11 +499,7 @@ def _parse_bvh_motion(text: str, num_channels: int, path: Path) -> tuple[float, 
 
 
 def _read_npz(path: Path) -> list[Motion]:
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {key: stored[key] for key in stored.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
-        raise BadInput(f"{path} is not an .npz file, or is truncated ({error})") from None
+    arrays = read_tables(path, "file of recordings", "give an .npz of (T, 15, 3) or (T, 17, 3) positions")
     if not arrays:
         raise BadInput(f"{path} holds no recording; its keys must hold (T, 15, 3) or (T, 17, 3) positions")
     return [_npz_motion(path, key, value) for key, value in arrays.items()]

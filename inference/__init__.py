@@ -6,7 +6,11 @@
 
 from inference.candidates import Candidate, Frame
 from inference.estimators import ESTIMATORS, estimate_torso
+from inference.hypotheses import Hypothesis, diverse, grid_poses, hypotheses
 from inference.results import Result
 from inference.sampler import SAMPLERS, sample
 
-__all__ = ["ESTIMATORS", "SAMPLERS", "Candidate", "Frame", "Result", "estimate_torso", "sample"]
+__all__ = [
+    "ESTIMATORS", "SAMPLERS", "Candidate", "Frame", "Hypothesis", "Result", "diverse", "estimate_torso", "grid_poses",
+    "hypotheses", "sample",
+]  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 
 from inference.candidates import Candidate, Frame
 from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET, CandidateDraws, Result, build_tree
-from inference.samplers.limbs import Draws, Group, build_group
+from inference.samplers.limbs import Draws, Group, build_groups
 from inference.samplers.reach import OutOfReach, nearest_miss, out_of_reach
 from inference.samplers.rejection import PROPOSALS, Budget, GroupSampler, Rate
 from probmodel.failures import BadInput
@@ -154,8 +154,8 @@ def _candidate_sampler(
     key: jax.Array, sampler: str, model: PoseModel, frame: Frame, candidate: Candidate
 ) -> CandidateSampler:
     observation = frame.observation(candidate)
-    groups = {name: build_group(model, observation, name) for name in GROUPS}
-    unreachable = [joint for group in groups.values() for joint in out_of_reach(group)]
+    groups = build_groups(model, observation)
+    unreachable = [joint for name, group in groups.items() for joint in out_of_reach(name, group)]
     return CandidateSampler(groups, PROPOSALS[SAMPLERS[sampler]](key, groups), unreachable)
 
 
@@ -212,7 +212,7 @@ def _explain(
         )
     index = next(index for index, candidate in enumerate(samplers) if not candidate.unreachable)
     name = min(samplers[index].samplers, key=lambda sampler: sampler.held).slowest
-    miss = nearest_miss(samplers[index].groups[name])
+    miss = nearest_miss(name, samplers[index].groups[name])
     scale = float(frame.candidates[index].camera.scale)
     return OUT_OF_BUDGET, (
         f"{held} of {wanted} draws after {budget.spent:,} proposals for {frame.detection.where}: the {name} stand in the "

@@ -6,6 +6,7 @@ Base measure of every log density: counting (torso) × length (5) × surface of 
 """
 
 import dataclasses
+import functools
 from typing import Any
 
 import jax
@@ -56,8 +57,7 @@ class PoseModel:
             limits=jax.tree.map(jnp.asarray, limits),
             lengths=jax.tree.map(jnp.asarray, embedded.lengths if lengths is None else lengths),
             torsos=jnp.asarray(embedded.torsos if torsos is None else torsos),
-            cells=Cells.build(limits.occupied, upper),
-            hinges=_hinges(limits, lower),
+            **_regions(limits, upper, lower),
             upper=upper,
             lower=lower,
         )
@@ -132,12 +132,13 @@ class PoseModel:
         return {"upper": self.upper, "lower": self.lower}
 
 
-def _hinges(limits: AnatomicalLimits, measure: str) -> Hinge:
+@functools.partial(jax.jit, static_argnames=("upper", "lower"))
+def _regions(limits: AnatomicalLimits, upper: str, lower: str) -> dict[str, Any]:
     missing = jnp.isnan(jnp.asarray(limits.offset))
     triple = jnp.where(missing[..., None, None], jnp.eye(3), limits.triples())
     offset = jnp.where(missing, 2.0, jnp.asarray(limits.offset))
     bounds = jnp.where(missing[..., None], 0.0, jnp.asarray(limits.bounds))
-    return Hinge.build(triple, offset, bounds, measure)
+    return {"cells": Cells.build(limits.occupied, upper), "hinges": Hinge.build(triple, offset, bounds, lower)}
 
 
 @jax.jit

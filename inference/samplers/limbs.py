@@ -5,7 +5,7 @@ draws of a group; `explains` is the one accept step behind all of them.
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -46,7 +46,6 @@ class Group:
     lengths: LengthPrior
     reference: jax.Array
     fallback: jax.Array
-    name: str = dataclasses.field(metadata={"static": True})
 
     @property
     def num_limbs(self) -> int:
@@ -55,14 +54,6 @@ class Group:
     @property
     def num_bones(self) -> int:
         return self.target.shape[1]
-
-    def limb(self, index: int) -> "Group":
-        """The group that consists of one of the limbs."""
-        parts = {
-            field: jax.tree.map(lambda leaf: leaf[index : index + 1], getattr(self, field))
-            for field in ("frame", "target", "radius", "cells", "hinges", "fallback")
-        }
-        return dataclasses.replace(self, **parts)
 
     def reach(self, draws: Draws) -> jax.Array:
         """Image positions `(n, limbs, bones, 2)` of the joints minus the limb's start, body units."""
@@ -83,29 +74,33 @@ def _reach(group: Group, length: jax.Array, upper: jax.Array, lower: jax.Array) 
     return jnp.stack([first, second], axis=1)
 
 
-def build_group(model: PoseModel, observation: Observation, name: str) -> Group:
-    """The problem of one of `skeleton.GROUPS`. Everything is measured from where each limb starts at the torso."""
-    limbs = GROUPS[name]
-    scale = float(np.asarray(observation.camera.scale))
-    keypoints, seen = np.asarray(observation.keypoints), np.asarray(observation.has_factor)
-    ends = np.array([[bone.end for bone in limb.bones] for limb in limbs])
-    starts = np.array([limb.bones[0].start for limb in limbs])
-    torso = np.asarray(observation.view)
-    image = np.full((len(seen), 2), np.nan)
-    image[list(TORSO_INDEX)] = np.asarray(observation.camera.image(torso))
-    target = np.where(seen[ends][..., None], (keypoints[ends] - image[starts][:, None]) / scale, 0.0)
-    radius = np.where(seen[ends], np.asarray(observation.radius)[ends] / scale, np.inf)
-    uppers = np.array([limb.upper for limb in limbs])
-    lowers = np.array([0 if limb.lower is None else limb.lower for limb in limbs])
-    lengths = np.array([bone.length_group for bone in limbs[0].bones])
-    return Group(
-        frame=upper_frames(torso)[uppers],
-        target=jnp.asarray(target),
-        radius=jnp.asarray(radius),
-        cells=jax.tree.map(lambda leaf: leaf[uppers], model.cells),
-        hinges=jax.tree.map(lambda leaf: leaf[lowers], model.hinges),
-        lengths=LengthPrior(*(jnp.asarray(field)[lengths] for field in model.lengths)),
-        reference=jnp.asarray(model.limits.reference),
-        fallback=jnp.asarray(model.limits.fallback)[lowers],
-        name=name,
-    )
+@jax.jit
+def build_groups(model: PoseModel, observation: Observation) -> dict[str, Group]:
+    """The problems of `skeleton.GROUPS`, by name. Everything is measured from where each limb starts at the torso."""
+    torso = observation.view
+    frames, seen = upper_frames(torso), observation.has_factor
+    keypoints, radius = jnp.asarray(observation.keypoints), jnp.asarray(observation.radius)
+    image = dict(zip(TORSO_INDEX, observation.camera.image(torso), strict=True))
+    groups = {}
+    for name, limbs in GROUPS.items():
+        ends = np.array([[bone.end for bone in limb.bones] for limb in limbs])
+        start = jnp.stack([image[limb.bones[0].start] for limb in limbs])
+        uppers = np.array([limb.upper for limb in limbs])
+        lowers = np.array([0 if limb.lower is None else limb.lower for limb in limbs])
+        lengths = np.array([bone.length_group for bone in limbs[0].bones])
+        target = (keypoints[ends] - start[:, None]) / observation.camera.scale
+        groups[name] = Group(
+            frame=frames[uppers],
+            target=jnp.where(seen[ends][..., None], target, 0.0),
+            radius=jnp.where(seen[ends], radius[ends] / observation.camera.scale, jnp.inf),
+            cells=_pick(model.cells, uppers),
+            hinges=_pick(model.hinges, lowers),
+            lengths=_pick(model.lengths, lengths),
+            reference=jnp.asarray(model.limits.reference),
+            fallback=jnp.asarray(model.limits.fallback)[lowers],
+        )
+    return groups
+
+
+def _pick(tree: Any, index: np.ndarray) -> Any:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[index], tree)

@@ -59,13 +59,17 @@ class Limb:
     reference: jax.Array
     fallback: jax.Array
 
-    @classmethod
-    def of(cls, group: Group, index: int) -> "Limb":
-        """Limb number `index` of a group."""
-        low, high = group.lengths.low, group.lengths.high
-        pick = functools.partial(jax.tree.map, lambda leaf: leaf[index])
-        return cls(group.frame[index], group.target[index], group.radius[index], low, high, pick(group.cells),
-                   pick(group.hinges), group.reference, group.fallback[index])  # fmt: skip
+
+@jax.jit
+def limbs_of(group: Group) -> list[Limb]:
+    """The limbs of a group, one by one."""
+    columns = (group.frame, group.target, group.radius, group.cells, group.hinges, group.fallback)
+    limbs = []
+    for index in range(group.num_limbs):
+        frame, target, radius, cells, hinges, fallback = jax.tree.map(lambda leaf, row=index: leaf[row], columns)
+        limbs.append(Limb(frame, target, radius, group.lengths.low, group.lengths.high, cells, hinges,
+                          group.reference, fallback))  # fmt: skip
+    return limbs
 
 
 def patch_rectangle(distance: jax.Array, radius: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -36,21 +36,29 @@ class OutOfReach(NamedTuple):
         )
 
 
-def out_of_reach(group: Group) -> list[OutOfReach]:
+def out_of_reach(name: str, group: Group) -> list[OutOfReach]:
     """The seen joints of a group that are out of reach for every occupied direction and every length in range."""
-    found = []
-    for index, limb in enumerate(GROUPS[group.name]):
-        occupied = np.asarray(group.cells.occupied[index])
-        end = -jnp.einsum("ij,abj->abi", group.frame[index, :2], cell_centres())
-        size = cell_sizes()
-        high = group.lengths.high
-        for number, bone in enumerate(limb.bones):
-            distance = to_segment(group.target[index, number], end, group.lengths.low[0], high[0])
-            reach = high[0] * size + (high[1] if number else 0.0) + group.radius[index, number]
-            excess = float(np.min(np.where(occupied, np.asarray(distance - reach), np.inf)))
-            if excess > 0:
-                found.append(OutOfReach(JOINTS[bone.end], limb.name, excess))
-    return found
+    excess = np.asarray(_excess(group))
+    return [
+        OutOfReach(JOINTS[bone.end], limb.name, float(excess[row, column]))
+        for row, limb in enumerate(GROUPS[name])
+        for column, bone in enumerate(limb.bones)
+        if excess[row, column] > 0
+    ]
+
+
+@jax.jit
+def _excess(group: Group) -> jax.Array:
+    """`(limbs, bones)`: at least how far each joint stays from its disc, body units; negative where it may reach it."""
+    low, high, size = group.lengths.low, group.lengths.high, cell_sizes()
+    end = -jnp.einsum("lij,abj->labi", group.frame[:, :2], cell_centres())
+    rows = []
+    for column in range(group.num_bones):
+        distance = to_segment(group.target[:, None, None, column], end, low[0], high[0])
+        reach = high[0] * size + (high[1] if column else 0.0)
+        missing = jnp.where(group.cells.occupied, distance - reach, jnp.inf)
+        rows.append(jnp.min(missing, axis=(1, 2)) - group.radius[:, column])
+    return jnp.stack(rows, axis=-1)
 
 
 class Miss(NamedTuple):
@@ -67,11 +75,11 @@ class Miss(NamedTuple):
         return f"in the nearest of {TRIALS} possible poses {self.joint} misses its disc by {self.excess * scale:.0f} px"
 
 
-def nearest_miss(group: Group) -> Miss:
+def nearest_miss(name: str, group: Group) -> Miss:
     """How near draws of the prior come to explaining a group that rejection could not fill."""
     offset = np.linalg.norm(np.asarray(group.reach(group_prior(jax.random.key(0), group, TRIALS)) - group.target), axis=-1)
     beyond = offset - np.asarray(group.radius)
     worst = beyond.reshape(TRIALS, -1).max(axis=1)
     nearest = int(np.argmin(worst))
     limb, bone = np.unravel_index(np.argmax(beyond[nearest]), beyond.shape[1:])
-    return Miss(JOINTS[GROUPS[group.name][limb].bones[bone].end], float(worst[nearest]))
+    return Miss(JOINTS[GROUPS[name][limb].bones[bone].end], float(worst[nearest]))

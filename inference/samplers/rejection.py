@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from inference.samplers.limbs import Draws, Group
-from inference.samplers.patches import Limb, Plan, plan_limb, propose_limb
+from inference.samplers.patches import Limb, Plan, limbs_of, plan_limb, propose_limb
 from probmodel.directions import HingedDirection, OccupiedDirection
 from probmodel.lengths import BoneLength
 from probmodel.limits import cell_of
@@ -139,12 +139,11 @@ class LimbStream:
 class PrunedGroup:
     """Limbs pruned one by one, put together, lengths drawn once; see the module."""
 
-    def __init__(self, key: jax.Array, group: Group) -> None:
-        self.group = group
+    def __init__(self, key: jax.Array, name: str, group: Group) -> None:
+        self.name, self.group = name, group
         self._key = jax.random.fold_in(key, 0)
-        limbs = [Limb.of(group, index) for index in range(group.num_limbs)]
         self.streams = [
-            LimbStream(jax.random.fold_in(key, index + 1), limb, plan_limb(limb)) for index, limb in enumerate(limbs)
+            LimbStream(jax.random.fold_in(key, index + 1), limb, plan_limb(limb)) for index, limb in enumerate(limbs_of(group))
         ]
         self._pile = _Pile()
         self._chunks = self._tried = 0
@@ -183,11 +182,11 @@ class PrunedGroup:
         self._pile.add(np.asarray(length)[chosen], upper[chosen], lower[chosen])
 
     def draws(self) -> dict[str, Draws]:
-        return {self.group.name: Draws(*self._pile.all())}
+        return {self.name: Draws(*self._pile.all())}
 
     @property
     def slowest(self) -> str:
-        return self.group.name
+        return self.name
 
     @property
     def rates(self) -> list[Rate]:
@@ -204,7 +203,7 @@ def _settle(key: jax.Array, group: Group, upper: jax.Array, lower: jax.Array) ->
 class PriorGroups:
     """Draws of several groups straight from the prior, accepted together: whole bodies, or one group alone."""
 
-    def __init__(self, key: jax.Array, groups: tuple[Group, ...]) -> None:
+    def __init__(self, key: jax.Array, groups: dict[str, Group]) -> None:
         self._key, self.groups = key, groups
         self._pile = _Pile()
         self._batches = 0
@@ -217,7 +216,7 @@ class PriorGroups:
         while self.held < number:
             if not budget.spend(BATCH):
                 return False
-            proposals, accepted = _from_prior(jax.random.fold_in(self._key, self._batches), self.groups)
+            proposals, accepted = _from_prior(jax.random.fold_in(self._key, self._batches), list(self.groups.values()))
             chosen = np.flatnonzero(np.asarray(accepted))
             self._batches += 1
             self._pile.add(*(np.asarray(leaf)[chosen] for leaf in jax.tree.leaves(proposals)))
@@ -225,13 +224,11 @@ class PriorGroups:
 
     def draws(self) -> dict[str, Draws]:
         leaves = self._pile.all()
-        return {
-            group.name: Draws(*leaves[3 * index : 3 * index + 3]) for index, group in enumerate(self.groups)
-        }
+        return {name: Draws(*leaves[3 * index : 3 * index + 3]) for index, name in enumerate(self.groups)}
 
     @property
     def slowest(self) -> str:
-        return self.groups[-1].name
+        return max(self.groups, key=lambda name: self.groups[name].target.size)
 
     @property
     def rates(self) -> list[Rate]:
@@ -239,7 +236,7 @@ class PriorGroups:
 
 
 @jax.jit
-def _from_prior(key: jax.Array, groups: tuple[Group, ...]) -> tuple[list[Draws], jax.Array]:
+def _from_prior(key: jax.Array, groups: list[Group]) -> tuple[list[Draws], jax.Array]:
     proposals = [group_prior(jax.random.fold_in(key, index), group, BATCH) for index, group in enumerate(groups)]
     accepted = [group.explains(draws) for group, draws in zip(groups, proposals, strict=True)]
     return proposals, jnp.all(jnp.stack(accepted), axis=0)
@@ -262,15 +259,15 @@ Proposal = Callable[[jax.Array, dict[str, Group]], list[GroupSampler]]
 
 
 def _pruned(key: jax.Array, groups: dict[str, Group]) -> list[GroupSampler]:
-    return [PrunedGroup(jax.random.fold_in(key, index), group) for index, group in enumerate(groups.values())]
+    return [PrunedGroup(jax.random.fold_in(key, index), *item) for index, item in enumerate(groups.items())]
 
 
 def _per_group(key: jax.Array, groups: dict[str, Group]) -> list[GroupSampler]:
-    return [PriorGroups(jax.random.fold_in(key, index), (group,)) for index, group in enumerate(groups.values())]
+    return [PriorGroups(jax.random.fold_in(key, index), dict([item])) for index, item in enumerate(groups.items())]
 
 
 def _whole_body(key: jax.Array, groups: dict[str, Group]) -> list[GroupSampler]:
-    return [PriorGroups(key, tuple(groups.values()))]
+    return [PriorGroups(key, groups)]
 
 
 PROPOSALS: dict[str, Proposal] = {"pruned": _pruned, "group": _per_group, "prior": _whole_body}

@@ -9,25 +9,14 @@ import os
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from probmodel.failures import BadInput
+from probmodel.lengths import LengthPrior
 from probmodel.limits import AnatomicalLimits, compact, read_tables, write_tables
 from probmodel.published import read_published
 from probmodel.skeleton import NUM_LENGTHS, TORSO_JOINTS
-
-
-class LengthPrior(NamedTuple):
-    """Bone lengths, `(5,)` each in the order of `skeleton.LENGTH_GROUPS`, in body units: low + (high − low) · B with
-    B ~ Beta(alpha, beta) (Jahangiri & Yuille, 2017, eq. 8)."""
-
-    low: np.ndarray
-    high: np.ndarray
-    alpha: np.ndarray
-    beta: np.ndarray
-
 
 _LENGTH_KEYS = tuple(f"length_{field}" for field in LengthPrior._fields)
 _KEYS = (*_LENGTH_KEYS, "torsos")
@@ -35,8 +24,8 @@ _KEYS = (*_LENGTH_KEYS, "torsos")
 
 @dataclasses.dataclass(frozen=True)
 class Anatomy:
-    """`limits`, `lengths` and `torsos` `(J, 6, 3)`: torsos in body axes (pelvis at the origin; x to the person's left,
-    y up, z forward; right-handed), joints in the order of `skeleton.TORSO_JOINTS`."""
+    """`limits`, `lengths` (arrays `(5,)`) and `torsos` `(J, 6, 3)`: torsos in body axes (pelvis at the origin; x to the
+    person's left, y up, z forward; right-handed), joints in the order of `skeleton.TORSO_JOINTS`."""
 
     limits: AnatomicalLimits
     lengths: LengthPrior
@@ -81,12 +70,12 @@ def _finite(value: np.ndarray, key: str, shape: tuple[int, ...], path: Path) -> 
 
 
 def _lengths(arrays: Mapping[str, np.ndarray], path: Path) -> LengthPrior:
-    prior = LengthPrior(*(_finite(arrays[key], key, (NUM_LENGTHS,), path) for key in _LENGTH_KEYS))
-    if not (np.all(prior.low > 0) and np.all(prior.high > prior.low)):
+    low, high, alpha, beta = (_finite(arrays[key], key, (NUM_LENGTHS,), path) for key in _LENGTH_KEYS)
+    if not (np.all(low > 0) and np.all(high > low)):
         raise BadInput(f"{path}: a range of bone lengths is empty or reaches below zero; write the file anew")
-    if not (np.all(prior.alpha > 0) and np.all(prior.beta > 0)):
+    if not (np.all(alpha > 0) and np.all(beta > 0)):
         raise BadInput(f"{path}: a Beta distribution of bone lengths has a parameter that is not positive")
-    return prior
+    return LengthPrior(low, high, alpha, beta)
 
 
 def _torsos(value: np.ndarray, path: Path) -> np.ndarray:

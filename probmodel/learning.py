@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from probmodel.anatomy import Anatomy, LengthPrior
+from probmodel.anatomy import Anatomy
 from probmodel.failures import BadInput
 from probmodel.frames import articulation
+from probmodel.lengths import LengthPrior
 from probmodel.limits import CELL, GRID, NUM_AZIMUTH, NUM_ELEVATION, AnatomicalLimits
 from probmodel.motion import Motion, read_motion
 from probmodel.overlap import cell_areas, cell_centres, fibonacci

@@ -107,7 +107,9 @@ class Hinge(Region):
 
     def _quantile(self, fraction: jax.Array) -> jax.Array:
         target = fraction * self.total
-        piece = jnp.clip(jnp.searchsorted(self.areas, target, side="right") - 1, 0, len(self.nodes) - 2)
+        # The very end belongs to the last piece that holds anything.
+        last = jnp.searchsorted(self.areas, self.total, side="left") - 1
+        piece = jnp.clip(jnp.searchsorted(self.areas, target, side="right") - 1, 0, jnp.maximum(last, 0))
         row, base = self.pattern[piece], self.areas[piece]
         low, high = self.nodes[piece], self.nodes[piece + 1]
         origin = row @ _primitives(self.offset, self.bounds, low, self.measure)

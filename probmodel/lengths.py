@@ -85,8 +85,10 @@ def _beta_quantile(probability: jax.Array, alpha: ArrayLike, beta: ArrayLike) ->
             return betainc(alpha, beta, x), slope, (alpha - 1) / inside - (beta - 1) / (1 - inside)
 
         zero = jnp.zeros_like(probability)
-        noise = 64 * jnp.finfo(probability.dtype).eps
-        return invert_monotone(below, probability, zero, zero + 1, _beta_guess(probability, alpha, beta), noise)
+        noise = 64 * jnp.finfo(probability.dtype).eps * probability
+        x = invert_monotone(below, probability, zero, zero + 1, _beta_guess(probability, alpha, beta), noise)
+        # Where the density vanishes at an end, the distribution function is exactly 0 or 1 on part of the range.
+        return jnp.where(probability <= 0, 0.0, jnp.where(probability >= 1, 1.0, x))
 
     return jnp.vectorize(one)(probability, alpha, beta)
 

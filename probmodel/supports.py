@@ -61,7 +61,7 @@ class _Directions(constraints.Constraint):
         if not isinstance(other, _Directions) or self.batch_ndim != other.batch_ndim:
             return False
         mine, theirs = jax.tree.leaves(self.region), jax.tree.leaves(other.region)
-        same_kind = jax.tree_util.tree_structure(self.region) == jax.tree_util.tree_structure(other.region)
+        same_kind = jax.tree.structure(self.region) == jax.tree.structure(other.region)  # type: ignore[operator]
         return same_kind and all(bool(jnp.array_equal(a, b)) for a, b in zip(mine, theirs, strict=True))
 
     __hash__ = None  # type: ignore[assignment]

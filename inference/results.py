@@ -71,7 +71,7 @@ def save_tree(tree: xr.DataTree, path: str | os.PathLike) -> None:
     path = Path(path)
     partial = path.with_name(path.name + ".partial")
     try:
-        tree.to_netcdf(partial, engine="h5netcdf")
+        tree.to_netcdf(partial, engine="netcdf4")
         os.replace(partial, path)
     except OSError as error:
         partial.unlink(missing_ok=True)

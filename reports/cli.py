@@ -1,0 +1,160 @@
+"""The command line: wires only. Each command has a file in `reports.commands`, imported when it is called."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from reports import console, options
+from reports.options import Belief, LowerMeasure, Sight, UpperMeasure
+
+app = typer.Typer(
+    name="poseterior",
+    help="Exact posteriors over human 3D pose given 2D joint detections.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+_BUDGET = 1_000_000_000
+
+
+def main() -> None:
+    """The `poseterior` command."""
+    console.guarded(app)
+
+
+def _examples(*lines: str) -> str:
+    return "Examples:\n\n" + "\n\n".join(f"  {line}" for line in lines)
+
+
+@app.command(epilog=_examples("poseterior demo", "poseterior demo --out my-demo --seed 1"))
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("demo"),
+    seed: options.Seed = 0,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
+) -> None:
+    """Run the embedded example, end to end: one pose, one wrist missing, the truth drawn beside the hypotheses."""
+    options.prepare_jax()
+    from reports.commands import demo as command
+
+    command.run(out, seed, quiet=quiet, as_json=json)
+
+
+@app.command(
+    epilog=_examples(
+        "poseterior hypotheses frame_keypoints.json --out result",
+        "poseterior hypotheses person_keypoints.json --person 3 --image photo.jpg --k 8",
+        "poseterior hypotheses frame.json --limits jointAngleModel_v2.mat --candidates 1",
+    )
+)
+def hypotheses(
+    file: options.File,
+    out: Annotated[Path, typer.Option(help="Folder for posterior.nc, hypotheses.json and hypotheses.png.")] = Path("out"),
+    k: Annotated[int, typer.Option(help="How many diverse hypotheses.")] = 5,
+    num_samples: options.NumSamples = 10_000,
+    seed: options.Seed = 0,
+    limits: options.Limits = "default",
+    estimator: options.Estimator = "dictionary",
+    format: options.Format = "auto",
+    person: options.Person = 0,
+    image: Annotated[Path | None, typer.Option(help="The image, drawn behind the detections.")] = None,
+    candidates: options.Candidates = 2,
+    factor: options.Factor = 0.25,
+    threshold: options.Threshold = None,
+    head: options.Head = True,
+    upper: options.Upper = UpperMeasure.angle,
+    lower: options.Lower = LowerMeasure.area,
+    max_proposals: options.MaxProposals = _BUDGET,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
+) -> None:
+    """Exact posterior draws and diverse hypotheses for one detected person: a picture, a table, two files."""
+    options.prepare_jax()
+    from reports.commands import hypotheses as command
+
+    sight = Sight(file, format, person, estimator, candidates, factor, threshold, head)
+    request = command.Request(out, k, num_samples, seed, max_proposals, image)
+    command.run(sight, Belief(limits, upper, lower), request, truth=None, quiet=quiet, as_json=json)
+
+
+@app.command(
+    epilog=_examples(
+        "poseterior sample frame_keypoints.json --out posterior.nc --num-samples 100000",
+        "poseterior sample frame_keypoints.json --sampler rejection-group --out posterior.nc --num-samples 100",
+    )
+)
+def sample(
+    file: options.File,
+    out: Annotated[Path, typer.Option(help="File to write.")] = Path("posterior.nc"),
+    sampler: Annotated[str, typer.Option(help="rejection, rejection-group or rejection-prior.")] = "rejection",
+    num_samples: options.NumSamples = 10_000,
+    seed: options.Seed = 0,
+    limits: options.Limits = "default",
+    estimator: options.Estimator = "dictionary",
+    format: options.Format = "auto",
+    person: options.Person = 0,
+    candidates: options.Candidates = 2,
+    factor: options.Factor = 0.25,
+    threshold: options.Threshold = None,
+    head: options.Head = True,
+    upper: options.Upper = UpperMeasure.angle,
+    lower: options.Lower = LowerMeasure.area,
+    max_proposals: options.MaxProposals = _BUDGET,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
+) -> None:
+    """Posterior draws of one detected person, as netCDF."""
+    options.prepare_jax()
+    from reports.commands import sample as command
+
+    sight = Sight(file, format, person, estimator, candidates, factor, threshold, head)
+    belief = Belief(limits, upper, lower)
+    command.run(sight, belief, sampler, out, num_samples, seed, max_proposals, quiet=quiet, as_json=json)
+
+
+@app.command(epilog=_examples("poseterior prior --num-samples 1000 --out prior.nc"))
+def prior(
+    num_samples: options.NumSamples = 10_000,
+    out: Annotated[Path, typer.Option(help="File to write.")] = Path("prior.nc"),
+    seed: options.Seed = 0,
+    limits: options.Limits = "default",
+    upper: options.Upper = UpperMeasure.angle,
+    lower: options.Lower = LowerMeasure.area,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
+) -> None:
+    """Poses from the prior: what anatomy allows before anything was seen."""
+    options.prepare_jax()
+    from reports.commands import prior as command
+
+    command.run(Belief(limits, upper, lower), out, num_samples, seed, quiet=quiet, as_json=json)
+
+
+@app.command(epilog=_examples("poseterior check posterior.nc", "poseterior check 01_01.amc --limits limits.npz"))
+def check(
+    file: Annotated[Path, typer.Argument(help="3D poses: .nc, hypotheses.json, .amc, .bvh, .npy, .npz.", show_default=False)],
+    limits: options.Limits = "default",
+    json: options.Json = False,
+) -> None:
+    """Say which bones of 3D poses break which limit, and by how many degrees."""
+    options.prepare_jax()
+    from reports.commands import check as command
+
+    command.run(file, Belief(limits), as_json=json)
+
+
+@app.command(epilog=_examples("poseterior learn cmu/01 cmu/02 walk.bvh --out limits.npz"))
+def learn(
+    mocap: Annotated[list[Path], typer.Argument(help="Motion capture: ASF/AMC folders, .bvh, .npz.", show_default=False)],
+    out: Annotated[Path, typer.Option(help="File to write.")] = Path("limits.npz"),
+    mirror: Annotated[bool, typer.Option(help="Whether what one side did is possible for the other.")] = True,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
+) -> None:
+    """Learn limits, bone lengths and torsos from motion capture."""
+    options.prepare_jax()
+    from reports.commands import learn as command
+
+    command.run(mocap, out, mirror=mirror, quiet=quiet, as_json=json)

@@ -1,0 +1,25 @@
+"""`poseterior prior`: poses from the prior, as netCDF."""
+
+from pathlib import Path
+
+from inference.prior import sample_prior
+from inference.results import save_tree
+from reports import console
+from reports.options import Belief
+
+
+def run(belief: Belief, out: Path, num_samples: int, seed: int, *, quiet: bool, as_json: bool) -> None:
+    """Writes prior.nc."""
+    import jax
+
+    console.output_file(out)
+    model = belief.model()
+    with console.progress("draws of the prior", quiet) as step:
+        tree = sample_prior(model, key=jax.random.key(seed), num_samples=num_samples, progress=step)
+    save_tree(tree, out)
+    found = {"num_samples": num_samples, "limits": tree.attrs["limits"], "measures": tree.attrs["measures"], "out": str(out)}
+    if as_json:
+        console.show_json(found)
+    else:
+        console.OUT.print(f"{num_samples} poses from the prior ({found['measures']}; limits {model.limits.name}).")
+        console.OUT.print(f"Written to {out}")

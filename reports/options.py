@@ -1,0 +1,105 @@
+"""The options that several commands share, and how they become a model and a frame."""
+
+import enum
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from inference import Frame
+    from probmodel import Anatomy, Detection, PoseModel
+
+File = Annotated[Path, typer.Argument(help="Detections: OpenPose, COCO-17 or poseterior's JSON.", show_default=False)]
+Limits = Annotated[str, typer.Option(help="'default', a .npz from `poseterior learn`, or the published .mat.")]
+Estimator = Annotated[str, typer.Option(help="How torso and camera are estimated.")]
+Format = Annotated[str, typer.Option(help="The file's format; 'auto' looks at its content.")]
+Person = Annotated[int, typer.Option(help="Which person in the file, counted from 0.")]
+Seed = Annotated[int, typer.Option(help="The same seed gives the same draws.")]
+NumSamples = Annotated[int, typer.Option(min=1, help="How many poses to draw.")]
+Candidates = Annotated[int, typer.Option(min=1, help="Most torso-and-camera candidates kept; 1 is the paper's method.")]
+Factor = Annotated[float, typer.Option(help="The factor in the radius τ of a detection's disc (the paper: 0.25).")]
+Threshold = Annotated[float | None, typer.Option(help="Joints with a score up to this are missing.", show_default="0")]
+Head = Annotated[bool, typer.Option(help="Whether a detected head counts in the likelihood (the paper: no).")]
+MaxProposals = Annotated[int, typer.Option(min=1, help="Most proposals of rejection before it gives up (exit code 3).")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress.")]
+Json = Annotated[bool, typer.Option("--json", help="Results on stdout as JSON instead of a table.")]
+
+
+class UpperMeasure(enum.StrEnum):
+    """What "uniform" means for upper bones."""
+
+    angle = "angle"
+    area = "area"
+
+
+class LowerMeasure(enum.StrEnum):
+    """What "uniform" means for lower bones."""
+
+    area = "area"
+    box = "box"
+
+
+Upper = Annotated[UpperMeasure, typer.Option(help="Measure in which upper bones are uniform; angle is eq. 7.")]
+Lower = Annotated[LowerMeasure, typer.Option(help="Measure in which lower bones are uniform; area is eq. 8.")]
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is believed, as the command line says it: limits and measures."""
+
+    limits: str = "default"
+    upper: str = "angle"
+    lower: str = "area"
+
+    def anatomy(self) -> "Anatomy":
+        """The tables. Raises `BadInput` on a limits file that is not one."""
+        from probmodel import Anatomy
+
+        return Anatomy.default() if self.limits == "default" else Anatomy.load(Path(self.limits))
+
+    def model(self) -> "PoseModel":
+        """The model. Raises `BadInput` on a limits file that is not one."""
+        from probmodel import PoseModel
+
+        return PoseModel.from_anatomy(self.anatomy(), upper=self.upper, lower=self.lower)
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Which person of which file, and how torso, camera and discs come out of it."""
+
+    file: Path
+    format: str = "auto"
+    person: int = 0
+    estimator: str = "dictionary"
+    candidates: int = 2
+    factor: float = 0.25
+    threshold: float | None = None
+    head: bool = True
+
+    def detection(self) -> "Detection":
+        """The person. Raises `BadInput` on a bad file, or where there is no such person."""
+        from probmodel import read_detections
+        from probmodel.detections import pick_person
+
+        return pick_person(read_detections(self.file, self.format, self.threshold), self.person)
+
+    def frame(self, model: "PoseModel") -> "Frame":
+        """The person with torso and camera candidates. Raises `BadInput` where the torso is not seen well enough."""
+        import numpy as np
+
+        from inference import estimate_torso
+        from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
+
+        joints = LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS
+        return estimate_torso(self.detection(), self.estimator, torsos=np.asarray(model.torsos),
+                              num_candidates=self.candidates, factor=self.factor, joints=joints)  # fmt: skip
+
+
+def prepare_jax() -> None:
+    """64-bit floats, before anything is compiled: limits are decided to the last bits."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)

@@ -17,17 +17,16 @@ from scipy.spatial.transform import Rotation
 
 from probmodel.failures import BadInput
 from probmodel.limits import read_tables
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
+from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, PARENTS
 
 INCH = 25.4
 CMU_UNIT = INCH / 0.45
 """Millimetres in one unit of the CMU files (`length 0.45` in the ASF; the BVH conversions kept it)."""
 CMU_RATE = 120.0
 NPZ_RATE = 30.0
-MAX_SPEED = 12_000.0
-"""mm/s, relative to the pelvis. The fastest wrists of the CMU recordings stay below 9 m/s; marker swaps do not."""
-MIN_STEP = 60.0
-"""mm. A smaller step is never a glitch, however short the time between two frames."""
+MAX_TURN = 1500.0
+"""Degrees a second. A football kick turns the lower leg by some 1,100 in the CMU recordings; what is faster there are
+swapped or lost markers, at 1,700 to 12,000."""
 GUARD = 0.05
 """Seconds before and after a jump that are not trusted."""
 FROM_SEVENTEEN = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15)
@@ -73,15 +72,15 @@ class Motion:
         step = max(1, round(self.frame_rate / rate))
         return dataclasses.replace(self, joints=self.joints[::step], frame_rate=self.frame_rate / step)
 
-    def without_jumps(self, max_speed: float = MAX_SPEED) -> "Motion":
-        """Without the frames at a jump.
-
-        A jump is a step of a joint, relative to the pelvis, faster than `max_speed` (mm/s) and longer than `MIN_STEP`.
-        The frames within `GUARD` seconds of it go: a T-pose before the first frame, a marker lost for a moment.
+    def without_jumps(self, max_turn: float = MAX_TURN) -> "Motion":
+        """Without the frames at a jump, where a bone (from joint to parent) turns faster than `max_turn` degrees a
+        second. The frames within `GUARD` seconds of it go: a T-pose before the first frame, a marker lost for a moment.
         """
-        relative = self.joints - self.joints[:, :1]
-        step = np.linalg.norm(np.diff(relative, axis=0), axis=-1).max(axis=-1, initial=0.0)
-        jumps = np.flatnonzero(step > max(max_speed / self.frame_rate, MIN_STEP)) + 1
+        bones = self.joints[:, 1:] - self.joints[:, list(PARENTS[1:])]
+        bones = bones / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), np.finfo(float).tiny)
+        chord = np.linalg.norm(np.diff(bones, axis=0), axis=-1).max(axis=-1, initial=0.0)
+        turn = np.degrees(2 * np.arcsin(np.clip(chord / 2, 0, 1)))
+        jumps = np.flatnonzero(turn * self.frame_rate > max_turn) + 1
         guard = max(1, round(GUARD * self.frame_rate))
         keep = np.ones(len(self.joints), bool)
         for jump in jumps:

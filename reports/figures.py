@@ -35,6 +35,8 @@ MAX_DRAWS = 150
 MAX_PIXELS = 60_000_000
 """Images above this are refused before they are decoded: a small file can claim any size."""
 DPI = 200
+PAGE, HIGHEST = 10.5, 4.2
+"""Inches: the width of the page of hypotheses, and the most that its panels are high."""
 HYPOTHESIS_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#8C6D31")
 """Okabe & Ito's palette, told apart with any colour vision; a brown in place of its black, which is the truth's."""
 MAX_NAMED = 8
@@ -44,7 +46,9 @@ LIMB_COLOURS = {
 }  # fmt: skip
 """Purple right, green left; arms dark, legs light."""
 TORSO_COLOUR, DRAW_COLOUR, INK, FAINT = "#555555", "#8A8A8A", "#222222", "#777777"
-_SMALL, _TEXT, _TITLE = 7.0, 8.0, 9.0
+_SMALL, _LEGEND, _TEXT, _TITLE = 7.0, 7.5, 8.0, 9.0
+_LINE, _COLUMNS = 0.19, 5
+"""Inches between lines of a legend, and its columns."""
 _DASHES = (0, (2.2, 1.1))
 _SEGMENTS = tuple((PARENTS[joint], joint) for joint in range(1, NUM_JOINTS))
 _LIMB_OF = {bone.end: limb.name for limbs in GROUPS.values() for limb in limbs for bone in limb.bones}
@@ -64,8 +68,8 @@ class View(NamedTuple):
 
 VIEWS = (
     View("From the camera", 0, 1, True, ""),
-    View("From the side", 2, 1, True, "camera → away"),
-    View("From above", 0, 2, False, "away ↑ camera"),
+    View("From the side", 2, 1, True, "→ away from the camera"),
+    View("From above", 0, 2, False, "↑ away from the camera"),
 )
 
 
@@ -85,14 +89,15 @@ def hypotheses_figure(
     named = np.array([*(hypothesis.joints for hypothesis in hypotheses), *([] if truth is None else [truth])])
     window = _window(tree, image)
     boxes = [_extent(draws, named.reshape(-1, NUM_JOINTS, 3), view) for view in VIEWS]
-    figure, axes = _page(window, boxes)
+    poses, styles = _legend_handles(hypotheses, truth is not None, len(draws))
+    figure, axes = _page(window, boxes, 0.12 + _LINE * (1 + _legend_rows(poses)))
     _draw_detections(axes[0], tree, window, image)
     for axis, view, (low, high) in zip(axes[1:], VIEWS, boxes, strict=True):
         _draw_view(axis, view, draws, hypotheses, truth)
         axis.set_xlim(low[0], high[0])
         axis.set_ylim(*((high[1], low[1]) if view.flip else (low[1], high[1])))
     _scale_bar(axes[1])
-    _legend(axes[3], hypotheses, truth is not None, len(draws))
+    _legend(figure, poses, styles)
     return figure
 
 
@@ -147,28 +152,31 @@ def _extent(draws: np.ndarray, named: np.ndarray, view: View) -> tuple[np.ndarra
     return points.min(axis=0) - 0.15, points.max(axis=0) + 0.15
 
 
-def _page(window: Window, boxes: list[tuple[np.ndarray, np.ndarray]]) -> tuple[Figure, list[Axes]]:
-    """Axes in one row, the last three to one scale, tops aligned; sizes in inches follow from what is shown."""
-    height, gap, top, bottom, side = 3.4, 0.35, 0.35, 0.45, 0.15
-    spans = [high - low for low, high in boxes]
-    tallest = max(spans[0][1], spans[1][1])
-    inch = height / tallest
+def _page(window: Window, boxes: list[tuple[np.ndarray, np.ndarray]], below: float) -> tuple[Figure, list[Axes]]:
+    """Axes in one row, tops aligned, the last three to one scale, `below` inches free for the legend.
+
+    The page is `PAGE` wide and as high as what is shown then needs, within limits.
+    """
+    gap, top, notes, side = 0.3, 0.33, 0.42, 0.12
+    spans = np.array([high - low for low, high in boxes])
     pixels = window.high - window.low
-    sizes = [np.array([height * pixels[0] / pixels[1], height]), *(span * inch for span in spans)]
-    sizes[3][0] = max(sizes[3][0], 1.75)  # room for the legend below
-    width = 2 * side + sum(size[0] for size in sizes) + gap * (len(sizes) - 1)
-    total = height + top + bottom
-    figure = Figure(figsize=(width, total), dpi=DPI, facecolor="white")
+    shapes = np.concatenate([[pixels / pixels[1]], spans / spans[:, 1].max()])  # in units of the row's height
+    free = PAGE - 2 * side - 3 * gap
+    height = min(free / shapes[:, 0].sum(), HIGHEST)
+    sizes = shapes * height
+    gap += max(0.0, free - sizes[:, 0].sum()) / 3
+    total = top + height + notes + below
+    figure = Figure(figsize=(PAGE, total), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     left, axes = side, []
-    for size, title in zip(sizes, ("Detections", *(view.title for view in VIEWS)), strict=True):
-        axis = figure.add_axes((left / width, (total - top - size[1]) / total, size[0] / width, size[1] / total))
+    for (wide, high), title in zip(sizes, ("Detections", *(view.title for view in VIEWS)), strict=True):
+        axis = figure.add_axes((left / PAGE, (total - top - high) / total, wide / PAGE, high / total))
         axis.set_title(title, loc="left", fontsize=_TITLE, fontweight="bold", color=INK, pad=5)
         axis.set_aspect("equal", adjustable="box", anchor="NW")
         axis.set_xticks([])
         axis.set_yticks([])
         axis.spines[:].set_visible(False)
-        left += size[0] + gap
+        left += wide + gap
         axes.append(axis)
     return figure, axes
 
@@ -224,7 +232,7 @@ def _draw_view(
 ) -> None:
     flat = [view.across, view.along]
     lines = draws[:, np.array(_SEGMENTS)][..., flat].reshape(-1, 2, 2)
-    axis.add_collection(LineCollection(list(lines), colors=DRAW_COLOUR, lw=0.5, alpha=0.07, zorder=1, gid="draws"))
+    axis.add_collection(LineCollection(list(lines), colors=DRAW_COLOUR, lw=0.5, alpha=0.09, zorder=1, gid="draws"))
     colours = hypothesis_colours(len(hypotheses))
     for rank, hypothesis in reversed(list(enumerate(hypotheses))):  # the heaviest on top
         height = 10 + len(hypotheses) - rank
@@ -256,30 +264,46 @@ def _scale_bar(axis: Axes) -> None:
     axis.plot(
         [left, left + 1], [bottom, bottom], color=INK, lw=1.2, clip_on=False, solid_capstyle="butt", gid="scale bar"
     )
-    below = {"xytext": (0, -3), "textcoords": "offset points", "va": "top"}
-    axis.annotate("1 body unit", (left, bottom), fontsize=_SMALL, color=FAINT, **below)
+    axis.annotate("1 body unit", (left, bottom), xytext=(0, -3), textcoords="offset points", va="top",
+                  fontsize=_SMALL, color=FAINT)  # fmt: skip
 
 
-def _legend(axis: Axes, hypotheses: Sequence["Hypothesis"], truth: bool, draws: int) -> None:
+def _legend_handles(hypotheses: Sequence["Hypothesis"], truth: bool, draws: int) -> tuple[list[Line2D], list[Line2D]]:
+    """What the colours mean, and what the styles mean."""
     colours = hypothesis_colours(len(hypotheses))
-    labels = [f"{100 * item.weight:.0f} %, faces {facing_words(pose_facing(item.joints))}" for item in hypotheses]
+    labels = [f"{100 * item.weight:.0f} %, {facing_words(pose_facing(item.joints))}" for item in hypotheses]
     named = list(zip(colours, labels, strict=True))[:MAX_NAMED]
-    handles = [Line2D([], [], color=colour, lw=1.6, label=label) for colour, label in named]
+    poses = [Line2D([], [], color=colour, lw=1.6, label=label) for colour, label in named]
     rest = hypotheses[MAX_NAMED:]
     if rest:
         share = sum(item.weight for item in rest)
-        handles.append(Line2D([], [], color=colours[-1], lw=1.6, label=f"{100 * share:.0f} %, {len(rest)} more"))
+        poses.append(Line2D([], [], color=colours[-1], lw=1.6, label=f"{100 * share:.0f} %, {len(rest)} more"))
+    styles = [
+        Line2D([], [], color=INK, lw=1.2, marker="o", ms=2.6, label="right limbs"),
+        Line2D([], [], color=INK, lw=1.2, ls=_DASHES, marker="o", ms=2.6, mfc="white", label="left limbs"),
+    ]
     if truth:
-        handles.append(Line2D([], [], color="black", lw=1.0, ls=_DASHES, label="truth"))
-    handles.append(Line2D([], [], color=INK, lw=1.2, marker="o", ms=2.6, label="right limbs"))
-    handles.append(Line2D([], [], color=INK, lw=1.2, ls=_DASHES, marker="o", ms=2.6, mfc="white", label="left limbs"))
+        styles.append(Line2D([], [], color="black", lw=1.0, ls=_DASHES, label="truth"))
     if draws:
-        handles.append(Line2D([], [], color=DRAW_COLOUR, lw=0.8, alpha=0.6, label=f"{draws} posterior draws"))
-    figure = axis.get_figure()
-    assert isinstance(figure, Figure)
-    place = axis.get_position()
-    figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(place.x0, 0.03), frameon=False, fontsize=_SMALL,
-                  handlelength=2.2, labelspacing=0.35, borderaxespad=0, labelcolor=INK)  # fmt: skip
+        styles.append(Line2D([], [], color=DRAW_COLOUR, lw=0.8, alpha=0.6, label=f"{draws} posterior draws"))
+    return poses, styles
+
+
+def _legend_rows(poses: list[Line2D]) -> int:
+    return -(-len(poses) // _COLUMNS)
+
+
+def _legend(figure: Figure, poses: list[Line2D], styles: list[Line2D]) -> None:
+    """Two blocks at the foot of the page."""
+    height = figure.get_figheight()
+    if poses:
+        figure.text(1 - 0.12 / PAGE, 0.08 / height, "colours: share of the draws, where the chest faces", ha="right",
+                    va="bottom", fontsize=_SMALL, color=FAINT)  # fmt: skip
+    for handles, bottom in ((styles, 0.08), (poses, 0.08 + _LINE)):
+        legend = figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.1 / PAGE, bottom / height),
+                               frameon=False, fontsize=_LEGEND, ncols=_COLUMNS, handlelength=2.2, labelspacing=0.3,
+                               columnspacing=1.6, borderaxespad=0, borderpad=0, labelcolor=INK)  # fmt: skip
+        figure.add_artist(legend)
 
 
 def depth_figure(tree: xr.DataTree) -> Figure:
@@ -292,7 +316,7 @@ def depth_figure(tree: xr.DataTree) -> Figure:
     _draw_ridges(ridges, tree, joints)
     _draw_spreads(spreads, tree, joints)
     seen = values(tree, "observed_data", "score") > 0
-    names = [spoken(JOINTS[joint]) + ("" if seen[joint] else "\n(missing)") for joint in joints]
+    names = [spoken(JOINTS[joint]) + ("" if seen[joint] else " (missing)") for joint in joints]
     ridges.set_yticks(range(len(joints)), names, fontsize=_TEXT)
     ridges.set_ylim(len(joints) - 0.5, -0.95)
     for axis in (ridges, spreads):
@@ -324,6 +348,10 @@ def _draw_ridges(axis: Axes, tree: xr.DataTree, joints: list[int]) -> None:
             axis.plot(
                 [low, high], [row, row], color=colour, lw=2, solid_capstyle="butt", gid=f"interval {JOINTS[joint]}"
             )
+    share = float((candidate != best).mean()) if len(candidate) else 0.0
+    if share > 0:
+        axis.text(1, 1.02, f"grey: facing the other way, {100 * share:.0f} %", transform=axis.transAxes, ha="right",
+                  fontsize=_SMALL, color=FAINT, gid="note")  # fmt: skip
     axis.axvline(0, color=FAINT, lw=0.6, ls=":", zorder=1)
     axis.set_xlim(-reach, reach)
     axis.set_title("Depth behind the pelvis", loc="left", fontsize=_TITLE, fontweight="bold")
@@ -348,8 +376,8 @@ def _draw_spreads(axis: Axes, tree: xr.DataTree, joints: list[int]) -> None:
             axis.plot(across, row, "o", mfc="white", mec=colour, ms=4, zorder=3, gid=f"across {JOINTS[joint]}")
             axis.plot(depth, row, "o", color=colour, ms=4, zorder=3, gid=f"sd {JOINTS[joint]}")
     axis.set_xlim(left=0)
-    axis.set_title("How far it is known", loc="left", fontsize=_TITLE, fontweight="bold")
-    axis.set_xlabel("standard deviation: ○ across  ● in depth", fontsize=_SMALL, color=INK)
+    axis.set_title("Standard deviation", loc="left", fontsize=_TITLE, fontweight="bold")
+    axis.set_xlabel("○ across the image   ● in depth", fontsize=_SMALL, color=INK)
 
 
 def save_figure(figure: Figure, path: str | os.PathLike) -> None:

@@ -147,21 +147,21 @@ def candidates_json(tree: xr.DataTree) -> list[dict[str, Any]]:
     and its share of the posterior."""
     rotation = values(tree, "constant_data", "rotation")
     columns = {
-        "torso": ("torso_index", int),
-        "scale_px": ("scale", _number),
-        "reprojection_error_px": ("reprojection_error", _number),
-        "log_evidence": ("log_evidence", _number),
-        "log_evidence_se": ("log_evidence_se", _number),
-        "weight": ("weight", _number),
+        "scale_px": "scale",
+        "reprojection_error_px": "reprojection_error",
+        "log_evidence": "log_evidence",
+        "log_evidence_se": "log_evidence_se",
+        "weight": "weight",
     }
-    numbers = {key: list(map(cast, values(tree, "constant_data", name))) for key, (name, cast) in columns.items()}
+    numbers = {key: values(tree, "constant_data", name) for key, name in columns.items()}
     return [
         {
             "candidate": index,
+            "torso": int(torso),
             "facing": facing_words(rotation[index, :, 2]),
-            **{key: column[index] for key, column in numbers.items()},
+            **{key: _number(column[index]) for key, column in numbers.items()},
         }
-        for index in range(len(rotation))
+        for index, torso in enumerate(values(tree, "constant_data", "torso_index"))
     ]
 
 

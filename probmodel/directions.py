@@ -4,6 +4,7 @@ Both are the law that a region's transport makes of the uniform square; densitie
 is the paper's recipe for lower bones to the letter, for replication only: it has no density.
 """
 
+import functools
 from typing import Any
 
 import jax
@@ -14,7 +15,7 @@ from numpyro.distributions import Distribution, constraints
 from probmodel.cells import Cells
 from probmodel.hinges import Hinge
 from probmodel.regions import Region
-from probmodel.supports import directions, is_unit, over_batch
+from probmodel.supports import directions, is_inside, over_batch
 
 
 class _Direction(Distribution):
@@ -39,22 +40,22 @@ class _Direction(Distribution):
 
     def transport(self, square: ArrayLike) -> jax.Array:
         """Unit vectors `(..., 3)` at points `(..., 2)` of the unit square."""
-        return over_batch(lambda region, point: region.transport(point), len(self.batch_shape), self.region, square)
+        return over_batch(type(self.region).transport, len(self.batch_shape), self.region, square)
 
     def inverse(self, value: ArrayLike) -> jax.Array:
         """Points `(..., 2)` of the unit square that `transport` sends to unit vectors `(..., 3)`."""
-        return over_batch(lambda region, u: region.inverse(u), len(self.batch_shape), self.region, value)
+        return over_batch(type(self.region).inverse, len(self.batch_shape), self.region, value)
 
     def log_prob(self, value: ArrayLike) -> jax.Array:
         """Log density per steradian, -inf outside the support."""
+        return over_batch(_log_density, len(self.batch_shape), self.region, value)
 
-        def masked(region: Region, u: jax.Array) -> jax.Array:
-            inside = is_unit(u) & region.contains(u)
-            # The density is evaluated at a harmless vector outside, so that no gradient is NaN.
-            safe = jnp.where(inside, u, jnp.array([0.6, 0.48, 0.64]))
-            return jnp.where(inside, region.log_density(safe), -jnp.inf)
 
-        return over_batch(masked, len(self.batch_shape), self.region, value)
+def _log_density(region: Region, vector: jax.Array) -> jax.Array:
+    inside = is_inside(region, vector)
+    # The density is evaluated at a harmless vector outside, so that no gradient is NaN.
+    safe = jnp.where(inside, vector, jnp.array([0.6, 0.48, 0.64]))
+    return jnp.where(inside, region.log_density(safe), -jnp.inf)
 
 
 class OccupiedDirection(_Direction):
@@ -94,12 +95,7 @@ class RecipeDirection(Distribution):
 
     def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
         """Unit vectors `sample_shape + batch_shape + (3,)`."""
-        words = jax.random.bits(key, (*sample_shape, *self.batch_shape, 1), jnp.uint32)
-
-        def one(hinge: Hinge, word: jax.Array) -> jax.Array:
-            return _recipe(hinge, jax.random.fold_in(key, word[0]), self.attempts)
-
-        return over_batch(one, len(self.batch_shape), self.hinge, words)
+        return _recipes(self.hinge, key, (*sample_shape, *self.batch_shape), self.attempts)
 
     def log_prob(self, value: ArrayLike) -> jax.Array:
         """Always an error: the clamp gives a great circle positive probability."""
@@ -107,6 +103,17 @@ class RecipeDirection(Distribution):
             "the paper's literal recipe has no density: the clamp √max(1-u2²-u3², 0) puts positive probability on a "
             'great circle; use HingedDirection with measure "area" (eq. 8) or "box" (the recipe inside the disc)'
         )
+
+
+@functools.partial(jax.jit, static_argnums=(2, 3))
+def _recipes(hinge: Hinge, key: jax.Array, shape: tuple[int, ...], attempts: int) -> jax.Array:
+    keys = jax.random.split(key, shape)
+    one = functools.partial(_recipe, attempts=attempts)
+    for _ in range(hinge.offset.ndim):
+        one = jax.vmap(one)
+    for _ in range(len(shape) - hinge.offset.ndim):
+        one = jax.vmap(one, in_axes=(None, 0))
+    return one(hinge, keys)
 
 
 def _recipe(hinge: Hinge, key: jax.Array, attempts: int) -> jax.Array:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
 
-from probmodel.supports import disc
+from probmodel.supports import disc, same_rank
 
 
 class UniformDisc(Distribution):
@@ -29,11 +29,13 @@ class UniformDisc(Distribution):
         """Points `sample_shape + batch_shape + (2,)`."""
         shape = (*sample_shape, *self.batch_shape)
         for_distance, for_angle = jax.random.split(key)
-        distance = self.radius * jnp.sqrt(jax.random.uniform(for_distance, shape))
+        distance = jnp.sqrt(jax.random.uniform(for_distance, shape))
         angle = jax.random.uniform(for_angle, shape, maxval=2 * jnp.pi)
-        return self.centre + distance[..., None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+        offset = distance[..., None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+        offset, centre, radius = same_rank(offset, self.centre, self.radius[..., None])
+        return centre + radius * offset
 
     def log_prob(self, value: ArrayLike) -> jax.Array:
         """-log πτ² per square pixel inside, -inf outside."""
-        inside = self.support(value)
-        return jnp.where(inside, -jnp.log(jnp.pi) - 2 * jnp.log(self.radius), -jnp.inf)
+        inside, radius = same_rank(self.support(value), self.radius)
+        return jnp.where(inside, -jnp.log(jnp.pi) - 2 * jnp.log(radius), -jnp.inf)

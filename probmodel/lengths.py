@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpyro.distributions as dist
-from jax.scipy.special import betainc, ndtri
+from jax.scipy.special import betainc, betaln, ndtri, xlog1py, xlogy
 from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
 
 from probmodel.regions import invert_monotone
+from probmodel.supports import same_rank
 
 
 class LengthPrior(NamedTuple):
@@ -39,22 +39,16 @@ class BoneLength(Distribution):
     def support(self) -> constraints.Constraint:
         return constraints.independent(constraints.interval(self.prior.low, self.prior.high), 1)
 
-    def _range(self) -> tuple[jax.Array, jax.Array]:
-        return jnp.asarray(self.prior.low), jnp.asarray(self.prior.high)
-
-    def _beta(self) -> dist.Beta:
-        return dist.Beta(self.prior.alpha, self.prior.beta, validate_args=False)
-
     def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
         """Lengths `sample_shape + batch_shape + (5,)`."""
-        return self._stretch(self._beta().sample(key, sample_shape))
+        shape = (*sample_shape, *self.batch_shape, *self.event_shape)
+        return self._stretch(jax.random.beta(key, self.prior.alpha, self.prior.beta, shape))
 
     def log_prob(self, value: ArrayLike) -> jax.Array:
         """Log density with respect to length in body units, -inf outside the ranges."""
-        low, high = self._range()
-        fraction = (jnp.asarray(value) - low) / (high - low)
+        fraction, span, alpha, beta = self._fraction(value)
         inside = (fraction >= 0) & (fraction <= 1)
-        each = self._beta().log_prob(jnp.where(inside, fraction, 0.5)) - jnp.log(high - low)
+        each = _log_beta(jnp.where(inside, fraction, 0.5), alpha, beta) - jnp.log(span)
         return jnp.sum(jnp.where(inside, each, -jnp.inf), axis=-1)
 
     def transport(self, cube: ArrayLike) -> jax.Array:
@@ -63,25 +57,32 @@ class BoneLength(Distribution):
 
     def inverse(self, value: ArrayLike) -> jax.Array:
         """The point `(..., 5)` of the unit cube of some lengths: the distribution functions."""
-        low, high = self._range()
-        fraction = jnp.clip((jnp.asarray(value) - low) / (high - low), 0.0, 1.0)
-        return betainc(*jnp.broadcast_arrays(self.prior.alpha, self.prior.beta, fraction))
+        fraction, _, alpha, beta = self._fraction(value)
+        return betainc(*jnp.broadcast_arrays(alpha, beta, jnp.clip(fraction, 0.0, 1.0)))
+
+    def _fraction(self, value: ArrayLike) -> list[jax.Array]:
+        """Where in the ranges lengths lie, the ranges' widths, and the Beta parameters, of one rank."""
+        value, low, high, alpha, beta = same_rank(value, *self.prior)
+        return [(value - low) / (high - low), high - low, alpha, beta]
 
     def _stretch(self, fraction: jax.Array) -> jax.Array:
-        low, high = self._range()
+        fraction, low, high = same_rank(fraction, self.prior.low, self.prior.high)
         # Rounding may carry a fraction of one past the end of the range.
         return jnp.clip(low + (high - low) * fraction, low, high)
 
 
+def _log_beta(x: jax.Array, alpha: jax.Array, beta: jax.Array) -> jax.Array:
+    return xlogy(alpha - 1, x) + xlog1py(beta - 1, -x) - betaln(alpha, beta)
+
+
 def _beta_quantile(probability: jax.Array, alpha: ArrayLike, beta: ArrayLike) -> jax.Array:
     def one(probability: jax.Array, alpha: jax.Array, beta: jax.Array) -> jax.Array:
-        law = dist.Beta(alpha, beta, validate_args=False)
         smallest = jnp.finfo(probability.dtype).tiny
         largest = 1 - jnp.finfo(probability.dtype).epsneg
 
         def below(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
             inside = jnp.clip(x, smallest, largest)
-            slope = jnp.exp(law.log_prob(inside))
+            slope = jnp.exp(_log_beta(inside, alpha, beta))
             return betainc(alpha, beta, x), slope, (alpha - 1) / inside - (beta - 1) / (1 - inside)
 
         zero = jnp.zeros_like(probability)

@@ -4,6 +4,7 @@
 The log determinants are with respect to surface measure on the sphere, and area in the image.
 """
 
+import functools
 from typing import Any
 
 import jax
@@ -15,11 +16,13 @@ from numpyro.distributions.transforms import Transform, biject_to
 from probmodel.regions import Region
 
 
+@functools.partial(jax.jit, static_argnums=(0, 1))
 def over_batch(function: Any, batch_ndim: int, parameters: Any, value: ArrayLike) -> jax.Array:
     """Applies a formula for one event, function(parameters, event), to a batch.
 
     Leaves of `parameters` start with `batch_ndim` batch axes. `value` `(*sample, *batch, n)` may lack leading batch
-    axes or have 1 there; the result is `(*sample, *batch, ...)`.
+    axes or have 1 there; the result is `(*sample, *batch, ...)`. Compiled once for each `function` and shape, so give
+    it a function that lasts, not a new lambda.
     """
     value = jnp.asarray(value)
     batch_shape = jnp.shape(jax.tree.leaves(parameters)[0])[:batch_ndim]
@@ -31,10 +34,10 @@ def over_batch(function: Any, batch_ndim: int, parameters: Any, value: ArrayLike
     return function(parameters, value)
 
 
-def is_unit(vector: ArrayLike) -> jax.Array:
-    """`(...)` bool: whether vectors `(..., 3)` have length one, up to rounding."""
-    norm = jnp.linalg.norm(jnp.asarray(vector), axis=-1)
-    return jnp.abs(norm - 1) < 1000 * jnp.finfo(norm.dtype).eps
+def is_inside(region: Region, vector: jax.Array) -> jax.Array:
+    """`()` bool: whether `vector` `(3,)` has length one, up to rounding, and lies in the region."""
+    norm = jnp.linalg.norm(vector)
+    return (jnp.abs(norm - 1) < 1000 * jnp.finfo(norm.dtype).eps) & region.contains(vector)
 
 
 class _Directions(constraints.Constraint):
@@ -47,12 +50,12 @@ class _Directions(constraints.Constraint):
         self.batch_ndim = batch_ndim
 
     def __call__(self, x: ArrayLike) -> jax.Array:
-        return over_batch(lambda region, u: is_unit(u) & region.contains(u), self.batch_ndim, self.region, x)
+        return over_batch(is_inside, self.batch_ndim, self.region, x)
 
     def feasible_like(self, prototype: ArrayLike) -> jax.Array:
         """A direction of the region for every event of `prototype`."""
         middle = jnp.full((*jnp.shape(prototype)[:-1], 2), 0.5)
-        return over_batch(lambda region, square: region.transport(square), self.batch_ndim, self.region, middle)
+        return over_batch(type(self.region).transport, self.batch_ndim, self.region, middle)
 
     def tree_flatten(self) -> tuple[tuple, tuple]:
         return (self.region,), (("region",), {"batch_ndim": self.batch_ndim})
@@ -67,6 +70,12 @@ class _Directions(constraints.Constraint):
     __hash__ = None  # type: ignore[assignment]
 
 
+def same_rank(*arrays: ArrayLike) -> list[jax.Array]:
+    """The arrays with leading axes of length 1, so that none is promoted in silence."""
+    ndim = max(jnp.ndim(array) for array in arrays)
+    return [jnp.reshape(array, (1,) * (ndim - jnp.ndim(array)) + jnp.shape(array)) for array in arrays]
+
+
 class _Disc(constraints.Constraint):
     """Points `(2,)` of a closed disc."""
 
@@ -77,8 +86,8 @@ class _Disc(constraints.Constraint):
         self.radius = radius
 
     def __call__(self, x: ArrayLike) -> jax.Array:
-        offset = jnp.asarray(x) - jnp.asarray(self.centre)
-        return jnp.sum(offset**2, axis=-1) <= jnp.asarray(self.radius) ** 2
+        x, centre, radius = same_rank(x, self.centre, jnp.asarray(self.radius)[..., None])
+        return jnp.sum((x - centre) ** 2, axis=-1) <= radius[..., 0] ** 2
 
     def feasible_like(self, prototype: ArrayLike) -> jax.Array:
         """The centre, for every event of `prototype`."""
@@ -116,10 +125,10 @@ class DirectionTransform(Transform):
 
     def __call__(self, x: ArrayLike) -> jax.Array:
         square = jax.nn.sigmoid(jnp.asarray(x))
-        return over_batch(lambda region, point: region.transport(point), self.batch_ndim, self.region, square)
+        return over_batch(type(self.region).transport, self.batch_ndim, self.region, square)
 
     def _inverse(self, y: ArrayLike) -> jax.Array:
-        square = over_batch(lambda region, u: region.inverse(u), self.batch_ndim, self.region, y)
+        square = over_batch(type(self.region).inverse, self.batch_ndim, self.region, y)
         tiny = jnp.finfo(square.dtype).tiny
         return jnp.log(jnp.maximum(square, tiny)) - jnp.log(jnp.maximum(1 - square, tiny))
 
@@ -127,7 +136,7 @@ class DirectionTransform(Transform):
         """Log of the surface swept per unit of the plane: minus the log density of the pushed-forward square."""
         x = jnp.asarray(x)
         logistic = jnp.sum(jax.nn.log_sigmoid(x) + jax.nn.log_sigmoid(-x), axis=-1)
-        return logistic - over_batch(lambda region, u: region.log_density(u), self.batch_ndim, self.region, y)
+        return logistic - over_batch(type(self.region).log_density, self.batch_ndim, self.region, y)
 
     def forward_shape(self, shape: tuple[int, ...]) -> tuple[int, ...]:
         return (*shape[:-1], 3)
@@ -160,16 +169,18 @@ class DiscTransform(Transform):
     def __call__(self, x: ArrayLike) -> jax.Array:
         x = jnp.asarray(x)
         squashed = x / jnp.sqrt(1 + jnp.sum(x**2, axis=-1, keepdims=True))
-        return jnp.asarray(self.centre) + jnp.asarray(self.radius)[..., None] * squashed
+        squashed, centre, radius = same_rank(squashed, self.centre, jnp.asarray(self.radius)[..., None])
+        return centre + radius * squashed
 
     def _inverse(self, y: ArrayLike) -> jax.Array:
-        squashed = (jnp.asarray(y) - jnp.asarray(self.centre)) / jnp.asarray(self.radius)[..., None]
+        y, centre, radius = same_rank(y, self.centre, jnp.asarray(self.radius)[..., None])
+        squashed = (y - centre) / radius
         rest = 1 - jnp.sum(squashed**2, axis=-1, keepdims=True)
         return squashed / jnp.sqrt(jnp.maximum(rest, jnp.finfo(rest.dtype).eps))
 
     def log_abs_det_jacobian(self, x: ArrayLike, y: ArrayLike, intermediates: Any = None) -> jax.Array:
-        square = jnp.sum(jnp.asarray(x) ** 2, axis=-1)
-        return 2 * jnp.log(jnp.asarray(self.radius)) - 2 * jnp.log1p(square)
+        square, radius = same_rank(jnp.sum(jnp.asarray(x) ** 2, axis=-1), self.radius)
+        return 2 * jnp.log(radius) - 2 * jnp.log1p(square)
 
     def tree_flatten(self) -> tuple[tuple, tuple]:
         return (self.centre, self.radius), (("centre", "radius"), {})

@@ -117,4 +117,6 @@ def _pick(sums: jax.Array, fraction: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _place(sums: jax.Array, index: jax.Array, within: jax.Array) -> jax.Array:
-    return (sums[index] + within * (sums[index + 1] - sums[index])) / sums[-1]
+    # A direction on the edge may round into an azimuth that holds nothing.
+    whole = jnp.where(sums[-1] > 0, sums[-1], 1.0)
+    return (sums[index] + within * (sums[index + 1] - sums[index])) / whole

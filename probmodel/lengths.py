@@ -91,7 +91,7 @@ def _beta_quantile(probability: jax.Array, alpha: ArrayLike, beta: ArrayLike) ->
         # Where the density vanishes at an end, the distribution function is exactly 0 or 1 on part of the range.
         return jnp.where(probability <= 0, 0.0, jnp.where(probability >= 1, 1.0, x))
 
-    return jnp.vectorize(one)(probability, alpha, beta)
+    return jnp.vectorize(one)(*same_rank(probability, alpha, beta))
 
 
 def _beta_guess(probability: jax.Array, alpha: jax.Array, beta: jax.Array) -> jax.Array:

@@ -1,6 +1,6 @@
 """Goodness of fit with a written false-alarm rate, and integrals on the sphere that share no formula with `probmodel`.
 
-Every statistical test is allowed to fail by chance with probability `FALSE_ALARM` in all, over a fresh seed; a test that
+Every statistical test may fail by chance with probability `FALSE_ALARM` in all, over a fresh seed; a test that
 makes n comparisons divides it by n (`floor`). Seeds are fixed, so a failure is a defect until shown otherwise.
 """
 

@@ -107,13 +107,19 @@ def distributions() -> dict[str, dist.Distribution]:
     tables = np.stack(list(cell_tables().values()))
     rng = np.random.default_rng(3)
     found: dict[str, dist.Distribution] = {}
-    for measure in ("area", "box"):
-        for label, index in (("", 6), ("three", [0, 5, 7]), ("two by two", [[10, 11], [14, 17]])):
-            hinge = Hinge.build(triples[index], offsets[index], bounds[index], measure)
-            found[f"hinged {measure} {label}"] = HingedDirection(hinge)
-    for measure in ("angle", "area"):
-        for label, index in (("", 4), ("three", [0, 1, 7]), ("two by two", [[2, 3], [5, 6]])):
-            found[f"occupied {measure} {label}"] = OccupiedDirection(Cells.build(tables[index], measure))
+    for measure, label, index in (
+        ("area", "", 6),
+        ("area", "two by two", [[0, 5], [14, 17]]),
+        ("box", "three", [0, 5, 7]),
+    ):
+        hinge = Hinge.build(triples[index], offsets[index], bounds[index], measure)
+        found[f"hinged {measure} {label}".strip()] = HingedDirection(hinge)
+    for measure, label, index in (
+        ("angle", "", 4),
+        ("angle", "two by two", [[2, 3], [5, 6]]),
+        ("area", "three", [0, 1, 7]),
+    ):
+        found[f"occupied {measure} {label}".strip()] = OccupiedDirection(Cells.build(tables[index], measure))
     found["disc"] = UniformDisc(jnp.array([3.0, -2.0]), jnp.array(0.5))
     found["disc three"] = UniformDisc(rng.normal(size=(3, 2)), np.array([1e-3, 1.0, 300.0]))
     found["disc two by two"] = UniformDisc(jnp.zeros(2), np.array([[1.0, 2.0], [3.0, 4.0]]))

@@ -54,7 +54,7 @@ def diverse(joints: np.ndarray, k: int, *, seed: int = 0) -> list[Hypothesis]:
     if not 1 <= k <= len(joints):
         raise BadInput(f"{k} hypotheses cannot be chosen among {len(joints)} poses; choose k from 1 to {len(joints)}")
     flat = joints.reshape(len(joints), -1)
-    fit = KMeans(k, init="k-means++", n_init=4, random_state=seed).fit(flat)
+    fit = KMeans(k, init="k-means++", n_init=1, random_state=seed).fit(flat)
     found = []
     for cluster, centre in enumerate(fit.cluster_centers_):
         members = np.flatnonzero(fit.labels_ == cluster)

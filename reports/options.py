@@ -1,6 +1,7 @@
 """The options that several commands share, and how they become a model and a frame."""
 
 import enum
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -99,7 +100,17 @@ class Sight:
 
 
 def prepare_jax() -> None:
-    """64-bit floats, before anything is compiled: limits are decided to the last bits."""
+    """64-bit floats, before anything is compiled: limits are decided to the last bits. Compiled code is kept in the
+    user's cache folder, so that only the first run on a machine waits for the compiler."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "poseterior"
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return  # without a cache everything works, only slower
+    if os.access(cache, os.W_OK):
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

@@ -175,11 +175,12 @@ class PrunedGroup:
         upper, lower = (np.zeros((PAIRS, len(limbs), 3)) for _ in range(2))
         for index, (first, second) in enumerate(limbs):
             upper[:number, index], lower[:number, index] = first, second
-        length, accepted = _settle(jax.random.fold_in(self._key, self._chunks), self.group, upper, lower)
+        length = _lengths(jax.random.fold_in(self._key, self._chunks), self.group)
+        accepted = _explains(self.group, Draws(length, upper, lower))
         chosen = np.flatnonzero(np.asarray(accepted)[:number])
         self._chunks += 1
         self._tried += number
-        self._pile.add(np.asarray(length)[chosen], upper[chosen], lower[chosen])
+        self._pile.add(length[chosen], upper[chosen], lower[chosen])
 
     def draws(self) -> dict[str, Draws]:
         return {self.name: Draws(*self._pile.all())}
@@ -193,11 +194,17 @@ class PrunedGroup:
         return [*(stream.rate for stream in self.streams), Rate(self._tried, self.held)]
 
 
+def _lengths(key: jax.Array, group: Group) -> np.ndarray:
+    """`(PAIRS, bones)` lengths from the prior. NumPy draws Beta numbers ten times faster than JAX on a CPU, and has
+    nothing to compile."""
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+    low, high, alpha, beta = (np.asarray(field) for field in group.lengths)
+    return np.clip(low + (high - low) * rng.beta(alpha, beta, (PAIRS, len(low))), low, high)
+
+
 @jax.jit
-def _settle(key: jax.Array, group: Group, upper: jax.Array, lower: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Draws lengths from the prior for limbs put together, and asks the accept step."""
-    length = BoneLength(group.lengths).sample(key, (upper.shape[0],))
-    return length, group.explains(Draws(length, upper, lower))
+def _explains(group: Group, draws: Draws) -> jax.Array:
+    return group.explains(draws)
 
 
 class PriorGroups:

@@ -224,10 +224,13 @@ def summary_lines(result: "Result") -> list[str]:
 def _odds(log_evidence: float | None) -> str:
     if log_evidence is None:
         return ""
-    exponent = math.floor(-log_evidence / math.log(10))
-    if exponent < 3:
-        return f": one possible pose in {math.exp(-log_evidence):.0f} explains the joints seen"
-    return f": one possible pose in {math.exp(-log_evidence) / 10**exponent:.0f}e{exponent} explains the joints seen"
+    power = -log_evidence / math.log(10)  # not exponentiated as a whole: that may overflow
+    exponent = math.floor(power)
+    mantissa = round(10 ** (power - exponent))
+    if mantissa == 10:
+        mantissa, exponent = 1, exponent + 1
+    number = f"{10**power:.0f}" if exponent < 3 else f"{mantissa}e{exponent}"
+    return f": one possible pose in {number} explains the joints seen"
 
 
 def check_json(check: "Check", names: Sequence[str]) -> list[dict[str, Any]]:

@@ -39,13 +39,13 @@ PAGE, HIGHEST = 10.5, 4.2
 """Inches: the width of the page of hypotheses, and the most that its panels are high."""
 HYPOTHESIS_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#8C6D31")
 """Okabe & Ito's palette, told apart with any colour vision; a brown in place of its black, which is the truth's."""
-MAX_NAMED = 8
-"""Hypotheses listed in the legend; the others are counted."""
+MAX_NAMED = len(HYPOTHESIS_COLOURS)
+"""Hypotheses with a colour and an entry in the legend; the others are thin, grey and counted."""
 LIMB_COLOURS = {
     "head": "#555555", "right arm": "#762A83", "right leg": "#B088BD", "left arm": "#1B7837", "left leg": "#73B87A",
 }  # fmt: skip
 """Purple right, green left; arms dark, legs light."""
-TORSO_COLOUR, DRAW_COLOUR, INK, FAINT = "#555555", "#8A8A8A", "#222222", "#777777"
+TORSO_COLOUR, DRAW_COLOUR, OTHER_COLOUR, INK, FAINT = "#555555", "#8A8A8A", "#9A9A9A", "#222222", "#777777"
 _SMALL, _LEGEND, _TEXT, _TITLE = 7.0, 7.5, 8.0, 9.0
 _LINE, _COLUMNS = 0.19, 5
 """Inches between lines of a legend, and its columns."""
@@ -64,6 +64,14 @@ class View(NamedTuple):
     along: int
     flip: bool
     hint: str
+
+
+class Pen(NamedTuple):
+    """How a pose is drawn: colour, width of its lines in points, and whether all of them are dashed."""
+
+    colour: str
+    width: float
+    dashed: bool = False
 
 
 VIEWS = (
@@ -234,29 +242,33 @@ def _draw_view(
     lines = draws[:, np.array(_SEGMENTS)][..., flat].reshape(-1, 2, 2)
     axis.add_collection(LineCollection(list(lines), colors=DRAW_COLOUR, lw=0.5, alpha=0.09, zorder=1, gid="draws"))
     colours = hypothesis_colours(len(hypotheses))
+    pens = [Pen(colour, 1.6 if rank < MAX_NAMED else 0.6) for rank, colour in enumerate(colours)]
     for rank, hypothesis in reversed(list(enumerate(hypotheses))):  # the heaviest on top
         height = 10 + len(hypotheses) - rank
-        _draw_pose(axis, hypothesis.joints[:, flat], colours[rank], f"hypothesis {rank + 1}", height)
+        _draw_pose(axis, hypothesis.joints[:, flat], pens[rank], f"hypothesis {rank + 1}", height)
     if truth is not None:
-        _draw_pose(axis, truth[:, flat], "black", "truth", 9, dashed=True)
+        _draw_pose(axis, truth[:, flat], Pen("black", 1.0, dashed=True), "truth", 11 + len(hypotheses))
+    if not len(draws):
+        axis.text(0, 0.98, "no draws", transform=axis.transAxes, va="top", fontsize=_SMALL, color=FAINT)
     if view.hint:
         _footnote(axis, view.hint)
 
 
 def hypothesis_colours(number: int) -> list[str]:
     """Colours of that many hypotheses, heaviest first; beyond the palette they share a grey."""
-    return [*HYPOTHESIS_COLOURS, *["#9A9A9A"] * number][:number]
+    return [*HYPOTHESIS_COLOURS, *[OTHER_COLOUR] * number][:number]
 
 
-def _draw_pose(axis: Axes, points: np.ndarray, colour: str, gid: str, zorder: int, *, dashed: bool = False) -> None:
-    """Right limbs and torso solid, left limbs dashed and ending in hollow joints; `dashed` is for the truth."""
+def _draw_pose(axis: Axes, points: np.ndarray, pen: Pen, gid: str, zorder: int) -> None:
+    """Right limbs and torso solid, left limbs dashed and ending in hollow joints."""
     for parent, joint in _SEGMENTS:
-        left = joint in _LEFT_LIMBS
-        axis.plot(*points[[parent, joint]].T, color=colour, lw=1.0 if dashed else 1.6, zorder=zorder,
-                  ls=_DASHES if left or dashed else "-", gid=gid)  # fmt: skip
+        dashed = pen.dashed or joint in _LEFT_LIMBS
+        axis.plot(*points[[parent, joint]].T, color=pen.colour, lw=pen.width, zorder=zorder,
+                  ls=_DASHES if dashed else "-", gid=gid)  # fmt: skip
     for joint in _COLOUR_OF:
-        fill = "white" if joint in _LEFT_LIMBS else colour
-        axis.plot(*points[joint], "o", ms=2.6, mfc=fill, mec=colour, mew=0.8, zorder=zorder + 0.5, gid=gid)
+        fill = "white" if joint in _LEFT_LIMBS else pen.colour
+        axis.plot(*points[joint], "o", ms=1 + pen.width, mfc=fill, mec=pen.colour, mew=pen.width / 2, zorder=zorder + 0.5,
+                  gid=gid)  # fmt: skip
 
 
 def _scale_bar(axis: Axes) -> None:
@@ -277,7 +289,7 @@ def _legend_handles(hypotheses: Sequence["Hypothesis"], truth: bool, draws: int)
     rest = hypotheses[MAX_NAMED:]
     if rest:
         share = sum(item.weight for item in rest)
-        poses.append(Line2D([], [], color=colours[-1], lw=1.6, label=f"{100 * share:.0f} %, {len(rest)} more"))
+        poses.append(Line2D([], [], color=OTHER_COLOUR, lw=0.6, label=f"{100 * share:.0f} %, {len(rest)} more"))
     styles = [
         Line2D([], [], color=INK, lw=1.2, marker="o", ms=2.6, label="right limbs"),
         Line2D([], [], color=INK, lw=1.2, ls=_DASHES, marker="o", ms=2.6, mfc="white", label="left limbs"),
@@ -314,6 +326,8 @@ def depth_figure(tree: xr.DataTree) -> Figure:
     ridges, spreads = figure.subplots(1, 2, sharey=True, width_ratios=[2.4, 1])
     joints = list(_COLOUR_OF)
     _draw_ridges(ridges, tree, joints)
+    if not values(tree, "posterior", "joints").size:
+        ridges.text(0.02, 0.98, "no draws", transform=ridges.transAxes, va="top", fontsize=_SMALL, color=FAINT)
     _draw_spreads(spreads, tree, joints)
     seen = values(tree, "observed_data", "score") > 0
     names = [spoken(JOINTS[joint]) + ("" if seen[joint] else " (missing)") for joint in joints]
@@ -342,7 +356,7 @@ def _draw_ridges(axis: Axes, tree: xr.DataTree, joints: list[int]) -> None:
         middle = (edges[1:] + edges[:-1]) / 2
         colour = _COLOUR_OF[joint]
         axis.fill_between(middle, row, base, color=colour, alpha=0.55, lw=0, zorder=2, gid=f"depth {JOINTS[joint]}")
-        axis.fill_between(middle, base, base - height * parts[1], color="#9A9A9A", alpha=0.8, lw=0, zorder=2)
+        axis.fill_between(middle, base, base - height * parts[1], color=OTHER_COLOUR, alpha=0.8, lw=0, zorder=2)
         if len(depth):
             low, high = np.quantile(depth[:, joint], [0.05, 0.95])
             axis.plot(

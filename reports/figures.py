@@ -267,8 +267,8 @@ def _draw_pose(axis: Axes, points: np.ndarray, pen: Pen, gid: str, zorder: int) 
                   ls=_DASHES if dashed else "-", gid=gid)  # fmt: skip
     for joint in _COLOUR_OF:
         fill = "white" if joint in _LEFT_LIMBS else pen.colour
-        axis.plot(*points[joint], "o", ms=1 + pen.width, mfc=fill, mec=pen.colour, mew=pen.width / 2, zorder=zorder + 0.5,
-                  gid=gid)  # fmt: skip
+        axis.plot(*points[joint], "o", ms=1 + pen.width, mfc=fill, mec=pen.colour, mew=pen.width / 2,
+                  zorder=zorder + 0.5, gid=gid)  # fmt: skip
 
 
 def _scale_bar(axis: Axes) -> None:

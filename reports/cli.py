@@ -11,7 +11,6 @@ from reports.options import Belief, LowerMeasure, Sight, UpperMeasure
 app = typer.Typer(
     name="poseterior",
     help="Exact posteriors over human 3D pose given 2D joint detections.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -45,8 +44,8 @@ def demo(
 @app.command(
     epilog=_examples(
         "poseterior hypotheses frame_keypoints.json --out result",
-        "poseterior hypotheses person_keypoints.json --person 3 --image photo.jpg --k 8",
-        "poseterior hypotheses frame.json --limits jointAngleModel_v2.mat --candidates 1",
+        "poseterior hypotheses people.json --person 3 --image photo.jpg --k 8",
+        "poseterior hypotheses frame.json --limits limits.npz --candidates 1",
     )
 )
 def hypotheses(
@@ -81,8 +80,8 @@ def hypotheses(
 
 @app.command(
     epilog=_examples(
-        "poseterior sample frame_keypoints.json --out posterior.nc --num-samples 100000",
-        "poseterior sample frame_keypoints.json --sampler rejection-group --out posterior.nc --num-samples 100",
+        "poseterior sample frame.json --out posterior.nc --num-samples 100000",
+        "poseterior sample frame.json --sampler rejection-group --num-samples 100",
     )
 )
 def sample(
@@ -136,13 +135,14 @@ def prior(
 def check(
     file: Annotated[Path, typer.Argument(help="3D poses: .nc, hypotheses.json, .amc, .bvh, .npy, .npz.", show_default=False)],
     limits: options.Limits = "default",
+    quiet: options.Quiet = False,
     json: options.Json = False,
 ) -> None:
     """Say which bones of 3D poses break which limit, and by how many degrees."""
     options.prepare_jax()
     from reports.commands import check as command
 
-    command.run(file, Belief(limits), as_json=json)
+    command.run(file, Belief(limits), quiet=quiet, as_json=json)
 
 
 @app.command(epilog=_examples("poseterior learn cmu/01 cmu/02 walk.bvh --out limits.npz"))

@@ -6,9 +6,11 @@ Exit codes: 2 bad input, 3 a sampler that could not make what was asked for, 1 a
 import json
 import os
 import sys
+import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -16,13 +18,16 @@ import rich.console
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from probmodel.failures import BadInput, OutOfBudget
-
-OUT = rich.console.Console(highlight=False)
-ERR = rich.console.Console(stderr=True, highlight=False)
+# Neither markup nor emoji codes: names of files and recordings are printed as they are.
+OUT = rich.console.Console(highlight=False, markup=False, emoji=False)
+ERR = rich.console.Console(stderr=True, highlight=False, markup=False, emoji=False)
 PATIENCE = 2.0
-"""Seconds after which anything shows its progress, and between two lines of it in a log."""
+"""Seconds after which anything shows its progress."""
+RAREST = 60.0
+"""Most seconds between two lines of progress in a log; the first ones are closer, each twice as late as the one before."""
 Step = Callable[[int, int], None]
+_USAGE: type[Exception] = typer.BadParameter.__mro__[1]
+"""What typer raises on a wrong command line, under one name in all its versions."""
 
 
 @contextmanager
@@ -35,7 +40,8 @@ def progress(what: str, quiet: bool) -> Iterator[Step]:
             task = bar.add_task(what, total=None)
             yield lambda done, wanted: bar.update(task, completed=done, total=wanted)
     else:
-        yield _lines(what)
+        with _Log(what) as log:
+            yield log.step
 
 
 def _bar() -> Progress:
@@ -43,15 +49,37 @@ def _bar() -> Progress:
     return Progress(*columns, console=ERR, transient=True)
 
 
-def _lines(what: str) -> Step:
-    last = [time.monotonic()]
+class _Log:
+    """Lines of progress by a thread of their own: what is slow may not call `step` for a long time."""
 
-    def step(done: int, wanted: int) -> None:
-        if time.monotonic() - last[0] >= PATIENCE:
-            last[0] = time.monotonic()
-            print(f"{what}: {done} of {wanted}", file=sys.stderr, flush=True)
+    def __init__(self, what: str) -> None:
+        self._what, self._count = what, ""
+        self._started = time.monotonic()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._talk, daemon=True)
 
-    return step
+    def step(self, done: int, wanted: int) -> None:
+        self._count = f"{done:,} of {wanted:,}, "
+
+    def _talk(self) -> None:
+        wait = PATIENCE
+        while not self._over.wait(wait):
+            seconds = time.monotonic() - self._started
+            print(f"{self._what}: {self._count}{seconds:.0f} s", file=sys.stderr, flush=True)
+            wait = min(2 * wait, RAREST)
+
+    def __enter__(self) -> "_Log":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+
+def say(line: str) -> None:
+    """Prints a line on stdout as it is, however long."""
+    print(line)
 
 
 def show_json(value: Any) -> None:
@@ -59,26 +87,45 @@ def show_json(value: Any) -> None:
     print(json.dumps(value, indent=2, allow_nan=False))
 
 
+def _bad_input(sentence: str) -> Exception:
+    # Imported here, because the package behind it brings JAX along, and `--help` should not wait for that.
+    from probmodel.failures import BadInput
+
+    return BadInput(sentence)
+
+
 def output_folder(path: Path) -> Path:
     """Makes the folder if need be. Raises `BadInput` where it cannot be made or written to."""
     try:
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"cannot make the folder {path} ({error.strerror}); choose another --out") from None
-    if not os.access(path, os.W_OK | os.X_OK):
-        raise BadInput(f"cannot write to the folder {path}; choose another --out")
+    except FileExistsError:
+        raise _bad_input(f"{path} is a file; --out needs the name of a folder") from None
+    except (OSError, ValueError) as error:
+        raise _bad_input(f"cannot make the folder {path} ({_reason(error)}); choose another --out") from None
+    _try_writing(path)
     return path
 
 
 def output_file(path: Path) -> Path:
     """Checks, before any work is done, that a file can be written. Raises `BadInput` where it cannot."""
     if path.is_dir():
-        raise BadInput(f"{path} is a folder; --out needs the name of a file")
+        raise _bad_input(f"{path} is a folder; --out needs the name of a file")
     if not path.parent.is_dir():
-        raise BadInput(f"the folder {path.parent} does not exist; make it, or choose another --out")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise BadInput(f"cannot write to the folder {path.parent}; choose another --out")
+        raise _bad_input(f"the folder {path.parent} does not exist; make it, or choose another --out")
+    if path.exists() and not path.is_file():
+        # A device, say: results are renamed into place, which would put a file where it was.
+        raise _bad_input(f"{path} is not a regular file; choose another --out")
+    _try_writing(path.parent)
     return path
+
+
+def _try_writing(folder: Path) -> None:
+    """Permissions alone do not tell (an administrator has them all); a file without a name does."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise _bad_input(f"cannot write to the folder {folder} ({_reason(error)}); choose another --out") from None
 
 
 def write_text(path: Path, text: str) -> None:
@@ -88,27 +135,63 @@ def write_text(path: Path, text: str) -> None:
         partial.write_text(text, encoding="utf-8")
         os.replace(partial, path)
     except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise BadInput(f"cannot write {path} ({error.strerror}); choose another --out") from None
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise _bad_input(f"cannot write {path} ({_reason(error)}); choose another --out") from None
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
 
 
 def refuse(sentence: str, code: int) -> NoReturn:
     """Prints one sentence on stderr and leaves with an exit code."""
-    print(f"poseterior: {sentence}", file=sys.stderr)
+    print("poseterior:", " ".join(sentence.splitlines()), file=sys.stderr)
     raise SystemExit(code)
 
 
 def guarded(app: typer.Typer) -> None:
     """Runs the application; failures that have a sentence become that sentence and their exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(AttributeError):  # what a test or a notebook puts there may not be able to
+            stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
-        app()
-    except BadInput as error:
-        refuse(str(error), 2)
-    except OutOfBudget as error:
-        refuse(str(error), 3)
-    except KeyboardInterrupt:
-        refuse("interrupted", 130)
+        code = app(sys.argv[1:] or ["--help"], prog_name="poseterior", standalone_mode=False)
+        sys.stdout.flush()
     except BrokenPipeError:
         # Whoever read the output has gone; nothing is left to say, and Python must not try to flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(1) from None
+    except (KeyboardInterrupt, typer.Abort):
+        refuse("interrupted", 130)
+    except Exception as error:
+        sentence, code = _verdict(error)
+        if not sentence:
+            raise  # a bug: Python shows where, and leaves with 1
+        refuse(sentence, code)
+    if code == 130:  # how typer reports an interrupt
+        refuse("interrupted", 130)
+    raise SystemExit(code or 0)
+
+
+def _verdict(error: Exception) -> tuple[str, int]:
+    """The sentence and the exit code of a failure; no sentence where it is a bug."""
+    if isinstance(error, _USAGE):
+        return _usage(error), 2
+    from probmodel.failures import BadInput, OutOfBudget
+
+    if isinstance(error, BadInput):
+        return str(error), 2
+    if isinstance(error, OutOfBudget):
+        return str(error), 3
+    if isinstance(error, MemoryError):
+        return "the memory does not suffice; ask for fewer samples with --num-samples", 2
+    if isinstance(error, OSError) and error.filename is None and error.strerror:
+        return f"cannot write the output ({error.strerror}); make room, or send it elsewhere", 2
+    return "", 1
+
+
+def _usage(error: Any) -> str:
+    message = error.format_message().strip().rstrip(".")
+    command = error.ctx.command_path if error.ctx else "poseterior"
+    return f"{message[:1].lower()}{message[1:]}; see `{command} --help`"

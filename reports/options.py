@@ -17,8 +17,8 @@ Limits = Annotated[str, typer.Option(help="'default', a .npz from `poseterior le
 Estimator = Annotated[str, typer.Option(help="How torso and camera are estimated.")]
 Format = Annotated[str, typer.Option(help="The file's format; 'auto' looks at its content.")]
 Person = Annotated[int, typer.Option(help="Which person in the file, counted from 0.")]
-Seed = Annotated[int, typer.Option(help="The same seed gives the same draws.")]
-NumSamples = Annotated[int, typer.Option(min=1, help="How many poses to draw.")]
+Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="The same seed gives the same draws.")]
+NumSamples = Annotated[int, typer.Option(min=1, max=10_000_000, help="How many poses to draw.")]
 Candidates = Annotated[int, typer.Option(min=1, help="Most torso-and-camera candidates kept; 1 is the paper's method.")]
 Factor = Annotated[float, typer.Option(help="The factor in the radius τ of a detection's disc (the paper: 0.25).")]
 Threshold = Annotated[float | None, typer.Option(help="Joints with a score up to this are missing.", show_default="0")]
@@ -105,10 +105,10 @@ def prepare_jax() -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "poseterior"
     try:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "poseterior"
         cache.mkdir(parents=True, exist_ok=True)
-    except OSError:
+    except (OSError, RuntimeError):  # RuntimeError: a user without a home
         return  # without a cache everything works, only slower
     if os.access(cache, os.W_OK):
         jax.config.update("jax_compilation_cache_dir", str(cache))

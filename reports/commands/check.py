@@ -2,90 +2,146 @@
 
 import json
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from rich import box
+from rich.table import Table
 
 from probmodel.failures import BadInput
-from probmodel.limits import Check
+from probmodel.limits import LIMITS, Check
 from probmodel.motion import read_motion
-from probmodel.skeleton import JOINTS, NUM_JOINTS
+from probmodel.skeleton import BONE_NAMES, BONES, JOINTS, NUM_JOINTS
 from reports import console, tables
 from reports.options import Belief
 
-MOTION = (".amc", ".bvh")
-ARRAYS = (".npy", ".npz")
+FEW = 20
+"""Up to so many impossible poses are listed one by one, more are counted by bone."""
+LARGEST = 1e9
+"""No coordinate may be larger: the squares of larger numbers overflow."""
 
 
-def run(path: Path, belief: Belief, *, as_json: bool) -> None:
+class Poses(NamedTuple):
+    """Poses `joints` `(n, 15, 3)` of a file, and what each is called."""
+
+    joints: np.ndarray
+    names: list[str]
+
+
+def run(path: Path, belief: Belief, *, quiet: bool, as_json: bool) -> None:
     """Checks every pose of a file: results of ours, motion capture, or arrays of joints."""
-    joints = read_poses(path)
-    check = belief.anatomy().limits.check(joints)
+    with console.progress("reading and checking", quiet):
+        poses = read_poses(path)
+        _require_poses(poses, path)
+        check = belief.anatomy().limits.check(poses.joints)
     if as_json:
-        console.show_json(tables.check_json(check))
+        console.show_json(tables.check_json(check, poses.names))
         return
-    console.OUT.print(tables.check_table(check))
-    if len(joints) <= FEW:
-        _say(check)
+    broken = np.flatnonzero(~check.pose_valid)
+    if len(broken) > FEW:
+        console.OUT.print(_by_bone(check))
+    elif len(broken):
+        listed = Check(*(part[broken] for part in check))
+        console.OUT.print(tables.check_table(listed, [poses.names[pose] for pose in broken]))
+    console.say(f"{check.pose_valid.sum():,} of {len(poses.names):,} poses in {path} are possible.")
 
 
-FEW = 10
-"""Up to so many poses, every broken limit gets its own sentence."""
+def _by_bone(check: Check) -> Table:
+    """How many poses break each limit of each bone, and by how much at most."""
+    table = Table("bone", "limit", title="Broken limits", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    for heading in ("poses", "most degrees"):
+        table.add_column(heading, justify="right")
+    for bone, name in enumerate(BONE_NAMES):
+        for code in range(1, len(LIMITS)):
+            excess = check.excess[check.limit[:, bone] == code, bone]
+            if len(excess):
+                most = "–" if np.isnan(excess).all() else f"{np.nanmax(excess):.1f}"
+                table.add_row(tables.spoken(name), LIMITS[code], f"{len(excess):,}", most)
+    return table
 
 
-def _say(check: Check) -> None:
-    for number in range(len(check.valid)):
-        one = Check(check.valid[number], check.limit[number], check.excess[number])
-        verdict = "; ".join(one.sentences()) or "possible"
-        console.OUT.print(f"pose {number}: {verdict}")
-
-
-def read_poses(path: Path) -> np.ndarray:
-    """Poses `(n, 15, 3)` of a file: posterior.nc, prior.nc, hypotheses.json, .amc, .bvh, or an array `(…, 15, 3)` in
-    .npy or .npz (motion capture's `(…, 17, 3)` too). Raises `BadInput` on anything else."""
+def read_poses(path: Path) -> Poses:
+    """The poses of a file: posterior.nc, prior.nc, hypotheses.json, .amc, .bvh, or an array `(…, 15, 3)` in .npy or
+    .npz (motion capture's `(…, 17, 3)` too). Raises `BadInput` on anything else."""
     suffix = path.suffix.lower()
     if not path.exists():
         raise BadInput(f"there is no file {path}; give one with 3D poses")
-    if suffix == ".nc":
-        return _from_tree(path)
-    if suffix == ".json":
-        return _from_json(path)
-    if suffix == ".npy":
-        return _from_array(path)
-    if suffix == ".npz" or suffix in MOTION or path.is_dir():
-        return np.concatenate([motion.joints for motion in read_motion(path)])
-    raise BadInput(
-        f"{path} is not a file of 3D poses; check reads .nc and hypotheses.json of poseterior, .amc, .bvh, .npy and .npz"
-    )
+    if path.is_dir() or suffix in (".npz", ".amc", ".bvh"):
+        return _from_motion(path)
+    readers = {".nc": _from_tree, ".json": _from_json, ".npy": _from_array}
+    if suffix not in readers:
+        raise BadInput(
+            f"{path} is not a file of 3D poses; check reads .nc and hypotheses.json of poseterior, .amc, .bvh, .npy and "
+            ".npz"
+        )
+    return readers[suffix](path)
 
 
-def _from_tree(path: Path) -> np.ndarray:
+def _from_motion(path: Path) -> Poses:
+    motions = read_motion(path)
+    names = [f"{motion.name}, frame {frame}" for motion in motions for frame in range(len(motion.joints))]
+    return Poses(np.concatenate([motion.joints for motion in motions]), names)
+
+
+def _from_tree(path: Path) -> Poses:
     try:
         with xr.open_datatree(path, engine="netcdf4") as tree:
             group = next(name for name in ("posterior", "prior") if name in tree.children)
             joints = tree[group]["joints"].values
-    except (OSError, ValueError, KeyError, StopIteration) as error:
-        raise BadInput(f"{path} holds no poses of poseterior ({type(error).__name__}); write one with its sample") from None
-    return joints.reshape(-1, *joints.shape[-2:])
+    except Exception as error:  # netCDF meets foreign and damaged files with errors of many unrelated kinds.
+        raise BadInput(
+            f"{path} holds no poses of poseterior ({type(error).__name__}); write one with `poseterior sample`"
+        ) from None
+    return _numbered(joints, "draw", path)
 
 
-def _from_json(path: Path) -> np.ndarray:
+def _from_json(path: Path) -> Poses:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         poses = [[pose["joints"][name] for name in JOINTS] for pose in content["hypotheses"]]
         joints = np.array(poses, float)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise BadInput(f"{path} is not a hypotheses.json of poseterior ({type(error).__name__}); give one, or a .nc") from None
-    if joints.shape[1:] != (NUM_JOINTS, 3):
-        raise BadInput(f"{path}: a pose has shape {joints.shape[1:]}, it needs ({NUM_JOINTS}, 3)")
-    return joints
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise BadInput(
+            f"{path} is not a hypotheses.json of poseterior ({type(error).__name__}); give one, or a .nc"
+        ) from None
+    return _numbered(joints, "hypothesis", path, first=1)
 
 
-def _from_array(path: Path) -> np.ndarray:
+def _from_array(path: Path) -> Poses:
     try:
         joints = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise BadInput(f"{path} is not a NumPy array of numbers ({error}); save joints with numpy.save") from None
+    except (OSError, ValueError, EOFError, MemoryError) as error:
+        raise BadInput(f"{path} is not a NumPy array of numbers ({_words(error)}); save joints with numpy.save") from None
+    if not isinstance(joints, np.ndarray):
+        raise BadInput(f"{path} is an archive of arrays; name it .npz, or save joints with numpy.save")
+    return _numbered(joints, "pose", path)
+
+
+def _words(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _numbered(joints: np.ndarray, kind: str, path: Path, *, first: int = 0) -> Poses:
     if joints.ndim < 2 or joints.shape[-2:] != (NUM_JOINTS, 3) or joints.dtype.kind not in "fiu":
         raise BadInput(f"{path} has shape {joints.shape} and type {joints.dtype}; it needs numbers (…, {NUM_JOINTS}, 3)")
-    return joints.reshape(-1, NUM_JOINTS, 3).astype(float)
+    joints = joints.reshape(-1, NUM_JOINTS, 3).astype(float)
+    return Poses(joints, [f"{kind} {first + number}" for number in range(len(joints))])
+
+
+def _require_poses(poses: Poses, path: Path) -> None:
+    """Raises `BadInput`, naming pose and joint or bone, where a pose has no direction to check."""
+    joints, names = poses
+    if not len(joints):
+        raise BadInput(f"{path} holds no pose; give a file with one at least")
+    for pose, joint in np.argwhere(~(np.abs(joints) <= LARGEST).all(axis=-1))[:1]:  # NaN compares false
+        raise BadInput(
+            f"{JOINTS[joint]} of {names[pose]} in {path} is {joints[pose, joint].tolist()}; the check needs finite "
+            "numbers for all fifteen joints"
+        )
+    ends, starts = [bone.end for bone in BONES], [bone.start for bone in BONES]
+    for pose, bone in np.argwhere((joints[:, ends] == joints[:, starts]).all(axis=-1))[:1]:
+        raise BadInput(
+            f"the bone {BONE_NAMES[bone]} of {names[pose]} in {path} has length zero, and so no direction to check; leave "
+            "that pose out"
+        )

@@ -36,19 +36,21 @@ def run(sight: Sight, belief: Belief, request: Request, *, truth: np.ndarray | N
     if request.k > request.num_samples:
         raise BadInput(f"--k {request.k} hypotheses need at least as many draws; raise --num-samples")
     image = None if request.image is None else figures.read_image(request.image)
-    model = belief.model()
-    frame = sight.frame(model)
+    with console.progress("torso and camera", quiet):
+        model = belief.model()
+        frame = sight.frame(model)
     out = console.output_folder(request.out)
     with console.progress("exact draws", quiet) as step:
         result = sample(model, frame, key=jax.random.key(request.seed), num_samples=request.num_samples,
                         max_proposals=request.max_proposals, progress=step)  # fmt: skip
     if not result.num_draws:
         raise OutOfBudget(result.sentence)
-    chosen = hypotheses(result, min(request.k, result.num_draws), seed=request.seed)
-    result.save(out / "posterior.nc")
-    console.write_text(out / "hypotheses.json", _as_text(chosen, result, request))
-    picture = figures.hypotheses_figure(result.tree, chosen, image=image, truth=truth)
-    figures.save_figure(picture, out / "hypotheses.png")
+    with console.progress("hypotheses and their picture", quiet):
+        result.save(out / "posterior.nc")
+        chosen = hypotheses(result, min(request.k, result.num_draws), seed=request.seed)
+        console.write_text(out / "hypotheses.json", _as_text(chosen, result, request))
+        picture = figures.hypotheses_figure(result.tree, chosen, image=image, truth=truth)
+        figures.save_figure(picture, out / "hypotheses.png")
     if as_json:
         console.show_json(summary(chosen, result, out))
     else:
@@ -79,11 +81,11 @@ def summary(chosen: list[Hypothesis], result: Result, out: Path) -> dict:
 def show(chosen: list[Hypothesis], result: Result, out: Path) -> None:
     """The results as tables."""
     for line in tables.summary_lines(result):
-        console.OUT.print(line)
+        console.say(line)
     for table in (
         tables.candidates_table(result.tree),
         tables.posterior_table(result.tree),
         tables.hypotheses_table(chosen),
     ):
         console.OUT.print(table)
-    console.OUT.print(f"Written to {out}: posterior.nc, hypotheses.json, hypotheses.png")
+    console.say(f"Written to {out}: posterior.nc, hypotheses.json, hypotheses.png")

@@ -21,5 +21,5 @@ def run(belief: Belief, out: Path, num_samples: int, seed: int, *, quiet: bool, 
     if as_json:
         console.show_json(found)
     else:
-        console.OUT.print(f"{num_samples} poses from the prior ({found['measures']}; limits {model.limits.name}).")
-        console.OUT.print(f"Written to {out}")
+        console.say(f"{num_samples} poses from the prior ({found['measures']}; limits {model.limits.name}).")
+        console.say(f"Written to {out}")

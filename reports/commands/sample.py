@@ -15,8 +15,9 @@ def run(sight: Sight, belief: Belief, sampler: str, out: Path, num_samples: int,
     import jax
 
     console.output_file(out)
-    model = belief.model()
-    frame = sight.frame(model)
+    with console.progress("torso and camera", quiet):
+        model = belief.model()
+        frame = sight.frame(model)
     with console.progress(f"draws by {sampler}", quiet) as step:
         result = sample(model, frame, key=jax.random.key(seed), sampler=sampler, num_samples=num_samples,
                         max_proposals=max_proposals, progress=step)  # fmt: skip
@@ -27,8 +28,8 @@ def run(sight: Sight, belief: Belief, sampler: str, out: Path, num_samples: int,
         console.show_json(tables.summary_json(result) | {"candidates": tables.candidates_json(result.tree), "out": str(out)})
     else:
         for line in tables.summary_lines(result):
-            console.OUT.print(line)
+            console.say(line)
         console.OUT.print(tables.candidates_table(result.tree))
-        console.OUT.print(f"Written to {out}")
+        console.say(f"Written to {out}")
     if result.status != COMPLETE:
         raise OutOfBudget(f"{result.sentence} (what there is, is saved in {out})")

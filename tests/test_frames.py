@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from instances import random_triple
 
 from probmodel.camera import WeakPerspective
 from probmodel.frames import articulation, azimuth_elevation, direction, lower_frame, pose, unit, upper_frames
 from probmodel.skeleton import BONES, JOINT_INDEX, MIRROR, NUM_JOINTS, TORSO_INDEX
+from tests.instances import random_triple
 
 RNG = np.random.default_rng(0)
 REFERENCE = np.array([0.1, 0.9, -0.3]) / np.linalg.norm([0.1, 0.9, -0.3])

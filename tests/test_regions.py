@@ -7,10 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from goodness import chi_square, floor, hinge_masses, sphere_grid, uniform_each, uniform_square
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instances import cell_tables, hinge_table, hinges_of, index_region
 from scipy import integrate, special, stats
 
 from probmodel.cells import UPPER_MEASURES, Cells, cell_centres, cell_measure
@@ -19,6 +17,8 @@ from probmodel.hinges import LOWER_MEASURES, Hinge
 from probmodel.lengths import BoneLength, LengthPrior
 from probmodel.limits import CELL, GRID, AnatomicalLimits
 from probmodel.published import read_published
+from tests.goodness import chi_square, floor, hinge_masses, sphere_grid, uniform_each, uniform_square
+from tests.instances import cell_tables, hinge_table, hinges_of, index_region
 
 NUM_DRAWS = 10_000
 NAMES, PARAMETERS = hinge_table()

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instances import distributions
 from numpyro.distributions import biject_to, constraints
+
+from tests.instances import distributions
 
 TABLE = distributions()
 DIRECTIONS = [name for name in TABLE if name.startswith(("hinged", "occupied"))]

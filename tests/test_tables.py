@@ -41,7 +41,7 @@ def small_tree(joints: np.ndarray) -> xr.DataTree:
     score[RIGHT_WRIST] = 0
     radius = np.full((2, 15), np.nan)
     radius[:, RIGHT_KNEE] = [5, 7]
-    away = np.diag([-1.0, -1.0, 1.0])
+    lying = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # not symmetric: chest to the right, head away
     number = len(joints)
     posterior = {
         "joints": (("chain", "draw", "joint", "axis"), joints[None]),
@@ -50,7 +50,7 @@ def small_tree(joints: np.ndarray) -> xr.DataTree:
     }
     constant = {
         "radius": (("candidate", "joint"), radius),
-        "rotation": (("candidate", "axis", "body_axis"), np.stack([UPRIGHT, away])),
+        "rotation": (("candidate", "axis", "body_axis"), np.stack([UPRIGHT, lying])),
         "scale": (("candidate",), np.array([28.0, 29.0])),
         "torso_index": (("candidate",), np.array([18, 42])),
         "reprojection_error": (("candidate",), np.array([3.5, 3.6])),
@@ -134,11 +134,11 @@ def test_without_draws_there_are_no_deviations(tree: xr.DataTree) -> None:
 def test_candidates_by_hand(tree: xr.DataTree) -> None:
     first, second = tables.candidates_json(tree)
     assert first["facing"] == "towards camera"
-    assert second["facing"] == "away"
+    assert second["facing"] == "right"
     assert first["log_evidence"] is None, "JSON has no infinity"
     assert first["log_evidence_se"] is None
     assert second == {
-        "candidate": 1, "torso": 42, "facing": "away", "scale_px": 29.0, "reprojection_error_px": 3.6,
+        "candidate": 1, "torso": 42, "facing": "right", "scale_px": 29.0, "reprojection_error_px": 3.6,
         "log_evidence": -16.25, "log_evidence_se": 0.03, "weight": 0.75,
     }  # fmt: skip
     assert row(text(tables.candidates_table(tree)), "2 ") == [

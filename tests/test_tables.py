@@ -143,7 +143,7 @@ def test_candidates_by_hand(tree: xr.DataTree) -> None:
     }  # fmt: skip
     assert row(text(tables.candidates_table(tree)), "2 ") == [
         "2",
-        "away",
+        "right",
         "42",
         "29.0",
         "3.6",

@@ -50,7 +50,7 @@ def demo(
 )
 def hypotheses(
     file: options.File,
-    out: Annotated[Path, typer.Option(help="Folder for posterior.nc, hypotheses.json and hypotheses.png.")] = Path("out"),
+    out: Annotated[Path, typer.Option(help="Folder for posterior.nc, hypotheses.json, hypotheses.png.")] = Path("out"),
     k: Annotated[int, typer.Option(help="How many diverse hypotheses.")] = 5,
     num_samples: options.NumSamples = 10_000,
     seed: options.Seed = 0,
@@ -133,7 +133,7 @@ def prior(
 
 @app.command(epilog=_examples("poseterior check posterior.nc", "poseterior check 01_01.amc --limits limits.npz"))
 def check(
-    file: Annotated[Path, typer.Argument(help="3D poses: .nc, hypotheses.json, .amc, .bvh, .npy, .npz.", show_default=False)],
+    file: Annotated[Path, typer.Argument(help="3D poses: .nc, .json, .amc, .bvh, .npy, .npz.", show_default=False)],
     limits: options.Limits = "default",
     quiet: options.Quiet = False,
     json: options.Json = False,
@@ -147,7 +147,9 @@ def check(
 
 @app.command(epilog=_examples("poseterior learn cmu/01 cmu/02 walk.bvh --out limits.npz"))
 def learn(
-    mocap: Annotated[list[Path], typer.Argument(help="Motion capture: ASF/AMC folders, .bvh, .npz.", show_default=False)],
+    mocap: Annotated[
+        list[Path], typer.Argument(help="Motion capture: ASF/AMC folder, .bvh, .npz.", show_default=False)
+    ],
     out: Annotated[Path, typer.Option(help="File to write.")] = Path("limits.npz"),
     mirror: Annotated[bool, typer.Option(help="Whether what one side did is possible for the other.")] = True,
     quiet: options.Quiet = False,

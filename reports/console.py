@@ -24,7 +24,7 @@ ERR = rich.console.Console(stderr=True, highlight=False, markup=False, emoji=Fal
 PATIENCE = 2.0
 """Seconds after which anything shows its progress."""
 RAREST = 60.0
-"""Most seconds between two lines of progress in a log; the first ones are closer, each twice as late as the one before."""
+"""Most seconds between two lines of progress in a log; the first ones are closer, and every pause is twice the last."""
 Step = Callable[[int, int], None]
 _USAGE: type[Exception] = typer.BadParameter.__mro__[1]
 """What typer raises on a wrong command line, under one name in all its versions."""
@@ -159,8 +159,7 @@ def guarded(app: typer.Typer) -> None:
         code = app(sys.argv[1:] or ["--help"], prog_name="poseterior", standalone_mode=False)
         sys.stdout.flush()
     except BrokenPipeError:
-        # Whoever read the output has gone; nothing is left to say, and Python must not try to flush.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _let_go_of_stdout()  # whoever read it has gone; nothing is left to say
         raise SystemExit(1) from None
     except (KeyboardInterrupt, typer.Abort):
         refuse("interrupted", 130)
@@ -187,8 +186,15 @@ def _verdict(error: Exception) -> tuple[str, int]:
     if isinstance(error, MemoryError):
         return "the memory does not suffice; ask for fewer samples with --num-samples", 2
     if isinstance(error, OSError) and error.filename is None and error.strerror:
+        _let_go_of_stdout()
         return f"cannot write the output ({error.strerror}); make room, or send it elsewhere", 2
     return "", 1
+
+
+def _let_go_of_stdout() -> None:
+    """What cannot be written is given up, before Python tries once more on its way out."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _usage(error: Any) -> str:

@@ -1,0 +1,1 @@
+"""The commands, one file each; `reports.cli` imports a file when its command is called."""

@@ -72,8 +72,7 @@ def read_poses(path: Path) -> Poses:
     readers = {".nc": _from_tree, ".json": _from_json, ".npy": _from_array}
     if suffix not in readers:
         raise BadInput(
-            f"{path} is not a file of 3D poses; check reads .nc and hypotheses.json of poseterior, .amc, .bvh, .npy and "
-            ".npz"
+            f"{path} is not a file of 3D poses; check reads poseterior's .nc and .json, .amc, .bvh, .npy, .npz"
         )
     return readers[suffix](path)
 
@@ -88,7 +87,7 @@ def _from_tree(path: Path) -> Poses:
     try:
         with xr.open_datatree(path, engine="netcdf4") as tree:
             group = next(name for name in ("posterior", "prior") if name in tree.children)
-            joints = tree[group]["joints"].values
+            joints = np.asarray(tree[group]["joints"].values)
     except Exception as error:  # netCDF meets foreign and damaged files with errors of many unrelated kinds.
         raise BadInput(
             f"{path} holds no poses of poseterior ({type(error).__name__}); write one with `poseterior sample`"
@@ -112,7 +111,7 @@ def _from_array(path: Path) -> Poses:
     try:
         joints = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError, MemoryError) as error:
-        raise BadInput(f"{path} is not a NumPy array of numbers ({_words(error)}); save joints with numpy.save") from None
+        raise BadInput(f"{path} is no NumPy array of numbers ({_words(error)}); save joints with numpy.save") from None
     if not isinstance(joints, np.ndarray):
         raise BadInput(f"{path} is an archive of arrays; name it .npz, or save joints with numpy.save")
     return _numbered(joints, "pose", path)
@@ -124,7 +123,7 @@ def _words(error: Exception) -> str:
 
 def _numbered(joints: np.ndarray, kind: str, path: Path, *, first: int = 0) -> Poses:
     if joints.ndim < 2 or joints.shape[-2:] != (NUM_JOINTS, 3) or joints.dtype.kind not in "fiu":
-        raise BadInput(f"{path} has shape {joints.shape} and type {joints.dtype}; it needs numbers (…, {NUM_JOINTS}, 3)")
+        raise BadInput(f"{path} has shape {joints.shape} and type {joints.dtype}; it needs numbers (…, 15, 3)")
     joints = joints.reshape(-1, NUM_JOINTS, 3).astype(float)
     return Poses(joints, [f"{kind} {first + number}" for number in range(len(joints))])
 
@@ -142,6 +141,5 @@ def _require_poses(poses: Poses, path: Path) -> None:
     ends, starts = [bone.end for bone in BONES], [bone.start for bone in BONES]
     for pose, bone in np.argwhere((joints[:, ends] == joints[:, starts]).all(axis=-1))[:1]:
         raise BadInput(
-            f"the bone {BONE_NAMES[bone]} of {names[pose]} in {path} has length zero, and so no direction to check; leave "
-            "that pose out"
+            f"the bone {BONE_NAMES[bone]} of {names[pose]} in {path} has length zero, so no direction; leave it out"
         )

@@ -27,7 +27,9 @@ class Request:
     image: Path | None = None
 
 
-def run(sight: Sight, belief: Belief, request: Request, *, truth: np.ndarray | None, quiet: bool, as_json: bool) -> None:
+def run(
+    sight: Sight, belief: Belief, request: Request, *, truth: np.ndarray | None, quiet: bool, as_json: bool
+) -> None:
     """The main job. Raises `BadInput`, or `OutOfBudget` after saving what was drawn."""
     import jax
 

@@ -25,7 +25,5 @@ def run(paths: list[Path], out: Path, *, mirror: bool, quiet: bool, as_json: boo
     if as_json:
         console.show_json(found)
     else:
-        console.say(
-            f"Learned limits {found['sha256'][:12]}, {found['torsos']} torsos and five ranges of bone lengths."
-        )
+        console.say(f"Learned limits {found['sha256'][:12]}, {found['torsos']} torsos and five ranges of bone lengths.")
         console.say(f"Written to {out}")

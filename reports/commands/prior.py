@@ -17,7 +17,8 @@ def run(belief: Belief, out: Path, num_samples: int, seed: int, *, quiet: bool, 
     with console.progress("draws of the prior", quiet) as step:
         tree = sample_prior(model, key=jax.random.key(seed), num_samples=num_samples, progress=step)
     save_tree(tree, out)
-    found = {"num_samples": num_samples, "limits": tree.attrs["limits"], "measures": tree.attrs["measures"], "out": str(out)}
+    about = {key: tree.attrs[key] for key in ("limits", "measures")}
+    found = {"num_samples": num_samples, **about, "out": str(out)}
     if as_json:
         console.show_json(found)
     else:

@@ -25,7 +25,8 @@ def run(sight: Sight, belief: Belief, sampler: str, out: Path, num_samples: int,
         raise OutOfBudget(result.sentence)
     result.save(out)
     if as_json:
-        console.show_json(tables.summary_json(result) | {"candidates": tables.candidates_json(result.tree), "out": str(out)})
+        found = {"candidates": tables.candidates_json(result.tree), "out": str(out)}
+        console.show_json(tables.summary_json(result) | found)
     else:
         for line in tables.summary_lines(result):
             console.say(line)

@@ -1,0 +1,98 @@
+"""Which package may know which: probmodel ← inference ← reports, nobody knows the tests; and what importing costs."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("probmodel", "inference", "reports")
+FORBIDDEN = {
+    "probmodel": {"inference", "reports", "tests"},
+    "inference": {"reports", "tests"},
+    "reports": {"tests"},
+}
+"""By package, the others that it must not import."""
+FILES = [path.relative_to(ROOT) for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+
+
+def imported(source: str, package: str = "") -> set[str]:
+    """Top-level packages that a source imports anywhere, inside functions and by name too."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found.add((node.module or "").split(".")[0] if node.level == 0 else package)
+        elif isinstance(node, ast.Call) and _imports_by_name(node.func):
+            found |= {str(arg.value).split(".")[0] for arg in node.args if isinstance(arg, ast.Constant)}
+    return found
+
+
+def _imports_by_name(function: ast.expr) -> bool:
+    name = function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
+    return name in ("import_module", "__import__")
+
+
+def offences(source: str, package: str) -> set[str]:
+    """What a file of `package` imports and must not."""
+    return imported(source, package) & FORBIDDEN[package]
+
+
+def test_there_are_files_to_look_at() -> None:
+    assert {path.parts[0] for path in FILES} == set(PACKAGES)
+
+
+@pytest.mark.parametrize("path", FILES, ids=str)
+def test_dependencies_point_one_way(path: Path) -> None:
+    found = offences((ROOT / path).read_text(encoding="utf-8"), path.parts[0])
+    assert not found, f"{path} imports {', '.join(sorted(found))}"
+
+
+@pytest.mark.parametrize(
+    ("package", "source"),
+    [
+        ("probmodel", "import inference"),
+        ("probmodel", "def late():\n    from reports.console import say"),
+        ("probmodel", "import numpy as np, inference.sampler as s"),
+        ("probmodel", "if TYPE_CHECKING:\n    from inference import Frame"),
+        ("probmodel", "importlib.import_module('inference.sampler')"),
+        ("inference", "from reports import tables"),
+        ("inference", "from tests.scenes import camera"),
+        ("reports", "import tests.goodness"),
+    ],
+)
+def test_an_offender_is_caught(package: str, source: str) -> None:
+    assert offences(source, package)
+
+
+@pytest.mark.parametrize(
+    ("package", "source"),
+    [
+        ("probmodel", "from probmodel import limits\nimport numpy"),
+        ("inference", "import probmodel.limits\n# import reports"),
+        ("reports", "from inference import sample\nwords = 'from tests import x'"),
+        ("probmodel", "from . import limits"),
+    ],
+)
+def test_the_innocent_pass(package: str, source: str) -> None:
+    assert not offences(source, package)
+
+
+@pytest.mark.parametrize("path", FILES, ids=str)
+def test_every_module_says_what_it_is(path: Path) -> None:
+    assert ast.get_docstring(ast.parse((ROOT / path).read_text(encoding="utf-8"))), f"{path} has no docstring"
+
+
+def test_the_command_line_starts_without_jax() -> None:
+    heavy = ("jax", "numpyro", "scipy", "xarray", "matplotlib", "sklearn")
+    code = f"import sys, reports.cli; print([name for name in {heavy} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_types_are_declared() -> None:
+    for package in PACKAGES:
+        assert (ROOT / package / "py.typed").exists(), f"{package} has no py.typed"

@@ -40,6 +40,10 @@ class Observation(NamedTuple):
 
     def explains(self, joints: ArrayLike) -> jax.Array:
         """`(...)` bool: whether poses `(..., 15, 3)` in camera axes put every seen joint into its disc."""
-        offset = self.camera.image(joints) - jnp.where(self.has_factor[:, None], jnp.asarray(self.keypoints), 0.0)
-        radius = jnp.where(self.has_factor, jnp.asarray(self.radius), jnp.inf)
-        return jnp.all(jnp.sum(offset**2, axis=-1) <= radius**2, axis=-1)
+        return jnp.vectorize(self._explains, signature="(j,x)->()")(joints)
+
+    def _explains(self, joints: jax.Array) -> jax.Array:
+        seen = self.has_factor
+        offset = self.camera.image(joints) - jnp.where(seen[:, None], jnp.asarray(self.keypoints), 0.0)
+        radius = jnp.where(seen, jnp.asarray(self.radius), jnp.inf)
+        return jnp.all(jnp.sum(offset**2, axis=-1) <= radius**2)

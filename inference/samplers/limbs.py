@@ -61,8 +61,12 @@ class Group:
 
     def explains(self, draws: Draws) -> jax.Array:
         """The accept step, `(n,)` bool: whether each seen joint of the group lies within its disc."""
-        offset = self.reach(draws) - self.target
-        return jnp.all(jnp.sum(offset**2, axis=-1) <= self.radius**2, axis=(-2, -1))
+        return jax.vmap(lambda *draw: _explains(self, *draw))(*draws)
+
+
+def _explains(group: Group, length: jax.Array, upper: jax.Array, lower: jax.Array) -> jax.Array:
+    offset = _reach(group, length, upper, lower) - group.target
+    return jnp.all(jnp.sum(offset**2, axis=-1) <= group.radius**2)
 
 
 def _reach(group: Group, length: jax.Array, upper: jax.Array, lower: jax.Array) -> jax.Array:

@@ -108,12 +108,16 @@ def hinge_box(hinge: Hinge) -> jax.Array:
     return jnp.stack([first - SLACK, last + SLACK, -below - SLACK, above + SLACK])
 
 
+def _like(point: jax.Array, other: jax.Array) -> jax.Array:
+    return jnp.broadcast_to(point, jnp.broadcast_shapes(point.shape, other.shape))
+
+
 def to_segment(point: jax.Array, end: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     """Distance from `point` to the segment {l · end, low ≤ l ≤ high}."""
     square = jnp.sum(end**2, axis=-1)
-    along = jnp.sum(point * end, axis=-1) / jnp.where(square > 0, square, 1.0)
+    along = jnp.sum(_like(point, end) * end, axis=-1) / jnp.where(square > 0, square, 1.0)
     nearest = jnp.clip(along, low, high)[..., None] * end
-    return jnp.linalg.norm(point - nearest, axis=-1)
+    return jnp.linalg.norm(_like(point, end) - nearest, axis=-1)
 
 
 def _feasible(point: jax.Array, end: jax.Array, radius: jax.Array, low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -169,7 +173,7 @@ def plan_limb(limb: Limb) -> Plan:
         flat = jnp.zeros(mass.size)
         return Plan(_sums(mass), flat + 1.0, flat > 0, jnp.zeros((mass.size, 4)))
     middle, half = (limb.low + limb.high) / 2, (limb.high - limb.low) / 2
-    distance = jnp.linalg.norm(limb.target[1] - middle[0] * end, axis=-1) / middle[1]
+    distance = jnp.linalg.norm(_like(limb.target[1], end) - middle[0] * end, axis=-1) / middle[1]
     shift = middle[0] * size / middle[1] + SLACK
     image = jnp.minimum(jnp.linalg.norm(end, axis=-1) + size, 1.0)
     radius = (limb.radius[1] + half[0] * image + half[1]) / middle[1] + SLACK

@@ -51,14 +51,18 @@ def out_of_reach(name: str, group: Group) -> list[OutOfReach]:
 def _excess(group: Group) -> jax.Array:
     """`(limbs, bones)`: at least how far each joint stays from its disc, body units; negative where it may reach it."""
     low, high, size = group.lengths.low, group.lengths.high, cell_sizes()
-    end = -jnp.einsum("lij,abj->labi", group.frame[:, :2], cell_centres())
-    rows = []
-    for column in range(group.num_bones):
-        distance = to_segment(group.target[:, None, None, column], end, low[0], high[0])
-        reach = high[0] * size + (high[1] if column else 0.0)
-        missing = jnp.where(group.cells.occupied, distance - reach, jnp.inf)
-        rows.append(jnp.min(missing, axis=(1, 2)) - group.radius[:, column])
-    return jnp.stack(rows, axis=-1)
+
+    def one(frame: jax.Array, target: jax.Array, radius: jax.Array, occupied: jax.Array, column: int) -> jax.Array:
+        end = -jnp.einsum("ij,abj->abi", frame[:2], cell_centres())
+        distance = to_segment(target[column], end, low[0], high[0])
+        missing = distance - high[0] * size - (high[1] if column else 0.0)
+        return jnp.min(jnp.where(occupied, missing, jnp.inf)) - radius[column]
+
+    each = jax.vmap(one, in_axes=(0, 0, 0, 0, None))
+    columns = [
+        each(group.frame, group.target, group.radius, group.cells.occupied, column) for column in range(group.num_bones)
+    ]
+    return jnp.stack(columns, axis=-1)
 
 
 class Miss(NamedTuple):
@@ -77,8 +81,8 @@ class Miss(NamedTuple):
 
 def nearest_miss(name: str, group: Group) -> Miss:
     """How near draws of the prior come to explaining a group that rejection could not fill."""
-    offset = np.linalg.norm(np.asarray(group.reach(group_prior(jax.random.key(0), group, TRIALS)) - group.target), axis=-1)
-    beyond = offset - np.asarray(group.radius)
+    reach = np.asarray(group.reach(group_prior(jax.random.key(0), group, TRIALS)))
+    beyond = np.linalg.norm(reach - np.asarray(group.target), axis=-1) - np.asarray(group.radius)
     worst = beyond.reshape(TRIALS, -1).max(axis=1)
     nearest = int(np.argmin(worst))
     limb, bone = np.unravel_index(np.argmax(beyond[nearest]), beyond.shape[1:])

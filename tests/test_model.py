@@ -197,10 +197,12 @@ def test_gradient_of_the_potential_is_finite(model, latents, observation) -> Non
 
 
 def test_nuts_runs_from_a_possible_start(model, latents, observation) -> None:
-    """A few steps with wide discs: finite, moving, every draw possible."""
+    """With wide discs, and 100 steps to find the step size: the chain moves, and every draw is possible."""
     wide = observation._replace(radius=np.asarray(observation.radius) * 10)
-    kernel = NUTS(model.posterior, init_strategy=init_to_value(values=latents), max_tree_depth=3)
-    mcmc = MCMC(kernel, num_warmup=20, num_samples=20, progress_bar=False)
+    kernel = NUTS(
+        model.posterior, init_strategy=init_to_value(values=latents), adapt_mass_matrix=False, max_tree_depth=3
+    )
+    mcmc = MCMC(kernel, num_warmup=100, num_samples=20, progress_bar=False)
     mcmc.run(jax.random.key(0), wide)
     sample = mcmc.get_samples()
     assert sample["joints"].shape == (20, NUM_JOINTS, 3)

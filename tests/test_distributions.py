@@ -143,13 +143,13 @@ def outside(name: str) -> list[np.ndarray]:
         return [1.001 * value, 0.0 * value, 0.5 * value, np.full_like(value, np.nan), np.full_like(value, np.inf)]
     if name.startswith("disc"):
         law = TABLE[name]
-        away = np.asarray(law.centre + law.radius[..., None] * np.array([0.8, 0.6]) * (1 + 1e-9))
+        away = np.asarray(law.centre) + np.asarray(law.radius)[..., None] * np.array([0.8, 0.6]) * (1 + 1e-9)
         return [np.broadcast_to(away, value.shape), np.full_like(value, np.nan), np.full_like(value, np.inf)]
     if name.startswith("length"):
         out = np.array(value)
         out[..., 2] = np.asarray(LENGTHS.high)[2] + 1e-9
         return [-value, value + 100, out, np.full_like(value, np.nan)]
-    return [np.array([-1, 7, 100]), np.array([0.5, 6.5]), np.array([np.nan, np.inf])]
+    return [np.array([-1, 7, 100]), np.array([0.5, 6.5])]
 
 
 @pytest.mark.parametrize("name", TABLE)
@@ -231,7 +231,7 @@ def test_discs_are_filled_evenly() -> None:
     """10,000 draws of three discs: (distance/τ)² and the angle uniform (Kolmogorov–Smirnov, false alarm 1e-4 over 6);
     the density is one over the area; and the square root left out is found out."""
     law = TABLE["disc three"]
-    offset = (np.asarray(law.sample(KEY, (10_000,))) - law.centre) / law.radius[:, None]
+    offset = (np.asarray(law.sample(KEY, (10_000,))) - np.asarray(law.centre)) / np.asarray(law.radius)[:, None]
     distance = np.linalg.norm(offset, axis=-1)
     angle = np.arctan2(offset[..., 1], offset[..., 0]) / (2 * np.pi) + 0.5
     assert uniform_each(np.concatenate([distance**2, angle], axis=1)).min() > floor(6)
@@ -348,7 +348,8 @@ def test_recipe_avoids_the_plane(recipe_against_area) -> None:
 @pytest.mark.parametrize(("measure", "least"), [("area", 0.15), ("box", 0.02)])
 def test_total_variation_of_the_recipe(published_hinges, measure: str, least: float) -> None:
     """Total variation between the recipe and a measure, on 6 × 6 × 2 parts of each hinge and the rim apart.
-    of each of 24 hinges, so that two equal laws would read about 0.025. A lower bound of the true distance."""
+    From 20,000 draws of each of 24 hinges two equal laws would read about 0.025.
+    A lower bound of the true distance."""
     some = jax.tree.map(lambda leaf: leaf[-24:], published_hinges)
     pair = recipe_and_reference(some, measure, 20_000, 7)
     distances = []

@@ -27,10 +27,11 @@ def _frame(torso: dict[str, np.ndarray], legs: bool) -> np.ndarray:
 def _uniform_lower(limits, bone, column, row, rng):
     """Directions uniform per steradian on what the plane and the box of each draw's own cell leave."""
     result = np.full((len(column), 3), np.nan)
-    normal, tangent = limits.normal[bone, column, row], limits.tangent[bone, column, row]
+    normal, tangent, offset, box = (
+        np.asarray(table)[bone, column, row] for table in (limits.normal, limits.tangent, limits.offset, limits.bounds)
+    )
     second = _unit(tangent - np.sum(tangent * normal, axis=-1, keepdims=True) * normal)
     third = np.cross(normal, second)
-    offset, box = limits.offset[bone, column, row], limits.bounds[bone, column, row]
     left = np.arange(len(column))
     while len(left):
         b = _unit(rng.normal(size=(len(left), 3)))
@@ -88,6 +89,13 @@ def brute_force(limits, lengths, frame, name, number, seed):
     candidate = frame.candidates[0]
     torso = np.asarray(candidate.torso) @ np.asarray(candidate.camera.rotation).T
     radius = frame.detection.radius(float(candidate.camera.scale), factor=frame.factor, joints=frame.joints)
-    size, joints = propose_group(limits, lengths, torso, name, number, rng)
-    ok = accepted(joints, candidate.camera, frame.detection.keypoints, radius)
-    return size[ok], {joint: points[ok] for joint, points in joints.items()}, number
+    sizes, parts = [], []
+    for start in range(0, number, CHUNK):
+        size, joints = propose_group(limits, lengths, torso, name, min(CHUNK, number - start), rng)
+        ok = accepted(joints, candidate.camera, frame.detection.keypoints, radius)
+        sizes.append(size[ok])
+        parts.append({joint: points[ok] for joint, points in joints.items()})
+    return np.concatenate(sizes), {joint: np.concatenate([part[joint] for part in parts]) for joint in parts[0]}, number
+
+
+CHUNK = 200_000

@@ -1,7 +1,7 @@
 """How a posterior is computed: estimators of torso and camera, samplers with one face, hypotheses.
 
-    frame = inference.estimate_torso(detection)
-    result = inference.sample(model, frame, key=jax.random.key(0), num_samples=10_000)
+frame = inference.estimate_torso(detection)
+result = inference.sample(model, frame, key=jax.random.key(0), num_samples=10_000)
 """
 
 from inference.candidates import Candidate, Frame

@@ -24,5 +24,6 @@ def in_chunks(function: Callable[..., Any], *rows: np.ndarray, size: int = CHUNK
         missing = size - len(piece[0])
         padded = [np.concatenate([part, np.repeat(part[-1:], missing, axis=0)]) for part in piece] if missing else piece
         result = function(*padded)
-        parts.append(jax.tree.map(lambda leaf, keep=len(piece[0]): np.asarray(leaf)[:keep], result))
+        keep = size - missing
+        parts.append(jax.tree.map(lambda leaf, keep=keep: np.asarray(leaf)[:keep], result))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)

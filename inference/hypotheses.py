@@ -38,14 +38,16 @@ class Hypothesis(NamedTuple):
 
     def as_json(self) -> dict:
         """The form it has in hypotheses.json."""
-        joints = {name: [round(float(value), 6) for value in xyz] for name, xyz in zip(JOINTS, self.joints, strict=True)}
+        joints = {
+            name: [round(float(value), 6) for value in xyz] for name, xyz in zip(JOINTS, self.joints, strict=True)
+        }
         return {"joints": joints, "weight": self.weight, "draw": self.draw}
 
 
 def hypotheses(result: Result, k: int = 5, *, seed: int = 0) -> list[Hypothesis]:
     """`k` diverse poses among a result's draws, heaviest cluster first. Raises `BadInput` where k is not from 1 to the
     number of draws."""
-    joints = result.tree["posterior"]["joints"].values
+    joints = np.asarray(result.tree["posterior"]["joints"])
     return diverse(joints.reshape(-1, *joints.shape[-2:]), k, seed=seed)
 
 
@@ -106,10 +108,8 @@ def _limb_grid(group: Group, row: int, limb: Limb, length: np.ndarray) -> tuple[
     else:
         upper, lower = _lower_grid(group, row, upper)
     sizes = np.array([length[bone.length_group] for bone in limb.bones])
-    alone = jax.tree.map(lambda leaf: leaf[row : row + 1], (group.frame, group.target, group.radius, group.fallback))
-    one = Group(*alone[:3], group.cells, group.hinges, group.lengths, group.reference, alone[3])
     draws = Draws(np.broadcast_to(sizes, (len(upper), len(sizes))), upper[:, None], lower[:, None])
-    kept = np.asarray(one.explains(draws)) if len(upper) else np.zeros(0, bool)
+    kept = np.asarray(group.limb(row).explains(draws)) if len(upper) else np.zeros(0, bool)
     return upper[kept], lower[kept]
 
 

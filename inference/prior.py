@@ -63,4 +63,4 @@ def _draw(key: jax.Array, model: PoseModel) -> tuple[jax.Array, ...]:
     upper = OccupiedDirection(model.cells).sample(for_upper, (CHUNK,))
     lower = HingedDirection(model.hinges_at(upper)).sample(for_lower)
     joints = model.joints(jnp.asarray(model.torsos)[torso], length, upper, lower)
-    return torso, length, joints, model.log_prior(length, upper, lower) - jnp.log(len(model.torsos))
+    return torso, length, joints, model.log_prior(length, upper, lower) - jnp.log(model.torsos.shape[0])

@@ -15,15 +15,17 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.chunks import in_chunks
 from inference.candidates import Candidate, Frame
+from inference.chunks import in_chunks
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS
 
 _PACKAGES = ("poseterior", "numpyro", "jax", "numpy", "scipy", "arviz", "xarray")
-BASE_MEASURE = "counting (torso) x length (5, body units) x surface of the unit sphere (9 directions) x image area (px2)"
+BASE_MEASURE = (
+    "counting (torso) x length (5, body units) x surface of the unit sphere (9 directions) x image area (px2)"
+)
 COMPLETE, OUT_OF_BUDGET, IMPOSSIBLE = "complete", "out of budget", "impossible"
 
 

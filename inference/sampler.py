@@ -43,7 +43,11 @@ class CandidateSampler:
 
     def more(self, number: int, budget: Budget) -> bool:
         """Goes on until every group holds `number` draws; False where it cannot."""
-        return not self.unreachable and all([sampler.more(number, budget) for sampler in self.samplers])
+        if self.unreachable:
+            return False
+        # Every group goes on, also when another one cannot: what there is shall be as much as there can be.
+        done = [sampler.more(number, budget) for sampler in self.samplers]
+        return all(done)
 
     @property
     def held(self) -> int:
@@ -178,9 +182,7 @@ def _shares(log_weight: np.ndarray) -> np.ndarray:
     return share / share.sum()
 
 
-def _fill(
-    samplers: list[CandidateSampler], counts: np.ndarray, budget: Budget, progress: Progress | None
-) -> bool:
+def _fill(samplers: list[CandidateSampler], counts: np.ndarray, budget: Budget, progress: Progress | None) -> bool:
     done, wanted = 0, int(counts.sum())
     for candidate, count in zip(samplers, counts, strict=True):
         for target in [*range(STEP, int(count), STEP), int(count)]:
@@ -197,13 +199,13 @@ def _mixture_evidence(prior: np.ndarray, parts: list[CandidateDraws]) -> tuple[f
     log_terms = prior + np.array([part.log_evidence for part in parts])
     if not np.isfinite(log_terms).any():
         return -math.inf, math.inf
-    errors = np.array([part.log_evidence_se if share > 0 else 0.0 for part, share in zip(parts, _shares(log_terms), strict=True)])
+    errors = np.array(
+        [part.log_evidence_se if share > 0 else 0.0 for part, share in zip(parts, _shares(log_terms), strict=True)]
+    )
     return float(np.logaddexp.reduce(log_terms)), float(np.sqrt(np.sum((_shares(log_terms) * errors) ** 2)))
 
 
-def _explain(
-    samplers: list[CandidateSampler], frame: Frame, budget: Budget, held: int, wanted: int
-) -> tuple[str, str]:
+def _explain(samplers: list[CandidateSampler], frame: Frame, budget: Budget, held: int, wanted: int) -> tuple[str, str]:
     """Why there are fewer draws than wanted, in a sentence that names the joint or the group."""
     if all(candidate.unreachable for candidate in samplers):
         joint = samplers[0].unreachable[0]
@@ -215,8 +217,8 @@ def _explain(
     miss = nearest_miss(name, samplers[index].groups[name])
     scale = float(frame.candidates[index].camera.scale)
     return OUT_OF_BUDGET, (
-        f"{held} of {wanted} draws after {budget.spent:,} proposals for {frame.detection.where}: the {name} stand in the "
-        f"way ({miss.sentence(scale)}); ask for fewer samples, allow more proposals, or mend that detection"
+        f"{held} of {wanted} draws after {budget.spent:,} proposals for {frame.detection.where}: the {name} stand in "
+        f"the way ({miss.sentence(scale)}); ask for fewer samples, allow more proposals, or mend that detection"
     )
 
 

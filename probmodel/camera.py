@@ -8,15 +8,16 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
 
 class WeakPerspective(NamedTuple):
     """Camera with `scale` `()`, `rotation` `(3, 3)` from body to camera axes (proper), `translation` `(2,)`."""
 
-    scale: ArrayLike
-    rotation: ArrayLike
-    translation: ArrayLike
+    scale: float | np.ndarray | jax.Array
+    rotation: np.ndarray | jax.Array
+    translation: np.ndarray | jax.Array
 
     def view(self, points: ArrayLike) -> jax.Array:
         """Turns points `(..., 3)` from body axes into camera axes, body units."""
@@ -25,7 +26,7 @@ class WeakPerspective(NamedTuple):
     def image(self, points: ArrayLike) -> jax.Array:
         """Projects points `(..., 3)` that are already in camera axes to pixels `(..., 2)`."""
         planar = jnp.asarray(points)[..., :2]
-        return self.scale * planar + jnp.broadcast_to(jnp.asarray(self.translation), planar.shape)
+        return jnp.asarray(self.scale) * planar + jnp.broadcast_to(jnp.asarray(self.translation), planar.shape)
 
     def project(self, points: ArrayLike) -> jax.Array:
         """Projects points `(..., 3)` in body axes to pixels `(..., 2)`."""

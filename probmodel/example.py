@@ -7,7 +7,7 @@ import json
 import sys
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,7 +19,7 @@ from probmodel.learning import body_unit
 from probmodel.motion import read_motion
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 
-RECIPE = {
+RECIPE: dict[str, Any] = {
     "sequence": "soccer/soccer_1", "frame": 120, "yaw": 15.0, "tilt": 12.0, "scale": 110.0, "noise": 0.05,
     "missing": ["right_wrist"], "image_size": [480, 640], "seed": 7,
 }  # fmt: skip
@@ -42,7 +42,7 @@ def example() -> Example:
     return Example(read_detections(path)[0], np.array([truth[name] for name in JOINTS]), path)
 
 
-def make_example(joints: np.ndarray, recipe: dict) -> dict:
+def make_example(joints: np.ndarray, recipe: dict[str, Any]) -> dict[str, Any]:
     """The native JSON of a pose `(15, 3)` (Y up) under a recipe: projected, disturbed, some joints removed.
 
     Scores fall with the disturbance, as a detector's do.
@@ -77,6 +77,6 @@ def make_example(joints: np.ndarray, recipe: dict) -> dict:
 
 if __name__ == "__main__":
     motion = next(motion for motion in read_motion(sys.argv[1]) if RECIPE["sequence"] in motion.name)
-    made = make_example(motion.joints[RECIPE["frame"]], RECIPE)
+    made = make_example(motion.joints[int(RECIPE["frame"])], RECIPE)
     out = Path(str(resources.files("probmodel.data") / "example.json"))
     out.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.special import betainc, gammaln, ndtri, xlog1py, xlogy
 from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
@@ -18,10 +19,10 @@ from probmodel.supports import same_rank
 class LengthPrior(NamedTuple):
     """Ranges `low`, `high` (body units) and Beta parameters `alpha`, `beta` of the length groups, `(5,)` each."""
 
-    low: ArrayLike
-    high: ArrayLike
-    alpha: ArrayLike
-    beta: ArrayLike
+    low: np.ndarray | jax.Array
+    high: np.ndarray | jax.Array
+    alpha: np.ndarray | jax.Array
+    beta: np.ndarray | jax.Array
 
 
 class BoneLength(Distribution):

@@ -43,7 +43,7 @@ class PoseModel:
 
     limits: AnatomicalLimits
     lengths: LengthPrior
-    torsos: ArrayLike
+    torsos: jax.Array
     cells: Cells
     hinges: Hinge
     upper: str
@@ -51,12 +51,15 @@ class PoseModel:
 
     def __init__(self, limits: AnatomicalLimits | None = None, lengths: LengthPrior | None = None,
                  torsos: ArrayLike | None = None, *, upper: str = "angle", lower: str = "area") -> None:  # fmt: skip
-        embedded = Anatomy.default() if None in (limits, lengths) or torsos is None else None
-        limits = embedded.limits if limits is None else limits
+        if limits is None or lengths is None or torsos is None:
+            embedded = Anatomy.default()
+            limits = embedded.limits if limits is None else limits
+            lengths = embedded.lengths if lengths is None else lengths
+            torsos = embedded.torsos if torsos is None else torsos
         self._set(
             limits=jax.tree.map(jnp.asarray, limits),
-            lengths=jax.tree.map(jnp.asarray, embedded.lengths if lengths is None else lengths),
-            torsos=jnp.asarray(embedded.torsos if torsos is None else torsos),
+            lengths=jax.tree.map(jnp.asarray, lengths),
+            torsos=jnp.asarray(torsos),
             **_regions(limits, upper, lower),
             upper=upper,
             lower=lower,
@@ -74,9 +77,7 @@ class PoseModel:
         model = object.__new__(cls)
         limits, lengths, torsos, cells, hinges = children
         upper, lower = measures
-        model._set(
-            limits=limits, lengths=lengths, torsos=torsos, cells=cells, hinges=hinges, upper=upper, lower=lower
-        )
+        model._set(limits=limits, lengths=lengths, torsos=torsos, cells=cells, hinges=hinges, upper=upper, lower=lower)
         return model
 
     @classmethod
@@ -90,7 +91,7 @@ class PoseModel:
         return jax.tree.map(lambda leaf: leaf[jnp.arange(NUM_LOWER), column, row], self.hinges)
 
     def joints(self, torso: ArrayLike, length: ArrayLike, upper: ArrayLike, lower: ArrayLike) -> jax.Array:
-        """Joints `(..., 15, 3)` in the axes of the `torso` `(..., 6, 3)`, from the five lengths `(..., 5)` and the local
+        """Joints `(..., 15, 3)` in the axes of the `torso` `(..., 6, 3)`, from the lengths `(..., 5)` and the local
         directions `(..., 5, 3)`, `(..., 4, 3)`."""
         length = jnp.asarray(length)[..., jnp.array(LENGTH_OF_BONE)]
         return pose(torso, upper, lower, length, jnp.asarray(self.limits.reference), jnp.asarray(self.limits.fallback))

@@ -58,7 +58,9 @@ def propose_group(limits, lengths, torso, name, number, rng):
         column, row = cells[rng.integers(len(cells), size=number)].T
         azimuth = np.radians(-180 + 3 * (column + rng.uniform(size=number)))
         elevation = np.radians(-90 + 3 * (row + rng.uniform(size=number)))
-        local = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1)
+        local = np.stack(
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1
+        )
         upper = local @ frame.T
         end = start - size[:, :1] * upper
         joints[limb.bones[0].end] = end
@@ -84,7 +86,7 @@ def accepted(joints, camera, keypoints, radius):
 
 
 def brute_force(limits, lengths, frame, name, number, seed):
-    """Accepted lengths `(m, bones)`, joints `{joint: (m, 3)}` and the number proposed, for a frame's first candidate."""
+    """Accepted lengths `(m, bones)`, joints `{joint: (m, 3)}`, the number proposed, for a frame's first candidate."""
     rng = np.random.default_rng(seed)
     candidate = frame.candidates[0]
     torso = np.asarray(candidate.torso) @ np.asarray(candidate.camera.rotation).T

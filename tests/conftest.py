@@ -15,5 +15,5 @@ SHARED = Path(__file__).parents[2] / "shared" / "data"
 def shared_data() -> Path:
     """The folder of real motion capture, detections and published tables, which is not part of the repository."""
     if not SHARED.is_dir():
-        pytest.skip("the shared data pack (real motion capture, detections, published limits) is not beside the checkout")
+        pytest.skip("the shared data pack (motion capture, detections, published limits) is not beside the checkout")
     return SHARED

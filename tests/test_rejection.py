@@ -64,7 +64,9 @@ def test_pruned_rejection_follows_the_second_implementation(model, seed, missing
         assert len(size) >= 200, f"brute force accepted only {len(size)} {name}"
         ours = columns(result, name)
         theirs = dict(zip([LENGTH_GROUPS[bone.length_group] for bone in GROUPS[name][0].bones], size.T, strict=True))
-        theirs |= {f"{JOINTS[joint]} {'xyz'[axis]}": points[:, axis] for joint, points in joints.items() for axis in range(3)}
+        theirs |= {
+            f"{JOINTS[joint]} {'xyz'[axis]}": points[:, axis] for joint, points in joints.items() for axis in range(3)
+        }
         pairs += [(ours[label], theirs[label]) for label in ours]
         log_evidence += np.log(len(size) / proposed)
         variance += 1 / len(size)
@@ -87,22 +89,13 @@ def drawn(sampler, number: int) -> Draws:
     return Draws(*(np.asarray(leaf)[:number] for leaf in draws))
 
 
-def one_leg(group, row: int):
-    """The group that consists of one leg alone, with lengths of its own."""
-    parts = jax.tree.map(lambda leaf: leaf[row : row + 1], (group.frame, group.target, group.radius, group.cells,
-                                                           group.hinges, group.fallback))  # fmt: skip
-    frame, target, radius, cells, hinges, fallback = parts
-    return dataclasses.replace(group, frame=frame, target=target, radius=radius, cells=cells, hinges=hinges,
-                               fallback=fallback)  # fmt: skip
-
-
 def test_shared_lengths_shift_as_brute_force_says_and_lengths_per_side_do_not():
     """Negative control: lengths drawn for each side apart must fail where shared ones pass (legs, 20,000 draws)."""
     model, frame, legs = coupled_scene()
     exact = drawn(PrunedGroup(key(0), "legs", legs), 20_000)
     size, _, _ = brute_force(model.limits, model.lengths, frame, "legs", 3_000_000, 3)
     assert len(size) > 250
-    per_side = drawn(PrunedGroup(key(1), "legs", one_leg(legs, 1)), 20_000)
+    per_side = drawn(PrunedGroup(key(1), "legs", legs.limb(1)), 20_000)
     shared = [(exact.length[:, column], size[:, column]) for column in range(2)]
     apart = [(per_side.length[:, column], size[:, column]) for column in range(2)]
     assert smallest(shared) > FAMILY
@@ -114,9 +107,9 @@ def test_shared_lengths_shift_as_brute_force_says_and_lengths_per_side_do_not():
 def test_redrawing_only_the_lower_bone_is_another_law():
     """Negative control: upper bones accepted by their own disc, lower ones drawn until theirs fits."""
     _, _, legs = coupled_scene()
-    exact = drawn(PrunedGroup(key(0), "leg", one_leg(legs, 0)), 4000)
-    again = drawn(PrunedGroup(key(9), "leg", one_leg(legs, 0)), 4000)
-    knee_only = dataclasses.replace(one_leg(legs, 0), radius=one_leg(legs, 0).radius.at[:, 1].set(jnp.inf))
+    exact = drawn(PrunedGroup(key(0), "leg", legs.limb(0)), 4000)
+    again = drawn(PrunedGroup(key(9), "leg", legs.limb(0)), 4000)
+    knee_only = dataclasses.replace(legs.limb(0), radius=legs.limb(0).radius.at[:, 1].set(jnp.inf))
     wrong = drawn(PriorGroups(key(2), {"leg": knee_only}), 4000)
 
     def elevation(draws):
@@ -129,7 +122,7 @@ def test_redrawing_only_the_lower_bone_is_another_law():
 @pytest.mark.parametrize("factor", [0.02, 0.25, 1.5])
 @pytest.mark.parametrize(("upper", "lower"), [("angle", "area"), ("area", "box")])
 def test_bounds_are_bounds(upper, lower, factor):
-    """Tries to break the pruned proposal: a pose of the prior, its own detections, tiny to huge discs. The pose explains
+    """Tries to break the pruned proposal: poses of the prior, their own detections, tiny to huge discs. A pose explains
     them, so its cells must be kept, its lower bones lie in their rectangles, and the rectangles within their bounds."""
     model = PoseModel(upper=upper, lower=lower)
     observation = prior_scene(model, 3).observation(prior_scene(model, 3).candidates[0])
@@ -139,12 +132,15 @@ def test_bounds_are_bounds(upper, lower, factor):
         reach = group.reach(draws)
         rng = np.random.default_rng(5)
         radius = factor * rng.uniform(0.3, 2, group.radius.shape)
-        angle, distance = rng.uniform(0, 2 * np.pi, reach.shape[:-1]), radius * np.sqrt(rng.uniform(size=reach.shape[:-1]))
+        angle, distance = (
+            rng.uniform(0, 2 * np.pi, reach.shape[:-1]),
+            radius * np.sqrt(rng.uniform(size=reach.shape[:-1])),
+        )
         target = reach + distance[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         for row in range(group.num_limbs):
             check = functools.partial(_violations, limbs_of(group)[row], jnp.asarray(radius[row]))
-            broken = jax.lax.map(lambda item, check=check: check(*item), (target[:, row], draws.upper[:, row],
-                                                                          draws.lower[:, row]), batch_size=50)  # fmt: skip
+            items = (target[:, row], draws.upper[:, row], draws.lower[:, row])
+            broken = jax.lax.map(lambda item, check=check: check(*item), items, batch_size=50)
             assert not np.asarray(broken).any()
 
 
@@ -185,8 +181,8 @@ def test_bounds_test_can_fail():
     limb = dataclasses.replace(limbs_of(group)[0], high=limbs_of(group)[0].low + 1e-3)
     reach = group.reach(draws)
     radius = jnp.full(2, 0.02)
-    broken = jax.lax.map(lambda item: _violations(limb, radius, *item), (reach[:, 0], draws.upper[:, 0], draws.lower[:, 0]),
-                         batch_size=50)  # fmt: skip
+    items = (reach[:, 0], draws.upper[:, 0], draws.lower[:, 0])
+    broken = jax.lax.map(lambda item: _violations(limb, radius, *item), items, batch_size=50)
     assert np.asarray(broken).any()
 
 
@@ -242,7 +238,11 @@ def test_an_exhausted_budget_returns_what_there_is(model):
 def test_every_sampler_has_the_same_face(model, sampler):
     """Same arguments, same result: tree, status, sentence, evidence with its error."""
     seen = ("right_wrist", "left_knee")
-    missing = tuple(name for name in JOINTS if name.split("_")[-1] in ("elbow", "wrist", "knee", "ankle", "head") and name not in seen)
+    missing = tuple(
+        name
+        for name in JOINTS
+        if name.split("_")[-1] in ("elbow", "wrist", "knee", "ankle", "head") and name not in seen
+    )
     frame = prior_scene(model, 4, factor=0.8, missing=missing)
     result = inference.sample(model, frame, sampler=sampler, key=key(0), num_samples=50)
     assert result.status == COMPLETE

@@ -24,9 +24,9 @@ class Draws(NamedTuple):
     """Draws of a group: `length` `(n, bones)` shared by its limbs, `upper` `(n, limbs, 3)`, `lower` `(n, limbs, 3)`
     local directions (of no account in a group whose limbs have one bone)."""
 
-    length: jax.Array
-    upper: jax.Array
-    lower: jax.Array
+    length: jax.Array | np.ndarray
+    upper: jax.Array | np.ndarray
+    lower: jax.Array | np.ndarray
 
 
 @jax.tree_util.register_dataclass
@@ -54,6 +54,12 @@ class Group:
     @property
     def num_bones(self) -> int:
         return self.target.shape[1]
+
+    def limb(self, row: int) -> "Group":
+        """The group that consists of one of the limbs, with lengths of its own."""
+        names = ("frame", "target", "radius", "cells", "hinges", "fallback")
+        parts = {name: jax.tree.map(lambda leaf: leaf[row : row + 1], getattr(self, name)) for name in names}
+        return dataclasses.replace(self, **parts)
 
     def reach(self, draws: Draws) -> jax.Array:
         """Image positions `(n, limbs, bones, 2)` of the joints minus the limb's start, body units."""

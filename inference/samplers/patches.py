@@ -67,8 +67,8 @@ def limbs_of(group: Group) -> list[Limb]:
     limbs = []
     for index in range(group.num_limbs):
         frame, target, radius, cells, hinges, fallback = jax.tree.map(lambda leaf, row=index: leaf[row], columns)
-        limbs.append(Limb(frame, target, radius, group.lengths.low, group.lengths.high, cells, hinges,
-                          group.reference, fallback))  # fmt: skip
+        low, high = jnp.asarray(group.lengths.low), jnp.asarray(group.lengths.high)
+        limbs.append(Limb(frame, target, radius, low, high, cells, hinges, group.reference, fallback))
     return limbs
 
 
@@ -120,7 +120,9 @@ def to_segment(point: jax.Array, end: jax.Array, low: jax.Array, high: jax.Array
     return jnp.linalg.norm(_like(point, end) - nearest, axis=-1)
 
 
-def _feasible(point: jax.Array, end: jax.Array, radius: jax.Array, low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _feasible(
+    point: jax.Array, end: jax.Array, radius: jax.Array, low: jax.Array, high: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """The lengths l in [low, high] with |point - l · end| ≤ radius: an interval, empty where it comes out reversed."""
     a, b, c = end @ end, end @ point, point @ point - radius**2
     root = b * b - a * c
@@ -148,7 +150,7 @@ def _to_parallelogram(point: jax.Array, one: jax.Array, other: jax.Array, low: j
 
 
 def cell_sizes() -> jax.Array:
-    """`(120, 60)`: how far, as a chord, a direction in the cell can be from the cell's centre (a corner is farthest)."""
+    """`(120, 60)`: how far, as a chord, a direction in the cell can be from its centre (a corner is farthest)."""
     row = jnp.arange(NUM_ELEVATION)
     centre = direction(0.0 * row, (row + 0.5) * CELL - jnp.pi / 2)
     corners = [direction(0.0 * row + CELL / 2, (row + side) * CELL - jnp.pi / 2) for side in (0, 1)]

@@ -15,7 +15,6 @@ from inference.samplers.rejection import group_prior
 from probmodel.cells import cell_centres
 from probmodel.skeleton import GROUPS, JOINTS
 
-
 TRIALS = 1 << 15
 """Draws of the prior among which the nearest miss is looked for."""
 
@@ -50,7 +49,7 @@ def out_of_reach(name: str, group: Group) -> list[OutOfReach]:
 @jax.jit
 def _excess(group: Group) -> jax.Array:
     """`(limbs, bones)`: at least how far each joint stays from its disc, body units; negative where it may reach it."""
-    low, high, size = group.lengths.low, group.lengths.high, cell_sizes()
+    low, high, size = jnp.asarray(group.lengths.low), jnp.asarray(group.lengths.high), cell_sizes()
 
     def one(frame: jax.Array, target: jax.Array, radius: jax.Array, occupied: jax.Array, column: int) -> jax.Array:
         end = -jnp.einsum("ij,abj->abi", frame[:2], cell_centres())

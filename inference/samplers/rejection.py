@@ -143,7 +143,8 @@ class PrunedGroup:
         self.name, self.group = name, group
         self._key = jax.random.fold_in(key, 0)
         self.streams = [
-            LimbStream(jax.random.fold_in(key, index + 1), limb, plan_limb(limb)) for index, limb in enumerate(limbs_of(group))
+            LimbStream(jax.random.fold_in(key, index + 1), limb, plan_limb(limb))
+            for index, limb in enumerate(limbs_of(group))
         ]
         self._pile = _Pile()
         self._chunks = self._tried = 0

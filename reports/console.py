@@ -155,6 +155,9 @@ def guarded(app: typer.Typer) -> None:
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError):  # what a test or a notebook puts there may not be able to
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    for word in sys.argv:
+        if any("\ud800" <= letter <= "\udfff" for letter in word):
+            refuse(f"{word} is not UTF-8, and could not be recorded in the results; rename it", 2)
     try:
         code = app(sys.argv[1:] or ["--help"], prog_name="poseterior", standalone_mode=False)
         sys.stdout.flush()

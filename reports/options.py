@@ -67,6 +67,10 @@ class Belief:
         return PoseModel.from_anatomy(self.anatomy(), upper=self.upper, lower=self.lower)
 
 
+SMALLEST_FACTOR = 1e-6
+"""Areas of discs smaller than this, or larger than its inverse, would in the end overflow."""
+
+
 @dataclass(frozen=True)
 class Sight:
     """Which person of which file, and how torso, camera and discs come out of it."""
@@ -93,7 +97,11 @@ class Sight:
 
         from inference import estimate_torso
         from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
+        from probmodel.failures import BadInput
 
+        if not SMALLEST_FACTOR <= self.factor <= 1 / SMALLEST_FACTOR:  # false for NaN too
+            limits = f"{SMALLEST_FACTOR:g} and {1 / SMALLEST_FACTOR:g}"
+            raise BadInput(f"--factor must lie between {limits}, not {self.factor:g}; the paper has 0.25")
         joints = LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS
         return estimate_torso(self.detection(), self.estimator, torsos=np.asarray(model.torsos),
                               num_candidates=self.candidates, factor=self.factor, joints=joints)  # fmt: skip

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import resource
+import signal
 import subprocess
 import sys
 import time
@@ -242,9 +243,11 @@ REFUSALS = [
     Refusal("unknown format", HYPOTHESES + "--format xml", GOOD, "no format 'xml'; choose auto or one of poseterior"),
     Refusal("wrong format", HYPOTHESES + "--format coco-results", GOOD, "f.json is .* where a JSON array is needed"),
     Refusal("unknown measure", HYPOTHESES + "--upper volume", GOOD, "invalid value for '--upper'"),
-    Refusal("zero factor", HYPOTHESES + "--factor 0", GOOD, "the factor of the radii must lie between 0 and .*, not 0"),
-    Refusal("negative factor", HYPOTHESES + "--factor -1", GOOD, "the factor of the radii must .*, not -1"),
-    Refusal("NaN factor", HYPOTHESES + "--factor nan", GOOD, "the factor of the radii must .*, not nan"),
+    Refusal("zero factor", HYPOTHESES + "--factor 0", GOOD, "--factor must lie between 1e-06 and 1e.06, not 0;"),
+    Refusal("negative factor", HYPOTHESES + "--factor -1", GOOD, "--factor must lie between .*, not -1;"),
+    Refusal("NaN factor", HYPOTHESES + "--factor nan", GOOD, "--factor must lie between .*, not nan;"),
+    Refusal("tiny factor", HYPOTHESES + "--factor 1e-300", GOOD, "--factor must lie between .*, not 1e-300;"),
+    Refusal("name of no letters", "hypotheses @\udcff.json --out @out", {}, "is not UTF-8, .*; rename it"),
     Refusal("NaN threshold", HYPOTHESES + "--threshold nan", GOOD, "the threshold of the scores must be 0 or"),
     Refusal("threshold above all", HYPOTHESES + "--threshold 9", GOOD, "above the threshold 9; lower the threshold"),
     Refusal("missing image", HYPOTHESES + "--image @no.png", GOOD, "there is no image at .*no.png; check its name"),
@@ -415,7 +418,7 @@ def test_two_arms_that_no_shared_length_explains(poseterior: Cli, tmp_path: Path
     assert alone.code == 0, "the limits leave no way at all"
     (tmp_path / "p.nc").unlink()
     started = time.monotonic()
-    run = poseterior("sample", detections, "--factor", 0.02, "--max-proposals", 2_000_000, *options)
+    run = poseterior("sample", detections, "--factor", 0.02, "--max-proposals", 300_000, *options)
     assert run.code == 3, run
     assert re.fullmatch(
         r"poseterior: 0 of 50 draws after [\d,]+ proposals for person 0 .*: the arms stand in .*\n", run.err
@@ -834,3 +837,29 @@ def test_a_disk_that_is_full() -> None:
         done = process("--help", stdout=full)
     assert done.returncode == 2
     assert re.fullmatch(r"poseterior: cannot write the output \(.*\); make room, or send it elsewhere\n", done.stderr)
+
+
+@pytest.mark.slow
+def test_an_interrupt(tmp_path: Path) -> None:
+    words = ["sample", EXAMPLE, "--num-samples", 10_000_000, "--out", tmp_path / "p.nc"]
+    command = [sys.executable, "-c", "from reports.cli import main; main()", *map(str, words)]
+    with subprocess.Popen(command, cwd=Path(__file__).parents[1], stderr=subprocess.PIPE, text=True) as running:
+        assert running.stderr is not None
+        while "draws by rejection" not in (line := running.stderr.readline()):
+            assert line, "it ended before it could be interrupted"
+        running.send_signal(signal.SIGINT)
+        rest = running.stderr.read()
+    assert running.returncode == 130
+    assert rest.splitlines()[-1] == "poseterior: interrupted"
+    assert "Traceback" not in rest
+    assert files(tmp_path) == {}
+
+
+@pytest.mark.slow
+def test_demo(poseterior: Cli, tmp_path: Path) -> None:
+    run = poseterior("demo", "--out", tmp_path / "demo", "--quiet", "--json")
+    assert run.code == 0
+    assert strict_json(run.out)["summary"]["num_draws"] == 10_000
+    assert sorted(files(tmp_path / "demo")) == ["hypotheses.json", "hypotheses.png", "posterior.nc"]
+    check = poseterior("check", tmp_path / "demo" / "posterior.nc", "--quiet")
+    assert check.out.startswith("10,000 of 10,000 poses")

@@ -12,10 +12,10 @@ from tests.goodness import energy_p_value, floor, uniform_each
 
 RNG = np.random.default_rng(12)
 CUBE = RNG.random((1000, CUBE_DIM))
-MEASURES = [("angle", "area"), ("area", "box")]
+MEASURES = [("angle", "area"), pytest.param(("area", "box"), marks=pytest.mark.slow)]
 
 
-@pytest.fixture(scope="module", params=MEASURES, ids="-".join)
+@pytest.fixture(scope="module", params=MEASURES, ids=["eqs. 7 and 8", "area and box"])
 def model(request) -> PoseModel:
     upper, lower = request.param
     return PoseModel(upper=upper, lower=lower)

@@ -21,9 +21,11 @@ from tests.goodness import FALSE_ALARM, chi_square, floor, hinge_masses, uniform
 from tests.instances import LENGTHS, distributions, hinge_table, hinges_of
 
 TABLE = distributions()
-CONTINUOUS = [name for name in TABLE if name != "torso"]
 DIRECTIONS = [name for name in TABLE if name.startswith(("hinged", "occupied"))]
 KEY = jax.random.key(0)
+HEAVY = ("length three", "hinged area two by two", "occupied angle two by two", "disc two by two")
+"""Further batch shapes, which cost compilations: left to the slow run, but for `test_shapes`."""
+EVERY = [pytest.param(name, marks=pytest.mark.slow) if name in HEAVY else name for name in TABLE]
 
 
 @functools.cache
@@ -56,7 +58,7 @@ def test_shapes(name: str) -> None:
     assert in_support(law, value).shape == (4, 2, *law.batch_shape)
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", EVERY)
 def test_same_key_same_draws_and_another_key_others(name: str) -> None:
     law = TABLE[name]
     first = law.sample(KEY, (50,))
@@ -64,14 +66,14 @@ def test_same_key_same_draws_and_another_key_others(name: str) -> None:
     assert not np.array_equal(first, law.sample(jax.random.key(1), (50,)))
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", EVERY)
 def test_draws_are_in_the_support(name: str) -> None:
     law, value = TABLE[name], TABLE[name].sample(KEY, (500,))
     assert in_support(law, value).all()
     assert np.isfinite(law.log_prob(value)).all()
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", EVERY)
 def test_expand(name: str) -> None:
     law = TABLE[name]
     wide = law.expand((3, *law.batch_shape))
@@ -82,7 +84,7 @@ def test_expand(name: str) -> None:
     assert in_support(wide, value).all()
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", EVERY)
 def test_to_event_sums_the_log_density(name: str) -> None:
     law, value = TABLE[name], draws(name)
     joint = law.to_event(len(law.batch_shape))
@@ -90,7 +92,7 @@ def test_to_event_sums_the_log_density(name: str) -> None:
     np.testing.assert_allclose(joint.log_prob(value), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", EVERY)
 def test_jit_with_the_law_as_an_argument(name: str) -> None:
     """A distribution is a pytree: it passes through jit, in and out, and draws the same."""
     law, value = TABLE[name], draws(name)
@@ -101,7 +103,7 @@ def test_jit_with_the_law_as_an_argument(name: str) -> None:
     np.testing.assert_array_equal(back.log_prob(value), law.log_prob(value))
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", EVERY)
 def test_pytree_round_trip(name: str) -> None:
     law = TABLE[name]
     leaves, structure = jax.tree.flatten(law)
@@ -112,7 +114,7 @@ def test_pytree_round_trip(name: str) -> None:
     assert jax.tree.structure(doubled) == structure
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", EVERY)
 def test_vmap_over_values_and_keys(name: str) -> None:
     law, value = TABLE[name], draws(name)
     np.testing.assert_allclose(jax.vmap(law.log_prob)(value), law.log_prob(value), rtol=1e-12)
@@ -127,7 +129,7 @@ def test_vmap_over_parameters_equals_a_batch(name: str) -> None:
     np.testing.assert_allclose(mapped, law.log_prob(value), rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", CONTINUOUS)
+@pytest.mark.parametrize("name", [name for name in EVERY if name != "torso"])
 def test_gradients_are_finite(name: str) -> None:
     """Of the log density at draws, at their antipodes (mostly outside) and at a wild point."""
     law, value = unchecked(TABLE[name]), draws(name)
@@ -152,7 +154,7 @@ def outside(name: str) -> list[np.ndarray]:
     return [np.array([-1, 7, 100]), np.array([0.5, 6.5])]
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", EVERY)
 def test_no_density_outside(name: str) -> None:
     """-inf, not NaN and not a number, whether or not arguments are checked."""
     law = unchecked(TABLE[name])
@@ -172,7 +174,7 @@ def test_support_and_density_agree_everywhere(name: str) -> None:
     np.testing.assert_array_equal(np.isfinite(law.log_prob(u)), in_support(law, u))
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", EVERY)
 def test_single_precision(name: str) -> None:
     """Without 64 bits all is float32 and still finite; rounding may push at most 1 % of draws over an edge."""
     with jax.enable_x64(False):

@@ -27,7 +27,7 @@ PILOTS = (64, 2000)
 """Draws of each candidate from which the candidates are weighed, in two rounds, before the rest is shared out."""
 NEGLIGIBLE = 0.01
 """A candidate whose share is below this after the first round (known to an eighth) needs no second."""
-STEP = 2000
+STEP = 500
 """Draws between two reports of progress."""
 MAX_PROPOSALS = 1_000_000_000
 Progress = Callable[[int, int], None]
@@ -213,13 +213,14 @@ def _explain(samplers: list[CandidateSampler], frame: Frame, budget: Budget, hel
             float(frame.candidates[0].camera.scale)
         )
     index = next(index for index, candidate in enumerate(samplers) if not candidate.unreachable)
-    name = min(samplers[index].samplers, key=lambda sampler: sampler.held).slowest
-    miss = nearest_miss(name, samplers[index].groups[name])
-    scale = float(frame.candidates[index].camera.scale)
-    return OUT_OF_BUDGET, (
-        f"{held} of {wanted} draws after {budget.spent:,} proposals for {frame.detection.where}: the {name} stand in "
-        f"the way ({miss.sentence(scale)}); ask for fewer samples, allow more proposals, or mend that detection"
-    )
+    slowest = min(samplers[index].samplers, key=lambda sampler: sampler.held)
+    name = slowest.slowest
+    miss = nearest_miss(name, samplers[index].groups[name]).sentence(float(frame.candidates[index].camera.scale))
+    counts = f"{held} of {wanted} draws after {budget.spent:,} proposals for {frame.detection.where}"
+    if slowest.hopeless:
+        return OUT_OF_BUDGET, f"{counts}: no possible {name} explain their detections ({miss}); mend or drop one"
+    advice = "ask for fewer samples, allow more proposals, or mend a detection"
+    return OUT_OF_BUDGET, f"{counts}: the {name} stand in the way ({miss}); {advice}"
 
 
 def _words(key: jax.Array) -> str:

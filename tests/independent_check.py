@@ -35,8 +35,8 @@ def _valid_pose(pose, model, entry_of, reference, static):
     for bone, parent in PARENT_OF_LOWER.items():
         frame = frames[parent]
         where = _bins(frame.T @ bones[parent])
-        verdict[bone] = _valid_lower(model, entry_of[bone], where, _limb_frame(bones[parent], frame, reference,
-                                                                              static[:, parent - 1]).T @ bones[bone])  # fmt: skip
+        axes = _limb_frame(bones[parent], frame, reference, static[:, parent - 1])
+        verdict[bone] = _valid_lower(model, entry_of[bone], where, axes.T @ bones[bone])
     return [verdict[bone] for bone in ORDER]
 
 

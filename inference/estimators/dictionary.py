@@ -17,6 +17,8 @@ from probmodel.skeleton import JOINTS, TORSO_INDEX, TORSO_JOINTS
 
 SAME_ANGLE = np.radians(3)
 """Two cameras closer than this are one candidate: a torso seen head-on is its own mirror twin."""
+TOUCHING = 1e-3
+"""Pixels within which joints are one point."""
 _UPPER = {"thorax", "right_shoulder", "left_shoulder"}
 _LOWER = {"pelvis", "right_hip", "left_hip"}
 _DEPTH = np.diag([1.0, 1.0, -1.0])
@@ -32,12 +34,17 @@ class Fit(NamedTuple):
 def fit_dictionary(detection: Detection, torsos: np.ndarray) -> tuple[Candidate, ...]:
     """The best torso of `torsos` `(J, 6, 3)` with its camera, and the best on the other side of the depth ambiguity.
 
-    Raises `BadInput` where the seen torso joints do not determine a camera.
+    Raises `BadInput` where the seen torso joints do not determine a camera: too few, or all on one point.
     """
     _require_camera(detection)
     seen = np.flatnonzero(detection.seen[list(TORSO_INDEX)])
     rows = np.array(TORSO_INDEX)[seen]
     target, weight = detection.keypoints[rows], detection.score[rows] / detection.score[rows].sum()
+    if np.ptp(target, axis=0).max() < TOUCHING:
+        raise BadInput(
+            f"the torso joints of {detection.where} all lie on one point, so no camera can be found; "
+            "mend the detection, or choose another --person"
+        )
     points = torsos[:, seen]
     first = _best(_fit(points.mean(axis=0)[None].repeat(len(_starts()), 0), target, weight, _starts()))
     same = _fit(points, target, weight, np.tile(first, (len(points), 1)))

@@ -28,6 +28,8 @@ PAIRS = 1 << 12
 """Limbs put together at a time."""
 HOPELESS = 1 << 24
 """Pruned proposals without one success after which a group is given up: its rate is below 3e-7 with 99 % confidence."""
+HOPELESS_PAIRS = 1 << 20
+"""The same for limbs put together, whose rate is far higher where their lengths can agree at all: below 5e-6."""
 
 
 class Rate(NamedTuple):
@@ -83,6 +85,10 @@ class GroupSampler(Protocol):
     @property
     def slowest(self) -> str:
         """Name of the group that draws wait for."""
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether it has been given up: the bounds leave nothing, or a great many proposals brought nothing at all."""
 
 
 class _Pile:
@@ -151,10 +157,9 @@ class PrunedGroup:
 
     @property
     def hopeless(self) -> bool:
-        """Whether the bounds leave nothing to propose, or a great many proposals brought nothing at all."""
         empty = any(stream.rate.mass == 0 for stream in self.streams)
         barren = any(stream.accepted == 0 and stream.rate.proposed >= HOPELESS for stream in self.streams)
-        return empty or barren or (self.held == 0 and self._tried >= HOPELESS)
+        return empty or barren or (self.held == 0 and self._tried >= HOPELESS_PAIRS)
 
     @property
     def held(self) -> int:
@@ -233,6 +238,10 @@ class PriorGroups:
     def draws(self) -> dict[str, Draws]:
         leaves = self._pile.all()
         return {name: Draws(*leaves[3 * index : 3 * index + 3]) for index, name in enumerate(self.groups)}
+
+    @property
+    def hopeless(self) -> bool:
+        return False  # draws from the prior go on to the end of the budget
 
     @property
     def slowest(self) -> str:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import jax
+import numpyro.distributions  # noqa: F401 — whole, before a test that breaks off a command can break off this import
 import pytest
 
 jax.config.update("jax_enable_x64", True)

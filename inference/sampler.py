@@ -27,6 +27,8 @@ PILOTS = (64, 2000)
 """Draws of each candidate from which the candidates are weighed, in two rounds, before the rest is shared out."""
 NEGLIGIBLE = 0.01
 """A candidate whose share is below this after the first round (known to an eighth) needs no second."""
+PILOT_PROPOSALS = 20_000_000
+"""Proposals (some seconds) in which a candidate must make its first pilot draws."""
 STEP = 500
 """Draws between two reports of progress."""
 MAX_PROPOSALS = 1_000_000_000
@@ -120,8 +122,7 @@ def sample(
     counts = rng.multinomial(num_samples, _shares(log_weight))
     enough = _fill(samplers, counts, budget, progress)
     held = [min(int(count), candidate.held) for count, candidate in zip(counts, samplers, strict=True)]
-    log_weight = prior + np.array([candidate.log_evidence for candidate in samplers])
-    shares = _shares(log_weight)
+    shares = _shares(_log_weights(samplers, prior))
     parts = [
         CandidateDraws(*candidate.bodies(number), candidate.log_evidence, candidate.log_evidence_se, float(share))
         for candidate, number, share in zip(samplers, held, shares, strict=True)
@@ -164,14 +165,31 @@ def _candidate_sampler(
 
 
 def _weigh(samplers: list[CandidateSampler], prior: np.ndarray, number: int, budget: Budget) -> np.ndarray:
-    """Log weights of the candidates from pilot draws: few of each, more of those that turn out to matter."""
-    log_weight = np.where(np.isfinite(prior), 0.0, -np.inf)
-    for pilot in PILOTS if len(samplers) > 1 else ():
-        matters = _shares(log_weight) > NEGLIGIBLE
-        for index in np.flatnonzero(matters):
-            samplers[index].more(min(pilot, number), budget)
-        log_weight = prior + np.array([candidate.log_evidence for candidate in samplers])
-    return log_weight
+    """Log weights of the candidates from pilot draws: few of each, more of those that turn out to matter.
+
+    A candidate under which draws are very rare is not waited for: what its allowance brought is its evidence. Only
+    where no candidate brings any draw do the allowances grow, to the end of the budget.
+    """
+    if len(samplers) == 1:
+        return prior
+    first, second = (min(pilot, number) for pilot in PILOTS)
+    allowance = PILOT_PROPOSALS
+    log_weight = np.full(len(samplers), -np.inf)
+    while not np.isfinite(log_weight).any() and budget.spent < budget.proposals:
+        spent = budget.spent
+        for index in np.flatnonzero(np.isfinite(prior)):
+            samplers[index].more(first, Budget(allowance, whole=budget))
+        log_weight = _log_weights(samplers, prior)
+        allowance *= 2
+        if budget.spent == spent:
+            break  # every candidate has been given up
+    for index in np.flatnonzero(_shares(log_weight) > NEGLIGIBLE):
+        samplers[index].more(second, Budget(allowance, whole=budget))
+    return _log_weights(samplers, prior)
+
+
+def _log_weights(samplers: list[CandidateSampler], prior: np.ndarray) -> np.ndarray:
+    return prior + np.array([candidate.log_evidence for candidate in samplers])
 
 
 def _shares(log_weight: np.ndarray) -> np.ndarray:

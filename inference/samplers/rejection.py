@@ -52,14 +52,16 @@ class Rate(NamedTuple):
 
 @dataclass
 class Budget:
-    """How many proposals may still be made; shared by everything that draws for one frame."""
+    """How many proposals may still be made; shared by everything that draws for one frame. One with a `whole` is an
+    allowance out of that larger one."""
 
     proposals: int
     spent: int = 0
+    whole: "Budget | None" = None
 
     def spend(self, number: int) -> bool:
         """Whether `number` more proposals may be made; counts them if so."""
-        if self.spent + number > self.proposals:
+        if self.spent + number > self.proposals or (self.whole is not None and not self.whole.spend(number)):
             return False
         self.spent += number
         return True

@@ -109,7 +109,8 @@ def _from_json(path: Path) -> Poses:
 
 def _from_array(path: Path) -> Poses:
     try:
-        joints = np.load(path, allow_pickle=False)
+        with open(path, "rb") as file:  # numpy would leave a file open that turns out to be an archive
+            joints = np.load(file, allow_pickle=False)
     except (OSError, ValueError, EOFError, MemoryError) as error:
         raise BadInput(f"{path} is no NumPy array of numbers ({_words(error)}); save joints with numpy.save") from None
     if not isinstance(joints, np.ndarray):

@@ -1,0 +1,143 @@
+"""BVH: hierarchy and channels in one file; the two naming schemes of the CMU conversions."""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from probmodel.failures import BadInput
+from probmodel.motion.recording import CMU_UNIT, NUMBER, Motion, Rig, floats, forward, read_text
+from probmodel.skeleton import JOINT_INDEX, JOINTS
+
+_BVH_NAMES = (
+    {
+        "pelvis": "Hips", "thorax": "Neck", "right_shoulder": "RightArm", "right_elbow": "RightForeArm",
+        "right_wrist": "RightHand", "left_shoulder": "LeftArm", "left_elbow": "LeftForeArm", "left_wrist": "LeftHand",
+        "head": "Head end", "right_hip": "RightUpLeg", "right_knee": "RightLeg", "right_ankle": "RightFoot",
+        "left_hip": "LeftUpLeg", "left_knee": "LeftLeg", "left_ankle": "LeftFoot",
+    },
+    {
+        "pelvis": "Hips", "thorax": "lowerneck", "right_shoulder": "RightShoulder", "right_elbow": "RightElbow",
+        "right_wrist": "RightWrist", "left_shoulder": "LeftShoulder", "left_elbow": "LeftElbow",
+        "left_wrist": "LeftWrist", "head": "Head end", "right_hip": "RightHip", "right_knee": "RightKnee",
+        "right_ankle": "RightAnkle", "left_hip": "LeftHip", "left_knee": "LeftKnee", "left_ankle": "LeftAnkle",
+    },
+)  # fmt: skip
+"""The BVH joints that are ours, in the two naming schemes of the CMU conversions. "Head end" is the head's End Site;
+"thorax" is where the neck starts. The conversions lack the ASF's thorax bone: their trunks are some 117 mm short."""
+
+
+class _BvhJoint(NamedTuple):
+    name: str
+    parent: int
+    offset: np.ndarray
+    channels: list[str]
+
+
+_CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
+
+
+def read_bvh(path: Path) -> list[Motion]:
+    text = read_text(path)
+    hierarchy, found, motion = text.partition("MOTION")
+    if not found or not hierarchy.lstrip().startswith("HIERARCHY"):
+        raise BadInput(f"{path} is not a BVH file, or is truncated: it needs a HIERARCHY and a MOTION section")
+    joints = _parse_bvh_hierarchy(hierarchy, path)
+    names = [joint.name for joint in joints]
+    wanted = _bvh_wanted(names, path)
+    rate, values = _parse_bvh_motion(motion, sum(len(joint.channels) for joint in joints), path)
+    rotations: list[Rotation | None] = []
+    position = np.zeros((len(values), 3))
+    column = 0
+    for i, joint in enumerate(joints):
+        block = values[:, column : column + len(joint.channels)]
+        column += len(joint.channels)
+        spins = [k for k, channel in enumerate(joint.channels) if channel.endswith("rotation")]
+        axes = "".join(joint.channels[k][0] for k in spins)
+        # Upper-case letters are intrinsic axes: Zrotation Yrotation Xrotation means Rz·Ry·Rx.
+        rotations.append(Rotation.from_euler(axes, block[:, spins], degrees=True) if spins else None)
+        places = [k for k, channel in enumerate(joint.channels) if channel.endswith("position")]
+        if i == 0 and places:
+            position[:, ["XYZ".index(joint.channels[k][0]) for k in places]] = block[:, places]
+    # A BVH joint's rotation turns what hangs from it, not its own offset: as segments, offsets belong to the parent.
+    rig = Rig(names, [joint.parent for joint in joints], np.zeros((len(joints), 3)))
+    ends = _bvh_forward(rig, [joint.offset for joint in joints], wanted, position, rotations)
+    return [Motion(ends * CMU_UNIT, rate, path.stem, path.stem)]
+
+
+def _bvh_forward(rig: Rig, offsets: list[np.ndarray], wanted: list[int], root: np.ndarray,
+                 rotations: list[Rotation | None]) -> np.ndarray:  # fmt: skip
+    """As `forward`, with every joint split in two segments: its offset in the parent's axes, then its rotation."""
+    parents: list[int] = []
+    shifts: list[np.ndarray] = []
+    turns: list[Rotation | None] = []
+    for parent, offset, turn in zip(rig.parents, offsets, rotations, strict=True):
+        parents += [2 * parent + 1 if parent >= 0 else -1, len(parents)]
+        shifts += [offset if parent >= 0 else np.zeros(3), np.zeros(3)]
+        turns += [None, turn]
+    split = Rig([name for name in rig.names for _ in range(2)], parents, np.array(shifts))
+    return forward(split, [2 * segment for segment in wanted], root, turns)
+
+
+def _parse_bvh_hierarchy(text: str, path: Path) -> list[_BvhJoint]:
+    joints: list[_BvhJoint] = []
+    stack: list[int] = []
+    pending: str | None = None
+    for number, line in enumerate(text.splitlines(), 1):
+        match line.split():
+            case [] | ["HIERARCHY"]:
+                continue
+            case ["ROOT" | "JOINT", name]:
+                pending = name
+            case ["End", "Site"] if stack:
+                pending = f"{joints[stack[-1]].name} end"
+            case ["{"] if pending is not None:
+                joints.append(_BvhJoint(pending, stack[-1] if stack else -1, np.zeros(3), []))
+                stack.append(len(joints) - 1)
+                pending = None
+            case ["}"] if stack:
+                stack.pop()
+            case ["OFFSET", *numbers] if stack and len(numbers) == 3 and floats(" ".join(numbers)) is not None:
+                joints[stack[-1]].offset[:] = floats(" ".join(numbers))
+            case ["CHANNELS", count, *channels] if (
+                stack and count == str(len(channels)) and set(channels) <= set(_CHANNELS)
+            ):
+                joints[stack[-1]].channels.extend(channels)
+            case _:
+                raise BadInput(f"{path}, line {number}: '{line.strip()}' cannot be read as part of a BVH hierarchy")
+    if stack or not joints:
+        raise BadInput(f"{path}: the hierarchy is not closed, so the file is truncated or damaged")
+    return joints
+
+
+def _bvh_wanted(names: list[str], path: Path) -> list[int]:
+    """Indices of our fifteen joints, in the naming scheme that fits best."""
+    table = min(_BVH_NAMES, key=lambda table: len(set(table.values()) - set(names)))
+    missing = [name for name in table.values() if name not in names]
+    if missing:
+        raise BadInput(
+            f"{path}: the skeleton lacks the joints {', '.join(missing)}; fifteen joints cannot be found in it"
+        )
+    return [names.index(table[joint]) for joint in JOINTS]
+
+
+def _parse_bvh_motion(text: str, num_channels: int, path: Path) -> tuple[float, np.ndarray]:
+    """Frame rate and channel values `(T, num_channels)`."""
+    header = re.match(rf"\s*Frames:\s*(\d+)\s*Frame Time:\s*({NUMBER})\s", text)
+    if header is None or not float(header[2]) > 0:
+        raise BadInput(f"{path}: MOTION does not start with 'Frames: <count>' and 'Frame Time: <seconds>'")
+    count, rate = int(header[1]), 1 / float(header[2])
+    values = floats(text[header.end() :])
+    if values is None or not np.isfinite(values).all():
+        raise BadInput(f"{path}: a channel of the MOTION section is not a finite number")
+    if count == 0 or values.size != count * num_channels:
+        raise BadInput(
+            f"{path}: {count} frames of {num_channels} channels are announced, but {values.size} numbers follow; "
+            "the file is truncated or damaged"
+        )
+    return round(rate, 2), values.reshape(count, num_channels)
+
+
+assert set(JOINT_INDEX) == set(_BVH_NAMES[0]) == set(_BVH_NAMES[1])

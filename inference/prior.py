@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from inference.chunks import CHUNK
 from inference.results import versions
+from probmodel.chunks import CHUNK
 from probmodel.directions import HingedDirection, OccupiedDirection
 from probmodel.failures import BadInput
 from probmodel.lengths import BoneLength

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from inference.candidates import Candidate, Frame
-from inference.chunks import in_chunks
+from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation

@@ -8,6 +8,7 @@ The usual way in: `AnatomicalLimits.default()`, `.load(path)`, `.check(joints)`.
 
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import os
 from collections.abc import Mapping
@@ -22,8 +23,9 @@ import numpy as np
 from jax.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
-from probmodel.frames import articulation, azimuth_elevation, direction
+from probmodel.frames import Articulation, articulation, azimuth_elevation, direction
 from probmodel.skeleton import BONE_NAMES, NUM_JOINTS, NUM_LOWER, NUM_UPPER
 
 CELL = np.pi / 60
@@ -205,16 +207,21 @@ class AnatomicalLimits:
             raise BadInput(f"poses have shape {joints.shape}; the check needs (..., {NUM_JOINTS}, 3)")
         if not np.isfinite(joints).all():
             raise BadInput("a pose has a coordinate that is not finite; the check needs all fifteen joints")
-        local = articulation(joints, jnp.asarray(self.reference), jnp.asarray(self.fallback))
-        if not np.all(np.asarray(local.length) > 0):
+        batch = joints.shape[:-2]
+        if 0 in batch:
+            empty = np.zeros((*batch, len(BONE_NAMES)))
+            return Check(empty == 0, empty.astype(int), empty)
+        locate = functools.partial(_locate, jnp.asarray(self.reference), jnp.asarray(self.fallback))
+        local, column, row = in_chunks(locate, joints.reshape(-1, NUM_JOINTS, 3))
+        if not np.all(local.length > 0):
             raise BadInput("a pose has a bone of length zero, which has no direction to check")
-        upper_limit, upper_excess = self._check_upper(np.asarray(local.upper))
-        lower_limit, lower_excess = self._check_lower(np.asarray(local.upper)[..., 1:, :], np.asarray(local.lower))
-        limit = np.concatenate([upper_limit, lower_limit], axis=-1)
-        return Check(limit == 0, limit, np.concatenate([upper_excess, lower_excess], axis=-1))
+        upper_limit, upper_excess = self._check_upper(local.upper, column, row)
+        lower_limit, lower_excess = self._check_lower(local.lower, column[:, 1:], row[:, 1:])
+        limit = np.concatenate([upper_limit, lower_limit], axis=-1).reshape(*batch, -1)
+        excess = np.concatenate([upper_excess, lower_excess], axis=-1).reshape(*batch, -1)
+        return Check(limit == 0, limit, excess)
 
-    def _check_upper(self, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        column, row = (np.asarray(index) for index in cell_of(upper))
+    def _check_upper(self, upper: np.ndarray, column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         valid = np.asarray(self.occupied)[np.arange(NUM_UPPER), column, row]
         excess = np.zeros(valid.shape)
         for bone in range(NUM_UPPER):
@@ -234,8 +241,7 @@ class AnatomicalLimits:
     def _trees(self) -> dict[int, cKDTree]:
         return {}
 
-    def _check_lower(self, parent: np.ndarray, lower: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        column, row = (np.asarray(index) for index in cell_of(parent))
+    def _check_lower(self, lower: np.ndarray, column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         where = (np.arange(NUM_LOWER), column, row)
         coordinate = np.einsum("...ij,...j->...i", self._host_triples[where], lower)
         offset, bounds = np.asarray(self.offset)[where], np.asarray(self.bounds)[where]
@@ -287,6 +293,13 @@ def _unpack_bits(bits: np.ndarray, key: str, path: Path) -> np.ndarray:
     if bits.dtype != np.uint8 or bits.shape != (size // 8,):
         raise BadInput(f"{path}: {key} has shape {bits.shape}, a limits file has ({size // 8},) bytes of bits")
     return np.unpackbits(bits).reshape(_SHAPES[_BITS[key]]).astype(bool)
+
+
+@jax.jit
+def _locate(reference: jax.Array, fallback: jax.Array, joints: jax.Array) -> tuple[Articulation, jax.Array, jax.Array]:
+    """Local directions of a chunk of poses, and the cells of their upper bones."""
+    local = articulation(joints, reference, fallback)
+    return local, *cell_of(local.upper)
 
 
 def _arcsine(value: np.ndarray) -> np.ndarray:

@@ -842,13 +842,18 @@ def test_a_disk_that_is_full() -> None:
 @pytest.mark.slow
 def test_an_interrupt(tmp_path: Path) -> None:
     words = ["sample", EXAMPLE, "--num-samples", 10_000_000, "--out", tmp_path / "p.nc"]
-    command = [sys.executable, "-c", "from reports.cli import main; main()", *map(str, words)]
+    # Where the tests run in the background of a shell, SIGINT is ignored from the start; a terminal's is not.
+    heed = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    command = [sys.executable, "-c", f"{heed}; from reports.cli import main; main()", *map(str, words)]
     with subprocess.Popen(command, cwd=Path(__file__).parents[1], stderr=subprocess.PIPE, text=True) as running:
         assert running.stderr is not None
         while "draws by rejection" not in (line := running.stderr.readline()):
             assert line, "it ended before it could be interrupted"
         running.send_signal(signal.SIGINT)
-        rest = running.stderr.read()
+        try:
+            rest = running.communicate(timeout=60)[1]
+        finally:
+            running.kill()  # of no effect on what has ended
     assert running.returncode == 130
     assert rest.splitlines()[-1] == "poseterior: interrupted"
     assert "Traceback" not in rest

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from inference.results import versions
+from inference.results import key_words, versions
 from probmodel.chunks import CHUNK
 from probmodel.directions import HingedDirection, OccupiedDirection
 from probmodel.failures import BadInput
@@ -46,7 +46,7 @@ def sample_prior(
     tree = xr.DataTree.from_dict({"prior": prior, "sample_stats_prior": stats})
     tree.attrs.update(
         sampler="prior",
-        seed=" ".join(str(word) for word in np.asarray(jax.random.key_data(key))),
+        seed=key_words(key),
         limits=f"{model.limits.name} {model.limits.sha256}",
         measures=f"upper {model.upper}, lower {model.lower}",
         axes="body: x to the person's left, y up, z forward",

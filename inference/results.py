@@ -80,6 +80,11 @@ def save_tree(tree: xr.DataTree, path: str | os.PathLike) -> None:
         raise BadInput(f"cannot write {path} ({error.strerror}); choose a folder that can be written to") from None
 
 
+def key_words(key: jax.Array) -> str:
+    """A key as the attribute `seed` has it."""
+    return " ".join(str(word) for word in np.asarray(jax.random.key_data(key)))
+
+
 def versions() -> str:
     """Versions of Python and of the packages that draws depend on."""
     found = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]

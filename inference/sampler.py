@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from inference.candidates import Candidate, Frame
-from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET, CandidateDraws, Result, build_tree
+from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET, CandidateDraws, Result, build_tree, key_words
 from inference.samplers.limbs import Draws, Group, build_groups
 from inference.samplers.reach import OutOfReach, nearest_miss, out_of_reach
 from inference.samplers.rejection import PROPOSALS, Budget, GroupSampler, Rate
@@ -130,7 +130,7 @@ def sample(
     evidence, error = _mixture_evidence(prior, parts)
     attributes = {
         "sampler": sampler,
-        "seed": _words(key),
+        "seed": key_words(key),
         "num_samples": num_samples,
         "num_proposals": budget.spent,
         "acceptance_rate": sum(held) / max(budget.spent, 1),
@@ -239,7 +239,3 @@ def _explain(samplers: list[CandidateSampler], frame: Frame, budget: Budget, hel
         return OUT_OF_BUDGET, f"{counts}: no possible {name} explain their detections ({miss}); mend or drop one"
     advice = "ask for fewer samples, allow more proposals, or mend a detection"
     return OUT_OF_BUDGET, f"{counts}: the {name} stand in the way ({miss}); {advice}"
-
-
-def _words(key: jax.Array) -> str:
-    return " ".join(str(word) for word in np.asarray(jax.random.key_data(key)))

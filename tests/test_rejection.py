@@ -145,7 +145,7 @@ def test_bounds_are_bounds(upper, lower, factor):
 
 
 def _violations(limb, radius, target, upper, lower):
-    """`(4,)` bool: cell dropped, outside the rectangle, rectangle above its bound, not found feasible."""
+    """`(3,)` bool: cell dropped, outside the rectangle, rectangle above its bound."""
     limb = dataclasses.replace(limb, target=target, radius=radius)
     plan = plan_limb(limb)
     column, row = cell_of(upper)
@@ -173,7 +173,7 @@ def _violations(limb, radius, target, upper, lower):
 
 
 def test_bounds_test_can_fail():
-    """Negative control of the test above: a bound that is 30 % too small is caught."""
+    """Negative control of the test above: bounds made for too short a range of lengths are caught."""
     model = PoseModel()
     frame = prior_scene(model, 3)
     group = build_groups(model, frame.observation(frame.candidates[0]))["legs"]

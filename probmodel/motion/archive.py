@@ -11,6 +11,7 @@ from probmodel.skeleton import NUM_JOINTS
 
 
 def read_archive(path: Path) -> list[Motion]:
+    """The recordings of an .npz, one a key. Raises `BadInput` where it holds none or one of another shape."""
     arrays = read_tables(path, "file of recordings", "give an .npz of (T, 15, 3) or (T, 17, 3) positions")
     if not arrays:
         raise BadInput(f"{path} holds no recording; its keys must hold (T, 15, 3) or (T, 17, 3) positions")

@@ -60,6 +60,7 @@ def _sections(path: Path) -> dict[str, list[tuple[int, str]]]:
 
 
 def parse_asf(path: Path) -> Asf:
+    """The skeleton of an .asf file. Raises `BadInput` where it is damaged or lacks a bone."""
     sections = _sections(path)
     units = dict(line.split(None, 1) for _, line in sections["units"] if " " in line)
     try:
@@ -141,10 +142,12 @@ def _parse_hierarchy(lines: list[tuple[int, str]], bones: Mapping[str, _AsfBone]
 
 
 def read_amc_alone(path: Path) -> list[Motion]:
+    """The trial of an .amc file, with the .asf that lies beside it."""
     return [read_amc(path, parse_asf(asf_beside(path)))]
 
 
 def read_amc(path: Path, asf: Asf) -> Motion:
+    """The trial of an .amc file on a skeleton read before. Raises `BadInput` where a frame is damaged."""
     channels = _parse_amc(path, asf)
     rotations: list[Rotation | None] = []
     root_dof = asf.dofs[0]

@@ -40,6 +40,7 @@ _CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis 
 
 
 def read_bvh(path: Path) -> list[Motion]:
+    """The recording of a .bvh file. Raises `BadInput` where it is damaged or lacks a joint."""
     text = read_text(path)
     hierarchy, found, motion = text.partition("MOTION")
     if not found or not hierarchy.lstrip().startswith("HIERARCHY"):

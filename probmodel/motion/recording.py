@@ -59,6 +59,7 @@ class Motion:
 
 
 def read_text(path: Path) -> str:
+    """A text file, whatever its bytes. Raises `BadInput` where it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:

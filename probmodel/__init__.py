@@ -9,12 +9,13 @@ from probmodel.camera import WeakPerspective
 from probmodel.detections import Detection
 from probmodel.failures import BadInput, OutOfBudget
 from probmodel.formats import read_detections, write_detections
+from probmodel.formats.frames import DetectedFrame, read_frames
 from probmodel.limits import AnatomicalLimits
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
 from probmodel.published import read_published
 
 __all__ = [
-    "AnatomicalLimits", "Anatomy", "BadInput", "Detection", "Observation", "OutOfBudget", "PoseModel",
-    "WeakPerspective", "read_detections", "read_published", "write_detections",
+    "AnatomicalLimits", "Anatomy", "BadInput", "DetectedFrame", "Detection", "Observation", "OutOfBudget", "PoseModel",
+    "WeakPerspective", "read_detections", "read_frames", "read_published", "write_detections",
 ]  # fmt: skip

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from probmodel.failures import BadInput
 from probmodel.skeleton import BONES, JOINTS, LIMB_JOINTS, NUM_JOINTS
 
-__all__ = ["LARGEST_NUMBER", "LIKELIHOOD_JOINTS", "LIMB_JOINTS", "Detection", "pick_person"]
+__all__ = ["FACE", "LARGEST_NUMBER", "LIKELIHOOD_JOINTS", "LIMB_JOINTS", "Detection", "pick_person"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -22,6 +22,9 @@ LIKELIHOOD_JOINTS = tuple(bone.end for bone in BONES)
 
 The paper's product runs over `LIMB_JOINTS` alone; pass those as `joints` to leave the head out.
 """
+
+FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
+"""Points of the face. No joints of the skeleton: they only tell which side of the person the camera sees."""
 
 LARGEST_NUMBER = 1e9
 """No coordinate (pixels), score or scale may be larger: squares of larger numbers lose their meaning, or overflow."""
@@ -33,7 +36,8 @@ class Detection:
 
     `keypoints`: `(15, 2)` pixels, x right, y down, NaN where missing; `score`: `(15,)`, positive, 0 where missing; both
     in the order of `probmodel.skeleton.JOINTS`, copied and read-only. `layout` names the joint order of the source,
-    `source` the file, `person` the index in it; `image_size` is (width, height) in pixels.
+    `source` the file, `person` the index in it; `image_size` is (width, height) in pixels. `face`: `(5, 3)` x, y, score
+    of the points of `FACE` in the same manner, None where the detector has none; the likelihood has no use for it.
 
     Raises `BadInput` where shapes differ, a number is not finite or a score negative, or the NaN keypoints are not
     exactly those whose score is 0.
@@ -46,13 +50,18 @@ class Detection:
     person: int
     image_id: str | None = None
     image_size: tuple[int, int] | None = None
+    face: FloatArray | None = None
 
     def __post_init__(self) -> None:
         keypoints = _owned(self.keypoints, (NUM_JOINTS, 2), f"the keypoints of {self.where}")
         score = _owned(self.score, (NUM_JOINTS,), f"the scores of {self.where}")
         object.__setattr__(self, "keypoints", keypoints)
         object.__setattr__(self, "score", score)
-        _check_numbers(keypoints, score, self.where)
+        _check_numbers(keypoints, score, JOINTS, self.where)
+        if self.face is not None:
+            face = _owned(self.face, (len(FACE), 3), f"the face of {self.where}")
+            object.__setattr__(self, "face", face)
+            _check_numbers(face[:, :2], face[:, 2], FACE, self.where)
         _check_labels(self.person, self.image_id, self.image_size, self.where)
 
     @property
@@ -122,8 +131,12 @@ def _owned(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> FloatArr
     return array
 
 
-def _check_numbers(keypoints: FloatArray, score: FloatArray, where: str) -> None:
-    for name, xy, value in zip(JOINTS, keypoints, score, strict=True):
+def _check_numbers(keypoints: FloatArray, score: FloatArray, names: Sequence[str], where: str) -> None:
+    finite = (np.abs(keypoints) <= LARGEST_NUMBER).all(axis=1)  # false for NaN too
+    hidden = np.isnan(keypoints).all(axis=1)
+    if ((score >= 0) & (score <= LARGEST_NUMBER) & np.where(score == 0, hidden, finite)).all():
+        return
+    for name, xy, value in zip(names, keypoints, score, strict=True):
         if not 0 <= value <= LARGEST_NUMBER:  # false for NaN too
             raise BadInput(f"the score of {name} in {where} is {value}; it must lie between 0 and {LARGEST_NUMBER:g}.")
         if value == 0:

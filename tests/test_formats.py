@@ -16,8 +16,7 @@ from probmodel import formats
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from probmodel.formats import FORMATS, Content, read_content, read_detections, write_detections
-from probmodel.formats.coco import COCO_17
-from probmodel.formats.openpose import BODY_25, BODY_25B, COCO_18
+from probmodel.layouts import BODY_25, BODY_25B, COCO_17, COCO_18
 from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 
 OPENPOSE = "detections/openpose/"
@@ -80,6 +79,8 @@ def same(one: Detection, other: Detection) -> bool:
     return (
         np.array_equal(one.keypoints, other.keypoints, equal_nan=True)
         and np.array_equal(one.score, other.score)
+        and (one.face is None) == (other.face is None)
+        and (one.face is None or np.array_equal(one.face, other.face, equal_nan=True))
         and (one.person, one.image_id, one.image_size) == (other.person, other.image_id, other.image_size)
     )
 
@@ -145,24 +146,25 @@ def test_coco_annotations(shared_data: Path) -> None:
     assert point(skier, "pelvis") == [408.5, 208.5, 1]
 
 
-def test_alphapose_with_26_points_is_refused_and_with_17_read(shared_data: Path) -> None:
-    with pytest.raises(BadInput, match=r"record 0 of .* holds 78 numbers, but .* 17 points are 51"):
-        read_detections(shared_data / ALPHAPOSE)
+def test_alphapose_halpe_26(shared_data: Path) -> None:
+    people = read_detections(shared_data / ALPHAPOSE)
     records = json.loads((shared_data / ALPHAPOSE).read_text())
-    people = read([record | {"keypoints": record["keypoints"][:51]} for record in records])  # Halpe begins with COCO's
-    assert len(people) == 20
-    assert people[0].image_id == "92.jpg"
+    assert (len(people), people[0].layout, people[0].image_id, missing(people[0])) == (20, "halpe_26", "92.jpg", set())
     assert point(people[0], "left_shoulder") == records[0]["keypoints"][15:18]
+    assert point(people[0], "head") == [172.09703063964844, 125.73633575439453, 0.9713329672813416]
+    short = read([record | {"keypoints": record["keypoints"][:51]} for record in records])  # Halpe begins with COCO's
+    assert {person.layout for person in short} == {"coco_17"}
+    assert missing(short[0]) == {"head"}
 
 
 @pytest.mark.parametrize(
     ("file", "match"),
     [
         ("detections/coco/test_coco_det_AP_H_56.json", "record 0 of .* has no 'keypoints'; .* not one of boxes"),
-        ("detections/coco/000000000785.jpg", "is not UTF-8 text"),
-        ("detections/mmpose/mmpose_inferencer_000000000785.json", "JSON of a shape that is not known here"),
-        ("detections/mediapipe/pose_landmarks_webcam.json", "JSON of a shape that is not known here"),
-        ("detections/mediapipe/pose_landmarks.pbtxt", "not valid JSON: .* at line 1, column 1"),
+        ("detections/coco/000000000785.jpg", "is not UTF-8 text .* nor HDF5 or NumPy's"),
+        ("detections/mediapipe/pose_landmarks_webcam.json", "fractions of an image whose size .*--image-size 640x480"),
+        ("detections/mediapipe/pose_landmarks.pbtxt", "fractions of an image whose size"),
+        ("detections/README.md", "not valid JSON: .* at line 1, column 1"),
         ("detections", "is not a file"),
         ("detections/none.json", "does not exist"),
     ],
@@ -276,6 +278,12 @@ def put(values: list[Any], index: int, value: Any) -> list[Any]:
     return [*values[:index], value, *values[index + 1 :]]
 
 
+def native_with(**fields: Any) -> dict[str, Any]:
+    document = native(head=[1, 2, 3])
+    document["people"][0] |= fields
+    return document
+
+
 REFUSALS: list[tuple[Any, str]] = [
     (b"", "not valid JSON: .* at line 1, column 1"),
     (b'{"people": [\n  1,,]}', "not valid JSON: .* at line 2, column 5"),
@@ -283,11 +291,11 @@ REFUSALS: list[tuple[Any, str]] = [
     (b"[" * 200_000 + b"]" * 200_000, "nested too deeply"),
     (b'{"a":' * 200_000, "nested too deeply"),
     (b'{"people": [' + b"9" * 5000 + b"]}", "thousands of digits"),
-    (None, "JSON of a shape that is not known"),
-    (3, "JSON of a shape that is not known"),
+    (None, "of a shape that is not known"),
+    (3, "of a shape that is not known"),
     ({}, "the known ones are: .*OpenPose.*COCO"),
-    ([1], "JSON of a shape that is not known"),
-    ([{}], "JSON of a shape that is not known"),
+    ([1], "of a shape that is not known"),
+    ([{}], "of a shape that is not known"),
     ([], r"a\.json has no person in it"),
     # OpenPose
     (openpose(), "has no person in it"),
@@ -310,7 +318,10 @@ REFUSALS: list[tuple[Any, str]] = [
     ({"people": [{}]}, "person 0 of a.json has neither 'pose_keypoints_2d' nor 'pose_keypoints'"),
     ({"people": [{"pose_keypoints_2d": {}}]}, "'pose_keypoints_2d' of person 0 .* where a JSON array"),
     # COCO results
-    (results(REAL_17, REAL_17[:-1]), "'keypoints' of record 1 of .* holds 50 numbers, but .* 17 points are 51"),
+    (
+        results(REAL_17, REAL_17[:-1]),
+        "'keypoints' of record 1 of .* holds 50 numbers, but x, y, score .* are 48 .mpii_16., 51 .coco_17.",
+    ),
     (results(put(REAL_17, 2, -1)), "score of nose in record 0 of .* is -1, which is negative"),
     (results(put(REAL_17, 0, float("nan"))), "x of nose in record 0 .* not finite"),
     (results([0] * 51), "no joint of any person"),
@@ -354,14 +365,10 @@ REFUSALS: list[tuple[Any, str]] = [
     (native(head=[1, 2, 3]) | {"version": True}, "'version' of a.json is True, but version 1"),
     (native(head=[1, 2, 3]) | {"people": []}, "has no person in it"),
     (native(head=[1, 2, 3]) | {"people": [{}]}, "'keypoints' of person 0 of a.json is None where a JSON object"),
-    (native(head=[1, 2, 3]) | {"format": "poseterior"}, "JSON of a shape that is not known"),
+    (native_with(face={"nose": [1, 2]}), r"nose of person 0 of a.json is \[1, 2\] where \[x, y, score\]"),
+    (native_with(face={"chin": [1, 2, 1]}), "has a point of the face 'chin', which is none of nose, left_eye"),
+    (native(head=[1, 2, 3]) | {"format": "poseterior"}, "of a shape that is not known"),
 ]
-
-
-def native_with(**fields: Any) -> dict[str, Any]:
-    document = native(head=[1, 2, 3])
-    document["people"][0] |= fields
-    return document
 
 
 REFUSALS += [
@@ -386,7 +393,7 @@ def test_refusals_are_one_sentence_that_says_what_and_where(document: Any, match
 @pytest.mark.parametrize(
     ("format", "threshold", "match"),
     [
-        ("yaml", None, "there is no format 'yaml'; choose auto or one of poseterior, openpose"),
+        ("yaml", None, "there is no format 'yaml'; choose auto or one of heatmaps, .*poseterior, openpose"),
         ("openpose-coco18", None, "person 0 of a.json has 75 numbers"),
         ("coco-results", None, "where a JSON array is needed"),
         ("coco-annotations", None, "'annotations' of a.json is None"),
@@ -447,7 +454,8 @@ def detections(draw: st.DrawFn) -> list[Detection]:
         points = np.where(seen[:, None], np.array(rows), [np.nan, np.nan, 0])
         size = draw(st.none() | st.tuples(st.integers(1, 9999), st.integers(1, 9999)))
         image = draw(st.none() | st.text())
-        people.append(Detection(points[:, :2], points[:, 2], "any", "drawn", person, image, size))
+        face = draw(st.none() | st.just(np.where(seen[:5, None], np.array(rows[5:10]), [np.nan, np.nan, 0])))
+        people.append(Detection(points[:, :2], points[:, 2], "any", "drawn", person, image, size, face))
     assume(any(person.seen.any() for person in people))
     return people
 

@@ -1,70 +1,106 @@
 """Files of 2D joints: `read_detections` reads them all, `write_detections` writes this project's own.
 
 `FORMATS` is the table of readers; adding a format is one module and one row. A format is recognised by its content,
-never by the name of the file.
+never by the name of the file. Folders and long files are read frame by frame: `read_frames`.
 """
 
 import math
 import os
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
-from probmodel.formats import coco, native, openpose
-from probmodel.formats.common import Content
+from probmodel.formats import alphapose, coco, deeplabcut, hourglass, mediapipe, mmpose, native, openpose, videopose3d
+from probmodel.formats.common import Content, at_least_one_joint
+from probmodel.heatmaps import THRESHOLD as HEATMAP_THRESHOLD
 
-__all__ = ["FORMATS", "Content", "Format", "read_content", "read_detections", "write_detections"]
+__all__ = [
+    "FORMATS", "Content", "Format", "content_of", "format_of", "people_of", "read_content", "read_detections",
+    "write_detections",
+]  # fmt: skip
 
 LARGEST_FILE = 1_000_000_000
 """Bytes; larger files would fill the memory before anything could be said about them."""
 
-DEFAULT_THRESHOLD = 0.0
-"""A joint with a score up to this is missing, where no threshold is given."""
-
 
 class Format(NamedTuple):
-    """A row of `FORMATS`: `recognises` is None for a format that is read only where it is asked for by name."""
+    """A row of `FORMATS`: `recognises` is None for a format that is read only where it is asked for by name. A joint
+    with a score up to `threshold` is missing, where no other threshold is given."""
 
     name: str
     about: str
     recognises: Callable[[Content], bool] | None
-    read: Callable[[Content, float], list[Detection]]
+    read: Callable[[Content, float], Iterator[Detection]]
+    threshold: float = 0.0
 
 
 _ROWS = (
-    Format("poseterior", "this project's JSON, joints by name", native.recognises, native.read),
-    Format("openpose", "OpenPose JSON, BODY_25, BODY_25B or COCO-18", openpose.recognises, openpose.read),
+    Format("heatmaps", "heatmaps", hourglass.recognises_heatmaps, hourglass.read_heatmaps,
+           HEATMAP_THRESHOLD),
+    Format("hourglass", "Stacked Hourglass preds", hourglass.recognises_points,
+           hourglass.read_points),
+    Format("deeplabcut-hdf5", "DeepLabCut HDF5", deeplabcut.recognises_hdf5, deeplabcut.read_hdf5),
+    Format("videopose3d", "VideoPose3D .npz", videopose3d.recognises, videopose3d.read),
+    Format("deeplabcut-csv", "DeepLabCut CSV", deeplabcut.recognises_csv, deeplabcut.read_csv),
+    Format("mediapipe-text", "MediaPipe text", mediapipe.recognises_text, mediapipe.read_text,
+           mediapipe.THRESHOLD),
+    Format("mediapipe-csv", "MediaPipe CSV", mediapipe.recognises_table, mediapipe.read_table,
+           mediapipe.THRESHOLD),
+    Format("poseterior", "poseterior JSON", native.recognises, native.read),
+    Format("openpose", "OpenPose JSON", openpose.recognises, openpose.read),
     Format("openpose-body25", "OpenPose JSON, BODY_25 for certain", None, openpose.reader(openpose.BODY_25)),
     Format("openpose-body25b", "OpenPose JSON, BODY_25B for certain", None, openpose.reader(openpose.BODY_25B)),
     Format("openpose-coco18", "OpenPose JSON, COCO-18 for certain", None, openpose.reader(openpose.COCO_18)),
-    Format("coco-annotations", "COCO keypoint annotations", coco.recognises_annotations, coco.read_annotations),
-    Format("coco-results", "COCO keypoint results, a list of records", coco.recognises_results, coco.read_results),
-)
+    Format("coco-annotations", "COCO annotations", coco.recognises_annotations, coco.read_annotations),
+    Format("mmpose", "MMPose or RTMPose JSON", mmpose.recognises, mmpose.read),
+    Format("mediapipe", "MediaPipe JSON", mediapipe.recognises_json, mediapipe.read_json,
+           mediapipe.THRESHOLD),
+    Format("coco-results", "COCO results or AlphaPose", coco.recognises_results, coco.read_results),
+    Format("alphapose", "AlphaPose by image", alphapose.recognises, alphapose.read),
+)  # fmt: skip
 FORMATS = {row.name: row for row in _ROWS}
-"""By name; the first whose `recognises` says yes is the one that `auto` takes."""
+"""By name; the first whose `recognises` says yes is the one that `auto` takes. Those that look at the first bytes come
+first."""
 
 
 def read_detections(
-    path: str | os.PathLike[str], format: str = "auto", threshold: float | None = None
+    path: str | os.PathLike[str],
+    format: str = "auto",
+    threshold: float | None = None,
+    *,
+    image_size: tuple[int, int] | None = None,
+    names: Mapping[str, str] | Sequence[str] | None = None,
 ) -> list[Detection]:
     """Every person in a file of 2D joints, in the order of the file.
 
-    `format` is "auto" or a name of `FORMATS`. Joints with score <= `threshold` (0 where it is None) are missing; a
-    person of whom nothing is seen stays in the list, so that the numbers of the others do not change. Raises
-    `BadInput`, one sentence, for whatever is wrong with the file.
+    `format` is "auto" or a name of `FORMATS`. Joints with score <= `threshold` (the format's own, usually 0, where it
+    is None) are missing; a person of whom nothing is seen stays in the list, so that the numbers of the others do not
+    change. `image_size` (width, height) in pixels is needed for coordinates that are fractions of it; `names` maps the
+    names of a detector that names its points freely to ours. Raises `BadInput`, one sentence, for whatever is wrong
+    with the file.
     """
-    return read_content(_content(Path(path)), format, threshold)
+    return read_content(content_of(Path(path), image_size, names), format, threshold)
 
 
 def read_content(content: Content, format: str = "auto", threshold: float | None = None) -> list[Detection]:
     """`read_detections` of bytes that are in memory already."""
-    threshold = DEFAULT_THRESHOLD if threshold is None else threshold
-    if not (math.isfinite(threshold) and threshold >= 0):
-        raise BadInput(f"the threshold of the scores must be 0 or a positive number, not {threshold}.")
-    return _format(content, format).read(content, threshold)
+    row = format_of(content, format)
+    return at_least_one_joint(list(people_of(content, row, threshold)), content.source, _threshold(row, threshold))
+
+
+def people_of(content: Content, row: Format, threshold: float | None) -> Iterator[Detection]:
+    """The people of a file one by one; there may be none."""
+    return row.read(content, _threshold(row, threshold))
+
+
+def _threshold(row: Format, threshold: float | None) -> float:
+    chosen = row.threshold if threshold is None else threshold
+    if not (math.isfinite(chosen) and chosen >= 0):
+        raise BadInput(f"the threshold of the scores must be 0 or a positive number, not {chosen}.")
+    return chosen
 
 
 def write_detections(path: str | os.PathLike[str], detections: Sequence[Detection]) -> None:
@@ -90,7 +126,10 @@ def _replace(target: Path, text: str) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def _content(path: Path) -> Content:
+def content_of(
+    path: Path, image_size: tuple[int, int] | None = None, names: Mapping[str, str] | Sequence[str] | None = None
+) -> Content:
+    """The content of a file, with what the user knows of it beside. Raises `BadInput` where it cannot be read."""
     try:
         if not path.exists():
             raise BadInput(f"{path} does not exist; give the path of a file of 2D joints.")
@@ -98,12 +137,13 @@ def _content(path: Path) -> Content:
             raise BadInput(f"{path} is not a file; give the path of a file of 2D joints.")
         if (size := path.stat().st_size) > LARGEST_FILE:
             raise BadInput(f"{path} has {size} bytes, more than {LARGEST_FILE}; split it into smaller files.")
-        return Content(path.read_bytes(), str(path))
+        return Content(path.read_bytes(), str(path), image_size, {} if names is None else names)
     except OSError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}); give the path of a file of 2D joints.") from None
 
 
-def _format(content: Content, name: str) -> Format:
+def format_of(content: Content, name: str = "auto") -> Format:
+    """The row of `FORMATS` of that name, or the one that recognises the content. Raises `BadInput` where none does."""
     if name in FORMATS:
         return FORMATS[name]
     if name != "auto":
@@ -112,4 +152,4 @@ def _format(content: Content, name: str) -> Format:
         if row.recognises is not None and row.recognises(content):
             return row
     known = "; ".join(row.about for row in FORMATS.values() if row.recognises is not None)
-    raise BadInput(f"{content.source} is JSON of a shape that is not known here; the known ones are: {known}.")
+    raise BadInput(f"{content.source} is of a shape that is not known here; the known ones are: {known}.")

@@ -1,99 +1,85 @@
 """COCO keypoints: annotation files, and the lists of results that most detectors can write (AlphaPose among them).
 
-Seventeen points, the left side first. Annotations say how visible a point is (0, 1, 2), which becomes a score of 0, 1/2
-or 1; results carry a score for each point. Neither has an end of the head, a pelvis or a thorax.
+Annotations have COCO's seventeen points and say how visible each is (0, 1, 2), which becomes a score of 0, 1/2 or 1.
+Results carry a score for each point (AlphaPose's run to 6 in some models; only their proportions matter), and how
+many numbers a record has tells which layout it is.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from probmodel.detections import Detection, FloatArray
 from probmodel.failures import BadInput
-from probmodel.formats.common import (
-    Content,
-    Layout,
-    at_least_one_joint,
-    image_name,
-    image_side,
-    mapping,
-    scored_points,
-    sequence,
-    shown,
-)  # fmt: skip
-
-COCO_17 = Layout(
-    "coco_17",
-    (
-        "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
-        "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
-        "right_ankle",
-    ),
-)  # fmt: skip
+from probmodel.formats.common import Content, image_name, image_side, mapping, scored_points, sequence, shown
+from probmodel.layouts import COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133, Layout
 
 PERSON = 1
 """COCO's category of persons."""
 
+RESULT_LAYOUTS = {3 * layout.count: layout for layout in (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)}
+"""By how many numbers a record of results has."""
+
 
 def recognises_annotations(content: Content) -> bool:
     """An object with `annotations`."""
-    return isinstance(content.json, dict) and "annotations" in content.json
+    return isinstance(content.first, dict) and "annotations" in content.first
 
 
 def recognises_results(content: Content) -> bool:
     """A list, empty or of objects that name an image."""
-    records = content.json
+    records = content.first
     return isinstance(records, list) and (not records or (isinstance(records[0], dict) and "image_id" in records[0]))
 
 
-def read_annotations(content: Content, threshold: float) -> list[Detection]:
+def read_annotations(content: Content, threshold: float) -> Iterator[Detection]:
     """The annotated people that have at least one labelled keypoint, numbered in the order of the file."""
     source = content.source
     document = mapping(content.json, source)
     annotations = sequence(document.get("annotations"), f"'annotations' of {source}")
     persons = _person_categories(document, source)
     sizes = _image_sizes(document, source)
-    people: list[Detection] = []
+    people = 0
     for where, record in _records(annotations, "annotation", source):
         _check_category(record, persons, where)
         if record.get("keypoints") is None:  # a person who was boxed only
             continue
-        points = _points(record, where)
+        points = _points(record, {3 * COCO_17.count: COCO_17}, where)[0]
         points[:, 2] = _scores_of_visibility(points[:, 2], where)
         if points[:, 2].any():
             image = image_name(record.get("image_id"), f"image_id of {where}")
-            people.append(_detection(points, len(people), image, sizes.get(image), source, threshold))
+            yield COCO_17.detection(points, threshold, source, people, image, sizes.get(image))
+            people += 1
     if annotations and not people:
         raise BadInput(f"no annotation in {source} has keypoints; give a file of person keypoints, not one of boxes.")
-    return at_least_one_joint(people, source, threshold)
 
 
-def read_results(content: Content, threshold: float) -> list[Detection]:
+def read_results(content: Content, threshold: float) -> Iterator[Detection]:
     """One detection for each record of the list, numbered in the order of the file."""
-    source = content.source
-    people: list[Detection] = []
-    for where, record in _records(sequence(content.json, source), "record", source):
+    for person, (where, record) in enumerate(_records(content.records(), "record", content.source)):
         _check_category(record, {PERSON}, where)
         image = image_name(record.get("image_id"), f"image_id of {where}")
-        people.append(_detection(_points(record, where), len(people), image, None, source, threshold))
-    return at_least_one_joint(people, source, threshold)
+        points, layout = _points(record, RESULT_LAYOUTS, where)
+        yield layout.detection(points, threshold, content.source, person, image)
 
 
-def _records(values: list[Any], kind: str, source: str) -> Iterator[tuple[str, dict[str, Any]]]:
+def _records(values: Iterable[Any], kind: str, source: str) -> Iterator[tuple[str, dict[str, Any]]]:
     for index, value in enumerate(values):
         where = f"{kind} {index} of {source}"
         yield where, mapping(value, where)
 
 
-def _points(record: dict[str, Any], where: str) -> FloatArray:
+def _points(record: dict[str, Any], layouts: dict[int, Layout], where: str) -> tuple[FloatArray, Layout]:
     if "keypoints" not in record:
         raise BadInput(f"{where} has no 'keypoints'; give a file of keypoints, not one of boxes.")
     flat = sequence(record["keypoints"], f"'keypoints' of {where}")
-    if len(flat) != 3 * COCO_17.count:
+    layout = layouts.get(len(flat))
+    if layout is None:
+        known = ", ".join(f"{numbers} ({layout.name})" for numbers, layout in sorted(layouts.items()))
         raise BadInput(
-            f"'keypoints' of {where} holds {len(flat)} numbers, but x, y, score of COCO's {COCO_17.count} points are "
-            f"{3 * COCO_17.count}; have the detector write COCO's 17 keypoints."
+            f"'keypoints' of {where} holds {len(flat)} numbers, but x, y, score of the points of a person are {known}; "
+            "have the detector write one of these layouts."
         )
-    return scored_points(flat, COCO_17.points, where)
+    return scored_points(flat, layout.points, where), layout
 
 
 def _scores_of_visibility(visibility: FloatArray, where: str) -> FloatArray:
@@ -138,10 +124,3 @@ def _image_sizes(document: dict[str, Any], source: str) -> dict[str | None, tupl
             sizes[image_name(image.get("id"), f"'id' of {where}")] = (width, height)
     sizes.pop(None, None)  # an image without an id is nobody's image
     return sizes
-
-
-def _detection(
-    points: FloatArray, person: int, image: str | None, size: tuple[int, int] | None, source: str, threshold: float
-) -> Detection:
-    keypoints, score = COCO_17.to_skeleton(points, threshold)
-    return Detection(keypoints, score, COCO_17.name, source, person, image, size)

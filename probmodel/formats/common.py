@@ -1,15 +1,16 @@
-"""What all readers share: the content of a file, checked access to JSON values, and joint orders.
+"""What all readers share: the content of a file, and checked access to JSON values.
 
-A reader takes a `Content` and a threshold and returns a list of `Detection`; whatever it does not like it refuses with
-`BadInput`, one sentence that names the file, the place and the remedy. A `Layout` maps the points of a detector onto
-the skeleton.
+A reader takes a `Content` and a threshold and yields `Detection`s one by one; whatever it does not like it refuses with
+`BadInput`, one sentence that names the file, the place and the remedy.
 """
 
 import json
 import math
+import re
 import reprlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -19,26 +20,82 @@ from probmodel.detections import LARGEST_NUMBER, Detection, FloatArray
 from probmodel.failures import BadInput
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
-MIDPOINTS = {"thorax": ("right_shoulder", "left_shoulder"), "pelvis": ("right_hip", "left_hip")}
-"""Joints that lie midway between two others, for the detectors that do not have them or missed them."""
+_SPACE = re.compile(r"[ \t\n\r]*")
 
 
 @dataclass(frozen=True)
 class Content:
-    """The bytes of one file; `source` names it in messages."""
+    """The bytes of one file; `source` names it in messages.
+
+    What the file does not say, the user may: `image_size` (width, height) in pixels, for coordinates that are
+    fractions of it, and `names`, their names of joints → ours (or, in the order of the file, a list).
+    """
 
     data: bytes
     source: str
+    image_size: tuple[int, int] | None = None
+    names: Mapping[str, str] | Sequence[str] = field(default_factory=dict)
+
+    @cached_property
+    def text(self) -> str:
+        """The text. Raises `BadInput` where it is not UTF-8."""
+        try:
+            return self.data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise BadInput(
+                f"{self.source} is not UTF-8 text (byte {error.start} is not), nor HDF5 or NumPy's; give a file of 2D "
+                "joints."
+            ) from None
 
     @cached_property
     def json(self) -> Any:
         """The document, parsed once. Raises `BadInput` where it is not UTF-8, not JSON, or nested too deeply."""
+        text = self.text
+        with self._json_failures():
+            return json.loads(text)
+
+    @cached_property
+    def first(self) -> Any:
+        """The document or, where it is an array, its first element alone in a list: enough to recognise a format."""
+        text = self.text
+        start = _skip(text, 0)
+        if text[start : start + 1] != "[":
+            return self.json
+        with self._json_failures():
+            start = _skip(text, start + 1)
+            return [] if text[start : start + 1] == "]" else [json.JSONDecoder().raw_decode(text, start)[0]]
+
+    def records(self) -> Iterator[Any]:
+        """The elements of a document that is an array, parsed one by one, so that a long file need not be in memory as
+        objects. Raises `BadInput` as `json` does, at the element where that is found out."""
+        if not isinstance(self.first, list):
+            raise BadInput(f"{self.source} is {shown(self.first)} where a JSON array is needed.")
+        text, decoder = self.text, json.JSONDecoder()
+        place = _skip(text, _skip(text, 0) + 1)
+        if text[place : place + 1] == "]":
+            self._require_end(text, place + 1)
+            return
+        while True:
+            with self._json_failures():
+                value, place = decoder.raw_decode(text, place)
+            yield value
+            place = _skip(text, place)
+            if text[place : place + 1] == "]":
+                return self._require_end(text, place + 1)
+            with self._json_failures():
+                if text[place : place + 1] != ",":
+                    raise json.JSONDecodeError("Expecting ',' delimiter", text, place)
+            place = _skip(text, place + 1)
+
+    def _require_end(self, text: str, place: int) -> None:
+        with self._json_failures():
+            if _skip(text, place) != len(text):
+                raise json.JSONDecodeError("Extra data", text, place)
+
+    @contextmanager
+    def _json_failures(self) -> Iterator[None]:
         try:
-            return json.loads(self.data.decode("utf-8-sig"))
-        except UnicodeDecodeError as error:
-            raise BadInput(
-                f"{self.source} is not UTF-8 text (byte {error.start} is not); give a JSON file of 2D joints."
-            ) from None
+            yield
         except json.JSONDecodeError as error:
             raise BadInput(
                 f"{self.source} is not valid JSON: {error.msg} at line {error.lineno}, column {error.colno}; "
@@ -52,32 +109,10 @@ class Content:
             raise BadInput(f"{self.source} holds a whole number of thousands of digits; check what wrote it.") from None
 
 
-@dataclass(frozen=True)
-class Layout:
-    """A detector's joint order: the name of each point, in the order of the file.
-
-    A point that is a joint of the skeleton bears the joint's name; the others are not used.
-    """
-
-    name: str
-    points: tuple[str, ...]
-
-    @property
-    def count(self) -> int:
-        """How many points a person has."""
-        return len(self.points)
-
-    def to_skeleton(self, points: FloatArray, threshold: float) -> tuple[FloatArray, FloatArray]:
-        """`(15, 2)` keypoints and `(15,)` scores from `(count, 3)` rows of x, y, score.
-
-        Points with score <= `threshold` are missing. A thorax or pelvis that is missing, or not part of the layout, is
-        the midpoint of shoulders or hips where both are seen, with the smaller of their scores.
-        """
-        seen = {name: row for name, row in zip(self.points, points, strict=True) if row[2] > threshold}
-        for middle, (right, left) in MIDPOINTS.items():
-            if middle not in seen and right in seen and left in seen:
-                seen[middle] = np.append((seen[right][:2] + seen[left][:2]) / 2, min(seen[right][2], seen[left][2]))
-        return skeleton_arrays({name: row for name, row in seen.items() if name in JOINT_INDEX})
+def _skip(text: str, place: int) -> int:
+    """The place of the next character that is no white space."""
+    space = _SPACE.match(text, place)
+    return space.end() if space else place
 
 
 def skeleton_arrays(rows: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -126,6 +161,12 @@ def scored_point(values: Sequence[object], where: str) -> FloatArray:
 def scored_points(values: object, names: Sequence[str], where: str) -> FloatArray:
     """`(len(names), 3)` from a flat list of x, y, score whose length is known to fit."""
     flat = sequence(values, where)
+    if set(map(type, flat)) <= {int, float}:
+        with suppress(OverflowError):  # a whole number too large for a float
+            points = np.array(flat, dtype=float).reshape(-1, 3)
+            if (np.abs(points) <= LARGEST_NUMBER).all() and (points[:, 2] >= 0).all():
+                return points
+    # Something is wrong: one by one, to name it.
     return np.array([scored_point(flat[3 * i : 3 * i + 3], f"{name} in {where}") for i, name in enumerate(names)])
 
 

@@ -1,20 +1,23 @@
 """This project's own JSON of 2D joints: joints by name, so that no order can be mistaken.
 
     {"format": "poseterior-detections", "version": 1,
-     "people": [{"keypoints": {"right_knee": [x, y, score], …}, "image_id": "785", "image_size": [640, 425]}]}
+     "people": [{"keypoints": {"right_knee": [x, y, score], …}, "image_id": "785", "image_size": [640, 425],
+                 "face": {"nose": [x, y, score], …}}]}
 
-A joint that is not there was not seen. Other keys (a `truth`, say) are left alone.
+A joint that is not there was not seen; without a "face", the detector has no points of it. Other keys (a `truth`, say)
+are left alone.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from probmodel.detections import Detection, FloatArray
+import numpy as np
+
+from probmodel.detections import FACE, Detection, FloatArray
 from probmodel.failures import BadInput
 from probmodel.formats.common import (
     Content,
-    at_least_one_joint,
     image_name,
     image_side,
     mapping,
@@ -23,7 +26,7 @@ from probmodel.formats.common import (
     shown,
     skeleton_arrays,
 )  # fmt: skip
-from probmodel.skeleton import JOINT_INDEX, JOINTS
+from probmodel.skeleton import JOINTS
 
 FORMAT, VERSION, LAYOUT = "poseterior-detections", 1, "poseterior"
 
@@ -33,7 +36,7 @@ def recognises(content: Content) -> bool:
     return isinstance(content.json, dict) and content.json.get("format") == FORMAT
 
 
-def read(content: Content, threshold: float) -> list[Detection]:
+def read(content: Content, threshold: float) -> Iterator[Detection]:
     """One detection for each of `people`, in order."""
     source = content.source
     document = mapping(content.json, source)
@@ -45,8 +48,8 @@ def read(content: Content, threshold: float) -> list[Detection]:
     if isinstance(version, bool) or version != VERSION:
         raise BadInput(f"'version' of {source} is {shown(version)}, but version {VERSION} is what can be read.")
     people = sequence(document.get("people"), f"'people' of {source}")
-    detections = [_person(value, person, source, threshold) for person, value in enumerate(people)]
-    return at_least_one_joint(detections, source, threshold)
+    for person, value in enumerate(people):
+        yield _person(value, person, source, threshold)
 
 
 def write(detections: Sequence[Detection]) -> str:
@@ -61,33 +64,46 @@ def write(detections: Sequence[Detection]) -> str:
 
 
 def _record(detection: Detection) -> dict[str, Any]:
-    seen = {
-        name: [*xy, score]
-        for name, xy, score in zip(JOINTS, detection.keypoints.tolist(), detection.score.tolist(), strict=True)
-        if score > 0
-    }
-    size = detection.image_size
+    size, face = detection.image_size, detection.face
     return {
-        "keypoints": seen,
+        "keypoints": _rows_by_name(JOINTS, detection.keypoints, detection.score),
         **({} if detection.image_id is None else {"image_id": detection.image_id}),
         **({} if size is None else {"image_size": list(size)}),
+        **({} if face is None else {"face": _rows_by_name(FACE, face[:, :2], face[:, 2])}),
     }
+
+
+def _rows_by_name(names: Sequence[str], xy: FloatArray, score: FloatArray) -> dict[str, list[float]]:
+    rows = zip(names, xy.tolist(), score.tolist(), strict=True)
+    return {name: [*place, value] for name, place, value in rows if value > 0}
 
 
 def _person(value: object, person: int, source: str, threshold: float) -> Detection:
     where = f"person {person} of {source}"
     record = mapping(value, where)
-    rows = _joints(record.get("keypoints"), where)
+    rows = _points(record.get("keypoints"), "keypoints", JOINTS, where)
     keypoints, score = skeleton_arrays({name: row for name, row in rows.items() if row[2] > threshold})
     image = image_name(record.get("image_id"), f"'image_id' of {where}")
-    return Detection(keypoints, score, LAYOUT, source, person, image, _size(record.get("image_size"), where))
+    size, face = _size(record.get("image_size"), where), _face(record.get("face"), where, threshold)
+    return Detection(keypoints, score, LAYOUT, source, person, image, size, face)
 
 
-def _joints(value: object, where: str) -> dict[str, FloatArray]:
+def _face(value: object, where: str, threshold: float) -> FloatArray | None:
+    if value is None:
+        return None
+    face = np.full((len(FACE), 3), [np.nan, np.nan, 0.0])
+    for name, row in _points(value, "face", FACE, where).items():
+        if row[2] > threshold:
+            face[FACE.index(name)] = row
+    return face
+
+
+def _points(value: object, key: str, names: Sequence[str], where: str) -> dict[str, FloatArray]:
     rows = {}
-    for name, values in mapping(value, f"'keypoints' of {where}").items():
-        if name not in JOINT_INDEX:
-            raise BadInput(f"{where} has a joint {shown(name)}, which is none of {', '.join(JOINTS)}.")
+    for name, values in mapping(value, f"'{key}' of {where}").items():
+        if name not in names:
+            kind = "joint" if key == "keypoints" else "point of the face"
+            raise BadInput(f"{where} has a {kind} {shown(name)}, which is none of {', '.join(names)}.")
         if len(sequence(values, f"{name} of {where}")) != 3:
             raise BadInput(f"{name} of {where} is {shown(values)} where [x, y, score] is needed.")
         rows[name] = scored_point(values, f"{name} in {where}")

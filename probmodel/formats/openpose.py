@@ -5,41 +5,15 @@ BODY_25B, whose order differs: `body_order` tells them apart by the lengths of t
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from probmodel.detections import Detection, FloatArray
 from probmodel.failures import BadInput
-from probmodel.formats.common import Content, Layout, at_least_one_joint, mapping, scored_points, sequence
-
-BODY_25 = Layout(
-    "body_25",
-    (
-        "nose", "thorax", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
-        "pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye",
-        "left_eye", "right_ear", "left_ear", "left_big_toe", "left_small_toe", "left_heel", "right_big_toe",
-        "right_small_toe", "right_heel",
-    ),
-)  # fmt: skip
-BODY_25B = Layout(
-    "body_25b",
-    (
-        "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
-        "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
-        "right_ankle", "upper_neck", "head", "left_big_toe", "left_small_toe", "left_heel", "right_big_toe",
-        "right_small_toe", "right_heel",
-    ),
-)  # fmt: skip
-COCO_18 = Layout(
-    "coco_18",
-    (
-        "nose", "thorax", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
-        "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye", "left_eye",
-        "right_ear", "left_ear",
-    ),
-)  # fmt: skip
+from probmodel.formats.common import Content, mapping, scored_points, sequence
+from probmodel.layouts import BODY_25, BODY_25B, COCO_18, Layout
 
 KEYS = ("pose_keypoints_2d", "pose_keypoints")
 """Where a person's points stand; the second is OpenPose 1.0's."""
@@ -72,18 +46,18 @@ def recognises(content: Content) -> bool:
     return isinstance(content.json, dict) and "people" in content.json and "format" not in content.json
 
 
-def read(content: Content, threshold: float) -> list[Detection]:
+def read(content: Content, threshold: float) -> Iterator[Detection]:
     """Every person; the layout follows from the number of points and, for 25, from `body_order`."""
     people = _flat_lists(content)
-    bodies = [_points(flat, BODY_25, where) for where, flat in people if len(flat) == 3 * BODY_25.count]
-    body = body_order(bodies, content.source) if bodies else BODY_25
+    found = bodies(content)
+    body = body_order(found, content.source) if found else BODY_25
     return _detections(content, [body if len(flat) == 3 * body.count else COCO_18 for _, flat in people], threshold)
 
 
-def reader(layout: Layout) -> Callable[[Content, float], list[Detection]]:
+def reader(layout: Layout) -> Callable[[Content, float], Iterator[Detection]]:
     """`read` for a file that is known to be in `layout`."""
 
-    def read_layout(content: Content, threshold: float) -> list[Detection]:
+    def read_layout(content: Content, threshold: float) -> Iterator[Detection]:
         return _detections(content, [layout] * len(_flat_lists(content)), threshold)
 
     return read_layout
@@ -96,13 +70,23 @@ def body_order(people: list[FloatArray], source: str) -> Layout:
     body and others vanish. The evidence of a person is the logarithm of the ratio of the two coefficients of variation
     of length over usual length. Raises `BadInput` where it does not suffice.
     """
-    evidence = sum(_evidence(points) for points in people)
+    evidence = order_evidence(people)
     if abs(evidence) < MIN_EVIDENCE:
         raise BadInput(
             f"{source} has 25 points a person, but too few are seen to tell BODY_25 from BODY_25B; choose "
             "--format openpose-body25 or openpose-body25b."
         )
     return BODY_25 if evidence > 0 else BODY_25B
+
+
+def order_evidence(people: list[FloatArray]) -> float:
+    """Positive for BODY_25, negative for BODY_25B: the sum over people in `(25, 3)` points."""
+    return sum(_evidence(points) for points in people)
+
+
+def bodies(content: Content) -> list[FloatArray]:
+    """The people of 25 points, `(25, 3)` each."""
+    return [_points(flat, BODY_25, where) for where, flat in _flat_lists(content) if len(flat) == 3 * BODY_25.count]
 
 
 def _evidence(points: FloatArray) -> float:
@@ -144,9 +128,6 @@ def _points(flat: list[Any], layout: Layout, where: str) -> FloatArray:
     return scored_points(flat, layout.points, where)
 
 
-def _detections(content: Content, layouts: list[Layout], threshold: float) -> list[Detection]:
-    detections = []
+def _detections(content: Content, layouts: list[Layout], threshold: float) -> Iterator[Detection]:
     for person, ((where, flat), layout) in enumerate(zip(_flat_lists(content), layouts, strict=True)):
-        keypoints, score = layout.to_skeleton(_points(flat, layout, where), threshold)
-        detections.append(Detection(keypoints, score, layout.name, content.source, person))
-    return at_least_one_joint(detections, content.source, threshold)
+        yield layout.detection(_points(flat, layout, where), threshold, content.source, person)

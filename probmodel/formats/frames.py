@@ -1,0 +1,115 @@
+"""Frames: a folder with a file for each, or one long file, read one frame after another.
+
+    for frame in probmodel.read_frames("keypoints/"):
+        frame.name, frame.people
+
+Nothing is read before it is asked for, and nothing kept after: a frame is (its name, its people), and may have nobody.
+"""
+
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import NamedTuple
+
+from probmodel.detections import Detection
+from probmodel.failures import BadInput
+from probmodel.formats import content_of, format_of, openpose, people_of
+from probmodel.formats.common import Content
+
+PROBES = 25
+"""Files of a folder, evenly spread, that say in which format it is."""
+_SUFFIX = "_keypoints"
+"""What OpenPose adds to the name of a frame."""
+
+
+class DetectedFrame(NamedTuple):
+    """A frame: its `name` (the image's, a number in the file, or the name of its file) and the `people` found in it."""
+
+    name: str
+    people: list[Detection]
+
+
+def read_frames(
+    path: str | os.PathLike[str],
+    format: str = "auto",
+    threshold: float | None = None,
+    *,
+    image_size: tuple[int, int] | None = None,
+    names: Mapping[str, str] | Sequence[str] | None = None,
+) -> Iterator[DetectedFrame]:
+    """The frames of a folder (sorted by name, numbers by value) or of a file, lazily; arguments as in
+    `read_detections`.
+
+    A folder has one format, told from a few of its files: one frame alone may show too little for that. Raises
+    `BadInput` where there is no file, and, on the way, at the first that cannot be read.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        return _frames_of_file(content_of(path, image_size, names), format, threshold)
+    files = sorted_files(path)
+    if not files:
+        raise BadInput(f"{path} holds no files; give a folder with one file of 2D joints for each frame.")
+    chosen = folder_format(files, image_size, names) if format in ("auto", "openpose") else format
+    return _frames_of_folder(files, chosen, threshold, image_size, names)
+
+
+def sorted_files(folder: Path) -> list[Path]:
+    """The files of a folder, hidden ones aside, `frame_2` before `frame_10`. Raises `BadInput` where it is closed."""
+    try:
+        with os.scandir(folder) as entries:
+            found = [entry.path for entry in entries if not entry.name.startswith(".") and entry.is_file()]
+    except OSError as error:
+        raise BadInput(f"{folder} cannot be read ({error.strerror}); check its permissions.") from None
+    return [Path(name) for name in sorted(found, key=_by_number)]
+
+
+def _by_number(name: str) -> tuple[list[str], list[int], str]:
+    return re.split(r"\d+", name), [int(digits) for digits in re.findall(r"\d{1,18}", name)], name
+
+
+def folder_format(
+    files: Sequence[Path],
+    image_size: tuple[int, int] | None = None,
+    names: Mapping[str, str] | Sequence[str] | None = None,
+) -> str:
+    """The format of a folder's files, by name, from `PROBES` of them; OpenPose's with the order of its 25 points.
+
+    Raises `BadInput` where the files are not of one format.
+    """
+    step = max(1, len(files) // PROBES)
+    contents = [content_of(file, image_size, names) for file in files[::step][:PROBES]]
+    found = {format_of(content).name: content.source for content in contents}
+    if len(found) > 1:
+        said = ", ".join(f"{source} is {name}" for name, source in found.items())
+        raise BadInput(f"the files of this folder differ in format ({said}); keep one format in a folder.")
+    if set(found) != {"openpose"}:
+        return next(iter(found))
+    people = [points for content in contents for points in openpose.bodies(content)]
+    if not people:
+        return "openpose"
+    body = openpose.body_order(people, str(files[0].parent))
+    return {openpose.BODY_25: "openpose-body25", openpose.BODY_25B: "openpose-body25b"}[body]
+
+
+def _frames_of_folder(
+    files: Sequence[Path],
+    format: str,
+    threshold: float | None,
+    image_size: tuple[int, int] | None,
+    names: Mapping[str, str] | Sequence[str] | None,
+) -> Iterator[DetectedFrame]:
+    for file in files:
+        yield from _frames_of_file(content_of(file, image_size, names), format, threshold)
+
+
+def _frames_of_file(content: Content, format: str, threshold: float | None) -> Iterator[DetectedFrame]:
+    people = people_of(content, format_of(content, format), threshold)
+    stem = Path(content.source).stem.removesuffix(_SUFFIX)
+    nobody = True
+    for image, group in groupby(people, key=lambda person: person.image_id):
+        nobody = False
+        yield DetectedFrame(stem if image is None else image, list(group))
+    if nobody:
+        yield DetectedFrame(stem, [])

@@ -1,0 +1,253 @@
+"""Joint orders: what each detector calls its points, and how they become the skeleton's joints and the face.
+
+`LAYOUTS` is the table, by name. A point that is a joint of the skeleton, or of the face, bears that name; the others
+are not used. Where a layout has no thorax or pelvis, or defines them as midpoints, they are the midpoints of shoulders
+and hips; `corrected` moves them to where the skeleton has them. Offsets and their sources: reports/detectors.md.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+
+import numpy as np
+
+from probmodel.detections import FACE, Detection, FloatArray
+from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+
+MIDPOINTS = {"thorax": ("right_shoulder", "left_shoulder"), "pelvis": ("right_hip", "left_hip")}
+"""Joints that lie midway between two others, for the detectors that do not have them or missed them."""
+
+TOWARDS_THE_OTHER = {"thorax": 0.125, "pelvis": 0.192}
+"""How far along the line from one midpoint to the other the skeleton's own joint lies: the mean over the embedded
+torsos, projected onto that line (a test derives them again). The thorax lies below the shoulders' midpoint and the
+pelvis above the hips'; under weak perspective a share of a line stays the same share in every view."""
+
+_MIDDLE_ROWS = tuple(
+    (JOINT_INDEX[middle], JOINT_INDEX[right], JOINT_INDEX[left]) for middle, (right, left) in MIDPOINTS.items()
+)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A detector's joint order: the name of each point, in the order of the file.
+
+    `midpoints` names those of thorax and pelvis that the layout lacks, or has but defines as midpoints of shoulders
+    and hips.
+    """
+
+    name: str
+    points: tuple[str, ...]
+    midpoints: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """How many points a person has."""
+        return len(self.points)
+
+    @cached_property
+    def _body(self) -> tuple[list[int], list[int]]:
+        """Which points are joints, and which joints they are."""
+        pairs = [(index, JOINT_INDEX[name]) for index, name in enumerate(self.points) if name in JOINT_INDEX]
+        return [index for index, _ in pairs], [joint for _, joint in pairs]
+
+    @cached_property
+    def _face(self) -> tuple[list[int], list[int]]:
+        pairs = [(index, FACE.index(name)) for index, name in enumerate(self.points) if name in FACE]
+        return [index for index, _ in pairs], [row for _, row in pairs]
+
+    def to_skeleton(self, points: FloatArray, threshold: float) -> tuple[FloatArray, FloatArray]:
+        """`(15, 2)` keypoints and `(15,)` scores from `(count, 3)` rows of x, y, score.
+
+        Points with score <= `threshold` are missing. A thorax or pelvis that is missing, or not part of the layout, is
+        the midpoint of shoulders or hips where both are seen, with the smaller of their scores.
+        """
+        indices, joints = self._body
+        rows = np.zeros((NUM_JOINTS, 3))
+        rows[joints] = points[indices]
+        seen = rows[:, 2] > threshold
+        for middle, right, left in _MIDDLE_ROWS:
+            if not seen[middle] and seen[right] and seen[left]:
+                rows[middle, :2] = (rows[right, :2] + rows[left, :2]) / 2
+                rows[middle, 2] = min(rows[right, 2], rows[left, 2])
+                seen[middle] = True
+        rows[~seen] = np.nan, np.nan, 0.0
+        return rows[:, :2], rows[:, 2]
+
+    def face(self, points: FloatArray, threshold: float) -> FloatArray | None:
+        """`(5, 3)` x, y, score of `FACE`, NaN, NaN, 0 where missing; None where the layout has no nose, or no eyes and
+        ears, and so says nothing about which way the head is turned."""
+        indices, rows = self._face
+        if not self.has_face:
+            return None
+        face = np.full((len(FACE), 3), [np.nan, np.nan, 0.0])
+        face[rows] = points[indices]
+        face[~(face[:, 2] > threshold)] = np.nan, np.nan, 0.0
+        return face
+
+    @cached_property
+    def has_face(self) -> bool:
+        """Whether there is a nose, and an eye or an ear on either side."""
+        names = set(self.points)
+        return "nose" in names and any({f"left_{part}", f"right_{part}"} <= names for part in ("eye", "ear"))
+
+    def detection(
+        self,
+        points: FloatArray,
+        threshold: float,
+        source: str,
+        person: int,
+        image_id: str | None = None,
+        image_size: tuple[int, int] | None = None,
+    ) -> Detection:
+        """One person from `(count, 3)` rows of x, y, score."""
+        keypoints, score = self.to_skeleton(points, threshold)
+        face = self.face(points, threshold)
+        return Detection(keypoints, score, self.name, source, person, image_id, image_size, face)
+
+
+_COCO = (
+    "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
+    "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
+    "right_ankle",
+)  # fmt: skip
+_BOTH = ("thorax", "pelvis")
+_FEET = ("left_big_toe", "left_small_toe", "left_heel", "right_big_toe", "right_small_toe", "right_heel")
+_HALPE = (
+    *_COCO, "head", "neck", "hip_centre", "left_big_toe", "right_big_toe", "left_small_toe", "right_small_toe",
+    "left_heel", "right_heel",
+)  # fmt: skip
+
+COCO_17 = Layout("coco_17", _COCO, _BOTH)
+BODY_25 = Layout(
+    "body_25",
+    (
+        "nose", "thorax", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
+        "pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye",
+        "left_eye", "right_ear", "left_ear", *_FEET,
+    ),
+    _BOTH,
+)  # fmt: skip
+BODY_25B = Layout("body_25b", (*_COCO, "upper_neck", "head", *_FEET), _BOTH)
+COCO_18 = Layout(
+    "coco_18",
+    (
+        "nose", "thorax", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
+        "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye", "left_eye",
+        "right_ear", "left_ear",
+    ),
+    _BOTH,
+)  # fmt: skip
+HALPE_26 = Layout("halpe_26", _HALPE, _BOTH)
+HALPE_136 = Layout("halpe_136", (*_HALPE, *(f"face_or_hand_{i}" for i in range(110))), _BOTH)
+WHOLEBODY_133 = Layout("coco_wholebody_133", (*_COCO, *(f"foot_face_or_hand_{i}" for i in range(116))), _BOTH)
+MPII_16 = Layout(
+    "mpii_16",
+    (
+        "right_ankle", "right_knee", "right_hip", "left_hip", "left_knee", "left_ankle", "pelvis", "thorax",
+        "upper_neck", "head", "right_wrist", "right_elbow", "right_shoulder", "left_shoulder", "left_elbow",
+        "left_wrist",
+    ),
+)  # fmt: skip
+H36M_17 = Layout(
+    "h36m_17",
+    (
+        "pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "spine", "thorax",
+        "neck_or_nose", "head", "left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow",
+        "right_wrist",
+    ),
+)  # fmt: skip
+MEDIAPIPE_33 = Layout(
+    "mediapipe_33",
+    (
+        "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer",
+        "left_ear", "right_ear", "mouth_left", "mouth_right", "left_shoulder", "right_shoulder", "left_elbow",
+        "right_elbow", "left_wrist", "right_wrist", "left_pinky", "right_pinky", "left_index", "right_index",
+        "left_thumb", "right_thumb", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
+        "left_heel", "right_heel", "left_foot_index", "right_foot_index",
+    ),
+    _BOTH,
+)  # fmt: skip
+CROWDPOSE_14 = Layout(
+    "crowdpose_14",
+    (
+        "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hip",
+        "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle", "head", "neck",
+    ),
+    _BOTH,
+)  # fmt: skip
+AIC_14 = Layout(
+    "aic_14",
+    (
+        "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist", "right_hip",
+        "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "head", "neck",
+    ),
+    _BOTH,
+)  # fmt: skip
+
+LAYOUTS = MappingProxyType({
+    layout.name: layout
+    for layout in (
+        COCO_17, COCO_18, BODY_25, BODY_25B, HALPE_26, HALPE_136, WHOLEBODY_133, MPII_16, H36M_17, MEDIAPIPE_33,
+        CROWDPOSE_14, AIC_14,
+    )
+})  # fmt: skip
+"""By name."""
+
+
+def corrected(detection: Detection) -> Detection:
+    """`detection` with the thorax and pelvis where the skeleton has them, if its layout makes them midpoints.
+
+    A midpoint without its counterpart cannot be moved and stays.
+    """
+    layout = LAYOUTS.get(detection.layout)
+    names = [] if layout is None else list(layout.midpoints)
+    keypoints = np.array(detection.keypoints)
+    thorax, pelvis = (JOINT_INDEX[name] for name in ("thorax", "pelvis"))
+    if detection.seen[thorax] and detection.seen[pelvis]:
+        for name in names:
+            start, end = (thorax, pelvis) if name == "thorax" else (pelvis, thorax)
+            step = detection.keypoints[end] - detection.keypoints[start]
+            keypoints[start] = detection.keypoints[start] + TOWARDS_THE_OTHER[name] * step
+    return dataclasses.replace(detection, keypoints=keypoints)
+
+
+_SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
+_PARTS = {
+    "shoulder": "shoulder", "elbow": "elbow", "wrist": "wrist", "hip": "hip", "knee": "knee", "ankle": "ankle",
+    "eye": "eye", "ear": "ear",
+}  # fmt: skip
+_WHOLE = {
+    "pelvis": "pelvis", "hip_centre": "pelvis", "hip_center": "pelvis", "mid_hip": "pelvis", "root": "pelvis",
+    "thorax": "thorax", "chest": "thorax", "head": "head", "head_top": "head", "top_head": "head", "nose": "nose",
+}  # fmt: skip
+
+
+def spoken_name(name: str) -> str:
+    """The skeleton's (or face's) name of a body part as people write it, or the name as it is where it is no such part.
+
+    LeftShoulder, left-shoulder, shoulder_l and l_shoulder are all left_shoulder. Numbered names (hip1) are not guessed.
+    """
+    words = _words(name)
+    whole = "_".join(words)
+    if whole in _WHOLE:
+        return _WHOLE[whole]
+    sides = [_SIDES[word] for word in words if word in _SIDES]
+    parts = [word for word in words if word not in _SIDES]
+    if len(sides) == 1 and len(parts) == 1 and parts[0] in _PARTS:
+        return f"{sides[0]}_{_PARTS[parts[0]]}"
+    return name
+
+
+def _words(name: str) -> list[str]:
+    """Lower-case words of a name in camel, snake or kebab case; MidHip, mid_hip and "mid hip" are the same."""
+    spaced = "".join(f" {letter}" if letter.isupper() and not name.isupper() else letter for letter in name)
+    return "".join(letter if letter.isalnum() else " " for letter in spaced).lower().split()
+
+
+def layout_of_names(names: list[str], mapping: "dict[str, str] | None" = None) -> Layout:
+    """A layout of freely named points: `mapping` (their name → ours) first, then `spoken_name`."""
+    mapping = mapping or {}
+    points = tuple(mapping[name] if name in mapping else spoken_name(name) for name in names)
+    absent = tuple(name for name in _BOTH if name not in points)
+    return Layout("named", points, absent)

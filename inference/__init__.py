@@ -5,12 +5,12 @@ result = inference.sample(model, frame, key=jax.random.key(0), num_samples=10_00
 """
 
 from inference.candidates import Candidate, Frame
-from inference.estimators import ESTIMATORS, estimate_torso
+from inference.estimators import ESTIMATORS, estimate_torso, estimate_torsos
 from inference.hypotheses import Hypothesis, diverse, grid_poses, hypotheses
 from inference.results import Result
 from inference.sampler import SAMPLERS, sample
 
 __all__ = [
-    "ESTIMATORS", "SAMPLERS", "Candidate", "Frame", "Hypothesis", "Result", "diverse", "estimate_torso", "grid_poses",
-    "hypotheses", "sample",
+    "ESTIMATORS", "SAMPLERS", "Candidate", "Frame", "Hypothesis", "Result", "diverse", "estimate_torso",
+    "estimate_torsos", "grid_poses", "hypotheses", "sample",
 ]  # fmt: skip

@@ -86,13 +86,18 @@ class Poses(NamedTuple):
 
 
 def learn_from(paths: Sequence[str | os.PathLike], progress: Progress | None = None, **settings: object) -> Anatomy:
-    """Reads motion capture (`motion.read_motion`) and learns from all of it; `settings` are those of `learn`."""
+    """Reads motion capture (`read_all`) and learns from all of it; `settings` are those of `learn`."""
+    return learn(read_all(paths, progress), progress=progress, **settings)  # type: ignore[arg-type]
+
+
+def read_all(paths: Sequence[str | os.PathLike], progress: Progress | None = None) -> list[Motion]:
+    """All recordings of several files and folders of motion capture (`motion.read_motion`)."""
     motions: list[Motion] = []
     for done, path in enumerate(paths):
         if progress is not None:
             progress(f"reading {path}", done, len(paths))
         motions += read_motion(path)
-    return learn(motions, progress=progress, **settings)  # type: ignore[arg-type]
+    return motions
 
 
 def learn(
@@ -112,10 +117,10 @@ def learn(
     limits = learn_limits(poses.joints, tolerance, mirror=mirror, name=name, progress=progress)
     lengths = learn_lengths(poses)
     torsos = learn_torsos(poses.joints, num_torsos, mirror=mirror)
-    return Anatomy(limits, LengthPrior(*(_single(field) for field in lengths)), _single(torsos))
+    return Anatomy(limits, LengthPrior(*(single(field) for field in lengths)), single(torsos))
 
 
-def _single(values: ArrayLike) -> np.ndarray:
+def single(values: ArrayLike) -> np.ndarray:
     """Rounded to float32, in which tables are stored, so that storing loses nothing."""
     return np.asarray(values).astype(np.float32).astype(np.float64)
 
@@ -191,7 +196,7 @@ def learn_limits(
     if progress is not None:
         progress("limits", NUM_LOWER, NUM_LOWER)
     return AnatomicalLimits(
-        occupied=occupied, **{key: _single(table) for key, table in tables.items()},
+        occupied=occupied, **{key: single(table) for key, table in tables.items()},
         reference=REFERENCE, fallback=FALLBACK, name=name,
     )  # fmt: skip
 
@@ -475,16 +480,21 @@ def learn_torsos(joints: np.ndarray, count: int, *, mirror: bool) -> np.ndarray:
 
     torsos = joints[:, list(TORSO_INDEX)]
     everything = np.concatenate([torsos, mirror_torso(torsos)]) if mirror else torsos
-    mean = _body_axes(everything).mean(axis=0)
-    for _ in range(5):
-        mean = _body_axes(_aligned(everything, mean).mean(axis=0)[None])[0]
-    torsos = _aligned(torsos, mean)
+    torsos = _aligned(torsos, mean_torso(everything))
     clusters = min(count // 2 if mirror else count, len(torsos))
     flat = torsos.reshape(len(torsos), -1)
     centres = KMeans(clusters, n_init=4, random_state=0).fit(flat).cluster_centers_
     nearest = np.unique(cKDTree(flat).query(centres)[1])
     chosen = torsos[nearest]
     return np.concatenate([chosen, mirror_torso(chosen)]) if mirror else chosen
+
+
+def mean_torso(torsos: np.ndarray) -> np.ndarray:
+    """The mean `(6, 3)` of torsos `(N, 6, 3)`, in body axes, after each was turned onto it."""
+    mean = _body_axes(torsos).mean(axis=0)
+    for _ in range(5):
+        mean = _body_axes(_aligned(torsos, mean).mean(axis=0)[None])[0]
+    return mean
 
 
 def mirror_torso(torsos: np.ndarray) -> np.ndarray:
@@ -503,12 +513,17 @@ def _body_axes(torsos: np.ndarray) -> np.ndarray:
 
 
 def _aligned(torsos: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Torsos `(N, 6, 3)` turned about the pelvis onto `mean` `(6, 3)` (Kabsch; rotations only)."""
+    """Torsos `(N, 6, 3)` turned about the pelvis onto `mean` `(6, 3)`."""
     torsos = torsos - torsos[:, :1]
+    return np.einsum("nab,ntb->nta", align_torsos(torsos, mean), torsos)
+
+
+def align_torsos(torsos: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Rotations `(N, 3, 3)` about the pelvis, at the origin, of `torsos` `(N, 6, 3)` onto `mean` `(6, 3)` (Kabsch)."""
     u, _, vt = np.linalg.svd(np.einsum("ta,ntb->nab", mean, torsos))
     sign = np.sign(np.linalg.det(u @ vt))
     u[..., -1] *= sign[:, None]
-    return np.einsum("nab,ntb->nta", u @ vt, torsos)
+    return u @ vt
 
 
 assert [bone.length_group for bone in UPPER_BONES[:1]] == [LENGTH_GROUPS.index("head")]

@@ -46,6 +46,7 @@ def demo(
         "poseterior hypotheses frame_keypoints.json --out result",
         "poseterior hypotheses people.json --person 3 --image photo.jpg --k 8",
         "poseterior hypotheses frame.json --limits limits.npz --candidates 1",
+        "poseterior hypotheses frame.json --estimator zhou",
     )
 )
 def hypotheses(
@@ -56,6 +57,7 @@ def hypotheses(
     seed: options.Seed = 0,
     limits: options.Limits = "default",
     estimator: options.Estimator = "dictionary",
+    poses: options.Poses = "default",
     format: options.Format = "auto",
     person: options.Person = 0,
     image: Annotated[Path | None, typer.Option(help="The image, drawn behind the detections.")] = None,
@@ -73,7 +75,7 @@ def hypotheses(
     options.prepare_jax()
     from reports.commands import hypotheses as command
 
-    sight = Sight(file, format, person, estimator, candidates, factor, threshold, head)
+    sight = Sight(file, format, person, estimator, candidates, factor, threshold, head, poses)
     request = command.Request(out, k, num_samples, seed, max_proposals, image)
     command.run(sight, Belief(limits, upper, lower), request, truth=None, quiet=quiet, as_json=json)
 
@@ -92,6 +94,7 @@ def sample(
     seed: options.Seed = 0,
     limits: options.Limits = "default",
     estimator: options.Estimator = "dictionary",
+    poses: options.Poses = "default",
     format: options.Format = "auto",
     person: options.Person = 0,
     candidates: options.Candidates = 2,
@@ -108,7 +111,7 @@ def sample(
     options.prepare_jax()
     from reports.commands import sample as command
 
-    sight = Sight(file, format, person, estimator, candidates, factor, threshold, head)
+    sight = Sight(file, format, person, estimator, candidates, factor, threshold, head, poses)
     belief = Belief(limits, upper, lower)
     command.run(sight, belief, sampler, out, num_samples, seed, max_proposals, quiet=quiet, as_json=json)
 
@@ -145,18 +148,24 @@ def check(
     command.run(file, Belief(limits), quiet=quiet, as_json=json)
 
 
-@app.command(epilog=_examples("poseterior learn cmu/01 cmu/02 walk.bvh --out limits.npz"))
+@app.command(
+    epilog=_examples(
+        "poseterior learn cmu/01 cmu/02 walk.bvh --out limits.npz",
+        "poseterior learn cmu/01 cmu/02 --out limits.npz --poses poses.npz",
+    )
+)
 def learn(
     mocap: Annotated[
         list[Path], typer.Argument(help="Motion capture: ASF/AMC folder, .bvh, .npz.", show_default=False)
     ],
     out: Annotated[Path, typer.Option(help="File to write.")] = Path("limits.npz"),
+    poses: Annotated[Path | None, typer.Option(help="File for pose dictionaries, of which estimators build.")] = None,
     mirror: Annotated[bool, typer.Option(help="Whether what one side did is possible for the other.")] = True,
     quiet: options.Quiet = False,
     json: options.Json = False,
 ) -> None:
-    """Learn limits, bone lengths and torsos from motion capture."""
+    """Learn limits, bone lengths and torsos, and if asked for pose dictionaries, from motion capture."""
     options.prepare_jax()
     from reports.commands import learn as command
 
-    command.run(mocap, out, mirror=mirror, quiet=quiet, as_json=json)
+    command.run(mocap, out, poses, mirror=mirror, quiet=quiet, as_json=json)

@@ -82,6 +82,11 @@ def say(line: str) -> None:
     print(line)
 
 
+def warn(sentence: str) -> None:
+    """Prints a sentence on stderr: something is not as it should be, and the work goes on."""
+    print("poseterior:", sentence, file=sys.stderr, flush=True)
+
+
 def show_json(value: Any) -> None:
     """Prints a value as JSON on stdout."""
     print(json.dumps(value, indent=2, allow_nan=False))

@@ -8,13 +8,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from reports import console
+
 if TYPE_CHECKING:
     from inference import Frame
     from probmodel import Anatomy, Detection, PoseModel
 
 File = Annotated[Path, typer.Argument(help="Detections: OpenPose, COCO-17 or poseterior's JSON.", show_default=False)]
 Limits = Annotated[str, typer.Option(help="'default', a .npz from `poseterior learn`, or the published .mat.")]
-Estimator = Annotated[str, typer.Option(help="How torso and camera are estimated.")]
+Estimator = Annotated[
+    str,
+    typer.Option(
+        help="How torso and camera are estimated: dictionary, akhter-black, zhou, or FILE.npz with `joints` "
+        "(people, 15, 3), the poses of another estimator in camera axes."
+    ),
+]
+Poses = Annotated[str, typer.Option(help="Pose dictionaries: 'default', or a .npz from `poseterior learn --poses`.")]
 Format = Annotated[str, typer.Option(help="The file's format; 'auto' looks at its content.")]
 Person = Annotated[int, typer.Option(help="Which person in the file, counted from 0.")]
 Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="The same seed gives the same draws.")]
@@ -83,6 +92,7 @@ class Sight:
     factor: float = 0.25
     threshold: float | None = None
     head: bool = True
+    poses: str = "default"
 
     def detection(self) -> "Detection":
         """The person. Raises `BadInput` on a bad file, or where there is no such person."""
@@ -92,19 +102,28 @@ class Sight:
         return pick_person(read_detections(self.file, self.format, self.threshold), self.person)
 
     def frame(self, model: "PoseModel") -> "Frame":
-        """The person with torso and camera candidates. Raises `BadInput` where the torso is not seen well enough."""
+        """The person with torso and camera candidates; says so where the estimator did not converge. Raises `BadInput`
+        where the torso is not seen well enough."""
         import numpy as np
 
         from inference import estimate_torso
         from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
+        from probmodel.dictionaries import PoseDictionary
         from probmodel.failures import BadInput
 
         if not SMALLEST_FACTOR <= self.factor <= 1 / SMALLEST_FACTOR:  # false for NaN too
             limits = f"{SMALLEST_FACTOR:g} and {1 / SMALLEST_FACTOR:g}"
             raise BadInput(f"--factor must lie between {limits}, not {self.factor:g}; the paper has 0.25")
         joints = LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS
-        return estimate_torso(self.detection(), self.estimator, torsos=np.asarray(model.torsos),
-                              num_candidates=self.candidates, factor=self.factor, joints=joints)  # fmt: skip
+        poses = None if self.poses == "default" else PoseDictionary.load(self.poses)
+        frame = estimate_torso(
+            self.detection(), self.estimator, torsos=np.asarray(model.torsos), limits=model.limits, poses=poses,
+            num_candidates=self.candidates, factor=self.factor, joints=joints,
+        )  # fmt: skip
+        if not frame.converged:
+            where = frame.detection.where
+            console.warn(f"the estimator {self.estimator} did not converge for {where}; its best fit is used")
+        return frame
 
 
 def prepare_jax() -> None:

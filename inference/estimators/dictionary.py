@@ -10,17 +10,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from inference.candidates import Candidate
+from inference.estimators.points import require_camera
+from inference.estimators.twins import SAME_ANGLE
 from probmodel.camera import WeakPerspective
 from probmodel.detections import Detection
-from probmodel.failures import BadInput
-from probmodel.skeleton import JOINTS, TORSO_INDEX, TORSO_JOINTS
+from probmodel.dictionaries import PoseDictionary, with_lengths
+from probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
 
-SAME_ANGLE = np.radians(3)
-"""Two cameras closer than this are one candidate: a torso seen head-on is its own mirror twin."""
-TOUCHING = 1e-3
-"""Pixels within which joints are one point."""
-_UPPER = {"thorax", "right_shoulder", "left_shoulder"}
-_LOWER = {"pelvis", "right_hip", "left_hip"}
 _DEPTH = np.diag([1.0, 1.0, -1.0])
 
 
@@ -31,20 +27,16 @@ class Fit(NamedTuple):
     quaternion: np.ndarray
 
 
-def fit_dictionary(detection: Detection, torsos: np.ndarray) -> tuple[Candidate, ...]:
+def fit_dictionary(detection: Detection, torsos: np.ndarray, poses: PoseDictionary) -> tuple[Candidate, ...]:
     """The best torso of `torsos` `(J, 6, 3)` with its camera, and the best on the other side of the depth ambiguity.
 
-    Raises `BadInput` where the seen torso joints do not determine a camera: too few, or all on one point.
+    It looks at the torso alone: the limbs of its single 3D pose are those of the mean pose of `poses`.
+    Raises `BadInput` where the seen torso joints do not determine a camera: too few, or all on one point or one line.
     """
-    _require_camera(detection)
+    require_camera(detection)
     seen = np.flatnonzero(detection.seen[list(TORSO_INDEX)])
     rows = np.array(TORSO_INDEX)[seen]
     target, weight = detection.keypoints[rows], detection.score[rows] / detection.score[rows].sum()
-    if np.ptp(target, axis=0).max() < TOUCHING:
-        raise BadInput(
-            f"the torso joints of {detection.where} all lie on one point, so no camera can be found; "
-            "mend the detection, or choose another --person"
-        )
     points = torsos[:, seen]
     first = _best(_fit(points.mean(axis=0)[None].repeat(len(_starts()), 0), target, weight, _starts()))
     same = _fit(points, target, weight, np.tile(first, (len(points), 1)))
@@ -58,19 +50,17 @@ def fit_dictionary(detection: Detection, torsos: np.ndarray) -> tuple[Candidate,
     picks = [int(np.argmin(every.error))]
     if other.any():
         picks.append(int(np.argmin(np.where(other, every.error, np.inf))))
-    return tuple(_candidate(every, pick, torsos, seen, target, weight) for pick in picks)
+    mean = with_lengths(poses.mean, poses.lengths)
+    return tuple(_candidate(every, pick, torsos, seen, target, weight, mean) for pick in picks)
 
 
-def _require_camera(detection: Detection) -> None:
-    names = {JOINTS[joint] for joint in TORSO_INDEX if detection.seen[joint]}
-    # Three points that are not on one line: one above, one below, and not all on the back-bone.
-    enough = len(names) >= 3 and names & _UPPER and names & _LOWER and names - {"thorax", "pelvis"}
-    if not enough:
-        found = ", ".join(name for name in TORSO_JOINTS if name in names) or "none"
-        raise BadInput(
-            f"too few torso joints for a camera in {detection.where}: it shows {found}; needed are at least three of "
-            f"{', '.join(TORSO_JOINTS)}, one of them a shoulder or the thorax and one a hip or the pelvis"
-        )
+def with_limbs(torso: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """The pose `(15, 3)` of a `torso` `(6, 3)` whose limbs and head are those of the pose `mean`, all in body axes."""
+    joints = np.zeros((NUM_JOINTS, 3))
+    joints[list(TORSO_INDEX)] = torso
+    for bone in BONES:  # upper bones come before those that hang from them
+        joints[bone.end] = joints[bone.start] + mean[bone.end] - mean[bone.start]
+    return joints
 
 
 def _starts() -> np.ndarray:
@@ -148,10 +138,12 @@ def _angle(quaternions: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _candidate(
-    fit: Fit, pick: int, torsos: np.ndarray, seen: np.ndarray, target: np.ndarray, weight: np.ndarray
+    fit: Fit, pick: int, torsos: np.ndarray, seen: np.ndarray, target: np.ndarray, weight: np.ndarray, mean: np.ndarray
 ) -> Candidate:
     quaternion, index = fit.quaternion[pick], pick % len(torsos)
     scale, rotation = float(np.sum(quaternion**2)), Rotation.from_quat(quaternion).as_matrix()
     translation = weight @ (target - scale * torsos[index, seen] @ rotation[:2].T)
     camera = WeakPerspective(scale, rotation, translation)
-    return Candidate(index, torsos[index], camera, float(np.sqrt(fit.error[pick])))
+    pose = with_limbs(torsos[index], mean) @ rotation.T
+    error = float(fit.error[pick])
+    return Candidate(index, torsos[index], camera, float(np.sqrt(error)), pose, objective=error)

@@ -115,6 +115,8 @@ def _by_action(motions: Sequence[Motion]) -> dict[str, np.ndarray]:
     blocks: dict[str, list[np.ndarray]] = {}
     for motion in motions:
         joints = motion.without_jumps().at_rate(LEARNING_RATE).joints
+        if not (np.linalg.norm(bone_vectors(joints), axis=-1) > 0).all():
+            raise BadInput(f"{motion.name} has a bone of length zero in a frame; leave that recording out")
         if len(joints):
             action = motion.name.split("/")[0] if "/" in motion.name else motion.subject
             blocks.setdefault(action, []).append((joints - joints[:, :1]) / body_unit(joints))

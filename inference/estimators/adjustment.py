@@ -50,7 +50,8 @@ def adjust(xy: np.ndarray, weight: np.ndarray, terms: np.ndarray, rotation: np.n
         turned = Rotation.from_rotvec(step[:, :3]).as_matrix() @ rotation
         moved = coefficient + step[:, 3:]
         trial = _look(target, terms, turned, moved, penalty)
-        better = trial.objective <= now.objective
+        # What has converged stays where it is, so that no problem depends on the others of its batch.
+        better = ~converged & (trial.objective <= now.objective)
         gain = now.objective - np.minimum(trial.objective, now.objective)
         converged |= better & (gain <= tolerance * now.objective + 1e-24)
         rotation = np.where(better[:, None, None], turned, rotation)

@@ -27,7 +27,7 @@ BONES_WEIGHT = 1.0
 LIMIT_WEIGHT = 0.05
 """What each bone that breaks a limit costs (C_p)."""
 MOST_TERMS = 10
-TRIED = 6
+TRIED = 8
 """Terms that are tried at each step: those that correlate best with what is left."""
 LEAST_GAIN = 0.05
 """Share of the objective that a further term must gain."""
@@ -119,13 +119,21 @@ def torso_cameras(points: Points, mean: np.ndarray) -> tuple[np.ndarray, np.ndar
     twice = points.repeat(2)
     both = adjust(twice.xy, twice.torso_weight, terms[: 2 * number], rotation,
                   np.repeat(first.coefficient[best], 2, axis=0), iterations=30)  # fmt: skip
-    return both.rotation, both.coefficient[:, 0]
+    rotation, scale = _positive(both.rotation, both.coefficient)
+    return rotation, scale[:, 0]
+
+
+def _positive(rotation: np.ndarray, coefficient: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same image from a positive scale: a body turned inside out looks like its proper self after half a turn."""
+    negative = coefficient[:, 0] < 0
+    half = np.where(negative[:, None], np.array([-1.0, -1.0, 1.0]), 1.0)
+    return half[:, :, None] * rotation, np.where(negative[:, None], -coefficient, coefficient)
 
 
 def pursue(points: Points, problem: Problem, rotation: np.ndarray, scale: np.ndarray, *,
            most_terms: int = MOST_TERMS, least_gain: float = LEAST_GAIN) -> Fit:  # fmt: skip
     """Matching pursuit from given cameras, one a row of `points`: `rotation` `(n, 3, 3)`, `scale` `(n,)`."""
-    fit = _at(points, problem, np.zeros((len(rotation), 1), int), scale[:, None], rotation)
+    fit = _at(points, problem, np.zeros((len(rotation), 1), int), scale[:, None], rotation.copy())
     going = np.ones(len(rotation), bool)
     for _ in range(most_terms):
         rows = np.flatnonzero(going & (fit.objective > EXPLAINED))
@@ -152,8 +160,9 @@ def _adjusted(points: Points, problem: Problem, fit: Fit, iterations: int) -> Fi
     """Fits with camera and coefficients adjusted together, where that lowers the objective."""
     found = adjust(points.xy, points.weight, problem.shapes[fit.terms], fit.rotation, fit.coefficient,
                    problem.bone_penalty(fit.terms), iterations=iterations, tolerance=SETTLED)  # fmt: skip
-    objective = found.objective + problem.limit_cost(fit.terms, found.coefficient)
-    new = Fit(fit.terms, found.coefficient, found.rotation, objective, found.converged)
+    rotation, coefficient = _positive(found.rotation, found.coefficient)
+    objective = found.objective + problem.limit_cost(fit.terms, coefficient)
+    new = Fit(fit.terms, coefficient, rotation, objective, found.converged)
     return new.where(new.objective <= fit.objective, fit)
 
 

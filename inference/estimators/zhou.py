@@ -10,6 +10,7 @@ error E with an ℓ1 norm between, ½ |(W − … − E) diag(√α)|² + κ |E 
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -206,6 +207,8 @@ def relax(xy: np.ndarray, weight: np.ndarray, atoms: np.ndarray, *, penalty: flo
         if iteration % 10 == 0 and iteration <= ADAPTED:
             up, down = primal[keep] > 5 * dual[keep], dual[keep] > 5 * primal[keep]
             state = splitting.rescale(state, np.where(up, 2.0, np.where(down, 0.5, 1.0)))
+    if len(left):  # out of iterations: blocks that do project to the points, even where all are still shrunk to nothing
+        found[left] = splitting.project(before[0], before[1])[0]
     return Relaxed(_apart(found), translation, whole.objective(found, translation), iterations, converged)
 
 
@@ -252,25 +255,42 @@ def fit_zhou(detections: Sequence[Detection], dictionary: PoseDictionary, *, pen
     """The refined optimum of the relaxation for each detection, and the local optimum around its mirror twin.
 
     `threshold` is κ of the robust variant, in units of the points' size. Raises `BadInput` where too little is seen,
-    and where the penalty leaves nothing.
+    where the penalty leaves nothing, or it or κ is not positive.
     """
+    for name, value in (("penalty", penalty), ("threshold", threshold)):
+        if not value > 0:  # false for NaN too
+            raise BadInput(f"the {name} must be positive, not {value}")
     points = Points.gather(detections)
     relaxed = relax(points.xy, points.weight, dictionary.atoms, penalty=penalty, threshold=threshold,
                     tolerance=tolerance, max_iterations=max_iterations)  # fmt: skip
     rotation, coefficient = rounded(relaxed.blocks)
-    for detection, total in zip(detections, coefficient.sum(axis=1), strict=True):
-        if not total > SMALLEST:
+    nothing = (coefficient.sum(axis=1) <= SMALLEST) | (penalty >= vanishing_penalty(points, dictionary.atoms))
+    for detection, empty in zip(detections, nothing, strict=True):
+        if empty:
             raise BadInput(
                 f"the penalty {penalty:g} leaves a pose of scale zero for {detection.where}; choose a smaller one"
             )
     support = np.argsort(-coefficient, axis=1, kind="stable")[:, :SUPPORT]
-    terms, both = dictionary.atoms[support], points.repeat(2)
+    terms, both = dictionary.atoms[support], heeded(points, relaxed, dictionary.atoms, threshold).repeat(2)
     fit = refine(both, np.repeat(terms, 2, axis=0), _with_twins(rotation),
                  np.repeat(np.take_along_axis(coefficient, support, 1), 2, axis=0), penalty=penalty)  # fmt: skip
     joints = both.pixels(fit.rotation, fit.coefficient, np.repeat(terms, 2, axis=0))
     iterations, converged = np.repeat(relaxed.iterations, 2), np.repeat(relaxed.converged, 2)
     outcome = Outcome(fit.objective, iterations, fit.converged & converged)
     return candidates_both_ways(detections, joints, outcome, dictionary.torso)
+
+
+def vanishing_penalty(points: Points, atoms: np.ndarray) -> np.ndarray:
+    """The least λ `(n,)` at which nothing but T is left: the largest nuclear norm of a block's gradient at zero."""
+    gradient = np.einsum("nj,nja,kjb->nkab", points.weight, points.xy, atoms)
+    return np.linalg.norm(gradient, ord="nuc", axis=(2, 3)).max(axis=1)
+
+
+def heeded(points: Points, relaxed: Relaxed, atoms: np.ndarray, threshold: float) -> Points:
+    """The points with weights under which squares pull as Huber's loss does: less where more than κ is left."""
+    left = points.xy - np.einsum("nkab,kjb->nja", relaxed.blocks, atoms) - relaxed.translation[:, None]
+    share = np.minimum(1.0, threshold / np.maximum(np.linalg.norm(left, axis=2), SMALLEST))
+    return replace(points, weight=points.weight * share)
 
 
 def _with_twins(rotation: np.ndarray) -> np.ndarray:

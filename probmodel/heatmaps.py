@@ -85,7 +85,7 @@ def decode(
     crop = Crop.whole(heatmaps) if crop is None else crop
     locate = {"soft": soft_argmax, "quarter": quarter_argmax}[method]
     score = np.maximum(heatmaps.mean(axis=(1, 2)), 0.0)
-    maxima = [np.array(modes(heatmap)) for heatmap in heatmaps]
+    maxima = [modes(heatmap) for heatmap in heatmaps]
     best = np.array([locate(heatmap, tops[0]) for heatmap, tops in zip(heatmaps, maxima, strict=True)])
     points = np.column_stack([crop.image(best, shape), score])
     alternatives = {
@@ -139,15 +139,20 @@ def soft_argmax(heatmap: FloatArray, top: tuple[int, int]) -> FloatArray:
         return centre
     x, y = (np.arange(size, dtype=float) for size in heatmap.shape[::-1])
     for _ in range(_ROUNDS):
-        across = np.exp(-(((x - centre[0]) / WINDOW) ** 2) / 2)
-        along = np.exp(-(((y - centre[1]) / WINDOW) ** 2) / 2)
+        across, along = _window(x, centre[0]), _window(y, centre[1])
         total = along @ weight @ across
         centre = np.array([along @ weight @ (x * across), (y * along) @ weight @ across]) / total
     return centre
 
 
+def _window(pixel: FloatArray, centre: float) -> FloatArray:
+    """Weights of the pixels along one axis; at the border only as far as there is as much on the other side."""
+    reach = max(0.5, min(centre + 0.5, pixel[-1] + 0.5 - centre))
+    return np.exp(-(((pixel - centre) / WINDOW) ** 2) / 2) * (np.abs(pixel - centre) <= reach)
+
+
 def _height(heatmap: FloatArray, top: tuple[int, int], highest: tuple[int, int]) -> float:
-    return float(heatmap[tuple(top)] / heatmap[tuple(highest)])
+    return float(heatmap[top] / heatmap[highest])
 
 
 def _checked(heatmaps: FloatArray, layout: Layout, source: str) -> FloatArray:

@@ -38,10 +38,8 @@ class Format(NamedTuple):
 
 
 _ROWS = (
-    Format("heatmaps", "heatmaps", hourglass.recognises_heatmaps, hourglass.read_heatmaps,
-           HEATMAP_THRESHOLD),
-    Format("hourglass", "Stacked Hourglass preds", hourglass.recognises_points,
-           hourglass.read_points),
+    Format("heatmaps", "heatmaps", hourglass.recognises_heatmaps, hourglass.read_heatmaps, HEATMAP_THRESHOLD),
+    Format("hourglass", "Stacked Hourglass preds", hourglass.recognises_points, hourglass.read_points),
     Format("deeplabcut-hdf5", "DeepLabCut HDF5", deeplabcut.recognises_hdf5, deeplabcut.read_hdf5),
     Format("videopose3d", "VideoPose3D .npz", videopose3d.recognises, videopose3d.read),
     Format("deeplabcut-csv", "DeepLabCut CSV", deeplabcut.recognises_csv, deeplabcut.read_csv),
@@ -56,8 +54,7 @@ _ROWS = (
     Format("openpose-coco18", "OpenPose JSON, COCO-18 for certain", None, openpose.reader(openpose.COCO_18)),
     Format("coco-annotations", "COCO annotations", coco.recognises_annotations, coco.read_annotations),
     Format("mmpose", "MMPose or RTMPose JSON", mmpose.recognises, mmpose.read),
-    Format("mediapipe", "MediaPipe JSON", mediapipe.recognises_json, mediapipe.read_json,
-           mediapipe.THRESHOLD),
+    Format("mediapipe", "MediaPipe JSON", mediapipe.recognises_json, mediapipe.read_json, mediapipe.THRESHOLD),
     Format("coco-results", "COCO results or AlphaPose", coco.recognises_results, coco.read_results),
     Format("alphapose", "AlphaPose by image", alphapose.recognises, alphapose.read),
 )  # fmt: skip

@@ -15,13 +15,13 @@ import numpy as np
 
 from probmodel.detections import LARGEST_NUMBER
 from probmodel.failures import BadInput
-from probmodel.formats.common import Content
+from probmodel.formats.common import ARRAY_MAGIC, Content
 
 LARGEST_ARRAY = 4_000_000_000
 """Bytes; no array, unpacked, may be larger."""
 MOST_RATIO = 1100
 """An array of numbers does not pack better than this (deflate's own limit is 1032); one that claims to is damaged."""
-_NPY, _ZIP, _HDF5 = b"\x93NUMPY", b"PK\x03\x04", b"\x89HDF\r\n\x1a\n"
+_NPY, _ZIP, _HDF5 = ARRAY_MAGIC
 
 
 def is_numpy(content: Content) -> bool:
@@ -65,7 +65,8 @@ def plain(array: np.ndarray, where: str) -> np.ndarray:
     """Numbers as float64, all finite or NaN and within ±`LARGEST_NUMBER`. Raises `BadInput` otherwise."""
     if array.dtype.kind not in "fiu":
         raise BadInput(f"{where} holds {array.dtype} where numbers are needed.")
-    values = np.asarray(array, dtype=np.float64)
+    with np.errstate(all="ignore"):  # of damaged bytes; what cannot be told is refused here, or is NaN
+        values = np.asarray(array, dtype=np.float64)
     if (np.abs(values) > LARGEST_NUMBER).any():  # false for NaN
         raise BadInput(f"{where} holds a number beyond ±{LARGEST_NUMBER:g}; give finite pixels and scores.")
     return values

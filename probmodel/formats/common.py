@@ -20,6 +20,8 @@ from probmodel.detections import LARGEST_NUMBER, Detection, FloatArray
 from probmodel.failures import BadInput
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
+ARRAY_MAGIC = (b"\x93NUMPY", b"PK\x03\x04", b"\x89HDF\r\n\x1a\n")
+"""How .npy, .npz and HDF5 begin."""
 _SPACE = re.compile(r"[ \t\n\r]*")
 
 
@@ -56,7 +58,12 @@ class Content:
 
     @cached_property
     def first(self) -> Any:
-        """The document or, where it is an array, its first element alone in a list: enough to recognise a format."""
+        """The document or, where it is an array, its first element alone in a list: enough to recognise a format.
+
+        None for a file of arrays, which is no text.
+        """
+        if self.data.startswith(ARRAY_MAGIC):
+            return None
         text = self.text
         start = _skip(text, 0)
         if text[start : start + 1] != "[":

@@ -10,6 +10,7 @@ import csv
 import io
 import re
 from collections.abc import Iterator, Mapping
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -54,9 +55,7 @@ def read_csv(content: Content, threshold: float) -> Iterator[Detection]:
         rows = [row for row in csv.reader(io.StringIO(content.text, newline="")) if row]
     except csv.Error as error:
         raise BadInput(f"{source} is no table ({error}); check what wrote it.") from None
-    header: dict[str, list[str]] = {}
-    while len(header) < len(rows) and rows[len(header)][0] in HEADERS:
-        header[rows[len(header)][0]] = rows[len(header)]
+    header = {row[0]: row for row in takewhile(lambda row: row[0] in HEADERS, rows)}
     if not {"bodyparts", "coords"} <= set(header):
         raise BadInput(f"{source} has no rows 'bodyparts' and 'coords' under its first; give DeepLabCut's own CSV.")
     body = rows[len(header) :]
@@ -64,7 +63,7 @@ def read_csv(content: Content, threshold: float) -> Iterator[Detection]:
     for number, row in enumerate([*header.values(), *body]):
         if len(row) != width:
             raise BadInput(
-                f"row {number + 1} of {source} has {len(row)} cells, but the header {width}; is it complete?"
+                f"row {number + 1} of {source} has {len(row)} cells, but the header {width}; check that it is complete."
             )
     skip = _first_value_column(header["coords"], source)
     labels = {name: row[skip:] for name, row in header.items()}

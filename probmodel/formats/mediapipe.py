@@ -98,10 +98,8 @@ def read_text(content: Content, threshold: float) -> Iterator[Detection]:
 def read_table(content: Content, threshold: float) -> Iterator[Detection]:
     """One person of 33 rows, or one person for each row."""
     header = _header(content)
-    rows = csv.reader(io.StringIO(content.text, newline=""))
-    next(rows)
     try:
-        lines = [row for row in rows if row]
+        lines = [row for row in csv.reader(io.StringIO(content.text, newline="")) if row][1:]
     except csv.Error as error:
         raise BadInput(f"{content.source} is no table ({error}); check what wrote it.") from None
     wide = _wide_columns(header)

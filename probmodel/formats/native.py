@@ -33,7 +33,7 @@ FORMAT, VERSION, LAYOUT = "poseterior-detections", 1, "poseterior"
 
 def recognises(content: Content) -> bool:
     """An object whose `format` is this one."""
-    return isinstance(content.json, dict) and content.json.get("format") == FORMAT
+    return isinstance(content.first, dict) and content.first.get("format") == FORMAT
 
 
 def read(content: Content, threshold: float) -> Iterator[Detection]:

@@ -43,7 +43,7 @@ was read in the wrong order, and 3 of 100 with enough bones were left open. The 
 
 def recognises(content: Content) -> bool:
     """An object with `people` and no `format` of another's."""
-    return isinstance(content.json, dict) and "people" in content.json and "format" not in content.json
+    return isinstance(content.first, dict) and "people" in content.first and "format" not in content.first
 
 
 def read(content: Content, threshold: float) -> Iterator[Detection]:

@@ -1,4 +1,4 @@
-"""Heatmaps made from known joints come back, at several sharpnesses, occlusions and boxes; the right ones are missing."""
+"""Heatmaps made from known joints come back, at several sharpnesses and occlusions; the right ones are missing."""
 
 import numpy as np
 import pytest

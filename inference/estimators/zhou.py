@@ -37,9 +37,9 @@ ADAPTED = 400
 """Iterations in which the step size may change; with a fixed one ADMM converges whatever it is."""
 SUPPORT = 16
 """Most atoms that are kept after rounding."""
-ROUNDS = 10
+ROUNDS = 100
 SETTLED = 1e-3
-"""Share of its objective that the last round of refinement may still gain where it counts as converged."""
+"""Refinement ends where a round lowers the objective by less than this share of it."""
 SMALLEST = 1e-9
 
 
@@ -232,15 +232,20 @@ def refine(points: Points, terms: np.ndarray, rotation: np.ndarray, coefficient:
 
     Each round lowers a bound from above, |c| ≤ (c²/c₀ + c₀)/2, so the objective never rises. `terms` `(n, k, 15, 3)`.
     """
-    objective = np.full(len(rotation), np.inf)
+    number = len(rotation)
+    rotation, coefficient = rotation.copy(), coefficient.copy()
+    objective, converged = np.full(number, np.inf), np.zeros(number, bool)
     for _ in range(rounds):
-        bound = np.sqrt(penalty / np.maximum(np.abs(coefficient), SMALLEST))
-        step = adjust(points.xy, points.weight, terms, rotation, coefficient, _ridge(bound), iterations=6)
-        rotation, coefficient = step.rotation, step.coefficient
-        square = np.sum((bound * coefficient) ** 2, axis=1)
-        now = (step.objective - square) / 2 + penalty * np.abs(coefficient).sum(axis=1)
-        converged = objective - now <= SETTLED * now
-        objective = now
+        rows = np.flatnonzero(~converged)
+        if not len(rows):
+            break
+        some = points.take(rows)
+        bound = np.sqrt(penalty / np.maximum(np.abs(coefficient[rows]), SMALLEST))
+        step = adjust(some.xy, some.weight, terms[rows], rotation[rows], coefficient[rows], _ridge(bound), iterations=6)
+        square = np.sum((bound * step.coefficient) ** 2, axis=1)
+        now = (step.objective - square) / 2 + penalty * np.abs(step.coefficient).sum(axis=1)
+        converged[rows] = objective[rows] - now <= SETTLED * now
+        rotation[rows], coefficient[rows], objective[rows] = step.rotation, step.coefficient, now
     return Adjusted(rotation, coefficient, objective, converged)
 
 

@@ -4,51 +4,54 @@ Exact rejection draws from the mixture over the frame's candidates: each candida
 rejection, weighs it against the others, and decides how many of the draws are its own.
 """
 
+import functools
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import jax
 import numpy as np
 
-from inference.candidates import Candidate, Frame
+from inference.candidates import Frame
 from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET, CandidateDraws, Result, build_tree, key_words
 from inference.samplers.limbs import Draws, Group, build_groups
+from inference.samplers.rates import Budget, GroupSampler, Pooled, Rate
 from inference.samplers.reach import OutOfReach, nearest_miss, out_of_reach
-from inference.samplers.rejection import PROPOSALS, Budget, GroupSampler, Rate
+from inference.samplers.rejection import PROPOSALS
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
+from probmodel.observation import Observation
 from probmodel.skeleton import GROUPS, NUM_LENGTHS, NUM_LOWER, NUM_UPPER
 
-SAMPLERS = {"rejection": "pruned", "rejection-group": "group", "rejection-prior": "prior"}
-"""Samplers by name: exact rejection with the pruned, the per-group and the whole-body proposal."""
+SAMPLERS = tuple(PROPOSALS)
+"""Samplers by name: exact rejection, the fastest way on the device at hand; by strata; pruned; each group, and the
+whole body, from the prior."""
 PILOTS = (64, 2000)
 """Draws of each candidate from which the candidates are weighed, in two rounds, before the rest is shared out."""
 NEGLIGIBLE = 0.01
 """A candidate whose share is below this after the first round (known to an eighth) needs no second."""
 PILOT_PROPOSALS = 20_000_000
 """Proposals (some seconds) in which a candidate must make its first pilot draws."""
-STEP = 500
-"""Draws between two reports of progress."""
+EVEN = 16
+"""Every group gets so many-th part of its draws before any group gets the rest."""
 MAX_PROPOSALS = 1_000_000_000
 Progress = Callable[[int, int], None]
 
 
 @dataclass
 class CandidateSampler:
-    """Exact rejection under one candidate: its groups and what has been drawn of them."""
+    """Exact rejection under one candidate, and what has been drawn of it."""
 
-    groups: dict[str, Group]
-    samplers: list[GroupSampler]
-    unreachable: list[OutOfReach]
+    model: PoseModel
+    observation: Observation
+    samplers: Sequence[GroupSampler]
 
     def more(self, number: int, budget: Budget) -> bool:
         """Goes on until every group holds `number` draws; False where it cannot."""
-        if self.unreachable:
-            return False
-        # Every group goes on, also when another one cannot: what there is shall be as much as there can be.
-        done = [sampler.more(number, budget) for sampler in self.samplers]
+        # Every group goes on, also when another one cannot, and none to the end before all have some: where the budget
+        # ends first, there shall be as many whole bodies as there can be.
+        done = [sampler.more(target, budget) for target in (-(-number // EVEN), number) for sampler in self.samplers]
         return all(done)
 
     @property
@@ -56,14 +59,23 @@ class CandidateSampler:
         """Whole bodies held."""
         return min(sampler.held for sampler in self.samplers)
 
+    def progress(self, number: int) -> float:
+        """How much of `number` draws there is, from 0 to 1, all groups taken together."""
+        return sum(min(sampler.held, number) for sampler in self.samplers) / max(1, number * len(self.samplers))
+
+    @functools.cached_property
+    def groups(self) -> dict[str, Group]:
+        """The groups' problems, for explanations."""
+        return build_groups(self.model, self.observation)
+
     @property
-    def rates(self) -> list[Rate]:
+    def rates(self) -> list[Rate | Pooled]:
         return [rate for sampler in self.samplers for rate in sampler.rates]
 
     @property
     def log_evidence(self) -> float:
         """Log prior probability that every seen joint lies in its disc; -inf where no draw was accepted."""
-        return -math.inf if self.unreachable or not self.held else sum(rate.log_probability for rate in self.rates)
+        return -math.inf if not self.held else sum(rate.log_probability for rate in self.rates)
 
     @property
     def log_evidence_se(self) -> float:
@@ -112,10 +124,11 @@ def sample(
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
     started = time.perf_counter()
     budget = Budget(max_proposals)
-    samplers = [
-        _candidate_sampler(jax.random.fold_in(key, index), sampler, model, frame, candidate)
-        for index, candidate in enumerate(frame.candidates)
-    ]
+    samplers = []
+    for index, candidate in enumerate(frame.candidates):
+        observation = frame.observation(candidate)
+        groups = PROPOSALS[sampler](jax.random.fold_in(key, index), model, observation)
+        samplers.append(CandidateSampler(model, observation, groups))
     prior = log_prior_weights(frame)
     log_weight = _weigh(samplers, prior, num_samples, budget)
     rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, len(samplers)))))
@@ -155,15 +168,6 @@ def log_prior_weights(frame: Frame) -> np.ndarray:
     return log_weight - np.logaddexp.reduce(log_weight)
 
 
-def _candidate_sampler(
-    key: jax.Array, sampler: str, model: PoseModel, frame: Frame, candidate: Candidate
-) -> CandidateSampler:
-    observation = frame.observation(candidate)
-    groups = build_groups(model, observation)
-    unreachable = [joint for name, group in groups.items() for joint in out_of_reach(name, group)]
-    return CandidateSampler(groups, PROPOSALS[SAMPLERS[sampler]](key, groups), unreachable)
-
-
 def _weigh(samplers: list[CandidateSampler], prior: np.ndarray, number: int, budget: Budget) -> np.ndarray:
     """Log weights of the candidates from pilot draws: few of each, more of those that turn out to matter.
 
@@ -201,15 +205,17 @@ def _shares(log_weight: np.ndarray) -> np.ndarray:
 
 
 def _fill(samplers: list[CandidateSampler], counts: np.ndarray, budget: Budget, progress: Progress | None) -> bool:
-    done, wanted = 0, int(counts.sum())
-    for candidate, count in zip(samplers, counts, strict=True):
-        for target in [*range(STEP, int(count), STEP), int(count)]:
-            if target and not candidate.more(target, budget):
-                return False
-            if progress:
-                progress(done + target, wanted)
-        done += int(count)
-    return True
+    wanted = int(counts.sum())
+
+    def report() -> None:
+        done = sum(candidate.progress(int(count)) * count for candidate, count in zip(samplers, counts, strict=True))
+        if progress:
+            progress(int(done), wanted)
+
+    budget.watch = report
+    done = [candidate.more(int(count), budget) for candidate, count in zip(samplers, counts, strict=True) if count]
+    report()
+    return all(done)
 
 
 def _mixture_evidence(prior: np.ndarray, parts: list[CandidateDraws]) -> tuple[float, float]:
@@ -225,12 +231,14 @@ def _mixture_evidence(prior: np.ndarray, parts: list[CandidateDraws]) -> tuple[f
 
 def _explain(samplers: list[CandidateSampler], frame: Frame, budget: Budget, held: int, wanted: int) -> tuple[str, str]:
     """Why there are fewer draws than wanted, in a sentence that names the joint or the group."""
-    if all(candidate.unreachable for candidate in samplers):
-        joint = samplers[0].unreachable[0]
+    unreachable = [_first_out_of_reach(candidate) for candidate in samplers]
+    if all(unreachable):
+        joint = unreachable[0]
+        assert joint is not None
         return IMPOSSIBLE, f"no pose explains {frame.detection.where}: " + joint.sentence(
             float(frame.candidates[0].camera.scale)
         )
-    index = next(index for index, candidate in enumerate(samplers) if not candidate.unreachable)
+    index = unreachable.index(None)
     slowest = min(samplers[index].samplers, key=lambda sampler: sampler.held)
     name = slowest.slowest
     miss = nearest_miss(name, samplers[index].groups[name]).sentence(float(frame.candidates[index].camera.scale))
@@ -239,3 +247,8 @@ def _explain(samplers: list[CandidateSampler], frame: Frame, budget: Budget, hel
         return OUT_OF_BUDGET, f"{counts}: no possible {name} explain their detections ({miss}); mend or drop one"
     advice = "ask for fewer samples, allow more proposals, or mend a detection"
     return OUT_OF_BUDGET, f"{counts}: the {name} stand in the way ({miss}); {advice}"
+
+
+def _first_out_of_reach(candidate: CandidateSampler) -> OutOfReach | None:
+    found = [joint for name, group in candidate.groups.items() for joint in out_of_reach(name, group)]
+    return found[0] if found else None

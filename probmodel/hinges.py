@@ -17,6 +17,8 @@ from jax.typing import ArrayLike
 from probmodel.regions import Region, invert_monotone
 
 LOWER_MEASURES = ("area", "box")
+MARGIN = 1e-9
+"""By how much `Hinge.box` is wider than it need be, so that rounding never makes it too narrow."""
 
 
 @jax.tree_util.register_dataclass
@@ -25,7 +27,8 @@ class Hinge(Region):
     """One hinge with a measure. `triple` `(3, 3)` rows n, e2, e3; `offset` `()`; `bounds` `(4,)`.
 
     Derived: `nodes` `(12,)` values of u2 between which the intervals' ends are smooth; `pattern` `(11, 4)` how the
-    total length is made of them there; `areas` `(12,)` the measure below each node.
+    total length is made of them there; `areas` `(12,)` the measure below each node; `box` `(4,)` ranges of u2 and of
+    the angle α (u3 = ρ sin α, u1 = -ρ cos α, in front and behind) around all that is possible.
     """
 
     triple: jax.Array
@@ -34,6 +37,7 @@ class Hinge(Region):
     nodes: jax.Array
     pattern: jax.Array
     areas: jax.Array
+    box: jax.Array
     measure: str = dataclasses.field(metadata={"static": True})
 
     @classmethod
@@ -43,8 +47,7 @@ class Hinge(Region):
             raise ValueError(f"the measure of lower bones is one of {', '.join(LOWER_MEASURES)}, not {measure!r}")
         triple, offset, bounds = jnp.asarray(triple), jnp.asarray(offset), jnp.asarray(bounds)
 
-        nodes, pattern, areas = _integrate_all(offset, bounds, measure)
-        return cls(triple, offset, bounds, nodes, pattern, areas, measure)
+        return cls(triple, offset, bounds, *_integrate_all(offset, bounds, measure), measure)
 
     @property
     def total(self) -> jax.Array:
@@ -227,7 +230,8 @@ def _intervals(offset: jax.Array, bounds: jax.Array, u2: jax.Array, measure: str
 @functools.partial(jax.jit, static_argnames="measure")
 def _integrate_all(offset: jax.Array, bounds: jax.Array, measure: str) -> tuple[jax.Array, ...]:
     one = functools.partial(_integrate, measure=measure)
-    return jnp.vectorize(one, signature="(),(b)->(n),(p,e),(n)")(offset, bounds)
+    integrals = jnp.vectorize(one, signature="(),(b)->(n),(p,e),(n)")(offset, bounds)
+    return *integrals, jnp.vectorize(_box, signature="(),(b)->(b)")(offset, bounds)
 
 
 def _integrate(offset: jax.Array, bounds: jax.Array, measure: str) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -248,3 +252,22 @@ def _integrate(offset: jax.Array, bounds: jax.Array, measure: str) -> tuple[jax.
     heights = jax.vmap(lambda u2: _primitives(offset, bounds, u2, measure))(nodes)
     rises = jnp.sum(pattern * jnp.diff(heights, axis=0), axis=-1)
     return nodes, pattern, jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.maximum(rises, 0.0))])
+
+
+def _box(offset: jax.Array, bounds: jax.Array) -> jax.Array:
+    """`(4,)`: ranges of x = u2 and of α (u3 = ρ sin α, u1 = -ρ cos α) around all that a hinge allows."""
+    first, last = jnp.clip(bounds[0], -1.0, 1.0), jnp.clip(bounds[1], -1.0, 1.0)
+    largest = jnp.where(first * last <= 0, 1.0, jnp.sqrt(1 - jnp.minimum(first**2, last**2)))
+    smallest = jnp.sqrt(jnp.maximum(1 - jnp.maximum(first**2, last**2), 0.0))
+
+    def side(inner: jax.Array, outer: jax.Array) -> jax.Array:
+        """The largest α towards u3 = outer > inner; the box's ends turn most where ρ is smallest."""
+        ends = jnp.array([largest, smallest]) + 1e-300
+        front = jnp.max(jnp.arcsin(jnp.clip(outer / ends, -1.0, 1.0)))
+        inmost = jnp.min(jnp.arcsin(jnp.clip(inner / ends, -1.0, 1.0)))
+        turn = jnp.arccos(jnp.clip(-offset / ends[1], -1.0, 1.0))  # |β| beyond which the back is allowed
+        has_back = (front > turn) & (offset < 0)
+        return jnp.where(has_back, jnp.pi - jnp.maximum(turn, jnp.maximum(inmost, 0.0)), front)
+
+    above, below = side(bounds[2], bounds[3]), side(-bounds[3], -bounds[2])
+    return jnp.stack([first - MARGIN, last + MARGIN, -below - MARGIN, above + MARGIN])

@@ -1,4 +1,4 @@
-"""Exact rejection against a second implementation, its three proposals against each other, and against wrong samplers.
+"""Exact rejection against a second implementation, its four proposals against each other, and against wrong samplers.
 
 False alarms: every family of p-values is held to 0.001 altogether (Bonferroni), every evidence to 3 standard errors
 (0.3 % each); seeds are fixed, so a pass stays a pass.
@@ -17,7 +17,8 @@ import inference
 from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
 from inference.samplers.limbs import Draws, build_groups
 from inference.samplers.patches import limbs_of, patch_rectangle, plan_limb
-from inference.samplers.rejection import Budget, PriorGroups, PrunedGroup, group_prior
+from inference.samplers.rates import Budget
+from inference.samplers.rejection import PriorGroups, PrunedGroup, group_prior
 from probmodel import Anatomy, PoseModel
 from probmodel.frames import lower_frame
 from probmodel.limits import NUM_ELEVATION, cell_of
@@ -53,11 +54,12 @@ def columns(result: inference.Result, name: str):
     return found
 
 
+@pytest.mark.parametrize("sampler", ["rejection-strata", "rejection-patches"])
 @pytest.mark.parametrize(("seed", "missing"), [(1, ("head",)), (5, ("right_wrist", "left_ankle"))])
-def test_pruned_rejection_follows_the_second_implementation(model, seed, missing):
+def test_rejection_follows_the_second_implementation(model, sampler, seed, missing):
     """Lengths and all joint coordinates of head, arms and legs; evidence per group within 3 standard errors."""
     frame = prior_scene(model, seed, factor=0.7, missing=missing)
-    result = inference.sample(model, frame, key=key(seed), num_samples=4000)
+    result = inference.sample(model, frame, sampler=sampler, key=key(seed), num_samples=4000)
     pairs, log_evidence, variance = [], 0.0, 0.0
     for name in GROUPS:
         size, joints, proposed = brute_force(model.limits, model.lengths, frame, name, 250_000, seed)
@@ -227,7 +229,7 @@ def test_a_wrist_out_of_reach_is_named_with_its_distance(model):
 
 def test_an_exhausted_budget_returns_what_there_is(model):
     frame = prior_scene(model, 2)
-    result = inference.sample(model, frame, key=key(0), num_samples=10_000, max_proposals=1_000_000)
+    result = inference.sample(model, frame, key=key(0), num_samples=10_000, max_proposals=200_000)
     assert result.status == OUT_OF_BUDGET
     assert 0 < result.num_draws < 10_000
     assert f"{result.num_draws} of 10000" in result.sentence
@@ -252,9 +254,9 @@ def test_every_sampler_has_the_same_face(model, sampler):
 
 
 @pytest.mark.slow
-def test_the_three_proposals_agree():
-    """Whole body, per group and pruned: the same coordinates (one family) and the same evidence within 3 standard
-    errors, in every pair of measures, where the whole body can run: five joints missing, wide discs."""
+def test_the_proposals_agree():
+    """Whole body, per group, pruned, by strata: the same coordinates (one family) and the same evidence within 3
+    standard errors, in every pair of measures, where the whole body can run: five joints missing, wide discs."""
     pairs, scores = [], []
     for upper, lower in [("angle", "area"), ("area", "box")]:
         model = PoseModel(upper=upper, lower=lower)

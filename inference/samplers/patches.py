@@ -89,25 +89,6 @@ def patch_rectangle(distance: jax.Array, radius: jax.Array) -> tuple[jax.Array, 
     return jnp.where(distance - radius < 1, width, 0.0), low, high
 
 
-def hinge_box(hinge: Hinge) -> jax.Array:
-    """`(4,)`: ranges of x = u2 and of α (u3 = ρ sin α, u1 = -ρ cos α) around all that a hinge allows."""
-    first, last = jnp.clip(hinge.bounds[0], -1.0, 1.0), jnp.clip(hinge.bounds[1], -1.0, 1.0)
-    largest = jnp.where(first * last <= 0, 1.0, jnp.sqrt(1 - jnp.minimum(first**2, last**2)))
-    smallest = jnp.sqrt(jnp.maximum(1 - jnp.maximum(first**2, last**2), 0.0))
-
-    def side(inner: jax.Array, outer: jax.Array) -> jax.Array:
-        """The largest α towards u3 = outer > inner; the box's ends turn most where ρ is smallest."""
-        ends = jnp.array([largest, smallest]) + 1e-300
-        front = jnp.max(jnp.arcsin(jnp.clip(outer / ends, -1.0, 1.0)))
-        inmost = jnp.min(jnp.arcsin(jnp.clip(inner / ends, -1.0, 1.0)))
-        turn = jnp.arccos(jnp.clip(-hinge.offset / ends[1], -1.0, 1.0))  # |β| beyond which the back is allowed
-        has_back = (front > turn) & (hinge.offset < 0)
-        return jnp.where(has_back, jnp.pi - jnp.maximum(turn, jnp.maximum(inmost, 0.0)), front)
-
-    above, below = side(hinge.bounds[2], hinge.bounds[3]), side(-hinge.bounds[3], -hinge.bounds[2])
-    return jnp.stack([first - SLACK, last + SLACK, -below - SLACK, above + SLACK])
-
-
 def _like(point: jax.Array, other: jax.Array) -> jax.Array:
     return jnp.broadcast_to(point, jnp.broadcast_shapes(point.shape, other.shape))
 
@@ -184,7 +165,7 @@ def plan_limb(limb: Limb) -> Plan:
     width, low, _ = patch_rectangle(closest, radius)
     _, _, high = patch_rectangle(distance + shift, radius)
     patch_area = 4 * width * (high - low) * (1 + SLACK)
-    box = jax.vmap(jax.vmap(hinge_box))(limb.hinges)
+    box = limb.hinges.box
     box_area = jnp.maximum(box[..., 1] - box[..., 0], 0.0) * jnp.clip(box[..., 3] - box[..., 2], 0.0, 2 * jnp.pi)
     bound = jnp.minimum(patch_area, box_area)
     total = limb.hinges.total

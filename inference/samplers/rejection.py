@@ -1,120 +1,36 @@
 """Exact rejection: draws of the prior that pass the indicator are draws of the posterior, and the rate is the evidence.
 
-Three proposals stand behind one accept step (`limbs.Group.explains`): the whole body from the prior, each group of
-limbs from the prior, and each group pruned. The pruned one draws limbs for which *some* lengths explain the detections
-(`patches`), puts limbs that share lengths together, draws those lengths once from the prior, and asks the accept step.
+Four proposals: the whole body from the prior, each group of limbs from the prior, each group pruned (`patches`), and
+each group by strata (`stratified`), the fast way on a processor. The first three are JAX programs with one accept step
+(`limbs.Group.explains`) and run on any device. The pruned one draws limbs for which *some* lengths explain the
+detections, puts limbs that share lengths together, draws those lengths once from the prior, and asks the accept step.
 Nothing is redrawn after acceptance, so every draw is independent and exact.
 """
 
 import functools
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.samplers.limbs import Draws, Group
+from inference.samplers.limbs import Draws, Group, build_groups
 from inference.samplers.patches import Limb, Plan, limbs_of, plan_limb, propose_limb
+from inference.samplers.rates import HOPELESS, Budget, GroupSampler, Pile, Rate
+from inference.samplers.stratified import StratifiedGroup, anatomies, sights
 from probmodel.directions import HingedDirection, OccupiedDirection
 from probmodel.lengths import BoneLength
 from probmodel.limits import cell_of
+from probmodel.model import PoseModel
+from probmodel.observation import Observation
 
 BATCH = 1 << 15
 """Proposals made at a time; one compilation serves every batch of every frame."""
 PAIRS = 1 << 12
 """Limbs put together at a time."""
-HOPELESS = 1 << 24
-"""Pruned proposals without one success after which a group is given up: its rate is below 3e-7 with 99 % confidence."""
 HOPELESS_PAIRS = 1 << 20
 """The same for limbs put together, whose rate is far higher where their lengths can agree at all: below 5e-6."""
-
-
-class Rate(NamedTuple):
-    """Accepted out of proposed, and the mass of the proposal: probability = mass · accepted / proposed."""
-
-    proposed: int
-    accepted: int
-    mass: float = 1.0
-
-    @property
-    def log_probability(self) -> float:
-        """Log of the estimated probability; -inf where nothing was accepted."""
-        return math.log(self.mass * self.accepted / self.proposed) if self.accepted and self.mass else -math.inf
-
-    @property
-    def variance(self) -> float:
-        """Variance of `log_probability` (binomial, delta method); infinite where nothing was accepted."""
-        return (1 - self.accepted / self.proposed) / self.accepted if self.accepted else math.inf
-
-
-@dataclass
-class Budget:
-    """How many proposals may still be made; shared by everything that draws for one frame. One with a `whole` is an
-    allowance out of that larger one."""
-
-    proposals: int
-    spent: int = 0
-    whole: "Budget | None" = None
-
-    def spend(self, number: int) -> bool:
-        """Whether `number` more proposals may be made; counts them if so."""
-        if self.spent + number > self.proposals or (self.whole is not None and not self.whole.spend(number)):
-            return False
-        self.spent += number
-        return True
-
-
-class GroupSampler(Protocol):
-    """Exact draws of one or more groups. `more` asks for draws, `draws` holds them, `rates` say what they cost."""
-
-    def more(self, number: int, budget: Budget) -> bool:
-        """Goes on until `number` draws are held in all; False where the budget ends first."""
-
-    @property
-    def held(self) -> int:
-        """Number of draws held."""
-
-    def draws(self) -> dict[str, Draws]:
-        """All draws held, by group."""
-
-    @property
-    def rates(self) -> list[Rate]:
-        """The rates whose product is the evidence."""
-
-    @property
-    def slowest(self) -> str:
-        """Name of the group that draws wait for."""
-
-    @property
-    def hopeless(self) -> bool:
-        """Whether it has been given up: the bounds leave nothing, or a great many proposals brought nothing at all."""
-
-
-class _Pile:
-    """Rows that arrive in batches and leave from the front."""
-
-    def __init__(self) -> None:
-        self._parts: list[tuple[np.ndarray, ...]] = []
-        self.size = 0
-
-    def add(self, *rows: np.ndarray) -> None:
-        if len(rows[0]):
-            self._parts.append(rows)
-            self.size += len(rows[0])
-
-    def all(self) -> tuple[np.ndarray, ...]:
-        if len(self._parts) > 1:
-            self._parts = [tuple(np.concatenate(column) for column in zip(*self._parts, strict=True))]
-        return self._parts[0]
-
-    def take(self, number: int) -> tuple[np.ndarray, ...]:
-        rows = self.all()
-        self._parts = [tuple(column[number:] for column in rows)]
-        self.size -= number
-        return tuple(column[:number] for column in rows)
 
 
 @dataclass
@@ -126,7 +42,7 @@ class LimbStream:
     plan: Plan
     batches: int = 0
     accepted: int = 0
-    pile: _Pile = field(default_factory=_Pile)
+    pile: Pile = field(default_factory=Pile)
 
     def run(self, budget: Budget) -> bool:
         """One more batch of proposals; False where the budget does not allow it."""
@@ -154,7 +70,7 @@ class PrunedGroup:
             LimbStream(jax.random.fold_in(key, index + 1), limb, plan_limb(limb))
             for index, limb in enumerate(limbs_of(group))
         ]
-        self._pile = _Pile()
+        self._pile = Pile()
         self._chunks = self._tried = 0
 
     @property
@@ -220,7 +136,7 @@ class PriorGroups:
 
     def __init__(self, key: jax.Array, groups: dict[str, Group]) -> None:
         self._key, self.groups = key, groups
-        self._pile = _Pile()
+        self._pile = Pile()
         self._batches = 0
 
     @property
@@ -274,20 +190,39 @@ def group_prior(key: jax.Array, group: Group, num: int) -> Draws:
     return Draws(length, upper, HingedDirection(hinges).sample(for_lower))
 
 
-Proposal = Callable[[jax.Array, dict[str, Group]], list[GroupSampler]]
+def _strata(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
+    tables, limbs = anatomies(model), sights(observation)
+    return [
+        StratifiedGroup(jax.random.fold_in(key, index), name, tables[name], limbs[name])
+        for index, name in enumerate(tables)
+    ]
 
 
-def _pruned(key: jax.Array, groups: dict[str, Group]) -> list[GroupSampler]:
+def _pruned(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
+    groups = build_groups(model, observation)
     return [PrunedGroup(jax.random.fold_in(key, index), *item) for index, item in enumerate(groups.items())]
 
 
-def _per_group(key: jax.Array, groups: dict[str, Group]) -> list[GroupSampler]:
+def _per_group(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
+    groups = build_groups(model, observation)
     return [PriorGroups(jax.random.fold_in(key, index), dict([item])) for index, item in enumerate(groups.items())]
 
 
-def _whole_body(key: jax.Array, groups: dict[str, Group]) -> list[GroupSampler]:
-    return [PriorGroups(key, groups)]
+def _whole_body(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
+    return [PriorGroups(key, build_groups(model, observation))]
 
 
-PROPOSALS: dict[str, Proposal] = {"pruned": _pruned, "group": _per_group, "prior": _whole_body}
-"""How exact rejection proposes: the fast way, per group from the prior, the whole body from the prior."""
+def _fastest(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
+    """By strata on a processor, pruned where JAX computes on an accelerator."""
+    return (_strata if jax.default_backend() == "cpu" else _pruned)(key, model, observation)
+
+
+Proposal = Callable[[jax.Array, PoseModel, Observation], Sequence[GroupSampler]]
+PROPOSALS: dict[str, Proposal] = {
+    "rejection": _fastest,
+    "rejection-strata": _strata,
+    "rejection-patches": _pruned,
+    "rejection-group": _per_group,
+    "rejection-prior": _whole_body,
+}
+"""How exact rejection proposes, by the sampler's name."""

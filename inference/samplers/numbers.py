@@ -1,0 +1,55 @@
+"""Uniform random numbers inside compiled loops: NumPy's SFC64, seeded by NumPy, run on in four registers.
+
+    stream = load(state)
+    value, stream = uniform(stream)
+    store(state, stream)
+
+A test holds the numbers to NumPy's bit for bit.
+"""
+
+import jax
+import numba
+import numpy as np
+
+compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+"""How every function of the compiled loops is compiled: once a machine, free of Python's lock, without fast-math.
+Arrays are handed over once a loop, never once an attempt: numba counts references at every call."""
+
+Stream = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
+"""The four words of a generator, as numbers."""
+
+
+def seeded(words: list[int], *path: int) -> np.ndarray:
+    """`(4,)` uint64: a generator's state, for the words of a key and whole numbers that say what it is used for."""
+    return np.random.SFC64(np.random.SeedSequence(words, spawn_key=path)).state["state"]["state"].copy()
+
+
+def key_words(key: jax.Array) -> list[int]:
+    """A JAX key as whole numbers."""
+    return np.asarray(jax.random.key_data(key)).ravel().tolist()
+
+
+@compiled
+def load(state: np.ndarray) -> Stream:
+    """The state as numbers."""
+    return state[0], state[1], state[2], state[3]
+
+
+@compiled
+def store(state: np.ndarray, stream: Stream) -> None:
+    """Keeps how far the stream has come."""
+    state[0], state[1], state[2], state[3] = stream
+
+
+@compiled
+def uniform(stream: Stream) -> tuple[np.float64, Stream]:
+    """A number in [0, 1) and the stream after it."""
+    a, b, c, count = stream
+    value = a + b + count
+    after = (
+        b ^ (b >> np.uint64(11)),
+        c + (c << np.uint64(3)),
+        ((c << np.uint64(24)) | (c >> np.uint64(40))) + value,
+        count + np.uint64(1),
+    )
+    return (value >> np.uint64(11)) * 1.1102230246251565e-16, after

@@ -1,0 +1,239 @@
+"""Exact rejection by strata: the fast way on a processor. `StratifiedGroup` is a `GroupSampler`.
+
+A group starts with few strata, and is cut finer as soon as the attempts still to be made cost more than the cutting
+(§ 4 of the model: set-up and acceptance trade against each other). Draws of every resolution are draws of the same
+posterior, so all are kept, and their rates are pooled.
+"""
+
+import weakref
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from inference.samplers.attempts import attempt_bodies
+from inference.samplers.bins import LengthBins, length_bins
+from inference.samplers.limbs import Draws
+from inference.samplers.numbers import key_words, seeded
+from inference.samplers.rates import HOPELESS, Budget, Pile, Pooled, Rate
+from inference.samplers.strata import (
+    AREA,
+    BOUNDS,
+    BOX,
+    MASS,
+    NUM_COLUMNS,
+    OFFSET,
+    Build,
+    Resolution,
+    Sight,
+    Strata,
+    stratify,
+)
+from probmodel.frames import upper_frames
+from probmodel.model import PoseModel
+from probmodel.observation import Observation
+from probmodel.skeleton import GROUPS, TORSO_INDEX
+
+RESOLUTIONS = (Resolution(4, 3, 1), Resolution(8, 6, 2), Resolution(16, 12, 3))
+"""From few strata to many; each has about ten times as many as the one before."""
+GROWTH, GAIN = 10.0, 2.2
+"""By how much the number of strata and the acceptance grow, roughly, from one resolution to the next."""
+STRATUM, ATTEMPT = 2.3, 1.8
+"""What a stratum costs to set up, and an attempt, in 100 ns: only their ratio counts, and only for speed."""
+ATTEMPTS = 1 << 14
+"""Attempts made at a time."""
+FIRST = 1 << 11
+"""Attempts of the first batch, which shows how a group fares."""
+
+
+class Anatomy(NamedTuple):
+    """What the model says of a group of limbs: a `Build` each, and the parameters `(bones, 4)` of their lengths."""
+
+    builds: tuple[Build, ...]
+    lengths: np.ndarray
+
+
+_known: dict[int, tuple[weakref.ref, dict[str, Anatomy]]] = {}
+"""By the identity of the model, which is no key itself; an entry goes when its model goes."""
+
+
+def anatomies(model: PoseModel) -> dict[str, Anatomy]:
+    """The model's tables as the compiled loops read them, by group; made once a model."""
+    identity = id(model)
+    if identity not in _known or _known[identity][0]() is not model:
+        found = {name: _anatomy(model, limbs) for name, limbs in GROUPS.items()}
+        _known[identity] = weakref.ref(model, lambda _: _known.pop(identity, None)), found
+    return _known[identity][1]
+
+
+def _anatomy(model: PoseModel, limbs: Sequence) -> Anatomy:
+    lengths = np.stack([np.asarray(field) for field in model.lengths], axis=1)
+    used = [bone.length_group for bone in limbs[0].bones]
+    return Anatomy(tuple(_build(model, limb.upper, limb.lower) for limb in limbs), np.ascontiguousarray(lengths[used]))
+
+
+def _build(model: PoseModel, upper: int, lower: int | None) -> Build:
+    cells = np.zeros((model.cells.occupied[0].size, NUM_COLUMNS))
+    cells[:, MASS] = (np.diff(model.cells.rows[upper], axis=-1) / np.asarray(model.cells.total)[upper]).ravel()
+    axes = np.zeros(6)
+    if lower is not None:
+        hinges = model.hinges
+        cells[:, AREA] = np.asarray(hinges.total)[lower].ravel()
+        cells[cells[:, AREA] <= 0, MASS] = 0.0  # nothing is possible below such a cell
+        for start, width, leaf in ((0, 9, hinges.triple), (OFFSET, 1, hinges.offset), (BOUNDS, 4, hinges.bounds),
+                                   (BOX, 4, hinges.box)):  # fmt: skip
+            cells[:, start : start + width] = np.asarray(leaf)[lower].reshape(len(cells), width)
+        axes = np.concatenate([model.limits.reference, np.asarray(model.limits.fallback)[lower]])
+    a0, a1, a2, f0, f1, f2 = axes.tolist()
+    return Build(
+        cells, (a0, a1, a2, f0, f1, f2), model.upper == "area", model.lower == "box", 1 if lower is None else 2
+    )
+
+
+def sights(observation: Observation) -> dict[str, tuple[Sight, ...]]:
+    """Every limb in front of the camera, by group; what each has to explain, measured from where it starts."""
+    frames, image = (np.asarray(part) for part in _torso(observation))
+    start = dict(zip(TORSO_INDEX, image, strict=True))
+    keypoints, radius = np.asarray(observation.keypoints), np.asarray(observation.radius)
+    seen, scale = np.asarray(observation.has_factor), float(observation.camera.scale)
+    found = {}
+    for name, limbs in GROUPS.items():
+        rows = []
+        for limb in limbs:
+            target, reach = np.zeros((2, 2)), np.full(2, np.inf)
+            for row, bone in enumerate(limb.bones):
+                if seen[bone.end]:
+                    target[row] = (keypoints[bone.end] - start[limb.bones[0].start]) / scale
+                    reach[row] = radius[bone.end] / scale
+            rows.append(Sight(np.ascontiguousarray(frames[limb.upper]), target, reach))
+        found[name] = tuple(rows)
+    return found
+
+
+@jax.jit
+def _torso(observation: Observation) -> tuple[jax.Array, jax.Array]:
+    """Frames of the upper bones in camera axes, and the torso's joints in the image."""
+    return upper_frames(observation.view), observation.camera.image(jnp.asarray(observation.view))
+
+
+class Plan(NamedTuple):
+    """Strata of a group at one resolution; `share` `(bins,)` of the attempts, and the proposal's whole `mass`."""
+
+    sub: int
+    bins: tuple[LengthBins, LengthBins]
+    strata: tuple[Strata, ...]
+    share: np.ndarray
+    mass: float
+
+    @property
+    def size(self) -> int:
+        """How many strata there are."""
+        return sum(len(strata.pieces) for strata in self.strata)
+
+
+def plan_group(anatomy: Anatomy, limbs: tuple[Sight, ...], resolution: Resolution) -> Plan:
+    """Cuts a group at a resolution. Attempts × `mass` × acceptance rate = the prior probability of what is accepted."""
+    two = anatomy.builds[0].bones == 2
+    low, high, alpha, beta = anatomy.lengths[0]
+    first = length_bins(low, high, alpha, beta, resolution.first)
+    low, high, alpha, beta = anatomy.lengths[-1]
+    second = length_bins(low, high, alpha, beta, resolution.second if two else 1)
+    strata = tuple(
+        stratify(sight, build, first.edges, second.edges, resolution.sub)
+        for sight, build in zip(limbs, anatomy.builds, strict=True)
+    )
+    prior = np.outer(first.mass, second.mass).ravel() if two else first.mass
+    weight = prior * np.prod([limb.totals for limb in strata], axis=0)
+    mass = float(weight.sum())
+    return Plan(resolution.sub, (first, second), strata, weight / mass if mass else weight, mass)
+
+
+class StratifiedGroup:
+    """Exact draws of one group, cut as finely as the number of draws asked for makes worth while; see the module."""
+
+    def __init__(self, key: jax.Array, name: str, anatomy: Anatomy, limbs: tuple[Sight, ...],
+                 pool: ThreadPoolExecutor | None = None) -> None:  # fmt: skip
+        self.name, self._anatomy, self._limbs, self._pool = name, anatomy, limbs, pool
+        self._words = key_words(key)
+        self._pile = Pile()
+        self._level = self._batches = 0
+        self._plan = plan_group(anatomy, limbs, RESOLUTIONS[0])
+        self._rates = [Rate(0, 0, self._plan.mass)]
+
+    @property
+    def held(self) -> int:
+        return self._pile.size
+
+    @property
+    def hopeless(self) -> bool:
+        tried = sum(rate.proposed for rate in self._rates)
+        return self._plan.mass == 0 or (self.held == 0 and tried >= HOPELESS)
+
+    @property
+    def slowest(self) -> str:
+        return self.name
+
+    @property
+    def rates(self) -> list[Pooled]:
+        return [Pooled(tuple(self._rates))]
+
+    def more(self, number: int, budget: Budget) -> bool:
+        while self.held < number and not self.hopeless:
+            self._refine(number)
+            sizes = []
+            for size in self._sizes(number):
+                if not budget.spend(size):
+                    break
+                sizes.append(size)
+            if not sizes:
+                break
+            self._run(sizes)
+        return self.held >= number
+
+    def _sizes(self, number: int) -> list[int]:
+        """Attempts of the batches that are expected to bring what is missing."""
+        rate = self._rates[-1]
+        if not rate.accepted:
+            return [FIRST if rate.proposed == 0 else ATTEMPTS]
+        missing = (number - self.held) * rate.proposed / rate.accepted
+        return [ATTEMPTS] * min(int(missing // ATTEMPTS), 64) or [FIRST * (int(missing // FIRST) + 1)]
+
+    def _refine(self, number: int) -> None:
+        """Cuts finer where that will cost less than it saves."""
+        rate = self._rates[-1]
+        if not rate.proposed or self._level + 1 == len(RESOLUTIONS):
+            return
+        acceptance = max(rate.accepted, 0.5) / rate.proposed
+        saved = (number - self.held) / acceptance * (1 - max(1 / GAIN, acceptance)) * ATTEMPT
+        if saved > GROWTH * self._plan.size * STRATUM:
+            self._level += 1
+            self._plan = plan_group(self._anatomy, self._limbs, RESOLUTIONS[self._level])
+            self._rates.append(Rate(0, 0, self._plan.mass))
+
+    def _run(self, sizes: list[int]) -> None:
+        numbers = range(self._batches, self._batches + len(sizes))
+        run = self._pool.map if self._pool and len(sizes) > 1 else map
+        for size, rows in zip(sizes, run(self._batch, numbers, sizes), strict=True):
+            rate = self._rates[-1]
+            self._rates[-1] = Rate(rate.proposed + size, rate.accepted + len(rows), rate.mass)
+            self._pile.add(rows)
+        self._batches += len(sizes)
+
+    def _batch(self, number: int, attempts: int) -> np.ndarray:
+        """The draws `(n, 2 + 6 · limbs)` of batch `number`, in random order."""
+        plan, rng = self._plan, np.random.default_rng(np.random.SeedSequence(self._words, spawn_key=(number, 0)))
+        counts = rng.multinomial(attempts, plan.share)
+        rows = np.empty((attempts, 2 + 6 * len(self._limbs)))
+        limbs = tuple(zip(self._limbs, self._anatomy.builds, plan.strata, strict=True))
+        found = attempt_bodies(
+            seeded(self._words, number, 1), counts, *plan.bins, (limbs[0], limbs[-1]), plan.sub, rows
+        )
+        return rows[rng.permutation(found)]
+
+    def draws(self) -> dict[str, Draws]:
+        rows = self._pile.all()[0]
+        vectors = rows[:, 2:].reshape(len(rows), len(self._limbs), 2, 3)
+        return {self.name: Draws(rows[:, : len(self._anatomy.lengths)], vectors[:, :, 0], vectors[:, :, 1])}

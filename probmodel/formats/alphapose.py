@@ -11,7 +11,7 @@ from typing import Any
 
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
-from probmodel.formats.common import Content, mapping, scored_points, sequence
+from probmodel.formats.common import Content, mapping, scored_points, sequence, shown
 from probmodel.layouts import COCO_18
 
 KEYS = {"people": "pose_keypoints_2d", "bodies": "joints"}
@@ -29,7 +29,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
     """The people of all images, in the order of the file."""
     number = 0
     for image, value in mapping(content.json, content.source).items():
-        where = f"image {image!r} of {content.source}"
+        where = f"image {shown(image)} of {content.source}"
         people, key = _people(mapping(value, where), where)
         for record in people:
             person = f"person {number} of {content.source}"

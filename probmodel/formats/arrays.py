@@ -15,10 +15,11 @@ import numpy as np
 
 from probmodel.detections import LARGEST_NUMBER
 from probmodel.failures import BadInput
-from probmodel.formats.common import ARRAY_MAGIC, Content
+from probmodel.formats.common import ARRAY_MAGIC, Content, shown
 
 LARGEST_ARRAY = 4_000_000_000
 """Bytes; no array, unpacked, may be larger."""
+LONGEST_NAME = 200
 MOST_RATIO = 1100
 """An array of numbers does not pack better than this (deflate's own limit is 1032); one that claims to is damaged."""
 _NPY, _ZIP, _HDF5 = ARRAY_MAGIC
@@ -80,7 +81,15 @@ def first_text(array: np.ndarray) -> str:
 
 def _members(content: Content) -> dict[str, zipfile.ZipInfo]:
     with _damage(content.source, "NumPy archive"), zipfile.ZipFile(io.BytesIO(content.data)) as archive:
-        return {info.filename.removesuffix(".npy"): info for info in archive.infolist() if not info.is_dir()}
+        infos = [info for info in archive.infolist() if not info.is_dir()]
+    return {_printable(info.filename.removesuffix(".npy"), content.source): info for info in infos}
+
+
+def _printable(name: str | bytes, source: str) -> str:
+    """A name that may stand in a message. Raises `BadInput` where it cannot."""
+    if not isinstance(name, str) or not name.isprintable() or len(name) > LONGEST_NAME:
+        raise BadInput(f"{source} has an array named {shown(name)}; name it in plain letters.")
+    return name
 
 
 def _member(content: Content, info: zipfile.ZipInfo, where: str) -> np.ndarray:
@@ -123,7 +132,7 @@ def _datasets(content: Content) -> list[str]:
     found: list[str] = []
     with _opened(content) as file:
         file.visititems(lambda name, item: found.append(name) if hasattr(item, "dtype") else None)
-    return found
+    return [_printable(name, content.source) for name in found]
 
 
 def _hdf5(content: Content, wanted: list[str] | None) -> dict[str, np.ndarray]:

@@ -195,7 +195,7 @@ def _people(table: Table, content: Content, threshold: float) -> Iterator[Detect
             points = np.array(rows[columns[name]])
             points[~np.isfinite(points).all(axis=1)] = 0.0
             if (points[:, 2] < 0).any():
-                raise BadInput(f"a likelihood in frame {frame} of {content.source} is negative; it must be 0 or more.")
+                raise BadInput(f"a likelihood in frame {shown(frame)} of {content.source} is negative; give 0 or more.")
             yield layouts[name].detection(points, threshold, content.source, person, frame)
             person += 1
 

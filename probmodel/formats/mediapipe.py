@@ -88,9 +88,9 @@ def read_text(content: Content, threshold: float) -> Iterator[Detection]:
                 raise BadInput(f"{content.source} closes a block that was never opened; check that it is complete.")
             path.pop()
         elif path and path[-1] == "landmark" and people:
-            people[-1][-1][match["field"]] = _float(match["value"], f"{match['field']} of {content.source}")
+            people[-1][-1][match["field"]] = _float(match["value"], f"{shown(match['field'])} of {content.source}")
     if path:
-        raise BadInput(f"{content.source} ends inside a block {path[-1]!r}; check that the file is complete.")
+        raise BadInput(f"{content.source} ends inside a block {shown(path[-1])}; check that the file is complete.")
     rows = [_landmarks(value, f"person {person} of {content.source}") for person, value in enumerate(people)]
     return _detections(content, [(None, row) for row in rows], threshold)
 

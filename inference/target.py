@@ -5,7 +5,8 @@ drawn from it exactly (`poses`), and no sampler has to walk along them. Every ac
 length's range, Beta distributed, or one of the two of a direction in its unit square, uniform. Three charts:
 
 - points `(..., d)` of R^d, the logits of the fractions: the unconstrained space of `PoseModel.posterior` in NumPyro;
-- points of the unit cube, where the prior is flat (lengths by their quantiles): `probmodel.cube` restricted to `active`;
+- points of the unit cube, where the prior is flat (lengths by their quantiles): `probmodel.cube` restricted to
+`active`;
 - poses, as lengths and directions: a `Configuration`.
 """
 

@@ -1,0 +1,117 @@
+"""Several samplers on one frame, each from two starts, judged by exact draws: what `poseterior compare` runs."""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import numpy as np
+import xarray as xr
+
+from inference.candidates import Frame
+from inference.comparison.cost import course
+from inference.comparison.judge import judge
+from inference.comparison.record import Entry
+from inference.comparison.sample import Sample, read_sample
+from inference.results import COMPLETE
+from inference.sampler import SAMPLERS, sample
+from inference.samplers.baseline import Allowance, Run, check_packages, run
+from inference.samplers.baselines import BASELINES, STARTS, baseline_tree, starting_points
+from inference.target import Target
+from probmodel.failures import BadInput, OutOfBudget
+from probmodel.model import PoseModel
+
+PILOT = 500
+"""Draws by which the candidate is chosen."""
+REFERENCE = 20_000
+"""Exact draws that the judge compares with."""
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Exact draws under one candidate: the frame with that candidate, their tree and sample, and what they cost."""
+
+    frame: Frame
+    tree: xr.DataTree
+    sample: Sample
+
+    @property
+    def evidence(self) -> tuple[float, float]:
+        """Log evidence and its standard error."""
+        return self.tree.attrs["log_evidence"], self.tree.attrs["log_evidence_se"]
+
+
+def truth(model: PoseModel, frame: Frame, *, key: jax.Array, number: int = REFERENCE) -> Truth:
+    """Exact draws under the candidate with the largest weight. Raises `OutOfBudget` where there are none."""
+    if len(frame.candidates) > 1:
+        pilot = sample(model, frame, key=jax.random.fold_in(key, 0), num_samples=PILOT)
+        best = int(np.argmax(pilot.tree["constant_data"].weight.values))
+        frame = dataclasses.replace(frame, candidates=(frame.candidates[best],))
+    result = sample(model, frame, key=jax.random.fold_in(key, 1), num_samples=number)
+    if result.status != COMPLETE:
+        raise OutOfBudget(f"the exact draws to judge by are not complete: {result.sentence}")
+    return Truth(frame, result.tree, read_sample(result.tree, "the exact draws"))
+
+
+def check_names(names: list[str]) -> None:
+    """Raises `BadInput` on a sampler that does not exist or whose package is missing, before any work is done."""
+    unknown = [name for name in names if name not in BASELINES and name not in SAMPLERS]
+    if unknown or not names:
+        raise BadInput(
+            f"there is no sampler {unknown[0] if unknown else ''!r}; choose from {', '.join([*SAMPLERS, *BASELINES])}"
+        )
+    for name in names:
+        if name in BASELINES:
+            check_packages(name, BASELINES[name])
+
+
+def starts_of(name: str) -> tuple[str, ...]:
+    """The starts that a sampler is run from; one without a name where it needs none."""
+    return STARTS if name in BASELINES and BASELINES[name].starts else ("",)
+
+
+def enter_exact(model: PoseModel, known: Truth, name: str, *, key: jax.Array, num_samples: int) -> Entry:
+    """A line of exact rejection, drawn anew with another key; timed with everything compiled."""
+    sample(model, known.frame, sampler=name, key=jax.random.fold_in(key, 0), num_samples=min(num_samples, PILOT))
+    started = time.perf_counter()
+    result = sample(model, known.frame, sampler=name, key=jax.random.fold_in(key, 1), num_samples=num_samples)
+    seconds = time.perf_counter() - started
+    attributes = result.tree.attrs
+    evidence = attributes["log_evidence"], attributes["log_evidence_se"]
+    found = read_sample(result.tree, f"the draws of {name}")
+    return _entry(name, "", found, known, result.sentence, attributes["num_proposals"], seconds, 1.0, evidence)
+
+
+def enter_baseline(model: PoseModel, known: Truth, name: str, start: str, *, key: jax.Array, allowance: Allowance,
+                   num_samples: int, progress: Progress | None = None,
+                   save_to: Path | None = None) -> tuple[Entry, xr.DataTree | None]:  # fmt: skip
+    """A line of a baseline, and its draws, or none where its budget brought none."""
+    target = Target.of(model, known.frame)
+    starts = starting_points(target, known.tree, start) if start else None
+    done = run(BASELINES[name], name, target, key=key, starts=starts, num_samples=num_samples, allowance=allowance,
+               progress=progress, save_to=save_to)  # fmt: skip
+    evidence = done.log_evidence, done.log_evidence_se
+    if not done.num_draws:
+        cost = done.cost
+        return Entry(name, start, None, done.sentence, 0, cost.num_proposals, cost.wall_time, None, *evidence), None
+    tree = baseline_tree(model, known.frame, done, key)
+    return _enter_run(done, start, tree, known), tree
+
+
+def _enter_run(done: Run, start: str, tree: xr.DataTree, known: Truth) -> Entry:
+    found = read_sample(tree, f"the draws of {done.sampler}")
+    evidence = done.log_evidence, done.log_evidence_se
+    kept = done.info.get("kept", 1.0)
+    return _entry(done.sampler, start, found, known, "", done.cost.num_proposals, done.cost.wall_time, kept, evidence)
+
+
+def _entry(name: str, start: str, found: Sample, known: Truth, sentence: str, evaluations: int, seconds: float,
+           kept: float, evidence: tuple[float, float]) -> Entry:  # fmt: skip
+    verdict = judge(found, known.sample, evidence=evidence, exact_evidence=known.evidence)
+    way = course(found, known.sample, seconds, kept)
+    shown = evidence if math.isfinite(evidence[0]) else (math.nan, math.nan)
+    return Entry(name, start, verdict, sentence or verdict.sentence, found.num_draws, evaluations, seconds, way, *shown)

@@ -1,0 +1,39 @@
+"""What draws cost: effective draws a second, and seconds until the draws are within a distance of the exact ones."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from inference.comparison.distances import sliced_wasserstein
+from inference.comparison.sample import Sample
+
+SHARES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
+"""Parts of a run at which its distance is measured."""
+EPSILON = 0.1
+"""The distance to reach: sliced Wasserstein, standard deviations of the exact draws."""
+MOST = 20_000
+
+
+class Course(NamedTuple):
+    """`distance` `(5,)`: sliced Wasserstein to the exact draws after `seconds` `(5,)`."""
+
+    seconds: np.ndarray
+    distance: np.ndarray
+
+    def seconds_to(self, epsilon: float = EPSILON) -> float:
+        """When the distance came below `epsilon` and stayed there; infinite where it did not."""
+        above = np.flatnonzero(self.distance > epsilon)
+        first = 0 if not len(above) else above[-1] + 1
+        return float(self.seconds[first]) if first < len(self.seconds) else np.inf
+
+
+def course(sample: Sample, exact: Sample, seconds: float, kept: float) -> Course:
+    """The distance after the first parts of every chain, of a run of `seconds` in which the last share `kept` of the
+    work brought these draws, evenly; the work before it counts from the start."""
+    reference = exact.flat[:MOST]
+    distance = []
+    for share in SHARES:
+        part = sample.first(share).flat
+        distance.append(sliced_wasserstein(part[:: max(1, len(part) // MOST)], reference))
+    before = seconds * (1 - kept)
+    return Course(before + np.array(SHARES) * seconds * kept, np.array(distance))

@@ -1,0 +1,61 @@
+"""How well chains mixed: effective sample sizes and R-hat, believed only where the chains moved at all.
+
+ArviZ gives a stuck chain an effective size of N and four copies of one chain an R-hat of 1, so unique draws are counted
+first, and a coordinate that is constant though the exact draws vary counts as stuck.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+FEWEST_UNIQUE = 0.02
+"""A sampler with a smaller share of distinct draws has not moved."""
+
+
+class Mixing(NamedTuple):
+    """`bulk`, `tail` `(c,)` effective sizes of the coordinates and `rhat` `(c,)`; NaN where a coordinate is constant.
+    `unique`: share of distinct draws; `stuck`: whether the chains, or one of them, did not move."""
+
+    bulk: np.ndarray
+    tail: np.ndarray
+    rhat: np.ndarray
+    unique: float
+    stuck: bool
+
+    @property
+    def worst(self) -> float:
+        """The smallest effective size of a coordinate that varies; 1 where the chains are stuck."""
+        return 1.0 if self.stuck else float(np.nanmin(np.minimum(self.bulk, self.tail)))
+
+
+def mixing(values: np.ndarray) -> Mixing:
+    """Of draws `(chain, draw, c)`; chains shorter than four draws have NaN."""
+    from arviz_stats.base import array_stats
+
+    chains, draws, number = values.shape
+    unique, stuck = _unique(values)
+    bulk, tail, rhat = (np.full(number, np.nan) for _ in range(3))
+    if draws >= 4 and not stuck:
+        for column in np.flatnonzero(np.ptp(values, axis=(0, 1)) > 0):
+            series = values[..., column]
+            bulk[column] = array_stats.ess(series, chain_axis=0, draw_axis=1, method="bulk")
+            tail[column] = array_stats.ess(series, chain_axis=0, draw_axis=1, method="tail", prob=(0.05, 0.95))
+            rhat[column] = array_stats.rhat(series, chain_axis=0, draw_axis=1, method="rank")
+    return Mixing(np.minimum(bulk, chains * draws), np.minimum(tail, chains * draws), rhat, unique, stuck)
+
+
+def mean_ess(series: np.ndarray) -> float:
+    """Effective size `()` for the mean of a series `(chain, draw)`, at most its length; its length where constant."""
+    from arviz_stats.base import array_stats
+
+    if series.shape[1] < 4 or np.ptp(series) == 0:
+        return float(series.size)
+    found = float(array_stats.ess(series, chain_axis=0, draw_axis=1, method="mean"))
+    return min(found, series.size) if np.isfinite(found) else 1.0
+
+
+def _unique(values: np.ndarray) -> tuple[float, bool]:
+    flat = values.reshape(-1, values.shape[-1])
+    unique = len(np.unique(flat, axis=0)) / len(flat)
+    frozen = values.shape[1] > 1 and bool(np.any(np.ptp(values, axis=1).max(axis=-1) == 0))
+    return unique, frozen or unique < FEWEST_UNIQUE

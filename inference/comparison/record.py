@@ -1,0 +1,180 @@
+"""Judgements of several samplers as one DataTree with a sampler dimension: `comparison.nc`."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from inference.comparison.cost import EPSILON, Course
+from inference.comparison.judge import Judgement
+from inference.comparison.sample import NAMES
+from inference.flips import FLIPPING
+from inference.results import versions
+from probmodel.skeleton import BONES, JOINTS
+
+
+class Entry(NamedTuple):
+    """One sampler's line: its name and start, the judgement (None where it brought no draws), its sentence, cost,
+    course, and its log evidence with the standard error."""
+
+    sampler: str
+    start: str
+    judgement: Judgement | None
+    sentence: str
+    num_draws: int
+    evaluations: int
+    seconds: float
+    course: Course | None
+    log_evidence: float
+    log_evidence_se: float
+
+    @property
+    def label(self) -> str:
+        """The name in tables and plots."""
+        return f"{self.sampler} ({self.start})" if self.start else self.sampler
+
+    @property
+    def verdict(self) -> str:
+        """The judgement's, or that there was nothing to judge."""
+        return "no draws" if self.judgement is None else self.judgement.verdict
+
+    @property
+    def worst_ess(self) -> float:
+        """Effective draws of the worst coordinate, bulk or tail."""
+        return 0.0 if self.judgement is None else self.judgement.mixing.worst
+
+    @property
+    def ess_per_second(self) -> float:
+        """Effective draws of the worst coordinate a second."""
+        return self.worst_ess / self.seconds
+
+    @property
+    def worst_rhat(self) -> float:
+        """The largest R-hat of a coordinate; NaN where there is none."""
+        rhat = np.array([]) if self.judgement is None else self.judgement.mixing.rhat
+        return float(np.nanmax(rhat)) if np.isfinite(rhat).any() else np.nan
+
+    @property
+    def seconds_to_distance(self) -> float:
+        """Seconds until the distance is `EPSILON`; infinite where it is not reached."""
+        return np.inf if self.course is None else self.course.seconds_to()
+
+
+def comparison_tree(entries: list[Entry], attributes: dict[str, object]) -> xr.DataTree:
+    """Groups `summary`, `tests`, `coordinates`, `joints`, `modes`, `course`; every variable has the dimension
+    `sampler`."""
+    labels = [entry.label for entry in entries]
+    groups = {"summary": _summary(entries), "course": _course(entries)}
+    judged = [entry for entry in entries if entry.judgement is not None]
+    if judged:
+        groups |= {"tests": _tests(entries), "coordinates": _coordinates(entries), "joints": _joints(entries),
+                   "modes": _modes(judged)}  # fmt: skip
+    tree = xr.DataTree.from_dict(
+        {
+            name: group if "sampler" in group.coords else group.assign_coords(sampler=labels)
+            for name, group in groups.items()
+        }
+    )
+    tree.attrs.update({**attributes, "epsilon": EPSILON, "versions": versions()})
+    return tree
+
+
+def _summary(entries: list[Entry]) -> xr.Dataset:
+    numbers = {
+        "num_draws": [entry.num_draws for entry in entries],
+        "num_evaluations": [entry.evaluations for entry in entries],
+        "seconds": [entry.seconds for entry in entries],
+        "ess_worst": [entry.worst_ess for entry in entries],
+        "ess_per_second": [entry.ess_per_second for entry in entries],
+        "rhat_worst": [entry.worst_rhat for entry in entries],
+        "seconds_to_distance": [entry.seconds_to_distance for entry in entries],
+        "log_evidence": [entry.log_evidence for entry in entries],
+        "log_evidence_se": [entry.log_evidence_se for entry in entries],
+    }
+    words = {
+        "verdict": [entry.verdict for entry in entries],
+        "sentence": [entry.sentence for entry in entries],
+        "start": [entry.start for entry in entries],
+    }
+    judged = {
+        "distance": _each(entries, lambda found: found.distance),
+        "missed_mass": _each(entries, lambda found: found.modes.missed),
+        "unique": _each(entries, lambda found: found.mixing.unique),
+    }
+    return xr.Dataset({name: ("sampler", values) for name, values in {**words, **numbers, **judged}.items()})
+
+
+def _each(entries: list[Entry], what: Callable[[Judgement], float]) -> list[float]:
+    return [np.nan if entry.judgement is None else what(entry.judgement) for entry in entries]
+
+
+def _course(entries: list[Entry]) -> xr.Dataset:
+    length = max((len(entry.course.seconds) for entry in entries if entry.course), default=0)
+    blank = np.full(length, np.nan)
+    seconds = [blank if one.course is None else one.course.seconds for one in entries]
+    distance = [blank if one.course is None else one.course.distance for one in entries]
+    return xr.Dataset(
+        {"seconds": (("sampler", "part"), np.stack(seconds)), "distance": (("sampler", "part"), np.stack(distance))}
+    )
+
+
+def _tests(entries: list[Entry]) -> xr.Dataset:
+    """p-values by kind of test; the worst coordinate's name varies, so its kind is "coordinates"."""
+
+    def kind(name: str) -> str:
+        return "coordinates" if name.endswith((", shift", ", spread")) else name
+
+    found = [
+        {kind(test.name): test for test in ((*one.judgement.tests, *one.judgement.others) if one.judgement else ())}
+        for one in entries
+    ]
+    names = list(dict.fromkeys(name for tests in found for name in tests))
+    return xr.Dataset(
+        {
+            field: (("sampler", "test"), [[getattr(tests[name], field) if name in tests else np.nan for name in names]
+                                          for tests in found])
+            for field in ("statistic", "p_value", "size")
+        },
+        coords={"test": names},
+    )  # fmt: skip
+
+
+def _coordinates(entries: list[Entry]) -> xr.Dataset:
+    blank = np.full(len(NAMES), np.nan)
+    columns = {
+        "ess_bulk": [blank if one.judgement is None else one.judgement.mixing.bulk for one in entries],
+        "ess_tail": [blank if one.judgement is None else one.judgement.mixing.tail for one in entries],
+        "rhat": [blank if one.judgement is None else one.judgement.mixing.rhat for one in entries],
+        "p_shift": [blank if one.judgement is None else one.judgement.coordinate_p[:, 0] for one in entries],
+        "p_spread": [blank if one.judgement is None else one.judgement.coordinate_p[:, 1] for one in entries],
+    }
+    data = {name: (("sampler", "coordinate"), np.stack(values)) for name, values in columns.items()}
+    return xr.Dataset(data, coords={"coordinate": list(NAMES)})
+
+
+def _joints(entries: list[Entry]) -> xr.Dataset:
+    blank = np.full(len(BONES), np.nan)
+    depth = np.stack([blank if one.judgement is None else one.judgement.joint_w1 for one in entries])
+    coords = {"joint": [JOINTS[bone.end] for bone in BONES]}
+    return xr.Dataset({"w1_depth": (("sampler", "joint"), depth, {"units": "body units"})}, coords=coords)
+
+
+def _modes(judged: list[Entry]) -> xr.Dataset:
+    """Shares of the depth flips, commonest first; a pattern is written as one letter a bone, t(owards) or a(way)."""
+    tables = []
+    for entry in judged:
+        assert entry.judgement is not None
+        found = entry.judgement.modes
+        names = ["".join("ta"[away] for away in pattern.astype(int)) for pattern in found.patterns]
+        tables.append((dict(zip(names, found.share, strict=True)), dict(zip(names, found.exact, strict=True))))
+    exact = {name: share for _, known in tables for name, share in known.items() if share > 0}
+    order = sorted(exact, key=lambda name: -exact[name])
+    return xr.Dataset(
+        {
+            "share": (("sampler", "mode"), [[share.get(name, 0.0) for name in order] for share, _ in tables]),
+            "exact_share": (("mode",), [exact[name] for name in order]),
+        },
+        coords={"sampler": [entry.label for entry in judged], "mode": order},
+        attrs={"bones": ", ".join(bone.name for bone in FLIPPING), "letters": "t: towards the camera, a: away from it"},
+    )

@@ -1,0 +1,389 @@
+"""What every baseline sampler shares: how it is asked, how long it may run, how it is saved, and what it hands over.
+
+A baseline draws from a `Target`, not knowing that exact draws exist; `inference.comparison` says how well it does.
+`run` is the one loop: it lets a `Method` go on until it has enough or the budget ends, shows progress, and saves, so
+that an interrupted run goes on to the same bits. `Walk` makes a method of any kernel of Markov chains.
+"""
+
+import hashlib
+import os
+import time
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from inference.results import COMPLETE, OUT_OF_BUDGET, Cost
+from inference.target import Target
+from probmodel.chunks import in_chunks
+from probmodel.cube import Configuration
+from probmodel.failures import BadInput
+
+Progress = Callable[[int, int], None]
+BURN_IN = 0.25
+"""Share of a chain's steps that is thrown away."""
+KEPT = 1 << 16
+"""Steps × walkers kept at least; beyond twice as many every second step is dropped and the stride doubled."""
+SAVE_EVERY = 20.0
+"""Seconds between two saves."""
+
+
+class Drawn(NamedTuple):
+    """What a method has drawn: `points` `(chain, draw, d)` of R^d (a chain is an ensemble folded, walker after walker,
+    or one independent walker); log evidence and its standard error where the method knows them, else NaN; `info`:
+    counts, among them `moved`, the share of steps that changed the point, and `kept`, the share of the work that
+    brought draws."""
+
+    points: np.ndarray
+    log_evidence: float
+    log_evidence_se: float
+    info: dict[str, float]
+
+
+class Method(Protocol):
+    """A sampler at work on one target. `more` goes on for about a second; `state` and `restore` are its whole
+    memory."""
+
+    @property
+    def evaluations(self) -> int:
+        """How often the density was evaluated."""
+
+    def more(self) -> bool:
+        """Goes on; False once it is finished by itself."""
+
+    def drawn(self, key: jax.Array) -> Drawn:
+        """What there is so far; no draws (`(chain, 0, d)`) where there is nothing that may be used."""
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything that `restore` needs to go on."""
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Takes up where `state` was taken."""
+
+    @property
+    def held(self) -> int:
+        """How many draws `drawn` would give."""
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """One row of the table of baselines: `build(target, key, starts)` gives the method; `starts` is how many starting
+    points inside the support it needs (0: it begins with the prior); `note` how it is set up, and by whose advice;
+    `extra` the packages beyond the core."""
+
+    build: Callable[[Target, jax.Array, np.ndarray], Method]
+    starts: int
+    note: str
+    extra: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """What a run may cost: `evaluations` of the density (a gradient counts as one), `seconds`; None: no limit."""
+
+    evaluations: int | None = None
+    seconds: float | None = None
+
+    def allows(self, evaluations: int, seconds: float) -> bool:
+        """Whether more may be spent."""
+        return (self.evaluations is None or evaluations < self.evaluations) and (
+            self.seconds is None or seconds < self.seconds
+        )
+
+
+class Checkpoint(NamedTuple):
+    """How far a run was at some moment: seconds and evaluations spent, draws held after burn-in."""
+
+    seconds: float
+    evaluations: int
+    held: int
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a baseline returns: `poses` with leaves `(chain, draw, …)`, evidence or NaN, info, cost, history, status and
+    sentence as in `inference.results.Result`. `cost.wall_time` is without compilation, which `info` has."""
+
+    sampler: str
+    poses: Configuration
+    log_evidence: float
+    log_evidence_se: float
+    info: dict[str, float]
+    cost: Cost
+    history: tuple[Checkpoint, ...]
+    status: str
+    sentence: str = ""
+
+    @property
+    def num_draws(self) -> int:
+        """How many draws there are, of all chains."""
+        return int(np.prod(self.poses.length.shape[:2]))
+
+
+def run(
+    baseline: Baseline,
+    name: str,
+    target: Target,
+    *,
+    key: jax.Array,
+    starts: np.ndarray | None = None,
+    num_samples: int = 10_000,
+    allowance: Allowance = Allowance(),
+    progress: Progress | None = None,
+    save_to: Path | None = None,
+) -> Run:
+    """Draws until `num_samples` draws are held (after burn-in, not independent of each other) or the allowance ends.
+
+    `starts` `(n, d)`: points inside the support; the method takes its walkers' places from them. With `save_to`, an
+    `.npz` is written now and then, atomically, and read again by the next run of the same baseline, key, starts and
+    target. Raises `BadInput` where a package is missing, no start lies inside the support, or the file is another's.
+    """
+    check_packages(name, baseline)
+    places = _places(baseline, name, target, key, starts)
+    method = baseline.build(target, jax.random.fold_in(key, 1), places)
+    saved = None if save_to is None else _Save(save_to, _fingerprint(name, target, key, places))
+    history: list[Checkpoint] = []
+    seconds = compiling = 0.0
+    if saved:
+        seconds, compiling, history = saved.load(method)
+    if not history:
+        compiling = _compile(method)
+    finished = False
+    while not finished and method.held < num_samples and allowance.allows(method.evaluations, seconds):
+        started = time.perf_counter()
+        finished = not method.more()
+        seconds += time.perf_counter() - started
+        history.append(Checkpoint(seconds, method.evaluations, method.held))
+        if saved:
+            saved.store(method, seconds, compiling, history)
+        if progress:
+            progress(min(method.held, num_samples), num_samples)
+    if saved:
+        saved.store(method, seconds, compiling, history, now=True)
+    return _result(name, target, method, key, num_samples, seconds, compiling, history)
+
+
+def _compile(method: Method) -> float:
+    """Takes the first step twice, so that the clock runs without compilation; returns the seconds of the first one."""
+    started = time.perf_counter()
+    before = method.state()
+    method.more()
+    method.restore(before)
+    return time.perf_counter() - started
+
+
+def _result(name: str, target: Target, method: Method, key: jax.Array, num_samples: int, seconds: float,
+            compiling: float, history: list[Checkpoint]) -> Run:  # fmt: skip
+    drawn = method.drawn(jax.random.fold_in(key, 3))
+    if not np.isfinite(drawn.points).all():
+        raise BadInput(f"{name} returned draws that are not finite; use other starts or another sampler")
+    poses = _poses(target, jax.random.fold_in(key, 4), drawn.points)
+    number = int(np.prod(drawn.points.shape[:2]))
+    status, sentence = COMPLETE, ""
+    if number < num_samples:
+        status = OUT_OF_BUDGET
+        sentence = (
+            f"{name} holds {number} of {num_samples} draws after {method.evaluations:,} evaluations, {seconds:.1f} s; "
+            "allow more, or ask for fewer"
+        )
+    cost = Cost(method.evaluations, drawn.info.get("moved", np.nan), seconds)
+    info = {**drawn.info, "compiling": compiling}
+    return Run(name, poses, drawn.log_evidence, drawn.log_evidence_se, info, cost, tuple(history), status, sentence)
+
+
+def _poses(target: Target, key: jax.Array, points: np.ndarray) -> Configuration:
+    chains, draws, dim = points.shape
+    if not chains * draws:
+        length, upper, lower = (np.empty((chains, draws, *shape)) for shape in ((5,), (5, 3), (4, 3)))
+        return Configuration(length, upper, lower)  # type: ignore[arg-type]
+    numbers = np.arange(chains * draws, dtype=np.uint32)
+    keys = jax.vmap(lambda number: jax.random.fold_in(key, number))
+    one = jax.vmap(target.poses)
+    flat = in_chunks(lambda part, number: one(keys(number), part), points.reshape(-1, dim), numbers)
+    return jax.tree.map(lambda leaf: leaf.reshape(chains, draws, *leaf.shape[1:]), flat)
+
+
+def _places(baseline: Baseline, name: str, target: Target, key: jax.Array, starts: np.ndarray | None) -> np.ndarray:
+    """`(baseline.starts, d)`: rows of `starts` inside the support, without repetition while there are enough."""
+    if not baseline.starts:
+        return np.empty((0, target.dim))
+    points = np.empty((0, target.dim)) if starts is None else np.asarray(starts, float)
+    inside = np.isfinite(points).all(axis=-1)
+    if len(points):
+        inside &= np.asarray(in_chunks(target.misfit, np.where(inside[:, None], points, 0.0))) <= 1
+    found = points[inside]
+    if not len(found):
+        raise BadInput(f"none of the {len(points)} starting points of {name} lies inside the support; give exact draws")
+    order = np.random.default_rng(np.asarray(jax.random.key_data(key))).permutation(len(found))
+    return found[order[np.arange(baseline.starts) % len(found)]]
+
+
+def check_packages(name: str, baseline: Baseline) -> None:
+    """Raises `BadInput` where a package that the baseline needs is not installed."""
+    import importlib.util
+
+    missing = [package for package in baseline.extra if importlib.util.find_spec(package) is None]
+    if missing:
+        raise BadInput(
+            f"the sampler {name} needs {' and '.join(missing)}, which is not installed; "
+            'install "poseterior[samplers]", or choose another'
+        )
+
+
+def _fingerprint(name: str, target: Target, key: jax.Array, places: np.ndarray) -> str:
+    digest = hashlib.sha256(name.encode())
+    for leaf in [*jax.tree.leaves(target), jax.random.key_data(key), places]:
+        digest.update(np.ascontiguousarray(leaf).tobytes())
+    return digest.hexdigest()
+
+
+@dataclass
+class _Save:
+    """A file with a method's whole state, its cost and its history."""
+
+    path: Path
+    fingerprint: str
+    last: float = field(default_factory=time.monotonic)
+
+    def load(self, method: Method) -> tuple[float, float, list[Checkpoint]]:
+        if not self.path.exists():
+            return 0.0, 0.0, []
+        try:
+            with np.load(self.path, allow_pickle=False) as file:
+                found = {name: file[name] for name in file.files}
+            fingerprint, clock = str(found.pop("_fingerprint")), found.pop("_clock")
+            history = [Checkpoint(float(row[0]), int(row[1]), int(row[2])) for row in found.pop("_history")]
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            raise BadInput(
+                f"{self.path} is not a saved run, or was cut off; delete it to begin this sampler anew"
+            ) from None
+        if fingerprint != self.fingerprint:
+            raise BadInput(f"{self.path} belongs to another run (sampler, seed, starts or detection); choose another")
+        method.restore(found)
+        return float(clock[0]), float(clock[1]), history
+
+    def store(self, method: Method, seconds: float, compiling: float, history: list[Checkpoint], *,
+              now: bool = False) -> None:  # fmt: skip
+        if not now and time.monotonic() - self.last < SAVE_EVERY:
+            return
+        partial = self.path.with_name(self.path.name + ".partial")
+        try:
+            with partial.open("wb") as file:
+                about = {"_fingerprint": np.array(self.fingerprint), "_clock": np.array([seconds, compiling]),
+                         "_history": np.array(history, float).reshape(-1, 3)}  # fmt: skip
+                np.savez(file, allow_pickle=False, **about, **method.state())
+            os.replace(partial, self.path)
+        except OSError as error:
+            partial.unlink(missing_ok=True)
+            raise BadInput(
+                f"cannot write {self.path} ({error.strerror}); choose a folder that can be written to"
+            ) from None
+        self.last = time.monotonic()
+
+
+class Trace(NamedTuple):
+    """What a kernel's walkers did: `points` `(steps, walkers, d)`, and how often the density was evaluated."""
+
+    points: np.ndarray
+    evaluations: int
+
+
+class Kernel(Protocol):
+    """One step of Markov chains, for `walkers` walkers at once. A state is a pytree of arrays."""
+
+    walkers: int
+    warm_up: int
+    """Steps in which it tunes itself, thrown away."""
+
+    def start(self, key: jax.Array, points: np.ndarray) -> Any:
+        """The state of walkers that begin at `points` `(at least walkers, d)`."""
+
+    def advance(self, state: Any, steps: int) -> tuple[Any, Trace]:
+        """Some steps further."""
+
+
+class Walk:
+    """Markov chains as a method: `runs` times the same kernel, apart from each other, each with its own walkers.
+
+    `ensemble`: the walkers of a run know of each other, and become one chain, walker after walker; otherwise each
+    walker is a chain. The first `BURN_IN` of what is kept is left out.
+    """
+
+    def __init__(self, kernel: Kernel, key: jax.Array, starts: np.ndarray, *, runs: int, ensemble: bool,
+                 steps: int) -> None:  # fmt: skip
+        self.kernel, self.ensemble, self.steps = kernel, ensemble, steps
+        self.evaluations = 0
+        places = starts.reshape(runs, -1, starts.shape[-1])
+        states = [kernel.start(jax.random.fold_in(key, run), places[run]) for run in range(runs)]
+        # Of the very types that a restored state has, so that nothing is compiled twice.
+        self._states = jax.tree.map(lambda leaf: _like(leaf, _plain(leaf)), states)
+        self._kept = np.empty((runs, 0, kernel.walkers, starts.shape[-1]))
+        self._stride, self._done, self._warm = 1, 0, 0
+
+    def more(self) -> bool:
+        traces = []
+        for run, state in enumerate(self._states):
+            self._states[run], trace = self.kernel.advance(state, self.steps)
+            self.evaluations += trace.evaluations
+            traces.append(np.asarray(trace.points))
+        if self._warm < self.kernel.warm_up:
+            self._warm += self.steps
+            return True
+        first = -self._done % self._stride
+        self._kept = np.concatenate([self._kept, np.stack(traces)[:, first :: self._stride]], axis=1)
+        self._done += self.steps
+        if self._kept[..., 0].size > 2 * KEPT:
+            self._kept = self._kept[:, ::2]
+            self._stride *= 2
+        return True
+
+    @property
+    def held(self) -> int:
+        return int(np.prod(self._after_burn_in.shape[:-1]))
+
+    @property
+    def _after_burn_in(self) -> np.ndarray:
+        return self._kept[:, int(np.ceil(BURN_IN * self._kept.shape[1])) :]
+
+    def drawn(self, key: jax.Array) -> Drawn:
+        kept = np.moveaxis(self._after_burn_in, 2, 1)  # runs, walkers, steps, d
+        runs, walkers, steps, dim = kept.shape
+        moved = float(np.mean(np.any(np.diff(kept, axis=2) != 0, axis=-1))) if steps > 1 else np.nan
+        kept_share = steps * self._stride / max(self._done + self._warm, 1)
+        info = {"runs": runs, "walkers": walkers, "steps": steps, "stride": self._stride, "moved": moved,
+                "kept": kept_share}  # fmt: skip
+        shape = (runs, walkers * steps, dim) if self.ensemble else (runs * walkers, steps, dim)
+        return Drawn(kept.reshape(shape), np.nan, np.nan, info)
+
+    def state(self) -> dict[str, np.ndarray]:
+        leaves = [_plain(leaf) for leaf in jax.tree.leaves(self._states)]
+        return {f"leaf{number}": leaf for number, leaf in enumerate(leaves)} | {
+            "kept": self._kept,
+            "counts": np.array([self.evaluations, self._stride, self._done, self._warm]),
+        }
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        leaves, tree = jax.tree.flatten(self._states)
+        found = [_like(leaf, state[f"leaf{number}"]) for number, leaf in enumerate(leaves)]
+        self._states = jax.tree.unflatten(tree, found)
+        self._kept = state["kept"]
+        self.evaluations, self._stride, self._done, self._warm = (int(count) for count in state["counts"])
+
+
+def _plain(leaf: Any) -> np.ndarray:
+    is_key = isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    return np.asarray(jax.random.key_data(leaf) if is_key else leaf)
+
+
+def _like(leaf: Any, saved: np.ndarray) -> Any:
+    """A saved leaf as the kind of thing that `leaf` is: a NumPy array, a key, or else an array of JAX."""
+    if isinstance(leaf, np.ndarray):
+        return saved
+    if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        return jax.random.wrap_key_data(jnp.asarray(saved))
+    return jnp.asarray(saved)

@@ -1,0 +1,79 @@
+"""The table of baselines, the two starts, and a baseline's draws as a DataTree: what `inference.sample` needs of them.
+
+A start "dispersed" over the exact posterior flatters, because the walkers are where they should be before the first
+step; a start in "one flip" (the commonest pattern of limbs towards and away from the camera) shows what a sampler finds
+by itself.
+"""
+
+from typing import Any
+
+import jax
+import numpy as np
+import xarray as xr
+
+from inference.candidates import Frame
+from inference.flips import away, codes
+from inference.results import CandidateDraws, build_tree, key_words
+from inference.samplers.baseline import Baseline, Run
+from inference.samplers.ensemble import ENSEMBLES
+from inference.samplers.gradient import GRADIENTS
+from inference.samplers.nested import NESTED
+from inference.samplers.tempering import TEMPERINGS
+from inference.samplers.walk import WALKS
+from inference.target import Target, read_poses
+from probmodel.failures import BadInput
+from probmodel.model import PoseModel
+
+BASELINES: dict[str, Baseline] = {**ENSEMBLES, **GRADIENTS, **WALKS, **TEMPERINGS, **NESTED}
+"""Every baseline by its name."""
+DISPERSED, ONE_FLIP = "dispersed", "one flip"
+STARTS = (DISPERSED, ONE_FLIP)
+
+
+def starting_points(target: Target, exact: xr.DataTree, start: str) -> np.ndarray:
+    """Points `(n, d)` of R^d from the exact draws of a tree with one candidate. Raises `BadInput` on an unknown
+    start."""
+    if start not in STARTS:
+        raise BadInput(f"there is no start {start!r}; choose one of {', '.join(STARTS)}")
+    posterior = exact["posterior"]
+    points = target.points_of(read_poses(target.model, posterior.joints.values[0], posterior.bone_length.values[0]))
+    if start == DISPERSED:
+        return points
+    flips = codes(away(posterior.joints.values[0]))
+    found, counts = np.unique(flips, return_counts=True)
+    return points[flips == found[np.argmax(counts)]]
+
+
+def baseline_tree(model: PoseModel, frame: Frame, run: Run, key: jax.Array) -> xr.DataTree:
+    """The DataTree of the contract, with a baseline's chains; the frame has the one candidate that it drew under."""
+    chains, draws = run.poses.length.shape[:2]
+    length, upper, lower = (np.asarray(part).reshape(chains * draws, *part.shape[2:]) for part in run.poses)
+    part = CandidateDraws(length, upper, lower, run.log_evidence, run.log_evidence_se, 1.0)
+    attributes: dict[str, Any] = {
+        "sampler": run.sampler,
+        "seed": key_words(key),
+        "num_proposals": run.cost.num_proposals,
+        "acceptance_rate": run.cost.acceptance_rate,
+        "log_evidence": run.log_evidence,
+        "log_evidence_se": run.log_evidence_se,
+        "wall_time_s": run.cost.wall_time,
+        "status": run.status,
+        **{f"info_{name}": value for name, value in run.info.items()},
+    }
+    seed = int(np.asarray(jax.random.key_data(key))[-1])
+    tree = build_tree(model, frame, [part], attributes, np.random.default_rng(seed))
+    # The draws come back in random order; the order of the chains is put right again.
+    order = np.argsort(np.random.default_rng(seed).permutation(chains * draws))
+    for group in ("posterior", "sample_stats"):
+        tree[group] = xr.DataTree(_chained(tree[group].to_dataset(), order, chains))
+    return tree
+
+
+def _chained(flat: xr.Dataset, order: np.ndarray, chains: int) -> xr.Dataset:
+    found = {
+        name: (variable.dims, np.asarray(variable)[0][order].reshape(chains, -1, *variable.shape[2:]), variable.attrs)
+        for name, variable in flat.data_vars.items()
+    }
+    draws = len(order) // chains if chains else 0
+    coords = {name: flat.coords[name] for name in flat.coords if name not in ("chain", "draw")}
+    return xr.Dataset(found, coords={**coords, "chain": np.arange(chains), "draw": np.arange(draws)})

@@ -6,11 +6,14 @@ result = inference.sample(model, frame, key=jax.random.key(0), num_samples=10_00
 
 from inference.candidates import Candidate, Frame
 from inference.estimators import ESTIMATORS, estimate_torso, estimate_torsos
+from inference.evidence import Evidence, evidence
 from inference.hypotheses import Hypothesis, diverse, grid_poses, hypotheses
 from inference.results import Result
 from inference.sampler import SAMPLERS, sample
+from inference.stream import Item, draws_of, open_stream, sample_frames
 
 __all__ = [
-    "ESTIMATORS", "SAMPLERS", "Candidate", "Frame", "Hypothesis", "Result", "diverse", "estimate_torso",
-    "estimate_torsos", "grid_poses", "hypotheses", "sample",
+    "ESTIMATORS", "SAMPLERS", "Candidate", "Evidence", "Frame", "Hypothesis", "Item", "Result", "diverse", "draws_of",
+    "estimate_torso", "estimate_torsos", "evidence", "grid_poses", "hypotheses", "open_stream", "sample",
+    "sample_frames",
 ]  # fmt: skip

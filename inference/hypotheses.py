@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from sklearn.cluster import KMeans
+from threadpoolctl import threadpool_limits
 
 from inference.results import Result
 from inference.samplers.limbs import Draws, Group, build_groups
@@ -56,7 +57,9 @@ def diverse(joints: np.ndarray, k: int, *, seed: int = 0) -> list[Hypothesis]:
     if not 1 <= k <= len(joints):
         raise BadInput(f"{k} hypotheses cannot be chosen among {len(joints)} poses; choose k from 1 to {len(joints)}")
     flat = joints.reshape(len(joints), -1)
-    fit = KMeans(k, init="k-means++", n_init=1, random_state=seed).fit(flat)
+    # For so small a problem, many threads spend their time waiting for each other.
+    with threadpool_limits(1, user_api="openmp"):
+        fit = KMeans(k, init="k-means++", n_init=1, random_state=seed).fit(flat)
     found = []
     for cluster, centre in enumerate(fit.cluster_centers_):
         members = np.flatnonzero(fit.labels_ == cluster)

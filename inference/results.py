@@ -85,6 +85,7 @@ def key_words(key: jax.Array) -> str:
     return " ".join(str(word) for word in np.asarray(jax.random.key_data(key)))
 
 
+@functools.cache
 def versions() -> str:
     """Versions of Python and of the packages that draws depend on."""
     found = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
@@ -96,10 +97,8 @@ def build_tree(model: PoseModel, frame: Frame, parts: list[CandidateDraws], attr
     """The DataTree of the mixture over a frame's candidates. Draws are put in random order, so that any stretch of them
     is a sample of the mixture."""
     observations = [frame.observation(candidate) for candidate in frame.candidates]
-    columns = [_columns(model, index, frame, observations, parts) for index in range(len(parts))]
-    joined = {key: np.concatenate([column[key] for column in columns]) for key in columns[0]}
-    order = rng.permutation(len(joined["candidate"]))
-    chain = {key: value[order][None] for key, value in joined.items()}
+    chain = {key: value[None] for key, value in pose_columns(model, frame, parts, rng).items()}
+    number = chain["joints"].shape[1]
     lp = chain.pop("lp")
     dims = {
         "joints": ("chain", "draw", "joint", "axis"),
@@ -111,7 +110,7 @@ def build_tree(model: PoseModel, frame: Frame, parts: list[CandidateDraws], attr
     units = {"joints": "body units", "bone_length": "body units", "keypoints": "pixels"}
     posterior = xr.Dataset(
         {key: (dims[key], chain[key], {"units": units[key]} if key in units else {}) for key in dims},
-        coords={"chain": [0], "draw": np.arange(len(order)), "joint": list(JOINTS), "axis": list("xyz"),
+        coords={"chain": [0], "draw": np.arange(number), "joint": list(JOINTS), "axis": list("xyz"),
                 "length_group": list(LENGTH_GROUPS), "uv": list("uv")},
     )  # fmt: skip
     stats = xr.Dataset(
@@ -135,6 +134,17 @@ def build_tree(model: PoseModel, frame: Frame, parts: list[CandidateDraws], attr
         body_unit="mean limb length",
     )
     return tree
+
+
+def pose_columns(model: PoseModel, frame: Frame, parts: list[CandidateDraws],
+                 rng: np.random.Generator) -> dict[str, np.ndarray]:  # fmt: skip
+    """Draws of all candidates as columns, in random order: joints `(n, 15, 3)`, bone_length `(n, 5)`, torso, candidate,
+    keypoints `(n, 15, 2)`, lp."""
+    observations = [frame.observation(candidate) for candidate in frame.candidates]
+    columns = [_columns(model, index, frame, observations, parts) for index in range(len(parts))]
+    joined = {key: np.concatenate([column[key] for column in columns]) for key in columns[0]}
+    order = rng.permutation(len(joined["candidate"]))
+    return {key: value[order] for key, value in joined.items()}
 
 
 def _columns(model: PoseModel, index: int, frame: Frame, observations: list[Observation],

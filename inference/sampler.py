@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -102,6 +103,17 @@ def _place(draws: Draws, limbs: tuple, number: int, length: np.ndarray, upper: n
             lower[:, limb.lower] = draws.lower[:number, row]
 
 
+class Mixture(NamedTuple):
+    """Draws from the mixture over a frame's candidates, one part each, before they are named and put in order; what
+    they cost and are worth as `attributes`; `status` and `sentence` as in `Result`; `rng` for what remains random."""
+
+    parts: list[CandidateDraws]
+    attributes: dict[str, Any]
+    status: str
+    sentence: str
+    rng: np.random.Generator
+
+
 def sample(
     model: PoseModel,
     frame: Frame,
@@ -118,17 +130,30 @@ def sample(
     and `sentence` and holds the draws that were made. `progress(done, wanted)` is called now and then. Raises
     `BadInput` on an unknown sampler or a number of samples below one.
     """
+    started = time.perf_counter()
+    mixture = draw_mixture(model, frame, key, sampler, num_samples, max_proposals, progress)
+    mixture.attributes["wall_time_s"] = time.perf_counter() - started
+    attributes = {**mixture.attributes, "status": mixture.status}
+    tree = build_tree(model, frame, mixture.parts, attributes, mixture.rng)
+    return Result(tree, mixture.status, mixture.sentence)
+
+
+def draw_mixture(
+    model: PoseModel,
+    frame: Frame,
+    key: jax.Array,
+    sampler: str = "rejection",
+    num_samples: int = 10_000,
+    max_proposals: int = MAX_PROPOSALS,
+    progress: Progress | None = None,
+) -> Mixture:
+    """What `sample` does, short of building its tree."""
     if sampler not in SAMPLERS:
         raise BadInput(f"there is no sampler {sampler!r}; choose one of {', '.join(SAMPLERS)}")
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
-    started = time.perf_counter()
     budget = Budget(max_proposals)
-    samplers = []
-    for index, candidate in enumerate(frame.candidates):
-        observation = frame.observation(candidate)
-        groups = PROPOSALS[sampler](jax.random.fold_in(key, index), model, observation)
-        samplers.append(CandidateSampler(model, observation, groups))
+    samplers = candidate_samplers(model, frame, key, sampler)
     prior = log_prior_weights(frame)
     log_weight = _weigh(samplers, prior, num_samples, budget)
     rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, len(samplers)))))
@@ -149,10 +174,18 @@ def sample(
         "acceptance_rate": sum(held) / max(budget.spent, 1),
         "log_evidence": evidence,
         "log_evidence_se": error,
-        "wall_time_s": time.perf_counter() - started,
     }
     status, sentence = (COMPLETE, "") if enough else _explain(samplers, frame, budget, sum(held), num_samples)
-    return Result(build_tree(model, frame, parts, {**attributes, "status": status}, rng), status, sentence)
+    return Mixture(parts, attributes, status, sentence, rng)
+
+
+def candidate_samplers(model: PoseModel, frame: Frame, key: jax.Array, sampler: str) -> list[CandidateSampler]:
+    """A sampler for each of the frame's candidates, with keys of their own."""
+    observations = [frame.observation(candidate) for candidate in frame.candidates]
+    return [
+        CandidateSampler(model, observation, PROPOSALS[sampler](jax.random.fold_in(key, index), model, observation))
+        for index, observation in enumerate(observations)
+    ]
 
 
 def log_prior_weights(frame: Frame) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from reports import console, options
-from reports.options import Belief, LowerMeasure, Sight, UpperMeasure
+from reports.options import Belief, Known, LowerMeasure, Sight, UpperMeasure
 
 app = typer.Typer(
     name="poseterior",
@@ -60,7 +60,10 @@ def hypotheses(
     poses: options.Poses = "default",
     format: options.Format = "auto",
     person: options.Person = 0,
-    image: Annotated[Path | None, typer.Option(help="The image, drawn behind the detections.")] = None,
+    image: options.Image = None,
+    image_size: options.ImageSize = None,
+    names: options.Names = None,
+    correct: options.Correct = False,
     candidates: options.Candidates = 2,
     factor: options.Factor = 0.25,
     threshold: options.Threshold = None,
@@ -75,7 +78,8 @@ def hypotheses(
     options.prepare_jax()
     from reports.commands import hypotheses as command
 
-    sight = Sight(file, format, person, estimator, candidates, factor, threshold, head, poses)
+    known = Known(image_size, names, correct, image)
+    sight = Sight(file, format, person, estimator, candidates, factor, threshold, head, poses, known)
     request = command.Request(out, k, num_samples, seed, max_proposals, image)
     command.run(sight, Belief(limits, upper, lower), request, truth=None, quiet=quiet, as_json=json)
 
@@ -97,6 +101,9 @@ def sample(
     poses: options.Poses = "default",
     format: options.Format = "auto",
     person: options.Person = 0,
+    image_size: options.ImageSize = None,
+    names: options.Names = None,
+    correct: options.Correct = False,
     candidates: options.Candidates = 2,
     factor: options.Factor = 0.25,
     threshold: options.Threshold = None,
@@ -111,9 +118,81 @@ def sample(
     options.prepare_jax()
     from reports.commands import sample as command
 
-    sight = Sight(file, format, person, estimator, candidates, factor, threshold, head, poses)
+    known = Known(image_size, names, correct)
+    sight = Sight(file, format, person, estimator, candidates, factor, threshold, head, poses, known)
     belief = Belief(limits, upper, lower)
     command.run(sight, belief, sampler, out, num_samples, seed, max_proposals, quiet=quiet, as_json=json)
+
+
+@app.command(
+    epilog=_examples(
+        "poseterior frames walk/ --out walk-posterior",
+        "poseterior frames video.json --out result --num-samples 1000 --keep 100",
+    )
+)
+def frames(
+    path: Annotated[
+        Path, typer.Argument(help="A folder of detections, or one file of many frames.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the stream; a run that was stopped goes on there.")] = Path(
+        "out"
+    ),
+    k: Annotated[int, typer.Option(help="How many diverse hypotheses for each person.")] = 5,
+    num_samples: options.NumSamples = 10_000,
+    keep: Annotated[int | None, typer.Option(help="How many draws of each are written.", show_default="all")] = None,
+    seed: options.Seed = 0,
+    limits: options.Limits = "default",
+    estimator: options.Estimator = "dictionary",
+    poses: options.Poses = "default",
+    format: options.Format = "auto",
+    candidates: options.Candidates = 2,
+    factor: options.Factor = 0.25,
+    threshold: options.Threshold = None,
+    head: options.Head = True,
+    upper: options.Upper = UpperMeasure.angle,
+    lower: options.Lower = LowerMeasure.area,
+    max_proposals: options.MaxProposals = _BUDGET,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
+) -> None:
+    """Exact draws and hypotheses of everyone in many frames, written as they come; goes on where it was stopped."""
+    options.prepare_jax()
+    from reports.commands import frames as command
+
+    sight = Sight(path, format, 0, estimator, candidates, factor, threshold, head, poses)
+    request = command.Request(out, k, num_samples, keep, seed, max_proposals)
+    command.run(sight, Belief(limits, upper, lower), request, quiet=quiet, as_json=json)
+
+
+@app.command(
+    epilog=_examples(
+        "poseterior show frame_keypoints.json --out overlay.png",
+        "poseterior show landmarks.json --image photo.jpg --person 1",
+        "poseterior show video.csv --names names.json",
+    )
+)
+def show(
+    file: options.File,
+    out: Annotated[Path, typer.Option(help="The picture: .png, .pdf or .svg.")] = Path("overlay.png"),
+    limits: options.Limits = "default",
+    format: options.Format = "auto",
+    person: options.Person = 0,
+    image: options.Image = None,
+    image_size: options.ImageSize = None,
+    names: options.Names = None,
+    correct: options.Correct = False,
+    factor: options.Factor = 0.25,
+    threshold: options.Threshold = None,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
+) -> None:
+    """Draw how a file was read, joint by joint, and warn where another reading explains its people better."""
+    options.prepare_jax()
+    from reports.commands import show as command
+
+    known = Known(image_size, names, correct, image)
+    sight = Sight(file, format, person, factor=factor, threshold=threshold, known=known)
+    command.run(sight, Belief(limits), out, image, quiet=quiet, as_json=json)
 
 
 @app.command(epilog=_examples("poseterior prior --num-samples 1000 --out prior.nc"))

@@ -4,7 +4,7 @@ import enum
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from inference import Frame
     from probmodel import Anatomy, Detection, PoseModel
 
-File = Annotated[Path, typer.Argument(help="Detections: OpenPose, COCO-17 or poseterior's JSON.", show_default=False)]
+File = Annotated[Path, typer.Argument(help="Detections, of any detector (reports/detectors.md).", show_default=False)]
 Limits = Annotated[str, typer.Option(help="'default', a .npz from `poseterior learn`, or the published .mat.")]
 Estimator = Annotated[
     str,
@@ -32,6 +32,16 @@ Candidates = Annotated[int, typer.Option(min=1, help="Most torso-and-camera cand
 Factor = Annotated[float, typer.Option(help="The factor in the radius τ of a detection's disc (the paper: 0.25).")]
 Threshold = Annotated[float | None, typer.Option(help="Joints with a score up to this are missing.", show_default="0")]
 Head = Annotated[bool, typer.Option(help="Whether a detected head counts in the likelihood (the paper: no).")]
+Image = Annotated[Path | None, typer.Option(help="The image, drawn behind the detections.")]
+ImageSize = Annotated[
+    str | None, typer.Option(metavar="WIDTHxHEIGHT", help="For coordinates that are fractions; --image says it too.")
+]
+Names = Annotated[
+    Path | None, typer.Option(help="JSON object of a detector's own joint names → ours, or list in the file's order.")
+]
+Correct = Annotated[
+    bool, typer.Option("--correct", help="Move midpoints to where the skeleton's thorax and pelvis are.")
+]
 MaxProposals = Annotated[int, typer.Option(min=1, help="Most proposals of rejection before it gives up (exit code 3).")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress.")]
 Json = Annotated[bool, typer.Option("--json", help="Results on stdout as JSON instead of a table.")]
@@ -81,6 +91,58 @@ SMALLEST_FACTOR = 1e-6
 
 
 @dataclass(frozen=True)
+class Known:
+    """What the user knows of a file of detections that it does not say itself."""
+
+    image_size: str | None = None
+    names: Path | None = None
+    correct: bool = False
+    image: Path | None = None
+
+    def read(self, file: Path, format: str, threshold: float | None) -> "list[Detection]":
+        """The people of a file. Raises `BadInput` on a bad file, size, image or map of names."""
+        from probmodel import read_detections
+        from probmodel.layouts import corrected
+
+        size, names = self._size(), self._names()
+        people = read_detections(file, format, threshold, image_size=size, names=names)
+        return [corrected(person) for person in people] if self.correct else people
+
+    def _size(self) -> tuple[int, int] | None:
+        from probmodel import BadInput
+
+        if self.image_size is not None:
+            width, _, height = self.image_size.partition("x")
+            if not (width.isdecimal() and height.isdecimal() and 0 < int(width) < 10**6 and 0 < int(height) < 10**6):
+                raise BadInput(f"--image-size must look like 640x480, not {self.image_size!r}")
+            return int(width), int(height)
+        if self.image is None:
+            return None
+        from reports.figures import read_image
+
+        height_width = read_image(self.image).shape
+        return height_width[1], height_width[0]
+
+    def _names(self) -> dict[str, str] | list[str] | None:
+        import json
+
+        from probmodel import BadInput
+
+        if self.names is None:
+            return None
+        try:
+            names = json.loads(self.names.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise BadInput(
+                f"{self.names} is no JSON that can be read ({type(error).__name__}); give a map of names"
+            ) from None
+        texts = [*names, *names.values()] if isinstance(names, dict) else names if isinstance(names, list) else [None]
+        if not all(isinstance(text, str) for text in texts):
+            raise BadInput(f"{self.names} must hold an object of names, or a list of them; write texts only")
+        return names
+
+
+@dataclass(frozen=True)
 class Sight:
     """Which person of which file, and how torso, camera and discs come out of it."""
 
@@ -93,20 +155,22 @@ class Sight:
     threshold: float | None = None
     head: bool = True
     poses: str = "default"
+    known: Known = Known()
+
+    def people(self) -> "list[Detection]":
+        """Everyone in the file. Raises `BadInput` on a bad file."""
+        return self.known.read(self.file, self.format, self.threshold)
 
     def detection(self) -> "Detection":
         """The person. Raises `BadInput` on a bad file, or where there is no such person."""
-        from probmodel import read_detections
         from probmodel.detections import pick_person
 
-        return pick_person(read_detections(self.file, self.format, self.threshold), self.person)
+        return pick_person(self.people(), self.person)
 
-    def frame(self, model: "PoseModel") -> "Frame":
-        """The person with torso and camera candidates; says so where the estimator did not converge. Raises `BadInput`
-        where the torso is not seen well enough."""
+    def settings(self, model: "PoseModel") -> dict[str, Any]:
+        """How `inference.estimate_torso` is to be called. Raises `BadInput` on a bad factor or a bad file of poses."""
         import numpy as np
 
-        from inference import estimate_torso
         from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
         from probmodel.dictionaries import PoseDictionary
         from probmodel.failures import BadInput
@@ -114,12 +178,22 @@ class Sight:
         if not SMALLEST_FACTOR <= self.factor <= 1 / SMALLEST_FACTOR:  # false for NaN too
             limits = f"{SMALLEST_FACTOR:g} and {1 / SMALLEST_FACTOR:g}"
             raise BadInput(f"--factor must lie between {limits}, not {self.factor:g}; the paper has 0.25")
-        joints = LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS
-        poses = None if self.poses == "default" else PoseDictionary.load(self.poses)
-        frame = estimate_torso(
-            self.detection(), self.estimator, torsos=np.asarray(model.torsos), limits=model.limits, poses=poses,
-            num_candidates=self.candidates, factor=self.factor, joints=joints,
-        )  # fmt: skip
+        return {
+            "torsos": np.asarray(model.torsos),
+            "limits": model.limits,
+            "poses": None if self.poses == "default" else PoseDictionary.load(self.poses),
+            "num_candidates": self.candidates,
+            "factor": self.factor,
+            "joints": LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS,
+        }
+
+    def frame(self, model: "PoseModel") -> "Frame":
+        """The person with torso and camera candidates; says so where the estimator did not converge. Raises `BadInput`
+        where the torso is not seen well enough."""
+        from inference import estimate_torso
+
+        settings = self.settings(model)
+        frame = estimate_torso(self.detection(), self.estimator, **settings)
         if not frame.converged:
             where = frame.detection.where
             console.warn(f"the estimator {self.estimator} did not converge for {where}; its best fit is used")

@@ -233,6 +233,45 @@ def _odds(log_evidence: float | None) -> str:
     return f": one possible pose in {number} explains the joints seen"
 
 
+def stream_json(summary: xr.Dataset) -> dict[str, Any]:
+    """A stream of frames in numbers: how many came to what end, and each frame's evidence."""
+    status, counts = np.unique(summary.status.values, return_counts=True)
+    rows = zip(summary.frame.values, summary.status.values, summary.sentence.values, summary.num_draws.values,
+               summary.log_evidence.values, strict=True)  # fmt: skip
+    frames = [
+        {"frame": str(name), "status": str(end), "sentence": str(why), "num_draws": int(draws),
+         "log_evidence": _number(evidence)}
+        for name, end, why, draws, evidence in rows
+    ]  # fmt: skip
+    return {"status": dict(zip(map(str, status), map(int, counts), strict=True)), "frames": frames}
+
+
+def stream_table(summary: xr.Dataset, most: int = 12) -> Table:
+    """The first frames of a stream: evidence, and how uncertain the wrists' and ankles' depths are."""
+    table = _table("Frames", f"sd: standard deviation of depth behind the pelvis. {UNIT_NOTE}.")
+    for heading in ("frame", "draws", "log evidence", "wrists sd", "ankles sd", ""):
+        table.add_column(heading, justify="left" if heading in ("frame", "") else "right")
+    depth = summary.sd.sel(axis="z")
+    for index in range(min(most, summary.sizes["frame"])):
+        row = summary.isel(frame=index)
+        ends = [depth.isel(frame=index).sel(joint=[f"right_{end}", f"left_{end}"]).values for end in ("wrist", "ankle")]
+        spread = ["/".join(_fixed(_number(value), 2) for value in pair) for pair in ends]
+        evidence = _fixed(_number(row.log_evidence.item()), 1)
+        said = "" if row.status == "complete" else str(row.status.item())
+        table.add_row(str(row.frame.item()), f"{int(row.num_draws):,}", evidence, *spread, said)
+    return table
+
+
+def stream_lines(summary: xr.Dataset) -> list[str]:
+    """How many frames came to what end, and the first reasons of those that brought nothing."""
+    counts = stream_json(summary)["status"]
+    lines = [
+        f"{summary.sizes['frame']:,} frames: " + ", ".join(f"{number:,} {name}" for name, number in counts.items())
+    ]
+    failed = summary.isel(frame=np.flatnonzero(summary.status.values != "complete")[:3])
+    return lines + [f"{name}: {why}" for name, why in zip(failed.frame.values, failed.sentence.values, strict=True)]
+
+
 def check_json(check: "Check", names: Sequence[str]) -> list[dict[str, Any]]:
     """Per pose: its name, whether it is possible, and which bone breaks which limit by how many degrees (None for a
     bone that hangs from an impossible one)."""

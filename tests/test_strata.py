@@ -220,10 +220,10 @@ def test_every_resolution_draws_from_one_law():
     model = PoseModel()
     frame = prior_scene(model, 2)
     found = []
-    for level in (0, 1, 2):
+    for level in (0, 1, 3):
         sampler = stratified(model, frame, "arms", level)
         sampler._plan = plan_group(anatomies(model)["arms"], sampler._limbs, RESOLUTIONS[level])
-        sampler._rates, sampler._level = [Rate(0, 0, sampler._plan.mass)], 2
+        sampler._rates, sampler._level = [Rate(0, 0, sampler._plan.mass)], 3
         assert sampler.more(3000, Budget(10**9))
         found.append((np.concatenate([part.reshape(len(part), -1) for part in sampler.draws()["arms"]], axis=1)[:1500],
                       sampler.rates[0]))  # fmt: skip

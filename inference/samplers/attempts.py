@@ -33,19 +33,19 @@ Limb = tuple[Sight, Build, Strata]
 
 @compiled
 def attempt_bodies(state: np.ndarray, counts: np.ndarray, bins1: LengthBins, bins2: LengthBins,
-                   limbs: tuple[Limb, Limb], sub: int, draws: np.ndarray) -> int:  # fmt: skip
+                   limbs: tuple[Limb, Limb], sub: int, draws: np.ndarray) -> tuple[int, int]:  # fmt: skip
     """Attempts at a group of limbs, `counts` `(bins,)` of them in each bin of the lengths; of one limb, given twice,
     where `draws` has eight columns only.
 
     Fills rows of `draws` `(counts.sum(), 2 + 6 · limbs)`: the lengths, then each limb's upper and lower direction in
-    their local frames. Returns how many rows it filled.
+    their local frames. Returns how many rows it filled, and how many attempts passed the first limb.
     """
     most = counts.max()
     length1, length2 = np.empty(most), np.zeros(most)
     rows, kept = np.empty(most, np.int64), np.empty(most, np.int64)
     num_limbs = (draws.shape[1] - 2) // 6
     found = np.empty((num_limbs, most, 6))
-    done = 0
+    done = passed = 0
     number2 = bins2.mass.size
     for index in range(counts.size):
         number = counts[index]
@@ -62,13 +62,15 @@ def attempt_bodies(state: np.ndarray, counts: np.ndarray, bins1: LengthBins, bin
                 state, sight, build, strata, index, sub, length1, length2, rows[:number], kept, found[l]
             )
             rows[:number] = kept[:number]
+            if l == 0:
+                passed += number
         for n in range(number):
             row = rows[n]
             draws[done, 0], draws[done, 1] = length1[row], length2[row]
             for l in range(num_limbs):
                 draws[done, 2 + 6 * l : 8 + 6 * l] = found[l, row]
             done += 1
-    return done
+    return done, passed
 
 
 @compiled

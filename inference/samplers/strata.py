@@ -65,6 +65,11 @@ class Resolution(NamedTuple):
     second: int
     sub: int
 
+    @property
+    def pieces(self) -> int:
+        """Strata that a cell of the table is cut into."""
+        return self.first * self.second * self.sub**2
+
 
 class Strata(NamedTuple):
     """The strata of one limb. `subs` `(s, 5)`: cell, sine and cosine of the middle azimuth, and of elevation: sine and

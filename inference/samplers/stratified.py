@@ -5,6 +5,8 @@ A group starts with few strata, and is cut finer as soon as the attempts still t
 posterior, so all are kept, and their rates are pooled.
 """
 
+import functools
+import os
 import weakref
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -37,10 +39,10 @@ from probmodel.model import PoseModel
 from probmodel.observation import Observation
 from probmodel.skeleton import GROUPS, TORSO_INDEX
 
-RESOLUTIONS = (Resolution(4, 3, 1), Resolution(8, 6, 2), Resolution(16, 12, 3))
-"""From few strata to many; each has about ten times as many as the one before."""
-GROWTH, GAIN = 10.0, 2.2
-"""By how much the number of strata and the acceptance grow, roughly, from one resolution to the next."""
+RESOLUTIONS = (Resolution(4, 3, 1), Resolution(6, 4, 2), Resolution(10, 8, 2), Resolution(16, 12, 3))
+"""From few strata to many."""
+GAIN = (1.9, 1.5, 1.4)
+"""By how much the acceptance grows, roughly, from one resolution to the next."""
 STRATUM, ATTEMPT = 2.3, 1.8
 """What a stratum costs to set up, and an attempt, in 100 ns: only their ratio counts, and only for speed."""
 ATTEMPTS = 1 << 14
@@ -93,6 +95,12 @@ def _build(model: PoseModel, upper: int, lower: int | None) -> Build:
     )
 
 
+@functools.cache
+def _workers() -> ThreadPoolExecutor:
+    """One thread a core; the compiled loops are free of Python's lock. Only tasks that wait for nothing go here."""
+    return ThreadPoolExecutor(os.cpu_count())
+
+
 def sights(observation: Observation) -> dict[str, tuple[Sight, ...]]:
     """Every limb in front of the camera, by group; what each has to explain, measured from where it starts."""
     frames, image = (np.asarray(part) for part in _torso(observation))
@@ -141,10 +149,11 @@ def plan_group(anatomy: Anatomy, limbs: tuple[Sight, ...], resolution: Resolutio
     first = length_bins(low, high, alpha, beta, resolution.first)
     low, high, alpha, beta = anatomy.lengths[-1]
     second = length_bins(low, high, alpha, beta, resolution.second if two else 1)
-    strata = tuple(
-        stratify(sight, build, first.edges, second.edges, resolution.sub)
-        for sight, build in zip(limbs, anatomy.builds, strict=True)
-    )
+
+    def one(sight: Sight, build: Build) -> Strata:
+        return stratify(sight, build, first.edges, second.edges, resolution.sub)
+
+    strata = tuple(_workers().map(one, limbs, anatomy.builds))
     prior = np.outer(first.mass, second.mass).ravel() if two else first.mass
     weight = prior * np.prod([limb.totals for limb in strata], axis=0)
     mass = float(weight.sum())
@@ -154,12 +163,12 @@ def plan_group(anatomy: Anatomy, limbs: tuple[Sight, ...], resolution: Resolutio
 class StratifiedGroup:
     """Exact draws of one group, cut as finely as the number of draws asked for makes worth while; see the module."""
 
-    def __init__(self, key: jax.Array, name: str, anatomy: Anatomy, limbs: tuple[Sight, ...],
-                 pool: ThreadPoolExecutor | None = None) -> None:  # fmt: skip
-        self.name, self._anatomy, self._limbs, self._pool = name, anatomy, limbs, pool
+    def __init__(self, key: jax.Array, name: str, anatomy: Anatomy, limbs: tuple[Sight, ...]) -> None:
+        self.name, self._anatomy, self._limbs = name, anatomy, limbs
         self._words = key_words(key)
         self._pile = Pile()
         self._level = self._batches = 0
+        self._order = list(range(len(limbs)))
         self._plan = plan_group(anatomy, limbs, RESOLUTIONS[0])
         self._rates = [Rate(0, 0, self._plan.mass)]
 
@@ -207,31 +216,38 @@ class StratifiedGroup:
         if not rate.proposed or self._level + 1 == len(RESOLUTIONS):
             return
         acceptance = max(rate.accepted, 0.5) / rate.proposed
-        saved = (number - self.held) / acceptance * (1 - max(1 / GAIN, acceptance)) * ATTEMPT
-        if saved > GROWTH * self._plan.size * STRATUM:
+        saved = (number - self.held) / acceptance * (1 - max(1 / GAIN[self._level], acceptance)) * ATTEMPT
+        growth = RESOLUTIONS[self._level + 1].pieces / RESOLUTIONS[self._level].pieces
+        if saved > growth * self._plan.size * STRATUM:
             self._level += 1
             self._plan = plan_group(self._anatomy, self._limbs, RESOLUTIONS[self._level])
             self._rates.append(Rate(0, 0, self._plan.mass))
 
     def _run(self, sizes: list[int]) -> None:
         numbers = range(self._batches, self._batches + len(sizes))
-        run = self._pool.map if self._pool and len(sizes) > 1 else map
-        for size, rows in zip(sizes, run(self._batch, numbers, sizes), strict=True):
-            rate = self._rates[-1]
+        tried = through = found = 0
+        for size, (rows, passed) in zip(sizes, _workers().map(self._batch, numbers, sizes), strict=True):
+            rate, tried, through = self._rates[-1], tried + size, through + passed
             self._rates[-1] = Rate(rate.proposed + size, rate.accepted + len(rows), rate.mass)
             self._pile.add(rows)
+            found += len(rows)
         self._batches += len(sizes)
+        # The limb that fails more often goes first: then the other is seldom tried in vain.
+        if len(self._limbs) == 2 and through**2 > found * tried:
+            self._order = self._order[::-1]
 
-    def _batch(self, number: int, attempts: int) -> np.ndarray:
-        """The draws `(n, 2 + 6 · limbs)` of batch `number`, in random order."""
+    def _batch(self, number: int, attempts: int) -> tuple[np.ndarray, int]:
+        """The draws `(n, 2 + 6 · limbs)` of batch `number`, in random order, and how many passed their first limb."""
         plan, rng = self._plan, np.random.default_rng(np.random.SeedSequence(self._words, spawn_key=(number, 0)))
         counts = rng.multinomial(attempts, plan.share)
         rows = np.empty((attempts, 2 + 6 * len(self._limbs)))
-        limbs = tuple(zip(self._limbs, self._anatomy.builds, plan.strata, strict=True))
-        found = attempt_bodies(
-            seeded(self._words, number, 1), counts, *plan.bins, (limbs[0], limbs[-1]), plan.sub, rows
-        )
-        return rows[rng.permutation(found)]
+        limbs = [(self._limbs[row], self._anatomy.builds[row], plan.strata[row]) for row in self._order]
+        state, pair = seeded(self._words, number, 1), (limbs[0], limbs[-1])
+        found, passed = attempt_bodies(state, counts, *plan.bins, pair, plan.sub, rows)
+        rows = rows[rng.permutation(found)]
+        if self._order[0]:
+            rows[:, 2:8], rows[:, 8:] = rows[:, 8:], rows[:, 2:8].copy()
+        return rows, passed
 
     def draws(self) -> dict[str, Draws]:
         rows = self._pile.all()[0]

@@ -65,10 +65,9 @@ def _prior(model: PoseModel, points: jax.Array) -> Configuration:
 
 
 @jax.jit
-def _project(model: PoseModel, torso: jax.Array, draws: Configuration, rows: jax.Array) -> jax.Array:
-    """`(n, 15, 2)`: the draws on this torso, in the image, body units; `rows` are the first two of the rotation."""
-    joints = jax.vmap(model.joints, (None, 0, 0, 0))(torso, *draws)
-    return jnp.einsum("ij,nkj->nki", rows, joints)
+def _joints(model: PoseModel, torso: jax.Array, draws: Configuration) -> jax.Array:
+    """`(n, 15, 3)`: the draws on one torso."""
+    return jax.vmap(model.joints, (None, 0, 0, 0))(torso, *draws)
 
 
 def _limbs(draws: np.ndarray, target: np.ndarray, group: str) -> float:
@@ -76,7 +75,8 @@ def _limbs(draws: np.ndarray, target: np.ndarray, group: str) -> float:
     total = 0.0
     for limb in GROUPS[group]:
         joints = [bone.end for bone in limb.bones if np.isfinite(target[bone.end]).all()]
-        square = np.sum((draws[:, joints] - target[joints]) ** 2, axis=(1, 2)) / NOISE**2
+        square = sum((draws[:, j, axis] - np.float32(target[j, axis])) ** 2 for j in joints for axis in (0, 1))
+        square = np.zeros(len(draws)) + square / NOISE**2
         total += np.logaddexp(np.logaddexp.reduce(-square / 2) - np.log(len(draws)), FLOOR)
     return float(total)
 
@@ -190,6 +190,7 @@ class Judge:
         self._model = model
         self._torsos = np.asarray(model.torsos)
         self._draws = _prior(model, jnp.asarray(_points()))
+        self._kept: dict[int, np.ndarray] = {}
 
     def evidence(self, detection: Detection) -> Evidence:
         """Of one person. Raises `BadInput` where too little of the torso is seen."""
@@ -206,14 +207,22 @@ class Judge:
         return weigh(detection, usual, opposed, whole, others)
 
     def _under(self, detection: Detection, candidate: Candidate) -> tuple[float, float, list[float], list[float]]:
-        scale, rows = float(candidate.camera.scale), jnp.asarray(candidate.camera.rotation)[:2]
-        draws = np.asarray(_project(self._model, jnp.asarray(candidate.torso), self._draws, rows))
+        scale, rows = float(candidate.camera.scale), np.asarray(candidate.camera.rotation)[:2]
+        draws = self._bodies(candidate) @ rows.T.astype(np.float32)
         target = (detection.keypoints - np.asarray(candidate.camera.translation)) / scale
         seen = int(detection.seen[list(TORSO_INDEX)].sum())
         torso = -0.5 * seen * (candidate.reprojection_error / scale / TORSO_NOISE) ** 2
         arms, legs = ([_limbs(draws, target[order], name) for order in (slice(None), list(MIRROR))]
                       for name in ("arms", "legs"))  # fmt: skip
         return torso, log_face_likelihood(detection, candidate), arms, legs
+
+    def _bodies(self, candidate: Candidate) -> np.ndarray:
+        """`(n, 15, 3)`: the draws on the candidate's torso, kept, since a file's people share few torsos."""
+        index = candidate.torso_index
+        if index not in self._kept:
+            joints = _joints(self._model, jnp.asarray(candidate.torso), self._draws)
+            self._kept[index] = np.asarray(joints, np.float32)
+        return self._kept[index]
 
 
 def judge(detections: Sequence[Detection], model: PoseModel, *, sizes: bool = False) -> Verdict:

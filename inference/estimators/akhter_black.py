@@ -145,6 +145,20 @@ def pursue(points: Points, problem: Problem, rotation: np.ndarray, scale: np.nda
         fit = fit.padded()
         for part, new in zip(fit, longer, strict=True):
             part[rows[gained]] = new[gained]
+    return _settled(points, problem, fit)
+
+
+def _settled(points: Points, problem: Problem, fit: Fit) -> Fit:
+    """What has not converged is adjusted on, fits of as many terms together."""
+    count = np.count_nonzero(fit.terms, axis=1)
+    for terms in np.unique(count[~fit.converged]):
+        rows = np.flatnonzero(~fit.converged & (count == terms))
+        some = fit.take(rows)
+        some = some._replace(terms=some.terms[:, : terms + 1], coefficient=some.coefficient[:, : terms + 1])
+        found = _adjusted(points.take(rows), problem, some, 200)
+        fit.coefficient[rows, : terms + 1] = found.coefficient
+        for part, new in zip(fit[2:], found[2:], strict=True):
+            part[rows] = new
     return fit
 
 
@@ -163,7 +177,8 @@ def _adjusted(points: Points, problem: Problem, fit: Fit, iterations: int) -> Fi
     rotation, coefficient = _positive(found.rotation, found.coefficient)
     objective = found.objective + problem.limit_cost(fit.terms, coefficient)
     new = Fit(fit.terms, coefficient, rotation, objective, found.converged)
-    return new.where(new.objective <= fit.objective, fit)
+    # Where the end of an adjustment breaks a limit that its start keeps, the start is the better fit, and the last.
+    return new.where(new.objective <= fit.objective, fit)._replace(converged=found.converged)
 
 
 def _extended(points: Points, problem: Problem, fit: Fit) -> Fit:

@@ -23,7 +23,7 @@ from probmodel.detections import Detection
 from probmodel.dictionaries import PoseDictionary
 from probmodel.failures import BadInput
 
-PENALTY = 0.05
+PENALTY = 0.03
 """λ, for image points of size one (`Points`)."""
 TOLERANCE = 1e-3
 """ADMM ends where both residuals are below this share of what they are differences of; the objective is then within

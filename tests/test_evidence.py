@@ -36,7 +36,7 @@ def test_limbs_and_groups_have_the_evidence_of_the_prior(found):
         hits = np.zeros(3)
         for part in range(4):
             draws = group_prior(key(part), groups[name], 250_000)
-            offset = np.asarray(groups[name].reach(draws) - groups[name].target)
+            offset = np.asarray(groups[name].reach(draws)) - np.asarray(groups[name].target)
             inside = np.all(np.sum(offset**2, axis=-1) <= np.asarray(groups[name].radius) ** 2, axis=-1)
             hits += [*inside.sum(axis=0), inside.all(axis=1).sum()]
         for count, label in zip(hits, (*sides, name), strict=True):

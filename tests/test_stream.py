@@ -98,12 +98,12 @@ def test_only_so_many_draws_are_kept(model, items, tmp_path):
 def test_other_runs_and_other_frames_are_refused_and_nothing_is_overwritten(model, items, tmp_path):
     sample_frames(model, items[:2], key=key(0), out=tmp_path, **SETTINGS)
     before = content(tmp_path)
-    with pytest.raises(BadInput, match="holds another run .its seed is"):
+    with pytest.raises(BadInput, match=r"holds another run .its seed is"):
         sample_frames(model, items[:2], key=key(1), out=tmp_path, **SETTINGS)
     with pytest.raises(BadInput, match="its num_samples is 40, not 41"):
         sample_frames(model, items[:2], key=key(0), out=tmp_path, num_samples=41, k=3)
     moved = dataclasses.replace(items[0].frame, factor=0.7)
-    with pytest.raises(BadInput, match="made of other frames"):
+    with pytest.raises(BadInput, match=r"made of other frames"):
         sample_frames(model, [Item(items[0].name, moved), items[1]], key=key(0), out=tmp_path, **SETTINGS)
     assert content(tmp_path) == before
 
@@ -112,7 +112,7 @@ def test_a_broken_block_is_named(model, items, tmp_path):
     sample_frames(model, items[:2], key=key(0), out=tmp_path, **SETTINGS)
     block = tmp_path / "block-000000.nc"
     block.write_bytes(block.read_bytes()[:1000])
-    with pytest.raises(BadInput, match="block-000000.nc cannot be read"):
+    with pytest.raises(BadInput, match=r"block-000000.nc cannot be read"):
         sample_frames(model, items[:2], key=key(0), out=tmp_path, **SETTINGS)
 
 

@@ -6,7 +6,7 @@ maxima of a heatmap are kept beside it as alternatives. Arrays are `(J, H, W)`; 
 centre.
 """
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import maximum_filter
@@ -29,8 +29,6 @@ LARGEST_SIDE = 4096
 _APART = 5
 """Two maxima of one heatmap are at least half of this many pixels apart."""
 _ROUNDS = 30
-
-Method = Literal["soft", "quarter"]
 
 
 class Crop(NamedTuple):
@@ -69,7 +67,7 @@ def decode(
     crop: Crop | None = None,
     *,
     threshold: float = THRESHOLD,
-    method: Method = "soft",
+    method: str = "soft",
     source: str = "heatmaps",
     person: int = 0,
     image_id: str | None = None,
@@ -83,7 +81,11 @@ def decode(
     heatmaps = _checked(heatmaps, layout, source)
     shape = (heatmaps.shape[1], heatmaps.shape[2])
     crop = Crop.whole(heatmaps) if crop is None else crop
-    locate = {"soft": soft_argmax, "quarter": quarter_argmax}[method]
+    if method not in LOCATORS:
+        raise BadInput(
+            f"there is no way {method!r} to find a joint in its heatmap; choose one of {', '.join(LOCATORS)}."
+        )
+    locate = LOCATORS[method]
     score = np.maximum(heatmaps.mean(axis=(1, 2)), 0.0)
     maxima = [modes(heatmap) for heatmap in heatmaps]
     best = np.array([locate(heatmap, tops[0]) for heatmap, tops in zip(heatmaps, maxima, strict=True)])
@@ -143,6 +145,10 @@ def soft_argmax(heatmap: FloatArray, top: tuple[int, int]) -> FloatArray:
         total = along @ weight @ across
         centre = np.array([along @ weight @ (x * across), (y * along) @ weight @ across]) / total
     return centre
+
+
+LOCATORS = {"soft": soft_argmax, "quarter": quarter_argmax}
+"""Where in its heatmap a joint is, by name."""
 
 
 def _window(pixel: FloatArray, centre: float) -> FloatArray:

@@ -195,6 +195,37 @@ def show(
     command.run(sight, Belief(limits), out, image, quiet=quiet, as_json=json)
 
 
+@app.command(
+    epilog=_examples(
+        "poseterior detect photo.jpg --model hourglass.onnx --layout mpii_16",
+        "poseterior detect *.jpg --model rtmpose.onnx --layout coco_17 --boxes people.json --out found.json",
+        "poseterior detect photo.jpg --model net.onnx --layout coco_17 --box 280,44,218,346",
+    )
+)
+def detect(
+    images: Annotated[list[Path], typer.Argument(help="Images: PNG, JPEG, ….", show_default=False)],
+    model: Annotated[Path, typer.Option(help="A top-down heatmap network, ONNX.", show_default=False)],
+    layout: Annotated[str, typer.Option(help="Its joints: mpii_16, coco_17, halpe_26, ….", show_default=False)],
+    out: Annotated[Path, typer.Option(help="File to write.")] = Path("detections.json"),
+    box: Annotated[str | None, typer.Option(metavar="X,Y,WIDTH,HEIGHT", help="The person; else the image.")] = None,
+    boxes: Annotated[Path | None, typer.Option(help="COCO detection results: the people of all images.")] = None,
+    least_score: Annotated[float, typer.Option(help="Boxes with a lower score are left out.")] = 0.5,
+    input_size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Where the network has none.")] = None,
+    pixels: Annotated[str, typer.Option(help="How pixels are normalised: imagenet, unit or bytes.")] = "imagenet",
+    method: Annotated[str, typer.Option(help="Where a joint is in its heatmap: soft or quarter.")] = "soft",
+    threshold: Annotated[float, typer.Option(help="Joints whose heatmap's mean is up to this are missing.")] = 0.002,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
+) -> None:
+    """Find people's joints in images with a heatmap network of one's own, through onnxruntime."""
+    from reports.commands import detect as command
+
+    size = None if input_size is None else command.parse_size(input_size)
+    one = None if box is None else command.parse_box(box)
+    request = command.Request(model, layout, size, pixels, method, threshold, one, boxes, least_score)
+    command.run(images, request, out, quiet=quiet, as_json=json)
+
+
 @app.command(epilog=_examples("poseterior prior --num-samples 1000 --out prior.nc"))
 def prior(
     num_samples: options.NumSamples = 10_000,
@@ -225,6 +256,50 @@ def check(
     from reports.commands import check as command
 
     command.run(file, Belief(limits), quiet=quiet, as_json=json)
+
+
+@app.command(
+    epilog=_examples(
+        "poseterior compare frame.json --samplers rejection,emcee,random-walk --out comparison",
+        "poseterior compare frame.json --samplers smc,nss --seconds 120",
+    )
+)
+def compare(
+    file: options.File,
+    samplers: Annotated[str, typer.Option(help="Names with commas between them; a wrong one lists them all.")] = (
+        "rejection,emcee,aies,random-walk"
+    ),
+    out: Annotated[Path, typer.Option(help="Folder for comparison.nc, comparison.png and the runs.")] = Path(
+        "comparison"
+    ),
+    seconds: Annotated[float, typer.Option(help="Seconds for each baseline, from each of its two starts.")] = 30.0,
+    max_evaluations: Annotated[
+        int | None,
+        typer.Option(min=1, help="Most evaluations of the density for each of them.", show_default="no limit"),
+    ] = None,
+    num_samples: Annotated[int, typer.Option(min=100, help="Draws of exact rejection as a contestant.")] = 10_000,
+    seed: options.Seed = 0,
+    limits: options.Limits = "default",
+    estimator: options.Estimator = "dictionary",
+    format: options.Format = "auto",
+    person: options.Person = 0,
+    candidates: options.Candidates = 2,
+    factor: options.Factor = 0.25,
+    threshold: options.Threshold = None,
+    head: options.Head = True,
+    upper: options.Upper = UpperMeasure.angle,
+    lower: options.Lower = LowerMeasure.area,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
+) -> None:
+    """Judge samplers by exact draws: which of them would have misled you on this detection?"""
+    options.prepare_jax()
+    from reports.commands import compare as command
+
+    sight = Sight(file, format, person, estimator, candidates, factor, threshold, head)
+    names = tuple(name.strip() for name in samplers.split(",") if name.strip())
+    request = command.Request(names, out, seconds, max_evaluations, num_samples, seed)
+    command.run(sight, Belief(limits, upper, lower), request, quiet=quiet, as_json=json)
 
 
 @app.command(

@@ -86,15 +86,32 @@ def test_a_mirror_twin_shows_a_flat_body_alike():
 # --- the pursuit -----------------------------------------------------------------------------------------------------
 
 
-def test_the_objective_never_rises_with_a_further_term():
-    poses = noisy()
-    points = Points.gather([detection(pose, missing=(3, 11)) for pose in poses])
+def test_the_objective_never_rises(monkeypatch):
+    """At no step of the pursuit, whether the term is kept or not, nor when it settles; and it falls by far in all."""
+    steps: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def watched(name: str) -> None:
+        step = getattr(ab, name)
+
+        def record(points: Points, given: ab.Problem, fit: ab.Fit) -> ab.Fit:
+            before = fit.objective.copy()
+            found = step(points, given, fit)
+            steps.append((before, found.objective.copy()))
+            return found
+
+        monkeypatch.setattr(ab, name, record)
+
+    watched("_extended")
+    watched("_settled")
+    points = Points.gather([detection(pose, missing=(3, 11)) for pose in noisy()])
     rotation, scale = ab.torso_cameras(points, DICTIONARY.mean)
     twice = points.repeat(2)
-    path = [ab.pursue(twice, problem(), rotation, scale, most_terms=most) for most in range(7)]
-    objective = np.stack([fit.objective for fit in path])
-    assert (np.diff(objective, axis=0) <= 1e-12).all()
-    assert (objective[-1] < 0.5 * objective[0]).all()
+    start = ab.pursue(twice, problem(), rotation, scale, most_terms=0).objective
+    fit = ab.pursue(twice, problem(), rotation, scale)
+    assert len(steps) > 5
+    for before, after in steps:
+        assert (after <= before + 1e-12).all()
+    assert (fit.objective < 0.5 * start).all()
 
 
 def test_the_objective_is_the_sum_of_its_three_terms():

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sklearn.decomposition import PCA
 
+import inference
 from probmodel import BadInput
 from probmodel.dictionaries import (
     EXPLAINED,
@@ -18,9 +19,11 @@ from probmodel.dictionaries import (
     principal_directions,
     with_lengths,
 )
+from probmodel.example import example
 from probmodel.learning import LEARNING_RATE, mirror_pose, read_all
 from probmodel.motion import Motion
 from probmodel.skeleton import JOINTS, MIRROR, TORSO_INDEX
+from reports.commands import learn
 
 DICTIONARY = PoseDictionary.default()
 
@@ -124,6 +127,23 @@ def test_the_embedded_dictionary_can_be_rebuilt(shared_data):
     learned = learn_dictionary(read_all(paths))
     for field in dataclasses.fields(DICTIONARY):
         assert getattr(learned, field.name) == pytest.approx(getattr(DICTIONARY, field.name), abs=1e-6)
+
+
+@pytest.mark.slow
+def test_learn_writes_dictionaries_that_estimators_use(shared_data, tmp_path, capsys):
+    """From one recording of walking: beside the limits, and only where asked for."""
+    walk, out, poses = shared_data / "cmu" / "asfamc" / "02" / "02_01.amc", tmp_path / "l.npz", tmp_path / "p.npz"
+    learn.run([walk], out, None, mirror=True, quiet=True, as_json=True)
+    assert not poses.exists()
+    before = out.read_bytes()
+    learn.run([walk], out, poses, mirror=True, quiet=True, as_json=False)
+    assert out.read_bytes() == before
+    assert f"and {poses}" in capsys.readouterr().out
+    learned = PoseDictionary.load(poses)
+    frame = inference.estimate_torso(example().detection, "zhou", poses=learned)
+    assert np.isfinite(frame.pose).all()
+    with pytest.raises(BadInput, match="is a folder"):
+        learn.run([walk], out, tmp_path, mirror=True, quiet=True, as_json=True)
 
 
 def test_saved_and_loaded_it_is_the_same(tmp_path):

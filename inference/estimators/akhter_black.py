@@ -149,7 +149,7 @@ def pursue(points: Points, problem: Problem, rotation: np.ndarray, scale: np.nda
 
 
 def _settled(points: Points, problem: Problem, fit: Fit) -> Fit:
-    """What has not converged is adjusted on, fits of as many terms together."""
+    """What has not converged is adjusted on, fits of as many terms together; with nothing left to explain it has."""
     count = np.count_nonzero(fit.terms, axis=1)
     for terms in np.unique(count[~fit.converged]):
         rows = np.flatnonzero(~fit.converged & (count == terms))
@@ -159,7 +159,7 @@ def _settled(points: Points, problem: Problem, fit: Fit) -> Fit:
         fit.coefficient[rows, : terms + 1] = found.coefficient
         for part, new in zip(fit[2:], found[2:], strict=True):
             part[rows] = new
-    return fit
+    return fit._replace(converged=fit.converged | (fit.objective <= EXPLAINED))
 
 
 def _at(points: Points, problem: Problem, terms: np.ndarray, coefficient: np.ndarray, rotation: np.ndarray) -> Fit:

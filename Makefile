@@ -24,11 +24,14 @@ lint: $(VENV)/.done
 
 bench: $(VENV)/.done
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
+	$(BIN)/python -m tests.benchmarks.speed_report
 
 $(VENV)/.done: pyproject.toml requirements.lock
 	@test -n "$(PYTHON)" || { echo "poseterior needs Python 3.12 or newer on the PATH (as python3.12 or python3); install one and run make again." >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable ".[dev]"
+	@echo "compiling the loops, once"
+	@$(BIN)/poseterior demo --quiet --out $(VENV)/demo > /dev/null
 	@touch $@
 
 lock: $(VENV)/.done

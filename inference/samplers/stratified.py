@@ -167,9 +167,9 @@ class StratifiedGroup:
         self.name, self._anatomy, self._limbs = name, anatomy, limbs
         self._words = key_words(key)
         self._pile = Pile()
-        self._level = self._batches = 0
+        self.level = self._batches = 0
         self._order = list(range(len(limbs)))
-        self._plan = plan_group(anatomy, limbs, RESOLUTIONS[0])
+        self._plan = self.plan_at(0)
         self._rates = [Rate(0, 0, self._plan.mass)]
 
     @property
@@ -213,15 +213,19 @@ class StratifiedGroup:
     def _refine(self, number: int) -> None:
         """Cuts finer where that will cost less than it saves."""
         rate = self._rates[-1]
-        if not rate.proposed or self._level + 1 == len(RESOLUTIONS):
+        if not rate.proposed or self.level + 1 == len(RESOLUTIONS):
             return
         acceptance = max(rate.accepted, 0.5) / rate.proposed
-        saved = (number - self.held) / acceptance * (1 - max(1 / GAIN[self._level], acceptance)) * ATTEMPT
-        growth = RESOLUTIONS[self._level + 1].pieces / RESOLUTIONS[self._level].pieces
+        saved = (number - self.held) / acceptance * (1 - max(1 / GAIN[self.level], acceptance)) * ATTEMPT
+        growth = RESOLUTIONS[self.level + 1].pieces / RESOLUTIONS[self.level].pieces
         if saved > growth * self._plan.size * STRATUM:
-            self._level += 1
-            self._plan = plan_group(self._anatomy, self._limbs, RESOLUTIONS[self._level])
+            self.level += 1
+            self._plan = self.plan_at(self.level)
             self._rates.append(Rate(0, 0, self._plan.mass))
+
+    def plan_at(self, level: int) -> Plan:
+        """The group cut at one of the resolutions."""
+        return plan_group(self._anatomy, self._limbs, RESOLUTIONS[level])
 
     def _run(self, sizes: list[int]) -> None:
         numbers = range(self._batches, self._batches + len(sizes))

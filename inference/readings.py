@@ -70,12 +70,17 @@ def _joints(model: PoseModel, torso: jax.Array, draws: Configuration) -> jax.Arr
     return jax.vmap(model.joints, (None, 0, 0, 0))(torso, *draws)
 
 
-def _limbs(draws: np.ndarray, target: np.ndarray, group: str) -> float:
-    """Log evidence of a group's two limbs, taken apart from each other: that they share lengths is left out."""
+def _log_evidence(draws: np.ndarray, target: np.ndarray, group: str) -> float:
+    """Log evidence of a group's two limbs under `draws` `(n, 8, 2)` of `LIMB_JOINTS`.
+
+    The limbs are taken apart from each other: that they share lengths is left out.
+    """
     total = 0.0
     for limb in GROUPS[group]:
         joints = [bone.end for bone in limb.bones if np.isfinite(target[bone.end]).all()]
-        square = sum((draws[:, j, axis] - np.float32(target[j, axis])) ** 2 for j in joints for axis in (0, 1))
+        square = sum(
+            (draws[:, LIMB_JOINTS.index(j), axis] - np.float32(target[j, axis])) ** 2 for j in joints for axis in (0, 1)
+        )
         square = np.zeros(len(draws)) + square / NOISE**2
         total += np.logaddexp(np.logaddexp.reduce(-square / 2) - np.log(len(draws)), FLOOR)
     return float(total)
@@ -126,6 +131,9 @@ ASPECTS = (9 / 16, 3 / 4, 4 / 3, 16 / 9)
 """Factors between the width over height of usual images: what x is off by where the size of the image is wrong."""
 THRESHOLD = 2.5
 """Nats of evidence, summed over people, by which another reading must explain them better before it is spoken of."""
+SIZE_THRESHOLD = 8.0
+"""Nats a person by which another size of the image must explain them better. Bodies are wider and narrower too, so it
+is the mean over people that counts: real ones, read rightly, gain up to 5."""
 WORST_FIT = -3.4
 """Log evidence a seen joint, below which the points are hardly a body's under any reading."""
 UPSIDE_DOWN = -0.5
@@ -147,12 +155,14 @@ _SENTENCES = {
 
 class Verdict(NamedTuple):
     """What readings say about a number of people: `gains` `(people, readings)`, by how many nats each of `names`
-    explains them better than the file as it is; `fits` `(people,)`, log evidence a joint as it is; `spines`
-    `(people,)`, cosines between spine and the image's down. `skipped` are the people of whom too little is seen."""
+    explains them better than the file as it is; `fits` `(people,)`, log evidence as it is, and `joints` `(people,)`, of
+    how many; `spines` `(people,)`, cosines between spine and the image's down. `skipped` says of whom too little is
+    seen."""
 
     names: tuple[str, ...]
     gains: np.ndarray
     fits: np.ndarray
+    joints: np.ndarray
     spines: np.ndarray
     skipped: tuple[str, ...]
 
@@ -165,11 +175,12 @@ class Verdict(NamedTuple):
         total = dict(zip(self.names, self.gains.sum(axis=0).tolist(), strict=True))
         exchanges = {reading.name: total[reading.name] for reading in READINGS}
         best = max(exchanges, key=exchanges.__getitem__)
-        if np.mean(self.fits) < WORST_FIT and exchanges[best] < THRESHOLD:
-            found.append("size" if total.get("size", -np.inf) > THRESHOLD else "order")
+        wrong_size = total.get("size", -np.inf) > SIZE_THRESHOLD * len(self.gains)
+        if (self.fits.sum() + max(exchanges[best], 0.0)) / self.joints.sum() < WORST_FIT:
+            found.append("size" if wrong_size else "order")
         elif exchanges[best] > THRESHOLD:
             found.append(best)
-        elif total.get("size", -np.inf) > THRESHOLD:
+        elif wrong_size:
             found.append("size")
         if np.mean(self.spines < UPSIDE_DOWN) > 0.5:
             found.append("upside down")
@@ -208,20 +219,20 @@ class Judge:
 
     def _under(self, detection: Detection, candidate: Candidate) -> tuple[float, float, list[float], list[float]]:
         scale, rows = float(candidate.camera.scale), np.asarray(candidate.camera.rotation)[:2]
-        draws = self._bodies(candidate) @ rows.T.astype(np.float32)
+        draws = self._limbs(candidate) @ rows.T.astype(np.float32)
         target = (detection.keypoints - np.asarray(candidate.camera.translation)) / scale
         seen = int(detection.seen[list(TORSO_INDEX)].sum())
         torso = -0.5 * seen * (candidate.reprojection_error / scale / TORSO_NOISE) ** 2
-        arms, legs = ([_limbs(draws, target[order], name) for order in (slice(None), list(MIRROR))]
+        arms, legs = ([_log_evidence(draws, target[order], name) for order in (slice(None), list(MIRROR))]
                       for name in ("arms", "legs"))  # fmt: skip
         return torso, log_face_likelihood(detection, candidate), arms, legs
 
-    def _bodies(self, candidate: Candidate) -> np.ndarray:
-        """`(n, 15, 3)`: the draws on the candidate's torso, kept, since a file's people share few torsos."""
+    def _limbs(self, candidate: Candidate) -> np.ndarray:
+        """`(n, 8, 3)`: limb joints of the draws on the candidate's torso, kept, since a file's people share few."""
         index = candidate.torso_index
         if index not in self._kept:
             joints = _joints(self._model, jnp.asarray(candidate.torso), self._draws)
-            self._kept[index] = np.asarray(joints, np.float32)
+            self._kept[index] = np.asarray(joints[:, jnp.array(LIMB_JOINTS)], np.float32)
         return self._kept[index]
 
 
@@ -244,10 +255,11 @@ def judge(detections: Sequence[Detection], model: PoseModel, *, sizes: bool = Fa
 def together(verdicts: Sequence[Verdict], skipped: tuple[str, ...] = ()) -> Verdict:
     """The people of several verdicts in one."""
     if not verdicts:
-        return Verdict((), np.zeros((0, 0)), np.zeros(0), np.zeros(0), skipped)
+        return Verdict((), np.zeros((0, 0)), np.zeros(0), np.zeros(0), np.zeros(0), skipped)
     gains = np.concatenate([verdict.gains for verdict in verdicts])
-    fits, spines = (np.concatenate(values) for values in zip(*((v.fits, v.spines) for v in verdicts), strict=True))
-    return Verdict(verdicts[0].names, gains, fits, spines, skipped)
+    columns = zip(*((verdict.fits, verdict.joints, verdict.spines) for verdict in verdicts), strict=True)
+    fits, joints, spines = (np.concatenate(column) for column in columns)
+    return Verdict(verdicts[0].names, gains, fits, joints, spines, skipped)
 
 
 def weigh(
@@ -264,7 +276,7 @@ def weigh(
     spine = detection.keypoints[JOINT_INDEX["pelvis"]] - detection.keypoints[JOINT_INDEX["thorax"]]
     cosine = spine[1] / np.linalg.norm(spine) if np.isfinite(spine).all() and spine.any() else 1.0
     names = (*(reading.name for reading in READINGS), "whole", *(["size"] if sizes else []))
-    return Verdict(names, np.array([gains]), np.array([body / joints]), np.array([cosine]), ())
+    return Verdict(names, np.array([gains]), np.array([body]), np.array([joints]), np.array([cosine]), ())
 
 
 def stretched(detection: Detection, factor: float) -> Detection:

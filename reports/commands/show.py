@@ -30,7 +30,7 @@ def run(sight: Sight, belief: Belief, out: Path, image: Path | None, *, quiet: b
     with console.progress("weighing other readings", quiet):
         verdict = judge(_spread(people, person), model, sizes=person.layout == MEDIAPIPE_33.name)
         alone = judge([person], model) if len(people) > 1 else verdict
-    warnings = [*_about_the_image(person, shown), *verdict.warnings]
+    warnings = [*about_the_image(person, shown), *verdict.warnings]
     own = [sentence for sentence in alone.warnings if sentence not in warnings]
     warnings += [f"{sentence} (person {person.person} alone)" for sentence in own]
     radius = _radius(person, sight, np.asarray(model.torsos))
@@ -52,7 +52,7 @@ def _spread(people: list[Detection], person: Detection) -> list[Detection]:
     return [person, *others[::step]]
 
 
-def _about_the_image(person: Detection, image: np.ndarray | None) -> list[str]:
+def about_the_image(person: Detection, image: np.ndarray | None) -> list[str]:
     """What the image itself says: whether its size is the detection's, and whether the joints lie in it."""
     if image is None:
         return []

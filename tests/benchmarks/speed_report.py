@@ -156,7 +156,7 @@ def table(costs: list[Cost], floor: float) -> list[str]:
 
 
 def curves(model: PoseModel, frame: Frame) -> dict[str, tuple[list[float], list[float]]]:
-    """Microseconds a draw, set-up included, against the number of draws and, for 10,000 draws of a pose of the prior, the
+    """Microseconds a draw, set-up included, against the number of draws and, for 10,000 of a pose of the prior, the
     radius of the discs."""
 
     def each(frame: Frame, number: int) -> float:

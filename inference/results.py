@@ -60,8 +60,8 @@ class Result:
 
     @property
     def num_draws(self) -> int:
-        """How many draws there are."""
-        return int(self.tree["posterior"].sizes["draw"])
+        """How many draws there are, of all chains."""
+        return int(self.tree["posterior"].sizes["chain"] * self.tree["posterior"].sizes["draw"])
 
     def save(self, path: str | os.PathLike) -> None:
         """Writes netCDF, atomically. Raises `BadInput` where the path cannot be written."""

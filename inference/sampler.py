@@ -16,6 +16,7 @@ import numpy as np
 
 from inference.candidates import Frame
 from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET, CandidateDraws, Result, build_tree, key_words
+from inference.samplers.baselines import BASELINES, sample_baseline
 from inference.samplers.limbs import Draws, Group, build_groups
 from inference.samplers.rates import Budget, GroupSampler, Pooled, Rate
 from inference.samplers.reach import OutOfReach, nearest_miss, out_of_reach
@@ -127,9 +128,14 @@ def sample(
     """Draws `num_samples` poses from the posterior over a frame's candidates.
 
     `max_proposals` bounds the work; where it ends first, or where no pose is possible, the result says so in `status`
-    and `sentence` and holds the draws that were made. `progress(done, wanted)` is called now and then. Raises
-    `BadInput` on an unknown sampler or a number of samples below one.
+    and `sentence` and holds the draws that were made. `progress(done, wanted)` is called now and then. A baseline of
+    `inference.samplers.baselines` draws chains under one candidate, started in exact draws. Raises `BadInput` on an
+    unknown sampler or a number of samples below one.
     """
+    if sampler in BASELINES and num_samples > 0:
+        starts = functools.partial(sample, model, frame, key=jax.random.fold_in(key, 0))
+        return sample_baseline(model, frame, starts, key=key, sampler=sampler, num_samples=num_samples,
+                               max_evaluations=max_proposals, progress=progress)  # fmt: skip
     started = time.perf_counter()
     mixture = draw_mixture(model, frame, key, sampler, num_samples, max_proposals, progress)
     mixture.attributes["wall_time_s"] = time.perf_counter() - started
@@ -149,7 +155,7 @@ def draw_mixture(
 ) -> Mixture:
     """What `sample` does, short of building its tree."""
     if sampler not in SAMPLERS:
-        raise BadInput(f"there is no sampler {sampler!r}; choose one of {', '.join(SAMPLERS)}")
+        raise BadInput(f"there is no sampler {sampler!r}; choose one of {', '.join([*SAMPLERS, *BASELINES])}")
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
     budget = Budget(max_proposals)

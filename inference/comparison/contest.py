@@ -14,7 +14,7 @@ import xarray as xr
 from inference.candidates import Frame
 from inference.comparison.cost import course
 from inference.comparison.judge import judge
-from inference.comparison.record import Entry
+from inference.comparison.record import SHOWN, Entry
 from inference.comparison.sample import Sample, read_sample
 from inference.results import COMPLETE
 from inference.sampler import SAMPLERS, sample
@@ -28,6 +28,10 @@ PILOT = 500
 """Draws by which the candidate is chosen."""
 REFERENCE = 20_000
 """Exact draws that the judge compares with."""
+ENDLESS = 1 << 40
+"""More draws than any budget brings."""
+ENDLESS = 1 << 40
+"""More draws than any budget brings."""
 Progress = Callable[[int, int], None]
 
 
@@ -114,4 +118,6 @@ def _entry(name: str, start: str, found: Sample, known: Truth, sentence: str, ev
     verdict = judge(found, known.sample, evidence=evidence, exact_evidence=known.evidence)
     way = course(found, known.sample, seconds, kept)
     shown = evidence if math.isfinite(evidence[0]) else (math.nan, math.nan)
-    return Entry(name, start, verdict, sentence or verdict.sentence, found.num_draws, evaluations, seconds, way, *shown)
+    some = found.flat[:: max(1, found.num_draws // SHOWN)][:SHOWN]
+    said = sentence or verdict.sentence
+    return Entry(name, start, verdict, said, found.num_draws, evaluations, seconds, way, *shown, some)

@@ -22,8 +22,9 @@ LEVEL = 0.01
 """Chance that a sampler without fault is said to differ."""
 FEWEST = 100
 """Effective draws below which no agreement is claimed: a shift of 0.3 standard deviations would go unseen."""
-INDEPENDENT = 0.7
-"""Draws worth this share of their number are taken as independent; the estimate itself is no better."""
+INDEPENDENT = 0.5
+"""Draws are taken as independent if no autocorrelation is seen between neighbours and the worst estimate of the
+effective size, which is noisy, is at least this share of their number."""
 DIFFERS, AGREES, CANNOT_TELL = "differs", "agrees", "cannot tell"
 
 
@@ -71,13 +72,13 @@ def judge(
     """Judges draws against exact, independent ones of the same posterior. `evidence` and `exact_evidence`: log evidence
     and its standard error, NaN where there is none."""
     rng = np.random.default_rng(seed)
-    mixed = mixing(sample.values)
+    mixed = mixing(sample.values, exact.flat.std(axis=0))
     worst = _worst(sample, mixed)
     coordinate_p, ess = each_coordinate(sample.values, exact.flat)
     tests: list[Test] = []
     others: list[Test] = []
     if not mixed.stuck and worst >= FEWEST:
-        thinned = sample if worst >= INDEPENDENT * sample.num_draws else sample.rows(_stride(sample, worst))
+        thinned = sample if _independent(sample, worst) else sample.rows(_stride(sample, worst))
         tests, others = _tests(thinned, exact, rng, permutations)
         tests.append(_coordinates(coordinate_p, ess))
     if math.isfinite(evidence[0]) and math.isfinite(exact_evidence[0]):
@@ -96,6 +97,14 @@ def _worst(sample: Sample, mixed: Mixing) -> float:
         return 1.0
     flips = [mean_ess(sample.away[..., bone].astype(float)) for bone in range(sample.away.shape[-1])]
     return float(min(np.nanmin(mixed.bulk), *flips))
+
+
+def _independent(sample: Sample, worst: float) -> bool:
+    number = sample.num_draws
+    spread = sample.flat.std(axis=0)
+    scaled = (sample.values - sample.flat.mean(axis=0)) / np.where(spread > 0, spread, np.inf)
+    neighbours = np.mean(scaled[:, 1:] * scaled[:, :-1], axis=(0, 1)) if scaled.shape[1] > 1 else np.ones(1)
+    return bool(neighbours.max() < 4 / math.sqrt(number) and worst >= INDEPENDENT * number)
 
 
 def _stride(sample: Sample, worst: float) -> int:
@@ -137,7 +146,10 @@ def _evidence(evidence: tuple[float, float], exact: tuple[float, float]) -> Test
 
 def _verdict(tests: list[Test], mixed: Mixing, worst: float, found: Modes, level: float) -> tuple[str, str]:
     if mixed.stuck:
-        return DIFFERS, f"the chains did not move: {mixed.unique:.1%} of the draws are distinct, or one never changed"
+        return (
+            DIFFERS,
+            f"the chains did not move: {mixed.unique:.1%} of the draws are distinct, or a coordinate stood still",
+        )
     worse = sorted(tests, key=lambda test: test.p_value)
     if worse and worse[0].p_value * len(worse) < level:  # Holm's first step decides whether anything differs
         test = worse[0]

@@ -1,7 +1,7 @@
 """How well chains mixed: effective sample sizes and R-hat, believed only where the chains moved at all.
 
 ArviZ gives a stuck chain an effective size of N and four copies of one chain an R-hat of 1, so unique draws are counted
-first, and a coordinate that is constant though the exact draws vary counts as stuck.
+first, and a chain in which a coordinate stands still though the exact draws vary counts as stuck.
 """
 
 from typing import NamedTuple
@@ -10,6 +10,8 @@ import numpy as np
 
 FEWEST_UNIQUE = 0.02
 """A sampler with a smaller share of distinct draws has not moved."""
+CONSTANT = 1e-9
+"""A coordinate that varies by less, in standard deviations of the exact draws, does not vary but by rounding."""
 
 
 class Mixing(NamedTuple):
@@ -28,19 +30,23 @@ class Mixing(NamedTuple):
         return 1.0 if self.stuck else float(np.nanmin(np.minimum(self.bulk, self.tail)))
 
 
-def mixing(values: np.ndarray) -> Mixing:
-    """Of draws `(chain, draw, c)`; chains shorter than four draws have NaN."""
+def mixing(values: np.ndarray, spread: np.ndarray) -> Mixing:
+    """Of draws `(chain, draw, c)`, where the exact draws have standard deviations `spread` `(c,)`; chains shorter than
+    four draws have NaN."""
     from arviz_stats.base import array_stats
 
     chains, draws, number = values.shape
-    unique, stuck = _unique(values)
+    varies = spread > CONSTANT
+    scaled = values[..., varies] / spread[varies]
+    unique = len(np.unique(np.round(scaled.reshape(-1, scaled.shape[-1]), 9), axis=0)) / (chains * draws)
+    frozen = draws > 1 and bool(np.any(np.ptp(scaled, axis=1) < CONSTANT))
+    stuck = frozen or unique < FEWEST_UNIQUE
     bulk, tail, rhat = (np.full(number, np.nan) for _ in range(3))
-    if draws >= 4 and not stuck:
-        for column in np.flatnonzero(np.ptp(values, axis=(0, 1)) > 0):
-            series = values[..., column]
-            bulk[column] = array_stats.ess(series, chain_axis=0, draw_axis=1, method="bulk")
-            tail[column] = array_stats.ess(series, chain_axis=0, draw_axis=1, method="tail", prob=(0.05, 0.95))
-            rhat[column] = array_stats.rhat(series, chain_axis=0, draw_axis=1, method="rank")
+    for column in np.flatnonzero(varies) if draws >= 4 and not stuck else ():
+        series = values[..., column]
+        bulk[column] = array_stats.ess(series, chain_axis=0, draw_axis=1, method="bulk")
+        tail[column] = array_stats.ess(series, chain_axis=0, draw_axis=1, method="tail", prob=(0.05, 0.95))
+        rhat[column] = array_stats.rhat(series, chain_axis=0, draw_axis=1, method="rank")
     return Mixing(np.minimum(bulk, chains * draws), np.minimum(tail, chains * draws), rhat, unique, stuck)
 
 
@@ -52,10 +58,3 @@ def mean_ess(series: np.ndarray) -> float:
         return float(series.size)
     found = float(array_stats.ess(series, chain_axis=0, draw_axis=1, method="mean"))
     return min(found, series.size) if np.isfinite(found) else 1.0
-
-
-def _unique(values: np.ndarray) -> tuple[float, bool]:
-    flat = values.reshape(-1, values.shape[-1])
-    unique = len(np.unique(flat, axis=0)) / len(flat)
-    frozen = values.shape[1] > 1 and bool(np.any(np.ptp(values, axis=1).max(axis=-1) == 0))
-    return unique, frozen or unique < FEWEST_UNIQUE

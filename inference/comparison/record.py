@@ -8,15 +8,18 @@ import xarray as xr
 
 from inference.comparison.cost import EPSILON, Course
 from inference.comparison.judge import Judgement
-from inference.comparison.sample import NAMES
+from inference.comparison.sample import NAMES, Sample
 from inference.flips import FLIPPING
 from inference.results import versions
 from probmodel.skeleton import BONES, JOINTS
 
+SHOWN, EXACT_SHOWN = 1000, 4000
+"""Draws that are kept for pictures, of each sampler and exact ones."""
+
 
 class Entry(NamedTuple):
-    """One sampler's line: its name and start, the judgement (None where it brought no draws), its sentence, cost,
-    course, and its log evidence with the standard error."""
+    """One sampler's line: its name and start, the judgement (None where it brought no draws), its sentence, cost and
+    course, its log evidence with the standard error, and some `draws` `(n, 32)` for pictures."""
 
     sampler: str
     start: str
@@ -28,6 +31,7 @@ class Entry(NamedTuple):
     course: Course | None
     log_evidence: float
     log_evidence_se: float
+    draws: np.ndarray = np.empty((0, len(NAMES)))
 
     @property
     def label(self) -> str:
@@ -61,11 +65,11 @@ class Entry(NamedTuple):
         return np.inf if self.course is None else self.course.seconds_to()
 
 
-def comparison_tree(entries: list[Entry], attributes: dict[str, object]) -> xr.DataTree:
-    """Groups `summary`, `tests`, `coordinates`, `joints`, `modes`, `course`; every variable has the dimension
-    `sampler`."""
+def comparison_tree(entries: list[Entry], exact: Sample, attributes: dict[str, object]) -> xr.DataTree:
+    """Groups `summary`, `course`, `draws`, and where there are judgements `tests`, `coordinates`, `joints`, `modes`;
+    every variable but the exact ones has the dimension `sampler`."""
     labels = [entry.label for entry in entries]
-    groups = {"summary": _summary(entries), "course": _course(entries)}
+    groups = {"summary": _summary(entries), "course": _course(entries), "draws": _draws(entries, exact)}
     judged = [entry for entry in entries if entry.judgement is not None]
     if judged:
         groups |= {"tests": _tests(entries), "coordinates": _coordinates(entries), "joints": _joints(entries),
@@ -116,6 +120,19 @@ def _course(entries: list[Entry]) -> xr.Dataset:
     distance = [blank if one.course is None else one.course.distance for one in entries]
     return xr.Dataset(
         {"seconds": (("sampler", "part"), np.stack(seconds)), "distance": (("sampler", "part"), np.stack(distance))}
+    )
+
+
+def _draws(entries: list[Entry], exact: Sample) -> xr.Dataset:
+    """Some draws of every sampler, NaN where it has fewer, and some exact ones."""
+    table = np.full((len(entries), SHOWN, len(NAMES)), np.nan, np.float32)
+    for row, entry in enumerate(entries):
+        table[row, : len(entry.draws)] = entry.draws[:SHOWN]
+    known = exact.flat[:: max(1, exact.num_draws // EXACT_SHOWN)][:EXACT_SHOWN].astype(np.float32)
+    return xr.Dataset(
+        {"value": (("sampler", "draw", "coordinate"), table), "exact": (("exact_draw", "coordinate"), known)},
+        coords={"coordinate": list(NAMES)},
+        attrs={"units": "body units"},
     )
 
 

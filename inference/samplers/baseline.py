@@ -185,12 +185,12 @@ def _result(name: str, target: Target, method: Method, key: jax.Array, num_sampl
     poses = _poses(target, jax.random.fold_in(key, 4), drawn.points)
     number = int(np.prod(drawn.points.shape[:2]))
     status, sentence = COMPLETE, ""
-    if number < num_samples:
+    spent = f"{method.evaluations:,} evaluations, {seconds:.1f} s"
+    if not number:
+        status, sentence = OUT_OF_BUDGET, f"{name} has not one draw after {spent}: the budget is too small; allow more"
+    elif number < num_samples:
         status = OUT_OF_BUDGET
-        sentence = (
-            f"{name} holds {number} of {num_samples} draws after {method.evaluations:,} evaluations, {seconds:.1f} s; "
-            "allow more, or ask for fewer"
-        )
+        sentence = f"{name} holds {number} of {num_samples} draws after {spent}; allow more, or ask for fewer"
     cost = Cost(method.evaluations, drawn.info.get("moved", np.nan), seconds)
     info = {**drawn.info, "compiling": compiling}
     return Run(name, poses, drawn.log_evidence, drawn.log_evidence_se, info, cost, tuple(history), status, sentence)

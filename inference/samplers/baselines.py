@@ -5,6 +5,8 @@ step; a start in "one flip" (the commonest pattern of limbs towards and away fro
 by itself.
 """
 
+import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -13,8 +15,8 @@ import xarray as xr
 
 from inference.candidates import Frame
 from inference.flips import away, codes
-from inference.results import CandidateDraws, build_tree, key_words
-from inference.samplers.baseline import Baseline, Run
+from inference.results import CandidateDraws, Result, build_tree, key_words
+from inference.samplers.baseline import Allowance, Baseline, Progress, Run, check_packages, run
 from inference.samplers.ensemble import ENSEMBLES
 from inference.samplers.gradient import GRADIENTS
 from inference.samplers.nested import NESTED
@@ -28,6 +30,8 @@ BASELINES: dict[str, Baseline] = {**ENSEMBLES, **GRADIENTS, **WALKS, **TEMPERING
 """Every baseline by its name."""
 DISPERSED, ONE_FLIP = "dispersed", "one flip"
 STARTS = (DISPERSED, ONE_FLIP)
+STARTING = 1000
+"""Exact draws from which a baseline is started where nothing else is said."""
 
 
 def starting_points(target: Target, exact: xr.DataTree, start: str) -> np.ndarray:
@@ -42,6 +46,34 @@ def starting_points(target: Target, exact: xr.DataTree, start: str) -> np.ndarra
     flips = codes(away(posterior.joints.values[0]))
     found, counts = np.unique(flips, return_counts=True)
     return points[flips == found[np.argmax(counts)]]
+
+
+def sample_baseline(
+    model: PoseModel,
+    frame: Frame,
+    exact: Callable[..., Result],
+    *,
+    key: jax.Array,
+    sampler: str,
+    num_samples: int,
+    max_evaluations: int,
+    progress: Progress | None,
+) -> Result:
+    """At least `num_samples` draws of a baseline, as many in every chain, started in draws of `exact(num_samples=…)`.
+    They are not independent, and not exact: `inference.comparison` says how good they are. Raises as `Target.of`."""
+    target, baseline = Target.of(model, frame), BASELINES[sampler]
+    check_packages(sampler, baseline)
+    starts = starting_points(target, exact(num_samples=STARTING).tree, DISPERSED) if baseline.starts else None
+    done = run(baseline, sampler, target, key=key, starts=starts, num_samples=num_samples,
+               allowance=Allowance(evaluations=max_evaluations), progress=progress)  # fmt: skip
+    return Result(baseline_tree(model, frame, _thinned(done, num_samples), key), done.status, done.sentence)
+
+
+def _thinned(done: Run, number: int) -> Run:
+    """The run with draws left out evenly, until a few more than `number` are left."""
+    chains, draws = done.poses.length.shape[:2]
+    rows = np.unique(np.linspace(0, draws - 1, min(draws, -(-number // max(chains, 1)))).astype(int))
+    return dataclasses.replace(done, poses=jax.tree.map(lambda leaf: leaf[:, rows], done.poses))
 
 
 def baseline_tree(model: PoseModel, frame: Frame, run: Run, key: jax.Array) -> xr.DataTree:

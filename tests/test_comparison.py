@@ -1,0 +1,312 @@
+"""The judge: it says "differs" as often as it should where all is well, and where something is wrong at n = 2,000.
+
+Size: counts of rejections over 200 repetitions lie in the binomial interval at 0.1 % (both tails); seeds are fixed.
+Negative controls, each caught with 2,000 draws: a sampler that never leaves one depth flip, lengths 5 % too narrow, the
+ensemble kernel of NumPyro ≤ 0.21 that updates half of its walkers against themselves, emcee started in one point.
+"""
+
+import functools
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import binom
+
+import inference
+from inference.comparison import comparison_tree, judge
+from inference.comparison.cost import course
+from inference.comparison.distances import energy, mmd, pairwise, sliced_wasserstein, wasserstein
+from inference.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
+from inference.comparison.mixing import mixing
+from inference.comparison.modes import modes, same_shares
+from inference.comparison.permutation import classifier_test, permutation_tests
+from inference.comparison.ranks import all_together, each_coordinate
+from inference.comparison.record import Entry
+from inference.comparison.sample import NAMES, Sample, read_sample, sample_of
+from inference.flips import codes
+from inference.samplers.baseline import Walk
+from inference.samplers.ensemble import EmceeKernel, NumPyroKernel
+from inference.target import Target, read_poses
+from probmodel import BadInput, PoseModel
+from tests.scenes import key, prior_scene
+
+ARM_ONLY = ("head", "left_elbow", "left_wrist", "right_knee", "left_knee", "right_ankle", "left_ankle")
+SEEN = [0, 4]
+"""The bones of the seen arm among those that flip."""
+REPETITIONS = 200
+DRAWS = 2000
+FEW = 99
+"""Permutations where the other tests decide: fewer could not, at any level used here."""
+
+
+def between(count: int, rate: float) -> bool:
+    """Whether `count` of the repetitions is what `rate` allows, at 0.1 %."""
+    return binom.ppf(0.0005, REPETITIONS, rate) <= count <= binom.ppf(0.9995, REPETITIONS, rate)
+
+
+@functools.cache
+def arm():
+    """One arm seen: the model, the frame, and 20,000 exact draws as joints and lengths."""
+    model = PoseModel()
+    frame = prior_scene(model, 1, missing=ARM_ONLY)
+    tree = inference.sample(model, frame, key=key(11), num_samples=20_000).tree
+    return model, frame, tree["posterior"].joints.values[0], tree["posterior"].bone_length.values[0]
+
+
+def exact_pair(number: int, reference: int, seed: int) -> tuple[Sample, Sample]:
+    """Two disjoint lots of exact draws."""
+    _, _, joints, length = arm()
+    rows = np.random.default_rng(seed).permutation(len(joints))
+    one, other = rows[:number], rows[number : number + reference]
+    return sample_of(joints[None, one], length[None, one]), sample_of(joints[None, other], length[None, other])
+
+
+def reference() -> Sample:
+    """The exact draws that the negative controls are judged by: the last 15,000."""
+    _, _, joints, length = arm()
+    return sample_of(joints[None, 5000:], length[None, 5000:])
+
+
+def test_tests_of_independent_draws_reject_at_their_level():
+    """Energy, MMD, ranks of lengths and of joints, modes: 60 against 180 exact draws, 5 %."""
+    rejected = dict.fromkeys(("energy", "mmd", "lengths", "joints", "modes"), 0)
+    for repetition in range(REPETITIONS):
+        one, other = exact_pair(60, 180, repetition)
+        rng = np.random.default_rng(repetition)
+        p = {name: found[1] for name, found in permutation_tests(one.flat, other.flat, rng, permutations=99).items()}
+        p["lengths"] = all_together(one.flat[:, :5], other.flat[:, :5])[1]
+        p["joints"] = all_together(one.flat[:, 5:14], other.flat[:, 5:14])[1]
+        p["modes"] = same_shares(one.away[0][:, SEEN], other.away[0][:, SEEN])[1]
+        for name in rejected:
+            rejected[name] += p[name] <= 0.05
+    assert all(between(count, 0.05) for count in rejected.values()), rejected
+
+
+@pytest.mark.slow
+def test_the_verdict_on_exact_draws_is_wrong_at_its_level():
+    """200 whole judgements at 5 %; Holm is conservative, so only too many are a fault."""
+    wrong = 0
+    for repetition in range(REPETITIONS):
+        one, other = exact_pair(400, 1200, 1000 + repetition)
+        wrong += judge(one, other, seed=repetition, level=0.05, permutations=199).verdict == DIFFERS
+    assert wrong <= binom.ppf(0.999, REPETITIONS, 0.05), wrong
+
+
+def chains(rho: float, seed: int) -> np.ndarray:
+    """`(4, 1000, 2)`: autoregressive chains of a standard normal law."""
+    rng = np.random.default_rng(seed)
+    noise = rng.normal(size=(4, 1000, 2)) * math.sqrt(1 - rho**2)
+    noise[:, 0] = rng.normal(size=(4, 2))
+    return lfilter([1.0], [1.0, -rho], noise, axis=1)
+
+
+def test_rank_tests_of_autocorrelated_chains_keep_their_size():
+    """Autocorrelation 0.9: with the measured effective size 5 % (up to 10 %, for it is estimated); negative control:
+    with the number of draws in its place more than half of the tests reject."""
+    with_ess = without = 0
+    for repetition in range(REPETITIONS):
+        draws = chains(0.9, repetition)
+        exact = np.random.default_rng(10_000 + repetition).normal(size=(8000, 2))
+        with_ess += each_coordinate(draws, exact)[0][0, 0] < 0.05
+        shuffled = np.random.default_rng(repetition).permutation(draws.reshape(-1, 2)).reshape(draws.shape)
+        without += each_coordinate(shuffled, exact)[0][0, 0] < 0.05
+    assert with_ess <= binom.ppf(0.9995, REPETITIONS, 0.1), with_ess
+    assert without > REPETITIONS / 2, without
+
+
+def test_exact_draws_agree():
+    one, other = exact_pair(DRAWS, 15_000, 1)
+    found = judge(one, other, permutations=FEW)
+    assert found.verdict == AGREES, found.sentence
+    assert {test.name.split(",")[0].split(" of ")[0] for test in found.tests} >= {"energy", "mmd", "ranks", "modes"}
+    assert all(test.assumption and test.size > 0 for test in found.tests)
+
+
+def test_a_sampler_that_never_leaves_one_flip_is_caught():
+    _, _, joints, length = arm()
+    everything = sample_of(joints[None], length[None])
+    first_two = codes(everything.away[0][:, SEEN])
+    assert len(np.unique(first_two)) > 1
+    rows = np.flatnonzero(first_two == np.bincount(first_two).argmax())[:DRAWS]
+    found = judge(sample_of(joints[None, rows], length[None, rows]), reference(), permutations=FEW)
+    assert found.verdict == DIFFERS
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lengths_five_percent_too_narrow_are_caught(seed):
+    model, frame, joints, length = arm()
+    rows = slice(DRAWS * seed // 2, DRAWS * seed // 2 + DRAWS)
+    poses = read_poses(model, joints[rows], length[rows])
+    narrow = length.mean(axis=0) + 0.95 * (length[rows] - length.mean(axis=0))
+    view = frame.observation(frame.candidates[0]).view
+    moved = np.asarray(model.joints(view, narrow, poses.upper, poses.lower))
+    found = judge(sample_of(moved[None], narrow[None]), reference(), permutations=FEW)
+    assert found.verdict == DIFFERS, found.sentence
+
+
+@functools.cache
+def low_target() -> tuple[Target, np.ndarray]:
+    """The arm's posterior and exact starting points in it."""
+    model, frame, joints, length = arm()
+    target = Target.of(model, frame)
+    return target, target.points_of(read_poses(model, joints[:5000], length[:5000]))
+
+
+def judged(walk: Walk, rounds: int):
+    """Runs a walk for some rounds and judges 2,000 of its draws, evenly taken."""
+    target, _ = low_target()
+    for _ in range(rounds):
+        walk.more()
+    points = walk.drawn(key(0)).points
+    every = max(1, points.shape[0] * points.shape[1] // DRAWS)
+    few = points[:, ::every][:, : DRAWS // points.shape[0]]
+    poses = target.poses(key(1), few)
+    joints = target.model.joints(target.observation.view, *poses)
+    return judge(sample_of(np.asarray(joints), np.asarray(poses.length)), reference(), permutations=FEW)
+
+
+def half_updated():
+    """AIES as it was up to NumPyro 0.21: the second half of the walkers proposes from itself."""
+    from numpyro.infer import AIES
+    from numpyro.infer.ensemble import EnsembleSamplerState
+
+    class HalfUpdated(AIES):
+        def sample(self, state, model_args, model_kwargs):
+            first, second = jnp.split(state.z, 2)
+            first, inner = self.update_active_chains(first, second, state.inner_state)
+            second, inner = self.update_active_chains(second, second, inner)
+            return EnsembleSamplerState(jnp.concatenate([first, second]), inner, state.rng_key)
+
+    return HalfUpdated
+
+
+def affine(cls) -> Walk:
+    target, starts = low_target()
+    kernel = cls(potential_fn=lambda point: -target.log_density(point), moves={cls.StretchMove(): 1.0})
+    numbers = NumPyroKernel(kernel, 64, 0, lambda before, after: jnp.asarray(64))
+    return Walk(numbers, key(2), starts[:256], runs=4, ensemble=True, steps=32)
+
+
+@pytest.mark.slow
+def test_the_half_updated_ensemble_is_caught_and_the_whole_one_is_not():
+    from numpyro.infer import AIES
+
+    assert judged(affine(half_updated()), 24).verdict == DIFFERS
+    right = judged(affine(AIES), 24)
+    assert right.verdict != DIFFERS, right.sentence
+
+
+def test_emcee_started_in_one_point_is_caught():
+    target, starts = low_target()
+    import emcee
+
+    kernel = EmceeKernel(target, emcee.moves.StretchMove())
+    walk = Walk(kernel, key(3), np.repeat(starts[:1], 256, axis=0), runs=4, ensemble=True, steps=32)
+    found = judged(walk, 2)
+    assert found.verdict == DIFFERS
+    assert "did not move" in found.sentence
+
+
+def test_stuck_chains_are_not_believed():
+    """ArviZ alone would say ESS = N and R-hat = 1 of copies of one chain or of constant ones."""
+    rng = np.random.default_rng(0)
+    assert mixing(np.repeat(rng.normal(size=(4, 1, 3)), 500, axis=1), np.ones(3)).stuck
+    alive = rng.normal(size=(4, 500, 3))
+    assert not mixing(alive, np.ones(3)).stuck
+    alive[2, :, 1] = 1e-12 * alive[2, :, 1]
+    assert mixing(alive, np.ones(3)).stuck
+    assert not mixing(alive, np.array([1.0, 0.0, 1.0])).stuck  # a coordinate that may stand still
+
+
+def test_few_effective_draws_cannot_tell():
+    one, other = exact_pair(60, 5000, 4)
+    found = judge(one, other, permutations=FEW)
+    assert found.verdict == CANNOT_TELL
+    assert "effective draws" in found.sentence
+
+
+def test_evidence_is_judged_by_its_stated_error():
+    one, other = exact_pair(DRAWS, 15_000, 5)
+    good = judge(one, other, evidence=(-4.2, 0.1), exact_evidence=(-4.1, 0.01), permutations=FEW)
+    bad = judge(one, other, evidence=(-4.2, 0.01), exact_evidence=(-4.1, 0.01), permutations=FEW)
+    assert good.verdict == AGREES
+    assert bad.verdict == DIFFERS
+    assert "evidence" in bad.sentence
+
+
+def test_distances_against_closed_forms():
+    """W1 of a shifted and of a stretched normal law; energy and MMD by their double sums; sliced W1 of a shift."""
+    rng = np.random.default_rng(1)
+    x = rng.normal(size=(200_000, 1))
+    assert wasserstein(x, x + 0.3)[0] == pytest.approx(0.3)
+    assert wasserstein(x, 2 * x)[0] == pytest.approx(math.sqrt(2 / math.pi), rel=0.01)
+    one, other = rng.normal(size=(40, 3)), rng.normal(size=(30, 3)) + 0.5
+    distance = pairwise(one, other)
+    labels = (np.arange(70) < 40)[None]
+    by_hand = 2 * np.linalg.norm(one[:, None] - other, axis=-1).mean()
+    by_hand -= (
+        np.linalg.norm(one[:, None] - one, axis=-1).mean() + np.linalg.norm(other[:, None] - other, axis=-1).mean()
+    )
+    assert energy(distance, labels)[0] == pytest.approx(by_hand, rel=1e-4)
+    kernel = np.exp(-0.5 * (distance / np.median(distance[distance > 0])) ** 2)
+    squared = kernel[:40, :40].mean() + kernel[40:, 40:].mean() - 2 * kernel[:40, 40:].mean()
+    assert mmd(distance, labels)[0] == pytest.approx(squared, rel=1e-3)
+    # Along a random direction in one dimension a shift of one standard deviation is one standard deviation.
+    assert sliced_wasserstein(x[:50_000] + 1.0, x[50_000:]) == pytest.approx(1.0, abs=0.03)
+
+
+def test_c2st_sees_what_is_plain_and_nothing_where_there_is_nothing():
+    rng = np.random.default_rng(2)
+    x, y = rng.normal(size=(1000, 2)), rng.normal(size=(1000, 2))
+    assert classifier_test(x, y, rng)[1] > 1e-3
+    assert classifier_test(x, y + 1, rng)[1] < 1e-6
+
+
+def test_modes_count_what_was_missed():
+    rng = np.random.default_rng(3)
+    exact = rng.uniform(size=(4000, 2)) < np.array([0.5, 0.1])
+    never = exact[~exact[:, 1]]
+    found = modes(never, exact, 1000.0)
+    assert found.missed == pytest.approx(exact[:, 1].mean(), abs=1e-12)
+    assert found.expected_missed < 1e-6
+    assert same_shares(never[:500], exact)[1] < 1e-6
+    assert same_shares(exact[:500], exact[500:])[1] > 1e-3
+
+
+def test_draws_that_are_not_finite_or_none_are_refused():
+    _, _, joints, length = arm()
+    broken = joints[None, :10].copy()
+    broken[0, 3, 4, 2] = np.nan
+    with pytest.raises(BadInput, match="not finite in 1 of 10"):
+        sample_of(broken, length[None, :10])
+    with pytest.raises(BadInput, match="are none"):
+        sample_of(joints[None, :0], length[None, :0])
+
+
+def test_the_tree_of_a_comparison_holds_every_sampler(tmp_path):
+    one, other = exact_pair(DRAWS, 5000, 6)
+    verdict = judge(one, other, permutations=FEW)
+    way = course(one, other, 2.0, 0.5)
+    assert way.seconds[-1] == pytest.approx(2.0)
+    assert way.seconds_to(1e9) == way.seconds[0]
+    assert way.seconds_to(0.0) == math.inf
+    entries = [
+        Entry("rejection", "", verdict, "fine", DRAWS, 100, 2.0, way, -4.0, 0.1, one.flat[:50]),
+        Entry("nuts", "one flip", None, "no draws", 0, 10, 1.0, None, math.nan, math.nan),
+    ]
+    tree = comparison_tree(entries, other, {"source": "a scene"})
+    assert list(tree["summary"].sampler.values) == ["rejection", "nuts (one flip)"]
+    assert tree["tests"].p_value.sel(sampler="rejection", test="energy").item() == verdict.tests[0].p_value
+    assert np.isnan(tree["tests"].p_value.sel(sampler="nuts (one flip)")).all()
+    assert tree["modes"].exact_share.sum().item() == pytest.approx(1.0)
+    assert tree["coordinates"].sizes["coordinate"] == len(NAMES)
+    tree.to_netcdf(tmp_path / "comparison.nc")
+
+
+def test_a_tree_without_poses_is_refused():
+    import xarray as xr
+
+    with pytest.raises(BadInput, match="lack"):
+        read_sample(xr.DataTree.from_dict({"posterior": xr.Dataset()}))

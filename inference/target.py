@@ -117,12 +117,14 @@ class Target:
         """Points `(n, d)` of R^d of poses inside the prior's support."""
         return np.asarray(_points(self, Configuration(*(jnp.asarray(part) for part in poses))))
 
+    @jax.jit
     def poses(self, key: jax.Array, points: ArrayLike) -> Configuration:
         """Poses at points `(..., d)` of R^d; what no seen joint depends on is drawn from the prior."""
         points = jnp.asarray(points)
         rest = jax.random.beta(key, *self._whole_shape, (*points.shape[:-1], CUBE_DIM))
         return _poses(self, points, rest)
 
+    @jax.jit
     def poses_in_cube(self, key: jax.Array, cube: ArrayLike) -> Configuration:
         """As `poses`, from points of the unit cube."""
         cube = jnp.asarray(cube)

@@ -5,6 +5,7 @@ A baseline draws from a `Target`, not knowing that exact draws exist; `inference
 that an interrupted run goes on to the same bits. `Walk` makes a method of any kernel of Markov chains.
 """
 
+import functools
 import hashlib
 import os
 import time
@@ -202,10 +203,14 @@ def _poses(target: Target, key: jax.Array, points: np.ndarray) -> Configuration:
         length, upper, lower = (np.empty((chains, draws, *shape)) for shape in ((5,), (5, 3), (4, 3)))
         return Configuration(length, upper, lower)  # type: ignore[arg-type]
     numbers = np.arange(chains * draws, dtype=np.uint32)
-    keys = jax.vmap(lambda number: jax.random.fold_in(key, number))
-    one = jax.vmap(target.poses)
-    flat = in_chunks(lambda part, number: one(keys(number), part), points.reshape(-1, dim), numbers)
+    flat = in_chunks(functools.partial(_poses_of, target, key), points.reshape(-1, dim), numbers)
     return jax.tree.map(lambda leaf: leaf.reshape(chains, draws, *leaf.shape[1:]), flat)
+
+
+@jax.jit
+def _poses_of(target: Target, key: jax.Array, points: jax.Array, numbers: jax.Array) -> Configuration:
+    """Poses at a chunk of points; each draw has a key of its own, whatever chunk it is in."""
+    return jax.vmap(lambda point, number: target.poses(jax.random.fold_in(key, number), point))(points, numbers)
 
 
 def _places(baseline: Baseline, name: str, target: Target, key: jax.Array, starts: np.ndarray | None) -> np.ndarray:

@@ -75,10 +75,10 @@ def attempt_bodies(state: np.ndarray, counts: np.ndarray, bins1: LengthBins, bin
 
 @compiled
 def _small_sine_cosine(angle: float) -> tuple[float, float]:
-    """Sine and cosine of an angle within ±0.03, to the last bit but one."""
+    """Sine and cosine of an angle within ±0.03, to the last bit but one: their series, without divisions."""
     square = angle * angle
-    sine = angle * (1 - square / 6 * (1 - square / 20 * (1 - square / 42)))
-    return sine, 1 - square / 2 * (1 - square / 12 * (1 - square / 30 * (1 - square / 56)))
+    sine = angle * (1 - square * (1 / 6 - square * (1 / 120 - square * (1 / 5040))))
+    return sine, 1 - square * (1 / 2 - square * (1 / 24 - square * (1 / 720 - square * (1 / 40320))))
 
 
 @compiled
@@ -120,12 +120,9 @@ def _attempt_limb(state: np.ndarray, sight: Sight, build: Build, strata: Strata,
             continue
         found[row, 0], found[row, 1], found[row, 2] = u0, u1, u2
         if two:
-            length2 = lengths2[row]
-            centre0, centre1, radius = (
-                (target[1, 0] - end0) / length2,
-                (target[1, 1] - end1) / length2,
-                radius2 / length2,
-            )
+            shrink = 1 / lengths2[row]
+            centre0, centre1 = (target[1, 0] - end0) * shrink, (target[1, 1] - end1) * shrink
+            radius = radius2 * shrink
             cell, mask = int(subs[s, 0]), pieces[entry]
             v0, v1, v2, w0, w1, w2, _ = lower_axes(u0, u1, u2, axes)
             if mask:
@@ -187,10 +184,8 @@ def _in_piece(stream: Stream, bound: float, mask: int, centre0: float, centre1: 
     z = math.sqrt(max(0.0, rest - t * t))
     if piece >= ROWS:
         z = -z
-    if distance > 0:
-        towards0, towards1 = centre0 / distance, centre1 / distance
-    else:
-        towards0, towards1 = 1.0, 0.0
+    scale = 1 / max(distance, 1e-300)
+    towards0, towards1 = (centre0 * scale, centre1 * scale) if distance > 0 else (1.0, 0.0)
     return True, stream, towards0 * t - towards1 * x, towards1 * t + towards0 * x, z
 
 

@@ -43,7 +43,7 @@ RESOLUTIONS = (Resolution(4, 3, 1), Resolution(6, 4, 2), Resolution(10, 8, 2), R
 """From few strata to many."""
 GAIN = (1.9, 1.5, 1.4)
 """By how much the acceptance grows, roughly, from one resolution to the next."""
-STRATUM, ATTEMPT = 2.3, 1.8
+STRATUM, ATTEMPT = 2.3, 1.4
 """What a stratum costs to set up, and an attempt, in 100 ns: only their ratio counts, and only for speed."""
 ATTEMPTS = 1 << 14
 """Attempts made at a time."""

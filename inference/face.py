@@ -14,7 +14,7 @@ from inference.candidates import Candidate
 from probmodel.detections import Detection
 
 METRE = 1 / 0.325
-"""Body units: the mean limb bone of an adult of 1.75 m is 0.325 m long."""
+"""Body units: a limb bone of the motion capture is 0.325 m long on average."""
 POINTS = METRE * np.array(
     [[0.0, -0.03, 0.120], [0.032, 0.015, 0.085], [-0.032, 0.015, 0.085], [0.073, 0.0, 0.0], [-0.073, 0.0, 0.0]]
 )

@@ -117,7 +117,6 @@ def test_a_map_of_names_and_the_correction(tmp_path: Path) -> None:
         (("--names", "{tmp}/none.json"), "is no JSON that can be read"),
         (("--person", "3"), "--person 3 is not among them"),
         (("--image", "{tmp}/a.json"), "is no image that can be read"),
-        (("--out", "{tmp}/a.gif"), "give it a name that ends in .png, .pdf or .svg"),
     ],
 )
 def test_what_show_refuses(

@@ -7,7 +7,7 @@ from rich import box
 from rich.table import Table
 
 from inference import estimate_torso
-from inference.readings import Verdict, judge
+from inference.readings import Judge, Verdict, together
 from probmodel import BadInput, Detection
 from probmodel.detections import FACE
 from probmodel.layouts import MEDIAPIPE_33
@@ -28,8 +28,9 @@ def run(sight: Sight, belief: Belief, out: Path, image: Path | None, *, quiet: b
         person = sight.detection()
         model = belief.model()
     with console.progress("weighing other readings", quiet):
-        verdict = judge(_spread(people, person), model, sizes=person.layout == MEDIAPIPE_33.name)
-        alone = judge([person], model) if len(people) > 1 else verdict
+        judge, sizes = Judge(model), person.layout == MEDIAPIPE_33.name
+        alone = judge.file([person], sizes=sizes)
+        verdict = together([alone, judge.file(_others(people, person), sizes=sizes)])
     warnings = [*about_the_image(person, shown), *verdict.warnings]
     own = [sentence for sentence in alone.warnings if sentence not in warnings]
     warnings += [f"{sentence} (person {person.person} alone)" for sentence in own]
@@ -46,10 +47,10 @@ def run(sight: Sight, belief: Belief, out: Path, image: Path | None, *, quiet: b
         console.warn(sentence)
 
 
-def _spread(people: list[Detection], person: Detection) -> list[Detection]:
+def _others(people: list[Detection], person: Detection) -> list[Detection]:
     others = [other for other in people if other.person != person.person and other.seen.any()]
     step = max(1, -(-len(others) // (MOST_PEOPLE - 1)))
-    return [person, *others[::step]]
+    return others[::step]
 
 
 def about_the_image(person: Detection, image: np.ndarray | None) -> list[str]:

@@ -31,7 +31,7 @@ from tests.scenes import key, prior_scene
 
 ARM_ONLY = ("head", "left_elbow", "left_wrist", "right_knee", "left_knee", "right_ankle", "left_ankle")
 QUICK = ("emcee",)
-NEEDED = {"emcee": 80_000, "random-walk": 150_000, "nautilus": 30_000}
+NEEDED = {"emcee": 40_000, "random-walk": 150_000, "nautilus": 30_000}
 """Evaluations that bring some draws; a million for the others."""
 HEAVY = [pytest.param(name, marks=pytest.mark.slow) for name in BASELINES if name not in (*QUICK, "nautilus")]
 

@@ -259,7 +259,7 @@ class _Save:
         if not self.path.exists():
             return 0.0, 0.0, []
         try:
-            with np.load(self.path, allow_pickle=False) as file:
+            with self.path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
                 found = {name: file[name] for name in file.files}
             fingerprint, clock = str(found.pop("_fingerprint")), found.pop("_clock")
             history = [Checkpoint(float(row[0]), int(row[1]), int(row[2])) for row in found.pop("_history")]

@@ -383,13 +383,12 @@ def figure(singles: Singles, drawn: Drawn, path: Path) -> None:
     page = Figure(figsize=(9.6, 3.9), dpi=150, facecolor="white", layout="constrained")
     FigureCanvasAgg(page)
     left, right = page.subplots(1, 2, sharey=True)
-    for method, name in NAMES.items():
-        points = [interval(singles.errors[method, noise, 0], singles.trial) for noise in NOISE]
-        means, halves = np.array(points).T
-        left.errorbar(
-            [100 * noise for noise in NOISE], means, halves, color=COLOURS[method], marker="o", ms=4, capsize=3
-        )
-        left.annotate(name, (5, means[-1]), (6, 0), textcoords="offset points", va="center", fontsize=8,
+    for index, (method, name) in enumerate(NAMES.items()):
+        means, halves = np.array([interval(singles.errors[method, noise, 0], singles.trial) for noise in NOISE]).T
+        at = 100 * np.array(NOISE) + 0.07 * (index - 1.5)
+        left.errorbar(at, means, halves, color=COLOURS[method], marker="o", ms=4, capsize=2, elinewidth=0.8)
+        place = (10, {"mean": -4, "dictionary": 5}.get(method, 0))
+        left.annotate(name, (5, means[-1]), place, textcoords="offset points", va="center", fontsize=8,
                       color=COLOURS[method], annotation_clip=False)  # fmt: skip
     left.set_xlabel("2D noise, % of the body height (no joint missing)")
     left.set_ylabel("mean joint error, mm")
@@ -399,12 +398,13 @@ def figure(singles: Singles, drawn: Drawn, path: Path) -> None:
         for column, style in ((0, "-"), (1, "--")):
             points = [interval(drawn.errors[method, m][:, column], drawn.trial[method, m]) for m in MISSING]
             means, halves = np.array(points).T
-            shift = 0.04 * index
-            right.errorbar(np.array(MISSING) + shift, means, halves, color=COLOURS[method], linestyle=style, marker="o",
-                           ms=4, capsize=3, mfc=COLOURS[method] if column == 0 else "white")  # fmt: skip
+            at = np.array(MISSING) + 0.04 * (2 * index + column - 1.5)
+            right.errorbar(at, means, halves, color=COLOURS[method], linestyle=style, marker="o", ms=4, capsize=2,
+                           elinewidth=0.8, mfc=COLOURS[method] if column == 0 else "white")  # fmt: skip
+        right.plot([], [], "-", color=COLOURS[method], label=NAMES[method])
     right.plot([], [], "-o", color="#222222", ms=4, label="single estimate")
     right.plot([], [], "--o", color="#222222", ms=4, mfc="white", label="best of five hypotheses")
-    right.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(0.0, 1.02))
+    right.legend(frameon=False, fontsize=8, loc="upper left", ncols=2)
     right.set_xlabel("limb joints missing (true 2D)")
     right.set_xticks(MISSING)
     for axis in (left, right):

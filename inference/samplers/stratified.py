@@ -74,7 +74,9 @@ def anatomies(model: PoseModel) -> dict[str, Anatomy]:
 def _anatomy(model: PoseModel, limbs: Sequence) -> Anatomy:
     lengths = np.stack([np.asarray(field) for field in model.lengths], axis=1)
     used = [bone.length_group for bone in limbs[0].bones]
-    return Anatomy(tuple(_build(model, limb.upper, limb.lower) for limb in limbs), np.ascontiguousarray(lengths[used]))
+    return Anatomy(
+        tuple(_build(model, limb.upper, limb.lower) for limb in limbs), np.ascontiguousarray(lengths[used], dtype=float)
+    )
 
 
 def _build(model: PoseModel, upper: int, lower: int | None) -> Build:
@@ -102,8 +104,9 @@ def _workers() -> ThreadPoolExecutor:
 
 
 def sights(observation: Observation) -> dict[str, tuple[Sight, ...]]:
-    """Every limb in front of the camera, by group; what each has to explain, measured from where it starts."""
-    frames, image = (np.asarray(part) for part in _torso(observation))
+    """Every limb in front of the camera, by group; what each has to explain, measured from where it starts. The loops
+    compute in 64 bits, whatever JAX does."""
+    frames, image = (np.array(part, float) for part in _torso(observation))  # copies: the loops know one type
     start = dict(zip(TORSO_INDEX, image, strict=True))
     keypoints, radius = np.asarray(observation.keypoints), np.asarray(observation.radius)
     seen, scale = np.asarray(observation.has_factor), float(observation.camera.scale)

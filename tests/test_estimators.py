@@ -135,7 +135,9 @@ LINE = np.outer(np.linspace(0, 1, NUM_JOINTS), [1.0, 2.0, 0.0])
 @every_method
 def test_too_little_to_see_is_refused(method, detected, match, request):
     if "three joints" in request.node.name and method == "dictionary":
-        pytest.skip("three torso joints that are not on one line are enough for a camera")
+        # Three torso joints that are not on one line are enough for a camera, and it needs no more.
+        assert inference.estimate_torso(detected, method).converged
+        return
     with pytest.raises(BadInput, match=match):
         inference.estimate_torso(detected, method)
 

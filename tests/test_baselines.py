@@ -82,6 +82,7 @@ def test_the_target_is_numpyro_s_own_potential():
     assert np.array_equal(inside, np.isfinite(theirs(away)))
 
 
+@pytest.mark.slow
 def test_the_charts_of_a_target_agree():
     """Cube and R^d give the same misfit; poses → points → poses comes back; exact draws are inside."""
     target, points = whole()
@@ -203,6 +204,7 @@ def test_a_missing_package_is_one_sentence(monkeypatch):
         draw("smc", 1000)
 
 
+@pytest.mark.slow
 def test_too_small_a_budget_says_so():
     done = draw("random-walk", 1)
     assert done.num_draws == 0

@@ -55,6 +55,7 @@ def test_the_comparison_is_written_and_said(done: tuple[Path, str]) -> None:
     assert (out / "comparison.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_another_call_goes_on(done: tuple[Path, str], detection: Path, capsys: pytest.CaptureFixture) -> None:
     out, said = done
     before = json.loads(said)["samplers"][1]
@@ -89,6 +90,7 @@ def test_what_cannot_be_compared_is_refused_before_any_work(detection: Path, tmp
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_broken_file_loses_nothing_else(done: tuple[Path, str], detection: Path) -> None:
     out, _ = done
     kept = (out / "runs" / "emcee-one-flip.npz").read_bytes()
@@ -100,6 +102,7 @@ def test_a_broken_file_loses_nothing_else(done: tuple[Path, str], detection: Pat
     assert "emcee (dispersed)" in tree["summary"].sampler.values
 
 
+@pytest.mark.slow
 def test_no_draws_is_a_line_of_its_own(detection: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     compare.run(Sight(detection), Belief(), request(tmp_path, "random-walk", evaluations=1), quiet=True, as_json=True)
     lines = json.loads(capsys.readouterr().out)["samplers"]

@@ -131,6 +131,8 @@ def build_tree(model: PoseModel, frame: Frame, parts: list[CandidateDraws], attr
         versions=versions(),
         source=frame.detection.source,
         person=frame.detection.person,
+        estimator=frame.estimator,
+        converged=int(frame.converged),
         body_unit="mean limb length",
     )
     return tree

@@ -176,7 +176,7 @@ def candidates_table(tree: xr.DataTree) -> Table:
         table.add_row(
             str(row["candidate"] + 1),
             row["facing"],
-            str(row["torso"]),
+            _NOTHING if row["torso"] < 0 else str(row["torso"]),
             _fixed(row["scale_px"], 1),
             _fixed(row["reprojection_error_px"], 1),
             _plus_minus(row["log_evidence"], row["log_evidence_se"]),

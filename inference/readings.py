@@ -129,12 +129,15 @@ READINGS = (
 )
 ASPECTS = (9 / 16, 3 / 4, 4 / 3, 16 / 9)
 """Factors between the width over height of usual images: what x is off by where the size of the image is wrong."""
-THRESHOLD = 2.5
-"""Nats of evidence, summed over people, by which another reading must explain them better before it is spoken of."""
-SIZE_THRESHOLD = 8.0
+THRESHOLD = 4.0
+"""Nats of evidence, summed over people, by which an exchange within the body must explain them better before it is
+spoken of: less is the noise of the draws."""
+FACE_THRESHOLD = 2.5
+"""The same for the exchange of everything, which the face decides."""
+SIZE_THRESHOLD = 10.0
 """Nats a person by which another size of the image must explain them better. Bodies are wider and narrower too, so it
 is the mean over people that counts: real ones, read rightly, gain up to 5."""
-WORST_FIT = -3.4
+WORST_FIT = -3.8
 """Log evidence a seen joint, below which the points are hardly a body's under any reading."""
 UPSIDE_DOWN = -0.5
 """Cosine between the spine, head to pelvis, and the image's down: beyond it a person stands on the head."""
@@ -184,7 +187,7 @@ class Verdict(NamedTuple):
             found.append("size")
         if np.mean(self.spines < UPSIDE_DOWN) > 0.5:
             found.append("upside down")
-        elif total["whole"] > THRESHOLD and "order" not in found:
+        elif total["whole"] > FACE_THRESHOLD and "order" not in found:
             found.append("whole")
         return tuple(found)
 

@@ -77,10 +77,12 @@ def _window(detection: Detection, radius: np.ndarray | None) -> tuple[np.ndarray
     points = detection.keypoints[seen]
     if detection.face is not None:
         points = np.concatenate([points, detection.face[detection.face[:, 2] > 0, :2]])
-    reach = 0.0 if radius is None else np.nan_to_num(radius[seen]).max(initial=0.0)
+    reach = 0.0 if radius is None else float(np.nan_to_num(radius[seen]).max(initial=0.0))
     if not len(points):
         return np.zeros(2), np.ones(2)
-    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    low, high = points.min(axis=0), points.max(axis=0)
+    reach = min(reach, 0.3 * (high - low).max())  # a joint hardly seen has a disc that is larger than the person
+    low, high = low - reach, high + reach
     margin = max(0.08 * (high - low).max(), 1.0)
     middle, half = (low + high) / 2, (high - low) / 2 + margin
     half = np.maximum(half, half[::-1] * np.array([0.5, 0.6]))

@@ -130,3 +130,33 @@ def test_what_show_refuses(
     done = poseterior("show", tmp_path / "a.json", *(word.format(tmp=tmp_path) for word in words), "--quiet")
     assert done.code == 2
     assert match in done.err
+
+
+REAL_FILES = {
+    "openpose/body25_openposer_du_wohn_wo_000000000030_keypoints.json": (),
+    "openpose/body25_openposer_du_wohn_wo_000000000031_keypoints.json": (),
+    "openpose/body25_openposer_du_wohn_wo_000000000032_keypoints.json": (),
+    "openpose/body25_spin_im1010_keypoints.json": (),
+    "openpose/body25b_pose2sim_cam02.0022.json": (),
+    "openpose/coco18_hmr_random_keypoints.json": (),
+    "coco/test_coco.json": (),
+    "alphapose/alphapose-results_halpe26.json": (),
+    "mmpose/mmpose_inferencer_000000000785.json": (),
+    "mediapipe/pose_landmarks.pbtxt": ("--image-size", "1000x667"),
+    # Seated in front of a webcam: the hips lie outside the image, and are used only where that is asked for.
+    "mediapipe/pose_landmarks_webcam.json": ("--image-size", "640x480", "--threshold", "0.001", "--factor", "0.5"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", REAL_FILES)
+def test_every_real_file_runs_through_hypotheses(
+    shared_data: Path,
+    tmp_path: Path,
+    poseterior: Cli,  # noqa: F811
+    file: str,
+) -> None:
+    words = ("--num-samples", "50", "--k", "2", "--out", tmp_path, "--quiet", *REAL_FILES[file])
+    done = poseterior("hypotheses", shared_data / "detections" / file, *words)
+    assert done.code == 0, done.err
+    assert (tmp_path / "hypotheses.png").exists()

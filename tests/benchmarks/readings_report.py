@@ -273,6 +273,7 @@ def main(data: Path) -> None:
     facts = {
         "TABLE": table(found),
         "FRESH_TABLE": table(fresh),
+        "FRESH": str(FRESH),
         "OTHERS": str(OTHERS),
         "POSES": str(POSES),
         "REAL": real_table(judge, real_people(data)),

@@ -61,9 +61,15 @@ def _row(line: dict) -> dict[str, str]:
         "smallest p": "–" if line["smallest_p"] is None else f"{line['smallest_p']:.2g}",
         "missed": "–" if line["missed_mass"] is None else f"{line['missed_mass']:.1%}",
         "depth off": "–" if line["depth_mm"] is None else f"{line['depth_mm']:.0f} mm",
-        "to 0.1 sd": "never" if line["seconds_to_distance"] is None else f"{line['seconds_to_distance']:.2g} s",
+        "to 0.1 sd": _reached(line),
         "log evidence": "–" if line["log_evidence"] is None else _evidence(line),
     }
+
+
+def _reached(line: dict) -> str:
+    if line["verdict"] == "no draws":
+        return "–"
+    return "never" if line["seconds_to_distance"] is None else f"{line['seconds_to_distance']:.2g} s"
 
 
 def _number(value: float | None) -> str:

@@ -324,9 +324,7 @@ class Walk:
         self.kernel, self.ensemble, self.steps = kernel, ensemble, steps
         self.evaluations = 0
         places = starts.reshape(runs, -1, starts.shape[-1])
-        states = [kernel.start(jax.random.fold_in(key, run), places[run]) for run in range(runs)]
-        # Of the very types that a restored state has, so that nothing is compiled twice.
-        self._states = jax.tree.map(lambda leaf: _like(leaf, _plain(leaf)), states)
+        self._states = [settled(kernel.start(jax.random.fold_in(key, run), places[run])) for run in range(runs)]
         self._kept = np.empty((runs, 0, kernel.walkers, starts.shape[-1]))
         self._stride, self._done, self._warm = 1, 0, 0
 
@@ -378,6 +376,11 @@ class Walk:
         self._states = jax.tree.unflatten(tree, found)
         self._kept = state["kept"]
         self.evaluations, self._stride, self._done, self._warm = (int(count) for count in state["counts"])
+
+
+def settled(state: Any) -> Any:
+    """A state whose leaves are of the very types that a restored state has, so that nothing is compiled twice."""
+    return jax.tree.map(lambda leaf: _like(leaf, _plain(leaf)), state)
 
 
 def _plain(leaf: Any) -> np.ndarray:

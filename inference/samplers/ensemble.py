@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.samplers.baseline import Baseline, Kernel, Method, Trace, Walk
+from inference.samplers.baseline import Baseline, Kernel, Method, Trace, Walk, settled
 from inference.target import Target
 
 RUNS = 4
@@ -143,7 +143,7 @@ class SliceKernel(NumPyroKernel):
     def start(self, key: jax.Array, points: np.ndarray) -> Any:
         other = super().start(key, points)  # gives the kernel its density
         if not self._compiled:
-            super().advance(jax.tree.map(lambda leaf: jnp.array(leaf, leaf.dtype), other), STEPS)
+            super().advance(settled(other), STEPS)
             self._compiled = True
         return self._tuning.start(key, points), jnp.zeros((), int)
 

@@ -21,6 +21,8 @@ CHAINS = 16
 WARM_UP = 200
 """Steps in which step size and mass matrix are tuned; fewer than 100 do not find a step size on this posterior."""
 STEPS = 20
+DEPTH = 7
+"""Doublings of a path of NUTS at most; its default, 10, spends a million gradients on the warm-up alone."""
 LEAPS = 32
 """Steps of a path of plain HMC."""
 SHARPNESS = 8.0
@@ -105,7 +107,7 @@ def _hamiltonian(target: Target, key: jax.Array, starts: np.ndarray, kernel: str
 
     made: Any
     if kernel == "nuts":
-        made = NUTS(potential_fn=potential)
+        made = NUTS(potential_fn=potential, max_tree_depth=DEPTH)
     else:
         # Its default, a path of length 2π, takes millions of steps where the walls force a short step.
         made = HMC(potential_fn=potential, trajectory_length=None, num_steps=LEAPS)
@@ -122,7 +124,9 @@ def _build(kernel: str) -> Any:
 
 GRADIENTS = {
     "nuts": Baseline(
-        _build("nuts"), CHAINS, "NumPyro NUTS on soft walls, reweighted; its defaults, 200 steps of warm-up"
+        _build("nuts"),
+        CHAINS,
+        "NumPyro NUTS on soft walls, reweighted; paths of 127 steps at most, 200 steps of warm-up",
     ),
     "hmc": Baseline(
         _build("hmc"), CHAINS, "NumPyro HMC on soft walls, reweighted; paths of 32 steps, 200 steps of warm-up"

@@ -52,6 +52,8 @@ class NestedSlice:
         self._rounds, self.evaluations = 0, LIVE
 
     def more(self) -> bool:
+        if self.held:
+            return False
         key = jax.random.fold_in(self._key, 1 + self._rounds)
         with jax.numpy_rank_promotion("allow"):
             self._live, info = self._step(key, self._live)

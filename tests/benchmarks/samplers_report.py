@@ -95,9 +95,9 @@ def summary(trees: dict[str, xr.DataTree]) -> str:
         found = tree["summary"].to_dataset()
         rest = found.isel(sampler=slice(1, None))
         exact = found.isel(sampler=0)
-        best = rest.isel(sampler=int(rest.ess_per_second.argmax()))
+        best = rest.isel(sampler=int(np.argmax(rest.ess_per_second.values)))
         ratio = float(exact.ess_per_second) / float(best.ess_per_second) if best.ess_per_second > 0 else np.inf
-        quickest = float(rest.seconds_to_distance.min())
+        quickest = float(np.min(rest.seconds_to_distance.values))
         judged = rest.verdict.values != "no draws"
         lines.append(
             f"| {name} | {tree.attrs['dim']} | {tree.attrs['exact_log_evidence']:.1f} "

@@ -10,6 +10,8 @@ import numpy as np
 
 FEWEST_UNIQUE = 0.02
 """A sampler with a smaller share of distinct draws has not moved."""
+FROZEN = 0.05
+"""More chains than this share that stand still are a fault; of fewer, effective sizes and R-hat tell."""
 CONSTANT = 1e-9
 """A coordinate that varies by less, in standard deviations of the exact draws, does not vary but by rounding."""
 
@@ -39,7 +41,8 @@ def mixing(values: np.ndarray, spread: np.ndarray) -> Mixing:
     varies = spread > CONSTANT
     scaled = values[..., varies] / spread[varies]
     unique = len(np.unique(np.round(scaled.reshape(-1, scaled.shape[-1]), 9), axis=0)) / (chains * draws)
-    frozen = draws > 1 and bool(np.any(np.ptp(scaled, axis=1) < CONSTANT))
+    still = np.any(np.ptp(scaled, axis=1) < CONSTANT, axis=-1)
+    frozen = draws > 1 and bool(still.mean() > FROZEN)
     stuck = frozen or unique < FEWEST_UNIQUE
     bulk, tail, rhat = (np.full(number, np.nan) for _ in range(3))
     for column in np.flatnonzero(varies) if draws >= 4 and not stuck else ():

@@ -54,7 +54,7 @@ def root_of_covariance(points: jax.Array) -> jax.Array:
 
 
 class MetropolisKernel:
-    """Random-walk Metropolis with the covariance of the starting points; each walker tunes its scale in the warm-up."""
+    """Random-walk Metropolis with the covariance of the starting points; the scale is tuned in the warm-up."""
 
     walkers = WALKERS
     warm_up = 8 * STEPS
@@ -71,6 +71,9 @@ class MetropolisKernel:
     def advance(self, state: Any, steps: int) -> tuple[Any, Trace]:
         walkers, root, done = state
         tuning = jnp.where(done < self.warm_up, 1.0, 0.0)
+        # What one walker found in its corner is not for its life: from then on all take the mean scale.
+        scale = jnp.where(tuning > 0, walkers.log_scale, jnp.mean(walkers.log_scale))
+        walkers = walkers._replace(log_scale=scale)
         walkers, points = _stride(self._target, walkers, root, tuning, steps)
         return (walkers, root, done + steps), Trace(np.asarray(points), steps * WALKERS)
 
@@ -122,7 +125,7 @@ def _adaptive(target: Target, key: jax.Array, starts: np.ndarray) -> Method:
 
 WALKS = {
     "random-walk": Baseline(
-        _metropolis, WALKERS, "random-walk Metropolis, covariance of the starts, each walker's scale tuned to 0.234"
+        _metropolis, WALKERS, "random-walk Metropolis, covariance of the starts, scale tuned to 0.234"
     ),
     "sa": Baseline(
         _adaptive,

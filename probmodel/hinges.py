@@ -47,7 +47,8 @@ class Hinge(Region):
             raise ValueError(f"the measure of lower bones is one of {', '.join(LOWER_MEASURES)}, not {measure!r}")
         triple, offset, bounds = jnp.asarray(triple), jnp.asarray(offset), jnp.asarray(bounds)
 
-        return cls(triple, offset, bounds, *_integrate_all(offset, bounds, measure), measure)
+        nodes, pattern, areas, box = _integrate_all(offset, bounds, measure)
+        return cls(triple, offset, bounds, nodes, pattern, areas, box, measure)
 
     @property
     def total(self) -> jax.Array:

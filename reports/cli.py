@@ -145,6 +145,9 @@ def frames(
     estimator: options.Estimator = "dictionary",
     poses: options.Poses = "default",
     format: options.Format = "auto",
+    image_size: options.ImageSize = None,
+    names: options.Names = None,
+    correct: options.Correct = False,
     candidates: options.Candidates = 2,
     factor: options.Factor = 0.25,
     threshold: options.Threshold = None,
@@ -159,7 +162,8 @@ def frames(
     options.prepare_jax()
     from reports.commands import frames as command
 
-    sight = Sight(path, format, 0, estimator, candidates, factor, threshold, head, poses)
+    known = Known(image_size, names, correct)
+    sight = Sight(path, format, 0, estimator, candidates, factor, threshold, head, poses, known)
     request = command.Request(out, k, num_samples, keep, seed, max_proposals)
     command.run(sight, Belief(limits, upper, lower), request, quiet=quiet, as_json=json)
 

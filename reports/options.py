@@ -11,8 +11,10 @@ import typer
 from reports import console
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from inference import Frame
-    from probmodel import Anatomy, Detection, PoseModel
+    from probmodel import Anatomy, DetectedFrame, Detection, PoseModel
 
 File = Annotated[Path, typer.Argument(help="Detections, of any detector (reports/detectors.md).", show_default=False)]
 Limits = Annotated[str, typer.Option(help="'default', a .npz from `poseterior learn`, or the published .mat.")]
@@ -98,6 +100,14 @@ class Known:
     names: Path | None = None
     correct: bool = False
     image: Path | None = None
+
+    def frames(self, path: Path, format: str, threshold: float | None) -> "Iterator[DetectedFrame]":
+        """The frames of a folder or file, lazily. Raises `BadInput` as `read` does."""
+        from probmodel import read_frames
+        from probmodel.layouts import corrected
+
+        for frame in read_frames(path, format, threshold, image_size=self._size(), names=self._names()):
+            yield frame._replace(people=[corrected(person) for person in frame.people]) if self.correct else frame
 
     def read(self, file: Path, format: str, threshold: float | None) -> "list[Detection]":
         """The people of a file. Raises `BadInput` on a bad file, size, image or map of names."""

@@ -1,12 +1,12 @@
 """`poseterior frames`: draws and hypotheses of everyone in many frames, a stream that goes on where it was stopped."""
 
-from collections.abc import Iterator
+import functools
 from pathlib import Path
 from typing import NamedTuple
 
 from inference.estimators import estimate_torso
 from inference.stream import estimated, open_stream, sample_frames
-from probmodel import BadInput, DetectedFrame, read_frames
+from probmodel import BadInput
 from reports import console, tables
 from reports.options import Belief, Sight
 
@@ -32,10 +32,11 @@ def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json:
         model = belief.model()
     settings = sight.settings(model)
     # Read twice: what cannot be read is better found now than after hours, and then the number of people is known.
-    people = sum(len(frame.people) for frame in _read(sight))
+    read = functools.partial(sight.known.frames, sight.file, sight.format, sight.threshold)
+    people = sum(len(frame.people) for frame in read())
     if not people:
         raise BadInput(f"{sight.file} has no person in it; choose one in which the detector found some")
-    items = estimated(_read(sight), lambda detection: estimate_torso(detection, sight.estimator, **settings))
+    items = estimated(read(), lambda detection: estimate_torso(detection, sight.estimator, **settings))
     with console.progress("people", quiet) as step:
         sample_frames(
             model, items, key=jax.random.key(request.seed), out=request.out, num_samples=request.num_samples,
@@ -50,7 +51,3 @@ def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json:
     for line in tables.stream_lines(summary):
         console.say(line)
     console.say(f"Written to {request.out}: open it with inference.open_stream")
-
-
-def _read(sight: Sight) -> Iterator[DetectedFrame]:
-    return read_frames(sight.file, sight.format, sight.threshold)

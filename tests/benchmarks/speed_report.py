@@ -175,6 +175,8 @@ def streams(model: PoseModel, frames: list[Frame]) -> tuple[list[int], list[floa
     """Seconds of streams of 1 to `STREAM_FRAMES` frames × 10,000 draws with five hypotheses, and the memory it took."""
     counts, seconds = [1, 4, 16, STREAM_FRAMES], []
     items = [Item(str(number), frame) for number, frame in enumerate(frames)]
+    with tempfile.TemporaryDirectory() as folder:
+        sample_frames(model, items[:1], key=jax.random.key(0), out=folder)  # compiles
     for count in counts:
         with tempfile.TemporaryDirectory() as folder:
             started = time.perf_counter()

@@ -67,6 +67,7 @@ def draw(name: str, evaluations: int, **options):
     return run(BASELINES[name], name, target, allowance=Allowance(evaluations=evaluations), **options)
 
 
+@pytest.mark.slow
 def test_the_target_is_numpyro_s_own_potential():
     """Same density in the same unconstrained space, inside; minus infinity at the same places outside."""
     target, points = whole()

@@ -27,6 +27,7 @@ def test_every_part_is_as_precise_as_asked_and_the_body_is_its_groups(found):
     assert np.isclose(parts["body"].log_evidence, sum(group.log_evidence for group in groups))
 
 
+@pytest.mark.slow
 def test_limbs_and_groups_have_the_evidence_of_the_prior(found):
     """Share of a million draws of the prior that explain each limb and each group, within 4 standard errors (false
     alarms: 4e-4 over six)."""

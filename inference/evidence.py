@@ -49,9 +49,12 @@ def evidence(
         words = jax.random.fold_in(key, index)
         found[name] = _estimate(StratifiedGroup(words, name, tables[name], limbs[name]), goal, budget)
         for row, limb in enumerate(members):
+            if len(members) == 1:
+                found[limb.name] = found[name]
+                continue
             alone = tables[name]._replace(builds=tables[name].builds[row : row + 1])
             sampler = StratifiedGroup(jax.random.fold_in(words, row), limb.name, alone, limbs[name][row : row + 1])
-            found[limb.name] = found[name] if len(members) == 1 else _estimate(sampler, relative_error, budget)
+            found[limb.name] = _estimate(sampler, relative_error, budget)
     groups = [found[name] for name in GROUPS]
     body = Evidence(sum(e.log_evidence for e in groups), float(np.sqrt(sum(e.standard_error**2 for e in groups))))
     return {BODY: body, **found}

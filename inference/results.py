@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from inference.candidates import Candidate, Frame
+from inference.samplers.numbers import words_of
 from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel, log_joint
@@ -82,7 +83,7 @@ def save_tree(tree: xr.DataTree, path: str | os.PathLike) -> None:
 
 def key_words(key: jax.Array) -> str:
     """A key as the attribute `seed` has it."""
-    return " ".join(str(word) for word in np.asarray(jax.random.key_data(key)))
+    return " ".join(map(str, words_of(key)))
 
 
 @functools.cache

@@ -172,9 +172,9 @@ def _draw(model: PoseModel, item: Item, key: jax.Array, sampler: str, num_sample
     mixture = draw_mixture(model, frame, key, sampler, num_samples, max_proposals)
     columns = pose_columns(model, frame, mixture.parts, mixture.rng)
     joints, number = columns["joints"], len(columns["joints"])
-    if number == 0:
-        return _nothing(name, mixture.status, mixture.sentence, k, keep)
     drawn = _nothing(name, mixture.status, mixture.sentence, k, keep)
+    if number == 0:
+        return drawn
     for row, (pose, weight, chosen) in enumerate(diverse(joints.astype(np.float32), min(k, number))):
         drawn.hypotheses[row], drawn.weight[row], drawn.chosen[row] = pose, weight, chosen
     kept = min(keep, number)

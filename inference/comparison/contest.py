@@ -30,8 +30,6 @@ REFERENCE = 20_000
 """Exact draws that the judge compares with."""
 ENDLESS = 1 << 40
 """More draws than any budget brings."""
-ENDLESS = 1 << 40
-"""More draws than any budget brings."""
 Progress = Callable[[int, int], None]
 
 

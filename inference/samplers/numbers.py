@@ -24,7 +24,7 @@ def seeded(words: list[int], *path: int) -> np.ndarray:
     return np.random.SFC64(np.random.SeedSequence(words, spawn_key=path)).state["state"]["state"].copy()
 
 
-def key_words(key: jax.Array) -> list[int]:
+def words_of(key: jax.Array) -> list[int]:
     """A JAX key as whole numbers."""
     return np.asarray(jax.random.key_data(key)).ravel().tolist()
 

@@ -19,7 +19,7 @@ import numpy as np
 from inference.samplers.attempts import attempt_bodies
 from inference.samplers.bins import LengthBins, length_bins
 from inference.samplers.limbs import Draws
-from inference.samplers.numbers import key_words, seeded
+from inference.samplers.numbers import seeded, words_of
 from inference.samplers.rates import HOPELESS, Budget, Pile, Pooled, Rate
 from inference.samplers.strata import (
     AREA,
@@ -168,7 +168,7 @@ class StratifiedGroup:
 
     def __init__(self, key: jax.Array, name: str, anatomy: Anatomy, limbs: tuple[Sight, ...]) -> None:
         self.name, self._anatomy, self._limbs = name, anatomy, limbs
-        self._words = key_words(key)
+        self._words = words_of(key)
         self._pile = Pile()
         self.level = self._batches = 0
         self._order = list(range(len(limbs)))

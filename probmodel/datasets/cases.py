@@ -129,12 +129,13 @@ class DataSet:
     def __len__(self) -> int:
         return len(self.poses)
 
-    def case(self, number: int) -> Case:
-        """The case of that number. Raises `BadInput` where its detection is not one (a score below zero, …)."""
-        place = f"frame {number} of {self.name}"
-        detection = Detection(self.keypoints[number], self.score[number], "skeleton_15", place, 0)
-        labels = (str(field[number]) for field in (self.action, self.subject, self.recording))
-        return Case(number, self.poses[number], detection, float(self.scale[number]), self.translation[number], *labels)
+    def case(self, row: int, number: int | None = None) -> Case:
+        """The case of that row; `number` is its number where these are some of a larger set's cases. Raises `BadInput`
+        where its detection is not one (a score below zero, …)."""
+        number = row if number is None else number
+        detection = Detection(self.keypoints[row], self.score[row], "skeleton_15", f"frame {number} of {self.name}", 0)
+        labels = (str(field[row]) for field in (self.action, self.subject, self.recording))
+        return Case(number, self.poses[row], detection, float(self.scale[row]), self.translation[row], *labels)
 
     def __iter__(self) -> Iterator[Case]:
         return (self.case(number) for number in range(len(self)))

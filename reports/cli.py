@@ -308,6 +308,65 @@ def compare(
 
 @app.command(
     epilog=_examples(
+        "poseterior evaluate actions_train.npz --frames 500 --missing 0,1,2 --rotate 0,30,60 --workers 2",
+        "poseterior evaluate h36m/ --detections gt --frames 26385 --scheduler tcp://host:8786",
+        "poseterior evaluate mocap/ --noise gaussian:0.02 --limits limits.npz --poses poses.npz --predictions chen.npz",
+    )
+)
+def evaluate(
+    dataset: Annotated[
+        Path,
+        typer.Argument(help="Motion capture, VideoPose3D's Human3.6M, or a plain .npz with truth.", show_default=False),
+    ],
+    estimator: Annotated[str, typer.Option(help="Names with commas: akhter-black, zhou, dictionary.")] = (
+        "akhter-black,zhou,dictionary"
+    ),
+    missing: Annotated[str, typer.Option(help="Numbers of limb joints made missing, at random.")] = "0",
+    rotate: Annotated[str, typer.Option(help="Degrees by which the image is turned.")] = "0",
+    k: Annotated[str, typer.Option(help="Numbers of hypotheses of which the best counts.")] = "5,20",
+    out: Annotated[Path, typer.Option(help="Folder for the results; a run that was stopped goes on there.")] = Path(
+        "evaluation"
+    ),
+    frames: Annotated[
+        int | None, typer.Option(help="How many frames, as many of each action.", show_default="all")
+    ] = None,
+    noise: Annotated[
+        str, typer.Option(help="Of synthetic cameras: none, gaussian:SIZE, heavy-tailed:SIZE (of body height).")
+    ] = "none",
+    detections: Annotated[str, typer.Option(help="Human3.6M's 2D file, data_2d_h36m_NAME.npz.")] = "gt",
+    predictions: Annotated[
+        list[Path] | None, typer.Option(help="Poses of another method, a row of Table 1; may be given again.")
+    ] = None,
+    num_samples: Annotated[int, typer.Option(min=1, max=1_000_000, help="How many poses to draw for a frame.")] = 1000,
+    seed: options.Seed = 0,
+    limits: options.Limits = "default",
+    poses: options.Poses = "default",
+    candidates: options.Candidates = 1,
+    factor: options.Factor = 0.25,
+    head: options.Head = True,
+    upper: options.Upper = UpperMeasure.angle,
+    lower: options.Lower = LowerMeasure.area,
+    bias: Annotated[bool, typer.Option(help="Whether the bias of its motion capture is studied too.")] = True,
+    max_proposals: options.MaxProposals = 20_000_000,
+    workers: Annotated[int, typer.Option(min=1, help="Processes of this machine that share the frames.")] = 1,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a dask scheduler, whose workers do it.")] = None,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
+) -> None:
+    """The paper's evaluation on a data set whose truth is known: tables, curves, which of its relations hold."""
+    options.prepare_jax()
+    from reports.commands import evaluate as command
+
+    source = command.Source(dataset, frames, noise, detections)
+    request = command.Request(
+        out, estimator, missing, rotate, k, num_samples, candidates, factor, head, poses, max_proposals,
+        tuple(predictions or ()), bias, workers, scheduler, seed,
+    )  # fmt: skip
+    command.run(source, Belief(limits, upper, lower), request, quiet=quiet, as_json=json)
+
+
+@app.command(
+    epilog=_examples(
         "poseterior learn cmu/01 cmu/02 walk.bvh --out limits.npz",
         "poseterior learn cmu/01 cmu/02 --out limits.npz --poses poses.npz",
     )

@@ -53,7 +53,7 @@ def client(workers: int, scheduler: str | None, cache: str | None) -> Iterator[A
         environment = ONE_THREAD | ({"JAX_COMPILATION_CACHE_DIR": cache} if cache else {})
         with (
             distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, env=environment,
+                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0", env=environment,
                 silence_logs="CRITICAL", scheduler_kwargs={"allowed_failures": DEATHS},
             ) as cluster,
             distributed.Client(cluster) as found,
@@ -76,7 +76,9 @@ def client(workers: int, scheduler: str | None, cache: str | None) -> Iterator[A
 def judge(found: Any, protocol: Protocol, work: Iterable[Work]) -> Iterator[Done]:
     """Blocks as they are done, in no order. Raises `BadInput` where one kills every worker that it is given to."""
     distributed = _library()
-    found.register_plugin(_plugin(protocol), name="poseterior-protocol")
+    from inference.evaluation.plugin import Prepare
+
+    found.register_plugin(Prepare(protocol), name="poseterior-protocol")
     waiting = iter(work)
     ready = distributed.as_completed([], with_results=False, raise_errors=False)
     submitted: dict[str, Work] = {}
@@ -112,18 +114,8 @@ def _judged(condition: Condition, block: int, first: int, data: DataSet) -> dict
         return judge_block(_HELD[-1], condition, data, first)
 
 
-def _plugin(protocol: Protocol) -> Any:
-    class Prepare(_library().WorkerPlugin):
-        """Gets a worker ready: 64-bit floats before anything is compiled, and what to do with frames."""
-
-        def setup(self, worker: Any) -> None:
-            prepare(protocol)
-
-    return Prepare()
-
-
 def prepare(protocol: Protocol) -> None:
-    """Makes this process a worker for `protocol`."""
+    """Makes this process a worker for `protocol`: 64-bit floats before anything is compiled."""
     import jax
 
     jax.config.update("jax_enable_x64", True)

@@ -367,6 +367,62 @@ def evaluate(
 
 @app.command(
     epilog=_examples(
+        "poseterior coverage --sampler rejection --num-simulations 1000 --out coverage",
+        "poseterior coverage --simulate-only --num-simulations 200, then --sampler draws.npz --num-simulations 200",
+        "poseterior coverage --poses recordings.npz --estimator zhou --noise gaussian:0.02 --missing 1 --out real",
+    )
+)
+def coverage(
+    sampler: Annotated[str, typer.Option(help="A name, or a file: `joints` (simulations, draws, 15, 3).")] = (
+        "rejection"
+    ),
+    num_simulations: Annotated[int, typer.Option(help="Poses of the prior, each seen once.")] = 1000,
+    out: Annotated[Path, typer.Option(help="Folder for coverage.nc and coverage.png; a run goes on there.")] = Path(
+        "coverage"
+    ),
+    num_samples: options.NumSamples = 1000,
+    simulate_only: Annotated[
+        bool, typer.Option("--simulate-only", help="Write simulations.nc, for samplers that run elsewhere.")
+    ] = False,
+    poses: Annotated[
+        Path | None, typer.Option(help="Real poses instead: motion capture, Human3.6M or a plain .npz.")
+    ] = None,
+    frames: Annotated[int, typer.Option(help="How many of the real poses.")] = 100,
+    estimator: Annotated[
+        str, typer.Option(help="Torso and camera of real poses: true, dictionary, akhter-black or zhou.")
+    ] = "true",
+    noise: Annotated[
+        str, typer.Option(help="2D errors of real poses: likelihood, none, gaussian:0.02 or heavy-tailed:0.02.")
+    ] = "likelihood",
+    missing: Annotated[int, typer.Option(min=0, help="Limb joints of real poses that are not seen.")] = 0,
+    seed: options.Seed = 0,
+    limits: options.Limits = "default",
+    factor: options.Factor = 0.25,
+    upper: options.Upper = UpperMeasure.angle,
+    lower: options.Lower = LowerMeasure.area,
+    max_proposals: Annotated[
+        int, typer.Option(min=1, help="Most proposals (or evaluations) for each pose before it counts as failed.")
+    ] = 3_000_000,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
+) -> None:
+    """Test whether a sampler's posterior means what it says, under the model or on real poses, and why it misses."""
+    options.prepare_jax()
+    from reports.commands import coverage as command
+
+    belief = Belief(limits, upper, lower)
+    request = command.Request(sampler, num_samples, seed, out, factor, max_proposals)
+    if poses is not None:
+        real = command.Real(poses, frames, noise, missing, estimator)
+        command.real(belief, request, real, quiet=quiet, as_json=json)
+    elif simulate_only:
+        command.write_simulations(belief, request, num_simulations, quiet=quiet, as_json=json)
+    else:
+        command.simulated(belief, request, num_simulations, quiet=quiet, as_json=json)
+
+
+@app.command(
+    epilog=_examples(
         "poseterior learn cmu/01 cmu/02 walk.bvh --out limits.npz",
         "poseterior learn cmu/01 cmu/02 --out limits.npz --poses poses.npz",
     )

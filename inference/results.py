@@ -94,9 +94,9 @@ def versions() -> str:
 
 
 def build_tree(model: PoseModel, frame: Frame, parts: list[CandidateDraws], attributes: dict[str, Any],
-               rng: np.random.Generator) -> xr.DataTree:  # fmt: skip
+               rng: np.random.Generator | None) -> xr.DataTree:  # fmt: skip
     """The DataTree of the mixture over a frame's candidates. Draws are put in random order, so that any stretch of them
-    is a sample of the mixture."""
+    is a sample of the mixture; without `rng` they stay in theirs."""
     observations = [frame.observation(candidate) for candidate in frame.candidates]
     chain = {key: value[None] for key, value in pose_columns(model, frame, parts, rng).items()}
     number = chain["joints"].shape[1]
@@ -140,12 +140,14 @@ def build_tree(model: PoseModel, frame: Frame, parts: list[CandidateDraws], attr
 
 
 def pose_columns(model: PoseModel, frame: Frame, parts: list[CandidateDraws],
-                 rng: np.random.Generator) -> dict[str, np.ndarray]:  # fmt: skip
-    """Draws of all candidates as columns, in random order: joints `(n, 15, 3)`, bone_length `(n, 5)`, torso, candidate,
-    keypoints `(n, 15, 2)`, lp."""
+                 rng: np.random.Generator | None) -> dict[str, np.ndarray]:  # fmt: skip
+    """Draws of all candidates as columns: joints `(n, 15, 3)`, bone_length `(n, 5)`, torso, candidate, keypoints
+    `(n, 15, 2)`, lp; in random order, or without `rng` one candidate after the other."""
     observations = [frame.observation(candidate) for candidate in frame.candidates]
     columns = [_columns(model, index, frame, observations, parts) for index in range(len(parts))]
     joined = {key: np.concatenate([column[key] for column in columns]) for key in columns[0]}
+    if rng is None:
+        return joined
     order = rng.permutation(len(joined["candidate"]))
     return {key: value[order] for key, value in joined.items()}
 

@@ -11,6 +11,7 @@ length's range, Beta distributed, or one of the two of a direction in its unit s
 """
 
 import dataclasses
+import functools
 from typing import Self
 
 import jax
@@ -20,6 +21,7 @@ from jax.scipy.special import gammaln
 from jax.typing import ArrayLike
 
 from inference.candidates import Frame
+from probmodel.chunks import in_chunks
 from probmodel.cube import CUBE_DIM, Configuration, from_cube
 from probmodel.directions import HingedDirection, OccupiedDirection
 from probmodel.failures import BadInput
@@ -117,12 +119,15 @@ class Target:
         """Points `(n, d)` of R^d of poses inside the prior's support."""
         return np.asarray(_points(self, Configuration(*(jnp.asarray(part) for part in poses))))
 
-    @jax.jit
     def poses(self, key: jax.Array, points: ArrayLike) -> Configuration:
         """Poses at points `(..., d)` of R^d; what no seen joint depends on is drawn from the prior."""
-        points = jnp.asarray(points)
-        rest = jax.random.beta(key, *self._whole_shape, (*points.shape[:-1], CUBE_DIM))
-        return _poses(self, points, rest)
+        points = np.asarray(points)
+        # NumPy's Beta variables: those of JAX take longer to compile than all the rest.
+        rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+        alpha, beta = (np.asarray(part) for part in self._whole_shape)
+        rest = rng.beta(alpha, beta, (*points.shape[:-1], CUBE_DIM)).reshape(-1, CUBE_DIM)
+        flat = in_chunks(functools.partial(_poses, self), points.reshape(-1, self.dim), rest)
+        return jax.tree.map(lambda leaf: leaf.reshape(*points.shape[:-1], *leaf.shape[1:]), flat)
 
     @jax.jit
     def poses_in_cube(self, key: jax.Array, cube: ArrayLike) -> Configuration:

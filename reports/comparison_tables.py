@@ -11,7 +11,8 @@ COLUMNS = (
     "sampler",
     "verdict",
     "ESS",
-    "ESS/s",
+    "earned/s",
+    "settled/s",
     "R-hat",
     "smallest p",
     "missed",
@@ -22,7 +23,8 @@ COLUMNS = (
 
 
 def rows(tree: xr.DataTree) -> list[list[str]]:
-    """One row a sampler, in the order of `COLUMNS`: effective draws of the worst coordinate, the same a second, largest
+    """One row a sampler, in the order of `COLUMNS`: effective draws of the worst coordinate, those beyond the exact
+    draws of the start a second, those by the autocorrelation time a second (≤ where paths are too short), largest
     R-hat, smallest p-value of the tests, share of the mass in modes never visited, largest W1 of a joint's depth for a
     person of 1.7 m, seconds until the sliced Wasserstein distance is 0.1 standard deviations."""
     return [[found[column] for column in COLUMNS] for found in map(_row, comparison_json(tree))]
@@ -56,7 +58,8 @@ def _row(line: dict) -> dict[str, str]:
         "sampler": line["sampler"],
         "verdict": line["verdict"],
         "ESS": _number(line["ess_worst"]),
-        "ESS/s": _number(line["ess_per_second"]),
+        "earned/s": _number(line["ess_per_second"]),
+        "settled/s": _settled(line),
         "R-hat": "–" if line["rhat_worst"] is None else f"{line['rhat_worst']:.2f}",
         "smallest p": "–" if line["smallest_p"] is None else f"{line['smallest_p']:.2g}",
         "missed": "–" if line["missed_mass"] is None else f"{line['missed_mass']:.1%}",
@@ -70,6 +73,11 @@ def _reached(line: dict) -> str:
     if line["verdict"] == "no draws":
         return "–"
     return "never" if line["seconds_to_distance"] is None else f"{line['seconds_to_distance']:.2g} s"
+
+
+def _settled(line: dict) -> str:
+    found = _number(line["settled_per_second"])
+    return found if line["time_known"] or found == "–" else f"≤ {found}"
 
 
 def _number(value: float | None) -> str:

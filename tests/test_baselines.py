@@ -13,19 +13,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpyro.infer import MCMC, NUTS, SA, init_to_value
 from numpyro.infer.util import potential_energy
 
 import inference
 from inference.comparison import contest
 from inference.comparison.judge import DIFFERS
 from inference.results import COMPLETE, OUT_OF_BUDGET
-from inference.samplers.baseline import Allowance, run
+from inference.samplers.baseline import Allowance, Baseline, Drawn, run
 from inference.samplers.baselines import BASELINES, DISPERSED, ONE_FLIP, baseline_tree, starting_points
 from inference.samplers.ensemble import snooker
-from inference.samplers.gradient import _systematic
+from inference.samplers.resampling import systematic
 from inference.target import Target, read_poses
 from probmodel import BadInput, PoseModel
 from probmodel.cube import CUBE_DIM
+from probmodel.model import log_joint
 from probmodel.skeleton import JOINT_INDEX
 from tests.scenes import key, prior_scene
 
@@ -34,10 +36,10 @@ QUICK = ("emcee",)
 NEEDED = {
     "emcee": 40_000, "emcee-de": 40_000, "aies": 30_000, "ess": 250_000, "nuts": 600_000, "hmc": 200_000,
     "random-walk": 150_000, "sa": 60_000, "smc": 600_000, "nss": 1_000_000,
+    "nautilus": 40_000,
 }  # fmt: skip
-"""Evaluations that bring some draws on one arm; nested slice sampling ends by itself. nautilus is not here: until it
-has any, it trains its networks for minutes (it is in the table of baselines, and judged like the rest)."""
-HEAVY = [pytest.param(name, marks=pytest.mark.slow) for name in BASELINES if name not in (*QUICK, "nautilus")]
+"""Evaluations that bring some draws on one arm; nested slice sampling ends by itself."""
+HEAVY = [pytest.param(name, marks=pytest.mark.slow) for name in BASELINES if name not in QUICK]
 
 
 @functools.cache
@@ -125,7 +127,7 @@ def test_soft_walls_have_gradients_and_weights_undo_them():
 
 def test_systematic_resampling_follows_the_weights():
     weight = np.array([0.5, 0.0, 1.5, 2.0])
-    each = [np.bincount(_systematic(weight, 8, u), minlength=4) for u in np.linspace(0.001, 0.999, 400)]
+    each = [np.bincount(systematic(weight, 8, u), minlength=4) for u in np.linspace(0.001, 0.999, 400)]
     counts = np.mean(each, axis=0)
     np.testing.assert_allclose(counts, 8 * weight / 4, atol=0.05)
 
@@ -213,10 +215,63 @@ def test_a_missing_package_is_one_sentence(monkeypatch):
 
 
 @pytest.mark.slow
+def test_the_model_runs_under_numpyro_s_mcmc_untouched():
+    """As the README says: `MCMC(NUTS(model.posterior), …)`, discs as they are, begun at an exact draw. Every draw is
+    possible, the chain moves, and the density that NumPyro followed is the one that the draws are saved with."""
+    model, _, target, tree, _ = low()
+    posterior = tree["posterior"]
+    start = read_poses(model, posterior.joints.values[0, :1], posterior.bone_length.values[0, :1])
+    values = {"bone_length": start.length[0], "upper": start.upper[0], "lower": start.lower[0]}
+    kernel = NUTS(model.posterior, init_strategy=init_to_value(values=values), max_tree_depth=5)
+    mcmc = MCMC(kernel, num_warmup=100, num_samples=100, progress_bar=False)
+    mcmc.run(key(0), target.observation, extra_fields=("potential_energy",))
+    found = mcmc.get_samples()
+    parts = [np.asarray(found[name]) for name in ("bone_length", "upper", "lower")]
+    assert np.isfinite(log_joint(model, target.observation, *parts)).all()
+    assert np.isfinite(mcmc.get_extra_fields()["potential_energy"]).all()
+    assert len(np.unique(parts[0][:, 1])) > 20
+
+
+@pytest.mark.slow
 def test_too_small_a_budget_says_so():
     done = draw("random-walk", 1)
     assert done.num_draws == 0
     assert "not one draw" in done.sentence
+
+
+def test_draws_that_are_not_finite_are_refused():
+    """Whatever a method returns: here one whose draws are not numbers."""
+
+    class Broken:
+        evaluations = held = 1
+
+        def __init__(self, target, key, starts):
+            pass
+
+        def more(self):
+            return False
+
+        def drawn(self, key):
+            return Drawn(np.full((1, 3, 6), np.nan), math.nan, math.nan, {"steps": 3})
+
+        def state(self):
+            return {}
+
+        def restore(self, state):
+            pass
+
+    with pytest.raises(BadInput, match="broken returned draws that are not finite; use other starts"):
+        run(Baseline(Broken, 0, "a note"), "broken", low()[2], key=key(0))
+
+
+def test_draws_are_thinned_along_paths():
+    """Two chains of three walkers with ten steps each: every third step of each, in order."""
+    points = np.arange(60.0).reshape(2, 30, 1)
+    few = Drawn(points, math.nan, math.nan, {"steps": 10}).thinned(20)
+    assert few.info["steps"] == 4
+    assert few.points[0, :, 0].tolist() == [0, 3, 6, 9, 10, 13, 16, 19, 20, 23, 26, 29]
+    assert Drawn(points, math.nan, math.nan, {"steps": 1}).thinned(20).points.shape == (2, 30, 1)
+    assert Drawn(points, math.nan, math.nan, {"steps": 10}).thinned(60).points.shape == (2, 30, 1)
 
 
 def test_a_broken_or_foreign_file_is_refused(tmp_path):
@@ -251,7 +306,6 @@ def test_our_snooker_keeps_a_normal_law_and_emcee_s_does_not():
 @pytest.mark.slow
 def test_sample_adaptive_mcmc_leaves_a_hard_wall_unless_it_is_finite():
     """A box: with density zero outside, NumPyro's SA returns points from outside; with a high but finite wall none."""
-    from numpyro.infer import MCMC, SA
 
     def share_outside(wall: float) -> float:
         def potential(x):

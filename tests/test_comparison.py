@@ -2,31 +2,36 @@
 
 Size: counts of rejections over 200 repetitions lie in the binomial interval at 0.1 % (both tails); seeds are fixed.
 Negative controls, each caught with 2,000 draws: a sampler that never leaves one depth flip, lengths 5 % too narrow,
-emcee started in one point.
+emcee started in one point, the half-updated ensembles of NumPyro ≤ 0.21.
 """
 
 import functools
 import math
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpyro.infer import AIES, ESS
+from numpyro.infer.ensemble import EnsembleSamplerState
 from scipy.signal import lfilter
 from scipy.stats import binom
 
 import inference
-from inference.comparison import comparison_tree, judge
+from inference.comparison import Judgement, comparison_tree, judge
 from inference.comparison.cost import course
 from inference.comparison.distances import energy, mmd, pairwise, sliced_wasserstein, wasserstein
 from inference.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
 from inference.comparison.mixing import mixing
 from inference.comparison.modes import modes, same_shares
+from inference.comparison.pace import autocorrelation_times, pace
 from inference.comparison.permutation import classifier_test, permutation_tests
 from inference.comparison.ranks import all_together, each_coordinate
 from inference.comparison.record import Entry
 from inference.comparison.sample import NAMES, Sample, read_sample, sample_of
 from inference.flips import codes
-from inference.samplers.baseline import Walk
-from inference.samplers.ensemble import EmceeKernel
+from inference.samplers.chains import Walk
+from inference.samplers.ensemble import EmceeKernel, NumPyroKernel
 from inference.target import Target, read_poses
 from probmodel import BadInput, PoseModel
 from tests.scenes import key, prior_scene
@@ -153,17 +158,112 @@ def low_target() -> tuple[Target, np.ndarray]:
     return target, target.points_of(read_poses(model, joints[:5000], length[:5000]))
 
 
+def evenly(points: np.ndarray) -> np.ndarray:
+    """2,000 of the draws `(chain, draw, d)`."""
+    every = max(1, points.shape[0] * points.shape[1] // DRAWS)
+    return points[:, ::every][:, : DRAWS // points.shape[0]]
+
+
 def judged(walk: Walk, rounds: int):
     """Runs a walk for some rounds and judges 2,000 of its draws, evenly taken."""
     target, _ = low_target()
     for _ in range(rounds):
         walk.more()
-    points = walk.drawn(key(0)).points
-    every = max(1, points.shape[0] * points.shape[1] // DRAWS)
-    few = points[:, ::every][:, : DRAWS // points.shape[0]]
+    few = evenly(walk.drawn(key(0)).points)
     poses = target.poses(key(1), few)
     joints = target.model.joints(target.observation.view, *poses)
     return judge(sample_of(np.asarray(joints), np.asarray(poses.length)), reference(), permutations=FEW)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_autocorrelation_times_against_their_closed_form(rho):
+    """(1 + ρ)/(1 - ρ) of an autoregressive chain, four standard errors wide (Sokal 1997, √(2 (2·5 + 1)/n) · τ^1.5)."""
+    draws = np.concatenate([chains(rho, seed) for seed in range(8)])
+    times, closed = autocorrelation_times(draws)
+    truth = (1 + rho) / (1 - rho)
+    error = truth * math.sqrt(2 * 11 * truth / draws[..., 0].size)
+    assert closed.all()
+    np.testing.assert_allclose(times, truth, atol=4 * error)
+
+
+def test_walkers_that_stay_earn_nothing():
+    """Every start an exact draw, and hardly a step away from it: ArviZ sees as many effective draws as walkers."""
+    one, other = exact_pair(128, 5000, 7)
+    steps = 40
+    still = np.repeat(one.values.reshape(4, 32, 1, -1), steps, axis=2)
+    still = still + 1e-6 * np.random.default_rng(0).normal(size=still.shape)
+    still = Sample(still.reshape(4, 32 * steps, -1), np.repeat(one.away.reshape(4, 32, -1), steps, axis=1))
+    effective = mixing(still.values, other.flat.std(axis=0)).worst
+    assert 16 < effective < 256
+    found = pace(still, other, effective=effective, given=128, steps=steps)
+    assert found.earned < 64
+    assert not found.known
+    assert found.settled < 256  # at most that, it says
+    moving = pace(other, other, effective=5000.0, given=0, steps=5000)
+    assert moving.known
+    assert moving.settled > 3000
+
+
+class HalfUpdatedAIES(AIES):
+    """Affine-invariant ensembles as NumPyro ≤ 0.21 had them: the second half of the walkers finds its partners among
+    themselves, who move at the same time (mended in its pull request 2189)."""
+
+    def sample(self, state, model_args, model_kwargs):
+        return half_updated(self, state)
+
+
+class HalfUpdatedESS(ESS):
+    """Ensemble slice sampling of NumPyro ≤ 0.21, with the same fault."""
+
+    def sample(self, state, model_args, model_kwargs):
+        return half_updated(self, state)
+
+
+def half_updated(kernel, state):
+    z, inner, rng_key = state
+    rng_key, _ = jax.random.split(rng_key)
+    half = len(z) // 2
+    first, inner = kernel.update_active_chains(z[:half], z[half:], inner)
+    second, inner = kernel.update_active_chains(z[half:], z[half:], inner)
+    return EnsembleSamplerState(jnp.concatenate([first, second]), inner, rng_key)
+
+
+def of_normal(kernel) -> Judgement:
+    """Judges 2,000 draws of NumPyro's ensemble on a standard normal law of 32 coordinates, started in it."""
+    rng = np.random.default_rng(0)
+    stepper = NumPyroKernel(kernel, 64, 0, lambda before, after: jnp.asarray(64))
+    walk = Walk(stepper, key(3), rng.normal(size=(256, 32)), runs=4, ensemble=True, steps=32)
+    for _ in range(64):
+        walk.more()
+    few = evenly(walk.drawn(key(0)).points)
+    exact = rng.normal(size=(1, 15_000, 32))
+    return judge(Sample(few, few[..., :8] > 0), Sample(exact, exact[..., :8] > 0), permutations=FEW)
+
+
+def normal_potential(x):
+    return 0.5 * jnp.sum(x**2)
+
+
+def test_the_half_updated_ensemble_of_numpyro_up_to_0_21_is_caught_and_the_mended_one_is_not():
+    """Differential moves, its default: variance 0.71 instead of 1."""
+    assert of_normal(HalfUpdatedAIES(potential_fn=normal_potential)).verdict == DIFFERS
+    assert of_normal(AIES(potential_fn=normal_potential)).verdict != DIFFERS
+
+
+@pytest.mark.slow
+def test_the_half_updated_slice_sampler_is_caught_too():
+    assert of_normal(HalfUpdatedESS(potential_fn=normal_potential, randomize_split=False)).verdict == DIFFERS
+    assert of_normal(ESS(potential_fn=normal_potential, randomize_split=False)).verdict != DIFFERS
+
+
+@pytest.mark.slow
+def test_the_half_updated_ensemble_is_caught_on_a_posterior():
+    """The walls of the posterior hide some of it: the second half of the walkers is 0.85 times as wide as it should."""
+    target, starts = low_target()
+    kernel = HalfUpdatedAIES(potential_fn=lambda point: -target.log_density(point))
+    stepper = NumPyroKernel(kernel, 64, 0, lambda before, after: jnp.asarray(64))
+    walk = Walk(stepper, key(3), starts[:256], runs=4, ensemble=True, steps=32)
+    assert judged(walk, 48).verdict == DIFFERS
 
 
 def test_emcee_started_in_one_point_is_caught():
@@ -260,9 +360,10 @@ def test_the_tree_of_a_comparison_holds_every_sampler(tmp_path):
     assert way.seconds[-1] == pytest.approx(2.0)
     assert way.seconds_to(1e9) == way.seconds[0]
     assert way.seconds_to(0.0) == math.inf
+    speed = pace(one, other, effective=verdict.mixing.worst, given=100, steps=DRAWS)
     entries = [
-        Entry("rejection", "", verdict, "fine", DRAWS, 100, 2.0, way, -4.0, 0.1, one.flat[:50]),
-        Entry("nuts", "one flip", None, "no draws", 0, 10, 1.0, None, math.nan, math.nan),
+        Entry("rejection", "", verdict, "fine", DRAWS, 100, 2.0, way, speed, -4.0, 0.1, one.flat[:50]),
+        Entry("nuts", "one flip", None, "no draws", 0, 10, 1.0, None, None, math.nan, math.nan),
     ]
     tree = comparison_tree(entries, other, {"source": "a scene"})
     assert list(tree["summary"].sampler.values) == ["rejection", "nuts (one flip)"]

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -14,11 +15,12 @@ import xarray as xr
 from inference.candidates import Frame
 from inference.comparison.cost import course
 from inference.comparison.judge import judge
+from inference.comparison.pace import pace
 from inference.comparison.record import SHOWN, Entry
 from inference.comparison.sample import Sample, read_sample
 from inference.results import COMPLETE
-from inference.sampler import SAMPLERS, sample
-from inference.samplers.baseline import Allowance, Run, check_packages, run
+from inference.sampler import SAMPLERS, draw_mixture, sample
+from inference.samplers.baseline import Allowance, Clock, Run, check_packages, run
 from inference.samplers.baselines import BASELINES, STARTS, baseline_tree, starting_points
 from inference.target import Target
 from probmodel.failures import BadInput, OutOfBudget
@@ -28,6 +30,8 @@ PILOT = 500
 """Draws by which the candidate is chosen."""
 REFERENCE = 20_000
 """Exact draws that the judge compares with."""
+MOST = 20_000
+"""Draws of a baseline that are judged, at most, taken evenly along its paths."""
 ENDLESS = 1 << 40
 """More draws than any budget brings."""
 Progress = Callable[[int, int], None]
@@ -76,46 +80,71 @@ def starts_of(name: str) -> tuple[str, ...]:
     return STARTS if name in BASELINES and BASELINES[name].starts else ("",)
 
 
-def enter_exact(model: PoseModel, known: Truth, name: str, *, key: jax.Array, num_samples: int) -> Entry:
-    """A line of exact rejection, drawn anew with another key; timed with everything compiled."""
-    sample(model, known.frame, sampler=name, key=jax.random.fold_in(key, 0), num_samples=min(num_samples, PILOT))
-    started = time.perf_counter()
-    result = sample(model, known.frame, sampler=name, key=jax.random.fold_in(key, 1), num_samples=num_samples)
-    seconds = time.perf_counter() - started
+def enter_exact(model: PoseModel, known: Truth, name: str, *, key: jax.Array, num_samples: int,
+                clock: Clock = time.perf_counter) -> Entry:  # fmt: skip
+    """A line of exact rejection, drawn anew with another key. It is drawn twice, the same: the first time everything is
+    compiled, the second time the clock runs, as with baselines up to where draws are given names."""
+    result = sample(model, known.frame, sampler=name, key=key, num_samples=num_samples)
+    started = clock()
+    draw_mixture(model, known.frame, key, name, num_samples)
+    seconds = clock() - started
     attributes = result.tree.attrs
     evidence = attributes["log_evidence"], attributes["log_evidence_se"]
     found = read_sample(result.tree, f"the draws of {name}")
-    return _entry(name, "", found, known, result.sentence, attributes["num_proposals"], seconds, 1.0, evidence)
+    work = Work(attributes["num_proposals"], seconds, 1.0, found.num_draws, 0)
+    return _entry(name, "", found, known, result.sentence, work, evidence)
 
 
-def enter_baseline(model: PoseModel, known: Truth, name: str, start: str, *, key: jax.Array, allowance: Allowance,
-                   num_samples: int, progress: Progress | None = None,
-                   save_to: Path | None = None) -> tuple[Entry, xr.DataTree | None]:  # fmt: skip
+def enter_baseline(
+    model: PoseModel,
+    known: Truth,
+    name: str,
+    start: str,
+    *,
+    key: jax.Array,
+    allowance: Allowance,
+    num_samples: int,
+    progress: Progress | None = None,
+    save_to: Path | None = None,
+    clock: Clock = time.perf_counter,
+) -> tuple[Entry, xr.DataTree | None]:
     """A line of a baseline, and its draws, or none where its budget brought none."""
     target = Target.of(model, known.frame)
     starts = starting_points(target, known.tree, start) if start else None
-    done = run(BASELINES[name], name, target, key=key, starts=starts, num_samples=num_samples, allowance=allowance,
-               progress=progress, save_to=save_to)  # fmt: skip
+    done = run(BASELINES[name], name, target, key=key, starts=starts, num_samples=num_samples, most=MOST,
+               allowance=allowance, progress=progress, save_to=save_to, clock=clock)  # fmt: skip
     evidence = done.log_evidence, done.log_evidence_se
     if not done.num_draws:
-        cost = done.cost
-        return Entry(name, start, None, done.sentence, 0, cost.num_proposals, cost.wall_time, None, *evidence), None
+        cost = done.cost.num_proposals, done.cost.wall_time
+        return Entry(name, start, None, done.sentence, 0, *cost, None, None, *evidence), None
     tree = baseline_tree(model, known.frame, done, key)
-    return _enter_run(done, start, tree, known), tree
+    found = read_sample(tree, f"the draws of {name}")
+    return _entry(name, start, found, known, "", _work_of(done, BASELINES[name].starts), evidence), tree
 
 
-def _enter_run(done: Run, start: str, tree: xr.DataTree, known: Truth) -> Entry:
-    found = read_sample(tree, f"the draws of {done.sampler}")
-    evidence = done.log_evidence, done.log_evidence_se
-    kept = done.info.get("kept", 1.0)
-    return _entry(done.sampler, start, found, known, "", done.cost.num_proposals, done.cost.wall_time, kept, evidence)
+class Work(NamedTuple):
+    """What draws cost: evaluations, seconds, the share `kept` of them that brought draws; `steps`, how many draws in a
+    row are one path; `given`, the exact draws that the start was given."""
+
+    evaluations: int
+    seconds: float
+    kept: float
+    steps: int
+    given: int
 
 
-def _entry(name: str, start: str, found: Sample, known: Truth, sentence: str, evaluations: int, seconds: float,
-           kept: float, evidence: tuple[float, float]) -> Entry:  # fmt: skip
+def _work_of(done: Run, given: int) -> Work:
+    """Of a baseline's run."""
+    info = done.info
+    return Work(done.cost.num_proposals, done.cost.wall_time, info.get("kept", 1.0), int(info["steps"]), given)
+
+
+def _entry(name: str, start: str, found: Sample, known: Truth, sentence: str, work: Work,
+           evidence: tuple[float, float]) -> Entry:  # fmt: skip
     verdict = judge(found, known.sample, evidence=evidence, exact_evidence=known.evidence)
-    way = course(found, known.sample, seconds, kept)
+    way = course(found, known.sample, work.seconds, work.kept)
+    speed = pace(found, known.sample, effective=verdict.mixing.worst, given=work.given, steps=work.steps)
     shown = evidence if math.isfinite(evidence[0]) else (math.nan, math.nan)
     some = found.flat[:: max(1, found.num_draws // SHOWN)][:SHOWN]
     said = sentence or verdict.sentence
-    return Entry(name, start, verdict, said, found.num_draws, evaluations, seconds, way, *shown, some)
+    return Entry(name, start, verdict, said, found.num_draws, work.evaluations, work.seconds, way, speed, *shown, some)

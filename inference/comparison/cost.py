@@ -11,14 +11,15 @@ SHARES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
 """Parts of a run at which its distance is measured."""
 EPSILON = 0.1
 """The distance to reach: sliced Wasserstein, standard deviations of the exact draws."""
-MOST = 20_000
 
 
 class Course(NamedTuple):
-    """`distance` `(5,)`: sliced Wasserstein to the exact draws after `seconds` `(5,)`."""
+    """`distance` `(5,)`: sliced Wasserstein to the exact draws after `seconds` `(5,)`; `kept`: the share of the work
+    that brought draws."""
 
     seconds: np.ndarray
     distance: np.ndarray
+    kept: float
 
     def seconds_to(self, epsilon: float = EPSILON) -> float:
         """When the distance came below `epsilon` and stayed there; infinite where it did not."""
@@ -30,10 +31,6 @@ class Course(NamedTuple):
 def course(sample: Sample, exact: Sample, seconds: float, kept: float) -> Course:
     """The distance after the first parts of every chain, of a run of `seconds` in which the last share `kept` of the
     work brought these draws, evenly; the work before it counts from the start."""
-    reference = exact.flat[:MOST]
-    distance = []
-    for share in SHARES:
-        part = sample.first(share).flat
-        distance.append(sliced_wasserstein(part[:: max(1, len(part) // MOST)], reference))
+    distance = [sliced_wasserstein(sample.first(share).flat, exact.flat) for share in SHARES]
     before = seconds * (1 - kept)
-    return Course(before + np.array(SHARES) * seconds * kept, np.array(distance))
+    return Course(before + np.array(SHARES) * seconds * kept, np.array(distance), kept)

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from inference.comparison.cost import EPSILON, Course
+from inference.comparison.cost import EPSILON, SHARES, Course
 from inference.comparison.judge import Judgement
+from inference.comparison.pace import Pace
 from inference.comparison.sample import NAMES, Sample
 from inference.flips import FLIPPING
 from inference.results import versions
@@ -18,8 +19,8 @@ SHOWN, EXACT_SHOWN = 1000, 4000
 
 
 class Entry(NamedTuple):
-    """One sampler's line: its name and start, the judgement (None where it brought no draws), its sentence, cost and
-    course, its log evidence with the standard error, and some `draws` `(n, 32)` for pictures."""
+    """One sampler's line: its name and start, the judgement (None where it brought no draws), its sentence, cost,
+    course and pace, its log evidence with the standard error, and some `draws` `(n, 32)` for pictures."""
 
     sampler: str
     start: str
@@ -29,6 +30,7 @@ class Entry(NamedTuple):
     evaluations: int
     seconds: float
     course: Course | None
+    pace: Pace | None
     log_evidence: float
     log_evidence_se: float
     draws: np.ndarray = np.empty((0, len(NAMES)))
@@ -50,8 +52,15 @@ class Entry(NamedTuple):
 
     @property
     def ess_per_second(self) -> float:
-        """Effective draws of the worst coordinate a second."""
-        return self.worst_ess / self.seconds
+        """Effective draws of the worst coordinate a second, beyond the exact ones that the start was given."""
+        return 0.0 if self.pace is None else self.pace.earned / self.seconds
+
+    @property
+    def settled_per_second(self) -> float:
+        """The same of a run without its burn-in, by the autocorrelation time; see `Pace.settled`."""
+        if self.pace is None or self.course is None:
+            return 0.0
+        return self.pace.settled / (self.seconds * self.course.kept)
 
     @property
     def worst_rhat(self) -> float:
@@ -91,6 +100,9 @@ def _summary(entries: list[Entry]) -> xr.Dataset:
         "seconds": [entry.seconds for entry in entries],
         "ess_worst": [entry.worst_ess for entry in entries],
         "ess_per_second": [entry.ess_per_second for entry in entries],
+        "settled_per_second": [entry.settled_per_second for entry in entries],
+        "autocorrelation_time": [np.nan if entry.pace is None else entry.pace.time for entry in entries],
+        "time_known": [float(entry.pace is not None and entry.pace.known) for entry in entries],
         "rhat_worst": [entry.worst_rhat for entry in entries],
         "seconds_to_distance": [entry.seconds_to_distance for entry in entries],
         "log_evidence": [entry.log_evidence for entry in entries],
@@ -114,8 +126,7 @@ def _each(entries: list[Entry], what: Callable[[Judgement], float]) -> list[floa
 
 
 def _course(entries: list[Entry]) -> xr.Dataset:
-    length = max((len(entry.course.seconds) for entry in entries if entry.course), default=0)
-    blank = np.full(length, np.nan)
+    blank = np.full(len(SHARES), np.nan)
     seconds = [blank if one.course is None else one.course.seconds for one in entries]
     distance = [blank if one.course is None else one.course.distance for one in entries]
     return xr.Dataset(

@@ -2,10 +2,9 @@
 
 A baseline draws from a `Target`, not knowing that exact draws exist; `inference.comparison` says how well it does.
 `run` is the one loop: it lets a `Method` go on until it has enough or the budget ends, shows progress, and saves, so
-that an interrupted run goes on to the same bits. `Walk` makes a method of any kernel of Markov chains.
+that an interrupted run goes on to the same bits. `chains.Walk` makes a method of any kernel of Markov chains.
 """
 
-import functools
 import hashlib
 import os
 import time
@@ -13,10 +12,9 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from inference.results import COMPLETE, OUT_OF_BUDGET, Cost
@@ -26,10 +24,7 @@ from probmodel.cube import Configuration
 from probmodel.failures import BadInput
 
 Progress = Callable[[int, int], None]
-BURN_IN = 0.25
-"""Share of a chain's steps that is thrown away."""
-KEPT = 1 << 16
-"""Steps × walkers kept at least; beyond twice as many every second step is dropped and the stride doubled."""
+Clock = Callable[[], float]
 SAVE_EVERY = 20.0
 """Seconds between two saves."""
 
@@ -37,13 +32,24 @@ SAVE_EVERY = 20.0
 class Drawn(NamedTuple):
     """What a method has drawn: `points` `(chain, draw, d)` of R^d (a chain is an ensemble folded, walker after walker,
     or one independent walker); log evidence and its standard error where the method knows them, else NaN; `info`:
-    counts, among them `moved`, the share of steps that changed the point, and `kept`, the share of the work that
-    brought draws."""
+    counts, among them `moved`, the share of steps that changed the point, `kept`, the share of the work that brought
+    draws, and `steps`, how many draws in a row are one walker's path (1: they are no path)."""
 
     points: np.ndarray
     log_evidence: float
     log_evidence_se: float
     info: dict[str, float]
+
+    def thinned(self, most: int) -> "Drawn":
+        """At most so many draws, taken evenly along every path; all where they are no paths."""
+        chains, draws, dim = self.points.shape
+        steps = int(self.info["steps"])
+        every = -(-chains * draws // most)
+        if every <= 1 or steps == 1:
+            return self
+        points = self.points.reshape(chains, -1, steps, dim)[:, :, ::every]
+        info = {**self.info, "steps": points.shape[2]}
+        return self._replace(points=points.reshape(chains, -1, dim), info=info)
 
 
 class Method(Protocol):
@@ -134,15 +140,19 @@ def run(
     key: jax.Array,
     starts: np.ndarray | None = None,
     num_samples: int = 10_000,
+    most: int | None = None,
     allowance: Allowance = Allowance(),
     progress: Progress | None = None,
     save_to: Path | None = None,
+    clock: Clock = time.perf_counter,
 ) -> Run:
-    """Draws until `num_samples` draws are held (after burn-in, not independent of each other) or the allowance ends.
+    """Draws until `num_samples` draws are held (after burn-in, not independent of each other) or the allowance ends;
+    hands over at most `most` of them, or all.
 
     `starts` `(n, d)`: points inside the support; the method takes its walkers' places from them. With `save_to`, an
     `.npz` is written now and then, atomically, and read again by the next run of the same baseline, key, starts and
-    target. Raises `BadInput` where a package is missing, no start lies inside the support, or the file is another's.
+    target. `clock` tells the seconds. Raises `BadInput` where a package is missing, no start lies inside the support,
+    or the file is another's.
     """
     check_packages(name, baseline)
     places = _places(baseline, name, target, key, starts)
@@ -153,12 +163,12 @@ def run(
     if saved:
         seconds, compiling, history = saved.load(method)
     if not history:
-        compiling = _compile(method)
+        compiling = _compile(method, clock)
     finished = False
     while not finished and method.held < num_samples and allowance.allows(method.evaluations, seconds):
-        started = time.perf_counter()
+        started = clock()
         finished = not method.more()
-        seconds += time.perf_counter() - started
+        seconds += clock() - started
         history.append(Checkpoint(seconds, method.evaluations, method.held))
         if saved:
             saved.store(method, seconds, compiling, history)
@@ -166,21 +176,23 @@ def run(
             progress(min(method.held, num_samples), num_samples)
     if saved:
         saved.store(method, seconds, compiling, history, now=True)
-    return _result(name, target, method, key, num_samples, seconds, compiling, history)
+    drawn = method.drawn(jax.random.fold_in(key, 3))
+    if most:
+        drawn = drawn.thinned(most)
+    return _result(name, target, method, drawn, key, num_samples, seconds, compiling, history)
 
 
-def _compile(method: Method) -> float:
+def _compile(method: Method, clock: Clock) -> float:
     """Takes the first step twice, so that the clock runs without compilation; returns the seconds of the first one."""
-    started = time.perf_counter()
+    started = clock()
     before = method.state()
     method.more()
     method.restore(before)
-    return time.perf_counter() - started
+    return clock() - started
 
 
-def _result(name: str, target: Target, method: Method, key: jax.Array, num_samples: int, seconds: float,
+def _result(name: str, target: Target, method: Method, drawn: Drawn, key: jax.Array, num_samples: int, seconds: float,
             compiling: float, history: list[Checkpoint]) -> Run:  # fmt: skip
-    drawn = method.drawn(jax.random.fold_in(key, 3))
     if not np.isfinite(drawn.points).all():
         raise BadInput(f"{name} returned draws that are not finite; use other starts or another sampler")
     poses = _poses(target, jax.random.fold_in(key, 4), drawn.points)
@@ -189,28 +201,20 @@ def _result(name: str, target: Target, method: Method, key: jax.Array, num_sampl
     spent = f"{method.evaluations:,} evaluations, {seconds:.1f} s"
     if not number:
         status, sentence = OUT_OF_BUDGET, f"{name} has not one draw after {spent}: the budget is too small; allow more"
-    elif number < num_samples:
+    elif method.held < num_samples:
         status = OUT_OF_BUDGET
-        sentence = f"{name} holds {number} of {num_samples} draws after {spent}; allow more, or ask for fewer"
+        sentence = f"{name} holds {method.held} of {num_samples} draws after {spent}; allow more, or ask for fewer"
     cost = Cost(method.evaluations, drawn.info.get("moved", np.nan), seconds)
     info = {**drawn.info, "compiling": compiling}
     return Run(name, poses, drawn.log_evidence, drawn.log_evidence_se, info, cost, tuple(history), status, sentence)
 
 
 def _poses(target: Target, key: jax.Array, points: np.ndarray) -> Configuration:
-    chains, draws, dim = points.shape
+    chains, draws = points.shape[:2]
     if not chains * draws:
         length, upper, lower = (np.empty((chains, draws, *shape)) for shape in ((5,), (5, 3), (4, 3)))
         return Configuration(length, upper, lower)  # type: ignore[arg-type]
-    numbers = np.arange(chains * draws, dtype=np.uint32)
-    flat = in_chunks(functools.partial(_poses_of, target, key), points.reshape(-1, dim), numbers)
-    return jax.tree.map(lambda leaf: leaf.reshape(chains, draws, *leaf.shape[1:]), flat)
-
-
-@jax.jit
-def _poses_of(target: Target, key: jax.Array, points: jax.Array, numbers: jax.Array) -> Configuration:
-    """Poses at a chunk of points; each draw has a key of its own, whatever chunk it is in."""
-    return jax.vmap(lambda point, number: target.poses(jax.random.fold_in(key, number), point))(points, numbers)
+    return target.poses(key, points)
 
 
 def _places(baseline: Baseline, name: str, target: Target, key: jax.Array, starts: np.ndarray | None) -> np.ndarray:
@@ -289,109 +293,3 @@ class _Save:
                 f"cannot write {self.path} ({error.strerror}); choose a folder that can be written to"
             ) from None
         self.last = time.monotonic()
-
-
-class Trace(NamedTuple):
-    """What a kernel's walkers did: `points` `(steps, walkers, d)`, and how often the density was evaluated."""
-
-    points: np.ndarray
-    evaluations: int
-
-
-class Kernel(Protocol):
-    """One step of Markov chains, for `walkers` walkers at once. A state is a pytree of arrays."""
-
-    walkers: int
-    warm_up: int
-    """Steps in which it tunes itself, thrown away."""
-
-    def start(self, key: jax.Array, points: np.ndarray) -> Any:
-        """The state of walkers that begin at `points` `(at least walkers, d)`."""
-
-    def advance(self, state: Any, steps: int) -> tuple[Any, Trace]:
-        """Some steps further."""
-
-
-class Walk:
-    """Markov chains as a method: `runs` times the same kernel, apart from each other, each with its own walkers.
-
-    `ensemble`: the walkers of a run know of each other, and become one chain, walker after walker; otherwise each
-    walker is a chain. The first `BURN_IN` of what is kept is left out.
-    """
-
-    def __init__(self, kernel: Kernel, key: jax.Array, starts: np.ndarray, *, runs: int, ensemble: bool,
-                 steps: int) -> None:  # fmt: skip
-        self.kernel, self.ensemble, self.steps = kernel, ensemble, steps
-        self.evaluations = 0
-        places = starts.reshape(runs, -1, starts.shape[-1])
-        self._states = [settled(kernel.start(jax.random.fold_in(key, run), places[run])) for run in range(runs)]
-        self._kept = np.empty((runs, 0, kernel.walkers, starts.shape[-1]))
-        self._stride, self._done, self._warm = 1, 0, 0
-
-    def more(self) -> bool:
-        traces = []
-        for run, state in enumerate(self._states):
-            self._states[run], trace = self.kernel.advance(state, self.steps)
-            self.evaluations += trace.evaluations
-            traces.append(np.asarray(trace.points))
-        if self._warm < self.kernel.warm_up:
-            self._warm += self.steps
-            return True
-        first = -self._done % self._stride
-        self._kept = np.concatenate([self._kept, np.stack(traces)[:, first :: self._stride]], axis=1)
-        self._done += self.steps
-        if self._kept[..., 0].size > 2 * KEPT:
-            self._kept = self._kept[:, ::2]
-            self._stride *= 2
-        return True
-
-    @property
-    def held(self) -> int:
-        return int(np.prod(self._after_burn_in.shape[:-1]))
-
-    @property
-    def _after_burn_in(self) -> np.ndarray:
-        return self._kept[:, int(np.ceil(BURN_IN * self._kept.shape[1])) :]
-
-    def drawn(self, key: jax.Array) -> Drawn:
-        kept = np.moveaxis(self._after_burn_in, 2, 1)  # runs, walkers, steps, d
-        runs, walkers, steps, dim = kept.shape
-        moved = float(np.mean(np.any(np.diff(kept, axis=2) != 0, axis=-1))) if steps > 1 else np.nan
-        kept_share = steps * self._stride / max(self._done + self._warm, 1)
-        info = {"runs": runs, "walkers": walkers, "steps": steps, "stride": self._stride, "moved": moved,
-                "kept": kept_share}  # fmt: skip
-        shape = (runs, walkers * steps, dim) if self.ensemble else (runs * walkers, steps, dim)
-        return Drawn(kept.reshape(shape), np.nan, np.nan, info)
-
-    def state(self) -> dict[str, np.ndarray]:
-        leaves = [_plain(leaf) for leaf in jax.tree.leaves(self._states)]
-        return {f"leaf{number}": leaf for number, leaf in enumerate(leaves)} | {
-            "kept": self._kept,
-            "counts": np.array([self.evaluations, self._stride, self._done, self._warm]),
-        }
-
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        leaves, tree = jax.tree.flatten(self._states)
-        found = [_like(leaf, state[f"leaf{number}"]) for number, leaf in enumerate(leaves)]
-        self._states = jax.tree.unflatten(tree, found)
-        self._kept = state["kept"]
-        self.evaluations, self._stride, self._done, self._warm = (int(count) for count in state["counts"])
-
-
-def settled(state: Any) -> Any:
-    """A state whose leaves are of the very types that a restored state has, so that nothing is compiled twice."""
-    return jax.tree.map(lambda leaf: _like(leaf, _plain(leaf)), state)
-
-
-def _plain(leaf: Any) -> np.ndarray:
-    is_key = isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-    return np.asarray(jax.random.key_data(leaf) if is_key else leaf)
-
-
-def _like(leaf: Any, saved: np.ndarray) -> Any:
-    """A saved leaf as the kind of thing that `leaf` is: a NumPy array, a key, or else an array of JAX."""
-    if isinstance(leaf, np.ndarray):
-        return saved
-    if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-        return jax.random.wrap_key_data(jnp.asarray(saved))
-    return jnp.asarray(saved)

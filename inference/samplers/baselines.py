@@ -92,20 +92,17 @@ def baseline_tree(model: PoseModel, frame: Frame, run: Run, key: jax.Array) -> x
         "status": run.status,
         **{f"info_{name}": value for name, value in run.info.items()},
     }
-    seed = int(np.asarray(jax.random.key_data(key))[-1])
-    tree = build_tree(model, frame, [part], attributes, np.random.default_rng(seed))
-    # The draws come back in random order; the order of the chains is put right again.
-    order = np.argsort(np.random.default_rng(seed).permutation(chains * draws))
+    tree = build_tree(model, frame, [part], attributes, rng=None)
     for group in ("posterior", "sample_stats"):
-        tree[group] = xr.DataTree(_chained(tree[group].to_dataset(), order, chains))
+        tree[group] = xr.DataTree(_chained(tree[group].to_dataset(), chains, draws))
     return tree
 
 
-def _chained(flat: xr.Dataset, order: np.ndarray, chains: int) -> xr.Dataset:
+def _chained(flat: xr.Dataset, chains: int, draws: int) -> xr.Dataset:
+    """One chain of `chains · draws` draws as the chains that it consists of."""
     found = {
-        name: (variable.dims, np.asarray(variable)[0][order].reshape(chains, -1, *variable.shape[2:]), variable.attrs)
+        name: (variable.dims, np.asarray(variable).reshape(chains, draws, *variable.shape[2:]), variable.attrs)
         for name, variable in flat.data_vars.items()
     }
-    draws = len(order) // chains if chains else 0
     coords = {name: flat.coords[name] for name in flat.coords if name not in ("chain", "draw")}
     return xr.Dataset(found, coords={**coords, "chain": np.arange(chains), "draw": np.arange(draws)})

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.samplers.baseline import Baseline, Kernel, Method, Trace, Walk, settled
+from inference.samplers.baseline import Baseline, Method
+from inference.samplers.chains import Kernel, Trace, Walk, settled
 from inference.target import Target
 
 RUNS = 4

@@ -12,8 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.samplers.baseline import Baseline, Drawn, Method, Walk
+from inference.samplers.baseline import Baseline, Drawn, Method
+from inference.samplers.chains import Walk
 from inference.samplers.ensemble import NumPyroKernel
+from inference.samplers.resampling import systematic
 from inference.target import Target
 from probmodel.chunks import in_chunks
 
@@ -67,7 +69,8 @@ class Smoothed:
             return Drawn(np.empty((chains, 0, dim)), np.nan, np.nan, info)
         weight = np.exp(log_weight - log_weight.max())
         offset = float(jax.random.uniform(key))
-        rows = [_systematic(one, keep, offset) for one in weight]
+        rows = [systematic(one, keep, offset) for one in weight]
+        info["steps"] = keep
         return Drawn(np.stack([part[row] for part, row in zip(raw.points, rows, strict=True)]), np.nan, np.nan, info)
 
 
@@ -91,12 +94,6 @@ def _pareto_k(log_weight: np.ndarray) -> float:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what it warns of is the number that is returned
         return float(array_stats.psislw(log_weight)[1])
-
-
-def _systematic(weight: np.ndarray, number: int, offset: float) -> np.ndarray:
-    """`(number,)` rows of `weight` `(n,)`, each as often as its share says, rounded by one `offset`, in order."""
-    shares = np.cumsum(weight) / weight.sum()
-    return np.minimum(np.searchsorted(shares, (np.arange(number) + offset) / number), len(weight) - 1)
 
 
 def _hamiltonian(target: Target, key: jax.Array, starts: np.ndarray, kernel: str) -> Smoothed:

@@ -3,20 +3,21 @@
 An indicator gives a nested sampler nothing to climb, so both climb the misfit (the largest distance of a seen joint
 from its detection, in radii τ) down to 1. Nested slice sampling treats -misfit as the likelihood, stops when all live
 points explain the detection, and counts the prior volume inside. nautilus samples exp(-GRADE · max(misfit - 1, 0)),
-whose draws inside are draws of the posterior; its evidence times their share is the evidence.
+whose draws inside are draws of the posterior; its evidence times their share is the evidence. Its neural networks are
+left out: they were trained for minutes before there was a draw, in six dimensions.
 """
 
 import functools
 import tempfile
-import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from inference.samplers.baseline import Baseline, Drawn, Method
+from inference.samplers.resampling import systematic
 from inference.target import Target
 from probmodel.chunks import in_chunks
 
@@ -25,12 +26,13 @@ DELETED = 50
 """Live points, and how many of them are replaced at a time."""
 SIMULATIONS = 200
 """Simulated prior volumes, from which the error of the evidence comes."""
-NAUTILUS_LIVE = 1000
-NAUTILUS_BATCH = 512
+NAUTILUS_BATCH, NAUTILUS_BATCHES = 512, 4
+NAUTILUS_EFFECTIVE = 10_000
 GRADE = 100.0
 """Slope of nautilus's likelihood in the misfit: most of its mass lies within 1 % of the discs."""
-GLANCE = 2.0
-"""Seconds that nautilus is let run at a time."""
+PLATEAU = 0.5
+"""nautilus is through with exploring once its live points hold no more of the evidence than this. At its default, 1 %,
+it goes on until the plateau inside the discs has a hundred times as many points as are alive."""
 
 
 class NestedSlice:
@@ -78,7 +80,7 @@ class NestedSlice:
     def drawn(self, key: jax.Array) -> Drawn:
         points = np.asarray(self._live.particles.position)
         info = {"walkers": LIVE, "rounds": self._rounds, "misfit": float(-self._live.particles.loglikelihood.min()),
-                "moved": 1.0, "kept": 1 / max(self._rounds, 1)}  # fmt: skip
+                "moved": 1.0, "kept": 1 / max(self._rounds, 1), "steps": 1}  # fmt: skip
         if not self.held:
             return Drawn(np.empty((1, 0, self._target.dim)), np.nan, np.nan, info)
         return Drawn(points[None], *self._evidence(key), info)
@@ -111,70 +113,90 @@ class NestedSlice:
 
 
 class Nautilus:
-    """nautilus with its defaults but for the live points; it keeps its own file, whose bytes are its state."""
+    """nautilus without its neural networks; it has a file format of its own, whose bytes are its state."""
 
     def __init__(self, target: Target, key: jax.Array) -> None:
         self._target = target
         self._seed = int(np.asarray(jax.random.key_data(key))[-1])
-        self._folder = tempfile.TemporaryDirectory(prefix="poseterior-")
-        self._open()
+        self._open(None)
 
-    @property
-    def _path(self) -> Path:
-        return Path(self._folder.name) / "nautilus.h5"
-
-    def _open(self) -> None:
+    def _open(self, path: Path | None) -> None:
         import nautilus
 
-        def likelihood(cube: np.ndarray) -> np.ndarray:
-            misfit = in_chunks(self._target.misfit_in_cube, cube, size=NAUTILUS_BATCH)
-            return -GRADE * np.maximum(misfit - 1, 0)
-
         self._sampler = nautilus.Sampler(
-            lambda cube: cube, likelihood, self._target.dim, n_live=NAUTILUS_LIVE, n_batch=NAUTILUS_BATCH,
-            vectorized=True, pass_dict=False, seed=self._seed, filepath=self._path,
+            lambda cube: cube, self._likelihood, self._target.dim, n_live=LIVE, n_networks=0, n_batch=NAUTILUS_BATCH,
+            vectorized=True, pass_dict=False, seed=self._seed, filepath=path,
         )  # fmt: skip
+        self._sampler.filepath = None  # it would write after every batch
+
+    def _likelihood(self, cube: np.ndarray) -> np.ndarray:
+        misfit = in_chunks(self._target.misfit_in_cube, cube, size=NAUTILUS_BATCH)
+        return -GRADE * np.maximum(misfit - 1, 0)
 
     @property
     def evaluations(self) -> int:
         return int(self._sampler.n_like)
 
     def more(self) -> bool:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # its networks say that they could be trained longer
-            return not self._sampler.run(timeout=GLANCE, n_eff=10_000)
+        return not self._sampler.run(
+            n_like_max=self.evaluations + NAUTILUS_BATCHES * NAUTILUS_BATCH,
+            f_live=PLATEAU,
+            n_eff=NAUTILUS_EFFECTIVE,
+            discard_exploration=True,
+        )
 
     @property
     def held(self) -> int:
-        return len(self._inside()) if self._sampler.explored else 0
+        return int(self._inside.number)
 
-    def _inside(self) -> np.ndarray:
-        """Equally weighted points of the cube that explain the detection."""
-        points, _, log_likelihood = self._sampler.posterior(equal_weight=True)
-        return points[log_likelihood >= 0]
+    @property
+    def _inside(self) -> "Weighted":
+        """The points of the cube that explain the detection; none before the sampler has found its way there."""
+        if not self._sampler.explored or not np.sum(self._sampler.shell_n):
+            return Weighted(np.empty((0, self._target.dim)), np.empty(0), 0.0)
+        points, log_weight, log_likelihood = self._sampler.posterior()
+        weight, inside = np.exp(log_weight - log_weight.max()), log_likelihood >= 0
+        return Weighted(points[inside], weight[inside], float(weight[inside].sum() / weight.sum()))
 
     def drawn(self, key: jax.Array) -> Drawn:
-        info = {"walkers": 1, "moved": 1.0, "kept": 1.0, "explored": float(self._sampler.explored)}
-        cube = self._inside() if self._sampler.explored else np.empty((0, self._target.dim))
-        if not len(cube):
+        """Every point at most once, with the probability that its weight says."""
+        found = self._inside
+        info = {"walkers": 1, "moved": 1.0, "kept": 1.0, "steps": 1, "explored": float(self._sampler.explored)}
+        if not found.number:
             return Drawn(np.empty((1, 0, self._target.dim)), np.nan, np.nan, info)
-        points = self._target.points_of(self._target.poses_in_cube(key, cube))
-        _, log_weight, log_likelihood = self._sampler.posterior()
-        share = float(np.exp(log_weight)[log_likelihood >= 0].sum() / np.exp(log_weight).sum())
-        error = float(np.sqrt(1 / self._sampler.n_eff + (1 - share) / (share * self._sampler.n_eff)))
-        return Drawn(points[None], float(self._sampler.log_z + np.log(share)), error, info)
+        rows = systematic(found.weight, found.number, float(jax.random.uniform(key)))
+        points = self._target.points_of(self._target.poses_in_cube(key, found.points[rows]))
+        error = float(np.sqrt((1 + (1 - found.share) / found.share) / self._sampler.n_eff))
+        return Drawn(points[None], float(self._sampler.log_z + np.log(found.share)), error, info)
 
     def state(self) -> dict[str, np.ndarray]:
-        if self.evaluations:
-            self._sampler.write(self._path, overwrite=True)
-        there = self._path.exists()
-        return {"file": np.frombuffer(self._path.read_bytes() if there else b"", np.uint8)}
+        if not self.evaluations:
+            return {"saved": np.empty(0, np.uint8)}
+        with tempfile.TemporaryDirectory(prefix="poseterior-") as folder:
+            path = Path(folder) / "nautilus.h5"
+            self._sampler.write(path)
+            return {"saved": np.frombuffer(path.read_bytes(), np.uint8)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        self._path.unlink(missing_ok=True)
-        if len(state["file"]):
-            self._path.write_bytes(state["file"].tobytes())
-        self._open()
+        if not len(state["saved"]):
+            return self._open(None)
+        with tempfile.TemporaryDirectory(prefix="poseterior-") as folder:
+            path = Path(folder) / "nautilus.h5"
+            path.write_bytes(state["saved"].tobytes())
+            self._open(path)
+
+
+class Weighted(NamedTuple):
+    """Points of the cube `(n, d)` inside all discs, their weights `(n,)`, and the share of all weight they have."""
+
+    points: np.ndarray
+    weight: np.ndarray
+    share: float
+
+    @property
+    def number(self) -> int:
+        """How many of equal weight they are worth, none being taken twice."""
+        return int(self.weight.sum() / self.weight.max()) if len(self.weight) else 0
 
 
 def _nested(target: Target, key: jax.Array, starts: np.ndarray, method: Any) -> Method:
@@ -189,6 +211,7 @@ NESTED = {
     ),
     "nautilus": Baseline(
         functools.partial(_nested, method=Nautilus), 0,
-        "nautilus on a likelihood graded by the misfit, 1000 live points, its defaults otherwise", extra=("nautilus",),
+        "nautilus on a likelihood graded by the misfit, 500 live points, ellipsoids without networks, exploration "
+        "left out", extra=("nautilus",),
     ),
 }  # fmt: skip

@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.samplers.baseline import Baseline, Method, Trace, Walk
+from inference.samplers.baseline import Baseline, Method
+from inference.samplers.chains import Trace, Walk
 from inference.samplers.ensemble import NumPyroKernel
 from inference.target import Target
 from probmodel.cube import CUBE_DIM

@@ -40,11 +40,11 @@ def clustered(
     """A statistic of the means of columns `(n,)` or `(n, c)`, with its interval (bootstrap, percentiles) when whole
     clusters, the recordings `(n,)`, are drawn anew. `statistic` maps means `(..., c)` to `(...)`.
 
-    NaN where there is nothing; an interval of NaN where there is one recording, which says nothing about others.
+    NaN where there is nothing; the interval is NaN where there is one recording, which says nothing about others.
     """
-    table = np.asarray(columns, float).reshape(len(cluster), -1)
-    if not len(table):
+    if not len(cluster):
         return Estimate(np.nan, np.nan, np.nan)
+    table = np.asarray(columns, float).reshape(len(cluster), -1)
     _, owner = np.unique(cluster, return_inverse=True)
     sizes = np.bincount(owner).astype(float)
     sums = np.stack([np.bincount(owner, weights=column) for column in table.T], axis=1)

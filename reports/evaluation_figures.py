@@ -161,7 +161,7 @@ def bias_figure(bias: Bias) -> Figure:
     right.set_yticks(range(len(parts)), parts, fontsize=8)
     right.set(xlabel="share of the prior", title="How much of the prior is visited", xlim=(0, 1))
     right.invert_yaxis()
-    right.legend(frameon=False, fontsize=7, loc="lower right")
+    right.legend(frameon=False, fontsize=7, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.14))
     for axes in (middle, right):
         axes.spines[["top", "right"]].set_visible(False)
     return page

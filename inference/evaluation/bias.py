@@ -156,21 +156,23 @@ def visits(own: np.ndarray, judged: np.ndarray, rivals: np.ndarray) -> list[Visi
     """How much of the prior the poses `own` `(N, 9, 3)` visit, limb by limb and whole: the share of its draws `judged`
     of which all bones of the part point within an angle of where some one pose's do; and what `rivals`, draws of the
     prior, visit."""
-    found = []
-    for part, names in LIMBS.items():
-        bones = [BONE_NAMES.index(name) for name in names]
-        nearest = [_nearest(judged[:, bones], many[:, bones]) for many in (own, rivals)]
-        shares = [tuple(float(np.mean(cosine >= np.cos(np.radians(a)))) for a in ANGLES) for cosine in nearest]
-        found.append(Visits(part, *shares))
-    return found
+
+    def shares(nearest: np.ndarray) -> tuple[float, ...]:
+        return tuple(float(np.mean(nearest >= np.cos(np.radians(angle)))) for angle in ANGLES)
+
+    data, prior = _nearest(judged, own), _nearest(judged, rivals)
+    return [Visits(part, shares(data[part]), shares(prior[part])) for part in LIMBS]
 
 
-def _nearest(judged: np.ndarray, many: np.ndarray) -> np.ndarray:
-    """`(M,)`: of each the cosine of the least angle at which all bones of one of the `many` poses lie."""
-    found = np.full(len(judged), -1.0)
+def _nearest(judged: np.ndarray, many: np.ndarray) -> dict[str, np.ndarray]:
+    """By part, `(M,)`: of each the cosine of the least angle within which all bones of one of the `many` poses lie."""
+    found = {part: np.full(len(judged), -1.0) for part in LIMBS}
     for start in range(0, len(many), 1000):
-        cosines = np.einsum("mba,nba->mnb", judged, many[start : start + 1000]).min(axis=-1)
-        found = np.maximum(found, cosines.max(axis=1))
+        block = many[start : start + 1000]
+        cosines = {name: judged[:, bone] @ block[:, bone].T for bone, name in enumerate(BONE_NAMES)}
+        for part, names in LIMBS.items():
+            worst = np.minimum.reduce([cosines[name] for name in names])
+            found[part] = np.maximum(found[part], worst.max(axis=1))
     return found
 
 

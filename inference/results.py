@@ -7,6 +7,7 @@ import functools
 import importlib.metadata
 import os
 import platform
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -139,43 +140,64 @@ def build_tree(model: PoseModel, frame: Frame, parts: list[CandidateDraws], attr
     return tree
 
 
+Columns = dict[str, np.ndarray]
+
+
 def pose_columns(model: PoseModel, frame: Frame, parts: list[CandidateDraws],
-                 rng: np.random.Generator | None) -> dict[str, np.ndarray]:  # fmt: skip
-    """Draws of all candidates as columns: joints `(n, 15, 3)`, bone_length `(n, 5)`, torso, candidate, keypoints
-    `(n, 15, 2)`, lp; in random order, or without `rng` one candidate after the other."""
-    observations = [frame.observation(candidate) for candidate in frame.candidates]
-    columns = [_columns(model, index, frame, observations, parts) for index in range(len(parts))]
-    joined = {key: np.concatenate([column[key] for column in columns]) for key in columns[0]}
-    if rng is None:
-        return joined
-    order = rng.permutation(len(joined["candidate"]))
-    return {key: value[order] for key, value in joined.items()}
+                 rng: np.random.Generator | None) -> Columns:  # fmt: skip
+    """Draws of all candidates as columns: those of `joint_columns`, and torso, candidate, keypoints `(n, 15, 2)`, lp;
+    in random order, or without `rng` one candidate after the other."""
+    columns: list[Columns] = []
+    for index, (candidate, part) in enumerate(zip(frame.candidates, parts, strict=True)):
+        observation, camera, number = frame.observation(candidate), candidate.camera, len(part.length)
+        joints = _each(functools.partial(_joints, model, observation), part, (len(JOINTS), 3))
+        columns.append(
+            {
+                "joints": joints,
+                "bone_length": part.length,
+                "torso": np.full(number, candidate.torso_index),
+                "candidate": np.full(number, index),
+                "keypoints": float(camera.scale) * joints[..., :2] + np.asarray(camera.translation),
+                "lp": _each(functools.partial(_density, model, observation), part, ()),
+            }
+        )
+    return _shuffled(columns, rng)
 
 
-def _columns(model: PoseModel, index: int, frame: Frame, observations: list[Observation],
-             parts: list[CandidateDraws]) -> dict[str, np.ndarray]:  # fmt: skip
-    observation, part = observations[index], parts[index]
-    number = len(part.length)
-    if number:
-        joints, lp = in_chunks(functools.partial(_describe, model, observation), part.length, part.upper, part.lower)
-    else:
-        joints, lp = np.empty((0, len(JOINTS), 3)), np.empty(0)
-    return {
-        "joints": joints,
-        "bone_length": part.length,
-        "torso": np.full(number, frame.candidates[index].torso_index),
-        "candidate": np.full(number, index),
-        "keypoints": float(observation.camera.scale) * joints[..., :2] + np.asarray(observation.camera.translation),
-        "lp": lp,
-    }
+def joint_columns(model: PoseModel, frame: Frame, parts: list[CandidateDraws], rng: np.random.Generator) -> Columns:
+    """Draws of all candidates in the same random order: joints `(n, 15, 3)` and bone_length `(n, 5)` only."""
+    columns = []
+    for candidate, part in zip(frame.candidates, parts, strict=True):
+        joints = functools.partial(_joints, model, frame.observation(candidate))
+        columns.append({"joints": _each(joints, part, (len(JOINTS), 3)), "bone_length": part.length})
+    return _shuffled(columns, rng)
+
+
+def _each(function: Callable[..., np.ndarray], part: CandidateDraws, shape: tuple[int, ...]) -> np.ndarray:
+    """A compiled function of every draw, each a row of this shape."""
+    return in_chunks(function, part.length, part.upper, part.lower) if len(part.length) else np.empty((0, *shape))
 
 
 @jax.jit
-def _describe(model: PoseModel, observation: Observation, length: jax.Array, upper: jax.Array,
-              lower: jax.Array) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """Joints in camera axes and log joint density of a chunk of draws."""
-    joints = model.joints(observation.view, length, upper, lower)
-    return joints, log_joint(model, observation, length, upper, lower)
+def _joints(model: PoseModel, observation: Observation, length: jax.Array, upper: jax.Array,
+            lower: jax.Array) -> jax.Array:  # fmt: skip
+    """Joints of a chunk of draws in camera axes."""
+    return model.joints(observation.view, length, upper, lower)
+
+
+@jax.jit
+def _density(model: PoseModel, observation: Observation, length: jax.Array, upper: jax.Array,
+             lower: jax.Array) -> jax.Array:  # fmt: skip
+    """Log joint density of a chunk of draws."""
+    return log_joint(model, observation, length, upper, lower)
+
+
+def _shuffled(columns: list[Columns], rng: np.random.Generator | None) -> Columns:
+    joined = {key: np.concatenate([column[key] for column in columns]) for key in columns[0]}
+    if rng is None:
+        return joined
+    order = rng.permutation(len(joined["joints"]))
+    return {key: value[order] for key, value in joined.items()}
 
 
 def observed_data(frame: Frame) -> xr.Dataset:

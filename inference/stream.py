@@ -23,7 +23,7 @@ import xarray as xr
 
 from inference.candidates import Frame
 from inference.hypotheses import diverse
-from inference.results import key_words, pose_columns, save_tree, versions
+from inference.results import joint_columns, key_words, save_tree, versions
 from inference.sampler import MAX_PROPOSALS, draw_mixture
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
@@ -170,7 +170,7 @@ def _draw(model: PoseModel, item: Item, key: jax.Array, sampler: str, num_sample
     if isinstance(frame, str):
         return _nothing(name, BAD_INPUT, frame, k, keep)
     mixture = draw_mixture(model, frame, key, sampler, num_samples, max_proposals)
-    columns = pose_columns(model, frame, mixture.parts, mixture.rng)
+    columns = joint_columns(model, frame, mixture.parts, mixture.rng)
     joints, number = columns["joints"], len(columns["joints"])
     drawn = _nothing(name, mixture.status, mixture.sentence, k, keep)
     if number == 0:

@@ -17,8 +17,10 @@ from inference.samplers.limbs import build_groups
 from inference.samplers.numbers import compiled, load, seeded, store, uniform
 from inference.samplers.patches import patch_rectangle
 from inference.samplers.rates import Budget, Pooled, Rate
+from inference.samplers.rectangles import COUNT, ROWS, largest_rectangle, rectangle
 from inference.samplers.rejection import PriorGroups, group_prior
-from inference.samplers.strata import COUNT, ROWS, Resolution, Sight, largest_rectangle, rectangle
+from inference.samplers.series import arcsine, cosine, sine, small_sine_cosine
+from inference.samplers.strata import Resolution, Sight
 from inference.samplers.strata import _stratify as stratify_loop
 from inference.samplers.stratified import RESOLUTIONS, StratifiedGroup, anatomies, plan_group, sights
 from probmodel import Anatomy, PoseModel
@@ -85,6 +87,20 @@ def test_alias_tables_hold_their_weights():
         given = np.bincount(np.arange(size), table[:, 0], size)
         given += np.bincount(table[:, 1].astype(int), 1 - table[:, 0], size)
         np.testing.assert_allclose(given / size, weight / weight.sum(), atol=1e-12)
+
+
+def test_the_series_are_sine_and_arcsine():
+    """Against NumPy, ends and beyond included."""
+    angles = np.concatenate([np.linspace(-np.pi / 2, np.pi / 2, 2001), [1e-300, 0.0]])
+    small = np.linspace(-0.03, 0.03, 201)
+    values = np.concatenate(
+        [np.linspace(-1, 1, 2001), [0.5, np.nextafter(0.5, 1), 1e-200], np.array([-np.inf, -1.5, 7])]
+    )
+    for ours, theirs, where in ((sine, np.sin, angles), (cosine, np.cos, angles),
+                                (arcsine, lambda v: np.arcsin(np.clip(v, -1, 1)), values)):  # fmt: skip
+        np.testing.assert_allclose([ours(value) for value in where], theirs(where), rtol=0, atol=5e-16)
+    pairs = np.array([small_sine_cosine(value) for value in small])
+    np.testing.assert_allclose(pairs, np.stack([np.sin(small), np.cos(small)], axis=1), rtol=0, atol=3e-16)
 
 
 def test_the_rectangle_is_the_one_of_the_pruned_proposal_and_its_largest_is():

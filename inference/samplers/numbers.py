@@ -15,6 +15,9 @@ compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 """How every function of the compiled loops is compiled: once a machine, free of Python's lock, without fast-math.
 Arrays are handed over once a loop, never once an attempt: numba counts references at every call."""
 
+inlined = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+"""The same for formulas in the innermost loops: a call there would keep the loop from becoming vector instructions."""
+
 Stream = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 """The four words of a generator, as numbers."""
 

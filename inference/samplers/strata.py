@@ -16,20 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from inference.samplers.bins import alias_table
-from inference.samplers.numbers import compiled
+from inference.samplers.bounds import BLOCK, GEOMETRY, MASK, REGION, SIZE, STRIDE, WEIGHT, bound_regions
+from inference.samplers.numbers import compiled, inlined
+from inference.samplers.rectangles import SLACK
 from probmodel.frames import PARALLEL
 from probmodel.limits import CELL, NUM_ELEVATION
 
-SLACK = 1e-9
-"""Bounds are widened by this much (relative, or body units), so that rounding never makes them less than bounds."""
-ROWS = 4
-"""Pieces of the α range in front, and as many behind."""
-MASKS = 1 << (2 * ROWS)
-PICK = np.array([[([i for i in range(2 * ROWS) if mask >> i & 1] or [0])[n % max(mask.bit_count(), 1)]
-                  for n in range(2 * ROWS)] for mask in range(MASKS)], dtype=np.int8)  # fmt: skip
-"""`PICK[mask, n]`: the n-th piece that a mask keeps."""
-COUNT = np.array([mask.bit_count() for mask in range(MASKS)], dtype=np.int8)
-"""How many pieces a mask keeps."""
 TRIPLE, OFFSET, BOUNDS, AREA, MASS, BOX, NUM_COLUMNS = 0, 9, 10, 14, 15, 16, 20
 """Columns of a limb's table: the hinge's triple, offset, bounds and area, the cell's prior mass, the hinge's box."""
 
@@ -84,52 +76,19 @@ class Strata(NamedTuple):
     totals: np.ndarray
 
 
-@compiled
-def _arcsin(value: float) -> float:
-    return math.asin(min(1.0, max(-1.0, value)))
-
-
-@compiled
-def rectangle(distance: float, radius: float) -> tuple[float, float, float]:
-    """`patches.patch_rectangle` for one: |x| ≤ width, low ≤ α ≤ high around what a disc at `distance` sees."""
-    if distance - radius >= 1:
-        return 0.0, 0.0, 0.0
-    crossing = (1 + distance * distance - radius * radius) / (2 * max(distance, 1e-300))
-    if crossing <= 0:
-        width = 1.0
-    elif crossing < distance:
-        width = math.sqrt(max(0.0, 1 - min(1.0, crossing * crossing)))
-    else:
-        width = min(radius, 1.0)
-    return width, _arcsin(distance - radius), _arcsin(distance + radius)
-
-
-@compiled
-def largest_rectangle(nearest: float, farthest: float, radius: float) -> float:
-    """The largest 2 · width · (high - low) for distances in [nearest, farthest] and radii up to `radius`: the rectangle
-    grows with the radius, and with the distance until the disc touches the rim, from where on it shrinks."""
-    width, low, high = rectangle(min(max(1 - radius, nearest), farthest), radius)
-    return 2 * width * (high - low) * (1 + SLACK)
-
-
-@compiled
+@inlined
 def lower_axes(u0: float, u1: float, u2: float, axes: Axes) -> tuple[float, ...]:
     """`frames.lower_frame` for one parent: v, w, and the sine of the angle to the reference direction."""
     a0, a1, a2, f0, f1, f2 = axes
     v0, v1, v2 = a1 * u2 - a2 * u1, a2 * u0 - a0 * u2, a0 * u1 - a1 * u0
     square = v0 * v0 + v1 * v1 + v2 * v2
-    sine = math.sqrt(square)
-    if square < PARALLEL**2:
-        v0, v1, v2 = u1 * f2 - u2 * f1, u2 * f0 - u0 * f2, u0 * f1 - u1 * f0
-        square = v0 * v0 + v1 * v1 + v2 * v2
-    scale = 1 / math.sqrt(square)
+    parallel = square < PARALLEL**2
+    v0 = u1 * f2 - u2 * f1 if parallel else v0
+    v1 = u2 * f0 - u0 * f2 if parallel else v1
+    v2 = u0 * f1 - u1 * f0 if parallel else v2
+    scale = 1 / math.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
     v0, v1, v2 = v0 * scale, v1 * scale, v2 * scale
-    return v0, v1, v2, u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0, sine
-
-
-GEOMETRY = 15
-"""Columns of `sub_cells`' second table: the upper bone's image (2), its length, the chord, the frame's turn, the prior
-mass, the hinge's three rows in camera axes, turned to point from the lower bone's start to its end (9)."""
+    return v0, v1, v2, u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0, math.sqrt(square)
 
 
 def sub_cells(sight: Sight, build: Build, low: float, high: float, sub: int) -> tuple[np.ndarray, np.ndarray]:
@@ -158,7 +117,11 @@ def sub_cells(sight: Sight, build: Build, low: float, high: float, sub: int) -> 
         local, sine = lower_axes_of(upper, build.axes)
         geometry[:, 4] = frame_turn(sine, chord)
         triple = build.cells[cell, :9].reshape(-1, 3, 3)
-        geometry[:, 6:] = -(sight.frame @ local @ triple.transpose(0, 2, 1)).transpose(0, 2, 1).reshape(-1, 9)
+        geometry[:, 6:15] = -(sight.frame @ local @ triple.transpose(0, 2, 1)).transpose(0, 2, 1).reshape(-1, 9)
+        geometry[:, 15:20] = build.cells[cell, OFFSET : BOUNDS + 4]
+        low, high, first, last = build.cells[cell, BOX : BOX + 4].T
+        geometry[:, 20] = np.maximum(high - low, 0) * np.clip(last - first, 0, 2 * np.pi)
+        geometry[:, 5] /= build.cells[cell, AREA]
     return subs, geometry
 
 
@@ -208,39 +171,69 @@ def stratify(sight: Sight, build: Build, edges1: np.ndarray, edges2: np.ndarray,
     """The strata of one limb for the bins between the edges (body units) of its bones' lengths; of one bone, the second
     edges are of no account but in number."""
     subs, geometry = sub_cells(sight, build, edges1[0], edges1[-1], sub)
-    return Strata(subs, *_stratify(sight, build, subs, geometry, edges1, edges2))
+    return Strata(subs, *_stratify(sight, build, geometry, edges1, edges2))
 
 
 @compiled
-def _stratify(sight: Sight, build: Build, subs: np.ndarray, geometry: np.ndarray, edges1: np.ndarray,
+def _stratify(sight: Sight, build: Build, geometry: np.ndarray, edges1: np.ndarray,
               edges2: np.ndarray) -> tuple[np.ndarray, ...]:  # fmt: skip
     """The rest of `Strata`."""
-    number, bins1, bins2 = subs.shape[0], edges1.size - 1, edges2.size - 1
-    near, reached = np.empty((bins1, number), np.int64), np.empty(bins1, np.int64)
-    for one in range(bins1):
-        reached[one] = _reached(sight, geometry, edges1[one], edges1[one + 1], near[one])
-    most = reached.sum() * bins2
+    number, bins1, bins2 = geometry.shape[0], edges1.size - 1, edges2.size - 1
+    near, blocks = np.empty(number, np.int64), np.empty((number // BLOCK + 1, SIZE))
+    most = 1 << 12
     entries, pieces = np.empty((most, 4)), np.empty(most, np.uint8)
     starts, totals = np.zeros(bins1 * bins2 + 1, np.int64), np.zeros(bins1 * bins2)
-    bound, weight, mask = np.ones(number), geometry[:, 5].copy(), np.zeros(number, np.uint8)
-    found = 0
+    weight, found = np.empty(number), 0
     for index in range(bins1 * bins2):
         one, two = index // bins2, index % bins2
+        if two == 0:
+            reached = _reached(sight, geometry, edges1[one], edges1[one + 1], near)
+            for start in range(0, reached, BLOCK):
+                _pack(geometry, near[start : min(start + BLOCK, reached)], blocks[start // BLOCK])
+        if found + reached > most:
+            most = 2 * most + reached
+            entries, pieces = _longer(entries, most), _longer(pieces, most)
         first = found
-        if build.bones == 2:
-            _bound(sight, build, subs, geometry, near[one, : reached[one]], edges1[one], edges1[one + 1], edges2[two],
-                   edges2[two + 1], bound, mask, weight)  # fmt: skip
-        for n in range(reached[one]):
-            s = near[one, n]
-            if weight[s] > 0:
-                entries[found, 0], entries[found, 2], entries[found, 3] = weight[s], s, bound[s]
-                pieces[found] = mask[s]
-                found += 1
+        for start in range(0, reached, BLOCK):
+            block, size = blocks[start // BLOCK], min(BLOCK, reached - start)
+            if build.bones == 2:
+                bound_regions(size, sight.target[1, 0], sight.target[1, 1], sight.radius[1], edges1[one],
+                              edges1[one + 1], edges2[two], edges2[two + 1], block)  # fmt: skip
+            found = _enter(size, near[start:], block, entries, pieces, weight, first, found)
         starts[index + 1] = found
         if found > first:
-            totals[index] = entries[first:found, 0].sum()
-            alias_table(entries[first:found, 0].copy(), entries[first:found])
+            totals[index] = weight[: found - first].sum()
+            alias_table(weight[: found - first], entries[first:found])
     return entries[:found], pieces[:found], starts, totals
+
+
+@compiled
+def _longer(array: np.ndarray, size: int) -> np.ndarray:
+    longer = np.empty((size, *array.shape[1:]), array.dtype)
+    longer[: len(array)] = array
+    return longer
+
+
+@compiled
+def _pack(geometry: np.ndarray, near: np.ndarray, block: np.ndarray) -> None:
+    """Copies what is known of the sub-cells `near` to a block; of one bone, nothing else is to be found."""
+    for n in range(near.size):
+        s = near[n]
+        for column in range(GEOMETRY):
+            block[column * STRIDE + n] = geometry[s, column]
+        block[WEIGHT + n], block[REGION + n], block[MASK + n] = geometry[s, 5], 1.0, 0.0
+
+
+@compiled
+def _enter(size: int, near: np.ndarray, block: np.ndarray, entries: np.ndarray, pieces: np.ndarray,
+           weight: np.ndarray, first: int, found: int) -> int:  # fmt: skip
+    """Adds the strata of a block to the table; returns how many there are now."""
+    for n in range(size):
+        weight[found - first] = block[WEIGHT + n]
+        entries[found, 2], entries[found, 3] = near[n], block[REGION + n]
+        pieces[found] = np.uint8(block[MASK + n])
+        found += int(block[WEIGHT + n] > 0)
+    return found
 
 
 @compiled
@@ -255,74 +248,3 @@ def _reached(sight: Sight, geometry: np.ndarray, low: float, high: float, near: 
             near[found] = s
             found += 1
     return found
-
-
-@compiled
-def _bound(
-    sight: Sight,
-    build: Build,
-    subs: np.ndarray,
-    geometry: np.ndarray,
-    near: np.ndarray,
-    low1: float,
-    high1: float,
-    low2: float,
-    high2: float,
-    bound: np.ndarray,
-    mask: np.ndarray,
-    weight: np.ndarray,
-) -> None:
-    """For the sub-cells `near` and one bin of lengths, the regions of the lower bone.
-
-    Writes the `bound` on the area of a piece and the `mask` of the pieces kept, or the area of the hinge's box and mask
-    0; and the strata's `weight`, 0 where nothing is possible.
-    """
-    target0, target1, radius = sight.target[1, 0], sight.target[1, 1], sight.radius[1]
-    cells = build.cells
-    length1, spread1, length2, spread2 = (low1 + high1) / 2, (high1 - low1) / 2, (low2 + high2) / 2, (high2 - low2) / 2
-    small, large = radius / high2, radius / low2
-    for n in range(near.size):
-        s = near[n]
-        cell = int(subs[s, 0])
-        weight[s] = 0.0
-        centre0, centre1 = (
-            (target0 - length1 * geometry[s, 0]) / length2,
-            (target1 - length1 * geometry[s, 1]) / length2,
-        )
-        distance = math.hypot(centre0, centre1)
-        shift = (high1 * geometry[s, 3] + spread1 * geometry[s, 2] + distance * spread2) / low2 + SLACK
-        nearest, farthest = max(0.0, distance - shift), distance + shift
-        if nearest - large >= 1:
-            continue
-        width, lowest, _ = rectangle(nearest, large)
-        low, high, highest = _arcsin(farthest - small), _arcsin(nearest + small), _arcsin(farthest + large)
-        # What moves beside the rectangle: the hinge's frame, and the chart about the line of sight.
-        swing = shift / distance if shift < distance else 2.0
-        if swing > 0.7:
-            swing = 2.0
-        loose = geometry[s, 4] + 1.1 * swing * min(1.0, farthest + large) + SLACK
-        flat = width * width * (1.1 if width < 0.5 else 2.5)  # at least arcsin² of the width
-        towards0, towards1 = (centre0 / distance, centre1 / distance) if distance > 0 else (1.0, 0.0)
-        kept = 0
-        for row in range(ROWS):
-            first = lowest + (high - lowest) * row / ROWS
-            last = low + (highest - low) * (row + 1) / ROWS
-            sine, cosine = math.sin((first + last) / 2), math.cos((first + last) / 2)
-            half = max(0.0, (last - first) / 2)
-            reach = (math.sqrt(flat + half * half) + loose) * (1 + SLACK)
-            for side in range(2):
-                d0, d1, d2 = sine * towards0, sine * towards1, cosine if side == 0 else -cosine
-                u1 = geometry[s, 6] * d0 + geometry[s, 7] * d1 + geometry[s, 8] * d2
-                u2 = geometry[s, 9] * d0 + geometry[s, 10] * d1 + geometry[s, 11] * d2
-                u3 = geometry[s, 12] * d0 + geometry[s, 13] * d1 + geometry[s, 14] * d2
-                bends = u1 + cells[cell, OFFSET] < reach
-                bends &= (u2 >= cells[cell, BOUNDS] - reach) & (u2 <= cells[cell, BOUNDS + 1] + reach)
-                bends &= (u3 >= cells[cell, BOUNDS + 2] - reach) & (u3 <= cells[cell, BOUNDS + 3] + reach)
-                kept |= bends << (side * ROWS + row)
-        area = largest_rectangle(nearest, farthest, large) / ROWS
-        box = max(0.0, cells[cell, BOX + 1] - cells[cell, BOX])
-        box *= min(max(0.0, cells[cell, BOX + 3] - cells[cell, BOX + 2]), 2 * math.pi)
-        if kept:
-            use_box = box < area * COUNT[kept]
-            bound[s], mask[s] = (box, 0) if use_box else (area, kept)
-            weight[s] = geometry[s, 5] * (box if use_box else area * COUNT[kept]) / cells[cell, AREA]

@@ -7,6 +7,7 @@ posterior, so all are kept, and their rates are pooled.
 
 import functools
 import os
+import threading
 import weakref
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.samplers.attempts import attempt_bodies
+from inference.samplers.attempts import Desk, attempt_bodies, desk
 from inference.samplers.bins import LengthBins, length_bins
 from inference.samplers.limbs import Draws
 from inference.samplers.numbers import seeded, words_of
@@ -43,7 +44,7 @@ RESOLUTIONS = (Resolution(4, 3, 1), Resolution(6, 4, 2), Resolution(10, 8, 2), R
 """From few strata to many."""
 GAIN = (1.9, 1.5, 1.4)
 """By how much the acceptance grows, roughly, from one resolution to the next."""
-STRATUM, ATTEMPT = 2.3, 1.4
+STRATUM, ATTEMPT = 1.0, 0.55
 """What a stratum costs to set up, and an attempt, in 100 ns: only their ratio counts, and only for speed."""
 ATTEMPTS = 1 << 14
 """Attempts made at a time."""
@@ -95,6 +96,16 @@ def _build(model: PoseModel, upper: int, lower: int | None) -> Build:
     return Build(
         cells, (a0, a1, a2, f0, f1, f2), model.upper == "area", model.lower == "box", 1 if lower is None else 2
     )
+
+
+_own = threading.local()
+
+
+def _desk(most: int) -> Desk:
+    """This thread's own, with room for so many attempts."""
+    if getattr(_own, "most", 0) < most:
+        _own.desk, _own.most = desk(most), most
+    return _own.desk
 
 
 @functools.cache
@@ -250,7 +261,7 @@ class StratifiedGroup:
         rows = np.empty((attempts, 2 + 6 * len(self._limbs)))
         limbs = [(self._limbs[row], self._anatomy.builds[row], plan.strata[row]) for row in self._order]
         state, pair = seeded(self._words, number, 1), (limbs[0], limbs[-1])
-        found, passed = attempt_bodies(state, counts, *plan.bins, pair, plan.sub, rows)
+        found, passed = attempt_bodies(state, counts, *plan.bins, pair, plan.sub, _desk(attempts), rows)
         rows = rows[rng.permutation(found)]
         if self._order[0]:
             rows[:, 2:8], rows[:, 8:] = rows[:, 8:], rows[:, 2:8].copy()

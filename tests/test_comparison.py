@@ -186,6 +186,20 @@ def test_autocorrelation_times_against_their_closed_form(rho):
     np.testing.assert_allclose(times, truth, atol=4 * error)
 
 
+def test_short_paths_bound_slow_times_by_their_slope():
+    """256 walkers, 70 steps, an autocorrelation time of 19,999: it is bounded at some 0.6 of that; without the slope a
+    path could not tell it from its own length."""
+    rho = 0.9999
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(256, 70, 40)) * math.sqrt(1 - rho**2)
+    noise[:, 0] = rng.normal(size=(256, 40))
+    times, closed = autocorrelation_times(lfilter([1.0], [1.0, -rho], noise, axis=1))
+    truth = (1 + rho) / (1 - rho)
+    assert not closed.any()
+    assert 0.3 * truth < np.median(times) < truth
+    assert times.max() < 2 * truth
+
+
 def test_walkers_that_stay_earn_nothing():
     """Every start an exact draw, and hardly a step away from it: ArviZ sees as many effective draws as walkers."""
     one, other = exact_pair(128, 5000, 7)

@@ -17,7 +17,8 @@ COLOURS = {"akhter-black": "#D55E00", "zhou": "#0072B2", "dictionary": "#009E73"
 """Okabe & Ito's palette."""
 FURTHEST = 200.0
 """mm: where the PCK curves end."""
-STYLES = ("-", "--", ":", "-.")
+STYLES = (("-", 4.5, 0.3), ("--", 2.2, 0.8), (":", 1.2, 1.0), ("-.", 1.0, 1.0))
+"""Line style, width and opacity by angle: curves that coincide are still all seen."""
 
 
 def _page(width: float, height: float) -> Figure:
@@ -110,8 +111,9 @@ def pck_figure(curves: Mapping[tuple[str, float, str], np.ndarray]) -> Figure:
         for (own, angle, label), curve in curves.items():
             if own == name:
                 colour = "#777777" if label.startswith("single") else _colour(name)
-                style = STYLES[angles.index(angle) % len(STYLES)]
-                axes.plot(curve, ls=style, color=colour, lw=1.4, label=f"{label}, {_angle(angle)}")
+                style, width, alpha = STYLES[angles.index(angle) % len(STYLES)]
+                label = f"{label}, {_angle(angle)}"
+                axes.plot(curve, ls=style, color=colour, lw=width, alpha=alpha, label=label)
         axes.set(title=NAMES.get(name, name), xlabel="threshold, mm", xlim=(0, FURTHEST), ylim=(0, 1))
         axes.legend(frameon=False, fontsize=7, loc="lower right")
         _tidy(axes)

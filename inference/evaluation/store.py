@@ -8,7 +8,7 @@ holds whole blocks and blocks to be done again. It is opened by `zarr.open_group
 import json
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -114,9 +114,3 @@ def _opened(path: Path) -> Any:
         return zarr.open_group(path, mode="r+")
     except Exception as error:  # what is no store is met with errors of many kinds
         raise BadInput(f"{path} is not {_TEXT} ({type(error).__name__}); choose another folder") from None
-
-
-def recorded(path: Path, conditions: Sequence[Condition]) -> list[str]:
-    """Names of those of `conditions` of which a store holds anything."""
-    group = _opened(path)
-    return [condition.name for condition in conditions if condition.name in group]

@@ -23,12 +23,14 @@ import inference
 from inference.errors import best_of, mean_joint_error
 from inference.estimators.akhter_black import fit_akhter_black
 from inference.estimators.zhou import fit_zhou
+from inference.evaluation.scores import clustered
 from probmodel import Anatomy, Detection, PoseModel
 from probmodel.camera import WeakPerspective
+from probmodel.datasets import body_height
 from probmodel.dictionaries import PoseDictionary, learn_dictionary
 from probmodel.learning import learn, read_all
 from probmodel.motion import Motion
-from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
+from probmodel.skeleton import LIMB_JOINTS, NUM_JOINTS
 from tests.scenes import camera
 
 SUBJECTS = ("01", "02", "03")
@@ -68,13 +70,6 @@ def hold_out(motions: Sequence[Motion], subject: str) -> Held:
     return Held(np.concatenate(poses), np.array(trial), learn_dictionary(others), learn(others))
 
 
-def height(pose: np.ndarray) -> float:
-    """Body height in mm: lengths of head, back-bone, upper and lower leg, and a tenth for feet and hips."""
-    bones = (("thorax", "head"), ("pelvis", "thorax"), ("right_hip", "right_knee"), ("right_knee", "right_ankle"))
-    ends = np.array([[JOINT_INDEX[name] for name in bone] for bone in bones])
-    return 1.1 * float(np.linalg.norm(pose[ends[:, 1]] - pose[ends[:, 0]], axis=1).sum())
-
-
 class Case(NamedTuple):
     """A pose in camera axes `truth` `(15, 3)` mm, a detection of it, and the number of its pose."""
 
@@ -106,7 +101,7 @@ def cases(held: Held, noise: float, missing: int, views: Callable[[int], Iterabl
         for view in views(number):
             rng = np.random.default_rng([seed, number, view])
             truth = np.asarray(camera(*VIEWS[view]).view(pose - pose[0]))
-            offset = rng.normal(size=(NUM_JOINTS, 2)) * noise * height(pose)
+            offset = rng.normal(size=(NUM_JOINTS, 2)) * noise * body_height(pose)
             score = np.full(NUM_JOINTS, 0.8)
             score[rng.permutation(LIMB_JOINTS)[:missing]] = 0
             keypoints = np.where(score[:, None] > 0, PIXELS * (truth[:, :2] + offset) + 320, np.nan)
@@ -157,14 +152,9 @@ def sampled_errors(held: Held, some: Sequence[Case], method: str) -> list[Sample
 
 
 def interval(values: np.ndarray, cluster: np.ndarray) -> tuple[float, float]:
-    """Mean and the half-width of its 95 % interval, whole trials being drawn anew (2,000 bootstrap samples)."""
-    rng = np.random.default_rng(0)
-    groups = [values[cluster == name] for name in np.unique(cluster)]
-    sums, sizes = np.array([group.sum() for group in groups]), np.array([len(group) for group in groups])
-    picks = rng.integers(0, len(groups), (2000, len(groups)))
-    means = sums[picks].sum(axis=1) / sizes[picks].sum(axis=1)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return float(values.mean()), float(high - low) / 2
+    """Mean and the half-width of its 95 % interval, whole trials being drawn anew."""
+    found = clustered(values, cluster)
+    return found.value, found.half
 
 
 def said(values: np.ndarray, cluster: np.ndarray) -> str:

@@ -22,7 +22,7 @@ class Rows(NamedTuple):
     """A table: its head, and rows of texts."""
 
     head: tuple[str, ...]
-    rows: list[tuple[str, ...]]
+    rows: Sequence[tuple[str, ...]]
 
 
 def markdown(table: Rows) -> str:
@@ -132,7 +132,7 @@ def reasons(found: Sequence[Rank], size: int) -> Rows:
     rows = []
     for rank in found:
         amounts = ", ".join(words[kind].format(much) for kind, much in rank.amounts.items()) or "–"
-        rows.append((rank.label, f"{rank.count} ({rank.count / size:.0%})", str(rank.alone), amounts))
+        rows.append((rank.label, f"{rank.excluded} ({rank.excluded / size:.0%})", str(rank.alone), amounts))
     return Rows(("reason", "excludes", "it alone", "by, in the median"), rows)
 
 
@@ -160,6 +160,6 @@ def summary_json(found: Summary) -> dict[str, Any]:
         "log_evidence": number(found.evidence),
         "without_draws": found.without_draws,
         "excluded": found.excluded.value,
-        "reasons": [{"reason": one.label, "count": one.count, "alone": one.alone, "amounts": one.amounts}
+        "reasons": [{"reason": one.label, "count": one.excluded, "alone": one.alone, "amounts": one.amounts}
                     for one in found.reasons],
     }  # fmt: skip

@@ -91,7 +91,7 @@ def _prior(model: PoseModel, view: jax.Array, cube: jax.Array) -> jax.Array:
 
 
 TRIES = 1 << 13
-MOST_TRIES = 1 << 18
+MOST_TRIES = 1 << 17
 """Bodies proposed at a time, and at most, by `following_the_recipe`."""
 
 

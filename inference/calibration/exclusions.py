@@ -42,8 +42,8 @@ class Reason(NamedTuple):
 
     @property
     def label(self) -> str:
-        """The source, and for the model's own limits the bone."""
-        part = f" of the {self.broken.part.replace('_', ' ')}" if self.source in (LIMIT, LENGTH, TAU) else ""
+        """The source, and for the model's own limits and lengths the bone."""
+        part = f" of the {self.broken.part.replace('_', ' ')}" if self.source in (LIMIT, LENGTH) else ""
         return f"{self.source}{part}"
 
     @property
@@ -141,7 +141,7 @@ class Rank(NamedTuple):
     what is broken (limit: degrees; length: share of the range's end; τ: radii)."""
 
     label: str
-    count: int
+    excluded: int
     alone: int
     amounts: dict[str, float]
 
@@ -158,7 +158,7 @@ def ranking(found: Sequence[Sequence[Reason]]) -> list[Rank]:
             if any(one.kind == kind and np.isfinite(one.much) for one in broken)
         }
         ranks.append(Rank(label, sum(label in one for one in labels), sum(one == {label} for one in labels), amounts))
-    return sorted(ranks, key=lambda rank: -rank.count)
+    return sorted(ranks, key=lambda rank: -rank.excluded)
 
 
 def as_text(reasons: Sequence[Reason]) -> str:

@@ -49,7 +49,7 @@ def levels(simulation: xr.Dataset) -> xr.Dataset:
     """The levels of the simulations that were judged, quantities of a kind together: `joints` `(chain, draw, joint,
     axis)`, `bone_length`, `away`, and those of pose and detection one by one, where they were looked at."""
     found = simulation["level"]
-    judged = np.isfinite(found).any("quantity").values
+    judged = np.isfinite(found.values).any(axis=1)
     values = found.values[judged][None]
     joints, rest = np.split(values[..., : len(OF_POSE)], [3 * len(MOVING_NAMES)], axis=-1)
     data: dict[str, Any] = {
@@ -74,9 +74,11 @@ def read_standings(tree: xr.DataTree) -> list[Standing]:
     rows = []
     for number in range(simulation.sizes["simulation"]):
         row = simulation.isel(simulation=number)
-        about = (str(row.status.item()), str(row.sentence.item()), int(row.num_draws), float(row.log_evidence))
-        parts = {name: row[name].values for name in ("level", "stand_in", *JOINTWISE)}
-        rows.append(Standing(*about, **parts))
+        whole, lateral, depth, spread_lateral, spread_depth = (row[name].values for name in JOINTWISE)
+        rows.append(
+            Standing(str(row.status.item()), str(row.sentence.item()), int(row.num_draws), float(row.log_evidence),
+                     row.level.values, whole, lateral, depth, row.stand_in.values, spread_lateral, spread_depth)
+        )  # fmt: skip
     return rows
 
 

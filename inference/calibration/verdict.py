@@ -49,11 +49,11 @@ def judge(simulation: xr.Dataset, *, false_alarm: float = FALSE_ALARM, fewest: i
     """The verdict on levels by (simulation, quantity), NaN where an instance failed. Raises `BadInput` where there are
     fewer than `fewest` judged simulations."""
     table = simulation["level"]
-    total, failed = len(table), int((~np.isfinite(table).any("quantity")).sum())
+    total, failed = len(table), int((~np.isfinite(table.values).any(axis=1)).sum())
     if total - failed < fewest:
         lost = f", {failed} of them failed" if failed else ""
         raise BadInput(f"there are {total} simulations{lost}; the tests need at least {fewest} that did not fail")
-    looked_at = [name for name in QUANTITIES if np.isfinite(table.sel(quantity=name)).any()]
+    looked_at = [name for name in QUANTITIES if np.isfinite(table.sel(quantity=name).values).any()]
     found = []
     for name in looked_at:
         column = table.sel(quantity=name).values

@@ -2,6 +2,7 @@
 
 import math
 
+import rich.box
 import rich.table
 import xarray as xr
 
@@ -20,6 +21,8 @@ COLUMNS = (
     "to 0.1 sd",
     "log evidence",
 )
+NARROW = ("sampler", "verdict", "ESS", "earned/s", "R-hat", "missed", "depth off")
+WIDE = 120
 
 
 def rows(tree: xr.DataTree) -> list[list[str]]:
@@ -90,11 +93,15 @@ def _evidence(line: dict) -> str:
     return f"{line['log_evidence']:.2f} ± {line['log_evidence_se']:.2f}"
 
 
-def comparison_table(tree: xr.DataTree) -> rich.table.Table:
-    """The table for a terminal."""
-    table = rich.table.Table(*COLUMNS)
+def comparison_table(tree: xr.DataTree, width: int) -> rich.table.Table:
+    """The table for a terminal of so many characters; a narrow one gets the columns that matter most."""
+    columns = COLUMNS if width >= WIDE else NARROW
+    table = rich.table.Table(box=rich.box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for name in columns:
+        table.add_column(name, no_wrap=name in ("sampler", "verdict"))
     for row in rows(tree):
-        table.add_row(*row)
+        found = dict(zip(COLUMNS, row, strict=True))
+        table.add_row(*(found[name] for name in columns))
     return table
 
 

@@ -1,11 +1,14 @@
 """`poseterior compare`: what it writes and says, its refusals, and that nothing computed is lost."""
 
+import contextlib
+import io
 import json
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import rich.console
 import xarray as xr
 
 from probmodel import BadInput, PoseModel, write_detections
@@ -32,9 +35,6 @@ def request(out: Path, *samplers: str, evaluations: int = 20_000, seconds: float
 @pytest.fixture(scope="module")
 def done(detection: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """One small comparison, its folder and what it printed."""
-    import contextlib
-    import io
-
     out = tmp_path_factory.mktemp("out") / "comparison"
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
@@ -72,6 +72,12 @@ def test_the_table_and_the_picture(done: tuple[Path, str]) -> None:
     assert all(len(row) == len(comparison_tables.COLUMNS) for row in rows)
     assert "±" in rows[0][-1]
     assert comparison_tables.markdown(tree).count("\n") == 4
+    for width, columns in ((80, comparison_tables.NARROW), (160, comparison_tables.COLUMNS)):
+        printed = io.StringIO()
+        rich.console.Console(file=printed, width=width).print(comparison_tables.comparison_table(tree, width))
+        assert "emcee (dispersed)" in printed.getvalue()
+        assert "…" not in printed.getvalue()
+        assert len(comparison_tables.comparison_table(tree, width).columns) == len(columns)
     figure = comparison_figure(tree)
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[0].startswith("Ranks")

@@ -65,7 +65,7 @@ def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json:
     if as_json:
         console.show_json({"samplers": comparison_tables.comparison_json(tree), "out": str(out)})
     else:
-        console.OUT.print(comparison_tables.comparison_table(tree))
+        console.OUT.print(comparison_tables.comparison_table(tree, console.OUT.width))
         for entry in entries:
             console.say(f"{entry.label}: {entry.sentence}")
         console.say(f"Written to {out}: comparison.nc, comparison.png, runs")

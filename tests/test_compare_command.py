@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import shutil
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -56,11 +57,13 @@ def test_the_comparison_is_written_and_said(done: tuple[Path, str]) -> None:
 
 
 @pytest.mark.slow
-def test_another_call_goes_on(done: tuple[Path, str], detection: Path, capsys: pytest.CaptureFixture) -> None:
+def test_another_call_goes_on_whoever_else_is_asked(done: tuple[Path, str], detection: Path, tmp_path: Path,
+                                                    capsys: pytest.CaptureFixture) -> None:  # fmt: skip
     out, said = done
     before = json.loads(said)["samplers"][1]
-    compare.run(Sight(detection), Belief(), request(out, "rejection", "emcee"), quiet=True, as_json=True)
-    after = json.loads(capsys.readouterr().out)["samplers"][1]
+    shutil.copytree(out, tmp_path / "again")
+    compare.run(Sight(detection), Belief(), request(tmp_path / "again", "emcee"), quiet=True, as_json=True)
+    after = json.loads(capsys.readouterr().out)["samplers"][0]
     assert after["num_evaluations"] == before["num_evaluations"]
     assert after["ess_worst"] == before["ess_worst"]
 

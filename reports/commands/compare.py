@@ -47,8 +47,9 @@ def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json:
     entries: list[Entry] = []
     attributes = {"source": frame.detection.source, "person": frame.detection.person, "seed": request.seed,
                   "seconds": request.seconds, "exact_draws": known.sample.num_draws}  # fmt: skip
-    for number, name in enumerate(request.samplers):
-        own = jax.random.fold_in(key, 1 + number)
+    everyone = [*contest.SAMPLERS, *contest.BASELINES]
+    for name in request.samplers:
+        own = jax.random.fold_in(key, 1 + everyone.index(name))  # whoever else is asked, so that runs go on
         for start in contest.starts_of(name):
             with console.progress(f"{name} {start}".strip(), quiet):
                 if name in contest.BASELINES:

@@ -56,9 +56,9 @@ def relations(
         values = results[base._replace(estimator=estimator)]
         if many > few:
             words = f"{estimator}: the best of {many} is better than the best of {few}"
-            found.append(_gain(words, "−7 % (Zhou)", values, few, many, recording))
+            found.append(_gain(words, "7 % (Zhou)", values, few, many, recording))
         words = f"{estimator}: the best of all draws is better than the best of {many}"
-        found.append(_gain(words, "−18 % (Zhou)", values, many, "all", recording))
+        found.append(_gain(words, "18 % (Zhou)", values, many, "all", recording))
     for estimator in names:
         levels = sorted({c.missing for c in results if c.estimator == estimator and c.rotate == base.rotate})
         for one, more in itertools.pairwise(levels):

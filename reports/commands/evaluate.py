@@ -193,11 +193,12 @@ def throughput(frames: int, seconds: float, workers: int | None) -> str:
     """How fast it went, and what more would take at that rate."""
     rate = frames / max(seconds, 1e-9)
     who = "the cluster" if workers is None else f"{workers} worker{'s' if workers > 1 else ''}"
-    costs = ", ".join(f"{number:,} in {_duration(number / rate)}" for number in (PAPERS_FRAMES, MANY_FRAMES))
-    return f"{frames:,} frames under their conditions in {_duration(seconds)}: {rate:.1f} a second with {who}; {costs}"
+    costs = ", ".join(f"{number:,} in {duration(number / rate)}" for number in (PAPERS_FRAMES, MANY_FRAMES))
+    return f"{frames:,} frames under their conditions in {duration(seconds)}: {rate:.1f} a second with {who}; {costs}"
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """In words that suit it."""
     for size, name in ((86_400.0, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:
             return f"{seconds / size:.1f} {name}"

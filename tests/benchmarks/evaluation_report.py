@@ -26,7 +26,7 @@ from probmodel.datasets import EXACT, DataSet, Noise, read_data_set
 from probmodel.dictionaries import learn_dictionary
 from probmodel.learning import learn, read_all
 from reports import evaluation_figures, evaluation_tables
-from reports.commands.evaluate import PAPERS_FRAMES
+from reports.commands.evaluate import PAPERS_FRAMES, duration
 from reports.evaluation_tables import Labels, Sheet
 from reports.figures import save_figure
 
@@ -139,15 +139,15 @@ def speed(rates: dict[int, float]) -> Sheet:
     for workers in (1, 2, 16, 64):
         rate = rates.get(workers, workers * rates[1] * min(1.0, rates[2] / rates[1] / 2))
         words = f"{workers} worker{'s' if workers > 1 else ''}" + ("" if workers in rates else " (projected)")
-        rows.append([words, rate, PAPERS_FRAMES / rate / 3600, 1e6 / rate / 3600])
-    head = ["", "frames a second", f"{PAPERS_FRAMES:,} frames, h", "1,000,000 frames, h"]
+        rows.append([words, rate, duration(PAPERS_FRAMES / rate), duration(1e6 / rate)])
+    head = ["", "frames a second", f"{PAPERS_FRAMES:,} frames", "1,000,000 frames"]
     return Sheet("speed", "Throughput", head, rows, SPEED_CAPTION)
 
 
 SPEED_CAPTION = (
     "Zhou, 1,000 draws, 5 and 20 hypotheses, all errors, every frame written; slope of the line through the blocks as "
-    "they came. The machine was shared with other work. Projected: as many times the rate of one worker, each with a "
-    "core of its own, as efficiently as the second one was."
+    "they came. Two cores, busy with other work, whence the little that a second worker adds. Projected: as many times "
+    "the rate of one worker, each with a core of its own, as efficiently as the second one was."
 )
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from inference.calibration.ece import LEVELS, shares
 from inference.calibration.exclusions import Reason
-from inference.calibration.quantities import ENERGY_BALL, LOG_DENSITY, MISFIT, OF_POSE, TARP
+from inference.calibration.quantities import ENERGY_BALL, HINGES, LOG_DENSITY, MISFIT, OF_POSE, TARP
 from inference.calibration.uniformity import LEVELS as POINTS
 from inference.calibration.uniformity import band, difference
 from probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS, PARENTS
@@ -26,7 +26,7 @@ PANELS = {
     "joints, to the side": [name for name in OF_POSE if name.endswith((" x", " y"))],
     "joints, depth": [name for name in OF_POSE if name.endswith(" z")],
     "lengths and depth flips": [name for name in OF_POSE if name.startswith("length") or name.endswith("away")],
-    "pose and detection": [LOG_DENSITY, MISFIT, ENERGY_BALL, TARP],
+    "pose and model": [*HINGES, LOG_DENSITY, MISFIT, ENERGY_BALL, TARP],
 }
 
 
@@ -41,11 +41,11 @@ def ranks_figure(simulation: xr.Dataset, title: str = "") -> Figure:
         _band(axis, len(table))
         for column, (values, quantity) in enumerate(zip(table.T, quantities, strict=True)):
             if np.isfinite(values).all() and len(values):
-                few = len(quantities) < 8
+                few = len(quantities) < 9
                 colour = HYPOTHESIS_COLOURS[column % len(HYPOTHESIS_COLOURS)]
                 axis.plot(POINTS, difference(values), lw=1.1 if few else 0.7, gid=f"ranks {quantity}", color=colour,
                           label=quantity if few else None)  # fmt: skip
-        if len(quantities) < 8:
+        if len(quantities) < 9:
             axis.legend(frameon=False, fontsize=6.5, loc="lower center", ncols=2)
         axis.set_title(name, fontsize=9)
         axis.set_xlabel("level", fontsize=8)

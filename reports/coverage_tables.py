@@ -109,6 +109,19 @@ def by_joint(found: Summary) -> Rows:
     return Rows(head, rows)
 
 
+def briefly(found: Summary) -> Rows:
+    """As `by_joint`, narrow enough for a terminal: intervals over all joints together only."""
+    columns = [(kind, nominal) for kind in ("lateral", "depth") for nominal in NOMINAL]
+    rows = [
+        (spoken(joint), *(f"{found.by_joint[column][number].value:.0%}" for column in columns))
+        for number, joint in enumerate(MOVING_NAMES)
+    ]
+    rows.append(("all", *(f"{found.covered[column].value:.0%}" for column in columns)))
+    for side, words in (("low", "95 % interval from"), ("high", "to")):
+        rows.append((words, *(f"{getattr(found.covered[column], side):.0%}" for column in columns)))
+    return Rows(("joint", *(f"{kind} {nominal:.0%}" for kind, nominal in columns)), rows)
+
+
 def grid(found: Mapping[tuple[str, ...], Summary], head: Sequence[str]) -> Rows:
     """One row for each setting, named by its key: coverage of 50 % and 95 % regions, exclusions, ECE and its floor,
     sharpness."""

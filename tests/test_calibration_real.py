@@ -88,7 +88,7 @@ def test_reasons_and_log_density_agree(model: PoseModel, cases: list[Case]) -> N
     known = instances(moved, model)
     found = exclusions(model, moved, known)
     finite = [
-        bool(np.isfinite(of_both(model, one.frame.observation(one.frame.candidates[0]), one.joints[None])[0, 0]))
+        bool(np.isfinite(of_both(model, one.frame.observation(one.frame.candidates[0]), one.joints[None])[0, -2]))
         for one in known
     ]
     assert finite == [not reasons for reasons in found]

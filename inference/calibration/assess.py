@@ -5,7 +5,16 @@ from typing import NamedTuple
 import numpy as np
 
 from inference.calibration.levels import distance_level, energy_level, median_levels, rank_level, stand_in_levels
-from inference.calibration.quantities import MOVING, OF_BOTH, OF_POSE, QUANTITIES, of_both, of_pose
+from inference.calibration.quantities import (
+    ENERGY_BALL,
+    MOVING,
+    OF_MODEL,
+    OF_POSE,
+    QUANTITIES,
+    TARP,
+    of_both,
+    of_pose,
+)
 from inference.calibration.simulations import Instance
 from inference.results import COMPLETE
 from probmodel.failures import BadInput
@@ -80,12 +89,12 @@ def assess(instance: Instance, posterior: Posterior, rng: np.random.Generator, *
     level.update(zip(OF_POSE, rank_level(values[0], values[1:], rng), strict=True))
     if model is not None:
         values = of_both(model, instance.frame.observation(instance.frame.candidates[0]), both)
-        level.update(zip(OF_BOTH[:2], rank_level(values[0], values[1:], rng), strict=True))
+        level.update(zip(OF_MODEL, rank_level(values[0], values[1:], rng), strict=True))
     moving = both[:, MOVING]
     flat = moving.reshape(len(moving), -1)
-    level[OF_BOTH[2]] = energy_level(flat[0], flat[1:], rng)
+    level[ENERGY_BALL] = energy_level(flat[0], flat[1:], rng)
     if reference is not None:
-        level[OF_BOTH[3]] = distance_level(flat[0], flat[1:], reference[list(MOVING)].ravel(), rng)
+        level[TARP] = distance_level(flat[0], flat[1:], reference[list(MOVING)].ravel(), rng)
     truth, cloud = moving[0], moving[1:]
     spread = cloud.std(axis=0)
     return Standing(

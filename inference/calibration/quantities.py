@@ -15,7 +15,7 @@ from inference.target import read_poses
 from probmodel.chunks import in_chunks
 from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
-from probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS
+from probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS, LOWER_BONES
 
 MOVING = tuple(bone.end for bone in BONES)
 """The nine joints that move when the torso is given."""
@@ -25,8 +25,12 @@ OF_POSE = (
     *(f"length of {group}" for group in LENGTH_GROUPS),
     *(f"{bone.name} points away" for bone in FLIPPING),
 )
-LOG_DENSITY, MISFIT, ENERGY_BALL, TARP = OF_BOTH = ("log density", "misfit", "energy ball", "TARP")
-"""`TARP` is missing where there was no reference."""
+LOG_DENSITY, MISFIT, ENERGY_BALL, TARP = "log density", "misfit", "energy ball", "TARP"
+HINGES = tuple(f"{bone.name} from its plane" for bone in LOWER_BONES)
+"""How far a lower bone points away from its hinge's plane, a sine: where the measures of lower bones differ most."""
+OF_MODEL = (*HINGES, LOG_DENSITY, MISFIT)
+"""Known where the model is; `TARP` where there was a reference."""
+OF_BOTH = (*OF_MODEL, ENERGY_BALL, TARP)
 QUANTITIES = (*OF_POSE, *OF_BOTH)
 CHUNK = 512
 
@@ -46,16 +50,19 @@ def lengths(joints: np.ndarray) -> np.ndarray:
 
 
 def of_both(model: PoseModel, observation: Observation, joints: np.ndarray) -> np.ndarray:
-    """`(n, 2)`: log joint density (-inf outside) of poses `(n, 15, 3)` in camera axes and body units, and the largest
-    distance of a seen joint from its detection, in radii τ."""
+    """`(n, 6)`: of poses `(n, 15, 3)` in camera axes and body units, in the order of `OF_MODEL`: sines of the lower
+    bones from their planes, log joint density (-inf outside), and the largest distance of a seen joint from its
+    detection, in radii τ."""
     rows = in_chunks(functools.partial(_of_both, model, observation), joints, lengths(joints), size=CHUNK)
-    return np.stack(rows, axis=1)
+    return np.concatenate([rows[0], np.stack(rows[1:], axis=1)], axis=1)
 
 
 @jax.jit
 def _of_both(model: PoseModel, observation: Observation, joints: jax.Array,
-             length: jax.Array) -> tuple[jax.Array, jax.Array]:  # fmt: skip
+             length: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:  # fmt: skip
+    poses = read_poses(model, joints, length)
+    sine = -jnp.sum(model.hinges_at(poses.upper).triple[..., 0, :] * poses.lower, axis=-1)
     seen = observation.has_factor
     offset = observation.camera.image(joints) - jnp.where(seen[:, None], jnp.asarray(observation.keypoints), 0.0)[None]
     far = jnp.linalg.norm(offset, axis=-1) / jnp.where(seen, jnp.asarray(observation.radius), jnp.inf)[None]
-    return log_joint(model, observation, *read_poses(model, joints, length)), far.max(axis=1)
+    return sine, log_joint(model, observation, *poses), far.max(axis=1)

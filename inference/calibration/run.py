@@ -19,6 +19,7 @@ import xarray as xr
 
 from inference.calibration.assess import Standing, assess
 from inference.calibration.posteriors import Sampler, sampler_of
+from inference.calibration.quantities import QUANTITIES
 from inference.calibration.record import resume, save, standings_tree
 from inference.calibration.simulations import BLOCK, Instance, simulate
 from inference.estimators import estimate_torsos
@@ -59,7 +60,8 @@ def calibrate(
     settings = {
         "sampler": sampler if isinstance(sampler, str) else getattr(sampler, "__name__", "a function"),
         "seed": seed, "num_samples": num_samples, "reference": reference, "factor": factor,
-        "max_proposals": max_proposals, "limits": f"{model.limits.name} {model.limits.sha256}",
+        "max_proposals": max_proposals, "quantities": len(QUANTITIES),
+        "limits": f"{model.limits.name} {model.limits.sha256}",
         "measures": f"upper {model.upper}, lower {model.lower}", "versions": versions(),
     }  # fmt: skip
     standings = [] if out is None else resume(out, settings)[:num_simulations]

@@ -53,7 +53,8 @@ def judge(simulation: xr.Dataset, *, false_alarm: float = FALSE_ALARM, fewest: i
     if total - failed < fewest:
         lost = f", {failed} of them failed" if failed else ""
         raise BadInput(f"there are {total} simulations{lost}; the tests need at least {fewest} that did not fail")
-    looked_at = [name for name in QUANTITIES if np.isfinite(table.sel(quantity=name).values).any()]
+    known = set(table.quantity.values)
+    looked_at = [name for name in QUANTITIES if name in known and np.isfinite(table.sel(quantity=name).values).any()]
     found = []
     for name in looked_at:
         column = table.sel(quantity=name).values

@@ -130,7 +130,7 @@ def _about(model: PoseModel, request: Request, real: Real, sha256: str) -> dict:
 
 def _say(tree: xr.DataTree, out: Path) -> None:
     found = summary(tree)
-    console.OUT.print(coverage_tables.terminal(coverage_tables.by_joint(found), "Covered, nominally and in truth"))
+    console.OUT.print(coverage_tables.terminal(coverage_tables.briefly(found), "Covered, nominally and in truth"))
     excluded = coverage_tables.percent(found.excluded)
     console.say(f"{excluded} of {found.size} true poses are excluded; {found.without_draws} posteriors lack draws.")
     if found.reasons:

@@ -20,9 +20,14 @@ from probmodel.failures import BadInput
 from probmodel.motion import read_motion
 
 __all__ = [
-    "EXACT", "VIEWS", "Case", "DataSet", "Noise", "View", "body_height", "from_motions", "read_data_set",
+    "EXACT", "VIEWS", "Case", "DataSet", "Noise", "View", "body_height", "brings_detections", "from_motions", "read_data_set",
     "read_human36m", "write_plain",
 ]  # fmt: skip
+
+
+def brings_detections(path: Path) -> bool:
+    """Whether a data set has 2D joints of its own, so that no synthetic camera is needed."""
+    return is_human36m(path) or is_plain(path)
 
 
 def read_data_set(
@@ -39,7 +44,7 @@ def read_data_set(
     path = Path(path)
     if frames is not None and frames < 1:
         raise BadInput(f"the number of frames must be at least 1, not {frames}")
-    if not (is_human36m(path) or is_plain(path)):
+    if not brings_detections(path):
         return from_motions(read_motion(path), path.name, frames=frames, noise=noise, seed=seed)
     if noise != EXACT:
         raise BadInput(f"{path} brings its own 2D joints, to which no noise is added; leave the noise out")

@@ -16,7 +16,7 @@ from inference.evaluation.conditions import Condition, conditions
 from inference.evaluation.outcome import Protocol
 from inference.evaluation.relations import Relation, relations
 from inference.evaluation.run import Results, evaluate
-from probmodel.datasets import DataSet, Noise, read_data_set
+from probmodel.datasets import DataSet, Noise, brings_detections, read_data_set
 from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
 from probmodel.dictionaries import PoseDictionary
 from probmodel.failures import BadInput
@@ -167,9 +167,10 @@ def write(found: Findings, out: Path) -> None:
 
 def described(source: Source, data: DataSet, protocol: Protocol) -> str:
     """What the numbers are of, in words for a caption."""
-    places = {"none": "true 2D joints"}.get(source.noise, f"2D joints with noise {source.noise} of the body height")
-    own = f"the 2D joints of the data set ({source.detections})" if source.noise == "none" else places
-    given = own if source.path.is_dir() or "h36m" in data.name else places
+    if brings_detections(source.path):
+        given = "the 2D joints that it brings"
+    else:
+        given = "true 2D joints" if source.noise == "none" else f"2D joints with noise {source.noise} of body height"
     return (
         f"{data.name}: {len(data):,} frames of {len(data.actions)} actions, {given}; {protocol.num_samples:,} draws a "
         f"frame, {protocol.candidates} torso-and-camera candidate(s). Errors after limb scaling and similarity "

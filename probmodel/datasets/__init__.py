@@ -20,8 +20,8 @@ from probmodel.failures import BadInput
 from probmodel.motion import read_motion
 
 __all__ = [
-    "EXACT", "VIEWS", "Case", "DataSet", "Noise", "View", "body_height", "brings_detections", "from_motions", "read_data_set",
-    "read_human36m", "write_plain",
+    "EXACT", "VIEWS", "Case", "DataSet", "Noise", "View", "body_height", "brings_detections", "from_motions",
+    "read_data_set", "read_human36m", "write_plain",
 ]  # fmt: skip
 
 

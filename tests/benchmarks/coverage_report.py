@@ -48,7 +48,7 @@ from tests.test_calibration import sizes
 
 SIMULATIONS, DRAWS = 1000, 1000
 MEASURES = (("angle", "area"), ("area", "area"), ("angle", "box"))
-CONTROLLED, RECIPES, RECIPE_DRAWS = 300, 120, 60
+CONTROLLED, RECIPES, RECIPE_DRAWS = 300, 400, 60
 BASELINES = (("emcee", ONE_FLIP),)
 JUDGED, EVALUATIONS = 100, 10_000
 
@@ -78,7 +78,7 @@ def controls(work: Path, data: Path) -> None:
     for number, (name, (sampler, count)) in enumerate(wrong.items()):
         path = work / f"control-{number}.nc"
         if not path.exists():
-            tree = calibrate(model, sampler, num_simulations=count)
+            tree = calibrate(model, sampler, num_simulations=count, out=work / f"partial-{number}.nc")
             tree.attrs["sampler"] = name
             save_tree(tree, path)
             print(name, judge(tree["simulation"].to_dataset()).families, flush=True)

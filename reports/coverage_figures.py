@@ -33,7 +33,7 @@ PANELS = {
 def ranks_figure(simulation: xr.Dataset, title: str = "") -> Figure:
     """Empirical minus uniform distribution function of every quantity's levels, in four panels, with the band in which
     95 % of right posteriors stay everywhere (for one quantity)."""
-    figure = Figure(figsize=(10.5, 2.7), layout="constrained")
+    figure = Figure(figsize=(12, 2.7), layout="constrained")
     axes = figure.subplots(1, len(PANELS), sharey=True)
     for axis, (name, quantities) in zip(axes, PANELS.items(), strict=True):
         table = simulation["level"].sel(quantity=quantities).values
@@ -44,9 +44,9 @@ def ranks_figure(simulation: xr.Dataset, title: str = "") -> Figure:
                 few = len(quantities) < 9
                 colour = HYPOTHESIS_COLOURS[column % len(HYPOTHESIS_COLOURS)]
                 axis.plot(POINTS, difference(values), lw=1.1 if few else 0.7, gid=f"ranks {quantity}", color=colour,
-                          label=quantity if few else None)  # fmt: skip
+                          label=quantity.replace("_", " ") if few else None)  # fmt: skip
         if len(quantities) < 9:
-            axis.legend(frameon=False, fontsize=6.5, loc="lower center", ncols=2)
+            axis.legend(frameon=False, fontsize=6.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
         axis.set_title(name, fontsize=9)
         axis.set_xlabel("level", fontsize=8)
         _tidy(axis)
@@ -116,7 +116,7 @@ class Miss(NamedTuple):
 
 def misses_figure(misses: Sequence[Miss]) -> Figure:
     """Each miss from the camera (with detections and discs) and from the side; what is broken is orange."""
-    figure = Figure(figsize=(3.5 * len(misses), 4.6), layout="constrained")
+    figure = Figure(figsize=(3.5 * len(misses), 5.0), layout="constrained")
     axes = figure.subplots(1, 2 * len(misses))
     for number, miss in enumerate(misses):
         front, side = axes[2 * number], axes[2 * number + 1]

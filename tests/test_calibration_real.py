@@ -196,10 +196,10 @@ def test_reasons_survive_a_file_and_are_ranked(model: PoseModel) -> None:
 
 def test_shares_and_ece_by_hand() -> None:
     levels = np.array([[0.1], [0.3], [0.9], [np.nan]])
-    np.testing.assert_allclose(shares(levels)[[0, 2, 6, 20], 0], [0.0, 0.25, 0.5, 0.75])
+    np.testing.assert_allclose(shares(levels)[[0, 3, 7, 20], 0], [0.0, 0.25, 0.5, 0.75])
     even = np.tile((np.arange(2000)[:, None] + 0.5) / 2000, (1, 3))
     assert calibration_error(even) < 1e-3
-    assert calibration_error(np.zeros((50, 3))) == pytest.approx(np.mean(1 - LEVELS), abs=1e-12)
+    assert calibration_error(np.zeros((50, 3))) == pytest.approx(np.sum(1 - LEVELS[1:]) / 21, abs=1e-12)
 
 
 def test_the_floor_is_what_right_posteriors_have() -> None:

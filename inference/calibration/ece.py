@@ -36,7 +36,7 @@ def shares(levels: np.ndarray, nominal: np.ndarray = LEVELS) -> np.ndarray:
     """`(len(nominal), j)`: how often the region of each nominal level holds the truth, from levels `(n, j)`; NaN:
     never, as there was no region."""
     known = np.where(np.isnan(levels), np.inf, levels)
-    return np.mean(known[None] <= nominal[:, None, None], axis=1)
+    return np.mean(known[None] < nominal[:, None, None], axis=1)
 
 
 def calibration_error(levels: np.ndarray) -> float:
@@ -60,7 +60,7 @@ def ece(levels: np.ndarray, stand_in: np.ndarray, cluster: np.ndarray, seed: int
 def coverage(levels: np.ndarray, nominal: float, cluster: np.ndarray, seed: int = 0) -> Interval:
     """How often regions of one nominal level hold the truth, of levels `(n,)` or `(n, j)` (then over all joints), with
     its interval, clusters being drawn anew."""
-    held = np.where(np.isnan(levels), np.inf, levels) <= nominal
+    held = np.where(np.isnan(levels), np.inf, levels) < nominal
     found = resampled(cluster, np.random.default_rng(seed), lambda rows: held[rows].mean())
     low, high = np.quantile(found, [0.025, 0.975])
     return Interval(float(held.mean()), float(low), float(high))

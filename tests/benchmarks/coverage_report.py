@@ -354,7 +354,7 @@ def misses(work: Path, data: Path, labels: Sequence[str]) -> list[Miss]:
     found: dict[str, list[tuple[int, Miss]]] = {label: [] for label in labels}
     some = cases(held, "detector")
     for estimator in ESTIMATORS:
-        views = instances(some, held.model, estimator, poses=held.dictionary)
+        views = instances(some, held.model, estimator, poses=held.dictionary, num_candidates=1)
         for case, instance, why in zip(some, views, exclusions(held.model, some, views), strict=True):
             for label in {reason.label for reason in why} & set(labels):
                 title = f"{label} ({estimator}, subject {case.subject})"

@@ -122,6 +122,11 @@ def test_openpose_old_key_two_people_seen_from_behind(shared_data: Path) -> None
     assert point(first, "pelvis") == pytest.approx([(469.953 + 419.844) / 2, (358.601 + 354.921) / 2, 0.59669])
 
 
+def test_openpose_of_another_layout_than_the_one_asked_for() -> None:
+    with pytest.raises(BadInput, match=r"has 54 numbers .* 75 are expected, as in body_25; .* or choose the --format"):
+        read(openpose(flat(COCO_18.points)), "openpose-body25")
+
+
 def test_openpose_body_25b_is_not_taken_for_body_25(shared_data: Path) -> None:
     first, second = read_detections(shared_data / POSE2SIM)
     assert {first.layout, second.layout} == {"body_25b"}

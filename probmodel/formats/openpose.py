@@ -123,6 +123,11 @@ def _flat_list(value: object, where: str) -> tuple[str, list[Any]]:
 def _points(flat: list[Any], layout: Layout, where: str) -> FloatArray:
     if len(flat) != 3 * layout.count:
         known = {name: 3 * count for name, count in (("BODY_25", 25), ("COCO-18", 18))}
+        if len(flat) in known.values():
+            raise BadInput(
+                f"{where} has {len(flat)} numbers of the body where {3 * layout.count} are expected, as in "
+                f"{layout.name}; read files of different layouts apart, or choose the --format."
+            )
         said = " or ".join(f"{numbers} ({name})" for name, numbers in known.items())
         raise BadInput(f"{where} has {len(flat)} numbers of the body where {said} are needed; run OpenPose so.")
     return scored_points(flat, layout.points, where)

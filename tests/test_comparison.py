@@ -270,16 +270,6 @@ def test_the_half_updated_slice_sampler_is_caught_too():
     assert of_normal(ESS(potential_fn=normal_potential, randomize_split=False)).verdict != DIFFERS
 
 
-@pytest.mark.slow
-def test_the_half_updated_ensemble_is_caught_on_a_posterior():
-    """The walls of the posterior hide some of it: the second half of the walkers is 0.85 times as wide as it should."""
-    target, starts = low_target()
-    kernel = HalfUpdatedAIES(potential_fn=lambda point: -target.log_density(point))
-    stepper = NumPyroKernel(kernel, 64, 0, lambda before, after: jnp.asarray(64))
-    walk = Walk(stepper, key(3), starts[:256], runs=4, ensemble=True, steps=32)
-    assert judged(walk, 48).verdict == DIFFERS
-
-
 def test_emcee_started_in_one_point_is_caught():
     target, starts = low_target()
     import emcee

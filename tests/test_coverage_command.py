@@ -20,6 +20,11 @@ def request(out: Path, sampler: str = "rejection", num_samples: int = 20) -> cov
     return coverage.Request(sampler, num_samples, 0, out, 0.25, 1_000_000)
 
 
+def read(path: Path) -> xr.DataTree:
+    with xr.open_datatree(path) as tree:
+        return tree.load()
+
+
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     """One small run, its folder and what it printed."""
@@ -39,7 +44,7 @@ def test_the_run_is_written_and_said(done: tuple[Path, dict]) -> None:
     assert set(said["families"]) == {"ranks (SBC)", "highest density", "energy balls", "TARP"}
     assert [one["quantity"] for one in said["tests"]] == list(QUANTITIES)
     assert {one["size"] for one in said["tests"]} == {100}
-    tree = xr.open_datatree(out / "coverage.nc").load()
+    tree = read(out / "coverage.nc")
     assert tree["prior_sbc"].joints.shape == (1, 100, 9, 3)
     assert tree.attrs["sampler"] == "rejection"
     assert (out / "coverage.png").read_bytes().startswith(b"\x89PNG")
@@ -48,7 +53,7 @@ def test_the_run_is_written_and_said(done: tuple[Path, dict]) -> None:
 def test_arviz_plots_it_as_it_is(done: tuple[Path, dict]) -> None:
     import arviz_plots
 
-    tree = xr.open_datatree(done[0] / "coverage.nc").load()
+    tree = read(done[0] / "coverage.nc")
     plot = arviz_plots.plot_ecdf_pit(tree, var_names=["log_density", "TARP"], backend="none")
     assert plot is not None
 
@@ -72,7 +77,7 @@ def test_too_few_simulations_are_refused_before_any_work(tmp_path: Path) -> None
 def test_draws_from_elsewhere(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """Simulations are written, somebody draws (here: always the truth of the next one), and is found out."""
     coverage.write_simulations(Belief(), request(tmp_path), 100, quiet=True, as_json=False)
-    tree = xr.open_datatree(tmp_path / "simulations.nc").load()
+    tree = read(tmp_path / "simulations.nc")
     some = simulate(PoseModel(), 0, 0, 100)
     np.testing.assert_array_equal(tree["truth"].joints[3], some[3].joints)
     np.testing.assert_array_equal(tree["observed_data"].keypoints[3], some[3].frame.detection.keypoints)
@@ -110,7 +115,7 @@ def test_real_poses(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -
     words = capsys.readouterr().out
     assert "true poses are excluded" in words
     assert "right ankle" in words
-    tree = xr.open_datatree(tmp_path / "coverage.nc").load()
+    tree = read(tmp_path / "coverage.nc")
     assert tree["simulation"].sizes["simulation"] == 8
     assert tree.attrs["estimator"] == "true"
     assert (tmp_path / "coverage.png").exists()
@@ -143,7 +148,7 @@ def test_bad_real_poses(data: Path, tmp_path: Path, change: dict, match: str) ->
 
 
 def test_tables_and_figures_show_every_quantity(done: tuple[Path, dict]) -> None:
-    tree = xr.open_datatree(done[0] / "coverage.nc").load()
+    tree = read(done[0] / "coverage.nc")
     simulation = tree["simulation"].to_dataset()
     figure = coverage_figures.ranks_figure(simulation)
     drawn = {line.get_gid() for axis in figure.axes for line in axis.lines}

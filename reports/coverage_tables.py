@@ -37,7 +37,7 @@ def terminal(table: Rows, title: str) -> Table:
     """The table for a terminal."""
     shown = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
     for number, heading in enumerate(table.head):
-        shown.add_column(heading, justify="right" if number else "left")
+        shown.add_column(heading, justify="right" if number else "left", no_wrap=not number)
     for row in table.rows:
         shown.add_row(*row)
     return shown

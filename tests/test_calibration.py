@@ -17,7 +17,7 @@ from inference.calibration.assess import FAILED, Posterior, check_draws
 from inference.calibration.controls import DISTORTIONS, distorted, following_the_recipe, ignoring
 from inference.calibration.levels import distance_level, energy_level, median_levels, rank_level, stand_in_levels
 from inference.calibration.posteriors import independent, sampler_of
-from inference.calibration.quantities import LOG_DENSITY, MISFIT, OF_POSE, QUANTITIES, TARP, of_both, of_pose
+from inference.calibration.quantities import HINGES, MISFIT, OF_POSE, QUANTITIES, TARP, of_both, of_pose
 from inference.calibration.record import read_standings
 from inference.calibration.simulations import HIDDEN, Instance
 from inference.calibration.uniformity import LEVELS, difference
@@ -25,7 +25,6 @@ from inference.calibration.verdict import CALIBRATED, CANNOT_TELL, MISCALIBRATED
 from inference.results import pose_columns
 from inference.sampler import draw_mixture
 from probmodel import BadInput, PoseModel
-from probmodel.model import log_joint
 from probmodel.skeleton import JOINT_INDEX
 
 RNG = np.random.default_rng
@@ -285,7 +284,7 @@ def test_exact_draws_are_calibrated(model: PoseModel) -> None:
 @pytest.mark.parametrize(("upper", "lower"), [("angle", "area"), ("area", "area"), ("angle", "box")])
 def test_every_measure_is_calibrated(upper: str, lower: str) -> None:
     """Another seed than the report's; false alarm 0.01 for each measure."""
-    tree = calibrate(PoseModel(upper=upper, lower=lower), "rejection", seed=11, num_simulations=400, num_samples=100)
+    tree = calibrate(PoseModel(upper=upper, lower=lower), "rejection", seed=11, num_simulations=200, num_samples=100)
     found = judge(tree["simulation"].to_dataset())
     assert found.verdict == CALIBRATED, found.sentence
 
@@ -317,9 +316,9 @@ def test_a_posterior_that_ignores_the_image_fails(model: PoseModel) -> None:
 
 @pytest.mark.slow
 def test_the_literal_recipe_fails_under_equation_8(model: PoseModel) -> None:
-    found = judge(calibrate(model, following_the_recipe(model, 60), num_simulations=120)["simulation"].to_dataset())
+    found = judge(calibrate(model, following_the_recipe(model, 60), num_simulations=300)["simulation"].to_dataset())
     assert found.verdict == MISCALIBRATED
-    assert found.families["ranks (SBC)"] < 0.01 or found.p_value(LOG_DENSITY) < 0.01
+    assert min(found.p_value(name) for name in HINGES) < 1e-4
 
 
 def test_the_recipes_draws_explain_the_detection(model: PoseModel) -> None:
@@ -446,4 +445,3 @@ def test_the_log_density_is_the_models(model: PoseModel) -> None:
     moved = dataclasses.replace(one.frame, factor=1e-4)
     observation = moved.observation(moved.candidates[0])
     assert of_both(model, observation, one.joints[None])[0, -1] > 1
-    assert log_joint is not None

@@ -3,6 +3,7 @@
 Made without pyplot; `reports.figures.save_figure` writes them.
 """
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -131,9 +132,14 @@ def misses_figure(misses: Sequence[Miss]) -> Figure:
                 front.plot(*ring.T, color=RED if joint in broken else FAINT, lw=0.8)
         _skeleton(side, miss.truth[:, [2, 1]], TRUTH, broken, dashed=True)
         _skeleton(side, miss.hung[:, [2, 1]], "#0072B2", broken)
-        front.set_title(miss.title, fontsize=8.5, loc="left")
-        side.set_title("from the side →", fontsize=8, loc="left")
-        front.set_xlabel("\n".join(reason.sentence for reason in miss.reasons[:3]), fontsize=7, loc="left")
+        front.set_title(miss.title, fontsize=8, loc="left")
+        side.set_title("from the side,\naway from the camera →", fontsize=7, loc="left")
+        words = [textwrap.fill(reason.sentence, 34) for reason in miss.reasons[:2]]
+        front.set_xlabel("\n".join(words), fontsize=6.5, loc="left")
+        rows = np.concatenate([miss.truth[:, 1], miss.hung[:, 1], miss.keypoints[:, 1]])
+        middle, half = (np.nanmax(rows) + np.nanmin(rows)) / 2, 0.55 * np.ptp(rows[np.isfinite(rows)]) + 10
+        for axis in (front, side):
+            axis.set_ylim(middle - half, middle + half)
         for axis in (front, side):
             axis.set_aspect("equal")
             axis.invert_yaxis()

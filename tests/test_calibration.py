@@ -289,6 +289,7 @@ def test_every_measure_is_calibrated(upper: str, lower: str) -> None:
     assert found.verdict == CALIBRATED, found.sentence
 
 
+@pytest.mark.slow
 def test_another_measure_is_noticed(model: PoseModel) -> None:
     """Draws under the box measure are judged under the default: a wrong prior, the negative control."""
     wrong = sampler_of("rejection", PoseModel(lower="box"), 100)
@@ -296,6 +297,7 @@ def test_another_measure_is_noticed(model: PoseModel) -> None:
     assert judge(tree["simulation"].to_dataset()).verdict == MISCALIBRATED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DISTORTIONS)
 def test_distorted_posteriors_fail(model: PoseModel, name: str) -> None:
     tree = calibrate(model, distorted(sampler_of("rejection", model, 100), DISTORTIONS[name]), num_simulations=100)

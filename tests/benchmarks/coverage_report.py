@@ -357,7 +357,7 @@ def misses(work: Path, data: Path, labels: Sequence[str]) -> list[Miss]:
         views = instances(some, held.model, estimator, poses=held.dictionary, num_candidates=1)
         for case, instance, why in zip(some, views, exclusions(held.model, some, views), strict=True):
             for label in {reason.label for reason in why} & set(labels):
-                title = f"{label} ({estimator}, subject {case.subject})"
+                title = f"{label}\n({estimator}, subject {case.subject})"
                 found[label].append((len(why), _miss(title, case, instance, why, label)))
     chosen = [sorted(many, key=lambda one: one[0]) for many in found.values() if many]
     return [many[len(many) // 4][1] for many in chosen]

@@ -208,6 +208,16 @@ def evidences(trees: dict[str, xr.DataTree]) -> str:
     return table(("frame", "exact", *EVIDENCES), lines)
 
 
+def absent(trees: dict[str, xr.DataTree]) -> str:
+    """A sentence that says which samplers have not been run on which frames; empty where all have."""
+    parts = []
+    for name, tree in trees.items():
+        ran = {str(label).split(" (")[0] for label in tree["summary"].sampler.values}
+        if left := [sampler for sampler in BASELINES if sampler not in ran]:
+            parts.append(f"on *{name}* {', '.join(left)}")
+    return f"Not run yet: {'; '.join(parts)}." if parts else ""
+
+
 def render(work: Path) -> None:
     """Writes the page and its picture from what is in the folder."""
     found = {name: joined(work / f"{number}") for number, name in enumerate(SUITE)}
@@ -221,6 +231,7 @@ def render(work: Path) -> None:
         "EVIDENCE": evidences(trees),
         "TABLES": "\n\n".join(f"### {name}\n\n{comparison_tables.markdown(tree)}" for name, tree in suite.items()),
         "SECONDS": f"{min(tree.attrs['allowed_least'] for tree in trees.values()):g}",
+        "ABSENT": absent(trees),
         "PATIENCE": ", ".join(f"{name} {times}" for name, times in PATIENCE.items()),
     }
     text = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")

@@ -258,6 +258,7 @@ def normal_potential(x):
     return 0.5 * jnp.sum(x**2)
 
 
+@pytest.mark.slow
 def test_the_half_updated_ensemble_of_numpyro_up_to_0_21_is_caught_and_the_mended_one_is_not():
     """Differential moves, its default: variance 0.71 instead of 1."""
     assert of_normal(HalfUpdatedAIES(potential_fn=normal_potential)).verdict == DIFFERS
@@ -299,6 +300,7 @@ def test_few_effective_draws_cannot_tell():
     assert "effective draws" in found.sentence
 
 
+@pytest.mark.slow
 def test_evidence_is_judged_by_its_stated_error():
     one, other = exact_pair(DRAWS, 15_000, 5)
     good = judge(one, other, evidence=(-4.2, 0.1), exact_evidence=(-4.1, 0.01), permutations=FEW)

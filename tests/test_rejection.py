@@ -91,6 +91,7 @@ def drawn(sampler, number: int) -> Draws:
     return Draws(*(np.asarray(leaf)[:number] for leaf in draws))
 
 
+@pytest.mark.slow
 def test_shared_lengths_shift_as_brute_force_says_and_lengths_per_side_do_not():
     """Negative control: lengths drawn for each side apart must fail where shared ones pass (legs, 20,000 draws)."""
     model, frame, legs = coupled_scene()

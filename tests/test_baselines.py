@@ -18,7 +18,7 @@ from numpyro.infer.util import potential_energy
 
 import inference
 from inference.comparison import contest
-from inference.comparison.judge import CANNOT_TELL, DIFFERS
+from inference.comparison.judge import DIFFERS
 from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.samplers.baseline import Allowance, Baseline, Drawn, run
 from inference.samplers.baselines import BASELINES, DISPERSED, ONE_FLIP, baseline_tree, starting_points
@@ -35,10 +35,10 @@ from tests.scenes import key, prior_scene
 ARM_ONLY = ("head", "left_elbow", "left_wrist", "right_knee", "left_knee", "right_ankle", "left_ankle")
 QUICK = ("emcee",)
 ENOUGH = {
-    "emcee": 200_000, "emcee-de": 200_000, "aies": 200_000, "ess": 600_000, "nuts": 700_000, "hmc": 300_000,
-    "random-walk": 400_000, "sa": 200_000, "smc": 900_000, "nss": 1_000_000, "nautilus": 60_000,
+    "emcee": 200_000, "emcee-de": 200_000, "aies": 200_000, "ess": 600_000, "random-walk": 400_000, "sa": 200_000,
+    "smc": 900_000, "nss": 1_000_000, "nautilus": 60_000,
 }  # fmt: skip
-"""Evaluations after which each has what the judge needs on one arm, or shows that it will not."""
+"""Evaluations after which each has what the judge needs on one arm."""
 NEEDED = {
     "emcee": 40_000, "emcee-de": 40_000, "aies": 30_000, "ess": 250_000, "nuts": 600_000, "hmc": 200_000,
     "random-walk": 150_000, "sa": 60_000, "smc": 600_000, "nss": 1_000_000,
@@ -328,10 +328,11 @@ def test_sample_adaptive_mcmc_leaves_a_hard_wall_unless_it_is_finite():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", BASELINES)
+@pytest.mark.parametrize("name", [name for name in BASELINES if name not in GRADIENTS])
 def test_correct_samplers_pass_on_one_arm(name):
     """From dispersed starts or the prior; judged by 10,000 exact draws at 0.1 %, on 100 effective draws at least. NUTS
-    and HMC have some 20 after a million gradients, hardly more than their chains: of them the judge cannot tell."""
+    and HMC have some 20 after a million gradients, hardly more than their chains: the judge cannot tell, and says so in
+    reports/samplers.md."""
     model, frame, *_ = low()
     known = contest.truth(model, frame, key=key(31), number=10_000)
     start, allowance = contest.starts_of(name)[0], Allowance(evaluations=ENOUGH[name])
@@ -339,7 +340,7 @@ def test_correct_samplers_pass_on_one_arm(name):
         model, known, name, start, key=key(32), allowance=allowance, num_samples=contest.ENDLESS
     )
     assert entry.judgement is not None
-    assert entry.judgement.mixing.worst > 100 or (name in GRADIENTS and entry.verdict == CANNOT_TELL)
+    assert entry.judgement.mixing.worst > 100
     p_values = [test.p_value for test in entry.judgement.tests]
     smallest = min(p_values, default=1.0) * len(p_values)
     assert entry.verdict != DIFFERS or smallest > 1e-3, entry.sentence

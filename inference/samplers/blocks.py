@@ -11,7 +11,7 @@ import numpy as np
 
 from inference.samplers.numbers import compiled, inlined
 from inference.samplers.rectangles import ROWS, rectangle
-from inference.samplers.series import cosine, sine, small_sine_cosine
+from inference.samplers.series import cosine, sine, small_sine_cosine, smaller
 from inference.samplers.strata import BOUNDS, OFFSET, Axes, lower_axes
 
 BLOCK = 512
@@ -150,14 +150,9 @@ def _allowed(block: np.ndarray, n: int, d0: float, d1: float, h1: float, h2: flo
     for measure "area")."""
     off0, off1 = d0 - block[CENTRE0 + n], d1 - block[CENTRE1 + n]
     least = block[RADIUS + n] * block[RADIUS + n] - (off0 * off0 + off1 * off1)
-    least = _less(least, -(h1 + block[HINGE + OFFSET * STRIDE + n]))
-    least = _less(least, h2 - block[HINGE + BOUNDS * STRIDE + n])
-    least = _less(least, block[HINGE + (BOUNDS + 1) * STRIDE + n] - h2)
-    least = _less(least, h3 - block[HINGE + (BOUNDS + 2) * STRIDE + n])
-    least = _less(least, block[HINGE + (BOUNDS + 3) * STRIDE + n] - h3)
-    return _less(least, (h1 if h1 > 0 else -h1) - block[TEST + n])
-
-
-@inlined
-def _less(one: float, other: float) -> float:
-    return one if one < other else other
+    least = smaller(least, -(h1 + block[HINGE + OFFSET * STRIDE + n]))
+    least = smaller(least, h2 - block[HINGE + BOUNDS * STRIDE + n])
+    least = smaller(least, block[HINGE + (BOUNDS + 1) * STRIDE + n] - h2)
+    least = smaller(least, h3 - block[HINGE + (BOUNDS + 2) * STRIDE + n])
+    least = smaller(least, block[HINGE + (BOUNDS + 3) * STRIDE + n] - h3)
+    return smaller(least, (h1 if h1 > 0 else -h1) - block[TEST + n])

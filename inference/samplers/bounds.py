@@ -11,7 +11,7 @@ import numpy as np
 
 from inference.samplers.numbers import compiled, inlined
 from inference.samplers.rectangles import ROWS, SLACK, largest_rectangle, rectangle
-from inference.samplers.series import arcsine, cosine, sine
+from inference.samplers.series import arcsine, cosine, sine, smaller
 
 BLOCK = 256
 STRIDE = BLOCK + 8
@@ -89,13 +89,8 @@ def _bends(block: np.ndarray, n: int, d0: float, d1: float, d2: float, reach: fl
     u2 = block[HINGE + 3 * STRIDE + n] * d0 + block[HINGE + 4 * STRIDE + n] * d1 + block[HINGE + 5 * STRIDE + n] * d2
     u3 = block[HINGE + 6 * STRIDE + n] * d0 + block[HINGE + 7 * STRIDE + n] * d1 + block[HINGE + 8 * STRIDE + n] * d2
     least = reach - u1 - block[OFFSET + n]
-    least = _less(least, u2 - block[LOW2 + n] + reach)
-    least = _less(least, block[HIGH2 + n] + reach - u2)
-    least = _less(least, u3 - block[LOW3 + n] + reach)
-    least = _less(least, block[HIGH3 + n] + reach - u3)
+    least = smaller(least, u2 - block[LOW2 + n] + reach)
+    least = smaller(least, block[HIGH2 + n] + reach - u2)
+    least = smaller(least, u3 - block[LOW3 + n] + reach)
+    least = smaller(least, block[HIGH3 + n] + reach - u3)
     return 1.0 if least >= 0 else 0.0
-
-
-@inlined
-def _less(one: float, other: float) -> float:
-    return one if one < other else other

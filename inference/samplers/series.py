@@ -1,5 +1,5 @@
-"""Sine and arcsine as polynomials, for the compiled loops: no calls and no branches, so that loops over them become
-vector instructions. Within 4e-16 of the true values."""
+"""Sine and arcsine as polynomials, and the smaller of two, for the compiled loops: no calls and no branches, so that
+loops over them become vector instructions. Angles and sines are within 4e-16 of the true values."""
 
 import math
 
@@ -44,3 +44,9 @@ def arcsine(value: float) -> float:
     p = s + s * z * (0.1666666666666665 + z * (0.07500000000020764 + z * (0.04464285710342365 + z * p)))
     found = math.pi / 2 - 2 * p if size > 0.5 else p
     return found if value > 0 else -found
+
+
+@inlined
+def smaller(one: float, other: float) -> float:
+    """The smaller of two numbers, neither of which is NaN; `min` would look."""
+    return one if one < other else other

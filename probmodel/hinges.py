@@ -230,9 +230,12 @@ def _intervals(offset: jax.Array, bounds: jax.Array, u2: jax.Array, measure: str
 
 @functools.partial(jax.jit, static_argnames="measure")
 def _integrate_all(offset: jax.Array, bounds: jax.Array, measure: str) -> tuple[jax.Array, ...]:
-    one = functools.partial(_integrate, measure=measure)
-    integrals = jnp.vectorize(one, signature="(),(b)->(n),(p,e),(n)")(offset, bounds)
-    return *integrals, jnp.vectorize(_box, signature="(),(b)->(b)")(offset, bounds)
+    # One flat batch: a batch for every dimension would be traced once for each.
+    shape = jnp.shape(offset)
+    rows = jax.vmap(lambda offset, bounds: (*_integrate(offset, bounds, measure), _box(offset, bounds)))(
+        offset.ravel(), jnp.broadcast_to(bounds, (*shape, 4)).reshape(-1, 4)
+    )
+    return tuple(row.reshape(*shape, *row.shape[1:]) for row in rows)
 
 
 def _integrate(offset: jax.Array, bounds: jax.Array, measure: str) -> tuple[jax.Array, jax.Array, jax.Array]:

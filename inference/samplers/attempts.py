@@ -50,10 +50,9 @@ from inference.samplers.blocks import (
     lower_in_box,
     lower_in_piece,
     raise_upper,
-    rows_of,
     see_disc,
 )
-from inference.samplers.numbers import compiled, inlined, load, store, uniform
+from inference.samplers.numbers import compiled, inlined, load, rows_of, store, uniform
 from inference.samplers.rectangles import COUNT, PICK, ROWS
 from inference.samplers.strata import BOX, Build, Sight, Strata
 from probmodel.limits import CELL

@@ -6,6 +6,7 @@ bound on that decides nearly always. In the two outermost slices, where a factor
 factor is drawn by its power law instead, exactly.
 """
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ class LengthBins(NamedTuple):
     slices: np.ndarray
 
 
+@functools.lru_cache(maxsize=128)  # few priors, few resolutions, the same for every frame
 def length_bins(low: float, high: float, alpha: float, beta: float, number: int) -> LengthBins:
     """Cuts [low, high] (body units) with the prior's low + (high - low)·Beta(alpha, beta) into `number` bins."""
     cuts = np.linspace(0, 1, number * SLICES + 1)

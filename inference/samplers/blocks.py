@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from inference.samplers.numbers import compiled, inlined
+from inference.samplers.numbers import Rows, compiled, inlined
 from inference.samplers.rectangles import ROWS, rectangle
 from inference.samplers.series import cosine, sine, small_sine_cosine, smaller
 from inference.samplers.strata import BOUNDS, OFFSET, Axes, lower_axes
@@ -27,16 +27,6 @@ HINGE = STRIDE * 27
 HINGE_COLUMNS = BOUNDS + 4
 SIZE = STRIDE * (27 + HINGE_COLUMNS)
 """Numbers in a block."""
-
-Rows = tuple[float, float, float, float, float, float, float, float, float]
-"""A matrix (3, 3), row by row, as numbers: arrays would be read anew at every step."""
-
-
-@compiled
-def rows_of(matrix: np.ndarray) -> Rows:
-    """A matrix `(3, 3)` as numbers."""
-    return (matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 0], matrix[1, 1], matrix[1, 2],
-            matrix[2, 0], matrix[2, 1], matrix[2, 2])  # fmt: skip
 
 
 @compiled

@@ -1,4 +1,5 @@
-"""Uniform random numbers inside compiled loops: NumPy's SFC64, seeded by NumPy, run on in four registers.
+"""What the compiled loops have in common: how they are compiled, matrices as numbers, and uniform random numbers,
+NumPy's SFC64, seeded by NumPy, run on in four registers.
 
     stream = load(state)
     value, stream = uniform(stream)
@@ -56,3 +57,14 @@ def uniform(stream: Stream) -> tuple[np.float64, Stream]:
         count + np.uint64(1),
     )
     return (value >> np.uint64(11)) * 1.1102230246251565e-16, after
+
+
+Rows = tuple[float, float, float, float, float, float, float, float, float]
+"""A matrix (3, 3), row by row, as numbers: arrays would be read anew at every step."""
+
+
+@compiled
+def rows_of(matrix: np.ndarray) -> Rows:
+    """A matrix `(3, 3)` as numbers."""
+    return (matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 0], matrix[1, 1], matrix[1, 2],
+            matrix[2, 0], matrix[2, 1], matrix[2, 2])  # fmt: skip

@@ -10,6 +10,7 @@ Bounds add up how far things can move inside a stratum: u by `chord`, the joint 
 centre by `shift`, the hinge's frame by `turn`. Nothing is estimated.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -17,10 +18,10 @@ import numpy as np
 
 from inference.samplers.bins import alias_table
 from inference.samplers.bounds import BLOCK, GEOMETRY, MASK, REGION, SIZE, STRIDE, WEIGHT, bound_regions
-from inference.samplers.numbers import compiled, inlined
+from inference.samplers.numbers import Rows, compiled, inlined, rows_of
 from inference.samplers.rectangles import SLACK
 from probmodel.frames import PARALLEL
-from probmodel.limits import CELL, NUM_ELEVATION
+from probmodel.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION
 
 TRIPLE, OFFSET, BOUNDS, AREA, MASS, BOX, NUM_COLUMNS = 0, 9, 10, 14, 15, 16, 20
 """Columns of a limb's table: the hinge's triple, offset, bounds and area, the cell's prior mass, the hinge's box."""
@@ -91,86 +92,127 @@ def lower_axes(u0: float, u1: float, u2: float, axes: Axes) -> tuple[float, ...]
     return v0, v1, v2, u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0, math.sqrt(square)
 
 
-def sub_cells(sight: Sight, build: Build, low: float, high: float, sub: int) -> tuple[np.ndarray, np.ndarray]:
+class Grid(NamedTuple):
+    """Trigonometry of sub-cells, by column and by line. `azimuth` `(120 · sub, 2)`: sine and cosine of the middle;
+    `elevation` `(60 · sub, 6)`: sine and cosine of the middle, sines at the edges, how far as a chord a corner is from
+    the middle, and the share of a cell's surface."""
+
+    azimuth: np.ndarray
+    elevation: np.ndarray
+
+
+@functools.cache
+def grid(sub: int) -> Grid:
+    """Of cells cut into `sub` × `sub`."""
+    width = CELL / sub
+    azimuth = (np.arange(NUM_AZIMUTH * sub) + 0.5) * width - np.pi
+    edges = np.arange(NUM_ELEVATION * sub + 1) * width - np.pi / 2
+    middle, bottom, top = edges[:-1] + width / 2, edges[:-1], edges[1:]
+    corners = [np.cos(edge) * np.cos(middle) * np.cos(width / 2) + np.sin(edge) * np.sin(middle)
+               for edge in (bottom, top)]  # fmt: skip
+    chord = np.sqrt(np.maximum(2 - 2 * np.minimum(*corners), 0.0)) + SLACK
+    height = np.sin(top) - np.sin(bottom)
+    share = height / np.repeat(height.reshape(-1, sub).sum(axis=1), sub) / sub
+    return Grid(
+        np.stack([np.sin(azimuth), np.cos(azimuth)], axis=1),
+        np.stack([np.sin(middle), np.cos(middle), np.sin(bottom), np.sin(top), chord, share], axis=1),
+    )
+
+
+@compiled
+def _sub_cells(sight: Sight, build: Build, low: float, high: float, sub: int, cut: Grid,
+               whole: Grid) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """The sub-cells from which the upper bone's joint can reach its disc with a length in [low, high]: `Strata.subs`
     `(s, 5)`, and what the strata need to know of them `(s, GEOMETRY)`."""
-    occupied = np.flatnonzero(build.cells[:, MASS])
-    middle, chord, *_ = _middles(occupied, 0, 0, 1)
-    cell = occupied[_near(sight, middle, chord, low, high)]
-    cell, across, along = (part.ravel() for part in np.meshgrid(cell, np.arange(sub), np.arange(sub), indexing="ij"))
-    upper, chord, azimuth, bottom, top = _middles(cell, across, along, sub)
-    kept = _near(sight, upper, chord, low, high)
-    cell, upper, chord, azimuth, bottom, top = (part[kept] for part in (cell, upper, chord, azimuth, bottom, top))
-    if build.by_area:
-        elevation = np.sin(bottom), np.sin(top)
-        floor = (cell % NUM_ELEVATION) * CELL - np.pi / 2
-        share = (np.sin(top) - np.sin(bottom)) / (np.sin(floor + CELL) - np.sin(floor)) / sub
-    else:
-        elevation = np.sin((bottom + top) / 2), np.cos((bottom + top) / 2)
-        share = np.full(len(cell), 1 / sub**2)
-    subs = np.stack([cell, np.sin(azimuth), np.cos(azimuth), *elevation], axis=1)
-    geometry = np.zeros((len(cell), GEOMETRY))
-    geometry[:, :2] = -upper @ sight.frame[:2].T
-    geometry[:, 2], geometry[:, 3] = np.hypot(geometry[:, 0], geometry[:, 1]), chord
-    geometry[:, 5] = build.cells[cell, MASS] * share
-    if build.bones == 2 and len(cell):
-        local, sine = lower_axes_of(upper, build.axes)
-        geometry[:, 4] = frame_turn(sine, chord)
-        triple = build.cells[cell, :9].reshape(-1, 3, 3)
-        geometry[:, 6:15] = -(sight.frame @ local @ triple.transpose(0, 2, 1)).transpose(0, 2, 1).reshape(-1, 9)
-        geometry[:, 15:20] = build.cells[cell, OFFSET : BOUNDS + 4]
-        low, high, first, last = build.cells[cell, BOX : BOX + 4].T
-        geometry[:, 20] = np.maximum(high - low, 0) * np.clip(last - first, 0, 2 * np.pi)
-        geometry[:, 5] /= build.cells[cell, AREA]
+    frame, cells = rows_of(sight.frame), build.cells
+    target0, target1, radius = sight.target[0, 0], sight.target[0, 1], sight.radius[0]
+    near, found = np.empty(len(cells), np.int64), 0
+    for cell in range(len(cells)):
+        if cells[cell, MASS] > 0:
+            u0, u1, u2 = _middle(whole, cell // NUM_ELEVATION, cell % NUM_ELEVATION)
+            near[found] = cell
+            chord = whole.elevation[cell % NUM_ELEVATION, 4]
+            found += int(_in_reach(frame, u0, u1, u2, target0, target1, radius + high * chord, low, high))
+    place, number = np.empty((found * sub * sub, 2), np.int64), 0
+    for n in range(found):
+        for across in range(sub):
+            for along in range(sub):
+                column, line = near[n] // NUM_ELEVATION * sub + across, near[n] % NUM_ELEVATION * sub + along
+                u0, u1, u2 = _middle(cut, column, line)
+                place[number, 0], place[number, 1] = column, line
+                chord = cut.elevation[line, 4]
+                number += int(_in_reach(frame, u0, u1, u2, target0, target1, radius + high * chord, low, high))
+    subs, geometry = np.empty((number, 5)), np.zeros((number, GEOMETRY))
+    for n in range(number):
+        column, line = place[n]
+        cell = column // sub * NUM_ELEVATION + line // sub
+        first = 2 if build.by_area else 0
+        subs[n, 0], subs[n, 1], subs[n, 2] = cell, cut.azimuth[column, 0], cut.azimuth[column, 1]
+        subs[n, 3], subs[n, 4] = cut.elevation[line, first], cut.elevation[line, first + 1]
+        geometry[n, 3] = cut.elevation[line, 4]
+        geometry[n, 5] = cells[cell, MASS] * (cut.elevation[line, 5] if build.by_area else 1 / sub**2)
+        _describe(frame, build, _middle(cut, column, line), cells[cell], geometry[n])
     return subs, geometry
 
 
-def _middles(cell: np.ndarray, across: np.ndarray | int, along: np.ndarray | int, sub: int) -> tuple[np.ndarray, ...]:
-    """Of sub-cells: the direction `(n, 3)` in the middle, how far as a chord a corner is from it, the middle's azimuth,
-    and the elevations of the two edges."""
-    width = CELL / sub
-    azimuth = (cell // NUM_ELEVATION) * CELL - np.pi + (across + 0.5) * width
-    bottom = (cell % NUM_ELEVATION) * CELL - np.pi / 2 + along * width
-    middle, top = bottom + width / 2, bottom + width
-    upper = np.stack([np.cos(middle) * np.cos(azimuth), np.cos(middle) * np.sin(azimuth), np.sin(middle)], axis=-1)
-    cosine = [
-        np.cos(edge) * np.cos(middle) * np.cos(width / 2) + np.sin(edge) * np.sin(middle) for edge in (bottom, top)
-    ]
-    chord = np.sqrt(np.maximum(2 - 2 * np.minimum(*cosine), 0.0)) + SLACK
-    return upper, chord, azimuth, bottom, top
+@inlined
+def _middle(cut: Grid, column: int, line: int) -> tuple[float, float, float]:
+    """The direction in the middle of a sub-cell."""
+    planar = cut.elevation[line, 1]
+    return planar * cut.azimuth[column, 1], planar * cut.azimuth[column, 0], cut.elevation[line, 0]
 
 
-def _near(sight: Sight, upper: np.ndarray, chord: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Which directions, moved by up to a chord, can put the joint into the first disc with some length in range."""
-    end = -upper @ sight.frame[:2].T
-    square = np.sum(end**2, axis=-1)
-    length = np.clip(end @ sight.target[0] / np.where(square > 0, square, 1.0), low, high)
-    distance = np.linalg.norm(sight.target[0] - length[:, None] * end, axis=-1)
-    return distance <= sight.radius[0] + high * chord + SLACK
+@inlined
+def _in_reach(frame: Rows, u0: float, u1: float, u2: float, target0: float, target1: float, slack: float, low: float,
+              high: float) -> bool:  # fmt: skip
+    """Whether a bone along u, of some length in [low, high], can end within `slack` of the target."""
+    end0 = -(frame[0] * u0 + frame[1] * u1 + frame[2] * u2)
+    end1 = -(frame[3] * u0 + frame[4] * u1 + frame[5] * u2)
+    square = end0 * end0 + end1 * end1
+    length = (end0 * target0 + end1 * target1) / (square if square > 0 else 1.0)
+    length = min(max(length, low), high)
+    return math.hypot(target0 - length * end0, target1 - length * end1) <= slack + SLACK
 
 
-def frame_turn(sine: np.ndarray, chord: np.ndarray) -> np.ndarray:
+@compiled
+def _describe(frame: Rows, build: Build, upper: tuple[float, float, float], cell: np.ndarray,
+              geometry: np.ndarray) -> None:  # fmt: skip
+    """The rest of a sub-cell's `GEOMETRY`: the upper bone's image, and the lower bone's hinge in camera axes."""
+    f00, f01, f02, f10, f11, f12, f20, f21, f22 = frame
+    u0, u1, u2 = upper
+    geometry[0], geometry[1] = -(f00 * u0 + f01 * u1 + f02 * u2), -(f10 * u0 + f11 * u1 + f12 * u2)
+    geometry[2] = math.hypot(geometry[0], geometry[1])
+    if build.bones == 1:
+        return
+    v0, v1, v2, w0, w1, w2, sine = lower_axes(u0, u1, u2, build.axes)
+    geometry[4] = frame_turn(sine, geometry[3])
+    for row in range(3):
+        t0, t1, t2 = cell[3 * row], cell[3 * row + 1], cell[3 * row + 2]
+        h0, h1, h2 = u0 * t0 + v0 * t1 + w0 * t2, u1 * t0 + v1 * t1 + w1 * t2, u2 * t0 + v2 * t1 + w2 * t2
+        geometry[6 + 3 * row] = -(f00 * h0 + f01 * h1 + f02 * h2)
+        geometry[7 + 3 * row] = -(f10 * h0 + f11 * h1 + f12 * h2)
+        geometry[8 + 3 * row] = -(f20 * h0 + f21 * h1 + f22 * h2)
+    for column in range(5):
+        geometry[15 + column] = cell[OFFSET + column]
+    geometry[20] = max(cell[BOX + 1] - cell[BOX], 0.0) * min(max(cell[BOX + 3] - cell[BOX + 2], 0.0), 2 * np.pi)
+    geometry[5] /= cell[AREA]
+
+
+@compiled
+def frame_turn(sine: float, chord: float) -> float:
     """How far, as a chord, any vector can turn with the lower frame while the parent bone moves by `chord`, from where
     its angle to the reference direction has this sine: the frame's azimuth turns fast near the reference."""
-    slow = chord < 0.999 * sine
-    ratio = np.where(slow, chord, 0.0) / np.where(slow, sine, 1.0)
-    return np.where(slow, np.minimum(2.0, chord + 2 * np.sin(np.arcsin(ratio) / 2) + SLACK), 2.0)
-
-
-def lower_axes_of(upper: np.ndarray, axes: Axes) -> tuple[np.ndarray, np.ndarray]:
-    """`lower_axes` of many parents `(n, 3)`: the frames `(n, 3, 3)`, columns u, v, w, and the sines `(n,)`."""
-    reference, fallback = np.array(axes[:3]), np.array(axes[3:])
-    usual = np.cross(reference, upper)
-    sine = np.linalg.norm(usual, axis=-1)
-    v = np.where(sine[:, None] < PARALLEL, np.cross(upper, fallback), usual)
-    v = v / np.linalg.norm(v, axis=-1, keepdims=True)
-    return np.stack([upper, v, np.cross(upper, v)], axis=-1), sine
+    if chord >= 0.999 * sine:
+        return 2.0
+    ratio = chord / sine
+    half = ratio / math.sqrt(2 + 2 * math.sqrt(1 - ratio * ratio))  # the sine of half the angle
+    return min(2.0, chord + 2 * half + SLACK)
 
 
 def stratify(sight: Sight, build: Build, edges1: np.ndarray, edges2: np.ndarray, sub: int) -> Strata:
     """The strata of one limb for the bins between the edges (body units) of its bones' lengths; of one bone, the second
     edges are of no account but in number."""
-    subs, geometry = sub_cells(sight, build, edges1[0], edges1[-1], sub)
+    subs, geometry = _sub_cells(sight, build, edges1[0], edges1[-1], sub, grid(sub), grid(1))
     return Strata(subs, *_stratify(sight, build, geometry, edges1, edges2))
 
 

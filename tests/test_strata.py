@@ -4,6 +4,8 @@ False alarms: every family of p-values is held to 0.001 altogether (Bonferroni);
 """
 
 import dataclasses
+import re
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +14,11 @@ import pytest
 from scipy import stats
 
 import inference
+from inference.samplers import numbers
+from inference.samplers.attempts import attempt_bodies
 from inference.samplers.bins import SLICES, alias_table, draw_lengths, length_bins
 from inference.samplers.limbs import build_groups
-from inference.samplers.numbers import compiled, load, seeded, store, uniform
+from inference.samplers.numbers import SOURCES, compiled, digest, load, seeded, store, uniform
 from inference.samplers.patches import patch_rectangle
 from inference.samplers.rates import Budget, Pooled, Rate
 from inference.samplers.rectangles import COUNT, ROWS, largest_rectangle, rectangle
@@ -49,6 +53,21 @@ def test_the_numbers_are_numpys_to_the_bit():
     generator = np.random.Generator(np.random.SFC64(np.random.SeedSequence([7, 11], spawn_key=(3, 1))))
     assert np.array_equal(found, generator.random(1000))
     assert not np.array_equal(seeded([7, 11], 3, 1), seeded([7, 11], 3, 2))
+
+
+def test_compiled_loops_are_kept_by_the_state_of_all_their_sources():
+    """What a compiled file imports from the product is a source too, or its change would go unseen; another text is
+    another folder; and that is where the loops are."""
+    root = Path(numbers.__file__).parents[2]
+    texts = {source: (root / source).read_bytes() for source in SOURCES}
+    for source in SOURCES:
+        if source.startswith("inference"):
+            imported = re.findall(r"^from ((?:inference|probmodel)[.\w]*) import", texts[source].decode(), re.MULTILINE)
+            assert {name.replace(".", "/") + ".py" for name in imported} <= set(SOURCES)
+        changed = {**texts, source: texts[source] + b"\n"}
+        assert digest(changed.values()) != digest(texts.values())
+    for loop in (attempt_bodies, draw_lengths, rectangle):
+        assert f"loops-{digest(texts.values())}" in loop.stats.cache_path
 
 
 @pytest.mark.parametrize(("alpha", "beta"), [(5.0, 7.0), (0.5, 0.7), (1.0, 1.0), (2.3, 60.0), (1.5, 0.4), (0.9, 3.0)])

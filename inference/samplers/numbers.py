@@ -8,16 +8,62 @@ NumPy's SFC64, seeded by NumPy, run on in four registers.
 A test holds the numbers to NumPy's bit for bit.
 """
 
+import hashlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
 import jax
 import numba
 import numpy as np
 
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
-"""How every function of the compiled loops is compiled: once a machine, free of Python's lock, without fast-math.
-Arrays are handed over once a loop, never once an attempt: numba counts references at every call."""
+_settings: Any = numba.config  # its attributes are made at import
 
-inlined = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-"""The same for formulas in the innermost loops: a call there would keep the loop from becoming vector instructions."""
+SOURCES = (
+    "inference/samplers/attempts.py", "inference/samplers/bins.py", "inference/samplers/blocks.py",
+    "inference/samplers/bounds.py", "inference/samplers/numbers.py", "inference/samplers/rectangles.py",
+    "inference/samplers/series.py", "inference/samplers/strata.py", "probmodel/frames.py", "probmodel/limits.py",
+)  # fmt: skip
+"""All files whose text ends in the compiled loops, as functions or as constants."""
+
+
+def digest(texts: Iterable[bytes]) -> str:
+    """A short name for a state of the sources."""
+    return hashlib.sha256(b"\0".join(texts)).hexdigest()[:16]
+
+
+def _kept_in() -> Path:
+    """Where compiled loops are kept. Numba compiles a function anew where its own file has changed, but not where a
+    function or a constant of another file has that was compiled into it: after an update old and new loops would
+    work on each other's tables. So each state of the sources has a folder of its own."""
+    root = Path(__file__).parents[2]
+    base = _settings.CACHE_DIR or Path(__file__).parent / "__pycache__"
+    return Path(base) / f"loops-{digest((root / source).read_bytes() for source in SOURCES)}"
+
+
+def _njit(function: Callable, **options: Any) -> Callable:
+    before = _settings.CACHE_DIR
+    _settings.CACHE_DIR = str(_FOLDER)  # read while numba looks for a place; where it cannot write it takes another
+    try:
+        return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+    finally:
+        _settings.CACHE_DIR = before
+
+
+_FOLDER = _kept_in()
+
+
+def compiled(function: Callable) -> Callable:
+    """How every function of the compiled loops is compiled: once a machine, free of Python's lock, without fast-math.
+    Arrays are handed over once a loop, never once an attempt: numba counts references at every call."""
+    return _njit(function)
+
+
+def inlined(function: Callable) -> Callable:
+    """The same for formulas in the innermost loops: a call there would keep the loop from becoming vector
+    instructions."""
+    return _njit(function, forceinline=True)
+
 
 Stream = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 """The four words of a generator, as numbers."""

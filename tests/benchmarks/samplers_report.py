@@ -39,7 +39,7 @@ CLOCKED = (10_000, 100_000)
 CLOCK = time.process_time
 """Other work on the machine does not count."""
 EVIDENCES = ("smc", "nss", "nautilus")
-PATIENCE = {"nuts": 4, "ess": 4, "smc": 8, "nss": 16, "nautilus": 12}
+PATIENCE = {"nuts": 15, "hmc": 15, "ess": 4, "smc": 8, "nss": 32, "nautilus": 12}
 """Times as long as the others these may take: they have nothing before a long warm-up, or before they have come from
 the prior to the posterior."""
 UNSEEN = ("head", "left_elbow", "left_wrist", "right_knee", "left_knee", "right_ankle", "left_ankle")

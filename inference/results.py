@@ -9,7 +9,6 @@ import os
 import platform
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -19,7 +18,7 @@ import xarray as xr
 from inference.candidates import Candidate, Frame
 from inference.samplers.numbers import words_of
 from probmodel.chunks import in_chunks
-from probmodel.failures import BadInput
+from probmodel.files import replacing
 from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS
@@ -71,15 +70,9 @@ class Result:
 
 
 def save_tree(tree: xr.DataTree, path: str | os.PathLike) -> None:
-    """Writes a tree as netCDF4: to a partial file first, then renamed. Raises `BadInput` where it cannot."""
-    path = Path(path)
-    partial = path.with_name(path.name + ".partial")
-    try:
+    """Writes a tree as netCDF4, whole or not at all. Raises `BadInput` where it cannot."""
+    with replacing(path) as partial:
         tree.to_netcdf(partial, engine="netcdf4")
-        os.replace(partial, path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise BadInput(f"cannot write {path} ({error.strerror}); choose a folder that can be written to") from None
 
 
 def key_words(key: jax.Array) -> str:

@@ -27,6 +27,7 @@ from inference.results import joint_columns, key_words, save_tree, versions
 from inference.sampler import MAX_PROPOSALS, draw_mixture
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
+from probmodel.files import replacing
 from probmodel.formats.frames import DetectedFrame
 from probmodel.model import PoseModel
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS, NUM_JOINTS, NUM_LENGTHS
@@ -258,13 +259,9 @@ def _begin(folder: Path, settings: dict[str, Any]) -> None:
                 f"{settings[changed[0]]!r}); choose another folder, or delete that one"
             )
         return
-    partial = path.with_name(path.name + ".partial")
-    try:
+    with replacing(path) as partial:
         folder.mkdir(parents=True, exist_ok=True)
         partial.write_text(json.dumps(settings, indent=1), encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        raise BadInput(f"cannot write {path} ({error.strerror}); choose a folder that can be written to") from None
 
 
 def _settings(folder: Path) -> dict[str, Any]:

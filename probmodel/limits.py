@@ -6,7 +6,6 @@ bnd1 ≤ e2·u ≤ bnd2 and bnd3 ≤ e3·u ≤ bnd4, with (n, e2, e3) an orthono
 The usual way in: `AnatomicalLimits.default()`, `.load(path)`, `.check(joints)`.
 """
 
-import contextlib
 import dataclasses
 import functools
 import hashlib
@@ -25,6 +24,7 @@ from scipy.spatial import cKDTree
 
 from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
+from probmodel.files import replacing
 from probmodel.frames import Articulation, articulation, azimuth_elevation, direction
 from probmodel.skeleton import BONE_NAMES, NUM_JOINTS, NUM_LOWER, NUM_UPPER
 
@@ -275,17 +275,9 @@ def read_tables(
 
 
 def write_tables(path: str | os.PathLike, arrays: Mapping[str, np.ndarray]) -> None:
-    """Writes an .npz beside `path` and moves it there, so that no reader ever meets half a file."""
-    path = Path(path)
-    partial = path.with_name(path.name + ".partial")
-    try:
-        with open(partial, "wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays)
-        os.replace(partial, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise BadInput(f"cannot write {path} ({error.strerror}); choose a folder that can be written to") from None
+    """Writes an .npz, whole or not at all."""
+    with replacing(path) as partial, open(partial, "wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def _unpack_bits(bits: np.ndarray, key: str, path: Path) -> np.ndarray:

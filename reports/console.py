@@ -135,14 +135,10 @@ def _try_writing(folder: Path) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Writes a text file, atomically. Raises `BadInput` where it cannot be written."""
-    partial = path.with_name(path.name + ".partial")
-    try:
+    from probmodel.files import replacing
+
+    with replacing(path, "choose another --out") as partial:
         partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise _bad_input(f"cannot write {path} ({_reason(error)}); choose another --out") from None
 
 
 def _reason(error: Exception) -> str:

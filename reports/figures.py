@@ -4,7 +4,6 @@
 pyplot: no screen, no global state. Artists carry a `gid` (such as "disc right_knee") that names what they show.
 """
 
-import contextlib
 import os
 import textwrap
 import warnings
@@ -24,6 +23,7 @@ from matplotlib.patches import Circle
 from PIL import Image, ImageOps
 
 from probmodel.failures import BadInput
+from probmodel.files import replacing
 from probmodel.skeleton import GROUPS, JOINTS, NUM_JOINTS, PARENTS
 from reports.tables import facing_words, heaviest, pose_facing, spoken, values
 
@@ -397,20 +397,14 @@ def _draw_spreads(axis: Axes, tree: xr.DataTree, joints: list[int]) -> None:
 
 
 def save_figure(figure: Figure, path: str | os.PathLike) -> None:
-    """Writes PNG, PDF or SVG, by the name's ending: beside the path first, then renamed. Raises `BadInput`, one
+    """Writes PNG, PDF or SVG, by the name's ending, whole or not at all. Raises `BadInput`, one
     sentence, where it cannot."""
     path = Path(path)
     kind = path.suffix.lower().lstrip(".")
     if kind not in ("png", "pdf", "svg"):
         raise BadInput(f"cannot write a figure to {path}; give it a name that ends in .png, .pdf or .svg.")
-    partial = path.with_name(path.name + ".partial")
-    try:
+    with replacing(path) as partial:
         figure.savefig(partial, format=kind)
-        os.replace(partial, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise BadInput(f"cannot write {path} ({error.strerror}); choose a folder that can be written to.") from None
 
 
 def read_image(path: str | os.PathLike) -> np.ndarray:

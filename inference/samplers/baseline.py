@@ -6,7 +6,6 @@ that an interrupted run goes on to the same bits. `chains.Walk` makes a method o
 """
 
 import hashlib
-import os
 import time
 import zipfile
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from inference.target import Target
 from probmodel.chunks import in_chunks
 from probmodel.cube import Configuration
 from probmodel.failures import BadInput
+from probmodel.files import replacing
 
 Progress = Callable[[int, int], None]
 Clock = Callable[[], float]
@@ -280,16 +280,8 @@ class _Save:
               now: bool = False) -> None:  # fmt: skip
         if not now and time.monotonic() - self.last < SAVE_EVERY:
             return
-        partial = self.path.with_name(self.path.name + ".partial")
-        try:
-            with partial.open("wb") as file:
-                about = {"_fingerprint": np.array(self.fingerprint), "_clock": np.array([seconds, compiling]),
-                         "_history": np.array(history, float).reshape(-1, 3)}  # fmt: skip
-                np.savez(file, allow_pickle=False, **about, **method.state())
-            os.replace(partial, self.path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise BadInput(
-                f"cannot write {self.path} ({error.strerror}); choose a folder that can be written to"
-            ) from None
+        about = {"_fingerprint": np.array(self.fingerprint), "_clock": np.array([seconds, compiling]),
+                 "_history": np.array(history, float).reshape(-1, 3)}  # fmt: skip
+        with replacing(self.path) as partial, partial.open("wb") as file:
+            np.savez(file, allow_pickle=False, **about, **method.state())
         self.last = time.monotonic()

@@ -6,13 +6,13 @@ never by the name of the file. Folders and long files are read frame by frame: `
 
 import math
 import os
-import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
+from probmodel.files import replacing
 from probmodel.formats import alphapose, coco, deeplabcut, hourglass, mediapipe, mmpose, native, openpose, videopose3d
 from probmodel.formats.common import Content, at_least_one_joint
 from probmodel.heatmaps import THRESHOLD as HEATMAP_THRESHOLD
@@ -106,21 +106,8 @@ def write_detections(path: str | os.PathLike[str], detections: Sequence[Detectio
     Raises `BadInput` where there is nothing to write or the place cannot be written to.
     """
     text = native.write(detections)
-    try:
-        target = Path(os.path.realpath(path))  # through a link, which would be replaced otherwise
-        _replace(target, text)
-    except (OSError, ValueError) as error:  # ValueError: a path that no file can have
-        reason = getattr(error, "strerror", None) or error
-        raise BadInput(f"{path} cannot be written ({reason}); choose another place.") from None
-
-
-def _replace(target: Path, text: str) -> None:
-    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path, "choose another place") as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def content_of(

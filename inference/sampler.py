@@ -201,6 +201,8 @@ def log_prior_weights(frame: Frame) -> np.ndarray:
     Where no candidate has all seen torso joints inside their discs, the torso's likelihood says nothing and is left
     out. Normalised.
     """
+    if len(frame.candidates) == 1:
+        return np.zeros(1)
     torso = np.array([frame.log_torso_likelihood(candidate) for candidate in frame.candidates])
     discs = np.array([float(frame.observation(candidate).log_disc_density) for candidate in frame.candidates])
     log_weight = discs + (torso if np.isfinite(torso).any() else 0.0)

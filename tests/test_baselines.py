@@ -199,6 +199,10 @@ def test_one_flip_is_one_flip():
         (lambda: draw("emcee", 1000, starts=np.full((9, 6), 40.0)), "none of the 9 starting points"),
         (lambda: draw("emcee", 1000, starts=np.full((9, 6), np.nan)), "none of the 9 starting points"),
         (lambda: starting_points(low()[2], low()[3], "anywhere"), "no start 'anywhere'"),
+        (
+            lambda: inference.sample(*low()[:2], key=key(0), sampler="emcee", num_samples=50_000),
+            "emcee keeps 49,152 draws at most, spread over its whole run, not 50,000; ask for fewer",
+        ),
     ],
 )
 def test_what_cannot_be_run_is_refused(call, match):

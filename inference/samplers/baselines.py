@@ -17,6 +17,7 @@ from inference.candidates import Frame
 from inference.flips import away, codes
 from inference.results import CandidateDraws, Result, build_tree, key_words
 from inference.samplers.baseline import Allowance, Baseline, Progress, Run, check_packages, run
+from inference.samplers.chains import CAPACITY
 from inference.samplers.ensemble import ENSEMBLES
 from inference.samplers.gradient import GRADIENTS
 from inference.samplers.nested import NESTED
@@ -60,9 +61,14 @@ def sample_baseline(
     progress: Progress | None,
 ) -> Result:
     """At least `num_samples` draws of a baseline, as many in every chain, started in draws of `exact(num_samples=…)`.
-    They are not independent, and not exact: `inference.comparison` says how good they are. Raises as `Target.of`."""
+    They are not independent, and not exact: `inference.comparison` says how good they are. Raises as `Target.of`, and
+    `BadInput` where chains are asked for more than they keep."""
     target, baseline = Target.of(model, frame), BASELINES[sampler]
     check_packages(sampler, baseline)
+    if baseline.starts and num_samples > CAPACITY:
+        raise BadInput(
+            f"{sampler} keeps {CAPACITY:,} draws at most, spread over its whole run, not {num_samples:,}; ask for fewer"
+        )
     starts = starting_points(target, exact(num_samples=STARTING).tree, DISPERSED) if baseline.starts else None
     done = run(baseline, sampler, target, key=key, starts=starts, num_samples=num_samples,
                allowance=Allowance(evaluations=max_evaluations), progress=progress)  # fmt: skip

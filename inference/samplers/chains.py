@@ -12,6 +12,8 @@ BURN_IN = 0.25
 """Share of a chain's steps that is thrown away."""
 KEPT = 1 << 16
 """Steps × walkers kept at least; beyond twice as many every second step is dropped and the stride doubled."""
+CAPACITY = int((1 - BURN_IN) * KEPT)
+"""Draws that are left of what is kept at least."""
 
 
 class Trace(NamedTuple):

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from arviz_stats.base import array_stats
 from numpyro.infer import AIES, ESS
 from numpyro.infer.ensemble import EnsembleSamplerState
 from scipy.signal import lfilter
@@ -22,11 +23,11 @@ from inference.comparison import Judgement, comparison_tree, judge
 from inference.comparison.cost import course
 from inference.comparison.distances import energy, mmd, pairwise, sliced_wasserstein, wasserstein
 from inference.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
-from inference.comparison.mixing import mixing
+from inference.comparison.mixing import mean_ess, mixing
 from inference.comparison.modes import modes, same_shares
 from inference.comparison.pace import autocorrelation_times, pace
 from inference.comparison.permutation import classifier_test, permutation_tests
-from inference.comparison.ranks import all_together, each_coordinate
+from inference.comparison.ranks import all_together, each_coordinate, scores
 from inference.comparison.record import Entry
 from inference.comparison.sample import NAMES, Sample, read_sample, sample_of
 from inference.flips import codes
@@ -216,6 +217,38 @@ def test_walkers_that_stay_earn_nothing():
     moving = pace(other, other, effective=5000.0, given=0, steps=5000)
     assert moving.known
     assert moving.settled > 3000
+
+
+@pytest.fixture(scope="module")
+def clouds() -> tuple[Sample, Sample]:
+    """Sixteen walkers that draw at random from clouds of forty exact draws of their own, and exact draws."""
+    one, other = exact_pair(640, 5000, 8)
+    rows = np.random.default_rng(0).integers(40, size=(16, 5000)) + 40 * np.arange(16)[:, None]
+    return Sample(one.flat[rows], one.away.reshape(640, -1)[rows]), other
+
+
+def test_walkers_apart_for_good_are_worth_what_tells_them_apart(clouds):
+    """Hardly any autocorrelation, and 16 × 40 draws in all, whatever the number of steps."""
+    drawn, other = clouds
+    effective = mixing(drawn.values, other.flat.std(axis=0)).worst
+    assert effective < 2000
+    found = pace(drawn, other, effective=effective, given=0, steps=5000)
+    assert drawn.num_draws / found.time > 10_000  # what the paths promise
+    assert found.settled == effective
+    assert not found.known
+
+
+def test_chains_that_scatter_are_worth_what_they_agree_on(clouds):
+    """640: less than four times as much in every one of 32 coordinates (a scatter of 15 degrees of freedom is too
+    small by that in 1 of 640); ArviZ alone says 33,000 for one: the negative control. Independent draws in as many
+    chains keep half of their number at least."""
+    drawn, other = clouds
+    found = scores(drawn.values, other.flat)[..., 0]
+    varies = [series for series in np.moveaxis(found, -1, 0) if np.ptp(series)]
+    said = [float(array_stats.ess(one, chain_axis=0, draw_axis=1, method="mean")) for one in varies]
+    assert max(said) > 40 * 640
+    assert max(mean_ess(one) for one in varies) < 4 * 640
+    assert mean_ess(np.random.default_rng(1).normal(size=(16, 500))) > 4000
 
 
 class HalfUpdatedAIES(AIES):

@@ -7,6 +7,7 @@ first, and a chain in which a coordinate stands still though the exact draws var
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
 FEWEST_UNIQUE = 0.02
 """A sampler with a smaller share of distinct draws has not moved."""
@@ -14,6 +15,9 @@ FROZEN = 0.05
 """More chains than this share that stand still are a fault; of fewer, effective sizes and R-hat tell."""
 CONSTANT = 1e-9
 """A coordinate that varies by less, in standard deviations of the exact draws, does not vary but by rounding."""
+
+SCATTER = 0.1
+"""How seldom chains that are as good as ArviZ says scatter more than they are allowed to."""
 
 
 class Mixing(NamedTuple):
@@ -54,10 +58,21 @@ def mixing(values: np.ndarray, spread: np.ndarray) -> Mixing:
 
 
 def mean_ess(series: np.ndarray) -> float:
-    """Effective size `()` for the mean of a series `(chain, draw)`, at most its length; its length where constant."""
+    """Effective size `()` for the mean of a series `(chain, draw)`, at most its length; its length where constant.
+
+    ArviZ's, unless the chains' own means scatter more than it allows (chi-square, at `SCATTER`): then what they
+    say. The sum of autocorrelations ends where they sink into the noise, however long they go on there.
+    """
     from arviz_stats.base import array_stats
 
     if series.shape[1] < 4 or np.ptp(series) == 0:
         return float(series.size)
     found = float(array_stats.ess(series, chain_axis=0, draw_axis=1, method="mean"))
-    return min(found, series.size) if np.isfinite(found) else 1.0
+    if not np.isfinite(found):
+        return 1.0
+    found = min(found, float(series.size))
+    freedom = len(series) - 1
+    if freedom:
+        excess = series.mean(axis=1).var(ddof=1) / len(series) / series.var() * found
+        found /= excess if freedom * excess > stats.chi2.isf(SCATTER, freedom) else 1.0
+    return found

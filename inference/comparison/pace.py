@@ -4,7 +4,9 @@ ArviZ gives a run shorter than its autocorrelation time as many effective draws 
 started with. Two figures are not taken in. *Earned*: the effective draws beyond the exact ones that the start was
 given. And the autocorrelation time of all walkers together about the mean and variance of the exact draws (Sokal 1997):
 a walker that stays where it is has a long one, and so has one that walks about in the wrong place. For a mean, draws
-are worth their number over that time. From a path that is short beside it, it can only be bounded from below.
+are worth their number over that time. From a path that is short beside it, it can only be bounded from below. And a
+path does not show what keeps walkers apart for good, draws from clouds of their own, say: where ArviZ, which compares
+walkers with each other, finds far fewer effective draws, that is the bound.
 """
 
 from typing import NamedTuple
@@ -18,6 +20,8 @@ WINDOW = 5.0
 """The sum of autocorrelations ends at this many autocorrelation times (Sokal's rule)."""
 ENOUGH = 50.0
 """A path of fewer autocorrelation times bounds them, and no more (the rule of emcee's documentation)."""
+APART = 2.0
+"""How many times as many effective draws paths may promise as ArviZ finds, whose figure is of tails too."""
 GROUPS = 16
 """Groups of walkers, from whose differences standard errors come."""
 
@@ -36,14 +40,17 @@ class Pace(NamedTuple):
 def pace(sample: Sample, exact: Sample, *, effective: float, given: int, steps: int) -> Pace:
     """Of draws whose effective size in the worst coordinate is said to be `effective`, started with `given` exact
     draws, every `steps` draws being the path of one walker."""
-    series, known = _series(sample), _series(exact)
-    centre, spread = known.mean(axis=0), known.std(axis=0)
+    series, truth = _series(sample), _series(exact)
+    centre, spread = truth.mean(axis=0), truth.std(axis=0)
     varies = spread > CONSTANT
     paths = ((series[:, varies] - centre[varies]) / spread[varies]).reshape(-1, steps, int(varies.sum()))
     times, closed = autocorrelation_times(paths)
     time = max(1.0, float(times.max()))
-    long = bool(closed.all()) and steps >= ENOUGH * time
-    return Pace(max(0.0, effective - given), time, sample.num_draws / time, long)
+    settled = sample.num_draws / time
+    known = bool(closed.all()) and steps >= ENOUGH * time
+    if settled > APART * effective:
+        settled, known = effective, False
+    return Pace(max(0.0, effective - given), time, settled, known)
 
 
 def _series(sample: Sample) -> np.ndarray:

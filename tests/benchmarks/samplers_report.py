@@ -39,6 +39,8 @@ CLOCKED = (10_000, 100_000)
 CLOCK = time.process_time
 """Other work on the machine does not count."""
 EVIDENCES = ("smc", "nss", "nautilus")
+PATHLESS = ("nss", "nautilus")
+"""Whose draws are no path, so that there is no pace at which they go on once they have settled."""
 PATIENCE = {"nuts": 15, "hmc": 15, "ess": 4, "smc": 8, "nss": 32, "nautilus": 12}
 """Times as long as the others these may take: they have nothing before a long warm-up, or before they have come from
 the prior to the posterior."""
@@ -170,9 +172,10 @@ def _summary_line(name: str, tree: xr.DataTree) -> list[str]:
     few, many = exact_rates(tree)
     quickest = float(np.min(rest.seconds_to_distance.values))
     judged = rest.verdict.values != "no draws"
+    walks = rest.sel(sampler=~rest.sampler.isin(PATHLESS))
     return [
         name, str(tree.attrs["dim"]), f"{tree.attrs['exact_log_evidence']:.1f}", f"{few:,.0f}", f"{many:,.0f}",
-        *_best(rest, "ess_per_second", many), *_best(rest, "settled_per_second", many),
+        *_best(rest, "ess_per_second", many), *_best(walks, "settled_per_second", many),
         f"{float(exact.seconds_to_distance):.2g} s", "never" if np.isinf(quickest) else f"{quickest:.2g} s",
         f"{int(np.sum(rest.verdict.values == 'differs'))} of {int(judged.sum())}",
     ]  # fmt: skip

@@ -26,6 +26,7 @@ from inference.samplers.baseline import Allowance, Baseline, Drawn, run
 from inference.samplers.baselines import BASELINES, DISPERSED, ONE_FLIP, baseline_tree, starting_points
 from inference.samplers.ensemble import snooker
 from inference.samplers.resampling import systematic
+from inference.samplers.tempering import next_multiple
 from inference.target import Target, read_poses
 from probmodel import BadInput, PoseModel
 from probmodel.cube import CUBE_DIM
@@ -130,6 +131,23 @@ def test_soft_walls_have_gradients_and_weights_undo_them():
     np.testing.assert_allclose(walls, target.log_walls(points, 8.0), atol=1e-9)
     seen = int(np.sum(target.observation.has_factor))
     assert np.all((walls <= 0) & (walls >= -seen * math.log(2) - 1e-9))
+
+
+def test_the_shares_of_shrinking_discs_are_not_flattered():
+    """Fresh particles at every stage, misfits uniform up to the last multiple: ten stages 2,000 times, the true
+    probability known each time. The mean of estimate over truth is 1 within four standard errors (6e-5); with one more
+    particle counted at every stage, the negative control, it is 1.08."""
+    rng = np.random.default_rng(0)
+    ratio = np.ones((2000, 2))
+    step = jax.jit(jax.vmap(next_multiple))
+    for _ in range(10):
+        misfit = 1e9 * rng.uniform(size=(2000, 256))
+        multiple, inside = (np.asarray(part) for part in step(misfit))
+        ratio *= (inside.sum(axis=1)[:, None] + [0, 1]) / 256 / (multiple / 1e9)[:, None]
+    error = ratio.std(axis=0) / np.sqrt(2000)
+    off = np.abs(ratio.mean(axis=0) - 1) / error
+    assert off[0] < 4
+    assert off[1] > 10
 
 
 def test_systematic_resampling_follows_the_weights():

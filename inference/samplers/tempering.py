@@ -107,6 +107,13 @@ def _begin(target: Target, key: jax.Array) -> Population:
     return Population(points, jnp.asarray(jnp.inf), scale, zero, zero, jax.random.fold_in(key, 1))
 
 
+def next_multiple(misfit: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The multiple of τ that comes after particles' misfits `(n,)`, and which of them it keeps. The particle that sets it
+    is not among those: counted, it would make every share too large (Cérou et al. 2012)."""
+    multiple = jnp.maximum(jnp.sort(misfit)[int(SHARE * len(misfit))], 1.0)
+    return multiple, misfit < multiple
+
+
 @jax.jit
 def _stage(target: Target, population: Population) -> Population:
     """Resample by the next multiple, then move; at multiple 1 nothing is lost, and the particles only move."""
@@ -114,16 +121,13 @@ def _stage(target: Target, population: Population) -> Population:
     from blackjax.smc.resampling import systematic
 
     key, for_step = jax.random.split(population.key)
-    misfit = target.misfit(population.points)
-    ordered = jnp.sort(misfit)
-    multiple = jnp.maximum(ordered[int(SHARE * PARTICLES)], 1.0)
-    kept = jnp.mean(misfit <= multiple)
+    multiple, inside = next_multiple(target.misfit(population.points))
+    kept = jnp.mean(inside)
 
     def density(point: jax.Array) -> jax.Array:
         return target.log_base(point) + jnp.where(target.misfit(point) <= multiple, 0.0, -jnp.inf)
 
-    weights = jnp.where(misfit <= multiple, 1.0, 0.0)
-    state = base.SMCState(population.points, weights / jnp.sum(weights), {})
+    state = base.SMCState(population.points, inside / jnp.sum(inside), {})
     root = root_of_covariance(population.points)
 
     def move(keys: jax.Array, points: jax.Array, _: Any) -> tuple[jax.Array, jax.Array]:

@@ -108,8 +108,8 @@ def _begin(target: Target, key: jax.Array) -> Population:
 
 
 def next_multiple(misfit: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The multiple of τ that comes after particles' misfits `(n,)`, and which of them it keeps. The particle that sets it
-    is not among those: counted, it would make every share too large (Cérou et al. 2012)."""
+    """The multiple of τ that comes after particles' misfits `(n,)`, and which of them it keeps. The particle that sets
+    it is not among those: counted, it would make every share too large (Cérou et al. 2012)."""
     multiple = jnp.maximum(jnp.sort(misfit)[int(SHARE * len(misfit))], 1.0)
     return multiple, misfit < multiple
 

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import stat
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from probmodel import formats
+from probmodel import files, formats
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from probmodel.formats import FORMATS, Content, read_content, read_detections, write_detections
@@ -483,6 +484,21 @@ def test_a_real_file_survives_conversion(shared_data: Path, tmp_path: Path) -> N
     assert all(same(one, other) for one, other in zip(people, again, strict=True))
 
 
+def test_a_failed_write_leaves_the_old_file_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "out.json"
+    file.write_text("old")
+    people = read(openpose(REAL_25))
+
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.os, "replace", fail)
+    with pytest.raises(BadInput, match=r"cannot write .*out\.json \(No space left on device\); choose another place"):
+        write_detections(file, people)
+    assert file.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [file]
+
+
 def test_where_nothing_can_be_written(tmp_path: Path) -> None:
     people = read(openpose(REAL_25))
     for place in (tmp_path, tmp_path / "none" / "out.json", "a\0b"):
@@ -491,6 +507,17 @@ def test_where_nothing_can_be_written(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="nothing to write"):
         write_detections(tmp_path / "out.json", [])
     assert not list(tmp_path.iterdir())
+
+
+def test_a_link_is_written_through_and_the_file_can_be_read_by_others(tmp_path: Path) -> None:
+    file, link = tmp_path / "out.json", tmp_path / "link.json"
+    link.symlink_to(file)
+    write_detections(link, read(openpose(REAL_25)))
+    assert link.is_symlink()
+    assert len(read_detections(file)) == 1
+    plain = tmp_path / "plain"
+    plain.touch()
+    assert stat.S_IMODE(file.stat().st_mode) == stat.S_IMODE(plain.stat().st_mode)
 
 
 # Arbitrary and damaged content.

@@ -72,7 +72,7 @@ def mean_ess(series: np.ndarray) -> float:
         return 1.0
     found = min(found, float(series.size))
     freedom = len(series) - 1
-    if freedom:
-        excess = series.mean(axis=1).var(ddof=1) / len(series) / series.var() * found
-        found /= excess if freedom * excess > stats.chi2.isf(SCATTER, freedom) else 1.0
-    return found
+    if not freedom:
+        return found
+    excess = series.mean(axis=1).var(ddof=1) / len(series) / series.var() * found
+    return found / excess if freedom * excess > stats.chi2.isf(SCATTER, freedom) else found

@@ -5,15 +5,30 @@ result = inference.sample(model, frame, key=jax.random.key(0), num_samples=10_00
 """
 
 from inference.candidates import Candidate, Frame
-from inference.estimators import ESTIMATORS, estimate_torso, estimate_torsos
-from inference.evidence import Evidence, evidence
-from inference.hypotheses import Hypothesis, diverse, grid_poses, hypotheses
+from inference.evidences import Evidence, evidence
+from inference.hypothesis import Hypothesis, diverse, grid_poses, hypotheses
 from inference.results import Result
+from inference.roots import ESTIMATORS, estimate_torso, estimate_torsos
 from inference.sampler import SAMPLERS, sample
 from inference.stream import Item, draws_of, open_stream, sample_frames
 
 __all__ = [
-    "ESTIMATORS", "SAMPLERS", "Candidate", "Evidence", "Frame", "Hypothesis", "Item", "Result", "diverse", "draws_of",
-    "estimate_torso", "estimate_torsos", "evidence", "grid_poses", "hypotheses", "open_stream", "sample",
+    "ESTIMATORS",
+    "SAMPLERS",
+    "Candidate",
+    "Evidence",
+    "Frame",
+    "Hypothesis",
+    "Item",
+    "Result",
+    "diverse",
+    "draws_of",
+    "estimate_torso",
+    "estimate_torsos",
+    "evidence",
+    "grid_poses",
+    "hypotheses",
+    "open_stream",
+    "sample",
     "sample_frames",
-]  # fmt: skip
+]

@@ -8,19 +8,24 @@ import numpy as np
 import xarray as xr
 
 from inference.results import key_words, versions
+from probmodel.anatomy.lengths import BoneLength
+from probmodel.anatomy.torsos import TorsoDictionary
 from probmodel.chunks import CHUNK
-from probmodel.directions import HingedDirection, OccupiedDirection
+from probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from probmodel.failures import BadInput
-from probmodel.lengths import BoneLength
 from probmodel.model import PoseModel
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS
-from probmodel.torsos import TorsoDictionary
 
 
 def sample_prior(
-    model: PoseModel, *, key: jax.Array, num_samples: int, progress: Callable[[int, int], None] | None = None
+    model: PoseModel,
+    *,
+    key: jax.Array,
+    num_samples: int,
+    progress: Callable[[int, int], None] | None = None,
 ) -> xr.DataTree:
-    """`num_samples` independent poses in body axes, body units, as group `prior` (chain, draw, joint, axis).
+    """`num_samples` independent poses in body axes, body units, as group `prior` (chain, draw,
+    joint, axis).
 
     Raises `BadInput` on a number of samples below one.
     """
@@ -40,7 +45,12 @@ def sample_prior(
             "bone_length": (("chain", "draw", "length_group"), length, {"units": "body units"}),
             "torso": (("chain", "draw"), torso),
         },
-        coords=coords | {"joint": list(JOINTS), "axis": list("xyz"), "length_group": list(LENGTH_GROUPS)},
+        coords=coords
+        | {
+            "joint": list(JOINTS),
+            "axis": list("xyz"),
+            "length_group": list(LENGTH_GROUPS),
+        },
     )
     stats = xr.Dataset({"lp": (("chain", "draw"), lp)}, coords=coords)
     tree = xr.DataTree.from_dict({"prior": prior, "sample_stats_prior": stats})
@@ -63,4 +73,9 @@ def _draw(key: jax.Array, model: PoseModel) -> tuple[jax.Array, ...]:
     upper = OccupiedDirection(model.cells).sample(for_upper, (CHUNK,))
     lower = HingedDirection(model.hinges_at(upper)).sample(for_lower)
     joints = model.joints(jnp.asarray(model.torsos)[torso], length, upper, lower)
-    return torso, length, joints, model.log_prior(length, upper, lower) - jnp.log(model.torsos.shape[0])
+    return (
+        torso,
+        length,
+        joints,
+        model.log_prior(length, upper, lower) - jnp.log(model.torsos.shape[0]),
+    )

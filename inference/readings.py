@@ -1,10 +1,11 @@
-"""Readings: was the file read as it was meant? A detection against its exchanged, mirrored and upside-down selves.
+"""Readings: was the file read as it was meant? A detection against its exchanged, mirrored and
+upside-down selves.
 
-`judge(detections)` weighs the people of a file under every reading and says, in sentences, where another explains them
-much better. The evidence is the model's, in a cheap form: the mean, over draws of the prior, of a smooth likelihood of
-each limb (standard error below 0.2 nats), × the misfit of the torso, × the face (`face`). What can be told and what
-cannot, with shares: reports/readings.md.
-"""
+`judge(detections)` weighs the people of a file under every reading and says, in sentences, where
+another explains them much better. The evidence is the model's, in a cheap form: the mean, over
+draws of the prior, of a smooth likelihood of each limb (standard error below 0.2 nats), × the
+misfit of the torso, × the face (`face`). What can be told and what cannot, with shares:
+reports/readings.md."""
 
 import dataclasses
 import functools
@@ -17,13 +18,13 @@ import numpy as np
 from scipy.stats import qmc
 
 from inference.candidates import Candidate
-from inference.estimators import estimate_torso
 from inference.face import log_face_likelihood
-from probmodel.cube import CUBE_DIM, Configuration, from_cube
+from inference.roots import estimate_torso
 from probmodel.detections import FACE, Detection
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.skeleton import GROUPS, JOINT_INDEX, LIMB_JOINTS, MIRROR, TORSO_INDEX
+from probmodel.transport import CUBE_DIM, Configuration, from_cube
 
 DRAWS = 2**15
 """Poses of the prior that stand for it."""
@@ -32,12 +33,13 @@ NOISE = 0.10
 TORSO_NOISE = 0.09
 """The same for torso joints; a dictionary of torsos fits a real torso only so well."""
 FLOOR = -25.0
-"""Log likelihood of a limb that no draw comes near: an outlier of the detector must not outweigh everything else."""
+"""Log likelihood of a limb that no draw comes near: an outlier of the detector must not outweigh
+everything else."""
 
 
 class Evidence(NamedTuple):
-    """Log evidence of one detection with the torso as it is: by candidate, `torso` `(c,)` and `face` `(c,)`; and
-    `arms` and `legs` `(c, 2)`, as they are and exchanged."""
+    """Log evidence of one detection with the torso as it is: by candidate, `torso` `(c,)` and
+    `face` `(c,)`; and `arms` and `legs` `(c, 2)`, as they are and exchanged."""
 
     torso: np.ndarray
     face: np.ndarray
@@ -79,7 +81,9 @@ def _log_evidence(draws: np.ndarray, target: np.ndarray, group: str) -> float:
     for limb in GROUPS[group]:
         joints = [bone.end for bone in limb.bones if np.isfinite(target[bone.end]).all()]
         square = sum(
-            (draws[:, LIMB_JOINTS.index(j), axis] - np.float32(target[j, axis])) ** 2 for j in joints for axis in (0, 1)
+            (draws[:, LIMB_JOINTS.index(j), axis] - np.float32(target[j, axis])) ** 2
+            for j in joints
+            for axis in (0, 1)
         )
         square = np.zeros(len(draws)) + square / NOISE**2
         total += np.logaddexp(np.logaddexp.reduce(-square / 2) - np.log(len(draws)), FLOOR)
@@ -87,7 +91,8 @@ def _log_evidence(draws: np.ndarray, target: np.ndarray, group: str) -> float:
 
 
 def exchanged(detection: Detection, *parts: str) -> Detection:
-    """`detection` with left and right exchanged in `parts`: names of joints without their side, and "face"."""
+    """`detection` with left and right exchanged in `parts`: names of joints without their side, and
+    "face"."""
     order = np.arange(len(MIRROR))
     for part in parts:
         if part != "face":
@@ -96,7 +101,9 @@ def exchanged(detection: Detection, *parts: str) -> Detection:
     face = detection.face
     if face is not None and "face" in parts:
         face = face[[FACE.index(_other(name)) for name in FACE]]
-    return dataclasses.replace(detection, keypoints=detection.keypoints[order], score=detection.score[order], face=face)
+    return dataclasses.replace(
+        detection, keypoints=detection.keypoints[order], score=detection.score[order], face=face
+    )
 
 
 def _other(name: str) -> str:
@@ -109,8 +116,9 @@ BODY = ("shoulder", "hip", *ARMS, *LEGS, "face")
 
 
 class Reading(NamedTuple):
-    """Another way to read a detection: left and right exchanged in `parts`; with shoulders and hips (not) `opposed`,
-    and `arms` and `legs` (not) exchanged against them, it stands in two `Evidence`s."""
+    """Another way to read a detection: left and right exchanged in `parts`; with shoulders and hips
+    (not) `opposed`, and `arms` and `legs` (not) exchanged against them, it stands in two
+    `Evidence`s."""
 
     name: str
     parts: tuple[str, ...]
@@ -128,39 +136,52 @@ READINGS = (
     Reading("hips", ("hip",), True, 1, 1),
 )
 ASPECTS = (9 / 16, 3 / 4, 4 / 3, 16 / 9)
-"""Factors between the width over height of usual images: what x is off by where the size of the image is wrong."""
+"""Factors between the width over height of usual images: what x is off by where the size of the
+image is wrong."""
 THRESHOLD = 4.0
-"""Nats of evidence, summed over people, by which an exchange within the body must explain them better before it is
-spoken of: less is the noise of the draws."""
+"""Nats of evidence, summed over people, by which an exchange within the body must explain them
+better before it is spoken of: less is the noise of the draws."""
 FACE_THRESHOLD = 2.5
 """The same for the exchange of everything, which the face decides."""
 SIZE_THRESHOLD = 10.0
-"""Nats a person by which another size of the image must explain them better. Bodies are wider and narrower too, so it
-is the mean over people that counts: real ones, read rightly, gain up to 5."""
+"""Nats a person by which another size of the image must explain them better. Bodies are wider and
+narrower too, so it is the mean over people that counts: real ones, read rightly, gain up to 5."""
 WORST_FIT = -3.8
 """Log evidence a seen joint, below which the points are hardly a body's under any reading."""
 UPSIDE_DOWN = -0.5
-"""Cosine between the spine, head to pelvis, and the image's down: beyond it a person stands on the head."""
+"""Cosine between the spine, head to pelvis, and the image's down: beyond it a person stands on the
+head."""
 
 _SENTENCES = {
     "arms": "left and right arm seem to be exchanged",
     "legs": "left and right leg seem to be exchanged",
     "limbs": "the left limbs seem to hang on the right side of the torso",
-    "halves": "left and right seem to be exchanged in one half of the body, above or below the waist",
+    "halves": (
+        "left and right seem to be exchanged in one half of the body, above or below the waist"
+    ),
     "shoulders": "left and right shoulder seem to be exchanged",
     "hips": "left and right hip seem to be exchanged",
-    "whole": "left and right seem to be exchanged, or the image mirrored: faces and bodies look opposite ways",
+    "whole": (
+        "left and right seem to be exchanged, or the image mirrored: faces and bodies look opposite"
+        " ways"
+    ),
     "upside down": "people stand on their heads: is y counted upwards, or the image turned?",
-    "size": "people are too wide or too narrow: is the size of the image the one that the detector was given?",
-    "order": "the points do not make a human body: is this their order (--format), and are these joints of one person?",
+    "size": (
+        "people are too wide or too narrow: is the size of the image the one that the detector was"
+        " given?"
+    ),
+    "order": (
+        "the points do not make a human body: is this their order (--format), and are these joints"
+        " of one person?"
+    ),
 }
 
 
 class Verdict(NamedTuple):
-    """What readings say about a number of people: `gains` `(people, readings)`, by how many nats each of `names`
-    explains them better than the file as it is; `fits` `(people,)`, log evidence as it is, and `joints` `(people,)`, of
-    how many; `spines` `(people,)`, cosines between spine and the image's down. `skipped` says of whom too little is
-    seen."""
+    """What readings say about a number of people: `gains` `(people, readings)`, by how many nats
+    each of `names` explains them better than the file as it is; `fits` `(people,)`, log evidence as
+    it is, and `joints` `(people,)`, of how many; `spines` `(people,)`, cosines between spine and
+    the image's down. `skipped` says of whom too little is seen."""
 
     names: tuple[str, ...]
     gains: np.ndarray
@@ -171,7 +192,8 @@ class Verdict(NamedTuple):
 
     @property
     def noticed(self) -> tuple[str, ...]:
-        """Names of what is wrong, the best explanation of each kind: none where nothing speaks against the file."""
+        """Names of what is wrong, the best explanation of each kind: none where nothing speaks
+        against the file."""
         if not len(self.gains):
             return ()
         found = []
@@ -213,7 +235,8 @@ class Judge:
         return Evidence(*(np.array(part) for part in zip(*parts, strict=True)))
 
     def file(self, detections: Sequence[Detection], *, sizes: bool = False) -> Verdict:
-        """What the readings say of all these people together; those of whom too little is seen are skipped."""
+        """What the readings say of all these people together; those of whom too little is seen are
+        skipped."""
         judged, skipped = [], []
         for detection in detections:
             try:
@@ -223,25 +246,33 @@ class Judge:
         return together(judged, tuple(skipped))
 
     def verdict(self, detection: Detection, *, sizes: bool = False) -> Verdict:
-        """What the readings say of one person. Raises `BadInput` where too little of the torso is seen."""
+        """What the readings say of one person. Raises `BadInput` where too little of the torso is
+        seen."""
         usual = self.evidence(detection)
         opposed = self.evidence(exchanged(detection, "shoulder"))
         whole = usual if detection.face is None else self.evidence(exchanged(detection, *BODY))
-        others = [self.evidence(stretched(detection, 1 / factor)) for factor in ASPECTS] if sizes else []
+        others = (
+            [self.evidence(stretched(detection, 1 / factor)) for factor in ASPECTS] if sizes else []
+        )
         return weigh(detection, usual, opposed, whole, others)
 
-    def _under(self, detection: Detection, candidate: Candidate) -> tuple[float, float, list[float], list[float]]:
+    def _under(
+        self, detection: Detection, candidate: Candidate
+    ) -> tuple[float, float, list[float], list[float]]:
         scale, rows = float(candidate.camera.scale), np.asarray(candidate.camera.rotation)[:2]
         draws = self._limbs(candidate) @ rows.T.astype(np.float32)
         target = (detection.keypoints - np.asarray(candidate.camera.translation)) / scale
         seen = int(detection.seen[list(TORSO_INDEX)].sum())
         torso = -0.5 * seen * (candidate.reprojection_error / scale / TORSO_NOISE) ** 2
-        arms, legs = ([_log_evidence(draws, target[order], name) for order in (slice(None), list(MIRROR))]
-                      for name in ("arms", "legs"))  # fmt: skip
+        arms, legs = (
+            [_log_evidence(draws, target[order], name) for order in (slice(None), list(MIRROR))]
+            for name in ("arms", "legs")
+        )
         return torso, log_face_likelihood(detection, candidate), arms, legs
 
     def _limbs(self, candidate: Candidate) -> np.ndarray:
-        """`(n, 8, 3)`: limb joints of the draws on the candidate's torso, kept, since a file's people share few."""
+        """`(n, 8, 3)`: limb joints of the draws on the candidate's torso, kept, since a file's
+        people share few."""
         index = candidate.torso_index
         if index not in self._kept:
             joints = _joints(self._model, jnp.asarray(candidate.torso), self._draws)
@@ -252,9 +283,8 @@ class Judge:
 def judge(detections: Sequence[Detection], model: PoseModel, *, sizes: bool = False) -> Verdict:
     """Weighs the readings of a file by its people, all together: a file has one order.
 
-    `sizes`: also whether the image's size is right, which is open where coordinates are fractions of it. About 0.8 s a
-    person, 2 s with `sizes`.
-    """
+    `sizes`: also whether the image's size is right, which is open where coordinates are fractions
+    of it. About 0.8 s a person, 2 s with `sizes`."""
     return Judge(model).file(detections, sizes=sizes)
 
 
@@ -265,18 +295,28 @@ def together(verdicts: Sequence[Verdict], skipped: tuple[str, ...] = ()) -> Verd
     if not verdicts:
         return Verdict((), np.zeros((0, 0)), np.zeros(0), np.zeros(0), np.zeros(0), skipped)
     gains = np.concatenate([verdict.gains for verdict in verdicts])
-    columns = zip(*((verdict.fits, verdict.joints, verdict.spines) for verdict in verdicts), strict=True)
+    columns = zip(
+        *((verdict.fits, verdict.joints, verdict.spines) for verdict in verdicts), strict=True
+    )
     fits, joints, spines = (np.concatenate(column) for column in columns)
     return Verdict(verdicts[0].names, gains, fits, joints, spines, skipped)
 
 
 def weigh(
-    detection: Detection, usual: Evidence, opposed: Evidence, whole: Evidence, sizes: Sequence[Evidence] = ()
+    detection: Detection,
+    usual: Evidence,
+    opposed: Evidence,
+    whole: Evidence,
+    sizes: Sequence[Evidence] = (),
 ) -> Verdict:
-    """The verdict on one person from the evidence `usual`, with the shoulders exchanged (`opposed`), with everything
-    exchanged (`whole`), and with other aspects of the image (`sizes`)."""
+    """The verdict on one person from the evidence `usual`, with the shoulders exchanged
+    (`opposed`), with everything exchanged (`whole`), and with other aspects of the image
+    (`sizes`)."""
     body = usual.body(0, 0)
-    gains = [(opposed if reading.opposed else usual).body(reading.arms, reading.legs) - body for reading in READINGS]
+    gains = [
+        (opposed if reading.opposed else usual).body(reading.arms, reading.legs) - body
+        for reading in READINGS
+    ]
     gains.append(whole.facing() - usual.facing())
     if sizes:
         gains.append(max(evidence.body(0, 0) for evidence in sizes) - body)
@@ -284,7 +324,9 @@ def weigh(
     spine = detection.keypoints[JOINT_INDEX["pelvis"]] - detection.keypoints[JOINT_INDEX["thorax"]]
     cosine = spine[1] / np.linalg.norm(spine) if np.isfinite(spine).all() and spine.any() else 1.0
     names = (*(reading.name for reading in READINGS), "whole", *(["size"] if sizes else []))
-    return Verdict(names, np.array([gains]), np.array([body]), np.array([joints]), np.array([cosine]), ())
+    return Verdict(
+        names, np.array([gains]), np.array([body]), np.array([joints]), np.array([cosine]), ()
+    )
 
 
 def stretched(detection: Detection, factor: float) -> Detection:

@@ -1,7 +1,7 @@
 """Results: draws → a DataTree with names, units and provenance, saved as netCDF; see `Result`.
 
-Groups posterior, sample_stats, observed_data, constant_data; opened by `xarray.open_datatree` and by ArviZ.
-"""
+Groups posterior, sample_stats, observed_data, constant_data; opened by `xarray.open_datatree` and
+by ArviZ."""
 
 import functools
 import importlib.metadata
@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from inference.candidates import Candidate, Frame
-from inference.samplers.numbers import words_of
+from inference.exact.loops.numbers import words_of
 from probmodel.chunks import in_chunks
 from probmodel.files import replacing
 from probmodel.model import PoseModel, log_joint
@@ -25,14 +25,16 @@ from probmodel.skeleton import JOINTS, LENGTH_GROUPS
 
 _PACKAGES = ("poseterior", "numpyro", "jax", "numpy", "scipy", "arviz", "xarray")
 BASE_MEASURE = (
-    "counting (torso) x length (5, body units) x surface of the unit sphere (9 directions) x image area (px2)"
+    "counting (torso) x length (5, body units) x surface of the unit sphere (9 directions) x image"
+    " area (px2)"
 )
 COMPLETE, OUT_OF_BUDGET, IMPOSSIBLE = "complete", "out of budget", "impossible"
 
 
 class CandidateDraws(NamedTuple):
-    """Draws under one candidate: `length` `(n, 5)`, `upper` `(n, 5, 3)`, `lower` `(n, 4, 3)`; log evidence (log prior
-    probability of the indicator) and its standard error; `weight` the candidate's share of the posterior."""
+    """Draws under one candidate: `length` `(n, 5)`, `upper` `(n, 5, 3)`, `lower` `(n, 4, 3)`; log
+    evidence (log prior probability of the indicator) and its standard error; `weight` the
+    candidate's share of the posterior."""
 
     length: np.ndarray
     upper: np.ndarray
@@ -43,7 +45,8 @@ class CandidateDraws(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """What the draws cost: proposals made, of which accepted in the sampler's own count, and seconds."""
+    """What the draws cost: proposals made, of which accepted in the sampler's own count, and
+    seconds."""
 
     num_proposals: int
     acceptance_rate: float
@@ -52,8 +55,9 @@ class Cost(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """What a sampler returns: the `tree`, the `status` (complete, out of budget, impossible) and, where it is not
-    complete, a `sentence` that says why and what to do. Draws in the tree are exact whatever the status."""
+    """What a sampler returns: the `tree`, the `status` (complete, out of budget, impossible) and,
+    where it is not complete, a `sentence` that says why and what to do. Draws in the tree are exact
+    whatever the status."""
 
     tree: xr.DataTree
     status: str
@@ -87,10 +91,15 @@ def versions() -> str:
     return ", ".join([f"python {platform.python_version()}", *found])
 
 
-def build_tree(model: PoseModel, frame: Frame, parts: list[CandidateDraws], attributes: dict[str, Any],
-               rng: np.random.Generator | None) -> xr.DataTree:  # fmt: skip
-    """The DataTree of the mixture over a frame's candidates. Draws are put in random order, so that any stretch of them
-    is a sample of the mixture; without `rng` they stay in theirs."""
+def build_tree(
+    model: PoseModel,
+    frame: Frame,
+    parts: list[CandidateDraws],
+    attributes: dict[str, Any],
+    rng: np.random.Generator | None,
+) -> xr.DataTree:
+    """The DataTree of the mixture over a frame's candidates. Draws are put in random order, so that
+    any stretch of them is a sample of the mixture; without `rng` they stay in theirs."""
     observations = [frame.observation(candidate) for candidate in frame.candidates]
     chain = {key: value[None] for key, value in pose_columns(model, frame, parts, rng).items()}
     number = chain["joints"].shape[1]
@@ -104,12 +113,22 @@ def build_tree(model: PoseModel, frame: Frame, parts: list[CandidateDraws], attr
     }
     units = {"joints": "body units", "bone_length": "body units", "keypoints": "pixels"}
     posterior = xr.Dataset(
-        {key: (dims[key], chain[key], {"units": units[key]} if key in units else {}) for key in dims},
-        coords={"chain": [0], "draw": np.arange(number), "joint": list(JOINTS), "axis": list("xyz"),
-                "length_group": list(LENGTH_GROUPS), "uv": list("uv")},
-    )  # fmt: skip
+        {
+            key: (dims[key], chain[key], {"units": units[key]} if key in units else {})
+            for key in dims
+        },
+        coords={
+            "chain": [0],
+            "draw": np.arange(number),
+            "joint": list(JOINTS),
+            "axis": list("xyz"),
+            "length_group": list(LENGTH_GROUPS),
+            "uv": list("uv"),
+        },
+    )
     stats = xr.Dataset(
-        {"lp": (("chain", "draw"), lp, {"base_measure": BASE_MEASURE})}, coords={"chain": [0], "draw": posterior.draw}
+        {"lp": (("chain", "draw"), lp, {"base_measure": BASE_MEASURE})},
+        coords={"chain": [0], "draw": posterior.draw},
     )
     tree = xr.DataTree.from_dict(
         {
@@ -136,13 +155,18 @@ def build_tree(model: PoseModel, frame: Frame, parts: list[CandidateDraws], attr
 Columns = dict[str, np.ndarray]
 
 
-def pose_columns(model: PoseModel, frame: Frame, parts: list[CandidateDraws],
-                 rng: np.random.Generator | None) -> Columns:  # fmt: skip
-    """Draws of all candidates as columns: those of `joint_columns`, and torso, candidate, keypoints `(n, 15, 2)`, lp;
-    in random order, or without `rng` one candidate after the other."""
+def pose_columns(
+    model: PoseModel, frame: Frame, parts: list[CandidateDraws], rng: np.random.Generator | None
+) -> Columns:
+    """Draws of all candidates as columns: those of `joint_columns`, and torso, candidate, keypoints
+    `(n, 15, 2)`, lp; in random order, or without `rng` one candidate after the other."""
     columns: list[Columns] = []
     for index, (candidate, part) in enumerate(zip(frame.candidates, parts, strict=True)):
-        observation, camera, number = frame.observation(candidate), candidate.camera, len(part.length)
+        observation, camera, number = (
+            frame.observation(candidate),
+            candidate.camera,
+            len(part.length),
+        )
         joints = _each(functools.partial(_joints, model, observation), part, (len(JOINTS), 3))
         columns.append(
             {
@@ -157,30 +181,51 @@ def pose_columns(model: PoseModel, frame: Frame, parts: list[CandidateDraws],
     return _shuffled(columns, rng)
 
 
-def joint_columns(model: PoseModel, frame: Frame, parts: list[CandidateDraws], rng: np.random.Generator) -> Columns:
-    """Draws of all candidates in the same random order: joints `(n, 15, 3)` and bone_length `(n, 5)` only."""
+def joint_columns(
+    model: PoseModel, frame: Frame, parts: list[CandidateDraws], rng: np.random.Generator
+) -> Columns:
+    """Draws of all candidates in the same random order: joints `(n, 15, 3)` and bone_length `(n,
+    5)` only."""
     columns = []
     for candidate, part in zip(frame.candidates, parts, strict=True):
         joints = functools.partial(_joints, model, frame.observation(candidate))
-        columns.append({"joints": _each(joints, part, (len(JOINTS), 3)), "bone_length": part.length})
+        columns.append(
+            {"joints": _each(joints, part, (len(JOINTS), 3)), "bone_length": part.length}
+        )
     return _shuffled(columns, rng)
 
 
-def _each(function: Callable[..., np.ndarray], part: CandidateDraws, shape: tuple[int, ...]) -> np.ndarray:
+def _each(
+    function: Callable[..., np.ndarray], part: CandidateDraws, shape: tuple[int, ...]
+) -> np.ndarray:
     """A compiled function of every draw, each a row of this shape."""
-    return in_chunks(function, part.length, part.upper, part.lower) if len(part.length) else np.empty((0, *shape))
+    return (
+        in_chunks(function, part.length, part.upper, part.lower)
+        if len(part.length)
+        else np.empty((0, *shape))
+    )
 
 
 @jax.jit
-def _joints(model: PoseModel, observation: Observation, length: jax.Array, upper: jax.Array,
-            lower: jax.Array) -> jax.Array:  # fmt: skip
+def _joints(
+    model: PoseModel,
+    observation: Observation,
+    length: jax.Array,
+    upper: jax.Array,
+    lower: jax.Array,
+) -> jax.Array:
     """Joints of a chunk of draws in camera axes."""
     return model.joints(observation.view, length, upper, lower)
 
 
 @jax.jit
-def _density(model: PoseModel, observation: Observation, length: jax.Array, upper: jax.Array,
-             lower: jax.Array) -> jax.Array:  # fmt: skip
+def _density(
+    model: PoseModel,
+    observation: Observation,
+    length: jax.Array,
+    upper: jax.Array,
+    lower: jax.Array,
+) -> jax.Array:
     """Log joint density of a chunk of draws."""
     return log_joint(model, observation, length, upper, lower)
 
@@ -204,21 +249,42 @@ def observed_data(frame: Frame) -> xr.Dataset:
     )
 
 
-def _constant_data(candidates: tuple[Candidate, ...], observations: list[Observation],
-                   parts: list[CandidateDraws]) -> xr.Dataset:  # fmt: skip
+def _constant_data(
+    candidates: tuple[Candidate, ...], observations: list[Observation], parts: list[CandidateDraws]
+) -> xr.Dataset:
     cameras = [candidate.camera for candidate in candidates]
     return xr.Dataset(
         {
-            "radius": (("candidate", "joint"), np.stack([np.asarray(o.radius) for o in observations])),
+            "radius": (
+                ("candidate", "joint"),
+                np.stack([np.asarray(o.radius) for o in observations]),
+            ),
             "scale": (("candidate",), np.array([float(camera.scale) for camera in cameras])),
-            "rotation": (("candidate", "axis", "body_axis"), np.stack([np.asarray(c.rotation) for c in cameras])),
-            "translation": (("candidate", "uv"), np.stack([np.asarray(c.translation) for c in cameras])),
-            "torso_index": (("candidate",), np.array([candidate.torso_index for candidate in candidates])),
-            "reprojection_error": (("candidate",), np.array([c.reprojection_error for c in candidates])),
+            "rotation": (
+                ("candidate", "axis", "body_axis"),
+                np.stack([np.asarray(c.rotation) for c in cameras]),
+            ),
+            "translation": (
+                ("candidate", "uv"),
+                np.stack([np.asarray(c.translation) for c in cameras]),
+            ),
+            "torso_index": (
+                ("candidate",),
+                np.array([candidate.torso_index for candidate in candidates]),
+            ),
+            "reprojection_error": (
+                ("candidate",),
+                np.array([c.reprojection_error for c in candidates]),
+            ),
             "log_evidence": (("candidate",), np.array([part.log_evidence for part in parts])),
             "log_evidence_se": (("candidate",), np.array([part.log_evidence_se for part in parts])),
             "weight": (("candidate",), np.array([part.weight for part in parts])),
         },
-        coords={"candidate": np.arange(len(candidates)), "joint": list(JOINTS), "axis": list("xyz"),
-                "body_axis": ["left", "up", "forward"], "uv": list("uv")},
-    )  # fmt: skip
+        coords={
+            "candidate": np.arange(len(candidates)),
+            "joint": list(JOINTS),
+            "axis": list("xyz"),
+            "body_axis": ["left", "up", "forward"],
+            "uv": list("uv"),
+        },
+    )

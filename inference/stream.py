@@ -1,8 +1,10 @@
-"""Many frames as one stream: draws and hypotheses of each, written as they come, resumed where they stopped.
+"""Many frames as one stream: draws and hypotheses of each, written as they come, resumed where they
+stopped.
 
-A stream is a folder: `stream.json` says what was asked for, `block-000000.nc` and so on hold some frames each, written
-at once or not at all. Every frame has a key of its own, so that a run that was stopped and goes on ends with the same
-bits, and so do blocks made elsewhere. Memory holds one block, however many frames there are.
+A stream is a folder: `stream.json` says what was asked for, `block-000000.nc` and so on hold some
+frames each, written at once or not at all. Every frame has a key of its own, so that a run that was
+stopped and goes on ends with the same bits, and so do blocks made elsewhere. Memory holds one
+block, however many frames there are.
 
     sample_frames(model, frames, key=jax.random.key(0), out="walk", num_samples=10_000, k=5)
     tree = open_stream("walk")          # summaries and hypotheses of all frames
@@ -22,7 +24,7 @@ import numpy as np
 import xarray as xr
 
 from inference.candidates import Frame
-from inference.hypotheses import diverse
+from inference.hypothesis import diverse
 from inference.results import joint_columns, key_words, save_tree, versions
 from inference.sampler import MAX_PROPOSALS, draw_mixture
 from probmodel.detections import Detection
@@ -41,7 +43,8 @@ Progress = Callable[[int], None]
 
 
 class Item(NamedTuple):
-    """A frame of a stream: its `name`, and the `Frame` or, where there is none, the sentence that says why."""
+    """A frame of a stream: its `name`, and the `Frame` or, where there is none, the sentence that
+    says why."""
 
     name: str
     frame: Frame | str
@@ -78,32 +81,50 @@ def sample_frames(
     max_proposals: int = MAX_PROPOSALS,
     progress: Progress | None = None,
 ) -> Path:
-    """Draws `num_samples` poses of every frame and chooses `k` hypotheses among them; writes them to the folder `out`.
+    """Draws `num_samples` poses of every frame and chooses `k` hypotheses among them; writes them
+    to the folder `out`.
 
-    `keep` is how many draws of each frame are written (default: all). `frames` is read as it is needed; a frame that is
-    a sentence, or whose budget of `max_proposals` ends, is recorded with its reason, and the others go on. Blocks that
-    are there already are kept. `progress(done)` is called for each block. Raises `BadInput` where `out` holds
-    another run, or where the frames differ from those that it began with.
-    """
+    `keep` is how many draws of each frame are written (default: all). `frames` is read as it is
+    needed; a frame that is a sentence, or whose budget of `max_proposals` ends, is recorded with
+    its reason, and the others go on. Blocks that are there already are kept. `progress(done)` is
+    called for each block. Raises `BadInput` where `out` holds another run, or where the frames
+    differ from those that it began with."""
     keep = num_samples if keep is None else min(keep, num_samples)
     if num_samples < 1 or not 1 <= k <= num_samples or keep < 0:
         raise BadInput(
-            f"{num_samples} samples, {k} hypotheses and {keep} kept do not go together; choose at least one sample, at "
-            "most as many hypotheses, and no negative number to keep"
+            f"{num_samples} samples, {k} hypotheses and {keep} kept do not go together; choose at"
+            " least one sample, at most as many hypotheses, and no negative number to keep"
         )
     folder = Path(out)
     settings = {
-        "seed": key_words(key), "sampler": sampler, "num_samples": num_samples, "k": k, "keep": keep,
-        "max_proposals": max_proposals, "limits": f"{model.limits.name} {model.limits.sha256}",
-        "measures": f"upper {model.upper}, lower {model.lower}", "versions": versions(),
-    }  # fmt: skip
+        "seed": key_words(key),
+        "sampler": sampler,
+        "num_samples": num_samples,
+        "k": k,
+        "keep": keep,
+        "max_proposals": max_proposals,
+        "limits": f"{model.limits.name} {model.limits.sha256}",
+        "measures": f"upper {model.upper}, lower {model.lower}",
+        "versions": versions(),
+    }
     _begin(folder, settings)
-    size = max(1, min(MOST_FRAMES, BLOCK_BYTES // (4 * (3 * NUM_JOINTS + NUM_LENGTHS) * max(keep, 1))))
+    size = max(
+        1, min(MOST_FRAMES, BLOCK_BYTES // (4 * (3 * NUM_JOINTS + NUM_LENGTHS) * max(keep, 1)))
+    )
     done = 0
     with ThreadPoolExecutor(os.cpu_count()) as workers:
 
         def draw(index: int, item: Item) -> Drawn:
-            return _draw(model, item, jax.random.fold_in(key, index), sampler, num_samples, k, keep, max_proposals)
+            return _draw(
+                model,
+                item,
+                jax.random.fold_in(key, index),
+                sampler,
+                num_samples,
+                k,
+                keep,
+                max_proposals,
+            )
 
         for number, items in enumerate(_blocks(frames, size)):
             path = folder / f"block-{number:06d}.nc"
@@ -113,7 +134,12 @@ def sample_frames(
             else:
                 indices = range(number * size, number * size + len(items))
                 rows = list(workers.map(draw, indices, items))
-                save_tree(_block_tree(rows, k, {**settings, "frames": fingerprint, "first": number * size}), path)
+                save_tree(
+                    _block_tree(
+                        rows, k, {**settings, "frames": fingerprint, "first": number * size}
+                    ),
+                    path,
+                )
             done += len(items)
             if progress:
                 progress(done)
@@ -123,10 +149,10 @@ def sample_frames(
 def open_stream(folder: str | os.PathLike) -> xr.DataTree:
     """Summaries and hypotheses of all frames of a stream, opened in parts only as needed.
 
-    `/summary` by frame: status, sentence, num_draws, log_evidence with its standard error, `mean` and `sd` of the
-    joints `(frame, joint, axis)`. `/hypotheses`: `joints` `(frame, hypothesis, joint, axis)`, `weight`, `draw`. The
-    draws stay in their blocks: `draws_of(folder, name)`. Raises `BadInput` where there is no stream.
-    """
+    `/summary` by frame: status, sentence, num_draws, log_evidence with its standard error, `mean`
+    and `sd` of the joints `(frame, joint, axis)`. `/hypotheses`: `joints` `(frame, hypothesis,
+    joint, axis)`, `weight`, `draw`. The draws stay in their blocks: `draws_of(folder, name)`.
+    Raises `BadInput` where there is no stream."""
     folder = Path(folder)
     settings = _settings(folder)
     parts: dict[str, list[xr.Dataset]] = {"summary": [], "hypotheses": []}
@@ -134,14 +160,16 @@ def open_stream(folder: str | os.PathLike) -> xr.DataTree:
         with xr.open_datatree(path, engine="netcdf4") as tree:
             for name, rows in parts.items():
                 rows.append(tree[name].to_dataset().load())
-    found = xr.DataTree.from_dict({name: xr.concat(rows, dim="frame") for name, rows in parts.items()})
+    found = xr.DataTree.from_dict(
+        {name: xr.concat(rows, dim="frame") for name, rows in parts.items()}
+    )
     found.attrs.update(settings)
     return found
 
 
 def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
-    """The draws kept of the frame `name`: `joints` `(chain, draw, joint, axis)` and `bone_length`, as ArviZ takes them.
-    Raises `BadInput` where the stream has no such frame."""
+    """The draws kept of the frame `name`: `joints` `(chain, draw, joint, axis)` and `bone_length`,
+    as ArviZ takes them. Raises `BadInput` where the stream has no such frame."""
     for path in _paths(Path(folder)):
         with xr.open_datatree(path, engine="netcdf4") as tree:
             names = tree["summary"].frame.values
@@ -150,12 +178,16 @@ def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
                 rows = tree["posterior"].to_dataset().isel(frame=index).load()
                 held = int(tree["summary"].num_draws[index])
                 return rows.isel(draw=slice(min(held, rows.sizes["draw"]))).expand_dims("chain")
-    raise BadInput(f"{folder} has no frame {name!r}; its names are in the summary that `open_stream` gives")
+    raise BadInput(
+        f"{folder} has no frame {name!r}; its names are in the summary that `open_stream` gives"
+    )
 
 
-def estimated(frames: Iterable[DetectedFrame], estimate: Callable[[Detection], Frame]) -> Iterator[Item]:
-    """Everyone in frames of detections as items of a stream, named `frame/person`; who cannot be estimated becomes the
-    sentence that says why."""
+def estimated(
+    frames: Iterable[DetectedFrame], estimate: Callable[[Detection], Frame]
+) -> Iterator[Item]:
+    """Everyone in frames of detections as items of a stream, named `frame/person`; who cannot be
+    estimated becomes the sentence that says why."""
     for frame in frames:
         for detection in frame.people:
             name = f"{frame.name}/{detection.person}"
@@ -165,8 +197,16 @@ def estimated(frames: Iterable[DetectedFrame], estimate: Callable[[Detection], F
                 yield Item(name, str(error))
 
 
-def _draw(model: PoseModel, item: Item, key: jax.Array, sampler: str, num_samples: int, k: int, keep: int,
-          max_proposals: int) -> Drawn:  # fmt: skip
+def _draw(
+    model: PoseModel,
+    item: Item,
+    key: jax.Array,
+    sampler: str,
+    num_samples: int,
+    k: int,
+    keep: int,
+    max_proposals: int,
+) -> Drawn:
     name, frame = item
     if isinstance(frame, str):
         return _nothing(name, BAD_INPUT, frame, k, keep)
@@ -176,7 +216,9 @@ def _draw(model: PoseModel, item: Item, key: jax.Array, sampler: str, num_sample
     drawn = _nothing(name, mixture.status, mixture.sentence, k, keep)
     if number == 0:
         return drawn
-    for row, (pose, weight, chosen) in enumerate(diverse(joints.astype(np.float32), min(k, number))):
+    for row, (pose, weight, chosen) in enumerate(
+        diverse(joints.astype(np.float32), min(k, number))
+    ):
         drawn.hypotheses[row], drawn.weight[row], drawn.chosen[row] = pose, weight, chosen
     kept = min(keep, number)
     drawn.joints[:kept], drawn.bone_length[:kept] = joints[:kept], columns["bone_length"][:kept]
@@ -191,10 +233,25 @@ def _draw(model: PoseModel, item: Item, key: jax.Array, sampler: str, num_sample
 
 def _nothing(name: str, status: str, sentence: str, k: int, keep: int) -> Drawn:
     blank = np.full((NUM_JOINTS, 3), np.nan)
-    poses, joints = np.full((k, NUM_JOINTS, 3), np.nan), np.full((keep, NUM_JOINTS, 3), np.nan, np.float32)
+    poses, joints = (
+        np.full((k, NUM_JOINTS, 3), np.nan),
+        np.full((keep, NUM_JOINTS, 3), np.nan, np.float32),
+    )
     lengths = np.full((keep, NUM_LENGTHS), np.nan, np.float32)
     return Drawn(
-        name, status, sentence, 0, -np.inf, np.inf, blank, blank, poses, np.zeros(k), np.full(k, -1), joints, lengths
+        name,
+        status,
+        sentence,
+        0,
+        -np.inf,
+        np.inf,
+        blank,
+        blank,
+        poses,
+        np.zeros(k),
+        np.full(k, -1),
+        joints,
+        lengths,
     )
 
 
@@ -203,21 +260,33 @@ def _block_tree(rows: list[Drawn], k: int, attributes: dict[str, Any]) -> xr.Dat
     names = {"frame": fields["name"], "joint": list(JOINTS), "axis": list("xyz")}
     by_frame = ("status", "sentence", "num_draws", "log_evidence", "log_evidence_se")
     summary: dict[str, Any] = {name: (("frame",), np.array(fields[name])) for name in by_frame}
-    summary |= {name: (("frame", "joint", "axis"), np.stack(fields[name])) for name in ("mean", "sd")}
+    summary |= {
+        name: (("frame", "joint", "axis"), np.stack(fields[name])) for name in ("mean", "sd")
+    }
     hypotheses = {
         "joints": (("frame", "hypothesis", "joint", "axis"), np.stack(fields["hypotheses"])),
         "weight": (("frame", "hypothesis"), np.stack(fields["weight"])),
         "draw": (("frame", "hypothesis"), np.stack(fields["chosen"])),
     }
     posterior = {
-        "joints": (("frame", "draw", "joint", "axis"), np.stack(fields["joints"]), {"units": "body units"}),
-        "bone_length": (("frame", "draw", "length_group"), np.stack(fields["bone_length"]), {"units": "body units"}),
+        "joints": (
+            ("frame", "draw", "joint", "axis"),
+            np.stack(fields["joints"]),
+            {"units": "body units"},
+        ),
+        "bone_length": (
+            ("frame", "draw", "length_group"),
+            np.stack(fields["bone_length"]),
+            {"units": "body units"},
+        ),
     }
     tree = xr.DataTree.from_dict(
         {
             "summary": xr.Dataset(summary, coords=names),
             "hypotheses": xr.Dataset(hypotheses, coords=names | {"hypothesis": np.arange(k)}),
-            "posterior": xr.Dataset(posterior, coords=names | {"length_group": list(LENGTH_GROUPS)}),
+            "posterior": xr.Dataset(
+                posterior, coords=names | {"length_group": list(LENGTH_GROUPS)}
+            ),
         }
     )
     tree.attrs.update(attributes)
@@ -270,7 +339,10 @@ def _settings(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         found = None
     if not isinstance(found, dict):
-        raise BadInput(f"{folder} is not a stream of frames (it has no readable stream.json); give the folder of a run")
+        raise BadInput(
+            f"{folder} is not a stream of frames (it has no readable stream.json); give the folder"
+            " of a run"
+        )
     return found
 
 
@@ -279,10 +351,13 @@ def _same_frames(path: Path, fingerprint: str) -> None:
         with xr.open_datatree(path, engine="netcdf4") as tree:
             found = tree.attrs.get("frames")
     except (OSError, ValueError) as error:
-        raise BadInput(f"{path} cannot be read ({error}); delete it, and run again to make it anew") from None
+        raise BadInput(
+            f"{path} cannot be read ({error}); delete it, and run again to make it anew"
+        ) from None
     if found != fingerprint:
         raise BadInput(
-            f"{path} was made of other frames than those given now; choose another folder, or delete that block"
+            f"{path} was made of other frames than those given now; choose another folder, or"
+            " delete that block"
         )
 
 

@@ -1,8 +1,9 @@
-"""What a detector says about one person in one frame: fifteen joints in pixels, each with a score or missing.
+"""What a detector says about one person in one frame: fifteen joints in pixels, each with a score
+or missing.
 
-The usual way in is `read_detections` of `probmodel.formats`; `Detection` is what every reader returns. The radii of the
-likelihood (a uniform disc around each projected joint) follow from the scores: `Detection.radius`.
-"""
+The usual way in is `read_detections` of `probmodel.formats`; `Detection` is what every reader
+returns. The radii of the likelihood (a uniform disc around each projected joint) follow from the
+scores: `Detection.radius`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,24 +25,26 @@ The paper's product runs over `LIMB_JOINTS` alone; pass those as `joints` to lea
 """
 
 FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
-"""Points of the face. No joints of the skeleton: they only tell which side of the person the camera sees."""
+"""Points of the face. No joints of the skeleton: they only tell which side of the person the camera
+sees."""
 
 LARGEST_NUMBER = 1e9
-"""No coordinate (pixels), score or scale may be larger: squares of larger numbers lose their meaning, or overflow."""
+"""No coordinate (pixels), score or scale may be larger: squares of larger numbers lose their
+meaning, or overflow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Detection:
     """One person in one frame.
 
-    `keypoints`: `(15, 2)` pixels, x right, y down, NaN where missing; `score`: `(15,)`, positive, 0 where missing; both
-    in the order of `probmodel.skeleton.JOINTS`, copied and read-only. `layout` names the joint order of the source,
-    `source` the file, `person` the index in it; `image_size` is (width, height) in pixels. `face`: `(5, 3)` x, y, score
-    of the points of `FACE` in the same manner, None where the detector has none; the likelihood has no use for it.
+    `keypoints`: `(15, 2)` pixels, x right, y down, NaN where missing; `score`: `(15,)`, positive, 0
+    where missing; both in the order of `probmodel.skeleton.JOINTS`, copied and read-only. `layout`
+    names the joint order of the source, `source` the file, `person` the index in it; `image_size`
+    is (width, height) in pixels. `face`: `(5, 3)` x, y, score of the points of `FACE` in the same
+    manner, None where the detector has none; the likelihood has no use for it.
 
-    Raises `BadInput` where shapes differ, a number is not finite or a score negative, or the NaN keypoints are not
-    exactly those whose score is 0.
-    """
+    Raises `BadInput` where shapes differ, a number is not finite or a score negative, or the NaN
+    keypoints are not exactly those whose score is 0."""
 
     keypoints: FloatArray
     score: FloatArray
@@ -77,37 +80,44 @@ class Detection:
     def alpha(self, joints: Sequence[int] = LIKELIHOOD_JOINTS) -> FloatArray:
         """`(15,)`: the scores of the seen ones among `joints`, normalised to mean 1; NaN elsewhere.
 
-        The paper's alpha, over its set S_o of observed joints. All NaN where none of `joints` is seen.
-        """
+        The paper's alpha, over its set S_o of observed joints. All NaN where none of `joints` is
+        seen."""
         alpha = np.full(NUM_JOINTS, np.nan)
         chosen = [joint for joint in sorted(set(joints)) if self.seen[joint]]
         if chosen:
             alpha[chosen] = self.score[chosen] / self.score[chosen].mean()
         return alpha
 
-    def radius(self, scale: float, *, factor: float = 0.25, joints: Sequence[int] = LIKELIHOOD_JOINTS) -> FloatArray:
-        """`(15,)` pixels: how far each seen one of `joints` may lie from its projection; NaN where there is no factor.
+    def radius(
+        self, scale: float, *, factor: float = 0.25, joints: Sequence[int] = LIKELIHOOD_JOINTS
+    ) -> FloatArray:
+        """`(15,)` pixels: how far each seen one of `joints` may lie from its projection; NaN where
+        there is no factor.
 
-        The paper's tau_i = `factor` · `scale` · (mean limb length) / alpha_i; the mean limb length is 1 body unit, so
-        `scale` (pixels per body unit) carries it. Raises `BadInput` where `scale` or `factor` is not positive, or a
-        score is so far below the others that its radius is not a finite number.
-        """
+        The paper's tau_i = `factor` · `scale` · (mean limb length) / alpha_i; the mean limb length
+        is 1 body unit, so `scale` (pixels per body unit) carries it. Raises `BadInput` where
+        `scale` or `factor` is not positive, or a score is so far below the others that its radius
+        is not a finite number."""
         for name, value in (("scale", scale), ("factor", factor)):
             if not 0 < value <= LARGEST_NUMBER:  # false for NaN too
-                raise BadInput(f"the {name} of the radii must lie between 0 and {LARGEST_NUMBER:g}, not {value}.")
+                raise BadInput(
+                    f"the {name} of the radii must lie between 0 and {LARGEST_NUMBER:g}, not"
+                    f" {value}."
+                )
         alpha = self.alpha(joints)
         with np.errstate(over="ignore", divide="ignore"):  # reported below, by name
             radius = factor * scale / alpha
         for joint in np.flatnonzero(np.isinf(radius)):
             raise BadInput(
-                f"the score of {JOINTS[joint]} in {self.where} is {self.score[joint]}, too far below the others for a "
-                "radius; read the file with a higher threshold."
+                f"the score of {JOINTS[joint]} in {self.where} is {self.score[joint]}, too far"
+                " below the others for a radius; read the file with a higher threshold."
             )
         return radius
 
 
 def pick_person(detections: Sequence[Detection], person: int) -> Detection:
-    """The detection numbered `person` in its file; raises `BadInput` that names the numbers there are."""
+    """The detection numbered `person` in its file; raises `BadInput` that names the numbers there
+    are."""
     if not detections:
         raise BadInput("there is no person to pick: the list of detections is empty.")
     for detection in detections:
@@ -116,7 +126,8 @@ def pick_person(detections: Sequence[Detection], person: int) -> Detection:
     count, numbers = len(detections), [detection.person for detection in detections]
     people = "1 person, numbered" if count == 1 else f"{count} people, numbered {min(numbers)} to"
     raise BadInput(
-        f"{detections[0].source} has {people} {max(numbers)}; --person {person} is not among them, choose one that is."
+        f"{detections[0].source} has {people} {max(numbers)}; --person {person} is not among them,"
+        " choose one that is."
     )
 
 
@@ -131,33 +142,50 @@ def _owned(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> FloatArr
     return array
 
 
-def _check_numbers(keypoints: FloatArray, score: FloatArray, names: Sequence[str], where: str) -> None:
+def _check_numbers(
+    keypoints: FloatArray, score: FloatArray, names: Sequence[str], where: str
+) -> None:
     finite = (np.abs(keypoints) <= LARGEST_NUMBER).all(axis=1)  # false for NaN too
     hidden = np.isnan(keypoints).all(axis=1)
     if ((score >= 0) & (score <= LARGEST_NUMBER) & np.where(score == 0, hidden, finite)).all():
         return
     for name, xy, value in zip(names, keypoints, score, strict=True):
         if not 0 <= value <= LARGEST_NUMBER:  # false for NaN too
-            raise BadInput(f"the score of {name} in {where} is {value}; it must lie between 0 and {LARGEST_NUMBER:g}.")
+            raise BadInput(
+                f"the score of {name} in {where} is {value}; it must lie between 0 and"
+                f" {LARGEST_NUMBER:g}."
+            )
         if value == 0:
             if not np.isnan(xy).all():
-                raise BadInput(f"{name} in {where} has score 0, so that its keypoint must be NaN, not {xy.tolist()}.")
+                raise BadInput(
+                    f"{name} in {where} has score 0, so that its keypoint must be NaN, not"
+                    f" {xy.tolist()}."
+                )
         elif not (np.abs(xy) <= LARGEST_NUMBER).all():
             raise BadInput(
-                f"the keypoint of {name} in {where} is {xy.tolist()} with score {value}; a joint that is seen needs "
-                f"finite coordinates within ±{LARGEST_NUMBER:g} pixels."
+                f"the keypoint of {name} in {where} is {xy.tolist()} with score {value}; a joint"
+                f" that is seen needs finite coordinates within ±{LARGEST_NUMBER:g} pixels."
             )
 
 
-def _check_labels(person: int, image_id: str | None, image_size: tuple[int, int] | None, where: str) -> None:
+def _check_labels(
+    person: int, image_id: str | None, image_size: tuple[int, int] | None, where: str
+) -> None:
     if not _is_whole(person) or person < 0:
-        raise BadInput(f"the number of a person must be 0 or a positive whole number, not {person!r}.")
+        raise BadInput(
+            f"the number of a person must be 0 or a positive whole number, not {person!r}."
+        )
     if image_id is not None and not isinstance(image_id, str):
         raise BadInput(f"the image_id of {where} must be a text or None, not {image_id!r}.")
     if image_size is not None and not (
-        isinstance(image_size, tuple) and len(image_size) == 2 and all(_is_whole(n) and n > 0 for n in image_size)
+        isinstance(image_size, tuple)
+        and len(image_size) == 2
+        and all(_is_whole(n) and n > 0 for n in image_size)
     ):
-        raise BadInput(f"the image_size of {where} must be two positive whole numbers of pixels, not {image_size!r}.")
+        raise BadInput(
+            f"the image_size of {where} must be two positive whole numbers of pixels, not"
+            f" {image_size!r}."
+        )
 
 
 def _is_whole(value: object) -> bool:

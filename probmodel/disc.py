@@ -1,20 +1,27 @@
-"""The likelihood of one detected joint: uniform in a disc around the projected joint (§ 3 of the model)."""
+"""The likelihood of one detected joint: uniform in a disc around the projected joint (§ 3 of the
+model)."""
 
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
 
-from probmodel.supports import disc, same_rank
+from probmodel.directions.supports import disc, same_rank
 
 
 class UniformDisc(Distribution):
-    """Points `(2,)`, uniform in the disc with `centre` `(..., 2)` and `radius` `(...)`, both in pixels."""
+    """Points `(2,)`, uniform in the disc with `centre` `(..., 2)` and `radius` `(...)`, both in
+    pixels."""
 
-    arg_constraints = {"centre": constraints.real_vector, "radius": constraints.positive}  # noqa: RUF012
+    arg_constraints = {
+        "centre": constraints.real_vector,
+        "radius": constraints.positive,
+    }  # noqa: RUF012
     reparametrized_params = ["centre", "radius"]  # noqa: RUF012
 
-    def __init__(self, centre: ArrayLike, radius: ArrayLike, *, validate_args: bool | None = None) -> None:
+    def __init__(
+        self, centre: ArrayLike, radius: ArrayLike, *, validate_args: bool | None = None
+    ) -> None:
         centre, radius = jnp.asarray(centre), jnp.asarray(radius)
         batch_shape = jnp.broadcast_shapes(centre.shape[:-1], radius.shape)
         self.centre = jnp.broadcast_to(centre, (*batch_shape, 2))

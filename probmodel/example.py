@@ -1,7 +1,8 @@
-"""The embedded example: a projected motion-capture pose with a detector's noise and one wrist missing, truth known.
+"""The embedded example: a projected motion-capture pose with a detector's noise and one wrist
+missing, truth known.
 
-`example()` reads it; `make_example` is how it was made, `python -m probmodel.example MOTION` makes it again.
-"""
+`example()` reads it; `make_example` is how it was made, `python -m probmodel.example MOTION` makes
+it again."""
 
 import json
 import sys
@@ -15,20 +16,28 @@ from scipy.spatial.transform import Rotation
 from probmodel.camera import WeakPerspective
 from probmodel.detections import Detection
 from probmodel.formats import read_detections
-from probmodel.learning import body_unit
+from probmodel.learning.learning import body_unit
 from probmodel.motion import read_motion
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 
 RECIPE: dict[str, Any] = {
-    "sequence": "soccer/soccer_1", "frame": 120, "yaw": 15.0, "tilt": 12.0, "scale": 110.0, "noise": 0.05,
-    "missing": ["right_wrist"], "image_size": [480, 640], "seed": 7,
-}  # fmt: skip
-"""Which pose, seen how: yaw and tilt of the camera in degrees, pixels per body unit, standard deviation of the noise in
-body units, joints taken away."""
+    "sequence": "soccer/soccer_1",
+    "frame": 120,
+    "yaw": 15.0,
+    "tilt": 12.0,
+    "scale": 110.0,
+    "noise": 0.05,
+    "missing": ["right_wrist"],
+    "image_size": [480, 640],
+    "seed": 7,
+}
+"""Which pose, seen how: yaw and tilt of the camera in degrees, pixels per body unit, standard
+deviation of the noise in body units, joints taken away."""
 
 
 class Example(NamedTuple):
-    """A `detection`, and the pose behind it: `joints` `(15, 3)` in camera axes, body units, pelvis at the origin."""
+    """A `detection`, and the pose behind it: `joints` `(15, 3)` in camera axes, body units, pelvis
+    at the origin."""
 
     detection: Detection
     joints: np.ndarray
@@ -43,7 +52,8 @@ def example() -> Example:
 
 
 def make_example(joints: np.ndarray, recipe: dict[str, Any]) -> dict[str, Any]:
-    """The native JSON of a pose `(15, 3)` (Y up) under a recipe: projected, disturbed, some joints removed.
+    """The native JSON of a pose `(15, 3)` (Y up) under a recipe: projected, disturbed, some joints
+    removed.
 
     Scores fall with the disturbance, as a detector's do.
     """
@@ -63,20 +73,28 @@ def make_example(joints: np.ndarray, recipe: dict[str, Any]) -> dict[str, Any]:
     }
     truth = {name: [round(float(value), 5) for value in view[JOINT_INDEX[name]]] for name in JOINTS}
     about = (
-        "Made by probmodel.example from one pose of the CMU motion capture database. The data used in this project was "
-        "obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217."
+        "Made by probmodel.example from one pose of the CMU motion capture database. The data used"
+        " in this project was obtained from mocap.cs.cmu.edu. The database was created with funding"
+        " from NSF EIA-0196217."
     )
     return {
         "format": "poseterior-detections",
         "version": 1,
         "about": about,
         "people": [{"keypoints": people, "image_size": recipe["image_size"]}],
-        "truth": {"joints": truth, "axes": "camera: x right, y down, z away", "unit": "body units", "recipe": recipe},
+        "truth": {
+            "joints": truth,
+            "axes": "camera: x right, y down, z away",
+            "unit": "body units",
+            "recipe": recipe,
+        },
     }
 
 
 if __name__ == "__main__":
-    motion = next(motion for motion in read_motion(sys.argv[1]) if RECIPE["sequence"] in motion.name)
+    motion = next(
+        motion for motion in read_motion(sys.argv[1]) if RECIPE["sequence"] in motion.name
+    )
     made = make_example(motion.joints[int(RECIPE["frame"])], RECIPE)
     out = Path(str(resources.files("probmodel.data") / "example.json"))
     out.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")

@@ -9,12 +9,15 @@ from probmodel.failures import BadInput
 
 
 @contextlib.contextmanager
-def replacing(path: str | os.PathLike, advice: str = "choose a folder that can be written to") -> Iterator[Path]:
-    """A place beside `path` to write to: what is there in the end takes its name, so that no reader ever meets half a
-    file. Where anything is raised, nothing is left, and what was at `path` stays. A link stays a link.
+def replacing(
+    path: str | os.PathLike, advice: str = "choose a folder that can be written to"
+) -> Iterator[Path]:
+    """A place beside `path` to write to: what is there in the end takes its name, so that no reader
+    ever meets half a file. Where anything is raised, nothing is left, and what was at `path` stays.
+    A link stays a link.
 
-    Raises `BadInput`, a sentence that ends in the advice, where the system says no or no file can have that name.
-    """
+    Raises `BadInput`, a sentence that ends in the advice, where the system says no or no file can
+    have that name."""
     try:
         target = Path(os.path.realpath(path))
         partial = target.with_name(target.name + ".partial")

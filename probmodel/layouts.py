@@ -1,9 +1,10 @@
-"""Joint orders: what each detector calls its points, and how they become the skeleton's joints and the face.
+"""Joint orders: what each detector calls its points, and how they become the skeleton's joints and
+the face.
 
-`LAYOUTS` is the table, by name. A point that is a joint of the skeleton, or of the face, bears that name; the others
-are not used. Where a layout has no thorax or pelvis, or defines them as midpoints, they are the midpoints of shoulders
-and hips; `corrected` moves them to where the skeleton has them. Offsets and their sources: reports/detectors.md.
-"""
+`LAYOUTS` is the table, by name. A point that is a joint of the skeleton, or of the face, bears that
+name; the others are not used. Where a layout has no thorax or pelvis, or defines them as midpoints,
+they are the midpoints of shoulders and hips; `corrected` moves them to where the skeleton has them.
+Offsets and their sources: reports/detectors.md."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -16,15 +17,18 @@ from probmodel.detections import FACE, Detection, FloatArray
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 MIDPOINTS = {"thorax": ("right_shoulder", "left_shoulder"), "pelvis": ("right_hip", "left_hip")}
-"""Joints that lie midway between two others, for the detectors that do not have them or missed them."""
+"""Joints that lie midway between two others, for the detectors that do not have them or missed
+them."""
 
 TOWARDS_THE_OTHER = {"thorax": 0.125, "pelvis": 0.192}
-"""How far along the line from one midpoint to the other the skeleton's own joint lies: the mean over the embedded
-torsos, projected onto that line (a test derives them again). The thorax lies below the shoulders' midpoint and the
-pelvis above the hips'; under weak perspective a share of a line stays the same share in every view."""
+"""How far along the line from one midpoint to the other the skeleton's own joint lies: the mean
+over the embedded torsos, projected onto that line (a test derives them again). The thorax lies
+below the shoulders' midpoint and the pelvis above the hips'; under weak perspective a share of a
+line stays the same share in every view."""
 
 _MIDDLE_ROWS = tuple(
-    (JOINT_INDEX[middle], JOINT_INDEX[right], JOINT_INDEX[left]) for middle, (right, left) in MIDPOINTS.items()
+    (JOINT_INDEX[middle], JOINT_INDEX[right], JOINT_INDEX[left])
+    for middle, (right, left) in MIDPOINTS.items()
 )
 
 
@@ -32,9 +36,8 @@ _MIDDLE_ROWS = tuple(
 class Layout:
     """A detector's joint order: the name of each point, in the order of the file.
 
-    `midpoints` names those of thorax and pelvis that the layout lacks, or has but defines as midpoints of shoulders
-    and hips.
-    """
+    `midpoints` names those of thorax and pelvis that the layout lacks, or has but defines as
+    midpoints of shoulders and hips."""
 
     name: str
     points: tuple[str, ...]
@@ -48,20 +51,26 @@ class Layout:
     @cached_property
     def _body(self) -> tuple[list[int], list[int]]:
         """Which points are joints, and which joints they are."""
-        pairs = [(index, JOINT_INDEX[name]) for index, name in enumerate(self.points) if name in JOINT_INDEX]
+        pairs = [
+            (index, JOINT_INDEX[name])
+            for index, name in enumerate(self.points)
+            if name in JOINT_INDEX
+        ]
         return [index for index, _ in pairs], [joint for _, joint in pairs]
 
     @cached_property
     def _face(self) -> tuple[list[int], list[int]]:
-        pairs = [(index, FACE.index(name)) for index, name in enumerate(self.points) if name in FACE]
+        pairs = [
+            (index, FACE.index(name)) for index, name in enumerate(self.points) if name in FACE
+        ]
         return [index for index, _ in pairs], [row for _, row in pairs]
 
     def to_skeleton(self, points: FloatArray, threshold: float) -> tuple[FloatArray, FloatArray]:
         """`(15, 2)` keypoints and `(15,)` scores from `(count, 3)` rows of x, y, score.
 
-        Points with score <= `threshold` are missing. A thorax or pelvis that is missing, or not part of the layout, is
-        the midpoint of shoulders or hips where both are seen, with the smaller of their scores.
-        """
+        Points with score <= `threshold` are missing. A thorax or pelvis that is missing, or not
+        part of the layout, is the midpoint of shoulders or hips where both are seen, with the
+        smaller of their scores."""
         indices, joints = self._body
         rows = np.zeros((NUM_JOINTS, 3))
         rows[joints] = points[indices]
@@ -75,8 +84,8 @@ class Layout:
         return rows[:, :2], rows[:, 2]
 
     def face(self, points: FloatArray, threshold: float) -> FloatArray | None:
-        """`(5, 3)` x, y, score of `FACE`, NaN, NaN, 0 where missing; None where the layout has no nose, or no eyes and
-        ears, and so says nothing about which way the head is turned."""
+        """`(5, 3)` x, y, score of `FACE`, NaN, NaN, 0 where missing; None where the layout has no
+        nose, or no eyes and ears, and so says nothing about which way the head is turned."""
         indices, rows = self._face
         if not self.has_face:
             return None
@@ -89,7 +98,9 @@ class Layout:
     def has_face(self) -> bool:
         """Whether there is a nose, and an eye or an ear on either side."""
         names = set(self.points)
-        return "nose" in names and any({f"left_{part}", f"right_{part}"} <= names for part in ("eye", "ear"))
+        return "nose" in names and any(
+            {f"left_{part}", f"right_{part}"} <= names for part in ("eye", "ear")
+        )
 
     def detection(
         self,
@@ -107,96 +118,251 @@ class Layout:
 
 
 _COCO = (
-    "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
-    "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
+    "nose",
+    "left_eye",
+    "right_eye",
+    "left_ear",
+    "right_ear",
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "left_hip",
+    "right_hip",
+    "left_knee",
+    "right_knee",
+    "left_ankle",
     "right_ankle",
-)  # fmt: skip
+)
 _BOTH = ("thorax", "pelvis")
-_FEET = ("left_big_toe", "left_small_toe", "left_heel", "right_big_toe", "right_small_toe", "right_heel")
+_FEET = (
+    "left_big_toe",
+    "left_small_toe",
+    "left_heel",
+    "right_big_toe",
+    "right_small_toe",
+    "right_heel",
+)
 _HALPE = (
-    *_COCO, "head", "neck", "hip_centre", "left_big_toe", "right_big_toe", "left_small_toe", "right_small_toe",
-    "left_heel", "right_heel",
-)  # fmt: skip
+    *_COCO,
+    "head",
+    "neck",
+    "hip_centre",
+    "left_big_toe",
+    "right_big_toe",
+    "left_small_toe",
+    "right_small_toe",
+    "left_heel",
+    "right_heel",
+)
 
 COCO_17 = Layout("coco_17", _COCO, _BOTH)
 BODY_25 = Layout(
     "body_25",
     (
-        "nose", "thorax", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
-        "pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye",
-        "left_eye", "right_ear", "left_ear", *_FEET,
+        "nose",
+        "thorax",
+        "right_shoulder",
+        "right_elbow",
+        "right_wrist",
+        "left_shoulder",
+        "left_elbow",
+        "left_wrist",
+        "pelvis",
+        "right_hip",
+        "right_knee",
+        "right_ankle",
+        "left_hip",
+        "left_knee",
+        "left_ankle",
+        "right_eye",
+        "left_eye",
+        "right_ear",
+        "left_ear",
+        *_FEET,
     ),
     _BOTH,
-)  # fmt: skip
+)
 BODY_25B = Layout("body_25b", (*_COCO, "upper_neck", "head", *_FEET), _BOTH)
 COCO_18 = Layout(
     "coco_18",
     (
-        "nose", "thorax", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
-        "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye", "left_eye",
-        "right_ear", "left_ear",
+        "nose",
+        "thorax",
+        "right_shoulder",
+        "right_elbow",
+        "right_wrist",
+        "left_shoulder",
+        "left_elbow",
+        "left_wrist",
+        "right_hip",
+        "right_knee",
+        "right_ankle",
+        "left_hip",
+        "left_knee",
+        "left_ankle",
+        "right_eye",
+        "left_eye",
+        "right_ear",
+        "left_ear",
     ),
     _BOTH,
-)  # fmt: skip
+)
 HALPE_26 = Layout("halpe_26", _HALPE, _BOTH)
 HALPE_136 = Layout("halpe_136", (*_HALPE, *(f"face_or_hand_{i}" for i in range(110))), _BOTH)
-WHOLEBODY_133 = Layout("coco_wholebody_133", (*_COCO, *(f"foot_face_or_hand_{i}" for i in range(116))), _BOTH)
+WHOLEBODY_133 = Layout(
+    "coco_wholebody_133", (*_COCO, *(f"foot_face_or_hand_{i}" for i in range(116))), _BOTH
+)
 MPII_16 = Layout(
     "mpii_16",
     (
-        "right_ankle", "right_knee", "right_hip", "left_hip", "left_knee", "left_ankle", "pelvis", "thorax",
-        "upper_neck", "head", "right_wrist", "right_elbow", "right_shoulder", "left_shoulder", "left_elbow",
+        "right_ankle",
+        "right_knee",
+        "right_hip",
+        "left_hip",
+        "left_knee",
+        "left_ankle",
+        "pelvis",
+        "thorax",
+        "upper_neck",
+        "head",
+        "right_wrist",
+        "right_elbow",
+        "right_shoulder",
+        "left_shoulder",
+        "left_elbow",
         "left_wrist",
     ),
-)  # fmt: skip
+)
 H36M_17 = Layout(
     "h36m_17",
     (
-        "pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "spine", "thorax",
-        "neck_or_nose", "head", "left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow",
+        "pelvis",
+        "right_hip",
+        "right_knee",
+        "right_ankle",
+        "left_hip",
+        "left_knee",
+        "left_ankle",
+        "spine",
+        "thorax",
+        "neck_or_nose",
+        "head",
+        "left_shoulder",
+        "left_elbow",
+        "left_wrist",
+        "right_shoulder",
+        "right_elbow",
         "right_wrist",
     ),
-)  # fmt: skip
+)
 MEDIAPIPE_33 = Layout(
     "mediapipe_33",
     (
-        "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer",
-        "left_ear", "right_ear", "mouth_left", "mouth_right", "left_shoulder", "right_shoulder", "left_elbow",
-        "right_elbow", "left_wrist", "right_wrist", "left_pinky", "right_pinky", "left_index", "right_index",
-        "left_thumb", "right_thumb", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
-        "left_heel", "right_heel", "left_foot_index", "right_foot_index",
+        "nose",
+        "left_eye_inner",
+        "left_eye",
+        "left_eye_outer",
+        "right_eye_inner",
+        "right_eye",
+        "right_eye_outer",
+        "left_ear",
+        "right_ear",
+        "mouth_left",
+        "mouth_right",
+        "left_shoulder",
+        "right_shoulder",
+        "left_elbow",
+        "right_elbow",
+        "left_wrist",
+        "right_wrist",
+        "left_pinky",
+        "right_pinky",
+        "left_index",
+        "right_index",
+        "left_thumb",
+        "right_thumb",
+        "left_hip",
+        "right_hip",
+        "left_knee",
+        "right_knee",
+        "left_ankle",
+        "right_ankle",
+        "left_heel",
+        "right_heel",
+        "left_foot_index",
+        "right_foot_index",
     ),
     _BOTH,
-)  # fmt: skip
+)
 CROWDPOSE_14 = Layout(
     "crowdpose_14",
     (
-        "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hip",
-        "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle", "head", "neck",
+        "left_shoulder",
+        "right_shoulder",
+        "left_elbow",
+        "right_elbow",
+        "left_wrist",
+        "right_wrist",
+        "left_hip",
+        "right_hip",
+        "left_knee",
+        "right_knee",
+        "left_ankle",
+        "right_ankle",
+        "head",
+        "neck",
     ),
     _BOTH,
-)  # fmt: skip
+)
 AIC_14 = Layout(
     "aic_14",
     (
-        "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist", "right_hip",
-        "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "head", "neck",
+        "right_shoulder",
+        "right_elbow",
+        "right_wrist",
+        "left_shoulder",
+        "left_elbow",
+        "left_wrist",
+        "right_hip",
+        "right_knee",
+        "right_ankle",
+        "left_hip",
+        "left_knee",
+        "left_ankle",
+        "head",
+        "neck",
     ),
     _BOTH,
-)  # fmt: skip
+)
 
-LAYOUTS = MappingProxyType({
-    layout.name: layout
-    for layout in (
-        COCO_17, COCO_18, BODY_25, BODY_25B, HALPE_26, HALPE_136, WHOLEBODY_133, MPII_16, H36M_17, MEDIAPIPE_33,
-        CROWDPOSE_14, AIC_14,
-    )
-})  # fmt: skip
+LAYOUTS = MappingProxyType(
+    {
+        layout.name: layout
+        for layout in (
+            COCO_17,
+            COCO_18,
+            BODY_25,
+            BODY_25B,
+            HALPE_26,
+            HALPE_136,
+            WHOLEBODY_133,
+            MPII_16,
+            H36M_17,
+            MEDIAPIPE_33,
+            CROWDPOSE_14,
+            AIC_14,
+        )
+    }
+)
 """By name."""
 
 
 def corrected(detection: Detection) -> Detection:
-    """`detection` with the thorax and pelvis where the skeleton has them, if its layout makes them midpoints.
+    """`detection` with the thorax and pelvis where the skeleton has them, if its layout makes them
+    midpoints.
 
     A midpoint without its counterpart cannot be moved and stays.
     """
@@ -214,20 +380,36 @@ def corrected(detection: Detection) -> Detection:
 
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 _PARTS = {
-    "shoulder": "shoulder", "elbow": "elbow", "wrist": "wrist", "hip": "hip", "knee": "knee", "ankle": "ankle",
-    "eye": "eye", "ear": "ear",
-}  # fmt: skip
+    "shoulder": "shoulder",
+    "elbow": "elbow",
+    "wrist": "wrist",
+    "hip": "hip",
+    "knee": "knee",
+    "ankle": "ankle",
+    "eye": "eye",
+    "ear": "ear",
+}
 _WHOLE = {
-    "pelvis": "pelvis", "hip_centre": "pelvis", "hip_center": "pelvis", "mid_hip": "pelvis", "root": "pelvis",
-    "thorax": "thorax", "chest": "thorax", "head": "head", "head_top": "head", "top_head": "head", "nose": "nose",
-}  # fmt: skip
+    "pelvis": "pelvis",
+    "hip_centre": "pelvis",
+    "hip_center": "pelvis",
+    "mid_hip": "pelvis",
+    "root": "pelvis",
+    "thorax": "thorax",
+    "chest": "thorax",
+    "head": "head",
+    "head_top": "head",
+    "top_head": "head",
+    "nose": "nose",
+}
 
 
 def spoken_name(name: str) -> str:
-    """The skeleton's (or face's) name of a body part as people write it, or the name as it is where it is no such part.
+    """The skeleton's (or face's) name of a body part as people write it, or the name as it is where
+    it is no such part.
 
-    LeftShoulder, left-shoulder, shoulder_l and l_shoulder are all left_shoulder. Numbered names (hip1) are not guessed.
-    """
+    LeftShoulder, left-shoulder, shoulder_l and l_shoulder are all left_shoulder. Numbered names
+    (hip1) are not guessed."""
     words = _words(name)
     whole = "_".join(words)
     if whole in _WHOLE:
@@ -240,8 +422,11 @@ def spoken_name(name: str) -> str:
 
 
 def _words(name: str) -> list[str]:
-    """Lower-case words of a name in camel, snake or kebab case; MidHip, mid_hip and "mid hip" are the same."""
-    spaced = "".join(f" {letter}" if letter.isupper() and not name.isupper() else letter for letter in name)
+    """Lower-case words of a name in camel, snake or kebab case; MidHip, mid_hip and "mid hip" are
+    the same."""
+    spaced = "".join(
+        f" {letter}" if letter.isupper() and not name.isupper() else letter for letter in name
+    )
     return "".join(letter if letter.isalnum() else " " for letter in spaced).lower().split()
 
 

@@ -1,15 +1,28 @@
-"""The skeleton: fifteen joints, the bones between them, and the groups of bones that share a length.
+"""The skeleton: fifteen joints, the bones between them, and the groups of bones that share a
+length.
 
-Order and names are Akhter & Black's (CVPR 2015) without the feet. Everything that loops over limbs reads it from here:
-`JOINTS`, `PARENTS`, `UPPER_BONES`, `LOWER_BONES`, `LENGTH_GROUPS`, `LIMBS`.
-"""
+Order and names are Akhter & Black's (CVPR 2015) without the feet. Everything that loops over limbs
+reads it from here: `JOINTS`, `PARENTS`, `UPPER_BONES`, `LOWER_BONES`, `LENGTH_GROUPS`, `LIMBS`."""
 
 from typing import NamedTuple
 
 JOINTS = (
-    "pelvis", "thorax", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
-    "head", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle",
-)  # fmt: skip
+    "pelvis",
+    "thorax",
+    "right_shoulder",
+    "right_elbow",
+    "right_wrist",
+    "left_shoulder",
+    "left_elbow",
+    "left_wrist",
+    "head",
+    "right_hip",
+    "right_knee",
+    "right_ankle",
+    "left_hip",
+    "left_knee",
+    "left_ankle",
+)
 JOINT_INDEX = {name: i for i, name in enumerate(JOINTS)}
 NUM_JOINTS = len(JOINTS)
 
@@ -24,7 +37,8 @@ LENGTH_GROUPS = ("head", "upper_arm", "forearm", "upper_leg", "lower_leg")
 
 
 class Bone(NamedTuple):
-    """A bone whose direction and length are random: it ends in the joint `end` and starts in that joint's parent."""
+    """A bone whose direction and length are random: it ends in the joint `end` and starts in that
+    joint's parent."""
 
     name: str
     start: int
@@ -62,13 +76,15 @@ LIMB_JOINTS = tuple(bone.end for bone in BONES if bone.name != "head")
 """Elbows, knees, wrists, ankles: the joints that the paper's sets S_m and S_o speak of."""
 
 MIRROR = tuple(
-    JOINT_INDEX[name.replace("right", "LEFT").replace("left", "right").replace("LEFT", "left")] for name in JOINTS
+    JOINT_INDEX[name.replace("right", "LEFT").replace("left", "right").replace("LEFT", "left")]
+    for name in JOINTS
 )
 """`MIRROR[i]` is the joint that joint i becomes when left and right are exchanged."""
 
 
 class Limb(NamedTuple):
-    """A chain of bones that hangs from the torso: an upper bone and, but for the head, the lower bone that follows."""
+    """A chain of bones that hangs from the torso: an upper bone and, but for the head, the lower
+    bone that follows."""
 
     name: str
     upper: int
@@ -77,7 +93,9 @@ class Limb(NamedTuple):
     @property
     def bones(self) -> tuple[Bone, ...]:
         """The limb's bones, from the torso outwards."""
-        return (UPPER_BONES[self.upper],) + (() if self.lower is None else (LOWER_BONES[self.lower],))
+        return (UPPER_BONES[self.upper],) + (
+            () if self.lower is None else (LOWER_BONES[self.lower],)
+        )
 
 
 GROUPS = {
@@ -85,4 +103,5 @@ GROUPS = {
     "arms": (Limb("right arm", 1, 0), Limb("left arm", 2, 1)),
     "legs": (Limb("right leg", 3, 2), Limb("left leg", 4, 3)),
 }
-"""Limbs that share bone lengths. Given torso and camera, the groups are independent of each other."""
+"""Limbs that share bone lengths. Given torso and camera, the groups are independent of each
+other."""

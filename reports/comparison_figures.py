@@ -1,4 +1,5 @@
-"""The judge's findings as a picture: ranks, marginals of depth, mode shares, distance against seconds."""
+"""The judge's findings as a picture: ranks, marginals of depth, mode shares, distance against
+seconds."""
 
 from pathlib import Path
 
@@ -15,7 +16,8 @@ MODES = 8
 
 
 def comparison_figure(tree: xr.DataTree) -> Figure:
-    """Four panels from a `comparison.nc`; samplers without draws appear in none of the first three."""
+    """Four panels from a `comparison.nc`; samplers without draws appear in none of the first
+    three."""
     labels = [str(label) for label in tree["summary"].sampler.values]
     colours = {label: plt.get_cmap("tab20")(index % 20) for index, label in enumerate(labels)}
     figure, axes = plt.subplots(2, 2, figsize=(12, 9), layout="constrained")
@@ -41,7 +43,8 @@ def _shown(draws: xr.Dataset, label: str) -> np.ndarray:
 
 
 def _ranks(axes: Axes, draws: xr.Dataset, colours: dict) -> None:
-    """How far the distribution of the ranks is from uniform, for each sampler's worst coordinate."""
+    """How far the distribution of the ranks is from uniform, for each sampler's worst
+    coordinate."""
     exact = np.sort(draws["exact"].values, axis=0)
     levels = np.linspace(0, 1, 101)
     for label, colour in colours.items():
@@ -55,7 +58,11 @@ def _ranks(axes: Axes, draws: xr.Dataset, colours: dict) -> None:
         worst = int(np.abs(off[1:-1]).max(axis=0).argmax())
         axes.plot(levels, off[:, worst], color=colour)
     axes.axhline(0, color=EXACT, lw=1)
-    axes.set(xlabel="rank among the exact draws", ylabel="share of draws below − rank", title="Ranks, worst coordinate")
+    axes.set(
+        xlabel="rank among the exact draws",
+        ylabel="share of draws below − rank",
+        title="Ranks, worst coordinate",
+    )
 
 
 def _depth(axes: Axes, draws: xr.Dataset, tree: xr.DataTree, colours: dict) -> None:
@@ -71,7 +78,11 @@ def _depth(axes: Axes, draws: xr.Dataset, tree: xr.DataTree, colours: dict) -> N
         if len(values):
             axes.hist(values[:, 0], bins, density=True, histtype="step", color=colour, lw=1.4)
     name = joint.replace("_", " ")
-    axes.set(xlabel=f"depth of the {name}, body units (away from the camera)", ylabel="density", title="Depth")
+    axes.set(
+        xlabel=f"depth of the {name}, body units (away from the camera)",
+        ylabel="density",
+        title="Depth",
+    )
 
 
 def _modes(axes: Axes, tree: xr.DataTree, colours: dict) -> None:
@@ -95,5 +106,7 @@ def _course(axes: Axes, course: xr.Dataset, epsilon: float, colours: dict) -> No
             axes.loglog(one.seconds, one.distance, "o-", ms=3, color=colour)
     axes.axhline(epsilon, color=EXACT, lw=1, ls=":")
     axes.set(
-        xlabel="seconds", ylabel="sliced Wasserstein distance, standard deviations", title="Distance to the exact draws"
+        xlabel="seconds",
+        ylabel="sliced Wasserstein distance, standard deviations",
+        title="Distance to the exact draws",
     )

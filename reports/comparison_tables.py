@@ -6,7 +6,7 @@ import rich.box
 import rich.table
 import xarray as xr
 
-from inference.comparison.distances import MILLIMETRES
+from inference.studies.comparison.distances import MILLIMETRES
 
 COLUMNS = (
     "sampler",
@@ -26,10 +26,11 @@ WIDE = 120
 
 
 def rows(tree: xr.DataTree) -> list[list[str]]:
-    """One row a sampler, in the order of `COLUMNS`: effective draws of the worst coordinate, those beyond the exact
-    draws of the start a second, those by the autocorrelation time a second (≤ where paths are too short), largest
-    R-hat, smallest p-value of the tests, share of the mass in modes never visited, largest W1 of a joint's depth for a
-    person of 1.7 m, seconds until the sliced Wasserstein distance is 0.1 standard deviations."""
+    """One row a sampler, in the order of `COLUMNS`: effective draws of the worst coordinate, those
+    beyond the exact draws of the start a second, those by the autocorrelation time a second (≤
+    where paths are too short), largest R-hat, smallest p-value of the tests, share of the mass in
+    modes never visited, largest W1 of a joint's depth for a person of 1.7 m, seconds until the
+    sliced Wasserstein distance is 0.1 standard deviations."""
     return [[found[column] for column in COLUMNS] for found in map(_row, comparison_json(tree))]
 
 
@@ -75,7 +76,9 @@ def _row(line: dict) -> dict[str, str]:
 def _reached(line: dict) -> str:
     if line["verdict"] == "no draws":
         return "–"
-    return "never" if line["seconds_to_distance"] is None else f"{line['seconds_to_distance']:.2g} s"
+    return (
+        "never" if line["seconds_to_distance"] is None else f"{line['seconds_to_distance']:.2g} s"
+    )
 
 
 def _settled(line: dict) -> str:
@@ -94,7 +97,8 @@ def _evidence(line: dict) -> str:
 
 
 def comparison_table(tree: xr.DataTree, width: int) -> rich.table.Table:
-    """The table for a terminal of so many characters; a narrow one gets the columns that matter most."""
+    """The table for a terminal of so many characters; a narrow one gets the columns that matter
+    most."""
     columns = COLUMNS if width >= WIDE else NARROW
     table = rich.table.Table(box=rich.box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in columns:

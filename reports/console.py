@@ -1,4 +1,5 @@
-"""What every command shares: progress, results as a table or JSON, errors as one sentence with an exit code.
+"""What every command shares: progress, results as a table or JSON, errors as one sentence with an
+exit code.
 
 Exit codes: 2 bad input, 3 a sampler that could not make what was asked for, 1 a bug.
 """
@@ -24,7 +25,8 @@ ERR = rich.console.Console(stderr=True, highlight=False, markup=False, emoji=Fal
 PATIENCE = 2.0
 """Seconds after which anything shows its progress."""
 RAREST = 60.0
-"""Most seconds between two lines of progress in a log; the first ones are closer, and every pause is twice the last."""
+"""Most seconds between two lines of progress in a log; the first ones are closer, and every pause
+is twice the last."""
 Step = Callable[[int, int], None]
 _USAGE: type[Exception] = typer.BadParameter.__mro__[1]
 """What typer raises on a wrong command line, under one name in all its versions."""
@@ -32,7 +34,8 @@ _USAGE: type[Exception] = typer.BadParameter.__mro__[1]
 
 @contextmanager
 def progress(what: str, quiet: bool) -> Iterator[Step]:
-    """A function (done, wanted) that shows progress: a bar on a terminal, lines in a log, nothing when quiet."""
+    """A function (done, wanted) that shows progress: a bar on a terminal, lines in a log, nothing
+    when quiet."""
     if quiet:
         yield lambda done, wanted: None
     elif ERR.is_terminal:
@@ -45,12 +48,18 @@ def progress(what: str, quiet: bool) -> Iterator[Step]:
 
 
 def _bar() -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
     return Progress(*columns, console=ERR, transient=True)
 
 
 class _Log:
-    """Lines of progress by a thread of their own: what is slow may not call `step` for a long time."""
+    """Lines of progress by a thread of their own: what is slow may not call `step` for a long
+    time."""
 
     def __init__(self, what: str) -> None:
         self._what, self._count = what, ""
@@ -93,7 +102,8 @@ def show_json(value: Any) -> None:
 
 
 def _bad_input(sentence: str) -> Exception:
-    # Imported here, because the package behind it brings JAX along, and `--help` should not wait for that.
+    # Imported here, because the package behind it brings JAX along, and `--help` should not wait
+    # for that.
     from probmodel.failures import BadInput
 
     return BadInput(sentence)
@@ -106,17 +116,22 @@ def output_folder(path: Path) -> Path:
     except FileExistsError:
         raise _bad_input(f"{path} is a file; --out needs the name of a folder") from None
     except (OSError, ValueError) as error:
-        raise _bad_input(f"cannot make the folder {path} ({_reason(error)}); choose another --out") from None
+        raise _bad_input(
+            f"cannot make the folder {path} ({_reason(error)}); choose another --out"
+        ) from None
     _try_writing(path)
     return path
 
 
 def output_file(path: Path) -> Path:
-    """Checks, before any work is done, that a file can be written. Raises `BadInput` where it cannot."""
+    """Checks, before any work is done, that a file can be written. Raises `BadInput` where it
+    cannot."""
     if path.is_dir():
         raise _bad_input(f"{path} is a folder; --out needs the name of a file")
     if not path.parent.is_dir():
-        raise _bad_input(f"the folder {path.parent} does not exist; make it, or choose another --out")
+        raise _bad_input(
+            f"the folder {path.parent} does not exist; make it, or choose another --out"
+        )
     if path.exists() and not path.is_file():
         # A device, say: results are renamed into place, which would put a file where it was.
         raise _bad_input(f"{path} is not a regular file; choose another --out")
@@ -130,7 +145,9 @@ def _try_writing(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise _bad_input(f"cannot write to the folder {folder} ({_reason(error)}); choose another --out") from None
+        raise _bad_input(
+            f"cannot write to the folder {folder} ({_reason(error)}); choose another --out"
+        ) from None
 
 
 def write_text(path: Path, text: str) -> None:
@@ -152,7 +169,8 @@ def refuse(sentence: str, code: int) -> NoReturn:
 
 
 def guarded(app: typer.Typer) -> None:
-    """Runs the application; failures that have a sentence become that sentence and their exit code."""
+    """Runs the application; failures that have a sentence become that sentence and their exit
+    code."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError):  # what a test or a notebook puts there may not be able to
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]

@@ -1,4 +1,5 @@
-"""Calibration and coverage as tables: rows of texts first, which a terminal, a page and JSON show alike."""
+"""Calibration and coverage as tables: rows of texts first, which a terminal, a page and JSON show
+alike."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -7,11 +8,11 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from inference.calibration.coverage import NOMINAL, Summary
-from inference.calibration.ece import Interval
-from inference.calibration.exclusions import LENGTH, LIMIT, TAU, Rank
-from inference.calibration.quantities import MOVING_NAMES
-from inference.calibration.verdict import Calibration
+from inference.studies.calibration.coverage import NOMINAL, Summary
+from inference.studies.calibration.ece import Interval
+from inference.studies.calibration.exclusions import LENGTH, LIMIT, TAU, Rank
+from inference.studies.calibration.quantities import MOVING_NAMES
+from inference.studies.calibration.verdict import Calibration
 from reports.tables import spoken
 
 WORST = 5
@@ -28,8 +29,10 @@ class Rows(NamedTuple):
 def markdown(table: Rows) -> str:
     """The table for a page; all columns but the first are numbers."""
     lines: Iterable[Sequence[str]] = [
-        table.head, ["---"] + ["---:"] * (len(table.head) - 1), *table.rows,
-    ]  # fmt: skip
+        table.head,
+        ["---"] + ["---:"] * (len(table.head) - 1),
+        *table.rows,
+    ]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
@@ -54,13 +57,19 @@ def tests(calibration: Calibration) -> Rows:
     """The kinds of tests, then the quantities with the smallest p-values."""
     found = calibration.tests
     size = int(found["size"].max())
-    rows = [(family, p_text(value), "", str(size)) for family, value in calibration.families.items()]
+    rows = [
+        (family, p_text(value), "", str(size)) for family, value in calibration.families.items()
+    ]
     for number in np.argsort(found.p_value.values)[:WORST]:
         one = found.isel(quantity=int(number))
         rows.append(
-            (f"  {spoken(str(one.quantity.item()))}", p_text(float(one.p_value)), p_text(float(one.adjusted)),
-             str(int(one["size"])))
-        )  # fmt: skip
+            (
+                f"  {spoken(str(one.quantity.item()))}",
+                p_text(float(one.p_value)),
+                p_text(float(one.adjusted)),
+                str(int(one["size"])),
+            )
+        )
     return Rows(("test", "p", "p, corrected for all", "simulations"), rows)
 
 
@@ -69,7 +78,9 @@ def families(found: Mapping[str, Calibration]) -> Rows:
     names = list(dict.fromkeys(family for one in found.values() for family in one.families))
     rows = []
     for name, one in found.items():
-        values = [p_text(one.families[family]) if family in one.families else "–" for family in names]
+        values = [
+            p_text(one.families[family]) if family in one.families else "–" for family in names
+        ]
         rows.append((name, *values, str(int(one.tests["size"].max())), one.verdict))
     return Rows(("posterior", *names, "simulations", "verdict"), rows)
 
@@ -84,10 +95,13 @@ def tests_json(calibration: Calibration) -> dict[str, Any]:
         "failed": found.attrs["num_failed"],
         "families": calibration.families,
         "tests": [
-            {"quantity": str(name), **{field: float(found[field].sel(quantity=name)) for field in found.data_vars}}
+            {
+                "quantity": str(name),
+                **{field: float(found[field].sel(quantity=name)) for field in found.data_vars},
+            }
             for name in found.quantity.values
         ],
-    }  # fmt: skip
+    }
 
 
 def percent(interval: Interval) -> str:
@@ -96,15 +110,26 @@ def percent(interval: Interval) -> str:
 
 
 def by_joint(found: Summary) -> Rows:
-    """Nominal against empirical coverage of each joint, to the side and in depth, with the field's ECE."""
-    head = ("joint", *(f"{kind} {nominal:.0%}" for kind in ("lateral", "depth") for nominal in NOMINAL), "ECE")
+    """Nominal against empirical coverage of each joint, to the side and in depth, with the field's
+    ECE."""
+    head = (
+        "joint",
+        *(f"{kind} {nominal:.0%}" for kind in ("lateral", "depth") for nominal in NOMINAL),
+        "ECE",
+    )
     rows = []
     for number, joint in enumerate(MOVING_NAMES):
         columns = [
-            percent(found.by_joint[kind, nominal][number]) for kind in ("lateral", "depth") for nominal in NOMINAL
+            percent(found.by_joint[kind, nominal][number])
+            for kind in ("lateral", "depth")
+            for nominal in NOMINAL
         ]
         rows.append((spoken(joint), *columns, f"{found.ece.joint[number]:.3f}"))
-    whole = [percent(found.covered[kind, nominal]) for kind in ("lateral", "depth") for nominal in NOMINAL]
+    whole = [
+        percent(found.covered[kind, nominal])
+        for kind in ("lateral", "depth")
+        for nominal in NOMINAL
+    ]
     rows.append(("all", *whole, f"{found.ece.whole.value:.3f}"))
     return Rows(head, rows)
 
@@ -123,19 +148,42 @@ def briefly(found: Summary) -> Rows:
 
 
 def grid(found: Mapping[tuple[str, ...], Summary], head: Sequence[str]) -> Rows:
-    """One row for each setting, named by its key: coverage of 50 % and 95 % regions, exclusions, ECE and its floor,
-    sharpness."""
-    columns = ("lateral 50 %", "lateral 95 %", "depth 50 %", "depth 95 %", "ECE (its floor)", "truth excluded",
-               "no draws", "spread lateral, depth (mm)", "log evidence", "poses")  # fmt: skip
+    """One row for each setting, named by its key: coverage of 50 % and 95 % regions, exclusions,
+    ECE and its floor, sharpness."""
+    columns = (
+        "lateral 50 %",
+        "lateral 95 %",
+        "depth 50 %",
+        "depth 95 %",
+        "ECE (its floor)",
+        "truth excluded",
+        "no draws",
+        "spread lateral, depth (mm)",
+        "log evidence",
+        "poses",
+    )
     rows = []
     for key, one in found.items():
-        covered = [percent(one.covered[kind, nominal]) for kind in ("lateral", "depth") for nominal in (0.5, 0.95)]
+        covered = [
+            percent(one.covered[kind, nominal])
+            for kind in ("lateral", "depth")
+            for nominal in (0.5, 0.95)
+        ]
         rows.append(
-            (*key, *covered,
-             f"{one.ece.whole.value:.3f} ({one.ece.whole.low:.3f}–{one.ece.whole.high:.3f}; {one.ece.floor:.3f})",
-             percent(one.excluded), str(one.without_draws), f"{one.lateral:.0f}, {one.depth:.0f}",
-             f"{one.evidence:.1f}", str(one.size))
-        )  # fmt: skip
+            (
+                *key,
+                *covered,
+                (
+                    f"{one.ece.whole.value:.3f} ({one.ece.whole.low:.3f}–{one.ece.whole.high:.3f};"
+                    f" {one.ece.floor:.3f})"
+                ),
+                percent(one.excluded),
+                str(one.without_draws),
+                f"{one.lateral:.0f}, {one.depth:.0f}",
+                f"{one.evidence:.1f}",
+                str(one.size),
+            )
+        )
     return Rows((*head, *columns), rows)
 
 
@@ -145,7 +193,9 @@ def reasons(found: Sequence[Rank], size: int) -> Rows:
     rows = []
     for rank in found:
         amounts = ", ".join(words[kind].format(much) for kind, much in rank.amounts.items()) or "–"
-        rows.append((rank.label, f"{rank.excluded} ({rank.excluded / size:.0%})", str(rank.alone), amounts))
+        rows.append(
+            (rank.label, f"{rank.excluded} ({rank.excluded / size:.0%})", str(rank.alone), amounts)
+        )
     return Rows(("reason", "excludes", "it alone", "by, in the median"), rows)
 
 
@@ -158,7 +208,13 @@ def summary_json(found: Summary) -> dict[str, Any]:
     return {
         "poses": found.size,
         "coverage": [
-            {"kind": kind, "nominal": nominal, "empirical": one.value, "low": one.low, "high": one.high}
+            {
+                "kind": kind,
+                "nominal": nominal,
+                "empirical": one.value,
+                "low": one.low,
+                "high": one.high,
+            }
             for (kind, nominal), one in found.covered.items()
         ],
         "by_joint": [
@@ -166,13 +222,19 @@ def summary_json(found: Summary) -> dict[str, Any]:
             for (kind, nominal), many in found.by_joint.items()
             for row, one in enumerate(many)
         ],
-        "ece": {"value": found.ece.whole.value, "low": found.ece.whole.low, "high": found.ece.whole.high,
-                "floor": number(found.ece.floor),
-                "joint": dict(zip(MOVING_NAMES, found.ece.joint.tolist(), strict=True))},
+        "ece": {
+            "value": found.ece.whole.value,
+            "low": found.ece.whole.low,
+            "high": found.ece.whole.high,
+            "floor": number(found.ece.floor),
+            "joint": dict(zip(MOVING_NAMES, found.ece.joint.tolist(), strict=True)),
+        },
         "spread_mm": {"lateral": number(found.lateral), "depth": number(found.depth)},
         "log_evidence": number(found.evidence),
         "without_draws": found.without_draws,
         "excluded": found.excluded.value,
-        "reasons": [{"reason": one.label, "count": one.excluded, "alone": one.alone, "amounts": one.amounts}
-                    for one in found.reasons],
-    }  # fmt: skip
+        "reasons": [
+            {"reason": one.label, "count": one.excluded, "alone": one.alone, "amounts": one.amounts}
+            for one in found.reasons
+        ],
+    }

@@ -16,35 +16,64 @@ if TYPE_CHECKING:
     from inference import Frame
     from probmodel import Anatomy, DetectedFrame, Detection, PoseModel
 
-File = Annotated[Path, typer.Argument(help="Detections, of any detector (reports/detectors.md).", show_default=False)]
-Limits = Annotated[str, typer.Option(help="'default', a .npz from `poseterior learn`, or the published .mat.")]
+File = Annotated[
+    Path,
+    typer.Argument(help="Detections, of any detector (reports/detectors.md).", show_default=False),
+]
+Limits = Annotated[
+    str, typer.Option(help="'default', a .npz from `poseterior learn`, or the published .mat.")
+]
 Estimator = Annotated[
     str,
     typer.Option(
-        help="How torso and camera are estimated: dictionary, akhter-black, zhou, or FILE.npz with `joints` "
-        "(people, 15, 3), the poses of another estimator in camera axes."
+        help=(
+            "How torso and camera are estimated: dictionary, akhter-black, zhou, or FILE.npz with"
+            " `joints` (people, 15, 3), the poses of another estimator in camera axes."
+        )
     ),
 ]
-Poses = Annotated[str, typer.Option(help="Pose dictionaries: 'default', or a .npz from `poseterior learn --poses`.")]
+Poses = Annotated[
+    str,
+    typer.Option(help="Pose dictionaries: 'default', or a .npz from `poseterior learn --poses`."),
+]
 Format = Annotated[str, typer.Option(help="The file's format; 'auto' looks at its content.")]
 Person = Annotated[int, typer.Option(help="Which person in the file, counted from 0.")]
-Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="The same seed gives the same draws.")]
+Seed = Annotated[
+    int, typer.Option(min=0, max=2**32 - 1, help="The same seed gives the same draws.")
+]
 NumSamples = Annotated[int, typer.Option(min=1, max=10_000_000, help="How many poses to draw.")]
-Candidates = Annotated[int, typer.Option(min=1, help="Most torso-and-camera candidates kept; 1 is the paper's method.")]
-Factor = Annotated[float, typer.Option(help="The factor in the radius τ of a detection's disc (the paper: 0.25).")]
-Threshold = Annotated[float | None, typer.Option(help="Joints with a score up to this are missing.", show_default="0")]
-Head = Annotated[bool, typer.Option(help="Whether a detected head counts in the likelihood (the paper: no).")]
+Candidates = Annotated[
+    int, typer.Option(min=1, help="Most torso-and-camera candidates kept; 1 is the paper's method.")
+]
+Factor = Annotated[
+    float, typer.Option(help="The factor in the radius τ of a detection's disc (the paper: 0.25).")
+]
+Threshold = Annotated[
+    float | None, typer.Option(help="Joints with a score up to this are missing.", show_default="0")
+]
+Head = Annotated[
+    bool, typer.Option(help="Whether a detected head counts in the likelihood (the paper: no).")
+]
 Image = Annotated[Path | None, typer.Option(help="The image, drawn behind the detections.")]
 ImageSize = Annotated[
-    str | None, typer.Option(metavar="WIDTHxHEIGHT", help="For coordinates that are fractions; --image says it too.")
+    str | None,
+    typer.Option(
+        metavar="WIDTHxHEIGHT", help="For coordinates that are fractions; --image says it too."
+    ),
 ]
 Names = Annotated[
-    Path | None, typer.Option(help="JSON object of a detector's own joint names → ours, or list in the file's order.")
+    Path | None,
+    typer.Option(
+        help="JSON object of a detector's own joint names → ours, or list in the file's order."
+    ),
 ]
 Correct = Annotated[
-    bool, typer.Option("--correct", help="Move midpoints to where the skeleton's thorax and pelvis are.")
+    bool,
+    typer.Option("--correct", help="Move midpoints to where the skeleton's thorax and pelvis are."),
 ]
-MaxProposals = Annotated[int, typer.Option(min=1, help="Most proposals of rejection before it gives up (exit code 3).")]
+MaxProposals = Annotated[
+    int, typer.Option(min=1, help="Most proposals of rejection before it gives up (exit code 3).")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress.")]
 Json = Annotated[bool, typer.Option("--json", help="Results on stdout as JSON instead of a table.")]
 
@@ -63,8 +92,12 @@ class LowerMeasure(enum.StrEnum):
     box = "box"
 
 
-Upper = Annotated[UpperMeasure, typer.Option(help="Measure in which upper bones are uniform; angle is eq. 7.")]
-Lower = Annotated[LowerMeasure, typer.Option(help="Measure in which lower bones are uniform; area is eq. 8.")]
+Upper = Annotated[
+    UpperMeasure, typer.Option(help="Measure in which upper bones are uniform; angle is eq. 7.")
+]
+Lower = Annotated[
+    LowerMeasure, typer.Option(help="Measure in which lower bones are uniform; area is eq. 8.")
+]
 
 
 @dataclass(frozen=True)
@@ -106,8 +139,14 @@ class Known:
         from probmodel import read_frames
         from probmodel.layouts import corrected
 
-        for frame in read_frames(path, format, threshold, image_size=self._size(), names=self._names()):
-            yield frame._replace(people=[corrected(person) for person in frame.people]) if self.correct else frame
+        for frame in read_frames(
+            path, format, threshold, image_size=self._size(), names=self._names()
+        ):
+            yield (
+                frame._replace(people=[corrected(person) for person in frame.people])
+                if self.correct
+                else frame
+            )
 
     def read(self, file: Path, format: str, threshold: float | None) -> "list[Detection]":
         """The people of a file. Raises `BadInput` on a bad file, size, image or map of names."""
@@ -123,7 +162,12 @@ class Known:
 
         if self.image_size is not None:
             width, _, height = self.image_size.partition("x")
-            if not (width.isdecimal() and height.isdecimal() and 0 < int(width) < 10**6 and 0 < int(height) < 10**6):
+            if not (
+                width.isdecimal()
+                and height.isdecimal()
+                and 0 < int(width) < 10**6
+                and 0 < int(height) < 10**6
+            ):
                 raise BadInput(f"--image-size must look like 640x480, not {self.image_size!r}")
             return int(width), int(height)
         if self.image is None:
@@ -144,11 +188,20 @@ class Known:
             names = json.loads(self.names.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
             raise BadInput(
-                f"{self.names} is no JSON that can be read ({type(error).__name__}); give a map of names"
+                f"{self.names} is no JSON that can be read ({type(error).__name__}); give a map of"
+                " names"
             ) from None
-        texts = [*names, *names.values()] if isinstance(names, dict) else names if isinstance(names, list) else [None]
+        texts = (
+            [*names, *names.values()]
+            if isinstance(names, dict)
+            else names
+            if isinstance(names, list)
+            else [None]
+        )
         if not all(isinstance(text, str) for text in texts):
-            raise BadInput(f"{self.names} must hold an object of names, or a list of them; write texts only")
+            raise BadInput(
+                f"{self.names} must hold an object of names, or a list of them; write texts only"
+            )
         return names
 
 
@@ -178,16 +231,19 @@ class Sight:
         return pick_person(self.people(), self.person)
 
     def settings(self, model: "PoseModel") -> dict[str, Any]:
-        """How `inference.estimate_torso` is to be called. Raises `BadInput` on a bad factor or a bad file of poses."""
+        """How `inference.estimate_torso` is to be called. Raises `BadInput` on a bad factor or a
+        bad file of poses."""
         import numpy as np
 
         from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
-        from probmodel.dictionaries import PoseDictionary
         from probmodel.failures import BadInput
+        from probmodel.learning.dictionaries import PoseDictionary
 
         if not SMALLEST_FACTOR <= self.factor <= 1 / SMALLEST_FACTOR:  # false for NaN too
             limits = f"{SMALLEST_FACTOR:g} and {1 / SMALLEST_FACTOR:g}"
-            raise BadInput(f"--factor must lie between {limits}, not {self.factor:g}; the paper has 0.25")
+            raise BadInput(
+                f"--factor must lie between {limits}, not {self.factor:g}; the paper has 0.25"
+            )
         return {
             "torsos": np.asarray(model.torsos),
             "limits": model.limits,
@@ -198,21 +254,24 @@ class Sight:
         }
 
     def frame(self, model: "PoseModel") -> "Frame":
-        """The person with torso and camera candidates; says so where the estimator did not converge. Raises `BadInput`
-        where the torso is not seen well enough."""
+        """The person with torso and camera candidates; says so where the estimator did not
+        converge. Raises `BadInput` where the torso is not seen well enough."""
         from inference import estimate_torso
 
         settings = self.settings(model)
         frame = estimate_torso(self.detection(), self.estimator, **settings)
         if not frame.converged:
             where = frame.detection.where
-            console.warn(f"the estimator {self.estimator} did not converge for {where}; its best fit is used")
+            console.warn(
+                f"the estimator {self.estimator} did not converge for {where}; its best fit is used"
+            )
         return frame
 
 
 def prepare_jax() -> None:
-    """64-bit floats, before anything is compiled: limits are decided to the last bits. Compiled code is kept in the
-    user's cache folder, so that only the first run on a machine waits for the compiler."""
+    """64-bit floats, before anything is compiled: limits are decided to the last bits. Compiled
+    code is kept in the user's cache folder, so that only the first run on a machine waits for the
+    compiler."""
     import jax
 
     jax.config.update("jax_enable_x64", True)

@@ -1,8 +1,9 @@
-"""The overlay: what a reader made of a file, drawn over the image, so that a wrong order is seen at once.
+"""The overlay: what a reader made of a file, drawn over the image, so that a wrong order is seen at
+once.
 
-`overlay_figure(detection, radius, image=…)`, then `figures.save_figure`. Every joint has its name and score beside it,
-its bones in the colours of the other figures (purple right, green left), and the disc of the likelihood around it.
-"""
+`overlay_figure(detection, radius, image=…)`, then `figures.save_figure`. Every joint has its name
+and score beside it, its bones in the colours of the other figures (purple right, green left), and
+the disc of the likelihood around it."""
 
 from typing import NamedTuple
 
@@ -27,8 +28,13 @@ LEAST_LINE = 0.17
 """Inches between two names."""
 FACE_COLOUR = "#B8860B"
 _TEXT, _TITLE = 7.5, 9.0
-_LIMB_OF = {bone.end: limb.name for limbs in GROUPS.values() for limb in limbs for bone in limb.bones}
-_COLOURS = [LIMB_COLOURS[_LIMB_OF[joint]] if joint in _LIMB_OF else TORSO_COLOUR for joint in range(NUM_JOINTS)]
+_LIMB_OF = {
+    bone.end: limb.name for limbs in GROUPS.values() for limb in limbs for bone in limb.bones
+}
+_COLOURS = [
+    LIMB_COLOURS[_LIMB_OF[joint]] if joint in _LIMB_OF else TORSO_COLOUR
+    for joint in range(NUM_JOINTS)
+]
 
 
 class Label(NamedTuple):
@@ -40,16 +46,23 @@ class Label(NamedTuple):
 
 
 def overlay_figure(
-    detection: Detection, radius: np.ndarray | None = None, *, image: np.ndarray | None = None, warned: bool = False
+    detection: Detection,
+    radius: np.ndarray | None = None,
+    *,
+    image: np.ndarray | None = None,
+    warned: bool = False,
 ) -> Figure:
-    """The joints of `detection` over the `image` `(H, W, 3)` if given, discs of `radius` `(15,)` pixels where known."""
+    """The joints of `detection` over the `image` `(H, W, 3)` if given, discs of `radius` `(15,)`
+    pixels where known."""
     low, high = _window(detection, radius)
     wide, tall = high - low
     inner = PAGE - 2 * COLUMN
     height = float(np.clip(inner * tall / wide, 3.0, HIGHEST))
     figure = Figure(figsize=(PAGE, height + 0.75), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
-    axis = figure.add_axes((COLUMN / PAGE, 0.4 / (height + 0.75), inner / PAGE, height / (height + 0.75)))
+    axis = figure.add_axes(
+        (COLUMN / PAGE, 0.4 / (height + 0.75), inner / PAGE, height / (height + 0.75))
+    )
     axis.set_xlim(low[0], high[0])
     axis.set_ylim(high[1], low[1])
     axis.set_aspect("equal", adjustable="box")
@@ -64,11 +77,15 @@ def overlay_figure(
     _draw_body(axis, detection, radius)
     _draw_face(axis, detection)
     _write_labels(axis, detection, height)
-    title = f"{detection.layout}, person {detection.person}" + (" (see the warnings)" if warned else "")
+    title = f"{detection.layout}, person {detection.person}" + (
+        " (see the warnings)" if warned else ""
+    )
     axis.set_title(title, loc="left", fontsize=_TITLE, fontweight="bold", color=INK)
     missing = [spoken(JOINTS[joint]) for joint in range(NUM_JOINTS) if not detection.seen[joint]]
     note = "purple: right, green: left" + (f"; missing: {', '.join(missing)}" if missing else "")
-    axis.text(0, -0.015, note, transform=axis.transAxes, va="top", fontsize=_TEXT, color=FAINT, gid="note")
+    axis.text(
+        0, -0.015, note, transform=axis.transAxes, va="top", fontsize=_TEXT, color=FAINT, gid="note"
+    )
     return figure
 
 
@@ -81,7 +98,9 @@ def _window(detection: Detection, radius: np.ndarray | None) -> tuple[np.ndarray
     if not len(points):
         return np.zeros(2), np.ones(2)
     low, high = points.min(axis=0), points.max(axis=0)
-    reach = min(reach, 0.3 * (high - low).max())  # a joint hardly seen has a disc that is larger than the person
+    reach = min(
+        reach, 0.3 * (high - low).max()
+    )  # a joint hardly seen has a disc that is larger than the person
     low, high = low - reach, high + reach
     margin = max(0.08 * (high - low).max(), 1.0)
     middle, half = (low + high) / 2, (high - low) / 2 + margin
@@ -92,11 +111,27 @@ def _window(detection: Detection, radius: np.ndarray | None) -> tuple[np.ndarray
 def _draw_body(axis: Axes, detection: Detection, radius: np.ndarray | None) -> None:
     for joint, parent in enumerate(PARENTS):
         if parent >= 0 and detection.seen[[joint, parent]].all():
-            axis.plot(*detection.keypoints[[parent, joint]].T, color=_COLOURS[joint], lw=2.2, zorder=3,
-                      solid_capstyle="round", gid=f"bone {JOINTS[joint]}")  # fmt: skip
+            axis.plot(
+                *detection.keypoints[[parent, joint]].T,
+                color=_COLOURS[joint],
+                lw=2.2,
+                zorder=3,
+                solid_capstyle="round",
+                gid=f"bone {JOINTS[joint]}",
+            )
     for joint in np.flatnonzero(detection.seen).tolist():
         x, y = detection.keypoints[joint]
-        axis.plot(x, y, "o", ms=4, color=_COLOURS[joint], mec="white", mew=0.6, zorder=4, gid=f"joint {JOINTS[joint]}")
+        axis.plot(
+            x,
+            y,
+            "o",
+            ms=4,
+            color=_COLOURS[joint],
+            mec="white",
+            mew=0.6,
+            zorder=4,
+            gid=f"joint {JOINTS[joint]}",
+        )
         if radius is not None and np.isfinite(radius[joint]):
             face, edge = (*to_rgb(_COLOURS[joint]), 0.10), _COLOURS[joint]
             disc = Circle((x, y), radius[joint], fc=face, ec=edge, lw=0.8, zorder=2)
@@ -109,13 +144,28 @@ def _draw_face(axis: Axes, detection: Detection) -> None:
         return
     for name, (x, y, score) in zip(FACE, detection.face, strict=True):
         if score > 0:
-            axis.plot(x, y, "D", ms=2.5, color=FACE_COLOUR, mec="white", mew=0.4, zorder=4, gid=f"face {name}")
+            axis.plot(
+                x,
+                y,
+                "D",
+                ms=2.5,
+                color=FACE_COLOUR,
+                mec="white",
+                mew=0.4,
+                zorder=4,
+                gid=f"face {name}",
+            )
 
 
 def _write_labels(axis: Axes, detection: Detection, height: float) -> None:
-    """Names and scores in a column on either side, in the order of their points, with a line to each."""
+    """Names and scores in a column on either side, in the order of their points, with a line to
+    each."""
     labels = [
-        Label(f"{spoken(JOINTS[joint])} {detection.score[joint]:.2f}", detection.keypoints[joint], _COLOURS[joint])
+        Label(
+            f"{spoken(JOINTS[joint])} {detection.score[joint]:.2f}",
+            detection.keypoints[joint],
+            _COLOURS[joint],
+        )
         for joint in np.flatnonzero(detection.seen)
     ]
     if not labels:
@@ -126,14 +176,25 @@ def _write_labels(axis: Axes, detection: Detection, height: float) -> None:
         part = sorted(part, key=lambda label: label.point[1])
         wanted = [float(axis.transLimits.transform(label.point)[1]) for label in part]
         for label, place in zip(part, _spread(wanted, LEAST_LINE / height), strict=True):
-            axis.annotate(label.text, xy=tuple(label.point), xycoords="data", xytext=(column, place),
-                          textcoords="axes fraction", ha=anchor, va="center", fontsize=_TEXT, color=label.colour,
-                          annotation_clip=False, gid=f"name {label.text}",
-                          arrowprops={"arrowstyle": "-", "color": label.colour, "lw": 0.4, "alpha": 0.7})  # fmt: skip
+            axis.annotate(
+                label.text,
+                xy=tuple(label.point),
+                xycoords="data",
+                xytext=(column, place),
+                textcoords="axes fraction",
+                ha=anchor,
+                va="center",
+                fontsize=_TEXT,
+                color=label.colour,
+                annotation_clip=False,
+                gid=f"name {label.text}",
+                arrowprops={"arrowstyle": "-", "color": label.colour, "lw": 0.4, "alpha": 0.7},
+            )
 
 
 def _spread(places: list[float], least: float) -> list[float]:
-    """`places`, falling, moved apart to `least` from each other and kept between 1 and 0 where they fit."""
+    """`places`, falling, moved apart to `least` from each other and kept between 1 and 0 where they
+    fit."""
     spread: list[float] = []
     for place in places:
         spread.append(min(place, spread[-1] - least) if spread else min(place, 1.0))

@@ -1,8 +1,8 @@
 """Tables of results for a terminal, and the same numbers as plain dictionaries for --json.
 
-Each `…_table` returns a rich table that fits 80 columns; each `…_json` holds the same rows unrounded, None where there
-is no number. Lengths are in body units, beside them millimetres of a person of 1.7 m.
-"""
+Each `…_table` returns a rich table that fits 80 columns; each `…_json` holds the same rows
+unrounded, None where there is no number. Lengths are in body units, beside them millimetres of a
+person of 1.7 m."""
 
 import math
 from collections.abc import Sequence
@@ -16,16 +16,18 @@ from rich.table import Table
 from probmodel.skeleton import BONE_NAMES, JOINT_INDEX, JOINTS
 
 if TYPE_CHECKING:
-    from inference.hypotheses import Hypothesis
+    from inference.hypothesis import Hypothesis
     from inference.results import Result
-    from probmodel.limits import Check
+    from probmodel.anatomy.limits import Check
 
 MILLIMETRES = 350.0
-"""One body unit, the mean limb length, of a person of 1.7 m: upper arm, forearm, thigh and shank are 0.186, 0.146,
-0.245 and 0.246 of the stature (Drillis & Contini, Body segment parameters, 1966), on average 0.206 · 1700 mm."""
+"""One body unit, the mean limb length, of a person of 1.7 m: upper arm, forearm, thigh and shank
+are 0.186, 0.146, 0.245 and 0.246 of the stature (Drillis & Contini, Body segment parameters, 1966),
+on average 0.206 · 1700 mm."""
 UNIT_NOTE = f"1 body unit = mean limb length, about {MILLIMETRES:.0f} mm for a person of 1.7 m"
 STEEP = math.cos(math.radians(30))
-"""A chest that points closer than 30° to the vertical faces up or down rather than anywhere sideways."""
+"""A chest that points closer than 30° to the vertical faces up or down rather than anywhere
+sideways."""
 _CARDINAL = ("towards camera", "right", "away", "left")
 _NEAR = 30
 """Degrees around a cardinal direction that are called by its name alone."""
@@ -38,13 +40,15 @@ def spoken(name: str) -> str:
 
 
 def values(tree: xr.DataTree, group: str, name: str) -> np.ndarray:
-    """The array of a variable; those of the posterior with chains and draws joined, `(draws, …)`."""
+    """The array of a variable; those of the posterior with chains and draws joined, `(draws,
+    …)`."""
     array = np.asarray(tree.children[group].dataset[name].values)
     return array.reshape(-1, *array.shape[2:]) if group in ("posterior", "sample_stats") else array
 
 
 def facing_words(vector: np.ndarray) -> str:
-    """Where a chest `(3,)` in camera axes points, as the picture shows it: "left", "away, right", "up" …"""
+    """Where a chest `(3,)` in camera axes points, as the picture shows it: "left", "away, right",
+    "up" …"""
     x, y, z = (float(value) for value in vector)
     if abs(y) > STEEP * math.hypot(x, y, z):
         return "down" if y > 0 else "up"
@@ -57,14 +61,16 @@ def facing_words(vector: np.ndarray) -> str:
 
 
 def pose_facing(joints: np.ndarray) -> np.ndarray:
-    """`(3,)`: where the chest of a pose `(15, 3)` points: leftwards × upwards, in right-handed axes."""
+    """`(3,)`: where the chest of a pose `(15, 3)` points: leftwards × upwards, in right-handed
+    axes."""
     at = {name: joints[index] for name, index in JOINT_INDEX.items()}
     left = at["left_shoulder"] - at["right_shoulder"] + at["left_hip"] - at["right_hip"]
     return np.cross(left, at["thorax"] - at["pelvis"])
 
 
 def hypotheses_json(hypotheses: Sequence["Hypothesis"]) -> list[dict[str, Any]]:
-    """Of each hypothesis its number, share of the draws, where it faces, and the depth of its wrists and ankles."""
+    """Of each hypothesis its number, share of the draws, where it faces, and the depth of its
+    wrists and ankles."""
     return [
         {
             "hypothesis": number,
@@ -82,7 +88,10 @@ _ENDS = ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
 
 def hypotheses_table(hypotheses: Sequence["Hypothesis"]) -> Table:
     """The rows of `hypotheses_json`; depth in body units, positive away from the camera."""
-    table = _table("Hypotheses", "Wrists and ankles: depth behind the pelvis, body units (− is in front of it).")
+    table = _table(
+        "Hypotheses",
+        "Wrists and ankles: depth behind the pelvis, body units (− is in front of it).",
+    )
     for heading in ("", "share", "draw"):
         table.add_column(heading, justify="right")
     table.add_column("faces", no_wrap=True)
@@ -90,13 +99,20 @@ def hypotheses_table(hypotheses: Sequence["Hypothesis"]) -> Table:
         table.add_column(spoken(name).replace("right", "R").replace("left", "L"), justify="right")
     for row in hypotheses_json(hypotheses):
         depths = [_signed(row["depth"][name]) for name in _ENDS]
-        table.add_row(str(row["hypothesis"]), _percent(row["weight"]), str(row["draw"]), row["facing"], *depths)
+        table.add_row(
+            str(row["hypothesis"]),
+            _percent(row["weight"]),
+            str(row["draw"]),
+            row["facing"],
+            *depths,
+        )
     return table
 
 
 def posterior_json(tree: xr.DataTree) -> list[dict[str, Any]]:
-    """Per joint but the pelvis: its score, τ under the heaviest candidate in pixels, and the posterior's standard
-    deviations of its depth and of its place across the image, relative to the pelvis, in body units."""
+    """Per joint but the pelvis: its score, τ under the heaviest candidate in pixels, and the
+    posterior's standard deviations of its depth and of its place across the image, relative to the
+    pelvis, in body units."""
     joints = values(tree, "posterior", "joints")
     score = values(tree, "observed_data", "score")
     radius = values(tree, "constant_data", "radius")[heaviest(tree)]
@@ -120,7 +136,9 @@ def posterior_json(tree: xr.DataTree) -> list[dict[str, Any]]:
 
 def posterior_table(tree: xr.DataTree) -> Table:
     """The rows of `posterior_json`."""
-    table = _table("Posterior, joint by joint", f"sd: standard deviation relative to the pelvis. {UNIT_NOTE}.")
+    table = _table(
+        "Posterior, joint by joint", f"sd: standard deviation relative to the pelvis. {UNIT_NOTE}."
+    )
     table.add_column("joint")
     for heading in ("score", "τ px", "sd of depth", "mm", "sd across", "mm"):
         table.add_column(heading, justify="right")
@@ -143,8 +161,8 @@ def heaviest(tree: xr.DataTree) -> int:
 
 
 def candidates_json(tree: xr.DataTree) -> list[dict[str, Any]]:
-    """Per candidate: its torso, where it faces, its scale, reprojection error, log evidence with its standard error,
-    and its share of the posterior."""
+    """Per candidate: its torso, where it faces, its scale, reprojection error, log evidence with
+    its standard error, and its share of the posterior."""
     rotation = values(tree, "constant_data", "rotation")
     columns = {
         "scale_px": "scale",
@@ -209,14 +227,23 @@ def summary_json(result: "Result") -> dict[str, Any]:
 
 
 def summary_lines(result: "Result") -> list[str]:
-    """The summary as lines of at most 80 columns (but for the sentence of a run that is not complete)."""
+    """The summary as lines of at most 80 columns (but for the sentence of a run that is not
+    complete)."""
     row = summary_json(result)
-    accepted = "" if row["acceptance_rate"] is None else f", {100 * row['acceptance_rate']:.2g} % accepted"
+    accepted = (
+        "" if row["acceptance_rate"] is None else f", {100 * row['acceptance_rate']:.2g} % accepted"
+    )
     lines = [
         f"{row['num_draws']:,} draws by {row['sampler']} in {_fixed(row['wall_time_s'], 1)} s",
         f"{row['num_proposals']:,} proposals{accepted}",
-        f"log evidence {_plus_minus(row['log_evidence'], row['log_evidence_se'])}{_odds(row['log_evidence'])}",
-        f"limits {row['limits']} ({row['limits_sha256'][:12]}), {row['measures']}, seed {row['seed']}",
+        (
+            "log evidence"
+            f" {_plus_minus(row['log_evidence'], row['log_evidence_se'])}{_odds(row['log_evidence'])}"
+        ),
+        (
+            f"limits {row['limits']} ({row['limits_sha256'][:12]}), {row['measures']}, seed"
+            f" {row['seed']}"
+        ),
     ]
     return lines + ([f"{row['status']}: {row['sentence']}"] if row["sentence"] else [])
 
@@ -236,25 +263,40 @@ def _odds(log_evidence: float | None) -> str:
 def stream_json(summary: xr.Dataset) -> dict[str, Any]:
     """A stream of frames in numbers: how many came to what end, and each frame's evidence."""
     status, counts = np.unique(summary.status.values, return_counts=True)
-    rows = zip(summary.frame.values, summary.status.values, summary.sentence.values, summary.num_draws.values,
-               summary.log_evidence.values, strict=True)  # fmt: skip
+    rows = zip(
+        summary.frame.values,
+        summary.status.values,
+        summary.sentence.values,
+        summary.num_draws.values,
+        summary.log_evidence.values,
+        strict=True,
+    )
     frames = [
-        {"frame": str(name), "status": str(end), "sentence": str(why), "num_draws": int(draws),
-         "log_evidence": _number(evidence)}
+        {
+            "frame": str(name),
+            "status": str(end),
+            "sentence": str(why),
+            "num_draws": int(draws),
+            "log_evidence": _number(evidence),
+        }
         for name, end, why, draws, evidence in rows
-    ]  # fmt: skip
+    ]
     return {"status": dict(zip(map(str, status), map(int, counts), strict=True)), "frames": frames}
 
 
 def stream_table(summary: xr.Dataset, most: int = 12) -> Table:
-    """The first frames of a stream: evidence, and how uncertain the wrists' and ankles' depths are."""
+    """The first frames of a stream: evidence, and how uncertain the wrists' and ankles' depths
+    are."""
     table = _table("Frames", f"sd: standard deviation of depth behind the pelvis. {UNIT_NOTE}.")
     for heading in ("frame", "draws", "log evidence", "wrists sd", "ankles sd", ""):
         table.add_column(heading, justify="left" if heading in ("frame", "") else "right")
     depth = summary.sd.sel(axis="z")
     for index in range(min(most, summary.sizes["frame"])):
         row = summary.isel(frame=index)
-        ends = [depth.isel(frame=index).sel(joint=[f"right_{end}", f"left_{end}"]).values for end in ("wrist", "ankle")]
+        ends = [
+            depth.isel(frame=index).sel(joint=[f"right_{end}", f"left_{end}"]).values
+            for end in ("wrist", "ankle")
+        ]
         spread = ["/".join(_fixed(_number(value), 2) for value in pair) for pair in ends]
         evidence = _fixed(_number(row.log_evidence.item()), 1)
         said = "" if row.status == "complete" else str(row.status.item())
@@ -266,16 +308,20 @@ def stream_lines(summary: xr.Dataset) -> list[str]:
     """How many frames came to what end, and the first reasons of those that brought nothing."""
     counts = stream_json(summary)["status"]
     lines = [
-        f"{summary.sizes['frame']:,} frames: " + ", ".join(f"{number:,} {name}" for name, number in counts.items())
+        f"{summary.sizes['frame']:,} frames: "
+        + ", ".join(f"{number:,} {name}" for name, number in counts.items())
     ]
     failed = summary.isel(frame=np.flatnonzero(summary.status.values != "complete")[:3])
-    return lines + [f"{name}: {why}" for name, why in zip(failed.frame.values, failed.sentence.values, strict=True)]
+    return lines + [
+        f"{name}: {why}"
+        for name, why in zip(failed.frame.values, failed.sentence.values, strict=True)
+    ]
 
 
 def check_json(check: "Check", names: Sequence[str]) -> list[dict[str, Any]]:
-    """Per pose: its name, whether it is possible, and which bone breaks which limit by how many degrees (None for a
-    bone that hangs from an impossible one)."""
-    from probmodel.limits import LIMITS
+    """Per pose: its name, whether it is possible, and which bone breaks which limit by how many
+    degrees (None for a bone that hangs from an impossible one)."""
+    from probmodel.anatomy.limits import LIMITS
 
     valid, limit, excess = (np.atleast_2d(array) for array in check)
     return [
@@ -283,7 +329,11 @@ def check_json(check: "Check", names: Sequence[str]) -> list[dict[str, Any]]:
             "pose": name,
             "possible": bool(valid[pose].all()),
             "broken": [
-                {"bone": bone, "limit": LIMITS[limit[pose, i]], "excess_degrees": _number(excess[pose, i])}
+                {
+                    "bone": bone,
+                    "limit": LIMITS[limit[pose, i]],
+                    "excess_degrees": _number(excess[pose, i]),
+                }
                 for i, bone in enumerate(BONE_NAMES)
                 if not valid[pose, i]
             ],
@@ -303,7 +353,10 @@ _BREAKS = {
 def check_table(check: "Check", names: Sequence[str]) -> Table:
     """One row for each broken limit; the caption says how many poses break none."""
     rows = check_json(check, names)
-    table = _table("Anatomical limits", f"{sum(row['possible'] for row in rows)} of {len(rows)} poses are possible.")
+    table = _table(
+        "Anatomical limits",
+        f"{sum(row['possible'] for row in rows)} of {len(rows)} poses are possible.",
+    )
     table.add_column("pose", overflow="fold")
     table.add_column("bone")
     table.add_column("breaks")
@@ -311,7 +364,9 @@ def check_table(check: "Check", names: Sequence[str]) -> Table:
     for row in rows:
         for broken in row["broken"]:
             words = _BREAKS[broken["limit"]]
-            table.add_row(row["pose"], spoken(broken["bone"]), words, _fixed(broken["excess_degrees"], 1))
+            table.add_row(
+                row["pose"], spoken(broken["bone"]), words, _fixed(broken["excess_degrees"], 1)
+            )
     return table
 
 

@@ -1,9 +1,10 @@
-"""Exact draws by the plainest route, in NumPy, from the published description of the tables: a second implementation.
+"""Exact draws by the plainest route, in NumPy, from the published description of the tables: a
+second implementation.
 
-Nothing of the product is imported but the names of joints. A group of limbs is drawn from the prior (cell, place in
-the cell, uniform direction on the whole sphere until the plane and box allow it) and kept iff all seen joints lie in
-their discs. Left-handed system, bones parent minus child, as the tables have it.
-"""
+Nothing of the product is imported but the names of joints. A group of limbs is drawn from the prior
+(cell, place in the cell, uniform direction on the whole sphere until the plane and box allow it)
+and kept iff all seen joints lie in their discs. Left-handed system, bones parent minus child, as
+the tables have it."""
 
 import numpy as np
 
@@ -25,10 +26,12 @@ def _frame(torso: dict[str, np.ndarray], legs: bool) -> np.ndarray:
 
 
 def _uniform_lower(limits, bone, column, row, rng):
-    """Directions uniform per steradian on what the plane and the box of each draw's own cell leave."""
+    """Directions uniform per steradian on what the plane and the box of each draw's own cell
+    leave."""
     result = np.full((len(column), 3), np.nan)
     normal, tangent, offset, box = (
-        np.asarray(table)[bone, column, row] for table in (limits.normal, limits.tangent, limits.offset, limits.bounds)
+        np.asarray(table)[bone, column, row]
+        for table in (limits.normal, limits.tangent, limits.offset, limits.bounds)
     )
     second = _unit(tangent - np.sum(tangent * normal, axis=-1, keepdims=True) * normal)
     third = np.cross(normal, second)
@@ -44,9 +47,12 @@ def _uniform_lower(limits, bone, column, row, rng):
 
 
 def propose_group(limits, lengths, torso, name, number, rng):
-    """Lengths `(n, bones)` and joints by name `(n, 3)` of a group drawn from the prior (upper measure "angle", lower
-    "area"); `torso` `(6, 3)` in right-handed camera axes, as are the joints."""
-    swapped = {joint: point[SWAP] for joint, point in zip(TORSO_JOINTS, np.asarray(torso), strict=True)}
+    """Lengths `(n, bones)` and joints by name `(n, 3)` of a group drawn from the prior (upper
+    measure "angle", lower "area"); `torso` `(6, 3)` in right-handed camera axes, as are the
+    joints."""
+    swapped = {
+        joint: point[SWAP] for joint, point in zip(TORSO_JOINTS, np.asarray(torso), strict=True)
+    }
     frame = _frame(swapped, name == "legs")
     groups = [bone.length_group for bone in GROUPS[name][0].bones]
     low, high, alpha, beta = (np.asarray(field)[groups] for field in lengths)
@@ -59,7 +65,12 @@ def propose_group(limits, lengths, torso, name, number, rng):
         azimuth = np.radians(-180 + 3 * (column + rng.uniform(size=number)))
         elevation = np.radians(-90 + 3 * (row + rng.uniform(size=number)))
         local = np.stack(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1
+            [
+                np.cos(elevation) * np.cos(azimuth),
+                np.cos(elevation) * np.sin(azimuth),
+                np.sin(elevation),
+            ],
+            -1,
         )
         upper = local @ frame.T
         end = start - size[:, :1] * upper
@@ -67,7 +78,9 @@ def propose_group(limits, lengths, torso, name, number, rng):
         if limb.lower is not None:
             v = _unit(np.cross(frame @ np.asarray(limits.reference), upper))
             axes = np.stack([upper, v, np.cross(upper, v)], axis=-1)
-            lower = np.einsum("nij,nj->ni", axes, _uniform_lower(limits, limb.lower, column, row, rng))
+            lower = np.einsum(
+                "nij,nj->ni", axes, _uniform_lower(limits, limb.lower, column, row, rng)
+            )
             joints[limb.bones[1].end] = end - size[:, 1:] * lower
     return size, {joint: point[:, SWAP] for joint, point in joints.items()}
 
@@ -86,18 +99,25 @@ def accepted(joints, camera, keypoints, radius):
 
 
 def brute_force(limits, lengths, frame, name, number, seed):
-    """Accepted lengths `(m, bones)`, joints `{joint: (m, 3)}`, the number proposed, for a frame's first candidate."""
+    """Accepted lengths `(m, bones)`, joints `{joint: (m, 3)}`, the number proposed, for a frame's
+    first candidate."""
     rng = np.random.default_rng(seed)
     candidate = frame.candidates[0]
     torso = np.asarray(candidate.torso) @ np.asarray(candidate.camera.rotation).T
-    radius = frame.detection.radius(float(candidate.camera.scale), factor=frame.factor, joints=frame.joints)
+    radius = frame.detection.radius(
+        float(candidate.camera.scale), factor=frame.factor, joints=frame.joints
+    )
     sizes, parts = [], []
     for start in range(0, number, CHUNK):
         size, joints = propose_group(limits, lengths, torso, name, min(CHUNK, number - start), rng)
         ok = accepted(joints, candidate.camera, frame.detection.keypoints, radius)
         sizes.append(size[ok])
         parts.append({joint: points[ok] for joint, points in joints.items()})
-    return np.concatenate(sizes), {joint: np.concatenate([part[joint] for part in parts]) for joint in parts[0]}, number
+    return (
+        np.concatenate(sizes),
+        {joint: np.concatenate([part[joint] for part in parts]) for joint in parts[0]},
+        number,
+    )
 
 
 CHUNK = 200_000

@@ -1,4 +1,5 @@
-"""A strict session: 64-bit floats, no implicit promotion of ranks, warnings are errors (see pyproject)."""
+"""A strict session: 64-bit floats, no implicit promotion of ranks, warnings are errors (see
+pyproject)."""
 
 from pathlib import Path
 
@@ -14,7 +15,11 @@ SHARED = Path(__file__).parents[2] / "shared" / "data"
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """The folder of real motion capture, detections and published tables, which is not part of the repository."""
+    """The folder of real motion capture, detections and published tables, which is not part of the
+    repository."""
     if not SHARED.is_dir():
-        pytest.skip("the shared data pack (motion capture, detections, published limits) is not beside the checkout")
+        pytest.skip(
+            "the shared data pack (motion capture, detections, published limits) is not beside the"
+            " checkout"
+        )
     return SHARED

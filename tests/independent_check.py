@@ -1,8 +1,9 @@
-"""A second checker of poses under the published tables, written from the description of that file alone.
+"""A second checker of poses under the published tables, written from the description of that file
+alone.
 
-It shares no code and no convention with the package: axes are swapped into the tables' left-handed system, bones and
-cells are counted from one, and the .mat file is read here. Usual way in: `valid_bones(joints, mat_path)`.
-"""
+It shares no code and no convention with the package: axes are swapped into the tables' left-handed
+system, bones and cells are counted from one, and the .mat file is read here. Usual way in:
+`valid_bones(joints, mat_path)`."""
 
 from pathlib import Path
 
@@ -12,7 +13,8 @@ import scipy.io
 FIFTEEN_TO_SEVENTEEN = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, None, 12, 13, 14, None]
 """The published skeleton has feet, which no bone checked here needs."""
 ORDER = (8, 3, 6, 10, 14, 4, 7, 11, 15)
-"""Bones, counted from one: head, upper arms (R, L), upper legs (R, L), forearms (R, L), lower legs (R, L)."""
+"""Bones, counted from one: head, upper arms (R, L), upper legs (R, L), forearms (R, L), lower legs
+(R, L)."""
 PARENT_OF_LOWER = {4: 3, 7: 6, 11: 10, 15: 14}
 
 

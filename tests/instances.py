@@ -1,17 +1,18 @@
-"""The one table of regions and distributions that goes through every generic test, nasty ones included."""
+"""The one table of regions and distributions that goes through every generic test, nasty ones
+included."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpyro.distributions as dist
 
-from probmodel.cells import Cells
-from probmodel.directions import HingedDirection, OccupiedDirection
+from probmodel.anatomy.lengths import BoneLength, LengthPrior
+from probmodel.anatomy.limits import GRID, AnatomicalLimits
+from probmodel.anatomy.torsos import TorsoDictionary
+from probmodel.directions.cells import Cells
+from probmodel.directions.distributions import HingedDirection, OccupiedDirection
+from probmodel.directions.hinges import Hinge
 from probmodel.disc import UniformDisc
-from probmodel.hinges import Hinge
-from probmodel.lengths import BoneLength, LengthPrior
-from probmodel.limits import GRID, AnatomicalLimits
-from probmodel.torsos import TorsoDictionary
 
 NASTY_HINGES = {
     "published rounding": (1e-6, (-0.5, 0.6, -0.3, 0.4)),
@@ -43,8 +44,11 @@ def random_triple(rng: np.random.Generator) -> np.ndarray:
     return q * np.array([[np.linalg.det(q)], [1], [1]])
 
 
-def hinge_table(seed: int = 0, random: int = 21) -> tuple[list[str], tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Names and stacked parameters (triple, offset, bounds) of the nasty hinges and of `random` random ones."""
+def hinge_table(
+    seed: int = 0, random: int = 21
+) -> tuple[list[str], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Names and stacked parameters (triple, offset, bounds) of the nasty hinges and of `random`
+    random ones."""
     rng = np.random.default_rng(seed)
     rows = list(NASTY_HINGES.items())
     while len(rows) < len(NASTY_HINGES) + random:
@@ -61,25 +65,37 @@ def hinge_table(seed: int = 0, random: int = 21) -> tuple[list[str], tuple[np.nd
     return [row[0] for row in rows], (triples, offsets, np.array([row[1][1] for row in rows]))
 
 
-def hinges_of(limits: AnatomicalLimits, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parameters of `count` hinges of real tables: half at random, half those with the extreme offsets and areas."""
+def hinges_of(
+    limits: AnatomicalLimits, count: int, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Parameters of `count` hinges of real tables: half at random, half those with the extreme
+    offsets and areas."""
     rng = np.random.default_rng(seed)
     cells = np.argwhere(limits.has_plane)
     offset = np.asarray(limits.offset)[limits.has_plane]
     bounds = np.asarray(limits.bounds)[limits.has_plane]
     size = (bounds[:, 1] - bounds[:, 0]) * (bounds[:, 3] - bounds[:, 2])
     quarter = count // 8
-    extreme = [np.argsort(key)[part] for key in (offset, size) for part in (slice(quarter), slice(-quarter, None))]
+    extreme = [
+        np.argsort(key)[part]
+        for key in (offset, size)
+        for part in (slice(quarter), slice(-quarter, None))
+    ]
     chosen = np.concatenate([*extreme, rng.choice(len(cells), count - 4 * quarter, replace=False)])
     where = tuple(cells[chosen].T)
-    return np.asarray(limits.triples())[where], np.asarray(limits.offset)[where], np.asarray(limits.bounds)[where]
+    return (
+        np.asarray(limits.triples())[where],
+        np.asarray(limits.offset)[where],
+        np.asarray(limits.bounds)[where],
+    )
 
 
 def cell_tables(seed: int = 0) -> dict[str, np.ndarray]:
     """Occupancy tables: random, single, at the poles, across the seam at ±180°, full."""
     rng = np.random.default_rng(seed)
     tables = {
-        name: np.zeros(GRID, bool) for name in ("single", "north pole", "south pole", "one at a pole", "seam", "corner")
+        name: np.zeros(GRID, bool)
+        for name in ("single", "north pole", "south pole", "one at a pole", "seam", "corner")
     }
     tables["single"][37, 22] = True
     tables["north pole"][:, 59] = True
@@ -119,7 +135,9 @@ def distributions() -> dict[str, dist.Distribution]:
         ("angle", "two by two", [[2, 3], [5, 6]]),
         ("area", "three", [0, 1, 7]),
     ):
-        found[f"occupied {measure} {label}".strip()] = OccupiedDirection(Cells.build(tables[index], measure))
+        found[f"occupied {measure} {label}".strip()] = OccupiedDirection(
+            Cells.build(tables[index], measure)
+        )
     found["disc"] = UniformDisc(jnp.array([3.0, -2.0]), jnp.array(0.5))
     found["disc three"] = UniformDisc(rng.normal(size=(3, 2)), np.array([1e-3, 1.0, 300.0]))
     found["disc two by two"] = UniformDisc(jnp.zeros(2), np.array([[1.0, 2.0], [3.0, 4.0]]))

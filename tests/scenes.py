@@ -1,4 +1,5 @@
-"""Scenes whose truth is known: poses of the prior or of motion capture, seen by a camera, with their discs."""
+"""Scenes whose truth is known: poses of the prior or of motion capture, seen by a camera, with
+their discs."""
 
 import jax
 import jax.numpy as jnp
@@ -7,11 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from inference.candidates import Candidate, Frame
 from probmodel.camera import WeakPerspective
-from probmodel.cube import CUBE_DIM, from_cube
 from probmodel.detections import LIKELIHOOD_JOINTS, Detection
-from probmodel.learning import body_unit
+from probmodel.learning.learning import body_unit
 from probmodel.model import PoseModel
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
+from probmodel.transport import CUBE_DIM, from_cube
 
 UPRIGHT = np.diag([1.0, -1.0, -1.0])
 """Turns axes (left, up, forward) into the camera's, the person facing the camera."""
@@ -33,17 +34,22 @@ def scene(
     rng: np.random.Generator,
     scores: np.ndarray | None = None,
 ) -> Frame:
-    """A frame with one candidate, the truth: keypoints drawn from the discs around the projected `joints` `(15, 3)`
-    (body axes, body units, pelvis at the origin)."""
+    """A frame with one candidate, the truth: keypoints drawn from the discs around the projected
+    `joints` `(15, 3)` (body axes, body units, pelvis at the origin)."""
     score = np.full(NUM_JOINTS, 0.8) if scores is None else scores.copy()
     score[[JOINT_INDEX[name] for name in missing]] = 0.0
     exact = np.asarray(view.project(joints))
     seen = score > 0
     blank = Detection(np.where(seen[:, None], exact, np.nan), score, "synthetic", "a scene", 0)
     radius = np.nan_to_num(blank.radius(float(view.scale), factor=factor))
-    distance, angle = radius * np.sqrt(rng.uniform(size=NUM_JOINTS)), rng.uniform(0, 2 * np.pi, NUM_JOINTS)
+    distance, angle = (
+        radius * np.sqrt(rng.uniform(size=NUM_JOINTS)),
+        rng.uniform(0, 2 * np.pi, NUM_JOINTS),
+    )
     shifted = exact + distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    detection = Detection(np.where(seen[:, None], shifted, np.nan), score, "synthetic", "a scene", 0)
+    detection = Detection(
+        np.where(seen[:, None], shifted, np.nan), score, "synthetic", "a scene", 0
+    )
     return Frame(detection, (Candidate(0, torso, view, 0.0),), factor, LIKELIHOOD_JOINTS)
 
 
@@ -53,13 +59,19 @@ def prior_scene(model: PoseModel, seed: int, **options: object) -> Frame:
     configuration = from_cube(model, jnp.asarray(rng.uniform(size=CUBE_DIM)))
     torso = np.asarray(model.torsos)[rng.integers(len(model.torsos))]
     joints = np.asarray(model.joints(torso, *configuration))
-    return scene(torso, camera(rng.uniform(0, 360), rng.uniform(-30, 30)), joints, rng=rng, **options)
+    return scene(
+        torso, camera(rng.uniform(0, 360), rng.uniform(-30, 30)), joints, rng=rng, **options
+    )
 
 
-def motion_scene(joints: np.ndarray, yaw: float, tilt: float, seed: int, **options: object) -> Frame:
+def motion_scene(
+    joints: np.ndarray, yaw: float, tilt: float, seed: int, **options: object
+) -> Frame:
     """A scene with a pose of motion capture `(15, 3)` (Y up), its own torso and the true camera."""
     body = (joints - joints[0]) / body_unit(joints[None])
-    return scene(body[list(TORSO_INDEX)], camera(yaw, tilt), body, rng=np.random.default_rng(seed), **options)
+    return scene(
+        body[list(TORSO_INDEX)], camera(yaw, tilt), body, rng=np.random.default_rng(seed), **options
+    )
 
 
 def key(seed: int) -> jax.Array:

@@ -1,4 +1,5 @@
-"""Every notebook runs to its end from a fresh folder, small, with warnings as errors, and is stored without outputs."""
+"""Every notebook runs to its end from a fresh folder, small, with warnings as errors, and is stored
+without outputs."""
 
 from pathlib import Path
 
@@ -10,7 +11,8 @@ NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 STRICT = """
 import warnings
 warnings.simplefilter("error")
-# ipykernel warns of itself when it shuts down: its own shell does not yet do what it asks of others.
+# ipykernel warns of itself when it shuts down: its own shell does not yet do what it asks of
+# others.
 warnings.filterwarnings("ignore", category=PendingDeprecationWarning, module="ipykernel")
 """
 
@@ -21,7 +23,9 @@ def load(path: Path) -> nbformat.NotebookNode:
 
 def run(notebook: nbformat.NotebookNode, folder: Path) -> nbformat.NotebookNode:
     notebook.cells.insert(0, nbformat.v4.new_code_cell(STRICT, id="strict"))
-    client = NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}})
+    client = NotebookClient(
+        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}}
+    )
     return client.execute()
 
 
@@ -45,7 +49,9 @@ def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("POSETERIOR_SMALL", "1")
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     notebook = run(load(path), tmp_path)
-    shown = [output for cell in notebook.cells for output in cell.get("outputs", []) if "data" in output]
+    shown = [
+        output for cell in notebook.cells for output in cell.get("outputs", []) if "data" in output
+    ]
     assert any("image/png" in output.data for output in shown)
 
 

@@ -1,7 +1,7 @@
 """Data sets of poses whose truth is known, each with a 2D detection: one reader whatever the file.
 
-Motion capture (ASF/AMC, BVH, .npz of recordings) is seen by synthetic cameras, with true or noisy 2D; Human3.6M comes
-with its own (VideoPose3D's two files); and a plain .npz holds anything else.
+Motion capture (ASF/AMC, BVH, .npz of recordings) is seen by synthetic cameras, with true or noisy
+2D; Human3.6M comes with its own (VideoPose3D's two files); and a plain .npz holds anything else.
 
     data = read_data_set("actions_train.npz", frames=2000, noise=Noise("gaussian", 0.02))
     case = data.case(7).hiding(2).turned(30)       # a pose, its detection with two joints missing, both turned
@@ -20,9 +20,19 @@ from probmodel.failures import BadInput
 from probmodel.motion import read_motion
 
 __all__ = [
-    "EXACT", "VIEWS", "Case", "DataSet", "Noise", "View", "body_height", "brings_detections", "from_motions",
-    "read_data_set", "read_human36m", "write_plain",
-]  # fmt: skip
+    "EXACT",
+    "VIEWS",
+    "Case",
+    "DataSet",
+    "Noise",
+    "View",
+    "body_height",
+    "brings_detections",
+    "from_motions",
+    "read_data_set",
+    "read_human36m",
+    "write_plain",
+]
 
 
 def brings_detections(path: Path) -> bool:
@@ -31,23 +41,30 @@ def brings_detections(path: Path) -> bool:
 
 
 def read_data_set(
-    path: str | os.PathLike, *, frames: int | None = None, noise: Noise = EXACT, seed: int = 0, detections: str = "gt"
+    path: str | os.PathLike,
+    *,
+    frames: int | None = None,
+    noise: Noise = EXACT,
+    seed: int = 0,
+    detections: str = "gt",
 ) -> DataSet:
-    """The data set at `path`: motion capture, Human3.6M (the folder of VideoPose3D's files, or its 3D file), or a plain
-    .npz.
+    """The data set at `path`: motion capture, Human3.6M (the folder of VideoPose3D's files, or its
+    3D file), or a plain .npz.
 
-    `frames` is how many are taken, as many of each action as of any other (default: all; of motion capture each is
-    seen once, by the views in turn). `noise` and `seed` belong to synthetic cameras; `detections` names Human3.6M's 2D
-    file, `data_2d_h36m_<detections>.npz`. Raises `BadInput` where it is no data set of this skeleton in millimetres,
-    frames are not finite or have no action, or noise is asked for where the detections are given.
-    """
+    `frames` is how many are taken, as many of each action as of any other (default: all; of motion
+    capture each is seen once, by the views in turn). `noise` and `seed` belong to synthetic
+    cameras; `detections` names Human3.6M's 2D file, `data_2d_h36m_<detections>.npz`. Raises
+    `BadInput` where it is no data set of this skeleton in millimetres, frames are not finite or
+    have no action, or noise is asked for where the detections are given."""
     path = Path(path)
     if frames is not None and frames < 1:
         raise BadInput(f"the number of frames must be at least 1, not {frames}")
     if not brings_detections(path):
         return from_motions(read_motion(path), path.name, frames=frames, noise=noise, seed=seed)
     if noise != EXACT:
-        raise BadInput(f"{path} brings its own 2D joints, to which no noise is added; leave the noise out")
+        raise BadInput(
+            f"{path} brings its own 2D joints, to which no noise is added; leave the noise out"
+        )
     if is_human36m(path):
         return read_human36m(path, detections, frames)
     return read_plain(path) if frames is None else read_plain(path).spread(frames)

@@ -1,4 +1,5 @@
-"""Motion capture as a data set: poses evenly from its recordings, seen by synthetic cameras in turn."""
+"""Motion capture as a data set: poses evenly from its recordings, seen by synthetic cameras in
+turn."""
 
 from collections.abc import Sequence
 
@@ -15,7 +16,8 @@ RATE = 30.0
 
 
 def action_of(motion: Motion) -> str:
-    """A recording's action: its name up to a slash (`walking/walking_1`); trials without one are their subject's."""
+    """A recording's action: its name up to a slash (`walking/walking_1`); trials without one are
+    their subject's."""
     return motion.name.split("/")[0] if "/" in motion.name else f"subject {motion.subject}"
 
 
@@ -30,37 +32,53 @@ def from_motions(
 ) -> DataSet:
     """Poses of recordings without their glitches, each seen by one of `views`, in turn.
 
-    `frames` in all, the same number of each action, evenly over its frames (default: every frame once); an action with
-    fewer frames gives some of them twice, seen from elsewhere. Scores are 1. Raises `BadInput` where no frame is left.
-    """
+    `frames` in all, the same number of each action, evenly over its frames (default: every frame
+    once); an action with fewer frames gives some of them twice, seen from elsewhere. Scores are 1.
+    Raises `BadInput` where no frame is left."""
     clean = [motion.without_jumps().at_rate(RATE) for motion in motions]
     by_action: dict[str, list[Motion]] = {}
     for motion in clean:
         if len(motion.joints):
             by_action.setdefault(action_of(motion), []).append(motion)
     if not by_action:
-        raise BadInput(f"{name} holds no usable frame; give recordings of at least a tenth of a second")
+        raise BadInput(
+            f"{name} holds no usable frame; give recordings of at least a tenth of a second"
+        )
     wanted = [None] * len(by_action) if frames is None else shares(frames, len(by_action))
-    parts = [_chosen(by_action[action], number) for action, number in zip(sorted(by_action), wanted, strict=True)]
+    parts = [
+        _chosen(by_action[action], number)
+        for action, number in zip(sorted(by_action), wanted, strict=True)
+    ]
     world = np.concatenate([poses for poses, _ in parts])
     source = [motion for _, many in parts for motion in many]
     count = len(world)
-    # A pose that comes again, next in the row, must not meet the camera it had; neighbours do not share one anyway.
+    # A pose that comes again, next in the row, must not meet the camera it had; neighbours do not
+    # share one anyway.
     own = [views[number % len(views)] for number in range(count)]
     poses = np.stack([view.see(pose) for view, pose in zip(own, world, strict=True)])
     scale = np.array([view.scale for view in own])
     height = body_height(poses)
-    errors = np.stack([noise.errors(float(height[number]), seed, number) for number in range(count)])
+    errors = np.stack(
+        [noise.errors(float(height[number]), seed, number) for number in range(count)]
+    )
     return DataSet(
-        name, poses, scale[:, None, None] * (poses[..., :2] + errors) + np.array(CENTRE), np.ones(poses.shape[:2]),
-        scale, np.tile(CENTRE, (count, 1)), np.array([action_of(motion) for motion in source]),
-        np.array([motion.subject for motion in source]), np.array([motion.name for motion in source]),
-    )  # fmt: skip
+        name,
+        poses,
+        scale[:, None, None] * (poses[..., :2] + errors) + np.array(CENTRE),
+        np.ones(poses.shape[:2]),
+        scale,
+        np.tile(CENTRE, (count, 1)),
+        np.array([action_of(motion) for motion in source]),
+        np.array([motion.subject for motion in source]),
+        np.array([motion.name for motion in source]),
+    )
 
 
 def _chosen(motions: Sequence[Motion], number: int | None) -> tuple[np.ndarray, list[Motion]]:
     """`number` poses of an action, and the recording each is from."""
     poses = np.concatenate([motion.joints for motion in motions])
     owner = [motion for motion in motions for _ in range(len(motion.joints))]
-    rows = np.linspace(0, len(poses) - 1, len(poses) if number is None else number).round().astype(int)
+    rows = (
+        np.linspace(0, len(poses) - 1, len(poses) if number is None else number).round().astype(int)
+    )
     return poses[rows], [owner[row] for row in rows]

@@ -1,9 +1,9 @@
 """A data set: true 3D poses, a 2D detection of each, and who does what in them; and one case of it.
 
-Poses are in millimetres and camera axes (x right, y down, z away from the camera), the pelvis at the origin; a weak-
-perspective camera of known scale and place took them: pixels = scale · (x, y) + translation, but for the detector's
-errors. Everything random about a case comes out of the seed and the number of the case alone.
-"""
+Poses are in millimetres and camera axes (x right, y down, z away from the camera), the pelvis at
+the origin; a weak- perspective camera of known scale and place took them: pixels = scale · (x, y) +
+translation, but for the detector's errors. Everything random about a case comes out of the seed and
+the number of the case alone."""
 
 import dataclasses
 import hashlib
@@ -16,25 +16,32 @@ from scipy.spatial.transform import Rotation
 
 from probmodel.detections import LARGEST_NUMBER, Detection
 from probmodel.failures import BadInput
-from probmodel.learning import body_unit
+from probmodel.learning.learning import body_unit
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS, PARENTS
 
-_TALL = (("thorax", "head"), ("pelvis", "thorax"), ("right_hip", "right_knee"), ("right_knee", "right_ankle"))
+_TALL = (
+    ("thorax", "head"),
+    ("pelvis", "thorax"),
+    ("right_hip", "right_knee"),
+    ("right_knee", "right_ankle"),
+)
 SMALLEST, TALLEST = 500.0, 2500.0
-"""Millimetres between which the height of a person lies: others are poses in metres, inches, pixels."""
+"""Millimetres between which the height of a person lies: others are poses in metres, inches,
+pixels."""
 
 
 def body_height(poses: np.ndarray) -> np.ndarray:
-    """`(...)`: heights of poses `(..., 15, 3)` however they bend: lengths of head, back-bone, upper and lower leg, and
-    a tenth for feet and hips; in the units of the poses."""
+    """`(...)`: heights of poses `(..., 15, 3)` however they bend: lengths of head, back-bone, upper
+    and lower leg, and a tenth for feet and hips; in the units of the poses."""
     start, end = (np.array([JOINT_INDEX[bone[side]] for bone in _TALL]) for side in (0, 1))
     return 1.1 * np.linalg.norm(poses[..., end, :] - poses[..., start, :], axis=-1).sum(axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One pose `(15, 3)` (mm, camera axes, pelvis at the origin), its `detection`, the true camera's `scale` (pixels a
-    mm) and `translation` `(2,)` (pixels), and the `number` of the case, from which its randomness comes."""
+    """One pose `(15, 3)` (mm, camera axes, pelvis at the origin), its `detection`, the true
+    camera's `scale` (pixels a mm) and `translation` `(2,)` (pixels), and the `number` of the case,
+    from which its randomness comes."""
 
     number: int
     pose: np.ndarray
@@ -47,7 +54,8 @@ class Case:
 
     @property
     def pixels(self) -> np.ndarray:
-        """`(15, 3)`: the pose in pixels, in camera axes: x and y are where its joints truly are in the image."""
+        """`(15, 3)`: the pose in pixels, in camera axes: x and y are where its joints truly are in
+        the image."""
         return self.scale * self.pose + np.append(self.translation, 0.0)
 
     @property
@@ -56,8 +64,9 @@ class Case:
         return float(body_unit(self.pose[None]))
 
     def hiding(self, missing: int, seed: int = 0) -> "Case":
-        """With `missing` of the eight limb joints gone from the detection, chosen at random; when more are asked for,
-        the same ones are gone, and others besides. Raises `BadInput` where there are not so many."""
+        """With `missing` of the eight limb joints gone from the detection, chosen at random; when
+        more are asked for, the same ones are gone, and others besides. Raises `BadInput` where
+        there are not so many."""
         if not 0 <= missing <= len(LIMB_JOINTS):
             raise BadInput(f"{missing} limb joints cannot be missing; there are {len(LIMB_JOINTS)}")
         gone = np.random.default_rng([seed, 1, self.number]).permutation(LIMB_JOINTS)[:missing]
@@ -68,24 +77,28 @@ class Case:
         )
 
     def turned(self, degrees: float) -> "Case":
-        """With the camera rolled: pose and detection turned in the image plane, about the mean of the joints."""
+        """With the camera rolled: pose and detection turned in the image plane, about the mean of
+        the joints."""
         turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
         centre = self.pixels[:, :2].mean(axis=0)
         keypoints = (self.detection.keypoints - centre) @ turn[:2, :2].T + centre
         return dataclasses.replace(
-            self, pose=self.pose @ turn.T, translation=(self.translation - centre) @ turn[:2, :2].T + centre,
+            self,
+            pose=self.pose @ turn.T,
+            translation=(self.translation - centre) @ turn[:2, :2].T + centre,
             detection=dataclasses.replace(self.detection, keypoints=keypoints),
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class DataSet:
-    """`N` cases as arrays: `poses` `(N, 15, 3)` mm in camera axes, `keypoints` `(N, 15, 2)` pixels (NaN where missing),
-    `score` `(N, 15)` (0 there), `scale` `(N,)` pixels a mm, `translation` `(N, 2)`; `action`, `subject` and `recording`
-    `(N,)` texts. Frames of one recording are alike: intervals are to be drawn over recordings.
+    """`N` cases as arrays: `poses` `(N, 15, 3)` mm in camera axes, `keypoints` `(N, 15, 2)` pixels
+    (NaN where missing), `score` `(N, 15)` (0 there), `scale` `(N,)` pixels a mm, `translation` `(N,
+    2)`; `action`, `subject` and `recording` `(N,)` texts. Frames of one recording are alike:
+    intervals are to be drawn over recordings.
 
-    Raises `BadInput` on other shapes, on poses that are not finite or not in millimetres, and on frames without action.
-    """
+    Raises `BadInput` on other shapes, on poses that are not finite or not in millimetres, and on
+    frames without action."""
 
     name: str
     poses: np.ndarray
@@ -99,43 +112,69 @@ class DataSet:
 
     def __post_init__(self) -> None:
         number = len(self.poses)
-        shapes = {"poses": (NUM_JOINTS, 3), "keypoints": (NUM_JOINTS, 2), "score": (NUM_JOINTS,), "scale": (),
-                  "translation": (2,), "action": (), "subject": (), "recording": ()}  # fmt: skip
+        shapes = {
+            "poses": (NUM_JOINTS, 3),
+            "keypoints": (NUM_JOINTS, 2),
+            "score": (NUM_JOINTS,),
+            "scale": (),
+            "translation": (2,),
+            "action": (),
+            "subject": (),
+            "recording": (),
+        }
         for field, shape in shapes.items():
             found = np.shape(getattr(self, field))
             if found != (number, *shape):
-                raise BadInput(f"{self.name}: {field} has shape {found}, which must be {(number, *shape)}")
+                raise BadInput(
+                    f"{self.name}: {field} has shape {found}, which must be {(number, *shape)}"
+                )
         if not number:
             raise BadInput(f"{self.name} has no frames")
         self._check_poses()
         for frame in np.flatnonzero(np.char.str_len(np.char.strip(self.action)) == 0):
-            raise BadInput(f"{self.name}: frame {frame} has no action; name what is done in every frame")
+            raise BadInput(
+                f"{self.name}: frame {frame} has no action; name what is done in every frame"
+            )
 
     def _check_poses(self) -> None:
         finite = (np.abs(self.poses) <= LARGEST_NUMBER).all(axis=(1, 2))  # false for NaN too
         for frame in np.flatnonzero(~finite):
-            raise BadInput(f"{self.name}: frame {frame} has a coordinate that is not finite; leave that frame out")
+            raise BadInput(
+                f"{self.name}: frame {frame} has a coordinate that is not finite; leave that"
+                " frame out"
+            )
         for who in np.unique(self.subject):
             height = float(np.median(body_height(self.poses[self.subject == who])))
             if not SMALLEST <= height <= TALLEST:
                 raise BadInput(
-                    f"{self.name}: subject {who} would be {_metres(height)} m tall; poses must be in millimetres, so "
-                    "multiply them by what makes them so"
+                    f"{self.name}: subject {who} would be {_metres(height)} m tall; poses must be"
+                    " in millimetres, so multiply them by what makes them so"
                 )
         bones = np.linalg.norm(self.poses[:, 1:] - self.poses[:, PARENTS[1:]], axis=-1)
         for frame in np.flatnonzero(~(bones > 0).all(axis=1)):
-            raise BadInput(f"{self.name}: frame {frame} has a bone of length zero; leave that frame out")
+            raise BadInput(
+                f"{self.name}: frame {frame} has a bone of length zero; leave that frame out"
+            )
 
     def __len__(self) -> int:
         return len(self.poses)
 
     def case(self, row: int, number: int | None = None) -> Case:
-        """The case of that row; `number` is its number where these are some of a larger set's cases. Raises `BadInput`
-        where its detection is not one (a score below zero, …)."""
+        """The case of that row; `number` is its number where these are some of a larger set's
+        cases. Raises `BadInput` where its detection is not one (a score below zero, …)."""
         number = row if number is None else number
-        detection = Detection(self.keypoints[row], self.score[row], "skeleton_15", f"frame {number} of {self.name}", 0)
+        detection = Detection(
+            self.keypoints[row], self.score[row], "skeleton_15", f"frame {number} of {self.name}", 0
+        )
         labels = (str(field[row]) for field in (self.action, self.subject, self.recording))
-        return Case(number, self.poses[row], detection, float(self.scale[row]), self.translation[row], *labels)
+        return Case(
+            number,
+            self.poses[row],
+            detection,
+            float(self.scale[row]),
+            self.translation[row],
+            *labels,
+        )
 
     def __iter__(self) -> Iterator[Case]:
         return (self.case(number) for number in range(len(self)))
@@ -148,14 +187,27 @@ class DataSet:
     def take(self, rows: np.ndarray) -> "DataSet":
         """Some of the cases, numbered anew."""
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return DataSet(**{name: value if name == "name" else value[rows] for name, value in fields.items()})
+        return DataSet(
+            **{name: value if name == "name" else value[rows] for name, value in fields.items()}
+        )
 
     def spread(self, frames: int) -> "DataSet":
-        """`frames` cases, as many of each action as of any other while there are that many, evenly over its frames."""
-        return self.take(np.sort(np.concatenate([
-            rows[np.linspace(0, len(rows) - 1, min(share, len(rows))).round().astype(int)]
-            for rows, share in zip(self._by_action(), shares(frames, len(self.actions)), strict=True)
-        ])))  # fmt: skip
+        """`frames` cases, as many of each action as of any other while there are that many, evenly
+        over its frames."""
+        return self.take(
+            np.sort(
+                np.concatenate(
+                    [
+                        rows[
+                            np.linspace(0, len(rows) - 1, min(share, len(rows))).round().astype(int)
+                        ]
+                        for rows, share in zip(
+                            self._by_action(), shares(frames, len(self.actions)), strict=True
+                        )
+                    ]
+                )
+            )
+        )
 
     def _by_action(self) -> list[np.ndarray]:
         return [np.flatnonzero(self.action == action) for action in self.actions]
@@ -166,8 +218,16 @@ class DataSet:
         digest = hashlib.sha256()
         for field in dataclasses.fields(self)[1:]:
             value = getattr(self, field.name)
-            value = value.astype("<f8") if value.dtype.kind == "f" else np.array("\n".join(value.tolist()).encode())
-            digest.update(field.name.encode() + str(value.shape).encode() + np.ascontiguousarray(value).tobytes())
+            value = (
+                value.astype("<f8")
+                if value.dtype.kind == "f"
+                else np.array("\n".join(value.tolist()).encode())
+            )
+            digest.update(
+                field.name.encode()
+                + str(value.shape).encode()
+                + np.ascontiguousarray(value).tobytes()
+            )
         return digest.hexdigest()
 
 

@@ -1,9 +1,9 @@
 """Human3.6M as VideoPose3D keeps it: `data_3d_h36m.npz` and, beside it, `data_2d_h36m_<name>.npz`.
 
-positions_3d[subject][action] is (T, 32, 3), metres, axes of the room; positions_2d[subject][action] holds, for each of
-four cameras, (T, 17, 2) pixels. The files do not hold the cameras: a weak-perspective one is fitted to every frame
-(`views.resection`), and turns its pose into camera axes. Human3.6M may not be redistributed.
-"""
+positions_3d[subject][action] is (T, 32, 3), metres, axes of the room; positions_2d[subject][action]
+holds, for each of four cameras, (T, 17, 2) pixels. The files do not hold the cameras: a
+weak-perspective one is fitted to every frame (`views.resection`), and turns its pose into camera
+axes. Human3.6M may not be redistributed."""
 
 import itertools
 from pathlib import Path
@@ -20,7 +20,8 @@ from probmodel.skeleton import JOINTS
 
 FILE_3D = "data_3d_h36m.npz"
 SEVENTEEN = (0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27)
-"""Where the joints of `layouts.H36M_17` are among the recording's 32; the others repeat or do not move."""
+"""Where the joints of `layouts.H36M_17` are among the recording's 32; the others repeat or do not
+move."""
 SUBJECTS = ("S1", "S5", "S6", "S7", "S8", "S9", "S11")
 
 
@@ -40,45 +41,68 @@ def is_human36m(path: Path) -> bool:
 
 
 def read_human36m(path: Path, detections: str = "gt", frames: int | None = None) -> DataSet:
-    """All subjects, cameras and actions, `Walking 1` and `Walking 2` being one action; `frames` of them, as many of
-    each action as of any other, evenly over its takes (default: all; every 80th, 26,380, is about what the paper has).
+    """All subjects, cameras and actions, `Walking 1` and `Walking 2` being one action; `frames` of
+    them, as many of each action as of any other, evenly over its takes (default: all; every 80th,
+    26,380, is about what the paper has).
 
-    2D joints have no scores: they are 1. Raises `BadInput` where a file is missing, is not VideoPose3D's, or the two
-    do not go together.
-    """
+    2D joints have no scores: they are 1. Raises `BadInput` where a file is missing, is not
+    VideoPose3D's, or the two do not go together."""
     file = path / FILE_3D if path.is_dir() else path
-    beside = file.with_name(file.name.replace("data_3d_", "data_2d_").replace(".npz", f"_{detections}.npz"))
+    beside = file.with_name(
+        file.name.replace("data_3d_", "data_2d_").replace(".npz", f"_{detections}.npz")
+    )
     for needed in (file, beside):
         if not needed.is_file():
-            raise BadInput(f"there is no {needed.name} in {needed.parent}; VideoPose3D's two files belong together")
-    takes = _takes(read_object(file, "positions_3d"), read_object(beside, "positions_2d"), file, beside)
+            raise BadInput(
+                f"there is no {needed.name} in {needed.parent}; VideoPose3D's two files belong"
+                " together"
+            )
+    takes = _takes(
+        read_object(file, "positions_3d"), read_object(beside, "positions_2d"), file, beside
+    )
     by_action: dict[str, list[_Take]] = {}
     for take in takes:
         by_action.setdefault(take.action.split(" ")[0], []).append(take)
     numbers = [None] * len(by_action) if frames is None else shares(frames, len(by_action))
     parts = [
-        part for action, number in zip(sorted(by_action), numbers, strict=True)
+        part
+        for action, number in zip(sorted(by_action), numbers, strict=True)
         for part in _thinned(by_action[action], number)
-    ]  # fmt: skip
+    ]
     return _data_set(parts, file)
 
 
 def _takes(three: Any, two: Any, file: Path, beside: Path) -> list[_Take]:
     if not (_is_tree(three) and _is_tree(two)):
-        raise BadInput(f"{file} or {beside.name} is no dictionary of subjects and actions, as VideoPose3D writes it")
+        raise BadInput(
+            f"{file} or {beside.name} is no dictionary of subjects and actions, as VideoPose3D"
+            " writes it"
+        )
     takes = []
     for subject in sorted(three, key=lambda name: (len(name), name)):
         for action in sorted(three[subject]):
             poses = np.asarray(three[subject][action])
             if poses.ndim != 3 or poses.shape[1:] != (32, 3) or poses.dtype.kind != "f":
-                raise BadInput(f"{file}: {subject} {action} has shape {poses.shape}, Human3.6M has (T, 32, 3)")
+                raise BadInput(
+                    f"{file}: {subject} {action} has shape {poses.shape}, Human3.6M has (T, 32, 3)"
+                )
             cameras = two.get(subject, {}).get(action)
             if not isinstance(cameras, list) or not cameras:
-                raise BadInput(f"{beside} lacks {subject} {action}, which {file.name} has; the two must go together")
+                raise BadInput(
+                    f"{beside} lacks {subject} {action}, which {file.name} has; the two must go"
+                    " together"
+                )
             for number, keypoints in enumerate(cameras):
                 points = np.asarray(keypoints)
-                if points.ndim != 3 or points.shape[1:] != (H36M_17.count, 2) or points.dtype.kind != "f":
-                    raise BadInput(f"{beside}: {subject} {action} has shape {points.shape}, which must be (T, 17, 2)")
+                if (
+                    points.ndim != 3
+                    or points.shape[1:] != (H36M_17.count, 2)
+                    or points.dtype.kind != "f"
+                ):
+                    raise BadInput(
+                        f"{beside}: {subject} {action} has shape {points.shape}, which must be (T,"
+                        " 17, 2)"
+                    )
                 # Videos run on for some frames after the motion capture ends.
                 length = min(len(poses), len(points))
                 takes.append(_Take(subject, action, number, poses[:length], points[:length]))
@@ -86,7 +110,11 @@ def _takes(three: Any, two: Any, file: Path, beside: Path) -> list[_Take]:
 
 
 def _is_tree(value: Any) -> bool:
-    return isinstance(value, dict) and bool(value) and all(isinstance(actions, dict) for actions in value.values())
+    return (
+        isinstance(value, dict)
+        and bool(value)
+        and all(isinstance(actions, dict) for actions in value.values())
+    )
 
 
 def _thinned(takes: list[_Take], number: int | None) -> list[_Take]:
@@ -104,7 +132,9 @@ def _thinned(takes: list[_Take], number: int | None) -> list[_Take]:
 
 def _data_set(takes: list[_Take], file: Path) -> DataSet:
     joints = [H36M_17.points.index(name) for name in JOINTS]
-    poses = np.concatenate([1000 * take.poses[:, SEVENTEEN][:, joints].astype(np.float64) for take in takes])
+    poses = np.concatenate(
+        [1000 * take.poses[:, SEVENTEEN][:, joints].astype(np.float64) for take in takes]
+    )
     keypoints = np.concatenate([take.keypoints[:, joints].astype(np.float64) for take in takes])
     if not np.isfinite(poses).all():
         raise BadInput(f"{file} has a coordinate that is not finite; leave that action out")
@@ -115,7 +145,13 @@ def _data_set(takes: list[_Take], file: Path) -> DataSet:
         return np.repeat(text, [len(take.poses) for take in takes])
 
     return DataSet(
-        file.name, poses, keypoints, np.ones(keypoints.shape[:2]), scale, translation,
-        labels([take.action.split(" ")[0] for take in takes]), labels([take.subject for take in takes]),
+        file.name,
+        poses,
+        keypoints,
+        np.ones(keypoints.shape[:2]),
+        scale,
+        translation,
+        labels([take.action.split(" ")[0] for take in takes]),
+        labels([take.subject for take in takes]),
         labels([f"{take.subject} {take.action}" for take in takes]),
-    )  # fmt: skip
+    )

@@ -1,9 +1,9 @@
 """What a pickle of arrays, texts, lists and dictionaries holds, found out without unpickling it.
 
-VideoPose3D's files are object arrays: pickles, whose opcodes can call anything. Here `pickletools` splits the bytes
-into opcodes, and a small machine follows those that build plain data; of names it knows the four with which NumPy
-spells an array, and nothing is ever imported or called for the file. Whatever else a pickle asks for is refused.
-"""
+VideoPose3D's files are object arrays: pickles, whose opcodes can call anything. Here `pickletools`
+splits the bytes into opcodes, and a small machine follows those that build plain data; of names it
+knows the four with which NumPy spells an array, and nothing is ever imported or called for the
+file. Whatever else a pickle asks for is refused."""
 
 import math
 import pickletools
@@ -35,7 +35,8 @@ class _Type:
 
 
 def read_object(path: Path, name: str) -> Any:
-    """The object that the array `name` of an .npz holds: dictionaries, lists and tuples of texts, numbers and arrays.
+    """The object that the array `name` of an .npz holds: dictionaries, lists and tuples of texts,
+    numbers and arrays.
 
     Raises `BadInput` where there is no such array, it is damaged, or it holds anything else.
     """
@@ -43,16 +44,26 @@ def read_object(path: Path, name: str) -> Any:
         with ZipFile(path) as archive:
             info = archive.getinfo(f"{name}.npy")
             if info.file_size > LARGEST:
-                raise BadInput(f"{name} of {path} claims {info.file_size:,} bytes, more than can be; check the file")
+                raise BadInput(
+                    f"{name} of {path} claims {info.file_size:,} bytes, more than can be; check the"
+                    " file"
+                )
             with archive.open(info) as file:
                 version = np.lib.format.read_magic(file)
-                header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+                header = {
+                    (1, 0): np.lib.format.read_array_header_1_0,
+                    (2, 0): np.lib.format.read_array_header_2_0,
+                }
                 shape, _, dtype = header[version](file)
                 data = file.read()
     except (OSError, KeyError, ValueError, BadZipFile, EOFError) as error:
-        raise BadInput(f"{path} holds no readable {name} ({type(error).__name__}); check that it is complete") from None
+        raise BadInput(
+            f"{path} holds no readable {name} ({type(error).__name__}); check that it is complete"
+        ) from None
     if not dtype.hasobject or shape != ():
-        raise BadInput(f"{name} of {path} is an array of {dtype}, not the dictionary that VideoPose3D writes")
+        raise BadInput(
+            f"{name} of {path} is an array of {dtype}, not the dictionary that VideoPose3D writes"
+        )
     return follow(data, f"{name} of {path}")
 
 
@@ -65,18 +76,25 @@ def follow(data: bytes, where: str) -> Any:
                 return _settled(machine.stack[-1], {})
             step = _STEPS.get(opcode.name)
             if step is None:
-                raise BadInput(f"{where} uses {opcode.name}, which plain data does not need, and is not read")
+                raise BadInput(
+                    f"{where} uses {opcode.name}, which plain data does not need, and is not read"
+                )
             step(machine, argument)
     except BadInput as error:
         raise BadInput(f"{where}: {error}" if where not in str(error) else str(error)) from None
-    except Exception as error:  # a damaged pickle asks the machine for what is not on its stack, in many ways
-        raise BadInput(f"{where} is damaged ({type(error).__name__}); check that the file is complete") from None
+    except (
+        Exception
+    ) as error:  # a damaged pickle asks the machine for what is not on its stack, in many ways
+        raise BadInput(
+            f"{where} is damaged ({type(error).__name__}); check that the file is complete"
+        ) from None
     raise BadInput(f"{where} is cut short; check that the file is complete")
 
 
 def _settled(value: Any, known: dict[int, tuple[Any, Any]]) -> Any:
-    """What was built, with finished arrays in place of `_Array`. What is met twice (`known`: by identity, itself and
-    its outcome) is one object: nested repetitions, which a pickle of a few bytes can ask for, cost nothing."""
+    """What was built, with finished arrays in place of `_Array`. What is met twice (`known`: by
+    identity, itself and its outcome) is one object: nested repetitions, which a pickle of a few
+    bytes can ask for, cost nothing."""
     if not isinstance(value, (_Array, dict, list, tuple)):
         return value
     if id(value) not in known:
@@ -122,7 +140,9 @@ class _Machine:
     def name(self, module: str, name: str) -> None:
         known = _KNOWN.get((module.replace("numpy._core", "numpy.core"), name))
         if known is None:
-            raise BadInput(f"a pickle asks for {module}.{name}, which plain data does not need; it is not read")
+            raise BadInput(
+                f"a pickle asks for {module}.{name}, which plain data does not need; it is not read"
+            )
         self.push(known)
 
     def extend(self, items: list[Any]) -> None:
@@ -152,7 +172,8 @@ def _expected(value: Any, kind: type) -> Any:
 
 
 def _fill(array: _Array, state: tuple) -> None:
-    """What an array's state says: (version, shape, dtype, Fortran order, bytes or list of objects)."""
+    """What an array's state says: (version, shape, dtype, Fortran order, bytes or list of
+    objects)."""
     _, shape, kind, fortran, content = state
     dtype = _expected(kind, _Type).value
     if dtype.hasobject:
@@ -180,7 +201,9 @@ _KNOWN = {
 _MAKERS: dict[str, Callable[..., Any]] = {
     "reconstruct": lambda *_: _Array(),
     "dtype": _plain_type,
-    "encode": lambda text, coding: _expected(text, str).encode("latin-1") if coding == "latin1" else None,
+    "encode": lambda text, coding: (
+        _expected(text, str).encode("latin-1") if coding == "latin1" else None
+    ),
 }
 """What the known names stand for; bytes are a text's latin-1 in pickles of protocol 2."""
 
@@ -194,14 +217,31 @@ def _memoize(machine: _Machine, place: int | None) -> None:
 
 
 _VALUES = (
-    "BININT", "BININT1", "BININT2", "INT", "LONG", "LONG1", "LONG4", "BINFLOAT", "BINUNICODE", "SHORT_BINUNICODE",
-    "BINUNICODE8", "BINBYTES", "SHORT_BINBYTES", "BINBYTES8", "BINSTRING", "SHORT_BINSTRING",
-)  # fmt: skip
+    "BININT",
+    "BININT1",
+    "BININT2",
+    "INT",
+    "LONG",
+    "LONG1",
+    "LONG4",
+    "BINFLOAT",
+    "BINUNICODE",
+    "SHORT_BINUNICODE",
+    "BINUNICODE8",
+    "BINBYTES",
+    "SHORT_BINBYTES",
+    "BINBYTES8",
+    "BINSTRING",
+    "SHORT_BINSTRING",
+)
 _STEPS: dict[str, Callable[[_Machine, Any], None]] = {
     **{name: lambda machine, value: machine.push(value) for name in _VALUES},
     **dict.fromkeys(("PROTO", "FRAME"), lambda machine, _: None),
     **dict.fromkeys(("BINPUT", "LONG_BINPUT", "PUT", "MEMOIZE"), _memoize),
-    **{name: lambda machine, place: machine.push(machine.memory[place]) for name in ("BINGET", "LONG_BINGET", "GET")},
+    **{
+        name: lambda machine, place: machine.push(machine.memory[place])
+        for name in ("BINGET", "LONG_BINGET", "GET")
+    },
     "NONE": lambda machine, _: machine.push(None),
     "NEWTRUE": lambda machine, _: machine.push(True),
     "NEWFALSE": lambda machine, _: machine.push(False),

@@ -1,10 +1,10 @@
 """A data set as a plain .npz, for whatever has no reader of its own.
 
-Arrays: `poses` (N, 15, 3) in millimetres, right-handed, joints in the order of `skeleton.JOINTS`; `keypoints`
-(N, 15, 2) pixels, NaN where missing; `action` and `subject` (N,) texts. Optional: `score` (N, 15), else 1 where seen;
-`recording` (N,), else the subject and action; `scale` (N,) pixels a mm and `translation` (N, 2) of the true camera,
-then the poses must be in its axes (x right, y down, z away), else the camera is fitted.
-"""
+Arrays: `poses` (N, 15, 3) in millimetres, right-handed, joints in the order of `skeleton.JOINTS`;
+`keypoints` (N, 15, 2) pixels, NaN where missing; `action` and `subject` (N,) texts. Optional:
+`score` (N, 15), else 1 where seen; `recording` (N,), else the subject and action; `scale` (N,)
+pixels a mm and `translation` (N, 2) of the true camera, then the poses must be in its axes (x
+right, y down, z away), else the camera is fitted."""
 
 import dataclasses
 import zipfile
@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from probmodel.anatomy.limits import read_tables, write_tables
 from probmodel.datasets.cases import DataSet
 from probmodel.datasets.views import resection
 from probmodel.failures import BadInput
-from probmodel.limits import read_tables, write_tables
 from probmodel.skeleton import NUM_JOINTS
 
 NEEDED = ("poses", "keypoints", "action", "subject")
@@ -32,48 +32,68 @@ def is_plain(path: Path) -> bool:
 
 
 def read_plain(path: Path) -> DataSet:
-    """Reads a plain .npz. Raises `BadInput` as `DataSet` does, and where an array is missing or is not of its kind."""
+    """Reads a plain .npz. Raises `BadInput` as `DataSet` does, and where an array is missing or is
+    not of its kind."""
     arrays = read_tables(path, _WHAT, _ADVICE)
     missing = [name for name in NEEDED if name not in arrays]
     if missing:
         raise BadInput(f"{path} lacks {', '.join(missing)}; {_ADVICE}")
-    poses, keypoints = (_numbers(arrays[name], name, size, path) for name, size in (("poses", 3), ("keypoints", 2)))
+    poses, keypoints = (
+        _numbers(arrays[name], name, size, path) for name, size in (("poses", 3), ("keypoints", 2))
+    )
     number = len(poses)
     if len(keypoints) != number:
-        raise BadInput(f"{path}: there are {number} poses, but {len(keypoints)} sets of keypoints; give one each")
+        raise BadInput(
+            f"{path}: there are {number} poses, but {len(keypoints)} sets of keypoints; give one"
+            " each"
+        )
     labels = {name: _texts(arrays[name], name, number, path) for name in ("action", "subject")}
     together = np.char.add(np.char.add(labels["subject"], " "), labels["action"])
-    labels["recording"] = _texts(arrays["recording"], "recording", number, path) if "recording" in arrays else together
+    labels["recording"] = (
+        _texts(arrays["recording"], "recording", number, path)
+        if "recording" in arrays
+        else together
+    )
     seen = np.isfinite(keypoints).all(axis=-1)
     score = np.asarray(arrays.get("score", np.ones(seen.shape)), float)
     if score.shape != seen.shape:
-        raise BadInput(f"{path}: score has shape {score.shape}, which must be {seen.shape}; one for each joint")
+        raise BadInput(
+            f"{path}: score has shape {score.shape}, which must be {seen.shape}; one for each joint"
+        )
     poses = poses - poses[:, :1]
     if "scale" in arrays and "translation" in arrays:
         scale, translation = (np.asarray(arrays[name], float) for name in ("scale", "translation"))
     else:
         rotation, scale, translation = resection(poses, keypoints)
         fitted = np.isfinite(rotation).all(axis=(1, 2))
-        poses = np.where(fitted[:, None, None], poses @ np.swapaxes(np.nan_to_num(rotation), -1, -2), poses)
+        poses = np.where(
+            fitted[:, None, None], poses @ np.swapaxes(np.nan_to_num(rotation), -1, -2), poses
+        )
     keypoints = np.where((seen & (score != 0))[..., None], keypoints, np.nan)
-    return DataSet(path.name, poses, keypoints, np.where(seen, score, 0.0), scale, translation, **labels)
+    return DataSet(
+        path.name, poses, keypoints, np.where(seen, score, 0.0), scale, translation, **labels
+    )
 
 
 def write_plain(data: DataSet, path: Path) -> None:
     """Writes what `read_plain` reads, atomically. Raises `BadInput` where it cannot be written."""
-    write_tables(path, {field.name: getattr(data, field.name) for field in dataclasses.fields(data)[1:]})
+    write_tables(
+        path, {field.name: getattr(data, field.name) for field in dataclasses.fields(data)[1:]}
+    )
 
 
 def _numbers(value: np.ndarray, name: str, size: int, path: Path) -> np.ndarray:
     if value.dtype.kind not in "fiu" or value.shape[1:] != (NUM_JOINTS, size):
         raise BadInput(
-            f"{path}: {name} has shape {value.shape}, which must be (N, {NUM_JOINTS}, {size}); other skeletons' joints "
-            "must be brought to the fifteen of this one first"
+            f"{path}: {name} has shape {value.shape}, which must be (N, {NUM_JOINTS}, {size});"
+            " other skeletons' joints must be brought to the fifteen of this one first"
         )
     return value.astype(np.float64)
 
 
 def _texts(value: np.ndarray, name: str, number: int, path: Path) -> np.ndarray:
     if value.shape != (number,) or value.dtype.kind not in "US":
-        raise BadInput(f"{path}: {name} must be {number} texts, one a frame, but has shape {value.shape}")
+        raise BadInput(
+            f"{path}: {name} must be {number} texts, one a frame, but has shape {value.shape}"
+        )
     return np.char.decode(value, "utf-8", "replace") if value.dtype.kind == "S" else value

@@ -1,7 +1,7 @@
 """Synthetic cameras, weak perspective: where they stand, and how poses look from there.
 
-Also the reverse: from 3D poses in axes of the world and 2D joints, the weak-perspective camera that fits them best.
-"""
+Also the reverse: from 3D poses in axes of the world and 2D joints, the weak-perspective camera that
+fits them best."""
 
 from typing import NamedTuple
 
@@ -17,8 +17,8 @@ CENTRE = (320.0, 320.0)
 
 
 class View(NamedTuple):
-    """A camera that sees the world turned by `yaw` about the vertical and then tilted by `tilt` (degrees), at `scale`
-    pixels a millimetre, the pelvis at `CENTRE`."""
+    """A camera that sees the world turned by `yaw` about the vertical and then tilted by `tilt`
+    (degrees), at `scale` pixels a millimetre, the pelvis at `CENTRE`."""
 
     yaw: float
     tilt: float
@@ -39,12 +39,15 @@ VIEWS = tuple(View(yaw, tilt) for yaw in (0.0, 60.0, 135.0, 250.0) for tilt in (
 """All round the person, from a little below and from above."""
 
 
-def resection(poses: np.ndarray, keypoints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The weak-perspective cameras that explain 2D joints `(N, 15, 2)` (NaN where missing) of poses `(N, 15, 3)` in any
-    right-handed axes: rotations `(N, 3, 3)` into camera axes, scales `(N,)`, and translations `(N, 2)` of the pelvis.
+def resection(
+    poses: np.ndarray, keypoints: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The weak-perspective cameras that explain 2D joints `(N, 15, 2)` (NaN where missing) of poses
+    `(N, 15, 3)` in any right-handed axes: rotations `(N, 3, 3)` into camera axes, scales `(N,)`,
+    and translations `(N, 2)` of the pelvis.
 
-    Least squares for an affine camera, then the nearest rotation; where fewer than four joints are seen, NaN.
-    """
+    Least squares for an affine camera, then the nearest rotation; where fewer than four joints are
+    seen, NaN."""
     rotation, scale = np.full((len(poses), 3, 3), np.nan), np.full(len(poses), np.nan)
     translation = np.full((len(poses), 2), np.nan)
     for row, (pose, points) in enumerate(zip(poses, keypoints, strict=True)):

@@ -1,8 +1,9 @@
-"""Files of 2D joints: `read_detections` reads them all, `write_detections` writes this project's own.
+"""Files of 2D joints: `read_detections` reads them all, `write_detections` writes this project's
+own.
 
-`FORMATS` is the table of readers; adding a format is one module and one row. A format is recognised by its content,
-never by the name of the file. Folders and long files are read frame by frame: `read_frames`.
-"""
+`FORMATS` is the table of readers; adding a format is one module and one row. A format is recognised
+by its content, never by the name of the file. Folders and long files are read frame by frame:
+`read_frames`."""
 
 import math
 import os
@@ -13,22 +14,40 @@ from typing import NamedTuple
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from probmodel.files import replacing
-from probmodel.formats import alphapose, coco, deeplabcut, hourglass, mediapipe, mmpose, native, openpose, videopose3d
+from probmodel.formats import (
+    alphapose,
+    coco,
+    deeplabcut,
+    hourglass,
+    mediapipe,
+    mmpose,
+    native,
+    openpose,
+    videopose3d,
+)
 from probmodel.formats.common import Content, at_least_one_joint
 from probmodel.heatmaps import THRESHOLD as HEATMAP_THRESHOLD
 
 __all__ = [
-    "FORMATS", "Content", "Format", "content_of", "format_of", "people_of", "read_content", "read_detections",
+    "FORMATS",
+    "Content",
+    "Format",
+    "content_of",
+    "format_of",
+    "people_of",
+    "read_content",
+    "read_detections",
     "write_detections",
-]  # fmt: skip
+]
 
 LARGEST_FILE = 1_000_000_000
 """Bytes; larger files would fill the memory before anything could be said about them."""
 
 
 class Format(NamedTuple):
-    """A row of `FORMATS`: `recognises` is None for a format that is read only where it is asked for by name. A joint
-    with a score up to `threshold` is missing, where no other threshold is given."""
+    """A row of `FORMATS`: `recognises` is None for a format that is read only where it is asked for
+    by name. A joint with a score up to `threshold` is missing, where no other threshold is
+    given."""
 
     name: str
     about: str
@@ -38,29 +57,70 @@ class Format(NamedTuple):
 
 
 _ROWS = (
-    Format("heatmaps", "heatmaps", hourglass.recognises_heatmaps, hourglass.read_heatmaps, HEATMAP_THRESHOLD),
-    Format("hourglass", "Stacked Hourglass preds", hourglass.recognises_points, hourglass.read_points),
+    Format(
+        "heatmaps",
+        "heatmaps",
+        hourglass.recognises_heatmaps,
+        hourglass.read_heatmaps,
+        HEATMAP_THRESHOLD,
+    ),
+    Format(
+        "hourglass", "Stacked Hourglass preds", hourglass.recognises_points, hourglass.read_points
+    ),
     Format("deeplabcut-hdf5", "DeepLabCut HDF5", deeplabcut.recognises_hdf5, deeplabcut.read_hdf5),
     Format("videopose3d", "VideoPose3D .npz", videopose3d.recognises, videopose3d.read),
     Format("deeplabcut-csv", "DeepLabCut CSV", deeplabcut.recognises_csv, deeplabcut.read_csv),
-    Format("mediapipe-text", "MediaPipe text", mediapipe.recognises_text, mediapipe.read_text,
-           mediapipe.THRESHOLD),
-    Format("mediapipe-csv", "MediaPipe CSV", mediapipe.recognises_table, mediapipe.read_table,
-           mediapipe.THRESHOLD),
+    Format(
+        "mediapipe-text",
+        "MediaPipe text",
+        mediapipe.recognises_text,
+        mediapipe.read_text,
+        mediapipe.THRESHOLD,
+    ),
+    Format(
+        "mediapipe-csv",
+        "MediaPipe CSV",
+        mediapipe.recognises_table,
+        mediapipe.read_table,
+        mediapipe.THRESHOLD,
+    ),
     Format("poseterior", "poseterior JSON", native.recognises, native.read),
     Format("openpose", "OpenPose JSON", openpose.recognises, openpose.read),
-    Format("openpose-body25", "OpenPose JSON, BODY_25 for certain", None, openpose.reader(openpose.BODY_25)),
-    Format("openpose-body25b", "OpenPose JSON, BODY_25B for certain", None, openpose.reader(openpose.BODY_25B)),
-    Format("openpose-coco18", "OpenPose JSON, COCO-18 for certain", None, openpose.reader(openpose.COCO_18)),
-    Format("coco-annotations", "COCO annotations", coco.recognises_annotations, coco.read_annotations),
+    Format(
+        "openpose-body25",
+        "OpenPose JSON, BODY_25 for certain",
+        None,
+        openpose.reader(openpose.BODY_25),
+    ),
+    Format(
+        "openpose-body25b",
+        "OpenPose JSON, BODY_25B for certain",
+        None,
+        openpose.reader(openpose.BODY_25B),
+    ),
+    Format(
+        "openpose-coco18",
+        "OpenPose JSON, COCO-18 for certain",
+        None,
+        openpose.reader(openpose.COCO_18),
+    ),
+    Format(
+        "coco-annotations", "COCO annotations", coco.recognises_annotations, coco.read_annotations
+    ),
     Format("mmpose", "MMPose or RTMPose JSON", mmpose.recognises, mmpose.read),
-    Format("mediapipe", "MediaPipe JSON", mediapipe.recognises_json, mediapipe.read_json, mediapipe.THRESHOLD),
+    Format(
+        "mediapipe",
+        "MediaPipe JSON",
+        mediapipe.recognises_json,
+        mediapipe.read_json,
+        mediapipe.THRESHOLD,
+    ),
     Format("coco-results", "COCO results or AlphaPose", coco.recognises_results, coco.read_results),
     Format("alphapose", "AlphaPose by image", alphapose.recognises, alphapose.read),
-)  # fmt: skip
+)
 FORMATS = {row.name: row for row in _ROWS}
-"""By name; the first whose `recognises` says yes is the one that `auto` takes. Those that look at the first bytes come
-first."""
+"""By name; the first whose `recognises` says yes is the one that `auto` takes. Those that look at
+the first bytes come first."""
 
 
 def read_detections(
@@ -73,19 +133,22 @@ def read_detections(
 ) -> list[Detection]:
     """Every person in a file of 2D joints, in the order of the file.
 
-    `format` is "auto" or a name of `FORMATS`. Joints with score <= `threshold` (the format's own, usually 0, where it
-    is None) are missing; a person of whom nothing is seen stays in the list, so that the numbers of the others do not
-    change. `image_size` (width, height) in pixels is needed for coordinates that are fractions of it; `names` maps the
-    names of a detector that names its points freely to ours. Raises `BadInput`, one sentence, for whatever is wrong
-    with the file.
-    """
+    `format` is "auto" or a name of `FORMATS`. Joints with score <= `threshold` (the format's own,
+    usually 0, where it is None) are missing; a person of whom nothing is seen stays in the list, so
+    that the numbers of the others do not change. `image_size` (width, height) in pixels is needed
+    for coordinates that are fractions of it; `names` maps the names of a detector that names its
+    points freely to ours. Raises `BadInput`, one sentence, for whatever is wrong with the file."""
     return read_content(content_of(Path(path), image_size, names), format, threshold)
 
 
-def read_content(content: Content, format: str = "auto", threshold: float | None = None) -> list[Detection]:
+def read_content(
+    content: Content, format: str = "auto", threshold: float | None = None
+) -> list[Detection]:
     """`read_detections` of bytes that are in memory already."""
     row = format_of(content, format)
-    return at_least_one_joint(list(people_of(content, row, threshold)), content.source, _threshold(row, threshold))
+    return at_least_one_joint(
+        list(people_of(content, row, threshold)), content.source, _threshold(row, threshold)
+    )
 
 
 def people_of(content: Content, row: Format, threshold: float | None) -> Iterator[Detection]:
@@ -101,7 +164,8 @@ def _threshold(row: Format, threshold: float | None) -> float:
 
 
 def write_detections(path: str | os.PathLike[str], detections: Sequence[Detection]) -> None:
-    """Write this project's JSON; a file that was there is replaced as a whole or, on any failure, not at all.
+    """Write this project's JSON; a file that was there is replaced as a whole or, on any failure,
+    not at all.
 
     Raises `BadInput` where there is nothing to write or the place cannot be written to.
     """
@@ -111,23 +175,31 @@ def write_detections(path: str | os.PathLike[str], detections: Sequence[Detectio
 
 
 def content_of(
-    path: Path, image_size: tuple[int, int] | None = None, names: Mapping[str, str] | Sequence[str] | None = None
+    path: Path,
+    image_size: tuple[int, int] | None = None,
+    names: Mapping[str, str] | Sequence[str] | None = None,
 ) -> Content:
-    """The content of a file, with what the user knows of it beside. Raises `BadInput` where it cannot be read."""
+    """The content of a file, with what the user knows of it beside. Raises `BadInput` where it
+    cannot be read."""
     try:
         if not path.exists():
             raise BadInput(f"{path} does not exist; give the path of a file of 2D joints.")
         if not path.is_file():
             raise BadInput(f"{path} is not a file; give the path of a file of 2D joints.")
         if (size := path.stat().st_size) > LARGEST_FILE:
-            raise BadInput(f"{path} has {size} bytes, more than {LARGEST_FILE}; split it into smaller files.")
+            raise BadInput(
+                f"{path} has {size} bytes, more than {LARGEST_FILE}; split it into smaller files."
+            )
         return Content(path.read_bytes(), str(path), image_size, {} if names is None else names)
     except OSError as error:
-        raise BadInput(f"{path} cannot be read ({error.strerror}); give the path of a file of 2D joints.") from None
+        raise BadInput(
+            f"{path} cannot be read ({error.strerror}); give the path of a file of 2D joints."
+        ) from None
 
 
 def format_of(content: Content, name: str = "auto") -> Format:
-    """The row of `FORMATS` of that name, or the one that recognises the content. Raises `BadInput` where none does."""
+    """The row of `FORMATS` of that name, or the one that recognises the content. Raises `BadInput`
+    where none does."""
     if name in FORMATS:
         return FORMATS[name]
     if name != "auto":
@@ -136,4 +208,6 @@ def format_of(content: Content, name: str = "auto") -> Format:
         if row.recognises is not None and row.recognises(content):
             return row
     known = "; ".join(row.about for row in FORMATS.values() if row.recognises is not None)
-    raise BadInput(f"{content.source} is of a shape that is not known here; the known ones are: {known}.")
+    raise BadInput(
+        f"{content.source} is of a shape that is not known here; the known ones are: {known}."
+    )

@@ -1,4 +1,5 @@
-"""AlphaPose's other two files: all images in one object, by name, each with its people in OpenPose's COCO-18 order.
+"""AlphaPose's other two files: all images in one object, by name, each with its people in
+OpenPose's COCO-18 order.
 
     {"1.jpg": {"version": …, "people": [{"pose_keypoints_2d": [x, y, score, …]}]}}     its "open" form
     {"1.jpg": {"version": …, "bodies": [{"joints": [x, y, score, …]}]}}                its "cmu" form
@@ -36,8 +37,8 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
             flat = sequence(mapping(record, person).get(key), f"'{key}' of {person}")
             if len(flat) != 3 * COCO_18.count:
                 raise BadInput(
-                    f"'{key}' of {person} holds {len(flat)} numbers, but this form of AlphaPose has "
-                    f"{3 * COCO_18.count}; have AlphaPose write its default form."
+                    f"'{key}' of {person} holds {len(flat)} numbers, but this form of AlphaPose has"
+                    f" {3 * COCO_18.count}; have AlphaPose write its default form."
                 )
             points = scored_points(flat, COCO_18.points, person)
             yield COCO_18.detection(points, threshold, content.source, number, image)
@@ -48,4 +49,6 @@ def _people(value: dict[str, Any], where: str) -> tuple[list[Any], str]:
     for key, points in KEYS.items():
         if key in value:
             return sequence(value[key], f"'{key}' of {where}"), points
-    raise BadInput(f"{where} has neither 'people' nor 'bodies'; give AlphaPose's file of all images.")
+    raise BadInput(
+        f"{where} has neither 'people' nor 'bodies'; give AlphaPose's file of all images."
+    )

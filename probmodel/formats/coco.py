@@ -1,22 +1,32 @@
-"""COCO keypoints: annotation files, and the lists of results that most detectors can write (AlphaPose among them).
+"""COCO keypoints: annotation files, and the lists of results that most detectors can write
+(AlphaPose among them).
 
-Annotations have COCO's seventeen points and say how visible each is (0, 1, 2), which becomes a score of 0, 1/2 or 1.
-Results carry a score for each point (AlphaPose's run to 6 in some models; only their proportions matter), and how
-many numbers a record has tells which layout it is.
-"""
+Annotations have COCO's seventeen points and say how visible each is (0, 1, 2), which becomes a
+score of 0, 1/2 or 1. Results carry a score for each point (AlphaPose's run to 6 in some models;
+only their proportions matter), and how many numbers a record has tells which layout it is."""
 
 from collections.abc import Iterable, Iterator
 from typing import Any
 
 from probmodel.detections import Detection, FloatArray
 from probmodel.failures import BadInput
-from probmodel.formats.common import Content, image_name, image_side, mapping, scored_points, sequence, shown
+from probmodel.formats.common import (
+    Content,
+    image_name,
+    image_side,
+    mapping,
+    scored_points,
+    sequence,
+    shown,
+)
 from probmodel.layouts import COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133, Layout
 
 PERSON = 1
 """COCO's category of persons."""
 
-RESULT_LAYOUTS = {3 * layout.count: layout for layout in (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)}
+RESULT_LAYOUTS = {
+    3 * layout.count: layout for layout in (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)
+}
 """By how many numbers a record of results has."""
 
 
@@ -28,11 +38,14 @@ def recognises_annotations(content: Content) -> bool:
 def recognises_results(content: Content) -> bool:
     """A list, empty or of objects that name an image."""
     records = content.first
-    return isinstance(records, list) and (not records or (isinstance(records[0], dict) and "image_id" in records[0]))
+    return isinstance(records, list) and (
+        not records or (isinstance(records[0], dict) and "image_id" in records[0])
+    )
 
 
 def read_annotations(content: Content, threshold: float) -> Iterator[Detection]:
-    """The annotated people that have at least one labelled keypoint, numbered in the order of the file."""
+    """The annotated people that have at least one labelled keypoint, numbered in the order of the
+    file."""
     source = content.source
     document = mapping(content.json, source)
     annotations = sequence(document.get("annotations"), f"'annotations' of {source}")
@@ -50,7 +63,10 @@ def read_annotations(content: Content, threshold: float) -> Iterator[Detection]:
             yield COCO_17.detection(points, threshold, source, people, image, sizes.get(image))
             people += 1
     if annotations and not people:
-        raise BadInput(f"no annotation in {source} has keypoints; give a file of person keypoints, not one of boxes.")
+        raise BadInput(
+            f"no annotation in {source} has keypoints; give a file of person keypoints, not one of"
+            " boxes."
+        )
 
 
 def read_results(content: Content, threshold: float) -> Iterator[Detection]:
@@ -68,16 +84,20 @@ def _records(values: Iterable[Any], kind: str, source: str) -> Iterator[tuple[st
         yield where, mapping(value, where)
 
 
-def _points(record: dict[str, Any], layouts: dict[int, Layout], where: str) -> tuple[FloatArray, Layout]:
+def _points(
+    record: dict[str, Any], layouts: dict[int, Layout], where: str
+) -> tuple[FloatArray, Layout]:
     if "keypoints" not in record:
         raise BadInput(f"{where} has no 'keypoints'; give a file of keypoints, not one of boxes.")
     flat = sequence(record["keypoints"], f"'keypoints' of {where}")
     layout = layouts.get(len(flat))
     if layout is None:
-        known = ", ".join(f"{numbers} ({layout.name})" for numbers, layout in sorted(layouts.items()))
+        known = ", ".join(
+            f"{numbers} ({layout.name})" for numbers, layout in sorted(layouts.items())
+        )
         raise BadInput(
-            f"'keypoints' of {where} holds {len(flat)} numbers, but x, y, score of the points of a person are {known}; "
-            "have the detector write one of these layouts."
+            f"'keypoints' of {where} holds {len(flat)} numbers, but x, y, score of the points of a"
+            f" person are {known}; have the detector write one of these layouts."
         )
     return scored_points(flat, layout.points, where), layout
 
@@ -86,26 +106,30 @@ def _scores_of_visibility(visibility: FloatArray, where: str) -> FloatArray:
     for name, value in zip(COCO_17.points, visibility, strict=True):
         if value not in (0, 1, 2):
             raise BadInput(
-                f"the visibility of {name} in {where} is {value:g}, but annotations have 0, 1 or 2; write detections "
-                "with scores as a list of COCO results."
+                f"the visibility of {name} in {where} is {value:g}, but annotations have 0, 1 or 2;"
+                " write detections with scores as a list of COCO results."
             )
     return visibility / 2
 
 
 def _person_categories(document: dict[str, Any], source: str) -> set[object]:
-    """The ids of the categories that are persons; their points must be named in COCO's order where they are named."""
+    """The ids of the categories that are persons; their points must be named in COCO's order where
+    they are named."""
     if document.get("categories") is None:
         return {PERSON}
     persons: set[object] = set()
-    for where, category in _records(sequence(document["categories"], f"'categories' of {source}"), "category", source):
+    for where, category in _records(
+        sequence(document["categories"], f"'categories' of {source}"), "category", source
+    ):
         if category.get("name") != "person" or not isinstance(category.get("id"), int):
             continue
         persons.add(category["id"])
         names = category.get("keypoints")
         if names is not None and names != list(COCO_17.points):
             raise BadInput(
-                f"'keypoints' of {where} are {shown(names)}, not COCO's 17 points in COCO's order; reorder them "
-                f"({COCO_17.points[0]}, {COCO_17.points[1]}, …, {COCO_17.points[-1]})."
+                f"'keypoints' of {where} are {shown(names)}, not COCO's 17 points in COCO's order;"
+                f" reorder them ({COCO_17.points[0]}, {COCO_17.points[1]}, …,"
+                f" {COCO_17.points[-1]})."
             )
     return persons
 
@@ -113,14 +137,21 @@ def _person_categories(document: dict[str, Any], source: str) -> set[object]:
 def _check_category(record: dict[str, Any], persons: set[object], where: str) -> None:
     category = record.get("category_id", PERSON)
     if isinstance(category, bool) or not isinstance(category, int) or category not in persons:
-        raise BadInput(f"{where} is of the category {shown(category)}, which is not a person; keep the persons only.")
+        raise BadInput(
+            f"{where} is of the category {shown(category)}, which is not a person; keep the persons"
+            " only."
+        )
 
 
 def _image_sizes(document: dict[str, Any], source: str) -> dict[str | None, tuple[int, int]]:
     sizes: dict[str | None, tuple[int, int]] = {}
-    for where, image in _records(sequence(document.get("images", []), f"'images' of {source}"), "image", source):
+    for where, image in _records(
+        sequence(document.get("images", []), f"'images' of {source}"), "image", source
+    ):
         if image.get("width") is not None and image.get("height") is not None:
-            width, height = (image_side(image[side], f"'{side}' of {where}") for side in ("width", "height"))
+            width, height = (
+                image_side(image[side], f"'{side}' of {where}") for side in ("width", "height")
+            )
             sizes[image_name(image.get("id"), f"'id' of {where}")] = (width, height)
     sizes.pop(None, None)  # an image without an id is nobody's image
     return sizes

@@ -1,8 +1,7 @@
 """What all readers share: the content of a file, and checked access to JSON values.
 
-A reader takes a `Content` and a threshold and yields `Detection`s one by one; whatever it does not like it refuses with
-`BadInput`, one sentence that names the file, the place and the remedy.
-"""
+A reader takes a `Content` and a threshold and yields `Detection`s one by one; whatever it does not
+like it refuses with `BadInput`, one sentence that names the file, the place and the remedy."""
 
 import json
 import math
@@ -29,9 +28,9 @@ _SPACE = re.compile(r"[ \t\n\r]*")
 class Content:
     """The bytes of one file; `source` names it in messages.
 
-    What the file does not say, the user may: `image_size` (width, height) in pixels, for coordinates that are
-    fractions of it, and `names`, their names of joints → ours (or, in the order of the file, a list).
-    """
+    What the file does not say, the user may: `image_size` (width, height) in pixels, for
+    coordinates that are fractions of it, and `names`, their names of joints → ours (or, in the
+    order of the file, a list)."""
 
     data: bytes
     source: str
@@ -45,20 +44,22 @@ class Content:
             return self.data.decode("utf-8-sig")
         except UnicodeDecodeError as error:
             raise BadInput(
-                f"{self.source} is not UTF-8 text (byte {error.start} is not), nor HDF5 or NumPy's; give a file of 2D "
-                "joints."
+                f"{self.source} is not UTF-8 text (byte {error.start} is not), nor HDF5 or NumPy's;"
+                " give a file of 2D joints."
             ) from None
 
     @cached_property
     def json(self) -> Any:
-        """The document, parsed once. Raises `BadInput` where it is not UTF-8, not JSON, or nested too deeply."""
+        """The document, parsed once. Raises `BadInput` where it is not UTF-8, not JSON, or nested
+        too deeply."""
         text = self.text
         with self._json_failures():
             return json.loads(text)
 
     @cached_property
     def first(self) -> Any:
-        """The document or, where it is an array, its first element alone in a list: enough to recognise a format.
+        """The document or, where it is an array, its first element alone in a list: enough to
+        recognise a format.
 
         None for a file of arrays, which is no text.
         """
@@ -70,11 +71,16 @@ class Content:
             return self.json
         with self._json_failures():
             start = _skip(text, start + 1)
-            return [] if text[start : start + 1] == "]" else [json.JSONDecoder().raw_decode(text, start)[0]]
+            return (
+                []
+                if text[start : start + 1] == "]"
+                else [json.JSONDecoder().raw_decode(text, start)[0]]
+            )
 
     def records(self) -> Iterator[Any]:
-        """The elements of a document that is an array, parsed one by one, so that a long file need not be in memory as
-        objects. Raises `BadInput` as `json` does, at the element where that is found out."""
+        """The elements of a document that is an array, parsed one by one, so that a long file need
+        not be in memory as objects. Raises `BadInput` as `json` does, at the element where that is
+        found out."""
         if not isinstance(self.first, list):
             raise BadInput(f"{self.source} is {shown(self.first)} where a JSON array is needed.")
         text, decoder = self.text, json.JSONDecoder()
@@ -105,15 +111,17 @@ class Content:
             yield
         except json.JSONDecodeError as error:
             raise BadInput(
-                f"{self.source} is not valid JSON: {error.msg} at line {error.lineno}, column {error.colno}; "
-                "check that the file is complete."
+                f"{self.source} is not valid JSON: {error.msg} at line {error.lineno}, column"
+                f" {error.colno}; check that the file is complete."
             ) from None
         except RecursionError:
             raise BadInput(
                 f"{self.source} is nested too deeply for a file of 2D joints; check what wrote it."
             ) from None
         except ValueError:  # an integer of more digits than Python converts
-            raise BadInput(f"{self.source} holds a whole number of thousands of digits; check what wrote it.") from None
+            raise BadInput(
+                f"{self.source} holds a whole number of thousands of digits; check what wrote it."
+            ) from None
 
 
 def _skip(text: str, place: int) -> int:
@@ -123,21 +131,26 @@ def _skip(text: str, place: int) -> int:
 
 
 def skeleton_arrays(rows: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """`(15, 2)` keypoints and `(15,)` scores from (x, y, score) of the joints that are seen, by name."""
+    """`(15, 2)` keypoints and `(15,)` scores from (x, y, score) of the joints that are seen, by
+    name."""
     keypoints, score = np.full((NUM_JOINTS, 2), np.nan), np.zeros(NUM_JOINTS)
     for name, row in rows.items():
         keypoints[JOINT_INDEX[name]], score[JOINT_INDEX[name]] = row[:2], row[2]
     return keypoints, score
 
 
-def at_least_one_joint(detections: list[Detection], source: str, threshold: float) -> list[Detection]:
+def at_least_one_joint(
+    detections: list[Detection], source: str, threshold: float
+) -> list[Detection]:
     """`detections`, unless there is none or nothing is seen in any of them: then `BadInput`."""
     if not detections:
-        raise BadInput(f"{source} has no person in it; choose a frame in which the detector found one.")
+        raise BadInput(
+            f"{source} has no person in it; choose a frame in which the detector found one."
+        )
     if not any(detection.seen.any() for detection in detections):
         raise BadInput(
-            f"no joint of any person in {source} has a score above the threshold {threshold:g}; lower the threshold or "
-            "choose another frame."
+            f"no joint of any person in {source} has a score above the threshold {threshold:g};"
+            " lower the threshold or choose another frame."
         )
     return detections
 
@@ -152,16 +165,28 @@ def number(value: object, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise BadInput(f"{where} is {shown(value)} where a number is needed.")
     if not (abs(value) <= LARGEST_NUMBER):  # compares huge integers without overflow; false for NaN
-        said = "not finite" if isinstance(value, float) and not math.isfinite(value) else f"beyond ±{LARGEST_NUMBER:g}"
-        raise BadInput(f"{where} is {shown(value)}, which is {said}; give a finite number of pixels or score.")
+        said = (
+            "not finite"
+            if isinstance(value, float) and not math.isfinite(value)
+            else f"beyond ±{LARGEST_NUMBER:g}"
+        )
+        raise BadInput(
+            f"{where} is {shown(value)}, which is {said}; give a finite number of pixels or score."
+        )
     return float(value)
 
 
 def scored_point(values: Sequence[object], where: str) -> FloatArray:
     """`(3,)`: x, y (pixels) and a score that is not negative."""
-    x, y, score = (number(value, f"{part} of {where}") for part, value in zip(("x", "y", "score"), values, strict=True))
+    x, y, score = (
+        number(value, f"{part} of {where}")
+        for part, value in zip(("x", "y", "score"), values, strict=True)
+    )
     if score < 0:
-        raise BadInput(f"score of {where} is {score:g}, which is negative; give 0 for a joint that was not detected.")
+        raise BadInput(
+            f"score of {where} is {score:g}, which is negative; give 0 for a joint that was not"
+            " detected."
+        )
     return np.array([x, y, score])
 
 
@@ -174,7 +199,12 @@ def scored_points(values: object, names: Sequence[str], where: str) -> FloatArra
             if (np.abs(points) <= LARGEST_NUMBER).all() and (points[:, 2] >= 0).all():
                 return points
     # Something is wrong: one by one, to name it.
-    return np.array([scored_point(flat[3 * i : 3 * i + 3], f"{name} in {where}") for i, name in enumerate(names)])
+    return np.array(
+        [
+            scored_point(flat[3 * i : 3 * i + 3], f"{name} in {where}")
+            for i, name in enumerate(names)
+        ]
+    )
 
 
 def mapping(value: object, where: str) -> dict[str, Any]:
@@ -204,5 +234,7 @@ def image_side(value: object, where: str) -> int:
     """The width or the height of an image in pixels."""
     side = number(value, where)
     if side <= 0 or side != int(side):
-        raise BadInput(f"{where} is {shown(value)} where a positive whole number of pixels is needed.")
+        raise BadInput(
+            f"{where} is {shown(value)} where a positive whole number of pixels is needed."
+        )
     return int(side)

@@ -1,10 +1,10 @@
-"""DeepLabCut: a table with a row for each frame and x, y, likelihood of freely named body parts; CSV or HDF5.
+"""DeepLabCut: a table with a row for each frame and x, y, likelihood of freely named body parts;
+CSV or HDF5.
 
-Three header rows name scorer, body part and coordinate, four also the individual. Names are matched as people write
-them (`layouts.spoken_name`); others need a map of names. The HDF5 file is a table of pandas, read with h5py alone:
-nothing is unpickled. The labels of its "table" form are pickled text of a kind that is plain to read; any other is
-refused.
-"""
+Three header rows name scorer, body part and coordinate, four also the individual. Names are matched
+as people write them (`layouts.spoken_name`); others need a map of names. The HDF5 file is a table
+of pandas, read with h5py alone: nothing is unpickled. The labels of its "table" form are pickled
+text of a kind that is plain to read; any other is refused."""
 
 import csv
 import io
@@ -24,11 +24,14 @@ from probmodel.skeleton import JOINTS
 
 HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 COORDS = ("x", "y", "likelihood")
-_OPCODE = re.compile(r"V(?P<text>[^\n]*)\n|p(?P<put>\d+)\n|g(?P<get>\d+)\n|(?P<mark>\()|(?P<tuple>t)|[la.]")
+_OPCODE = re.compile(
+    r"V(?P<text>[^\n]*)\n|p(?P<put>\d+)\n|g(?P<get>\d+)\n|(?P<mark>\()|(?P<tuple>t)|[la.]"
+)
 
 
 class Table(NamedTuple):
-    """`individuals` and `parts` name the columns of `values` `(frames, columns, 3)`; `frames` names the rows."""
+    """`individuals` and `parts` name the columns of `values` `(frames, columns, 3)`; `frames` names
+    the rows."""
 
     individuals: list[str]
     parts: list[str]
@@ -57,19 +60,30 @@ def read_csv(content: Content, threshold: float) -> Iterator[Detection]:
         raise BadInput(f"{source} is no table ({error}); check what wrote it.") from None
     header = {row[0]: row for row in takewhile(lambda row: row[0] in HEADERS, rows)}
     if not {"bodyparts", "coords"} <= set(header):
-        raise BadInput(f"{source} has no rows 'bodyparts' and 'coords' under its first; give DeepLabCut's own CSV.")
+        raise BadInput(
+            f"{source} has no rows 'bodyparts' and 'coords' under its first; give DeepLabCut's own"
+            " CSV."
+        )
     body = rows[len(header) :]
     width = len(header["bodyparts"])
     for number, row in enumerate([*header.values(), *body]):
         if len(row) != width:
             raise BadInput(
-                f"row {number + 1} of {source} has {len(row)} cells, but the header {width}; check that it is complete."
+                f"row {number + 1} of {source} has {len(row)} cells, but the header {width}; check"
+                " that it is complete."
             )
     skip = _first_value_column(header["coords"], source)
     labels = {name: row[skip:] for name, row in header.items()}
-    frames = [next((cell for cell in reversed(row[:skip]) if cell), str(index)) for index, row in enumerate(body)]
-    values = np.array([[_cell(cell, f"row {number} of {source}") for cell in row[skip:]]
-                       for number, row in enumerate(body, start=len(header) + 1)])  # fmt: skip
+    frames = [
+        next((cell for cell in reversed(row[:skip]) if cell), str(index))
+        for index, row in enumerate(body)
+    ]
+    values = np.array(
+        [
+            [_cell(cell, f"row {number} of {source}") for cell in row[skip:]]
+            for number, row in enumerate(body, start=len(header) + 1)
+        ]
+    )
     table = _table(labels, frames, values.reshape(len(body), width - skip), source)
     return _people(table, content, threshold)
 
@@ -94,7 +108,9 @@ def read_hdf5(content: Content, threshold: float) -> Iterator[Detection]:
     attributes = arrays.attributes(content)
     group = next((name for name, values in attributes.items() if "pandas_type" in values), None)
     if group is None:
-        raise BadInput(f"{source} holds no table of pandas; give the HDF5 file that DeepLabCut wrote.")
+        raise BadInput(
+            f"{source} holds no table of pandas; give the HDF5 file that DeepLabCut wrote."
+        )
     table = f"{group}/table"
     kind = "values_block_0_kind"
     if kind in attributes.get(table, {}):
@@ -102,18 +118,26 @@ def read_hdf5(content: Content, threshold: float) -> Iterator[Detection]:
         if not {"index", "values_block_0"} <= set(rows.dtype.names or ()):
             raise BadInput(f"{table} of {source} has no columns of numbers; write the CSV instead.")
         labels = _by_level(text_labels(attributes[table][kind], source), source)
-        return _people(_table(labels, _texts(rows["index"]), rows["values_block_0"], source), content, threshold)
+        return _people(
+            _table(labels, _texts(rows["index"]), rows["values_block_0"], source),
+            content,
+            threshold,
+        )
     found = arrays.arrays(content)
-    levels = [name for name in (f"{group}/block0_items_level{i}" for i in range(4)) if name in found]
+    levels = [
+        name for name in (f"{group}/block0_items_level{i}" for i in range(4)) if name in found
+    ]
     if not levels or f"{group}/block0_values" not in found or f"{group}/axis1" not in found:
         raise BadInput(
-            f"{source} is a table of pandas of a form that cannot be read without unpickling; write the CSV instead "
-            "(deeplabcut.analyze_videos_converth5_to_csv)."
+            f"{source} is a table of pandas of a form that cannot be read without unpickling; write"
+            " the CSV instead (deeplabcut.analyze_videos_converth5_to_csv)."
         )
     tuples = zip(*(_level(found, name, source) for name in levels), strict=True)
     values = found[f"{group}/block0_values"]
     labels = _by_level(list(tuples), source)
-    return _people(_table(labels, _texts(found[f"{group}/axis1"]), values, source), content, threshold)
+    return _people(
+        _table(labels, _texts(found[f"{group}/axis1"]), values, source), content, threshold
+    )
 
 
 def _level(found: Mapping[str, np.ndarray], name: str, source: str) -> list[str]:
@@ -121,21 +145,24 @@ def _level(found: Mapping[str, np.ndarray], name: str, source: str) -> list[str]
     if codes is None or codes.dtype.kind not in "iu" or codes.ndim != 1:
         raise BadInput(f"{name} of {source} has no labels; write the CSV instead.")
     if len(codes) and not (codes.min() >= 0 and codes.max() < len(texts)):
-        raise BadInput(f"the labels of {name} of {source} point beyond its names; the file is damaged.")
+        raise BadInput(
+            f"the labels of {name} of {source} point beyond its names; the file is damaged."
+        )
     return [texts[code] for code in codes]
 
 
 def _texts(values: np.ndarray) -> list[str]:
-    return [value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
-            for value in values.ravel().tolist()]  # fmt: skip
+    return [
+        value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
+        for value in values.ravel().tolist()
+    ]
 
 
 def text_labels(text: str, source: str) -> list[tuple[str, ...]]:
     """The tuples of a list of tuples of texts, which pandas writes as a pickle in text form.
 
-    Only the marks of texts, tuples and repetition are known here, and they are looked at, not run: whatever else there
-    is, is refused.
-    """
+    Only the marks of texts, tuples and repetition are known here, and they are looked at, not run:
+    whatever else there is, is refused."""
     place, memo = 0, dict[str, str]()
     tuples: list[tuple[str, ...]] = []
     stack: list[str] = []
@@ -143,7 +170,10 @@ def text_labels(text: str, source: str) -> list[tuple[str, ...]]:
     while place < len(text):
         match = _OPCODE.match(text, place)
         if match is None:
-            raise BadInput(f"the labels of {source} are pickled objects, which are not read; write the CSV instead.")
+            raise BadInput(
+                f"the labels of {source} are pickled objects, which are not read; write the CSV"
+                " instead."
+            )
         place = match.end()
         if match["text"] is not None:
             last = match["text"]
@@ -164,19 +194,29 @@ def _by_level(tuples: list[tuple[str, ...]], source: str) -> dict[str, list[str]
     lengths = {len(labels) for labels in tuples}
     names = {3: ("scorer", "bodyparts", "coords"), 4: HEADERS}.get(max(lengths, default=0))
     if names is None or len(lengths) != 1:
-        raise BadInput(f"the columns of {source} are not named by scorer, body part and coordinate; write the CSV.")
+        raise BadInput(
+            f"the columns of {source} are not named by scorer, body part and coordinate; write the"
+            " CSV."
+        )
     return dict(zip(names, map(list, zip(*tuples, strict=True)), strict=True))
 
 
-def _table(labels: dict[str, list[str]], frames: list[str], values: np.ndarray, source: str) -> Table:
+def _table(
+    labels: dict[str, list[str]], frames: list[str], values: np.ndarray, source: str
+) -> Table:
     values = arrays.plain(values, f"the table of {source}")
     parts, coords = labels["bodyparts"], labels["coords"]
     if values.shape != (len(frames), len(parts)) or not frames:
-        raise BadInput(f"{source} has {len(frames)} frames and {len(parts)} columns but values {values.shape}.")
-    step = 3 if "likelihood" in coords else 2
-    if len(coords) % step or any(coords[i : i + step] != list(COORDS[:step]) for i in range(0, len(coords), step)):
         raise BadInput(
-            f"the columns of {source} do not come as {', '.join(COORDS[:step])}; give DeepLabCut's own file."
+            f"{source} has {len(frames)} frames and {len(parts)} columns but values {values.shape}."
+        )
+    step = 3 if "likelihood" in coords else 2
+    if len(coords) % step or any(
+        coords[i : i + step] != list(COORDS[:step]) for i in range(0, len(coords), step)
+    ):
+        raise BadInput(
+            f"the columns of {source} do not come as {', '.join(COORDS[:step])}; give DeepLabCut's"
+            " own file."
         )
     values = values.reshape(len(frames), -1, step)
     if step == 2:  # labelled by hand
@@ -187,7 +227,10 @@ def _table(labels: dict[str, list[str]], frames: list[str], values: np.ndarray, 
 
 def _people(table: Table, content: Content, threshold: float) -> Iterator[Detection]:
     wanted = list(dict.fromkeys(table.individuals))
-    columns = {name: [i for i, individual in enumerate(table.individuals) if individual == name] for name in wanted}
+    columns = {
+        name: [i for i, individual in enumerate(table.individuals) if individual == name]
+        for name in wanted
+    }
     layouts = {name: _layout([table.parts[i] for i in columns[name]], content) for name in wanted}
     person = 0
     for frame, rows in zip(table.frames, table.values, strict=True):
@@ -195,7 +238,10 @@ def _people(table: Table, content: Content, threshold: float) -> Iterator[Detect
             points = np.array(rows[columns[name]])
             points[~np.isfinite(points).all(axis=1)] = 0.0
             if (points[:, 2] < 0).any():
-                raise BadInput(f"a likelihood in frame {shown(frame)} of {content.source} is negative; give 0 or more.")
+                raise BadInput(
+                    f"a likelihood in frame {shown(frame)} of {content.source} is negative; give 0"
+                    " or more."
+                )
             yield layouts[name].detection(points, threshold, content.source, person, frame)
             person += 1
 
@@ -207,14 +253,19 @@ def _layout(parts: list[str], content: Content) -> Layout:
     elif len(names) == len(parts):
         layout = layout_of_names(list(names))
     else:
-        raise BadInput(f"the list of names has {len(names)}, but {content.source} has {len(parts)} body parts.")
+        raise BadInput(
+            f"the list of names has {len(names)}, but {content.source} has {len(parts)} body parts."
+        )
     doubled = sorted({name for name in layout.points if layout.points.count(name) > 1})
     if doubled:
-        raise BadInput(f"{content.source} has several body parts that are {doubled[0]}; give a map of names (--names).")
+        raise BadInput(
+            f"{content.source} has several body parts that are {doubled[0]}; give a map of names"
+            " (--names)."
+        )
     if not set(layout.points) & set(JOINTS):
         known = ", ".join((*JOINTS, *FACE))
         raise BadInput(
-            f"none of the body parts of {content.source} ({shown(parts)}) is a joint known here; give a map of names "
-            f"(--names names.json) to {known}."
+            f"none of the body parts of {content.source} ({shown(parts)}) is a joint known here;"
+            f" give a map of names (--names names.json) to {known}."
         )
     return layout

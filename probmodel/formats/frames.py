@@ -3,8 +3,8 @@
     for frame in probmodel.read_frames("keypoints/"):
         frame.name, frame.people
 
-Nothing is read before it is asked for, and nothing kept after: a frame is (its name, its people), and may have nobody.
-"""
+Nothing is read before it is asked for, and nothing kept after: a frame is (its name, its people),
+and may have nobody."""
 
 import os
 import re
@@ -25,7 +25,8 @@ _SUFFIX = "_keypoints"
 
 
 class DetectedFrame(NamedTuple):
-    """A frame: its `name` (the image's, a number in the file, or the name of its file) and the `people` found in it."""
+    """A frame: its `name` (the image's, a number in the file, or the name of its file) and the
+    `people` found in it."""
 
     name: str
     people: list[Detection]
@@ -39,29 +40,38 @@ def read_frames(
     image_size: tuple[int, int] | None = None,
     names: Mapping[str, str] | Sequence[str] | None = None,
 ) -> Iterator[DetectedFrame]:
-    """The frames of a folder (sorted by name, numbers by value) or of a file, lazily; arguments as in
-    `read_detections`.
+    """The frames of a folder (sorted by name, numbers by value) or of a file, lazily; arguments as
+    in `read_detections`.
 
-    A folder has one format, told from a few of its files: one frame alone may show too little for that. Raises
-    `BadInput` where there is no file, and, on the way, at the first that cannot be read.
-    """
+    A folder has one format, told from a few of its files: one frame alone may show too little for
+    that. Raises `BadInput` where there is no file, and, on the way, at the first that cannot be
+    read."""
     path = Path(path)
     if not path.is_dir():
         return _frames_of_file(content_of(path, image_size, names), format, threshold)
     files = sorted_files(path)
     if not files:
-        raise BadInput(f"{path} holds no files; give a folder with one file of 2D joints for each frame.")
+        raise BadInput(
+            f"{path} holds no files; give a folder with one file of 2D joints for each frame."
+        )
     chosen = folder_format(files, image_size, names) if format in ("auto", "openpose") else format
     return _frames_of_folder(files, chosen, threshold, image_size, names)
 
 
 def sorted_files(folder: Path) -> list[Path]:
-    """The files of a folder, hidden ones aside, `frame_2` before `frame_10`. Raises `BadInput` where it is closed."""
+    """The files of a folder, hidden ones aside, `frame_2` before `frame_10`. Raises `BadInput`
+    where it is closed."""
     try:
         with os.scandir(folder) as entries:
-            found = [entry.path for entry in entries if not entry.name.startswith(".") and entry.is_file()]
+            found = [
+                entry.path
+                for entry in entries
+                if not entry.name.startswith(".") and entry.is_file()
+            ]
     except OSError as error:
-        raise BadInput(f"{folder} cannot be read ({error.strerror}); check its permissions.") from None
+        raise BadInput(
+            f"{folder} cannot be read ({error.strerror}); check its permissions."
+        ) from None
     return [Path(name) for name in sorted(found, key=_by_number)]
 
 
@@ -74,7 +84,8 @@ def folder_format(
     image_size: tuple[int, int] | None = None,
     names: Mapping[str, str] | Sequence[str] | None = None,
 ) -> str:
-    """The format of a folder's files, by name, from `PROBES` of them; OpenPose's with the order of its 25 points.
+    """The format of a folder's files, by name, from `PROBES` of them; OpenPose's with the order of
+    its 25 points.
 
     Raises `BadInput` where the files are not of one format.
     """
@@ -83,7 +94,9 @@ def folder_format(
     found = {format_of(content).name: content.source for content in contents}
     if len(found) > 1:
         said = ", ".join(f"{source} is {name}" for name, source in found.items())
-        raise BadInput(f"the files of this folder differ in format ({said}); keep one format in a folder.")
+        raise BadInput(
+            f"the files of this folder differ in format ({said}); keep one format in a folder."
+        )
     if set(found) != {"openpose"}:
         return next(iter(found))
     people = [points for content in contents for points in openpose.bodies(content)]
@@ -104,7 +117,9 @@ def _frames_of_folder(
         yield from _frames_of_file(content_of(file, image_size, names), format, threshold)
 
 
-def _frames_of_file(content: Content, format: str, threshold: float | None) -> Iterator[DetectedFrame]:
+def _frames_of_file(
+    content: Content, format: str, threshold: float | None
+) -> Iterator[DetectedFrame]:
     people = people_of(content, format_of(content, format), threshold)
     stem = Path(content.source).stem.removesuffix(_SUFFIX)
     nobody = True

@@ -1,11 +1,12 @@
-"""Stacked Hourglass and other heatmap networks: arrays of heatmaps, or of the points that were found in them.
+"""Stacked Hourglass and other heatmap networks: arrays of heatmaps, or of the points that were
+found in them.
 
     heatmaps   (J, H, W) or (n, J, H, W); .npy, or an array of that name in .npz or HDF5
     preds      (n, J, 2) or (n, J, 3): x, y (pixels of the image) and perhaps a score; .npz or HDF5
 
-Beside them may stand `center` `(n, 2)` and `scale` `(n,)` (MPII's; the box is 200 · scale wide) or `box` `(n, 4)` (x,
-y, width, height), and `layout`, a name of `layouts.LAYOUTS`. Sixteen channels are MPII's, seventeen COCO's.
-"""
+Beside them may stand `center` `(n, 2)` and `scale` `(n,)` (MPII's; the box is 200 · scale wide) or
+`box` `(n, 4)` (x, y, width, height), and `layout`, a name of `layouts.LAYOUTS`. Sixteen channels
+are MPII's, seventeen COCO's."""
 
 from collections.abc import Iterator, Mapping
 
@@ -18,7 +19,9 @@ from probmodel.formats.common import Content
 from probmodel.heatmaps import Crop, Decoded, decode
 from probmodel.layouts import COCO_17, HALPE_26, HALPE_136, LAYOUTS, MPII_16, WHOLEBODY_133, Layout
 
-BY_COUNT = {layout.count: layout for layout in (MPII_16, COCO_17, HALPE_26, WHOLEBODY_133, HALPE_136)}
+BY_COUNT = {
+    layout.count: layout for layout in (MPII_16, COCO_17, HALPE_26, WHOLEBODY_133, HALPE_136)
+}
 """Layouts by their number of channels, where the file does not name one."""
 _BESIDE = ["center", "scale", "box", "layout"]
 
@@ -44,13 +47,19 @@ def decoded_heatmaps(content: Content, threshold: float) -> Iterator[Decoded]:
     maps = found.get("heatmaps", found.get(""))
     if maps is None or maps.ndim not in (3, 4):
         shape = "none" if maps is None else str(maps.shape)
-        raise BadInput(f"{content.source} holds no heatmaps (joints, height, width) but {shape}; save them so.")
+        raise BadInput(
+            f"{content.source} holds no heatmaps (joints, height, width) but {shape}; save them so."
+        )
     maps = maps[None] if maps.ndim == 3 else maps
     layout = _layout(found, maps.shape[1], content.source)
-    for person, (heatmaps, crop) in enumerate(zip(maps, _crops(found, len(maps), content.source), strict=True)):
+    for person, (heatmaps, crop) in enumerate(
+        zip(maps, _crops(found, len(maps), content.source), strict=True)
+    ):
         where = f"person {person} of {content.source}"
         values = arrays.plain(heatmaps, f"the heatmaps of {where}")
-        decoded = decode(values, layout, crop, threshold=threshold, source=content.source, person=person)
+        decoded = decode(
+            values, layout, crop, threshold=threshold, source=content.source, person=person
+        )
         yield decoded
 
 
@@ -62,15 +71,22 @@ def read_points(content: Content, threshold: float) -> Iterator[Detection]:
     points = arrays.plain(found["preds"], f"'preds' of {content.source}")
     points = points[None] if points.ndim == 2 else points
     if points.ndim != 3 or points.shape[2] not in (2, 3):
-        raise BadInput(f"'preds' of {content.source} has the shape {points.shape}, not (people, joints, 2 or 3).")
+        raise BadInput(
+            f"'preds' of {content.source} has the shape {points.shape}, not (people, joints, 2"
+            " or 3)."
+        )
     layout = _layout(found, points.shape[1], content.source)
     for person, rows in enumerate(points):
-        yield layout.detection(scored(rows, f"person {person} of {content.source}"), threshold, content.source, person)
+        yield layout.detection(
+            scored(rows, f"person {person} of {content.source}"), threshold, content.source, person
+        )
 
 
 def scored(rows: FloatArray, where: str) -> FloatArray:
     """`(J, 3)` rows of x, y, score: score 1 where `rows` has none, 0 where a number is missing."""
-    points = np.column_stack([rows[:, :2], rows[:, 2] if rows.shape[1] == 3 else np.ones(len(rows))])
+    points = np.column_stack(
+        [rows[:, :2], rows[:, 2] if rows.shape[1] == 3 else np.ones(len(rows))]
+    )
     points[np.isnan(points).any(axis=1)] = 0.0
     if (points[:, 2] < 0).any():
         raise BadInput(f"a score of {where} is negative; give 0 for a joint that was not detected.")
@@ -78,12 +94,20 @@ def scored(rows: FloatArray, where: str) -> FloatArray:
 
 
 def _layout(found: Mapping[str, np.ndarray], count: int, source: str) -> Layout:
-    layout = BY_COUNT.get(count) if "layout" not in found else LAYOUTS.get(arrays.first_text(found["layout"]))
+    layout = (
+        BY_COUNT.get(count)
+        if "layout" not in found
+        else LAYOUTS.get(arrays.first_text(found["layout"]))
+    )
     if layout is None or layout.count != count:
-        named = f"'layout' {arrays.first_text(found['layout'])!r}" if "layout" in found else "no 'layout'"
+        named = (
+            f"'layout' {arrays.first_text(found['layout'])!r}"
+            if "layout" in found
+            else "no 'layout'"
+        )
         raise BadInput(
-            f"{source} has {count} joints and {named}; add an array 'layout' with one of {', '.join(LAYOUTS)} that "
-            f"fits."
+            f"{source} has {count} joints and {named}; add an array 'layout' with one of"
+            f" {', '.join(LAYOUTS)} that fits."
         )
     return layout
 
@@ -94,16 +118,27 @@ def _crops(found: Mapping[str, np.ndarray], count: int, source: str) -> list[Cro
         box = _beside(found, "box", (count, 4), source)
         return [Crop(row[:2], row[2:]) for row in box]
     if "center" in found and "scale" in found:
-        centre, scale = _beside(found, "center", (count, 2), source), _beside(found, "scale", (count,), source)
-        return [Crop.around(middle, float(size)) for middle, size in zip(centre, scale, strict=True)]
+        centre, scale = (
+            _beside(found, "center", (count, 2), source),
+            _beside(found, "scale", (count,), source),
+        )
+        return [
+            Crop.around(middle, float(size)) for middle, size in zip(centre, scale, strict=True)
+        ]
     return [None] * count
 
 
-def _beside(found: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...], source: str) -> FloatArray:
+def _beside(
+    found: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...], source: str
+) -> FloatArray:
     values = arrays.plain(found[name], f"'{name}' of {source}")
     if values.size != np.prod(shape) or not np.isfinite(values).all():
-        raise BadInput(f"'{name}' of {source} has the shape {values.shape}, not {shape}, or is not finite.")
+        raise BadInput(
+            f"'{name}' of {source} has the shape {values.shape}, not {shape}, or is not finite."
+        )
     sizes = {"box": values.reshape(shape)[..., 2:], "scale": values}.get(name, np.ones(1))
     if not (sizes > 0).all():
-        raise BadInput(f"'{name}' of {source} holds a size that is not positive; give pixels of the image.")
+        raise BadInput(
+            f"'{name}' of {source} holds a size that is not positive; give pixels of the image."
+        )
     return values.reshape(shape)

@@ -7,9 +7,9 @@ MediaPipe has no file of its own; people write one of these, and all are read:
     landmarks { landmark { x: … visibility: … } … }            the text form of its protobuf, one `landmarks` a person
     a table (CSV) with 33 rows of x, y, z, visibility, or with a row for each frame and columns in the landmarks' order
 
-Pixels are fractions × image size, so the size must be known. A visibility outside [0, 1] is a logit; the file's are
-then all turned into probabilities. One up to 1/2 counts as not seen, unless another threshold is given.
-"""
+Pixels are fractions × image size, so the size must be known. A visibility outside [0, 1] is a
+logit; the file's are then all turned into probabilities. One up to 1/2 counts as not seen, unless
+another threshold is given."""
 
 import csv
 import io
@@ -30,7 +30,8 @@ THRESHOLD = 0.5
 WRAPPINGS = ("landmarks", "pose_landmarks", "poseLandmarks")
 _FIELDS = ("x", "y", "visibility")
 _FARTHEST = 10.0
-"""Fractions beyond this are pixels that someone converted already: joints do not lie ten images away."""
+"""Fractions beyond this are pixels that someone converted already: joints do not lie ten images
+away."""
 _BLOCK = re.compile(r"\b(?P<name>\w+)\s*\{|(?P<close>\})|(?P<field>\w+)\s*:\s*(?P<value>[^\s{}]+)")
 
 
@@ -54,7 +55,9 @@ def recognises_text(content: Content) -> bool:
 def recognises_table(content: Content) -> bool:
     """A header with x, y and visibility (or one of each for every landmark) in its first line."""
     header = _header(content)
-    return ("x" in header and "y" in header and "visibility" in header) or len(_wide_columns(header)) == 33
+    return ("x" in header and "y" in header and "visibility" in header) or len(
+        _wide_columns(header)
+    ) == 33
 
 
 def read_json(content: Content, threshold: float) -> Iterator[Detection]:
@@ -63,12 +66,17 @@ def read_json(content: Content, threshold: float) -> Iterator[Detection]:
     if isinstance(document, dict):
         key = next((key for key in WRAPPINGS if key in document), None)
         if key is None:
-            raise BadInput(f"{content.source} has none of {', '.join(WRAPPINGS)}; give MediaPipe's landmarks.")
+            raise BadInput(
+                f"{content.source} has none of {', '.join(WRAPPINGS)}; give MediaPipe's landmarks."
+            )
         document = document[key]
     people = sequence(document, f"the landmarks of {content.source}")
     if people and isinstance(people[0], dict):
         people = [people]
-    rows = [_landmarks(value, f"person {person} of {content.source}") for person, value in enumerate(people)]
+    rows = [
+        _landmarks(value, f"person {person} of {content.source}")
+        for person, value in enumerate(people)
+    ]
     return _detections(content, [(None, row) for row in rows], threshold)
 
 
@@ -79,19 +87,32 @@ def read_text(content: Content, threshold: float) -> Iterator[Detection]:
     for match in _BLOCK.finditer(re.sub(r"#[^\n]*", "", content.text)):
         if name := match["name"]:
             path.append(name)
-            if name in ("landmarks", "landmark_list") or (name == "landmark" and len(path) == 1 and not people):
+            if name in ("landmarks", "landmark_list") or (
+                name == "landmark" and len(path) == 1 and not people
+            ):
                 people.append([])
             if name == "landmark" and people:
                 people[-1].append({"x": 0, "y": 0})  # what protobuf leaves out is zero
         elif match["close"]:
             if not path:
-                raise BadInput(f"{content.source} closes a block that was never opened; check that it is complete.")
+                raise BadInput(
+                    f"{content.source} closes a block that was never opened; check that it is"
+                    " complete."
+                )
             path.pop()
         elif path and path[-1] == "landmark" and people:
-            people[-1][-1][match["field"]] = _float(match["value"], f"{shown(match['field'])} of {content.source}")
+            people[-1][-1][match["field"]] = _float(
+                match["value"], f"{shown(match['field'])} of {content.source}"
+            )
     if path:
-        raise BadInput(f"{content.source} ends inside a block {shown(path[-1])}; check that the file is complete.")
-    rows = [_landmarks(value, f"person {person} of {content.source}") for person, value in enumerate(people)]
+        raise BadInput(
+            f"{content.source} ends inside a block {shown(path[-1])}; check that the file is"
+            " complete."
+        )
+    rows = [
+        _landmarks(value, f"person {person} of {content.source}")
+        for person, value in enumerate(people)
+    ]
     return _detections(content, [(None, row) for row in rows], threshold)
 
 
@@ -109,12 +130,15 @@ def read_table(content: Content, threshold: float) -> Iterator[Detection]:
             people.append((str(index), _cells(line, wide, f"row {index + 2} of {content.source}")))
     else:
         if not set(_FIELDS) <= set(header):
-            raise BadInput(f"the first line of {content.source} does not name x, y and visibility; write a header.")
+            raise BadInput(
+                f"the first line of {content.source} does not name x, y and visibility; write a"
+                " header."
+            )
         columns = [header.index(name) for name in _FIELDS]
         if not lines or len(lines) % MEDIAPIPE_33.count:
             raise BadInput(
-                f"{content.source} has {len(lines)} rows of landmarks where a multiple of {MEDIAPIPE_33.count} is "
-                "needed; check that the file is complete."
+                f"{content.source} has {len(lines)} rows of landmarks where a multiple of"
+                f" {MEDIAPIPE_33.count} is needed; check that the file is complete."
             )
         for start in range(0, len(lines), MEDIAPIPE_33.count):
             part = lines[start : start + MEDIAPIPE_33.count]
@@ -122,7 +146,9 @@ def read_table(content: Content, threshold: float) -> Iterator[Detection]:
                 _cells(line, [columns], f"row {start + row + 2} of {content.source}")[0]
                 for row, line in enumerate(part)
             ]
-            people.append((None if len(lines) == MEDIAPIPE_33.count else str(start // 33), np.array(cells)))
+            people.append(
+                (None if len(lines) == MEDIAPIPE_33.count else str(start // 33), np.array(cells))
+            )
     return _detections(content, people, threshold)
 
 
@@ -132,8 +158,8 @@ def _header(content: Content) -> list[str]:
 
 
 def _wide_columns(header: list[str]) -> list[list[int]]:
-    """The columns of x, y, visibility of each landmark, where the header has them in groups that look alike: x0, y0,
-    z0, v0 or nose_x, nose_y, nose_z, nose_visibility."""
+    """The columns of x, y, visibility of each landmark, where the header has them in groups that
+    look alike: x0, y0, z0, v0 or nose_x, nose_y, nose_z, nose_visibility."""
     columns: dict[str, list[int]] = {"x": [], "y": [], "v": []}
     for index, name in enumerate(header):
         kind = re.sub(r"[\d_.\s]", "", name)
@@ -148,7 +174,10 @@ def _wide_columns(header: list[str]) -> list[list[int]]:
 
 def _cells(line: list[str], columns: list[list[int]], where: str) -> FloatArray:
     if len(line) <= max(map(max, columns)):
-        raise BadInput(f"{where} has {len(line)} cells, fewer than its header; check that the file is complete.")
+        raise BadInput(
+            f"{where} has {len(line)} cells, fewer than its header; check that the file is"
+            " complete."
+        )
     return np.array([[_float(line[column], where) for column in group] for group in columns])
 
 
@@ -166,33 +195,45 @@ def _landmarks(value: object, where: str) -> FloatArray:
     landmarks = sequence(value, where)
     if len(landmarks) != MEDIAPIPE_33.count:
         raise BadInput(
-            f"{where} has {len(landmarks)} landmarks where {MEDIAPIPE_33.count} are needed; give all of MediaPipe's "
-            "pose landmarks."
+            f"{where} has {len(landmarks)} landmarks where {MEDIAPIPE_33.count} are needed; give"
+            " all of MediaPipe's pose landmarks."
         )
     rows = []
     for name, landmark in zip(MEDIAPIPE_33.points, landmarks, strict=True):
         fields = mapping(landmark, f"{name} in {where}")
-        rows.append([number(fields.get(field, 1.0 if field == "visibility" else None), f"{field} of {name} in {where}")
-                     for field in _FIELDS])  # fmt: skip
+        rows.append(
+            [
+                number(
+                    fields.get(field, 1.0 if field == "visibility" else None),
+                    f"{field} of {name} in {where}",
+                )
+                for field in _FIELDS
+            ]
+        )
     return np.array(rows)
 
 
-def _detections(content: Content, people: list[tuple[str | None, FloatArray]], threshold: float) -> Iterator[Detection]:
+def _detections(
+    content: Content, people: list[tuple[str | None, FloatArray]], threshold: float
+) -> Iterator[Detection]:
     if not people:
         return
     if content.image_size is None:
         raise BadInput(
-            f"the coordinates of {content.source} are fractions of an image whose size the file does not say; give the "
-            "image (--image), or its size (--image-size 640x480)."
+            f"the coordinates of {content.source} are fractions of an image whose size the file"
+            " does not say; give the image (--image), or its size (--image-size 640x480)."
         )
     visibility = np.stack([rows[:, 2] for _, rows in people])
     logits = bool(((visibility < 0) | (visibility > 1)).any())
     for person, (frame, rows) in enumerate(people):
         if (np.abs(rows[:, :2]) > _FARTHEST).any():
             raise BadInput(
-                f"person {person} of {content.source} has a landmark at {np.abs(rows[:, :2]).max():g} images from the "
-                "corner; MediaPipe's coordinates are fractions of the image, so leave them as they are."
+                f"person {person} of {content.source} has a landmark at"
+                f" {np.abs(rows[:, :2]).max():g} images from the corner; MediaPipe's coordinates"
+                " are fractions of the image, so leave them as they are."
             )
         score = expit(rows[:, 2]) if logits else rows[:, 2]
         points = np.column_stack([rows[:, :2] * content.image_size, score])
-        yield MEDIAPIPE_33.detection(points, threshold, content.source, person, frame, content.image_size)
+        yield MEDIAPIPE_33.detection(
+            points, threshold, content.source, person, frame, content.image_size
+        )

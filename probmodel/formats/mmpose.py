@@ -4,10 +4,9 @@
     {"meta_info": {"dataset_name": "coco", "keypoint_id2name": {"0": "nose", …}},
      "instance_info": [instance, …]  or  [{"frame_id": 0, "instances": [instance, …]}, …]}       demo scripts
 
-The layout stands in `meta_info`: by the name of the data set or by the names of the points. A file without it is told
-by its number of points, where only one layout has that many. Scores of SimCC heads may exceed 1; only their proportions
-matter.
-"""
+The layout stands in `meta_info`: by the name of the data set or by the names of the points. A file
+without it is told by its number of points, where only one layout has that many. Scores of SimCC
+heads may exceed 1; only their proportions matter."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -16,7 +15,15 @@ import numpy as np
 
 from probmodel.detections import Detection, FloatArray
 from probmodel.failures import BadInput
-from probmodel.formats.common import Content, image_name, mapping, number, scored_point, sequence, shown
+from probmodel.formats.common import (
+    Content,
+    image_name,
+    mapping,
+    number,
+    scored_point,
+    sequence,
+    shown,
+)
 from probmodel.layouts import (
     AIC_14,
     COCO_17,
@@ -28,19 +35,29 @@ from probmodel.layouts import (
     WHOLEBODY_133,
     Layout,
     layout_of_names,
-)  # fmt: skip
+)
 
 DATASETS = {
-    "coco": COCO_17, "h36m": H36M_17, "mpii": MPII_16, "halpe26": HALPE_26, "halpe": HALPE_136,
-    "coco_wholebody": WHOLEBODY_133, "crowdpose": CROWDPOSE_14, "aic": AIC_14,
-}  # fmt: skip
+    "coco": COCO_17,
+    "h36m": H36M_17,
+    "mpii": MPII_16,
+    "halpe26": HALPE_26,
+    "halpe": HALPE_136,
+    "coco_wholebody": WHOLEBODY_133,
+    "crowdpose": CROWDPOSE_14,
+    "aic": AIC_14,
+}
 """Layouts by the data set's name in `meta_info`; any other is read by the names of its points."""
-BY_COUNT = {layout.count: layout for layout in (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)}
-"""Layouts of files without `meta_info`. 17 points are COCO's, which the models of 2D joints have."""
+BY_COUNT = {
+    layout.count: layout for layout in (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)
+}
+"""Layouts of files without `meta_info`. 17 points are COCO's, which the models of 2D joints
+have."""
 
 
 def recognises(content: Content) -> bool:
-    """An object with `instance_info`, or a list (empty lists are not ours) of objects with `keypoint_scores`."""
+    """An object with `instance_info`, or a list (empty lists are not ours) of objects with
+    `keypoint_scores`."""
     document = content.first
     if isinstance(document, dict):
         return "instance_info" in document
@@ -54,7 +71,9 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
     if isinstance(content.first, dict):
         document = content.first
         layout = _layout(document.get("meta_info"), content.source)
-        records = iter(sequence(document.get("instance_info"), f"'instance_info' of {content.source}"))
+        records = iter(
+            sequence(document.get("instance_info"), f"'instance_info' of {content.source}")
+        )
     for person, (frame, instance) in enumerate(_instances(records, content.source)):
         where = f"person {person} of {content.source}"
         points, fitting = _points(mapping(instance, where), layout, where)
@@ -88,7 +107,8 @@ def _layout(meta: object, source: str) -> Layout | None:
     ordered = [table.get(str(index)) for index in range(len(table))]
     if not all(isinstance(value, str) for value in ordered):
         raise BadInput(
-            f"'keypoint_id2name' of {source} does not name the points 0 to {len(table) - 1}; check what wrote it."
+            f"'keypoint_id2name' of {source} does not name the points 0 to {len(table) - 1}; check"
+            " what wrote it."
         )
     return layout_of_names([str(value) for value in ordered])
 
@@ -99,11 +119,19 @@ def _points(record: dict[str, Any], layout: Layout | None, where: str) -> tuple[
     layout = layout or BY_COUNT.get(len(xy))
     if layout is None or layout.count != len(xy):
         needed = f"{layout.count} ({layout.name})" if layout else " or ".join(map(str, BY_COUNT))
-        raise BadInput(f"'keypoints' of {where} holds {len(xy)} points where {needed} are needed; keep 'meta_info'.")
+        raise BadInput(
+            f"'keypoints' of {where} holds {len(xy)} points where {needed} are needed; keep"
+            " 'meta_info'."
+        )
     if len(scores) != len(xy):
-        raise BadInput(f"{where} has {len(xy)} keypoints but {len(scores)} scores; check what wrote it.")
+        raise BadInput(
+            f"{where} has {len(xy)} keypoints but {len(scores)} scores; check what wrote it."
+        )
     points = zip(layout.points, xy, scores, strict=True)
-    return np.array([_row(place, score, f"{name} in {where}") for name, place, score in points]), layout
+    return (
+        np.array([_row(place, score, f"{name} in {where}") for name, place, score in points]),
+        layout,
+    )
 
 
 def _row(xy: object, score: object, where: str) -> FloatArray:

@@ -4,9 +4,8 @@
      "people": [{"keypoints": {"right_knee": [x, y, score], …}, "image_id": "785", "image_size": [640, 425],
                  "face": {"nose": [x, y, score], …}}]}
 
-A joint that is not there was not seen; without a "face", the detector has no points of it. Other keys (a `truth`, say)
-are left alone.
-"""
+A joint that is not there was not seen; without a "face", the detector has no points of it. Other
+keys (a `truth`, say) are left alone."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -25,7 +24,7 @@ from probmodel.formats.common import (
     sequence,
     shown,
     skeleton_arrays,
-)  # fmt: skip
+)
 from probmodel.skeleton import JOINTS
 
 FORMAT, VERSION, LAYOUT = "poseterior-detections", 1, "poseterior"
@@ -42,11 +41,14 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
     document = mapping(content.json, source)
     if document.get("format") != FORMAT:
         raise BadInput(
-            f"'format' of {source} is {shown(document.get('format'))}, not '{FORMAT}'; choose --format auto."
+            f"'format' of {source} is {shown(document.get('format'))}, not '{FORMAT}'; choose"
+            " --format auto."
         )
     version = document.get("version")
     if isinstance(version, bool) or version != VERSION:
-        raise BadInput(f"'version' of {source} is {shown(version)}, but version {VERSION} is what can be read.")
+        raise BadInput(
+            f"'version' of {source} is {shown(version)}, but version {VERSION} is what can be read."
+        )
     people = sequence(document.get("people"), f"'people' of {source}")
     for person, value in enumerate(people):
         yield _person(value, person, source, threshold)
@@ -73,7 +75,9 @@ def _record(detection: Detection) -> dict[str, Any]:
     }
 
 
-def _rows_by_name(names: Sequence[str], xy: FloatArray, score: FloatArray) -> dict[str, list[float]]:
+def _rows_by_name(
+    names: Sequence[str], xy: FloatArray, score: FloatArray
+) -> dict[str, list[float]]:
     rows = zip(names, xy.tolist(), score.tolist(), strict=True)
     return {name: [*place, value] for name, place, value in rows if value > 0}
 
@@ -82,7 +86,9 @@ def _person(value: object, person: int, source: str, threshold: float) -> Detect
     where = f"person {person} of {source}"
     record = mapping(value, where)
     rows = _points(record.get("keypoints"), "keypoints", JOINTS, where)
-    keypoints, score = skeleton_arrays({name: row for name, row in rows.items() if row[2] > threshold})
+    keypoints, score = skeleton_arrays(
+        {name: row for name, row in rows.items() if row[2] > threshold}
+    )
     image = image_name(record.get("image_id"), f"'image_id' of {where}")
     size, face = _size(record.get("image_size"), where), _face(record.get("face"), where, threshold)
     return Detection(keypoints, score, LAYOUT, source, person, image, size, face)
@@ -103,7 +109,9 @@ def _points(value: object, key: str, names: Sequence[str], where: str) -> dict[s
     for name, values in mapping(value, f"'{key}' of {where}").items():
         if name not in names:
             kind = "joint" if key == "keypoints" else "point of the face"
-            raise BadInput(f"{where} has a {kind} {shown(name)}, which is none of {', '.join(names)}.")
+            raise BadInput(
+                f"{where} has a {kind} {shown(name)}, which is none of {', '.join(names)}."
+            )
         if len(sequence(values, f"{name} of {where}")) != 3:
             raise BadInput(f"{name} of {where} is {shown(values)} where [x, y, score] is needed.")
         rows[name] = scored_point(values, f"{name} in {where}")
@@ -115,6 +123,8 @@ def _size(value: object, where: str) -> tuple[int, int] | None:
         return None
     sides = sequence(value, f"'image_size' of {where}")
     if len(sides) != 2:
-        raise BadInput(f"'image_size' of {where} is {shown(value)} where [width, height] is needed.")
+        raise BadInput(
+            f"'image_size' of {where} is {shown(value)} where [width, height] is needed."
+        )
     width, height = (image_side(side, f"'image_size' of {where}") for side in sides)
     return width, height

@@ -1,8 +1,9 @@
-"""OpenPose: one JSON file a frame, each person a flat list of x, y, score; a point that was not found is 0, 0, 0.
+"""OpenPose: one JSON file a frame, each person a flat list of x, y, score; a point that was not
+found is 0, 0, 0.
 
-The file does not say which model wrote it. Eighteen points are COCO-18; twenty-five are BODY_25, the usual model, or
-BODY_25B, whose order differs: `body_order` tells them apart by the lengths of the bones, and refuses where it cannot.
-"""
+The file does not say which model wrote it. Eighteen points are COCO-18; twenty-five are BODY_25,
+the usual model, or BODY_25B, whose order differs: `body_order` tells them apart by the lengths of
+the bones, and refuses where it cannot."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -19,31 +20,51 @@ KEYS = ("pose_keypoints_2d", "pose_keypoints")
 """Where a person's points stand; the second is OpenPose 1.0's."""
 
 _SIDED = (
-    ("nose", "*_eye", 4.5), ("*_eye", "*_ear", 9), ("*_shoulder", "*_elbow", 28), ("*_elbow", "*_wrist", 25),
-    ("*_hip", "*_knee", 42), ("*_knee", "*_ankle", 42), ("*_shoulder", "*_hip", 50), ("*_ankle", "*_heel", 8),
-    ("*_ankle", "*_big_toe", 17), ("*_big_toe", "*_small_toe", 8), ("thorax", "*_shoulder", 17),
-    ("pelvis", "*_hip", 11), ("upper_neck", "*_shoulder", 20),
-)  # fmt: skip
-_MIDDLE = (
-    ("left_shoulder", "right_shoulder", 34.0), ("left_hip", "right_hip", 22.0), ("thorax", "nose", 25.0),
-    ("upper_neck", "head", 26.0), ("upper_neck", "nose", 15.0), ("head", "nose", 18.0),
-)  # fmt: skip
-BONES_CM = _MIDDLE + tuple(
-    (a.replace("*", side), b.replace("*", side), float(cm)) for a, b, cm in _SIDED for side in ("left", "right")
+    ("nose", "*_eye", 4.5),
+    ("*_eye", "*_ear", 9),
+    ("*_shoulder", "*_elbow", 28),
+    ("*_elbow", "*_wrist", 25),
+    ("*_hip", "*_knee", 42),
+    ("*_knee", "*_ankle", 42),
+    ("*_shoulder", "*_hip", 50),
+    ("*_ankle", "*_heel", 8),
+    ("*_ankle", "*_big_toe", 17),
+    ("*_big_toe", "*_small_toe", 8),
+    ("thorax", "*_shoulder", 17),
+    ("pelvis", "*_hip", 11),
+    ("upper_neck", "*_shoulder", 20),
 )
-"""Pairs of points and their usual distance on an adult; it only has to be right enough to tell two orders apart."""
+_MIDDLE = (
+    ("left_shoulder", "right_shoulder", 34.0),
+    ("left_hip", "right_hip", 22.0),
+    ("thorax", "nose", 25.0),
+    ("upper_neck", "head", 26.0),
+    ("upper_neck", "nose", 15.0),
+    ("head", "nose", 18.0),
+)
+BONES_CM = _MIDDLE + tuple(
+    (a.replace("*", side), b.replace("*", side), float(cm))
+    for a, b, cm in _SIDED
+    for side in ("left", "right")
+)
+"""Pairs of points and their usual distance on an adult; it only has to be right enough to tell two
+orders apart."""
 
 MIN_BONES, MIN_EVIDENCE = 8, 0.3
 """A person with fewer bones does not count; evidence below this is no evidence.
 
-Chosen on 9600 motion-capture poses seen from random sides, half in either order, with points dropped at random: none
-was read in the wrong order, and 3 of 100 with enough bones were left open. The people of real files have 1.3 and more.
-"""
+Chosen on 9600 motion-capture poses seen from random sides, half in either order, with points
+dropped at random: none was read in the wrong order, and 3 of 100 with enough bones were left open.
+The people of real files have 1.3 and more. """
 
 
 def recognises(content: Content) -> bool:
     """An object with `people` and no `format` of another's."""
-    return isinstance(content.first, dict) and "people" in content.first and "format" not in content.first
+    return (
+        isinstance(content.first, dict)
+        and "people" in content.first
+        and "format" not in content.first
+    )
 
 
 def read(content: Content, threshold: float) -> Iterator[Detection]:
@@ -51,7 +72,9 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
     people = _flat_lists(content)
     found = bodies(content)
     body = body_order(found, content.source) if found else BODY_25
-    return _detections(content, [body if len(flat) == 3 * body.count else COCO_18 for _, flat in people], threshold)
+    return _detections(
+        content, [body if len(flat) == 3 * body.count else COCO_18 for _, flat in people], threshold
+    )
 
 
 def reader(layout: Layout) -> Callable[[Content, float], Iterator[Detection]]:
@@ -66,15 +89,15 @@ def reader(layout: Layout) -> Callable[[Content, float], Iterator[Detection]]:
 def body_order(people: list[FloatArray], source: str) -> Layout:
     """`BODY_25` or `BODY_25B`, whichever makes the people in `(25, 3)` points look more human.
 
-    In the right order, all bones have about their usual length up to one scale; in the wrong one, some cross the whole
-    body and others vanish. The evidence of a person is the logarithm of the ratio of the two coefficients of variation
-    of length over usual length. Raises `BadInput` where it does not suffice.
-    """
+    In the right order, all bones have about their usual length up to one scale; in the wrong one,
+    some cross the whole body and others vanish. The evidence of a person is the logarithm of the
+    ratio of the two coefficients of variation of length over usual length. Raises `BadInput` where
+    it does not suffice."""
     evidence = order_evidence(people)
     if abs(evidence) < MIN_EVIDENCE:
         raise BadInput(
-            f"{source} has 25 points a person, but too few are seen to tell BODY_25 from BODY_25B; choose "
-            "--format openpose-body25 or openpose-body25b."
+            f"{source} has 25 points a person, but too few are seen to tell BODY_25 from BODY_25B;"
+            " choose --format openpose-body25 or openpose-body25b."
         )
     return BODY_25 if evidence > 0 else BODY_25B
 
@@ -86,7 +109,11 @@ def order_evidence(people: list[FloatArray]) -> float:
 
 def bodies(content: Content) -> list[FloatArray]:
     """The people of 25 points, `(25, 3)` each."""
-    return [_points(flat, BODY_25, where) for where, flat in _flat_lists(content) if len(flat) == 3 * BODY_25.count]
+    return [
+        _points(flat, BODY_25, where)
+        for where, flat in _flat_lists(content)
+        if len(flat) == 3 * BODY_25.count
+    ]
 
 
 def _evidence(points: FloatArray) -> float:
@@ -117,7 +144,9 @@ def _flat_list(value: object, where: str) -> tuple[str, list[Any]]:
     for key in KEYS:
         if key in person:
             return where, sequence(person[key], f"'{key}' of {where}")
-    raise BadInput(f"{where} has neither '{KEYS[0]}' nor '{KEYS[1]}'; give OpenPose's JSON of the body.")
+    raise BadInput(
+        f"{where} has neither '{KEYS[0]}' nor '{KEYS[1]}'; give OpenPose's JSON of the body."
+    )
 
 
 def _points(flat: list[Any], layout: Layout, where: str) -> FloatArray:
@@ -125,14 +154,19 @@ def _points(flat: list[Any], layout: Layout, where: str) -> FloatArray:
         known = {name: 3 * count for name, count in (("BODY_25", 25), ("COCO-18", 18))}
         if len(flat) in known.values():
             raise BadInput(
-                f"{where} has {len(flat)} numbers of the body where {3 * layout.count} are expected, as in "
-                f"{layout.name}; read files of different layouts apart, or choose the --format."
+                f"{where} has {len(flat)} numbers of the body where {3 * layout.count} are"
+                f" expected, as in {layout.name}; read files of different layouts apart, or choose"
+                " the --format."
             )
         said = " or ".join(f"{numbers} ({name})" for name, numbers in known.items())
-        raise BadInput(f"{where} has {len(flat)} numbers of the body where {said} are needed; run OpenPose so.")
+        raise BadInput(
+            f"{where} has {len(flat)} numbers of the body where {said} are needed; run OpenPose so."
+        )
     return scored_points(flat, layout.points, where)
 
 
 def _detections(content: Content, layouts: list[Layout], threshold: float) -> Iterator[Detection]:
-    for person, ((where, flat), layout) in enumerate(zip(_flat_lists(content), layouts, strict=True)):
+    for person, ((where, flat), layout) in enumerate(
+        zip(_flat_lists(content), layouts, strict=True)
+    ):
         yield layout.detection(_points(flat, layout, where), threshold, content.source, person)

@@ -1,12 +1,13 @@
 """VideoPose3D's 2D joints, as plain arrays: a .npz with one array `(frames, 17, 2 or 3)` a camera.
 
-Its own data_2d_*.npz pickle a dictionary, and pickles are not read. Whoever made or trusts such a file saves it anew:
+Its own data_2d_*.npz pickle a dictionary, and pickles are not read. Whoever made or trusts such a
+file saves it anew:
 
     z = numpy.load(file, allow_pickle=True)["positions_2d"].item()
     numpy.savez(new, **{f"{s}/{a}/{c}": xy for s in z for a in z[s] for c, xy in enumerate(z[s][a])})
 
-Human3.6M's 17 joints; other layouts are named by an array `layout`. Without a third column all scores are 1.
-"""
+Human3.6M's 17 joints; other layouts are named by an array `layout`. Without a third column all
+scores are 1."""
 
 from collections.abc import Iterator
 
@@ -29,15 +30,17 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
     found = arrays.names(content)
     if "positions_2d" in found or "metadata" in found:
         raise BadInput(
-            f"{content.source} pickles its arrays in a dictionary, and pickles, which could run any code, are not "
-            f"read; "
-            "save each camera as an array of its own (see the reader's documentation for two lines that do)."
+            f"{content.source} pickles its arrays in a dictionary, and pickles, which could run any"
+            " code, are not read; save each camera as an array of its own (see the reader's"
+            " documentation for two lines that do)."
         )
     layout = H36M_17
     if "layout" in found:
         name = arrays.first_text(arrays.arrays(content, ["layout"])["layout"])
         if name not in LAYOUTS:
-            raise BadInput(f"'layout' of {content.source} is {name!r}, which is none of {', '.join(LAYOUTS)}.")
+            raise BadInput(
+                f"'layout' of {content.source} is {name!r}, which is none of {', '.join(LAYOUTS)}."
+            )
         layout = LAYOUTS[name]
     person = 0
     for name in (name for name in found if name != "layout"):
@@ -45,10 +48,12 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
         points = arrays.plain(arrays.arrays(content, [name])[name], where)
         if points.ndim != 3 or points.shape[1] != layout.count or points.shape[2] not in (2, 3):
             raise BadInput(
-                f"{where} has the shape {points.shape}, not (frames, {layout.count}, 2 or 3) of {layout.name}; "
-                "give a layout that fits, and pixels of 2D joints only."
+                f"{where} has the shape {points.shape}, not (frames, {layout.count}, 2 or 3) of"
+                f" {layout.name}; give a layout that fits, and pixels of 2D joints only."
             )
         for frame, rows in enumerate(points):
             place = f"frame {frame} of {where}"
-            yield layout.detection(scored(rows, place), threshold, content.source, person, f"{name}/{frame}")
+            yield layout.detection(
+                scored(rows, place), threshold, content.source, person, f"{name}/{frame}"
+            )
             person += 1

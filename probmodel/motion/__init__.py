@@ -1,9 +1,10 @@
-"""Readers of motion capture: ASF/AMC, BVH and .npz files become `Motion`s of fifteen joints in millimetres.
+"""Readers of motion capture: ASF/AMC, BVH and .npz files become `Motion`s of fifteen joints in
+millimetres.
 
-All axes are right-handed. Whatever the format, a recording is a hierarchy of segments with an offset and a rotation
-each (`recording.Rig`); forward kinematics runs over all frames at once. Glitches are dropped by a stated rule
-(`Motion.without_jumps`). The usual way in: `read_motion(path)`.
-"""
+All axes are right-handed. Whatever the format, a recording is a hierarchy of segments with an
+offset and a rotation each (`recording.Rig`); forward kinematics runs over all frames at once.
+Glitches are dropped by a stated rule (`Motion.without_jumps`). The usual way in:
+`read_motion(path)`."""
 
 import os
 from pathlib import Path
@@ -20,26 +21,36 @@ __all__ = ["CMU_UNIT", "FROM_SEVENTEEN", "Motion", "read_motion"]
 def read_motion(path: str | os.PathLike) -> list[Motion]:
     """Recordings at `path`, glitches included (see `Motion.without_jumps`), in a fixed order.
 
-    `path` is an .amc file with its subject's .asf beside it, a folder of them or of such folders, a .bvh file or a
-    folder of them, or an .npz whose keys hold `(T, 15, 3)` or `(T, 17, 3)` millimetres at 30 Hz (`<action>/<sequence>`;
-    one subject a file). Raises `BadInput` where a file is none of these or is damaged.
-    """
+    `path` is an .amc file with its subject's .asf beside it, a folder of them or of such folders, a
+    .bvh file or a folder of them, or an .npz whose keys hold `(T, 15, 3)` or `(T, 17, 3)`
+    millimetres at 30 Hz (`<action>/<sequence>`; one subject a file). Raises `BadInput` where a file
+    is none of these or is damaged."""
     path = Path(path)
     if path.is_dir():
         return _read_folder(path)
     if not path.exists():
-        raise BadInput(f"there is no motion capture at {path}; give an .amc, .bvh or .npz file, or a folder of them")
+        raise BadInput(
+            f"there is no motion capture at {path}; give an .amc, .bvh or .npz file, or a folder of"
+            " them"
+        )
     readers = {".amc": read_amc_alone, ".bvh": read_bvh, ".npz": read_archive}
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise BadInput(f"{path} is no motion capture that can be read; give an .amc, .bvh or .npz file, or a folder")
+        raise BadInput(
+            f"{path} is no motion capture that can be read; give an .amc, .bvh or .npz file, or a"
+            " folder"
+        )
     return reader(path)
 
 
 def _read_folder(folder: Path) -> list[Motion]:
-    files = sorted(entry for entry in folder.rglob("*") if entry.suffix.lower() in (".amc", ".bvh", ".npz"))
+    files = sorted(
+        entry for entry in folder.rglob("*") if entry.suffix.lower() in (".amc", ".bvh", ".npz")
+    )
     if not files:
-        raise BadInput(f"{folder} holds no .amc, .bvh or .npz file; give a folder of motion capture")
+        raise BadInput(
+            f"{folder} holds no .amc, .bvh or .npz file; give a folder of motion capture"
+        )
     skeletons: dict[Path, Asf] = {}
     motions: list[Motion] = []
     for file in files:

@@ -1,4 +1,5 @@
-"""ASF/AMC: a subject's skeleton in one file, the angles of each trial in another (Acclaim; the CMU originals)."""
+"""ASF/AMC: a subject's skeleton in one file, the angles of each trial in another (Acclaim; the CMU
+originals)."""
 
 import re
 from collections.abc import Mapping
@@ -9,15 +10,35 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probmodel.failures import BadInput
-from probmodel.motion.recording import CMU_RATE, INCH, NUMBER, Motion, Rig, floats, forward, read_text
+from probmodel.motion.recording import (
+    CMU_RATE,
+    INCH,
+    NUMBER,
+    Motion,
+    Rig,
+    floats,
+    forward,
+    read_text,
+)
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 
 _ASF_ENDS = {
-    "pelvis": "root", "thorax": "thorax", "right_shoulder": "rclavicle", "right_elbow": "rhumerus",
-    "right_wrist": "rradius", "left_shoulder": "lclavicle", "left_elbow": "lhumerus", "left_wrist": "lradius",
-    "head": "head", "right_hip": "rhipjoint", "right_knee": "rfemur", "right_ankle": "rtibia",
-    "left_hip": "lhipjoint", "left_knee": "lfemur", "left_ankle": "ltibia",
-}  # fmt: skip
+    "pelvis": "root",
+    "thorax": "thorax",
+    "right_shoulder": "rclavicle",
+    "right_elbow": "rhumerus",
+    "right_wrist": "rradius",
+    "left_shoulder": "lclavicle",
+    "left_elbow": "lhumerus",
+    "left_wrist": "lradius",
+    "head": "head",
+    "right_hip": "rhipjoint",
+    "right_knee": "rfemur",
+    "right_ankle": "rtibia",
+    "left_hip": "lhipjoint",
+    "left_knee": "lfemur",
+    "left_ankle": "ltibia",
+}
 """The ASF bone in whose end each joint lies."""
 
 
@@ -25,7 +46,8 @@ class Asf(NamedTuple):
     path: Path
     rig: Rig
     dofs: list[str]
-    """Per segment, its AMC channels: some of "xyz" for bones; the root's order, "TXTYTZRXRYRZ"-like, for the root."""
+    """Per segment, its AMC channels: some of "xyz" for bones; the root's order,
+    "TXTYTZRXRYRZ"-like, for the root."""
     axes: list[Rotation]
     millimetres: float
 
@@ -39,7 +61,9 @@ def asf_beside(amc: Path) -> Path:
     named = [entry for entry in candidates if entry.stem == amc.stem.split("_")[0]]
     if named or len(candidates) == 1:
         return (named or candidates)[0]
-    raise BadInput(f"{amc} needs its skeleton {amc.stem.split('_')[0]}.asf in the same folder; put it there")
+    raise BadInput(
+        f"{amc} needs its skeleton {amc.stem.split('_')[0]}.asf in the same folder; put it there"
+    )
 
 
 def _sections(path: Path) -> dict[str, list[tuple[int, str]]]:
@@ -55,7 +79,9 @@ def _sections(path: Path) -> dict[str, list[tuple[int, str]]]:
             current.append((number, line))
     missing = [name for name in ("units", "root", "bonedata", "hierarchy") if name not in sections]
     if missing:
-        raise BadInput(f"{path} is not an ASF skeleton, or is truncated: it has no :{missing[0]} section")
+        raise BadInput(
+            f"{path} is not an ASF skeleton, or is truncated: it has no :{missing[0]} section"
+        )
     return sections
 
 
@@ -66,25 +92,38 @@ def parse_asf(path: Path) -> Asf:
     try:
         millimetres = INCH / float(units.get("length", "1"))
     except (ValueError, ZeroDivisionError):
-        raise BadInput(f"{path}: 'length {units['length']}' in :units is not a number to divide by") from None
+        raise BadInput(
+            f"{path}: 'length {units['length']}' in :units is not a number to divide by"
+        ) from None
     if not units.get("angle", "deg").lower().startswith("deg"):
         raise BadInput(f"{path}: angles in {units['angle']} are not supported, only degrees")
-    order = next((line.split()[1:] for _, line in sections["root"] if line.lower().startswith("order")), [])
+    order = next(
+        (line.split()[1:] for _, line in sections["root"] if line.lower().startswith("order")), []
+    )
     if sorted(token.upper() for token in order) != sorted(_ROOT_ORDER):
-        raise BadInput(f"{path}: the root's order is '{' '.join(order)}', which is not TX TY TZ RX RY RZ in some order")
+        raise BadInput(
+            f"{path}: the root's order is '{' '.join(order)}', which is not TX TY TZ RX RY RZ in"
+            " some order"
+        )
     bones = _parse_bones(sections["bonedata"], path)
     parents = _parse_hierarchy(sections["hierarchy"], bones, path)
     names = list(parents)
     missing = sorted(set(_ASF_ENDS.values()) - set(names))
     if missing:
         raise BadInput(
-            f"{path}: the skeleton lacks the bones {', '.join(missing)}; fifteen joints cannot be found in it"
+            f"{path}: the skeleton lacks the bones {', '.join(missing)}; fifteen joints cannot be"
+            " found in it"
         )
     root = _AsfBone(np.zeros(3), Rotation.identity(), "".join(order).upper())
     all_bones = [bones.get(name, root) for name in names]
-    rig = Rig(names, [-1 if parent is None else names.index(parent) for parent in parents.values()],
-               np.array([bone.offset for bone in all_bones]))  # fmt: skip
-    return Asf(path, rig, [bone.dof for bone in all_bones], [bone.axis for bone in all_bones], millimetres)
+    rig = Rig(
+        names,
+        [-1 if parent is None else names.index(parent) for parent in parents.values()],
+        np.array([bone.offset for bone in all_bones]),
+    )
+    return Asf(
+        path, rig, [bone.dof for bone in all_bones], [bone.axis for bone in all_bones], millimetres
+    )
 
 
 class _AsfBone(NamedTuple):
@@ -116,27 +155,38 @@ def _asf_bone(fields: Mapping[str, list[str]], line: int, path: Path) -> _AsfBon
         offset = direction * float(fields["length"][0])
         *angles, order = fields["axis"]
         axis = Rotation.from_euler(order.lower(), [float(value) for value in angles], degrees=True)
-        dof = "".join(token.lower().removeprefix("r") for token in fields.get("dof", []) if token.lower() != "l")
+        dof = "".join(
+            token.lower().removeprefix("r")
+            for token in fields.get("dof", [])
+            if token.lower() != "l"
+        )
         if not set(dof) <= set("xyz"):
             raise ValueError
     except (KeyError, ValueError, IndexError):
         raise BadInput(
-            f"{path}, line {line}: the bone that ends here lacks a readable name, direction, length, axis or dof"
+            f"{path}, line {line}: the bone that ends here lacks a readable name, direction,"
+            " length, axis or dof"
         ) from None
     return _AsfBone(offset, axis, dof)
 
 
-def _parse_hierarchy(lines: list[tuple[int, str]], bones: Mapping[str, _AsfBone], path: Path) -> dict[str, str | None]:
+def _parse_hierarchy(
+    lines: list[tuple[int, str]], bones: Mapping[str, _AsfBone], path: Path
+) -> dict[str, str | None]:
     parents: dict[str, str | None] = {"root": None}
     for number, line in lines:
         parent, *children = line.split()
         if parent in ("begin", "end") and not children:
             continue
         if parent not in parents:
-            raise BadInput(f"{path}, line {number}: '{parent}' has children before it is a child itself")
+            raise BadInput(
+                f"{path}, line {number}: '{parent}' has children before it is a child itself"
+            )
         for child in children:
             if child not in bones or child in parents:
-                raise BadInput(f"{path}, line {number}: '{child}' is not in :bonedata, or has two parents")
+                raise BadInput(
+                    f"{path}, line {number}: '{child}' is not in :bonedata, or has two parents"
+                )
             parents[child] = parent
     return parents
 
@@ -147,7 +197,8 @@ def read_amc_alone(path: Path) -> list[Motion]:
 
 
 def read_amc(path: Path, asf: Asf) -> Motion:
-    """The trial of an .amc file on a skeleton read before. Raises `BadInput` where a frame is damaged."""
+    """The trial of an .amc file on a skeleton read before. Raises `BadInput` where a frame is
+    damaged."""
     channels = _parse_amc(path, asf)
     rotations: list[Rotation | None] = []
     root_dof = asf.dofs[0]
@@ -156,7 +207,9 @@ def read_amc(path: Path, asf: Asf) -> Motion:
     position = root[:, [order.index(token) for token in ("TX", "TY", "TZ")]]
     spins = [i for i, token in enumerate(order) if token[0] == "R"]
     # Lower-case letters are extrinsic axes: RX RY RZ means Rz·Ry·Rx for column vectors.
-    turn = Rotation.from_euler("".join(order[i][1].lower() for i in spins), root[:, spins], degrees=True)
+    turn = Rotation.from_euler(
+        "".join(order[i][1].lower() for i in spins), root[:, spins], degrees=True
+    )
     for name, dof, axis in zip(asf.rig.names, asf.dofs, asf.axes, strict=True):
         if name == "root":
             rotations.append(turn)
@@ -171,7 +224,8 @@ def read_amc(path: Path, asf: Asf) -> Motion:
 
 
 def _parse_amc(path: Path, asf: Asf) -> dict[str, np.ndarray]:
-    """Channels `(T, C)` by bone. Every frame must name the same bones in the same order; numbers are read in bulk."""
+    """Channels `(T, C)` by bone. Every frame must name the same bones in the same order; numbers
+    are read in bulk."""
     lines = read_text(path).splitlines()
     start = next((i for i, line in enumerate(lines) if line.strip() == "1"), None)
     if start is None:
@@ -186,21 +240,33 @@ def _parse_amc(path: Path, asf: Asf) -> dict[str, np.ndarray]:
     names = [line.split(None, 1)[0] if line.strip() else "" for line in lines[1:block]]
     widths = _amc_widths(path, names, lines[1:block], asf, start)
     if len(lines) % block:
-        raise BadInput(f"{path}: the recording is truncated, its last frame is not complete; cut that frame off")
+        raise BadInput(
+            f"{path}: the recording is truncated, its last frame is not complete; cut that"
+            " frame off"
+        )
     body = np.array(lines, dtype=object).reshape(-1, block)
     expected = sum(widths) + 1
-    stripped = [line.removeprefix(name) for row in body for name, line in zip(["", *names], row, strict=True)]
+    stripped = [
+        line.removeprefix(name)
+        for row in body
+        for name, line in zip(["", *names], row, strict=True)
+    ]
     values = floats(" ".join(stripped))
     if values is None or values.size != expected * len(body):
         raise _amc_fault(path, body, names, widths, start)
     values = values.reshape(len(body), expected)
     if not np.array_equal(values[:, 0], np.arange(1, len(body) + 1)):
         row = int(np.argmax(values[:, 0] != np.arange(1, len(body) + 1)))
-        raise BadInput(f"{path}, line {start + row * block + 1}: frame number {row + 1} was expected here")
+        raise BadInput(
+            f"{path}, line {start + row * block + 1}: frame number {row + 1} was expected here"
+        )
     if not np.isfinite(values).all():
         raise BadInput(f"{path}: a channel holds a number that is not finite")
     edges = np.cumsum([1, *widths])
-    return {name: values[:, low:high] for name, low, high in zip(names, edges[:-1], edges[1:], strict=True)}
+    return {
+        name: values[:, low:high]
+        for name, low, high in zip(names, edges[:-1], edges[1:], strict=True)
+    }
 
 
 def _amc_widths(path: Path, names: list[str], first: list[str], asf: Asf, start: int) -> list[int]:
@@ -209,26 +275,38 @@ def _amc_widths(path: Path, names: list[str], first: list[str], asf: Asf, start:
     for i, (name, line) in enumerate(zip(names, first, strict=True)):
         number = start + i + 2
         if name not in asf.rig.names:
-            raise BadInput(f"{path}, line {number}: '{name}' is no bone of {asf.path.name}; is it another subject's?")
+            raise BadInput(
+                f"{path}, line {number}: '{name}' is no bone of {asf.path.name}; is it another"
+                " subject's?"
+            )
         dof = asf.dofs[asf.rig.names.index(name)]
         widths.append(6 if name == "root" else len(dof))
         if len(line.split()) - 1 != widths[-1]:
-            raise BadInput(f"{path}, line {number}: '{name}' has {len(line.split()) - 1} numbers, not {widths[-1]}")
+            raise BadInput(
+                f"{path}, line {number}: '{name}' has {len(line.split()) - 1} numbers, not"
+                f" {widths[-1]}"
+            )
     if "root" not in names:
         raise BadInput(f"{path}, line {start + 1}: the frame does not place the root")
     return widths
 
 
-def _amc_fault(path: Path, body: np.ndarray, names: list[str], widths: list[int], start: int) -> BadInput:
+def _amc_fault(
+    path: Path, body: np.ndarray, names: list[str], widths: list[int], start: int
+) -> BadInput:
     """Says which line is wrong, once it is known that one is."""
     for row, frame in enumerate(body):
         for i, line in enumerate(frame):
             tokens = line.split()
             name, width = (None, 0) if i == 0 else (names[i - 1], widths[i - 1])
             good = len(tokens) == width + 1 and (name is None or tokens[0] == name)
-            if not good or not all(re.fullmatch(NUMBER, token) for token in tokens[name is not None :]):
+            if not good or not all(
+                re.fullmatch(NUMBER, token) for token in tokens[name is not None :]
+            ):
                 expected = "a frame number" if name is None else f"'{name}' and {width} numbers"
-                return BadInput(f"{path}, line {start + row * len(frame) + i + 1}: {expected} expected here")
+                return BadInput(
+                    f"{path}, line {start + row * len(frame) + i + 1}: {expected} expected here"
+                )
     return BadInput(f"{path}: the frames cannot be read as numbers")
 
 

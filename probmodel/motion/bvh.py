@@ -13,20 +13,43 @@ from probmodel.skeleton import JOINT_INDEX, JOINTS
 
 _BVH_NAMES = (
     {
-        "pelvis": "Hips", "thorax": "Neck", "right_shoulder": "RightArm", "right_elbow": "RightForeArm",
-        "right_wrist": "RightHand", "left_shoulder": "LeftArm", "left_elbow": "LeftForeArm", "left_wrist": "LeftHand",
-        "head": "Head end", "right_hip": "RightUpLeg", "right_knee": "RightLeg", "right_ankle": "RightFoot",
-        "left_hip": "LeftUpLeg", "left_knee": "LeftLeg", "left_ankle": "LeftFoot",
+        "pelvis": "Hips",
+        "thorax": "Neck",
+        "right_shoulder": "RightArm",
+        "right_elbow": "RightForeArm",
+        "right_wrist": "RightHand",
+        "left_shoulder": "LeftArm",
+        "left_elbow": "LeftForeArm",
+        "left_wrist": "LeftHand",
+        "head": "Head end",
+        "right_hip": "RightUpLeg",
+        "right_knee": "RightLeg",
+        "right_ankle": "RightFoot",
+        "left_hip": "LeftUpLeg",
+        "left_knee": "LeftLeg",
+        "left_ankle": "LeftFoot",
     },
     {
-        "pelvis": "Hips", "thorax": "lowerneck", "right_shoulder": "RightShoulder", "right_elbow": "RightElbow",
-        "right_wrist": "RightWrist", "left_shoulder": "LeftShoulder", "left_elbow": "LeftElbow",
-        "left_wrist": "LeftWrist", "head": "Head end", "right_hip": "RightHip", "right_knee": "RightKnee",
-        "right_ankle": "RightAnkle", "left_hip": "LeftHip", "left_knee": "LeftKnee", "left_ankle": "LeftAnkle",
+        "pelvis": "Hips",
+        "thorax": "lowerneck",
+        "right_shoulder": "RightShoulder",
+        "right_elbow": "RightElbow",
+        "right_wrist": "RightWrist",
+        "left_shoulder": "LeftShoulder",
+        "left_elbow": "LeftElbow",
+        "left_wrist": "LeftWrist",
+        "head": "Head end",
+        "right_hip": "RightHip",
+        "right_knee": "RightKnee",
+        "right_ankle": "RightAnkle",
+        "left_hip": "LeftHip",
+        "left_knee": "LeftKnee",
+        "left_ankle": "LeftAnkle",
     },
-)  # fmt: skip
-"""The BVH joints that are ours, in the two naming schemes of the CMU conversions. "Head end" is the head's End Site;
-"thorax" is where the neck starts. The conversions lack the ASF's thorax bone: their trunks are some 117 mm short."""
+)
+"""The BVH joints that are ours, in the two naming schemes of the CMU conversions. "Head end" is the
+head's End Site; "thorax" is where the neck starts. The conversions lack the ASF's thorax bone:
+their trunks are some 117 mm short."""
 
 
 class _BvhJoint(NamedTuple):
@@ -44,7 +67,9 @@ def read_bvh(path: Path) -> list[Motion]:
     text = read_text(path)
     hierarchy, found, motion = text.partition("MOTION")
     if not found or not hierarchy.lstrip().startswith("HIERARCHY"):
-        raise BadInput(f"{path} is not a BVH file, or is truncated: it needs a HIERARCHY and a MOTION section")
+        raise BadInput(
+            f"{path} is not a BVH file, or is truncated: it needs a HIERARCHY and a MOTION section"
+        )
     joints = _parse_bvh_hierarchy(hierarchy, path)
     names = [joint.name for joint in joints]
     wanted = _bvh_wanted(names, path)
@@ -58,19 +83,28 @@ def read_bvh(path: Path) -> list[Motion]:
         spins = [k for k, channel in enumerate(joint.channels) if channel.endswith("rotation")]
         axes = "".join(joint.channels[k][0] for k in spins)
         # Upper-case letters are intrinsic axes: Zrotation Yrotation Xrotation means Rz·Ry·Rx.
-        rotations.append(Rotation.from_euler(axes, block[:, spins], degrees=True) if spins else None)
+        rotations.append(
+            Rotation.from_euler(axes, block[:, spins], degrees=True) if spins else None
+        )
         places = [k for k, channel in enumerate(joint.channels) if channel.endswith("position")]
         if i == 0 and places:
             position[:, ["XYZ".index(joint.channels[k][0]) for k in places]] = block[:, places]
-    # A BVH joint's rotation turns what hangs from it, not its own offset: as segments, offsets belong to the parent.
+    # A BVH joint's rotation turns what hangs from it, not its own offset: as segments, offsets
+    # belong to the parent.
     rig = Rig(names, [joint.parent for joint in joints], np.zeros((len(joints), 3)))
     ends = _bvh_forward(rig, [joint.offset for joint in joints], wanted, position, rotations)
     return [Motion(ends * CMU_UNIT, rate, path.stem, path.stem)]
 
 
-def _bvh_forward(rig: Rig, offsets: list[np.ndarray], wanted: list[int], root: np.ndarray,
-                 rotations: list[Rotation | None]) -> np.ndarray:  # fmt: skip
-    """As `forward`, with every joint split in two segments: its offset in the parent's axes, then its rotation."""
+def _bvh_forward(
+    rig: Rig,
+    offsets: list[np.ndarray],
+    wanted: list[int],
+    root: np.ndarray,
+    rotations: list[Rotation | None],
+) -> np.ndarray:
+    """As `forward`, with every joint split in two segments: its offset in the parent's axes, then
+    its rotation."""
     parents: list[int] = []
     shifts: list[np.ndarray] = []
     turns: list[Rotation | None] = []
@@ -100,14 +134,19 @@ def _parse_bvh_hierarchy(text: str, path: Path) -> list[_BvhJoint]:
                 pending = None
             case ["}"] if stack:
                 stack.pop()
-            case ["OFFSET", *numbers] if stack and len(numbers) == 3 and floats(" ".join(numbers)) is not None:
+            case ["OFFSET", *numbers] if (
+                stack and len(numbers) == 3 and floats(" ".join(numbers)) is not None
+            ):
                 joints[stack[-1]].offset[:] = floats(" ".join(numbers))
             case ["CHANNELS", count, *channels] if (
                 stack and count == str(len(channels)) and set(channels) <= set(_CHANNELS)
             ):
                 joints[stack[-1]].channels.extend(channels)
             case _:
-                raise BadInput(f"{path}, line {number}: '{line.strip()}' cannot be read as part of a BVH hierarchy")
+                raise BadInput(
+                    f"{path}, line {number}: '{line.strip()}' cannot be read as part of a BVH"
+                    " hierarchy"
+                )
     if stack or not joints:
         raise BadInput(f"{path}: the hierarchy is not closed, so the file is truncated or damaged")
     return joints
@@ -119,7 +158,8 @@ def _bvh_wanted(names: list[str], path: Path) -> list[int]:
     missing = [name for name in table.values() if name not in names]
     if missing:
         raise BadInput(
-            f"{path}: the skeleton lacks the joints {', '.join(missing)}; fifteen joints cannot be found in it"
+            f"{path}: the skeleton lacks the joints {', '.join(missing)}; fifteen joints cannot be"
+            " found in it"
         )
     return [names.index(table[joint]) for joint in JOINTS]
 
@@ -128,15 +168,17 @@ def _parse_bvh_motion(text: str, num_channels: int, path: Path) -> tuple[float, 
     """Frame rate and channel values `(T, num_channels)`."""
     header = re.match(rf"\s*Frames:\s*(\d+)\s*Frame Time:\s*({NUMBER})\s", text)
     if header is None or not float(header[2]) > 0:
-        raise BadInput(f"{path}: MOTION does not start with 'Frames: <count>' and 'Frame Time: <seconds>'")
+        raise BadInput(
+            f"{path}: MOTION does not start with 'Frames: <count>' and 'Frame Time: <seconds>'"
+        )
     count, rate = int(header[1]), 1 / float(header[2])
     values = floats(text[header.end() :])
     if values is None or not np.isfinite(values).all():
         raise BadInput(f"{path}: a channel of the MOTION section is not a finite number")
     if count == 0 or values.size != count * num_channels:
         raise BadInput(
-            f"{path}: {count} frames of {num_channels} channels are announced, but {values.size} numbers follow; "
-            "the file is truncated or damaged"
+            f"{path}: {count} frames of {num_channels} channels are announced, but {values.size}"
+            " numbers follow; the file is truncated or damaged"
         )
     return round(rate, 2), values.reshape(count, num_channels)
 

@@ -1,4 +1,5 @@
-"""A recording of motion, whatever file it comes from, and the forward kinematics that its readers share."""
+"""A recording of motion, whatever file it comes from, and the forward kinematics that its readers
+share."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -13,12 +14,13 @@ from probmodel.skeleton import PARENTS
 
 INCH = 25.4
 CMU_UNIT = INCH / 0.45
-"""Millimetres in one unit of the CMU files (`length 0.45` in the ASF; the BVH conversions kept it)."""
+"""Millimetres in one unit of the CMU files (`length 0.45` in the ASF; the BVH conversions kept
+it)."""
 CMU_RATE = 120.0
 NPZ_RATE = 30.0
 MAX_TURN = 1500.0
-"""Degrees a second. A football kick turns the lower leg by some 1,100 in the CMU recordings; what is faster there are
-swapped or lost markers, at 1,700 to 12,000."""
+"""Degrees a second. A football kick turns the lower leg by some 1,100 in the CMU recordings; what
+is faster there are swapped or lost markers, at 1,700 to 12,000."""
 GUARD = 0.05
 """Seconds before and after a jump that are not trusted."""
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -29,8 +31,8 @@ FROM_SEVENTEEN = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15)
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """A recording: `joints` `(T, 15, 3)` float64, millimetres, right-handed axes; `frame_rate` in Hz; `name` of the
-    recording; `subject`, equal for recordings of the same skeleton."""
+    """A recording: `joints` `(T, 15, 3)` float64, millimetres, right-handed axes; `frame_rate` in
+    Hz; `name` of the recording; `subject`, equal for recordings of the same skeleton."""
 
     joints: np.ndarray
     frame_rate: float
@@ -38,16 +40,21 @@ class Motion:
     subject: str
 
     def at_rate(self, rate: float) -> "Motion":
-        """Every k-th frame, k being the nearest to `frame_rate / rate` and at least 1; frames are never made up."""
+        """Every k-th frame, k being the nearest to `frame_rate / rate` and at least 1; frames are
+        never made up."""
         step = max(1, round(self.frame_rate / rate))
-        return dataclasses.replace(self, joints=self.joints[::step], frame_rate=self.frame_rate / step)
+        return dataclasses.replace(
+            self, joints=self.joints[::step], frame_rate=self.frame_rate / step
+        )
 
     def without_jumps(self, max_turn: float = MAX_TURN) -> "Motion":
-        """Without the frames at a jump, where a bone (from joint to parent) turns faster than `max_turn` degrees a
-        second. The frames within `GUARD` seconds of it go: a T-pose before the first frame, a marker lost for a moment.
-        """
+        """Without the frames at a jump, where a bone (from joint to parent) turns faster than
+        `max_turn` degrees a second. The frames within `GUARD` seconds of it go: a T-pose before the
+        first frame, a marker lost for a moment."""
         bones = self.joints[:, 1:] - self.joints[:, list(PARENTS[1:])]
-        bones = bones / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), np.finfo(float).tiny)
+        bones = bones / np.maximum(
+            np.linalg.norm(bones, axis=-1, keepdims=True), np.finfo(float).tiny
+        )
         chord = np.linalg.norm(np.diff(bones, axis=0), axis=-1).max(axis=-1, initial=0.0)
         turn = np.degrees(2 * np.arcsin(np.clip(chord / 2, 0, 1)))
         jumps = np.flatnonzero(turn * self.frame_rate > max_turn) + 1
@@ -63,11 +70,14 @@ def read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
-        raise BadInput(f"cannot read {path} ({error.strerror}); check the path and its permissions") from None
+        raise BadInput(
+            f"cannot read {path} ({error.strerror}); check the path and its permissions"
+        ) from None
 
 
 class Rig(NamedTuple):
-    """Segments, parents first. A segment starts where its parent ends, turned by its own rotation."""
+    """Segments, parents first. A segment starts where its parent ends, turned by its own
+    rotation."""
 
     names: list[str]
     parents: list[int]
@@ -75,9 +85,11 @@ class Rig(NamedTuple):
     """`(S, 3)`: from a segment's start to its end, in the segment's own axes."""
 
 
-def forward(rig: Rig, wanted: Iterable[int], root: np.ndarray, rotations: Sequence[Rotation | None]) -> np.ndarray:
-    """Ends `(T, len(wanted), 3)` of segments, given root positions `(T, 3)` and each segment's local rotation (None:
-    not turned). Segments that `wanted` does not need are skipped."""
+def forward(
+    rig: Rig, wanted: Iterable[int], root: np.ndarray, rotations: Sequence[Rotation | None]
+) -> np.ndarray:
+    """Ends `(T, len(wanted), 3)` of segments, given root positions `(T, 3)` and each segment's
+    local rotation (None: not turned). Segments that `wanted` does not need are skipped."""
     wanted = list(wanted)
     needed = set(wanted)
     for segment in reversed(range(len(rig.names))):
@@ -91,7 +103,9 @@ def forward(rig: Rig, wanted: Iterable[int], root: np.ndarray, rotations: Sequen
             turns[segment] = local if local is not None else Rotation.identity(len(root))
         else:
             turns[segment] = turns[parent] if local is None else turns[parent] * local
-        ends[segment] = (root if parent < 0 else ends[parent]) + turns[segment].apply(rig.offsets[segment])
+        ends[segment] = (root if parent < 0 else ends[parent]) + turns[segment].apply(
+            rig.offsets[segment]
+        )
     return np.stack([ends[segment] for segment in wanted], axis=1)
 
 

@@ -9,8 +9,8 @@ import xarray as xr
 from rich import box
 from rich.table import Table
 
+from probmodel.anatomy.limits import LIMITS, Check
 from probmodel.failures import BadInput
-from probmodel.limits import LIMITS, Check
 from probmodel.motion import read_motion
 from probmodel.skeleton import BONE_NAMES, BONES, JOINTS, NUM_JOINTS
 from reports import console, tables
@@ -49,7 +49,14 @@ def run(path: Path, belief: Belief, *, quiet: bool, as_json: bool) -> None:
 
 def _by_bone(check: Check) -> Table:
     """How many poses break each limit of each bone, and by how much at most."""
-    table = Table("bone", "limit", title="Broken limits", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    table = Table(
+        "bone",
+        "limit",
+        title="Broken limits",
+        box=box.SIMPLE_HEAD,
+        title_justify="left",
+        pad_edge=False,
+    )
     for heading in ("poses", "most degrees"):
         table.add_column(heading, justify="right")
     for bone, name in enumerate(BONE_NAMES):
@@ -62,8 +69,9 @@ def _by_bone(check: Check) -> Table:
 
 
 def read_poses(path: Path) -> Poses:
-    """The poses of a file: posterior.nc, prior.nc, hypotheses.json, .amc, .bvh, or an array `(…, 15, 3)` in .npy or
-    .npz (motion capture's `(…, 17, 3)` too). Raises `BadInput` on anything else."""
+    """The poses of a file: posterior.nc, prior.nc, hypotheses.json, .amc, .bvh, or an array `(…,
+    15, 3)` in .npy or .npz (motion capture's `(…, 17, 3)` too). Raises `BadInput` on anything
+    else."""
     suffix = path.suffix.lower()
     if not path.exists():
         raise BadInput(f"there is no file {path}; give one with 3D poses")
@@ -72,14 +80,17 @@ def read_poses(path: Path) -> Poses:
     readers = {".nc": _from_tree, ".json": _from_json, ".npy": _from_array}
     if suffix not in readers:
         raise BadInput(
-            f"{path} is not a file of 3D poses; check reads poseterior's .nc and .json, .amc, .bvh, .npy, .npz"
+            f"{path} is not a file of 3D poses; check reads poseterior's .nc and .json, .amc, .bvh,"
+            " .npy, .npz"
         )
     return readers[suffix](path)
 
 
 def _from_motion(path: Path) -> Poses:
     motions = read_motion(path)
-    names = [f"{motion.name}, frame {frame}" for motion in motions for frame in range(len(motion.joints))]
+    names = [
+        f"{motion.name}, frame {frame}" for motion in motions for frame in range(len(motion.joints))
+    ]
     return Poses(np.concatenate([motion.joints for motion in motions]), names)
 
 
@@ -88,9 +99,12 @@ def _from_tree(path: Path) -> Poses:
         with xr.open_datatree(path, engine="netcdf4") as tree:
             group = next(name for name in ("posterior", "prior") if name in tree.children)
             joints = np.asarray(tree[group]["joints"].values)
-    except Exception as error:  # netCDF meets foreign and damaged files with errors of many unrelated kinds.
+    except (
+        Exception
+    ) as error:  # netCDF meets foreign and damaged files with errors of many unrelated kinds.
         raise BadInput(
-            f"{path} holds no poses of poseterior ({type(error).__name__}); write one with `poseterior sample`"
+            f"{path} holds no poses of poseterior ({type(error).__name__}); write one with"
+            " `poseterior sample`"
         ) from None
     return _numbered(joints, "draw", path)
 
@@ -102,19 +116,26 @@ def _from_json(path: Path) -> Poses:
         joints = np.array(poses, float)
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise BadInput(
-            f"{path} is not a hypotheses.json of poseterior ({type(error).__name__}); give one, or a .nc"
+            f"{path} is not a hypotheses.json of poseterior ({type(error).__name__}); give one, or"
+            " a .nc"
         ) from None
     return _numbered(joints, "hypothesis", path, first=1)
 
 
 def _from_array(path: Path) -> Poses:
     try:
-        with open(path, "rb") as file:  # numpy would leave a file open that turns out to be an archive
+        with open(
+            path, "rb"
+        ) as file:  # numpy would leave a file open that turns out to be an archive
             joints = np.load(file, allow_pickle=False)
     except (OSError, ValueError, EOFError, MemoryError) as error:
-        raise BadInput(f"{path} is no NumPy array of numbers ({_words(error)}); save joints with numpy.save") from None
+        raise BadInput(
+            f"{path} is no NumPy array of numbers ({_words(error)}); save joints with numpy.save"
+        ) from None
     if not isinstance(joints, np.ndarray):
-        raise BadInput(f"{path} is an archive of arrays; name it .npz, or save joints with numpy.save")
+        raise BadInput(
+            f"{path} is an archive of arrays; name it .npz, or save joints with numpy.save"
+        )
     return _numbered(joints, "pose", path)
 
 
@@ -124,7 +145,9 @@ def _words(error: Exception) -> str:
 
 def _numbered(joints: np.ndarray, kind: str, path: Path, *, first: int = 0) -> Poses:
     if joints.ndim < 2 or joints.shape[-2:] != (NUM_JOINTS, 3) or joints.dtype.kind not in "fiu":
-        raise BadInput(f"{path} has shape {joints.shape} and type {joints.dtype}; it needs numbers (…, 15, 3)")
+        raise BadInput(
+            f"{path} has shape {joints.shape} and type {joints.dtype}; it needs numbers (…, 15, 3)"
+        )
     joints = joints.reshape(-1, NUM_JOINTS, 3).astype(float)
     return Poses(joints, [f"{kind} {first + number}" for number in range(len(joints))])
 
@@ -134,13 +157,16 @@ def _require_poses(poses: Poses, path: Path) -> None:
     joints, names = poses
     if not len(joints):
         raise BadInput(f"{path} holds no pose; give a file with one at least")
-    for pose, joint in np.argwhere(~(np.abs(joints) <= LARGEST).all(axis=-1))[:1]:  # NaN compares false
+    for pose, joint in np.argwhere(~(np.abs(joints) <= LARGEST).all(axis=-1))[
+        :1
+    ]:  # NaN compares false
         raise BadInput(
-            f"{JOINTS[joint]} of {names[pose]} in {path} is {joints[pose, joint].tolist()}; the check needs finite "
-            "numbers for all fifteen joints"
+            f"{JOINTS[joint]} of {names[pose]} in {path} is {joints[pose, joint].tolist()}; the"
+            " check needs finite numbers for all fifteen joints"
         )
     ends, starts = [bone.end for bone in BONES], [bone.start for bone in BONES]
     for pose, bone in np.argwhere((joints[:, ends] == joints[:, starts]).all(axis=-1))[:1]:
         raise BadInput(
-            f"the bone {BONE_NAMES[bone]} of {names[pose]} in {path} has length zero, so no direction; leave it out"
+            f"the bone {BONE_NAMES[bone]} of {names[pose]} in {path} has length zero, so no"
+            " direction; leave it out"
         )

@@ -1,4 +1,5 @@
-"""`poseterior compare`: samplers on one frame, judged by exact draws: a table, comparison.nc and a picture."""
+"""`poseterior compare`: samplers on one frame, judged by exact draws: a table, comparison.nc and a
+picture."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +11,8 @@ from reports.options import Belief, Sight
 
 @dataclass(frozen=True)
 class Request:
-    """Which samplers, for how many seconds or evaluations from each start, how many exact draws, from which seed, where
-    to."""
+    """Which samplers, for how many seconds or evaluations from each start, how many exact draws,
+    from which seed, where to."""
 
     samplers: tuple[str, ...]
     out: Path
@@ -22,14 +23,14 @@ class Request:
 
 
 def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json: bool) -> None:
-    """Writes comparison.nc and comparison.png. What samplers have done is kept in `runs`: the next call goes on there.
-    Raises `BadInput`, or `OutOfBudget` where there are no exact draws."""
+    """Writes comparison.nc and comparison.png. What samplers have done is kept in `runs`: the next
+    call goes on there. Raises `BadInput`, or `OutOfBudget` where there are no exact draws."""
     import jax
 
-    from inference.comparison import contest
-    from inference.comparison.record import Entry, comparison_tree
+    from inference.baselines.run import Allowance
     from inference.results import save_tree
-    from inference.samplers.baseline import Allowance
+    from inference.studies.comparison import contest
+    from inference.studies.comparison.record import Entry, comparison_tree
     from reports import comparison_figures, comparison_tables
 
     if not request.seconds > 0:
@@ -45,19 +46,36 @@ def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json:
         known = contest.truth(model, frame, key=jax.random.fold_in(key, 0))
     allowance = Allowance(request.max_evaluations, request.seconds)
     entries: list[Entry] = []
-    attributes = {"source": frame.detection.source, "person": frame.detection.person, "seed": request.seed,
-                  "seconds": request.seconds, "exact_draws": known.sample.num_draws}  # fmt: skip
+    attributes = {
+        "source": frame.detection.source,
+        "person": frame.detection.person,
+        "seed": request.seed,
+        "seconds": request.seconds,
+        "exact_draws": known.sample.num_draws,
+    }
     everyone = [*contest.SAMPLERS, *contest.BASELINES]
     for name in request.samplers:
-        own = jax.random.fold_in(key, 1 + everyone.index(name))  # whoever else is asked, so that runs go on
+        own = jax.random.fold_in(
+            key, 1 + everyone.index(name)
+        )  # whoever else is asked, so that runs go on
         for start in contest.starts_of(name):
             with console.progress(f"{name} {start}".strip(), quiet):
                 if name in contest.BASELINES:
                     save_to = runs / f"{name}-{start}.npz".replace(" ", "-").replace("-.", ".")
-                    entry = contest.enter_baseline(model, known, name, start, key=own, allowance=allowance,
-                                                   num_samples=contest.ENDLESS, save_to=save_to)[0]  # fmt: skip
+                    entry = contest.enter_baseline(
+                        model,
+                        known,
+                        name,
+                        start,
+                        key=own,
+                        allowance=allowance,
+                        num_samples=contest.ENDLESS,
+                        save_to=save_to,
+                    )[0]
                 else:
-                    entry = contest.enter_exact(model, known, name, key=own, num_samples=request.num_samples)
+                    entry = contest.enter_exact(
+                        model, known, name, key=own, num_samples=request.num_samples
+                    )
             entries.append(entry)
             save_tree(comparison_tree(entries, known.sample, attributes), out / "comparison.nc")
     tree = comparison_tree(entries, known.sample, attributes)

@@ -1,4 +1,5 @@
-"""`poseterior detect`: images and a heatmap network → a file of detections that every other command reads."""
+"""`poseterior detect`: images and a heatmap network → a file of detections that every other command
+reads."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -19,7 +20,8 @@ Box = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Request:
-    """Which network on which people: `boxes` names a COCO file of person boxes, `person_box` is one for all images."""
+    """Which network on which people: `boxes` names a COCO file of person boxes, `person_box` is one
+    for all images."""
 
     model: Path
     layout: str
@@ -33,26 +35,37 @@ class Request:
 
 
 def run(images: Sequence[Path], request: Request, out: Path, *, quiet: bool, as_json: bool) -> None:
-    """Writes the detections of all images. Raises `BadInput` on a bad image, network, layout or box."""
+    """Writes the detections of all images. Raises `BadInput` on a bad image, network, layout or
+    box."""
     console.output_file(out)
     if request.layout not in LAYOUTS:
         raise BadInput(f"there is no layout {request.layout!r}; choose one of {', '.join(LAYOUTS)}")
     boxes = None if request.boxes is None else read_boxes(request.boxes, request.least_score)
-    network = Network.load(request.model, LAYOUTS[request.layout], size=request.input_size, pixels=request.pixels)
+    network = Network.load(
+        request.model, LAYOUTS[request.layout], size=request.input_size, pixels=request.pixels
+    )
     people: list[Detection] = []
     with console.progress("detecting", quiet) as step:
         for number, path in enumerate(images):
             people += network.detect(
-                figures.read_image(path), _boxes_of(path, boxes, request), threshold=request.threshold,
-                method=request.method, source=str(path), image_id=path.name, first_person=len(people),
-            )  # fmt: skip
+                figures.read_image(path),
+                _boxes_of(path, boxes, request),
+                threshold=request.threshold,
+                method=request.method,
+                source=str(path),
+                image_id=path.name,
+                first_person=len(people),
+            )
             step(number + 1, len(images))
     if not people:
-        raise BadInput(f"{request.boxes} has no person's box for any of the images; check its image ids")
+        raise BadInput(
+            f"{request.boxes} has no person's box for any of the images; check its image ids"
+        )
     write_detections(out, people)
     if as_json:
         rows = [
-            {"image": person.image_id, "person": person.person, "joints": int(person.seen.sum())} for person in people
+            {"image": person.image_id, "person": person.person, "joints": int(person.seen.sum())}
+            for person in people
         ]
         console.show_json({"people": rows, "layout": request.layout, "out": str(out)})
     else:
@@ -61,7 +74,8 @@ def run(images: Sequence[Path], request: Request, out: Path, *, quiet: bool, as_
 
 
 def read_boxes(path: Path, least_score: float) -> dict[str, list[Box]]:
-    """Person boxes by image id, from a list of COCO's detection results. Raises `BadInput` where it is none."""
+    """Person boxes by image id, from a list of COCO's detection results. Raises `BadInput` where it
+    is none."""
     try:
         records = json.loads(path.read_text(encoding="utf-8"))
         found: dict[str, list[Box]] = {}
@@ -71,13 +85,17 @@ def read_boxes(path: Path, least_score: float) -> dict[str, list[Box]]:
                 found.setdefault(str(record["image_id"]), []).append((x, y, width, height))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise BadInput(
-            f"{path} is no list of boxes ({type(error).__name__}); give COCO's results with image_id and bbox"
+            f"{path} is no list of boxes ({type(error).__name__}); give COCO's results with"
+            " image_id and bbox"
         ) from None
     return found
 
 
-def _boxes_of(path: Path, boxes: Mapping[str, list[Box]] | None, request: Request) -> list[Box] | None:
-    """The boxes of an image, by its name, or by its number as COCO numbers images; None for the whole of it."""
+def _boxes_of(
+    path: Path, boxes: Mapping[str, list[Box]] | None, request: Request
+) -> list[Box] | None:
+    """The boxes of an image, by its name, or by its number as COCO numbers images; None for the
+    whole of it."""
     if boxes is None:
         return None if request.person_box is None else [request.person_box]
     names = (path.name, path.stem, path.stem.lstrip("0"))
@@ -102,10 +120,17 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def _table(people: Sequence[Detection]) -> Table:
-    table = Table("image", title="People", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    table = Table(
+        "image", title="People", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False
+    )
     for heading in ("person", "joints", "highest score"):
         table.add_column(heading, justify="right")
     for person in people:
-        cells: tuple[Any, ...] = (person.image_id, person.person, person.seen.sum(), f"{person.score.max():.3g}")
+        cells: tuple[Any, ...] = (
+            person.image_id,
+            person.person,
+            person.seen.sum(),
+            f"{person.score.max():.3g}",
+        )
         table.add_row(*map(str, cells))
     return table

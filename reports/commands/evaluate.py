@@ -1,4 +1,5 @@
-"""`poseterior evaluate`: the paper's tables, curves and relations on any data set, on one machine or many."""
+"""`poseterior evaluate`: the paper's tables, curves and relations on any data set, on one machine
+or many."""
 
 import os
 import time
@@ -9,17 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from inference.errors import mean_joint_error
-from inference.estimators.external import read_poses
-from inference.evaluation.bias import LEAST_POSES, Bias, bias_study
-from inference.evaluation.conditions import Condition, conditions
-from inference.evaluation.outcome import Protocol
-from inference.evaluation.relations import Relation, relations
-from inference.evaluation.run import Results, evaluate
+from inference.roots.external import read_poses
+from inference.studies.errors import mean_joint_error
+from inference.studies.evaluation.bias import LEAST_POSES, Bias, bias_study
+from inference.studies.evaluation.conditions import Condition, conditions
+from inference.studies.evaluation.outcome import Protocol
+from inference.studies.evaluation.relations import Relation, relations
+from inference.studies.evaluation.run import Results, evaluate
 from probmodel.datasets import DataSet, Noise, brings_detections, read_data_set
 from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
-from probmodel.dictionaries import PoseDictionary
 from probmodel.failures import BadInput
+from probmodel.learning.dictionaries import PoseDictionary
 from reports import console, evaluation_figures, evaluation_tables
 from reports.evaluation_tables import Labels, Sheet
 from reports.figures import save_figure
@@ -39,7 +40,11 @@ class Source(NamedTuple):
     def read(self, seed: int) -> DataSet:
         """The data set. Raises `BadInput` as `read_data_set` does."""
         return read_data_set(
-            self.path, frames=self.frames, noise=Noise.parse(self.noise), seed=seed, detections=self.detections
+            self.path,
+            frames=self.frames,
+            noise=Noise.parse(self.noise),
+            seed=seed,
+            detections=self.detections,
         )
 
     def whole(self, seed: int) -> DataSet:
@@ -70,16 +75,29 @@ class Request(NamedTuple):
     def conditions(self) -> list[Condition]:
         """Raises `BadInput` where a list holds what it must not."""
         names = [name.strip() for name in self.estimators.split(",") if name.strip()]
-        return conditions(names, _listed(self.missing, int, "--missing"), _listed(self.rotate, float, "--rotate"))
+        return conditions(
+            names, _listed(self.missing, int, "--missing"), _listed(self.rotate, float, "--rotate")
+        )
 
     def protocol(self, belief: Belief) -> Protocol:
         """Raises `BadInput` on bad limits, pose dictionaries or numbers."""
-        dictionary = PoseDictionary.default() if self.poses == "default" else PoseDictionary.load(self.poses)
+        dictionary = (
+            PoseDictionary.default() if self.poses == "default" else PoseDictionary.load(self.poses)
+        )
         joints = LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS
         return Protocol(
-            belief.anatomy(), dictionary, str(belief.upper), str(belief.lower), self.candidates, self.factor, joints,
-            self.num_samples, tuple(_listed(self.ks, int, "--k")), self.max_proposals, self.seed,
-        )  # fmt: skip
+            belief.anatomy(),
+            dictionary,
+            str(belief.upper),
+            str(belief.lower),
+            self.candidates,
+            self.factor,
+            joints,
+            self.num_samples,
+            tuple(_listed(self.ks, int, "--k")),
+            self.max_proposals,
+            self.seed,
+        )
 
 
 class Findings(NamedTuple):
@@ -91,8 +109,8 @@ class Findings(NamedTuple):
 
 
 def run(source: Source, belief: Belief, request: Request, *, quiet: bool, as_json: bool) -> None:
-    """Evaluates, and writes tables (.md, .csv), pictures (.png) and frames.zarr. What is there of the same run is kept;
-    raises `BadInput` on bad input, and where the folder holds another run."""
+    """Evaluates, and writes tables (.md, .csv), pictures (.png) and frames.zarr. What is there of
+    the same run is kept; raises `BadInput` on bad input, and where the folder holds another run."""
     wanted, protocol = request.conditions(), request.protocol(belief)
     with console.progress("reading", quiet):
         data = source.read(request.seed)
@@ -107,15 +125,23 @@ def run(source: Source, belief: Belief, request: Request, *, quiet: bool, as_jso
             step(done, all_of_them)
 
         results = evaluate(
-            data, wanted, protocol, out, workers=request.workers, scheduler=request.scheduler, cache=_cache(),
+            data,
+            wanted,
+            protocol,
+            out,
+            workers=request.workers,
+            scheduler=request.scheduler,
+            cache=_cache(),
             progress=report,
-        )  # fmt: skip
+        )
     fresh, seconds = len(wanted) * len(data) - begun, time.monotonic() - started
     bias = None
     with console.progress("bias of motion capture, tables, pictures", quiet):
         if request.bias and len(data) >= LEAST_POSES:
             bias = bias_study(source.whole(request.seed), protocol.anatomy, seed=request.seed)
-        found = findings(results, data, wanted[0], protocol, external, bias, described(source, data, protocol))
+        found = findings(
+            results, data, wanted[0], protocol, external, bias, described(source, data, protocol)
+        )
         write(found, out)
     if as_json:
         console.show_json(_json(found, out))
@@ -124,14 +150,21 @@ def run(source: Source, belief: Belief, request: Request, *, quiet: bool, as_jso
         if sheet.name in ("table1", "table2", "relations"):
             console.OUT.print(sheet.narrow().screen())
     if fresh:
-        console.say(throughput(fresh, seconds, request.workers if request.scheduler is None else None))
+        console.say(
+            throughput(fresh, seconds, request.workers if request.scheduler is None else None)
+        )
     console.say(f"Written to {out}: evaluation.md, tables as .csv, pictures, frames.zarr")
 
 
 def findings(
-    results: Results, data: DataSet, base: Condition, protocol: Protocol, external: Mapping[str, np.ndarray],
-    bias: Bias | None, caption: str,
-) -> Findings:  # fmt: skip
+    results: Results,
+    data: DataSet,
+    base: Condition,
+    protocol: Protocol,
+    external: Mapping[str, np.ndarray],
+    bias: Bias | None,
+    caption: str,
+) -> Findings:
     """Tables and pictures from what came out of every frame."""
     labels, ks, few = Labels(data.action, data.recording), protocol.ks, min(protocol.ks)
     related = relations(results, data.recording, ks, base)
@@ -155,7 +188,8 @@ def findings(
 
 
 def write(found: Findings, out: Path) -> None:
-    """Writes evaluation.md, a .csv for every table, a .png for every picture. Raises `BadInput` where it cannot."""
+    """Writes evaluation.md, a .csv for every table, a .png for every picture. Raises `BadInput`
+    where it cannot."""
     for sheet in found.sheets:
         console.write_text(out / f"{sheet.name}.csv", sheet.csv())
     for name, figure in found.figures.items():
@@ -170,20 +204,28 @@ def described(source: Source, data: DataSet, protocol: Protocol) -> str:
     if brings_detections(source.path):
         given = "the 2D joints that it brings"
     else:
-        given = "true 2D joints" if source.noise == "none" else f"2D joints with noise {source.noise} of body height"
+        given = (
+            "true 2D joints"
+            if source.noise == "none"
+            else f"2D joints with noise {source.noise} of body height"
+        )
     return (
-        f"{data.name}: {len(data):,} frames of {len(data.actions)} actions, {given}; {protocol.num_samples:,} draws a "
-        f"frame, {protocol.candidates} torso-and-camera candidate(s). Errors after limb scaling and similarity "
-        "alignment, ± half a 95 % interval over recordings. The paper's are of another data set, Human3.6M."
+        f"{data.name}: {len(data):,} frames of {len(data.actions)} actions, {given};"
+        f" {protocol.num_samples:,} draws a frame, {protocol.candidates} torso-and-camera"
+        " candidate(s). Errors after limb scaling and similarity alignment, ± half a 95 % interval"
+        " over recordings. The paper's are of another data set, Human3.6M."
     )
 
 
 def external_errors(path: Path, data: DataSet) -> np.ndarray:
-    """`(N,)`: mean joint errors of the poses of a file (the best, where it has several for a frame). Raises `BadInput`
-    where they are not those of the data set's frames."""
+    """`(N,)`: mean joint errors of the poses of a file (the best, where it has several for a
+    frame). Raises `BadInput` where they are not those of the data set's frames."""
     poses = read_poses(path)
     if len(poses) != len(data):
-        raise BadInput(f"{path} holds predictions for {len(poses)} frames, but {data.name} has {len(data)} of them")
+        raise BadInput(
+            f"{path} holds predictions for {len(poses)} frames, but {data.name} has {len(data)} of"
+            " them"
+        )
     try:
         return np.asarray(mean_joint_error(poses, data.poses[:, None])).min(axis=1)
     except BadInput as error:
@@ -194,8 +236,13 @@ def throughput(frames: int, seconds: float, workers: int | None) -> str:
     """How fast it went, and what more would take at that rate."""
     rate = frames / max(seconds, 1e-9)
     who = "the cluster" if workers is None else f"{workers} worker{'s' if workers > 1 else ''}"
-    costs = ", ".join(f"{number:,} in {duration(number / rate)}" for number in (PAPERS_FRAMES, MANY_FRAMES))
-    return f"{frames:,} frames under their conditions in {duration(seconds)}: {rate:.1f} a second with {who}; {costs}"
+    costs = ", ".join(
+        f"{number:,} in {duration(number / rate)}" for number in (PAPERS_FRAMES, MANY_FRAMES)
+    )
+    return (
+        f"{frames:,} frames under their conditions in {duration(seconds)}: {rate:.1f} a second with"
+        f" {who}; {costs}"
+    )
 
 
 def duration(seconds: float) -> str:
@@ -210,7 +257,9 @@ def _listed[T](text: str, kind: Callable[[str], T], option: str) -> list[T]:
     try:
         return [kind(part) for part in text.split(",")]
     except ValueError:
-        raise BadInput(f"{option} must be numbers with commas between them, such as 0,1,2, not {text!r}") from None
+        raise BadInput(
+            f"{option} must be numbers with commas between them, such as 0,1,2, not {text!r}"
+        ) from None
 
 
 def _cache() -> str | None:
@@ -222,8 +271,11 @@ def _cache() -> str | None:
 
 def _json(found: Findings, out: Path) -> dict:
     tables = {
-        sheet.name: [dict(zip(["name", *sheet.head[1:]], map(evaluation_tables.plain, row), strict=True))
-                     for row in sheet.rows]
-        for sheet in found.sheets if sheet.name != "pck"
-    }  # fmt: skip
+        sheet.name: [
+            dict(zip(["name", *sheet.head[1:]], map(evaluation_tables.plain, row), strict=True))
+            for row in sheet.rows
+        ]
+        for sheet in found.sheets
+        if sheet.name != "pck"
+    }
     return {"out": str(out), "tables": tables}

@@ -1,4 +1,5 @@
-"""`poseterior hypotheses`: a detector's file → exact posterior draws, k diverse hypotheses, a picture and a table."""
+"""`poseterior hypotheses`: a detector's file → exact posterior draws, k diverse hypotheses, a
+picture and a table."""
 
 import json
 from dataclasses import dataclass
@@ -7,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from inference import Result
-from inference.hypotheses import Hypothesis, hypotheses
+from inference.hypothesis import Hypothesis, hypotheses
 from inference.results import COMPLETE
 from inference.sampler import sample
 from probmodel.failures import BadInput, OutOfBudget
@@ -17,7 +18,8 @@ from reports.options import Belief, Sight
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked for: how many draws and hypotheses, from which seed, within which budget, written where."""
+    """What is asked for: how many draws and hypotheses, from which seed, within which budget,
+    written where."""
 
     out: Path
     k: int
@@ -28,23 +30,39 @@ class Request:
 
 
 def run(
-    sight: Sight, belief: Belief, request: Request, *, truth: np.ndarray | None, quiet: bool, as_json: bool
+    sight: Sight,
+    belief: Belief,
+    request: Request,
+    *,
+    truth: np.ndarray | None,
+    quiet: bool,
+    as_json: bool,
 ) -> None:
     """The main job. Raises `BadInput`, or `OutOfBudget` after saving what was drawn."""
     import jax
 
     if request.k < 1:
-        raise BadInput(f"the number of hypotheses must be at least 1, not {request.k}; give another --k")
+        raise BadInput(
+            f"the number of hypotheses must be at least 1, not {request.k}; give another --k"
+        )
     if request.k > request.num_samples:
-        raise BadInput(f"--k {request.k} hypotheses need at least as many draws; raise --num-samples")
+        raise BadInput(
+            f"--k {request.k} hypotheses need at least as many draws; raise --num-samples"
+        )
     image = None if request.image is None else figures.read_image(request.image)
     with console.progress("torso and camera", quiet):
         model = belief.model()
         frame = sight.frame(model)
     out = console.output_folder(request.out)
     with console.progress("exact draws", quiet) as step:
-        result = sample(model, frame, key=jax.random.key(request.seed), num_samples=request.num_samples,
-                        max_proposals=request.max_proposals, progress=step)  # fmt: skip
+        result = sample(
+            model,
+            frame,
+            key=jax.random.key(request.seed),
+            num_samples=request.num_samples,
+            max_proposals=request.max_proposals,
+            progress=step,
+        )
     if not result.num_draws:
         raise OutOfBudget(result.sentence)
     with console.progress("hypotheses and their picture", quiet):
@@ -64,8 +82,12 @@ def run(
 def _as_text(chosen: list[Hypothesis], result: Result, request: Request) -> str:
     attrs = result.tree.attrs
     about = {key: attrs[key] for key in ("source", "limits", "measures", "versions")}
-    whole = {"hypotheses": [hypothesis.as_json() for hypothesis in chosen], "seed": request.seed,
-             "person": int(attrs["person"]), **about}  # fmt: skip
+    whole = {
+        "hypotheses": [hypothesis.as_json() for hypothesis in chosen],
+        "seed": request.seed,
+        "person": int(attrs["person"]),
+        **about,
+    }
     return json.dumps(whole, indent=1) + "\n"
 
 

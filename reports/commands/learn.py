@@ -1,22 +1,28 @@
-"""`poseterior learn`: limits, bone lengths and torsos from motion capture in one file, pose dictionaries in another."""
+"""`poseterior learn`: limits, bone lengths and torsos from motion capture in one file, pose
+dictionaries in another."""
 
 from pathlib import Path
 
 import numpy as np
 
-from probmodel.dictionaries import learn_dictionary
-from probmodel.learning import learn, read_all
+from probmodel.learning.dictionaries import learn_dictionary
+from probmodel.learning.learning import learn, read_all
 from reports import console
 
 
-def run(paths: list[Path], out: Path, poses: Path | None, *, mirror: bool, quiet: bool, as_json: bool) -> None:
-    """Learns from files and folders of ASF/AMC, BVH and .npz; writes tables, and dictionaries where `poses` says."""
+def run(
+    paths: list[Path], out: Path, poses: Path | None, *, mirror: bool, quiet: bool, as_json: bool
+) -> None:
+    """Learns from files and folders of ASF/AMC, BVH and .npz; writes tables, and dictionaries where
+    `poses` says."""
     console.output_file(out)
     if poses is not None:
         console.output_file(poses)
     with console.progress("learning", quiet) as step:
         motions = read_all(paths, lambda what, done, wanted: step(done, wanted))
-        anatomy = learn(motions, mirror=mirror, progress=lambda what, done, wanted: step(done, wanted))
+        anatomy = learn(
+            motions, mirror=mirror, progress=lambda what, done, wanted: step(done, wanted)
+        )
         dictionary = None if poses is None else learn_dictionary(motions)
     anatomy.save(out)
     found = {
@@ -29,11 +35,21 @@ def run(paths: list[Path], out: Path, poses: Path | None, *, mirror: bool, quiet
     }
     if poses is not None and dictionary is not None:
         dictionary.save(poses)
-        found |= {"poses": str(poses), "directions": len(dictionary.bases), "atoms": len(dictionary.atoms)}
+        found |= {
+            "poses": str(poses),
+            "directions": len(dictionary.bases),
+            "atoms": len(dictionary.atoms),
+        }
     if as_json:
         console.show_json(found)
         return
-    console.say(f"Learned limits {found['sha256'][:12]}, {found['torsos']} torsos and five ranges of bone lengths.")
+    console.say(
+        f"Learned limits {found['sha256'][:12]}, {found['torsos']} torsos and five ranges of bone"
+        " lengths."
+    )
     if poses is not None:
-        console.say(f"Learned {found['directions']} principal directions and {found['atoms']} atoms of poses.")
+        console.say(
+            f"Learned {found['directions']} principal directions and {found['atoms']} atoms of"
+            " poses."
+        )
     console.say(f"Written to {out}" if poses is None else f"Written to {out} and {poses}")

@@ -8,7 +8,9 @@ from reports import console
 from reports.options import Belief
 
 
-def run(belief: Belief, out: Path, num_samples: int, seed: int, *, quiet: bool, as_json: bool) -> None:
+def run(
+    belief: Belief, out: Path, num_samples: int, seed: int, *, quiet: bool, as_json: bool
+) -> None:
     """Writes prior.nc."""
     import jax
 
@@ -22,5 +24,7 @@ def run(belief: Belief, out: Path, num_samples: int, seed: int, *, quiet: bool, 
     if as_json:
         console.show_json(found)
     else:
-        console.say(f"{num_samples} poses from the prior ({found['measures']}; limits {model.limits.name}).")
+        console.say(
+            f"{num_samples} poses from the prior ({found['measures']}; limits {model.limits.name})."
+        )
         console.say(f"Written to {out}")

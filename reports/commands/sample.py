@@ -9,8 +9,18 @@ from reports import console, tables
 from reports.options import Belief, Sight
 
 
-def run(sight: Sight, belief: Belief, sampler: str, out: Path, num_samples: int, seed: int, max_proposals: int, *,
-        quiet: bool, as_json: bool) -> None:  # fmt: skip
+def run(
+    sight: Sight,
+    belief: Belief,
+    sampler: str,
+    out: Path,
+    num_samples: int,
+    seed: int,
+    max_proposals: int,
+    *,
+    quiet: bool,
+    as_json: bool,
+) -> None:
     """Writes posterior.nc. Raises `BadInput`, or `OutOfBudget` after saving what was drawn."""
     import jax
 
@@ -19,8 +29,15 @@ def run(sight: Sight, belief: Belief, sampler: str, out: Path, num_samples: int,
         model = belief.model()
         frame = sight.frame(model)
     with console.progress(f"draws by {sampler}", quiet) as step:
-        result = sample(model, frame, key=jax.random.key(seed), sampler=sampler, num_samples=num_samples,
-                        max_proposals=max_proposals, progress=step)  # fmt: skip
+        result = sample(
+            model,
+            frame,
+            key=jax.random.key(seed),
+            sampler=sampler,
+            num_samples=num_samples,
+            max_proposals=max_proposals,
+            progress=step,
+        )
     if not result.num_draws:
         raise OutOfBudget(result.sentence)
     result.save(out)

@@ -1,4 +1,5 @@
-"""`poseterior show`: how a file was read, as a picture and a table, and what speaks against that reading."""
+"""`poseterior show`: how a file was read, as a picture and a table, and what speaks against that
+reading."""
 
 from pathlib import Path
 
@@ -16,11 +17,15 @@ from reports import console, figures, overlay, tables
 from reports.options import Belief, Sight
 
 MOST_PEOPLE = 8
-"""People of a file by whom its reading is judged, evenly spread, the one that is shown among them."""
+"""People of a file by whom its reading is judged, evenly spread, the one that is shown among
+them."""
 
 
-def run(sight: Sight, belief: Belief, out: Path, image: Path | None, *, quiet: bool, as_json: bool) -> None:
-    """Writes the picture and says what was read and what is doubted. Raises `BadInput` on a bad file or image."""
+def run(
+    sight: Sight, belief: Belief, out: Path, image: Path | None, *, quiet: bool, as_json: bool
+) -> None:
+    """Writes the picture and says what was read and what is doubted. Raises `BadInput` on a bad
+    file or image."""
     console.output_file(out)
     shown = None if image is None else figures.read_image(image)
     with console.progress("reading", quiet):
@@ -42,7 +47,10 @@ def run(sight: Sight, belief: Belief, out: Path, image: Path | None, *, quiet: b
     else:
         console.OUT.print(_table(person, radius))
         judged = len(verdict.gains)
-        console.say(f"{person.layout}, {len(people)} in {person.source}, reading judged by {judged}. Written to {out}")
+        console.say(
+            f"{person.layout}, {len(people)} in {person.source}, reading judged by {judged}."
+            f" Written to {out}"
+        )
     for sentence in warnings:
         console.warn(sentence)
 
@@ -54,13 +62,17 @@ def _others(people: list[Detection], person: Detection) -> list[Detection]:
 
 
 def about_the_image(person: Detection, image: np.ndarray | None) -> list[str]:
-    """What the image itself says: whether its size is the detection's, and whether the joints lie in it."""
+    """What the image itself says: whether its size is the detection's, and whether the joints lie
+    in it."""
     if image is None:
         return []
     size = (image.shape[1], image.shape[0])
     if person.image_size not in (None, size):
         was = "x".join(map(str, person.image_size or ()))
-        return [f"the detection was made on an image of {was} pixels, but this one has {size[0]}x{size[1]}"]
+        return [
+            f"the detection was made on an image of {was} pixels, but this one has"
+            f" {size[0]}x{size[1]}"
+        ]
     points = person.keypoints[person.seen]
     outside = ((points < 0) | (points > size)).any(axis=1)
     if outside.sum() > len(points) / 2:
@@ -75,18 +87,34 @@ def _radius(person: Detection, sight: Sight, torsos: np.ndarray) -> np.ndarray |
         frame = estimate_torso(person, torsos=torsos, factor=sight.factor)
     except BadInput:
         return None
-    return person.radius(float(frame.candidates[0].camera.scale), factor=sight.factor, joints=frame.joints)
+    return person.radius(
+        float(frame.candidates[0].camera.scale), factor=sight.factor, joints=frame.joints
+    )
 
 
 def _table(person: Detection, radius: np.ndarray | None) -> Table:
-    table = Table("joint", title=f"Person {person.person}", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    table = Table(
+        "joint",
+        title=f"Person {person.person}",
+        box=box.SIMPLE_HEAD,
+        title_justify="left",
+        pad_edge=False,
+    )
     for heading in ("x", "y", "score", "radius"):
         table.add_column(heading, justify="right")
     for joint in np.flatnonzero(person.seen):
         reach = "–" if radius is None or np.isnan(radius[joint]) else f"{radius[joint]:.1f}"
         x, y = person.keypoints[joint]
-        table.add_row(tables.spoken(JOINTS[joint]), f"{x:.1f}", f"{y:.1f}", f"{person.score[joint]:.3g}", reach)
-    for name, (x, y, score) in zip(FACE, person.face if person.face is not None else [], strict=False):
+        table.add_row(
+            tables.spoken(JOINTS[joint]),
+            f"{x:.1f}",
+            f"{y:.1f}",
+            f"{person.score[joint]:.3g}",
+            reach,
+        )
+    for name, (x, y, score) in zip(
+        FACE, person.face if person.face is not None else [], strict=False
+    ):
         if score > 0:
             table.add_row(tables.spoken(name), f"{x:.1f}", f"{y:.1f}", f"{score:.3g}", "–")
     return table
@@ -105,7 +133,14 @@ def _json(
     }
     gains = verdict.gains.sum(axis=0).tolist() if len(verdict.gains) else []
     return {
-        "source": person.source, "person": person.person, "layout": person.layout, "image_id": person.image_id,
-        "joints": joints, "noticed": list(verdict.noticed), "warnings": warnings, "judged": len(verdict.gains),
-        "gains": dict(zip(verdict.names, gains, strict=True)), "out": str(out),
-    }  # fmt: skip
+        "source": person.source,
+        "person": person.person,
+        "layout": person.layout,
+        "image_id": person.image_id,
+        "joints": joints,
+        "noticed": list(verdict.noticed),
+        "warnings": warnings,
+        "judged": len(verdict.gains),
+        "gains": dict(zip(verdict.names, gains, strict=True)),
+        "out": str(out),
+    }

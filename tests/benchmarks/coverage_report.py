@@ -2,9 +2,8 @@
 
     python -m tests.benchmarks.coverage_report ../shared/data WORK [STAGE…]
 
-Every stage leaves its result in the folder WORK and is not done twice; the page is written when all are there. With
-names of stages, only those are done. About an hour on one core.
-"""
+Every stage leaves its result in the folder WORK and is not done twice; the page is written when all
+are there. With names of stages, only those are done. About an hour on one core."""
 
 import dataclasses
 import functools
@@ -20,31 +19,51 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.calibration import Instance, calibrate, judge
-from inference.calibration.choices import CHOOSE, GRID, WAYS, best_error, modes_represented
-from inference.calibration.controls import DISTORTIONS, IGNORING, RECIPE, distorted, following_the_recipe, ignoring
-from inference.calibration.coverage import summary
-from inference.calibration.ece import ece
-from inference.calibration.exclusions import Reason, as_text, exclusions, from_text, hung, ranking
-from inference.calibration.posteriors import Sampler, sampler_of
-from inference.calibration.quantities import ENERGY_BALL, LOG_DENSITY, TARP
-from inference.calibration.real import TRUE, by_the_likelihood, instances, stand_real
-from inference.calibration.record import standings_tree
-from inference.estimators import ESTIMATORS
-from inference.hypotheses import grid_poses
+from inference.baselines.catalogue import ONE_FLIP
+from inference.hypothesis import grid_poses
 from inference.results import save_tree
-from inference.samplers.baselines import ONE_FLIP
+from inference.roots import ESTIMATORS
+from inference.studies.calibration import Instance, calibrate, judge
+from inference.studies.calibration.choices import CHOOSE, GRID, WAYS, best_error, modes_represented
+from inference.studies.calibration.controls import (
+    DISTORTIONS,
+    IGNORING,
+    RECIPE,
+    distorted,
+    following_the_recipe,
+    ignoring,
+)
+from inference.studies.calibration.coverage import summary
+from inference.studies.calibration.ece import ece
+from inference.studies.calibration.exclusions import (
+    Reason,
+    as_text,
+    exclusions,
+    from_text,
+    hung,
+    ranking,
+)
+from inference.studies.calibration.posteriors import Sampler, sampler_of
+from inference.studies.calibration.quantities import ENERGY_BALL, LOG_DENSITY, TARP
+from inference.studies.calibration.real import TRUE, by_the_likelihood, instances, stand_real
+from inference.studies.calibration.record import standings_tree
 from probmodel import PoseModel
-from probmodel.anatomy import Anatomy
+from probmodel.anatomy.population import Anatomy
+from probmodel.anatomy.published import read_published
 from probmodel.datasets import Case, Noise, from_motions
-from probmodel.dictionaries import PoseDictionary, learn_dictionary
-from probmodel.learning import learn, read_all
+from probmodel.learning.dictionaries import PoseDictionary, learn_dictionary
+from probmodel.learning.learning import learn, read_all
 from probmodel.motion import Motion
-from probmodel.published import read_published
-from reports.coverage_figures import Miss, controls_figure, coverage_figure, misses_figure, ranks_figure
+from reports.coverage_figures import (
+    Miss,
+    controls_figure,
+    coverage_figure,
+    misses_figure,
+    ranks_figure,
+)
 from reports.coverage_tables import Rows, by_joint, families, grid, markdown, reasons
 from reports.figures import save_figure
-from tests.test_calibration import sizes
+from tests.inference.test_calibration import sizes
 
 SIMULATIONS, DRAWS = 1000, 1000
 MEASURES = (("angle", "area"), ("area", "area"), ("angle", "box"))
@@ -61,8 +80,13 @@ def exact(work: Path, data: Path) -> None:
         if cost.exists():
             continue
         started, cpu = time.perf_counter(), time.process_time()
-        calibrate(PoseModel(upper=upper, lower=lower), "rejection", num_simulations=SIMULATIONS, num_samples=DRAWS,
-                  out=path)  # fmt: skip
+        calibrate(
+            PoseModel(upper=upper, lower=lower),
+            "rejection",
+            num_simulations=SIMULATIONS,
+            num_samples=DRAWS,
+            out=path,
+        )
         cost.write_text(json.dumps([time.process_time() - cpu, time.perf_counter() - started]))
 
 
@@ -78,7 +102,9 @@ def controls(work: Path, data: Path) -> None:
     for number, (name, (sampler, count)) in enumerate(wrong.items()):
         path = work / f"control-{number}.nc"
         if not path.exists():
-            tree = calibrate(model, sampler, num_simulations=count, out=work / f"partial-{number}.nc")
+            tree = calibrate(
+                model, sampler, num_simulations=count, out=work / f"partial-{number}.nc"
+            )
             tree.attrs["sampler"] = name
             save_tree(tree, path)
             print(name, judge(tree["simulation"].to_dataset()).families, flush=True)
@@ -96,10 +122,12 @@ def baselines(work: Path, data: Path) -> None:
             save_tree(tree, path)
 
 
-# --- real poses ------------------------------------------------------------------------------------------------------
+# --- real poses
+# ------------------------------------------------------------------------------------------------------
 
 DETECTOR = 0.08 / 4.85
-"""As far as MMPose lies from the annotation on the one image that both are of, 0.08 limb lengths, of the height."""
+"""As far as MMPose lies from the annotation on the one image that both are of, 0.08 limb lengths,
+of the height."""
 LIKELIHOOD = "likelihood"
 ERRORS = {
     LIKELIHOOD: Noise(),
@@ -112,13 +140,14 @@ CELLS = [
     *((estimator, error, 0) for error in ERRORS for estimator in ESTIMATED),
     *((estimator, "detector", missing) for missing in (1, 2) for estimator in (TRUE, "zhou")),
 ]
-"""Torso and camera, 2D error, and how many joints are missing: every error with none, and more with a detector's
-and one estimator."""
+"""Torso and camera, 2D error, and how many joints are missing: every error with none, and more with
+a detector's and one estimator."""
 POSES, REAL_DRAWS, BUDGET = 24, 200, 300_000
 
 
 class Held(NamedTuple):
-    """A model and pose dictionary learned from others, and the recordings of three people of whom it knows nothing."""
+    """A model and pose dictionary learned from others, and the recordings of three people of whom
+    it knows nothing."""
 
     model: PoseModel
     dictionary: PoseDictionary
@@ -127,8 +156,8 @@ class Held(NamedTuple):
 
 @functools.cache
 def hold_out(work: Path, data: Path) -> Held:
-    """Learns from everybody but the three people (and `walking_1`, which is one of them under another name); what was
-    learned is kept in `work`."""
+    """Learns from everybody but the three people (and `walking_1`, which is one of them under
+    another name); what was learned is kept in `work`."""
     own = read_all([data / "cmu" / "asfamc"])
     limits, poses = work / "limits.npz", work / "poses.npz"
     if not (limits.exists() and poses.exists()):
@@ -151,7 +180,8 @@ def cases(held: Held, error: str, missing: int = 0, factor: float = 0.25) -> lis
 
 
 def real(work: Path, data: Path) -> None:
-    """Estimator × 2D error × missing joints: where the truth stands, and why it is excluded where it is."""
+    """Estimator × 2D error × missing joints: where the truth stands, and why it is excluded where
+    it is."""
     left = [cell for cell in CELLS if not _cell(work, *cell).exists()]
     if not left:
         return
@@ -160,16 +190,33 @@ def real(work: Path, data: Path) -> None:
         tree = _stand(held.model, held.dictionary, estimator, cases(held, error, missing))
         tree.attrs.update(estimator=estimator, error=error, missing=missing)
         save_tree(tree, _cell(work, estimator, error, missing))
-        print(estimator, error, missing, Counter(tree["simulation"].status.values.tolist()), flush=True)
+        print(
+            estimator,
+            error,
+            missing,
+            Counter(tree["simulation"].status.values.tolist()),
+            flush=True,
+        )
 
 
 def _cell(work: Path, estimator: str, error: str, missing: int) -> Path:
     return work / f"real-{estimator}-{error}-{missing}.nc".replace(" ", "").replace("%", "")
 
 
-def _stand(model: PoseModel, dictionary: PoseDictionary, estimator: str, some: list[Case],
-           factor: float = 0.25) -> xr.DataTree:  # fmt: skip
-    known = instances(some, model, estimator, factor=factor, **({} if estimator == TRUE else {"poses": dictionary}))
+def _stand(
+    model: PoseModel,
+    dictionary: PoseDictionary,
+    estimator: str,
+    some: list[Case],
+    factor: float = 0.25,
+) -> xr.DataTree:
+    known = instances(
+        some,
+        model,
+        estimator,
+        factor=factor,
+        **({} if estimator == TRUE else {"poses": dictionary}),
+    )
     columns = {
         "recording": np.array([case.recording for case in some]),
         "unit_mm": np.array([case.unit for case in some]),
@@ -179,14 +226,16 @@ def _stand(model: PoseModel, dictionary: PoseDictionary, estimator: str, some: l
     return standings_tree(standings, {}, columns)
 
 
-# --- k hypotheses ----------------------------------------------------------------------------------------------------
+# --- k hypotheses
+# ----------------------------------------------------------------------------------------------------
 
 KS = (1, 2, 5, 10, 20, 50)
 CHOSEN_DRAWS, STAND_INS = 500, 50
 
 
 def choices(work: Path, data: Path) -> None:
-    """Best-of-k error (mm) by way and k, of the truth and of held-out draws in its place, and modes represented."""
+    """Best-of-k error (mm) by way and k, of the truth and of held-out draws in its place, and modes
+    represented."""
     path = work / "choices.nc"
     if path.exists():
         return
@@ -204,21 +253,33 @@ def choices(work: Path, data: Path) -> None:
         mm, truth, held_out = some[number].unit, instance.joints, drawn[:STAND_INS]
         rows["error"].append([[mm * _best(picked, truth) for picked in way] for way in chosen])
         rows["floor"].append([[mm * _best(picked, held_out) for picked in way] for way in chosen])
-        rows["modes"].append([[modes_represented(picked, drawn) for picked in way] for way in chosen])
+        rows["modes"].append(
+            [[modes_represented(picked, drawn) for picked in way] for way in chosen]
+        )
         rows["recording"].append(some[number].recording)
     recording = rows.pop("recording")
-    tree = xr.DataTree.from_dict({"choices": xr.Dataset(
-        {name: (("pose", "way", "k"), np.array(values, float)) for name, values in rows.items()}
-        | {"recording": (("pose",), np.array(recording))},
-        coords={"way": list(WAYS), "k": list(KS)},
-    )})  # fmt: skip
+    tree = xr.DataTree.from_dict(
+        {
+            "choices": xr.Dataset(
+                {
+                    name: (("pose", "way", "k"), np.array(values, float))
+                    for name, values in rows.items()
+                }
+                | {"recording": (("pose",), np.array(recording))},
+                coords={"way": list(WAYS), "k": list(KS)},
+            )
+        }
+    )
     save_tree(tree, path)
 
 
 def _chosen(draws: np.ndarray, grid: np.ndarray) -> list[list[np.ndarray]]:
     """By way and k; empty where the grid has no pose."""
     return [
-        [CHOOSE[way](grid if way == GRID else draws, k, 0) if len(grid) or way != GRID else grid for k in KS]
+        [
+            CHOOSE[way](grid if way == GRID else draws, k, 0) if len(grid) or way != GRID else grid
+            for k in KS
+        ]
         for way in WAYS
     ]
 
@@ -228,11 +289,13 @@ def _best(picked: np.ndarray, truths: np.ndarray) -> float:
     return float(np.mean(best_error(picked, truths))) if len(picked) else np.nan
 
 
-# --- sensitivity -----------------------------------------------------------------------------------------------------
+# --- sensitivity
+# -----------------------------------------------------------------------------------------------------
 
 
 class Variant(NamedTuple):
-    """One thing that is believed differently: limits and measures, the factor in τ, and whether scores count."""
+    """One thing that is believed differently: limits and measures, the factor in τ, and whether
+    scores count."""
 
     name: str
     upper: str = "angle"
@@ -254,15 +317,20 @@ VARIANTS = (
 
 
 def sensitivity(work: Path, data: Path) -> None:
-    """Each variant on the same poses and the same detections: errors of a detector, larger where scores are lower."""
-    left = [number for number in range(len(VARIANTS)) if not (work / f"variant-{number}.nc").exists()]
+    """Each variant on the same poses and the same detections: errors of a detector, larger where
+    scores are lower."""
+    left = [
+        number for number in range(len(VARIANTS)) if not (work / f"variant-{number}.nc").exists()
+    ]
     held = hold_out(work, data) if left else None
     for number in left:
         assert held is not None
         variant, model = VARIANTS[number], held.model
         published = data / "akhter_black" / "jointAngleModel_v2.mat"
         limits = read_published(published) if variant.published else model.limits
-        model = PoseModel(limits, model.lengths, model.torsos, upper=variant.upper, lower=variant.lower)
+        model = PoseModel(
+            limits, model.lengths, model.torsos, upper=variant.upper, lower=variant.lower
+        )
         some = [_scored(case, variant.scores) for case in cases(held, "detector")]
         tree = _stand(model, held.dictionary, TRUE, some, variant.factor)
         tree.attrs["variant"] = variant.name
@@ -271,17 +339,21 @@ def sensitivity(work: Path, data: Path) -> None:
 
 
 def _scored(case: Case, told: bool) -> Case:
-    """Scores from 0.4 to 1, errors in inverse proportion to them; `told`: whether the detection says its scores."""
+    """Scores from 0.4 to 1, errors in inverse proportion to them; `told`: whether the detection
+    says its scores."""
     rng = np.random.default_rng([4, case.number])
     score = rng.uniform(0.4, 1.0, case.detection.score.shape)
     error = (case.detection.keypoints - case.pixels[:, :2]) * (score.mean() / score)[:, None]
     detection = dataclasses.replace(
-        case.detection, keypoints=case.pixels[:, :2] + error, score=score if told else np.ones_like(score)
+        case.detection,
+        keypoints=case.pixels[:, :2] + error,
+        score=score if told else np.ones_like(score),
     )
     return dataclasses.replace(case, detection=detection)
 
 
-# --- the tests themselves --------------------------------------------------------------------------------------------
+# --- the tests themselves
+# --------------------------------------------------------------------------------------------
 
 REPETITIONS, TOYS, TOY_DRAWS = 200, 100, 50
 
@@ -294,12 +366,18 @@ def toy(work: Path, data: Path) -> None:
         path.write_text(json.dumps({name: p_values.tolist() for name, p_values in found.items()}))
 
 
-# --- the page --------------------------------------------------------------------------------------------------------
+# --- the page
+# --------------------------------------------------------------------------------------------------------
 
 STAGES = {
-    "exact": exact, "toy": toy, "real": real, "controls": controls, "choices": choices, "sensitivity": sensitivity,
+    "exact": exact,
+    "toy": toy,
+    "real": real,
+    "controls": controls,
+    "choices": choices,
+    "sensitivity": sensitivity,
     "baselines": baselines,
-}  # fmt: skip
+}
 SHOWN = ("right_wrist z", "left_knee x", LOG_DENSITY, ENERGY_BALL, TARP)
 
 
@@ -313,7 +391,13 @@ def toy_rows(work: Path) -> Rows:
     rows = []
     for name, values in found.items():
         p_values = np.array(values)
-        rows.append((name, *(f"{np.mean(p_values <= level):.1%}" for level in (0.01, 0.05, 0.2)), str(len(values))))
+        rows.append(
+            (
+                name,
+                *(f"{np.mean(p_values <= level):.1%}" for level in (0.01, 0.05, 0.2)),
+                str(len(values)),
+            )
+        )
     return Rows(("test", "rejects at 1 %", "at 5 %", "at 20 %", "repetitions"), rows)
 
 
@@ -321,15 +405,24 @@ def with_ece(table: Rows, simulations: Sequence[xr.Dataset]) -> Rows:
     """The field's ECE of the same simulations, and its floor, beside the tests."""
     columns = []
     for simulation in simulations:
-        found = ece(simulation.whole.values, simulation.stand_in.values, np.arange(simulation.sizes["simulation"]))
+        found = ece(
+            simulation.whole.values,
+            simulation.stand_in.values,
+            np.arange(simulation.sizes["simulation"]),
+        )
         columns.append(f"{found.whole.value:.3f} ({found.floor:.3f})")
     head = (*table.head[:-1], "field's ECE (floor)", table.head[-1])
-    return Rows(head, [(*row[:-1], one, row[-1]) for row, one in zip(table.rows, columns, strict=True)])
+    return Rows(
+        head, [(*row[:-1], one, row[-1]) for row, one in zip(table.rows, columns, strict=True)]
+    )
 
 
 def judged(found: dict[str, xr.Dataset]) -> Rows:
     """The tests on several posteriors, and the field's ECE."""
-    return with_ece(families({name: judge(simulation) for name, simulation in found.items()}), list(found.values()))
+    return with_ece(
+        families({name: judge(simulation) for name, simulation in found.items()}),
+        list(found.values()),
+    )
 
 
 def real_trees(work: Path) -> dict[tuple[str, str, str], xr.DataTree]:
@@ -339,23 +432,29 @@ def real_trees(work: Path) -> dict[tuple[str, str, str], xr.DataTree]:
     }
 
 
-def reasons_of(trees: dict[tuple[str, str, str], xr.DataTree], wanted: Callable[[str], bool]) -> tuple[list, int]:
+def reasons_of(
+    trees: dict[tuple[str, str, str], xr.DataTree], wanted: Callable[[str], bool]
+) -> tuple[list, int]:
     texts = [
         text
-        for (estimator, _, _), tree in trees.items() if wanted(estimator)
+        for (estimator, _, _), tree in trees.items()
+        if wanted(estimator)
         for text in tree["simulation"].reasons.values.tolist()
-    ]  # fmt: skip
+    ]
     return ranking([from_text(text) for text in texts]), len(texts)
 
 
 def misses(work: Path, data: Path, labels: Sequence[str]) -> list[Miss]:
-    """One picture for each reason: the instance in the middle of those that it excludes alone, or with few others."""
+    """One picture for each reason: the instance in the middle of those that it excludes alone, or
+    with few others."""
     held = hold_out(work, data)
     found: dict[str, list[tuple[int, Miss]]] = {label: [] for label in labels}
     some = cases(held, "detector")
     for estimator in ESTIMATORS:
         views = instances(some, held.model, estimator, poses=held.dictionary, num_candidates=1)
-        for case, instance, why in zip(some, views, exclusions(held.model, some, views), strict=True):
+        for case, instance, why in zip(
+            some, views, exclusions(held.model, some, views), strict=True
+        ):
             for label in {reason.label for reason in why} & set(labels):
                 title = f"{label}\n({estimator}, subject {case.subject})"
                 found[label].append((len(why), _miss(title, case, instance, why, label)))
@@ -376,9 +475,19 @@ def choices_rows(work: Path) -> Rows:
     found = read(work / "choices.nc")["choices"].to_dataset()
     rows = []
     for way in WAYS:
-        for name, words in (("error", "the truth"), ("floor", "one more draw"), ("modes", "modes represented")):
+        for name, words in (
+            ("error", "the truth"),
+            ("floor", "one more draw"),
+            ("modes", "modes represented"),
+        ):
             values = found[name].sel(way=way).mean("pose")
-            rows.append((way, words, *(f"{value:.0%}" if name == "modes" else f"{value:.0f} mm" for value in values)))
+            rows.append(
+                (
+                    way,
+                    words,
+                    *(f"{value:.0%}" if name == "modes" else f"{value:.0f} mm" for value in values),
+                )
+            )
     return Rows(("chosen by", "against", *(f"k = {k}" for k in KS)), rows)
 
 
@@ -390,39 +499,58 @@ def page(work: Path, data: Path) -> None:
     """Writes the page and its pictures."""
     reports = Path(__file__).parents[2] / "reports"
     exacts = {
-        f"upper {upper}, lower {lower}": read(work / f"exact-{upper}-{lower}.nc")["simulation"].to_dataset()
+        f"upper {upper}, lower {lower}": (
+            read(work / f"exact-{upper}-{lower}.nc")["simulation"].to_dataset()
+        )
         for upper, lower in MEASURES
     }
     first = next(iter(exacts.values()))
     right = {"exact rejection": first.isel(simulation=slice(CONTROLLED))}
-    wrong = {tree.attrs["sampler"]: tree["simulation"].to_dataset() for tree in _some(work, "control-*.nc")}
-    others = {tree.attrs["sampler"]: tree["simulation"].to_dataset() for tree in _some(work, "baseline-*.nc")}
+    wrong = {
+        tree.attrs["sampler"]: tree["simulation"].to_dataset()
+        for tree in _some(work, "control-*.nc")
+    }
+    others = {
+        tree.attrs["sampler"]: tree["simulation"].to_dataset()
+        for tree in _some(work, "baseline-*.nc")
+    }
     trees = real_trees(work)
     summaries = {key: summary(tree) for key, tree in trees.items()}
     estimated, size = reasons_of(trees, lambda name: name != TRUE)
     own, own_size = reasons_of(trees, lambda name: name == TRUE)
     variants = [read(work / f"variant-{number}.nc") for number in range(len(VARIANTS))]
     save_figure(ranks_figure(first), reports / "coverage.png")
-    save_figure(controls_figure({"exact": first, **wrong}, SHOWN), reports / "coverage_controls.png")
-    curves = {f"{name}": trees[name, "detector", "0"]["simulation"].to_dataset() for name in ESTIMATED}
+    save_figure(
+        controls_figure({"exact": first, **wrong}, SHOWN), reports / "coverage_controls.png"
+    )
+    curves = {
+        f"{name}": trees[name, "detector", "0"]["simulation"].to_dataset() for name in ESTIMATED
+    }
     save_figure(coverage_figure(curves), reports / "coverage_real.png")
     save_figure(
-        misses_figure(misses(work, data, [one.label for one in estimated[:3]])), reports / "coverage_misses.png"
+        misses_figure(misses(work, data, [one.label for one in estimated[:3]])),
+        reports / "coverage_misses.png",
     )
-    costs = [json.loads((work / f"exact-{upper}-{lower}.json").read_text()) for upper, lower in MEASURES]
+    costs = [
+        json.loads((work / f"exact-{upper}-{lower}.json").read_text()) for upper, lower in MEASURES
+    ]
     tables = {
         "MEASURES": markdown(judged(exacts)),
         "COST": ", ".join(f"{cpu:.0f} s" for cpu, _ in costs),
         "TOY": markdown(toy_rows(work)),
         "CONTROLS": markdown(judged({**right, **wrong})),
-        "BASELINES": markdown(judged({"exact rejection": first.isel(simulation=slice(JUDGED)), **others})),
+        "BASELINES": markdown(
+            judged({"exact rejection": first.isel(simulation=slice(JUDGED)), **others})
+        ),
         "REAL": markdown(grid(summaries, ("torso and camera", "2D error", "missing"))),
         "JOINTS": markdown(by_joint(summaries["zhou", "detector", "0"])),
         "JOINTS_TRUE": markdown(by_joint(summaries[TRUE, "detector", "0"])),
         "REASONS": markdown(reasons(estimated, size)),
         "REASONS_TRUE": markdown(reasons(own, own_size)),
         "CHOICES": markdown(choices_rows(work)),
-        "SENSITIVITY": markdown(grid({(tree.attrs["variant"],): summary(tree) for tree in variants}, ("variant",))),
+        "SENSITIVITY": markdown(
+            grid({(tree.attrs["variant"],): summary(tree) for tree in variants}, ("variant",))
+        ),
         "JUDGED": str(JUDGED),
         "EVALUATIONS": f"{EVALUATIONS:,}",
         "POSES": str(summaries[TRUE, "detector", "0"].size),

@@ -2,9 +2,9 @@
 
     python -m tests.benchmarks.facing_report ../shared/data
 
-200 poses of motion capture, cameras all around them, keypoints drawn from the likelihood's discs; torso and camera
-are estimated, both candidates kept. Right means that the candidate nearer to the true facing has the larger share.
-"""
+200 poses of motion capture, cameras all around them, keypoints drawn from the likelihood's discs;
+torso and camera are estimated, both candidates kept. Right means that the candidate nearer to the
+true facing has the larger share."""
 
 import dataclasses
 import itertools
@@ -40,37 +40,52 @@ def angle(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def disturbed(detection: Detection, rng: np.random.Generator) -> Detection:
-    """The detection with Gaussian noise on the torso joints; the limbs have theirs from the discs already."""
+    """The detection with Gaussian noise on the torso joints; the limbs have theirs from the discs
+    already."""
     keypoints = np.array(detection.keypoints)
     keypoints[list(TORSO_INDEX)] += rng.normal(size=(len(TORSO_INDEX), 2)) * NOISE
     return dataclasses.replace(detection, keypoints=keypoints)
 
 
 def study(model: PoseModel, poses: np.ndarray, seed: int) -> list[dict]:
-    """One row a pose: angle of the view, whether there were two candidates, the share of the right one."""
+    """One row a pose: angle of the view, whether there were two candidates, the share of the right
+    one."""
     rng = np.random.default_rng(seed)
     rows = []
     for number, joints in enumerate(poses):
         truth = motion_scene(joints, rng.uniform(0, 360), rng.uniform(-20, 20), seed + number)
         true = facing_of(joints, np.asarray(truth.candidates[0].camera.rotation))
-        frame = inference.estimate_torso(disturbed(truth.detection, rng), torsos=np.asarray(model.torsos))
-        result = inference.sample(model, frame, key=jax.random.key(number), num_samples=DRAWS, max_proposals=30_000_000)
+        frame = inference.estimate_torso(
+            disturbed(truth.detection, rng), torsos=np.asarray(model.torsos)
+        )
+        result = inference.sample(
+            model, frame, key=jax.random.key(number), num_samples=DRAWS, max_proposals=30_000_000
+        )
         nearest = int(np.argmax([candidate.facing @ true for candidate in frame.candidates]))
-        rows.append({
-            # 0° is a view from the front or from behind, 90° one from the side.
-            "angle": float(np.degrees(np.arcsin(min(1.0, abs(true[0]))))),
-            "candidates": len(frame.candidates),
-            "share": float(result.tree["constant_data"].weight.values[nearest]),
-            "complete": result.status == COMPLETE,
-            "apart": angle(frame.candidates[0].facing, frame.candidates[-1].facing),
-            "first": nearest == 0,
-        })  # fmt: skip
+        rows.append(
+            {
+                # 0° is a view from the front or from behind, 90° one from the side.
+                "angle": float(np.degrees(np.arcsin(min(1.0, abs(true[0]))))),
+                "candidates": len(frame.candidates),
+                "share": float(result.tree["constant_data"].weight.values[nearest]),
+                "complete": result.status == COMPLETE,
+                "apart": angle(frame.candidates[0].facing, frame.candidates[-1].facing),
+                "first": nearest == 0,
+            }
+        )
     return rows
 
 
 def table(rows: list[dict]) -> str:
     """The rows by view angle, as Markdown."""
-    names = ("view, degrees from frontal", "poses", "two candidates", "apart (median)", "evidence right", "error right")
+    names = (
+        "view, degrees from frontal",
+        "poses",
+        "two candidates",
+        "apart (median)",
+        "evidence right",
+        "error right",
+    )
     lines = ["| " + " | ".join(names) + " |", "| --- " * len(names) + "|"]
     for low, high in [*itertools.pairwise(BINS), (0, 90)]:
         inside = [row for row in rows if low <= row["angle"] <= high and row["complete"]]
@@ -82,7 +97,10 @@ def table(rows: list[dict]) -> str:
         name = "all" if (low, high) == (0, 90) else f"{low}–{high}"
         apart = np.median([row["apart"] for row in two])
         shares = (f"{count} of {len(two)} ({count / len(two):.0%})" for count in (right, first))
-        lines.append(" | ".join(["| " + name, str(len(inside)), str(len(two)), f"{apart:.0f}°", *shares]) + " |")
+        lines.append(
+            " | ".join(["| " + name, str(len(inside)), str(len(two)), f"{apart:.0f}°", *shares])
+            + " |"
+        )
     return "\n".join(lines)
 
 

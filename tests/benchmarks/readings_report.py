@@ -1,11 +1,11 @@
-"""How often a wrong reading of a file is noticed, and a right one doubted: writes reports/readings.md and its picture.
+"""How often a wrong reading of a file is noticed, and a right one doubted: writes
+reports/readings.md and its picture.
 
     python -m tests.benchmarks.readings_report ../shared/data
 
-Poses of CMU motion capture (eight kinds of action), cameras all around them, detector's noise, a face whose
-points are found where they are in view; each wrong reading of the same file; and real detections, read rightly and
-wrongly.
-"""
+Poses of CMU motion capture (eight kinds of action), cameras all around them, detector's noise, a
+face whose points are found where they are in view; each wrong reading of the same file; and real
+detections, read rightly and wrongly."""
 
 import dataclasses
 import itertools
@@ -35,11 +35,11 @@ from inference.readings import (
     stretched,
     together,
     weigh,
-)  # fmt: skip
+)
 from probmodel import Anatomy, BadInput, Detection, PoseModel, read_detections
 from probmodel.detections import FACE
 from probmodel.layouts import COCO_17, H36M_17, Layout
-from probmodel.learning import body_unit
+from probmodel.learning.learning import body_unit
 from probmodel.motion import read_motion
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 from tests.scenes import camera
@@ -49,7 +49,8 @@ FRESH = 200
 POSES, OTHERS = 500, 150
 """Poses in all, and those that are also misread in ways that are no exchange."""
 NOISE = 0.08
-"""Body units (2.6 cm): MMPose's joints lie so far from COCO's annotation on the one image that both are of."""
+"""Body units (2.6 cm): MMPose's joints lie so far from COCO's annotation on the one image that both
+are of."""
 FACE_NOISE = 0.03
 CHIN = 0.37
 """Body units from the end of the head down to the middle between the ears."""
@@ -57,17 +58,25 @@ MISTAKES = 0.03
 """How often a point of the face is found though hidden, or missed though in view."""
 BINS = (0, 30, 60, 90)
 WORDS = {
-    "arms": "arms exchanged", "legs": "legs exchanged", "limbs": "arms and legs exchanged",
-    "halves": "upper body exchanged", "shoulders": "shoulders exchanged", "hips": "hips exchanged",
-    "whole": "everything exchanged", "mirrored": "image mirrored", "upside down": "y counted upwards",
-    "order": "COCO's 17 points read as Human3.6M's", "reversed": "COCO's 17 points read backwards",
+    "arms": "arms exchanged",
+    "legs": "legs exchanged",
+    "limbs": "arms and legs exchanged",
+    "halves": "upper body exchanged",
+    "shoulders": "shoulders exchanged",
+    "hips": "hips exchanged",
+    "whole": "everything exchanged",
+    "mirrored": "image mirrored",
+    "upside down": "y counted upwards",
+    "order": "COCO's 17 points read as Human3.6M's",
+    "reversed": "COCO's 17 points read backwards",
     **{f"x{factor:.2f}": f"image {factor:.2f} times too wide" for factor in ASPECTS},
-}  # fmt: skip
+}
 
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """A projected pose: the `detection`, its points `(17, 3)` in COCO's order, and degrees from a frontal view."""
+    """A projected pose: the `detection`, its points `(17, 3)` in COCO's order, and degrees from a
+    frontal view."""
 
     detection: Detection
     points: np.ndarray
@@ -87,7 +96,9 @@ def view_of(body: np.ndarray, rng: np.random.Generator, noise: float = NOISE) ->
     """`body` `(15, 3)` (body units) from a random side, tilted by up to 20°."""
     lens = camera(rng.uniform(0, 360), rng.uniform(-20, 20))
     left, up = body[12] - body[9], body[1] - body[0]
-    axes = np.stack([_unit(left - left @ _unit(up) * _unit(up)), _unit(up), _unit(np.cross(left, up))], axis=1)
+    axes = np.stack(
+        [_unit(left - left @ _unit(up) * _unit(up)), _unit(up), _unit(np.cross(left, up))], axis=1
+    )
     turn = Rotation.from_euler("YXZ", rng.normal(size=3) * np.radians([25, 15, 10])).as_matrix()
     head = axes @ turn
     centre = body[8] - CHIN * head[:, 1]
@@ -104,7 +115,9 @@ def view_of(body: np.ndarray, rng: np.random.Generator, noise: float = NOISE) ->
         points[COCO_17.points.index(name), 2] *= seen
     chest = np.asarray(lens.rotation) @ axes[:, 2]
     exact_detection = COCO_17.detection(points, 0.0, "a scene", 0)
-    keypoints = np.array(exact_detection.keypoints)  # the skeleton's own thorax and pelvis, as a detector of them would
+    keypoints = np.array(
+        exact_detection.keypoints
+    )  # the skeleton's own thorax and pelvis, as a detector of them would
     for name in ("thorax", "pelvis"):
         keypoints[JOINT_INDEX[name]] = exact[name] + rng.normal(size=2) * 100 * noise
     detection = dataclasses.replace(exact_detection, keypoints=keypoints)
@@ -117,7 +130,10 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 def mirrored(detection: Detection, axis: int, size: float = 640.0) -> Detection:
     """x counted from the other side (axis 0), or y (axis 1)."""
-    sign, shift = np.where(np.arange(2) == axis, -1.0, 1.0), np.where(np.arange(2) == axis, size, 0.0)
+    sign, shift = (
+        np.where(np.arange(2) == axis, -1.0, 1.0),
+        np.where(np.arange(2) == axis, size, 0.0),
+    )
     face = detection.face
     if face is not None:
         face = np.column_stack([face[:, :2] * sign + shift, face[:, 2]])
@@ -130,10 +146,12 @@ def _read_as(points: np.ndarray, layout: Layout) -> Detection:
     return layout.detection(points, 0.0, "a scene", 0)
 
 
-def seen_as(kind: str, person: Detection, usual: Evidence, opposed: Evidence, whole: Evidence) -> Verdict:
-    """The verdict on `person` read with the exchange `kind`, from the evidences of the right reading: whatever is
-    exchanged, a body and its mirror image fit equally well (a test shows it), so that nothing needs to be computed
-    anew."""
+def seen_as(
+    kind: str, person: Detection, usual: Evidence, opposed: Evidence, whole: Evidence
+) -> Verdict:
+    """The verdict on `person` read with the exchange `kind`, from the evidences of the right
+    reading: whatever is exchanged, a body and its mirror image fit equally well (a test shows it),
+    so that nothing needs to be computed anew."""
     if kind == "whole":
         return weigh(person, whole, opposed, usual)
     reading = next(reading for reading in READINGS if reading.name == kind)
@@ -142,13 +160,17 @@ def seen_as(kind: str, person: Detection, usual: Evidence, opposed: Evidence, wh
 
 
 def _turned(evidence: Evidence, reading: Reading) -> Evidence:
-    arms, legs = (evidence.arms[:, :: 1 - 2 * reading.arms], evidence.legs[:, :: 1 - 2 * reading.legs])
+    arms, legs = (
+        evidence.arms[:, :: 1 - 2 * reading.arms],
+        evidence.legs[:, :: 1 - 2 * reading.legs],
+    )
     return evidence._replace(arms=arms, legs=legs)
 
 
 @dataclasses.dataclass
 class Study:
-    """Verdicts by kind of mistake ("right" for none), and the views' angles and symmetry errors in the same order."""
+    """Verdicts by kind of mistake ("right" for none), and the views' angles and symmetry errors in
+    the same order."""
 
     verdicts: dict[str, list[Verdict]]
     angles: list[float]
@@ -171,14 +193,23 @@ def study(judge: Judge, scenes: Iterator[View], others: int) -> Study:
         }
         if number < others:
             mirror, upside = mirrored(view.detection, 0), mirrored(view.detection, 1)
-            rows["mirrored"] = weigh(mirror, judge.evidence(mirror), opposed, judge.evidence(exchanged(mirror, *BODY)))
+            rows["mirrored"] = weigh(
+                mirror, judge.evidence(mirror), opposed, judge.evidence(exchanged(mirror, *BODY))
+            )
             rows["upside down"] = weigh(upside, judge.evidence(upside), opposed, usual)
-            for kind, layout, points in (("order", H36M_17, view.points), ("reversed", COCO_17, view.points[::-1])):
+            for kind, layout, points in (
+                ("order", H36M_17, view.points),
+                ("reversed", COCO_17, view.points[::-1]),
+            ):
                 rows[kind] = judge.verdict(_read_as(points, layout))
             wide = {factor: judge.evidence(stretched(view.detection, factor)) for factor in ASPECTS}
-            rows["right, size open"] = weigh(view.detection, usual, opposed, whole, list(wide.values()))
+            rows["right, size open"] = weigh(
+                view.detection, usual, opposed, whole, list(wide.values())
+            )
             for factor, evidence in wide.items():
-                rows[f"x{factor:.2f}"] = weigh(view.detection, evidence, evidence, evidence, [usual])
+                rows[f"x{factor:.2f}"] = weigh(
+                    view.detection, evidence, evidence, evidence, [usual]
+                )
         for kind, verdict in rows.items():
             found.verdicts.setdefault(kind, []).append(verdict)
         if number % 50 == 49:
@@ -188,7 +219,10 @@ def study(judge: Judge, scenes: Iterator[View], others: int) -> Study:
 
 def share(verdicts: list[Verdict], people: int = 1) -> tuple[int, int]:
     """How many files of `people` are doubted, of how many."""
-    files = [together(verdicts[start : start + people]) for start in range(0, len(verdicts) - people + 1, people)]
+    files = [
+        together(verdicts[start : start + people])
+        for start in range(0, len(verdicts) - people + 1, people)
+    ]
     return sum(bool(file.noticed) for file in files), len(files)
 
 
@@ -198,22 +232,36 @@ def percent(count: int, of: int) -> str:
 
 def table(found: Study) -> str:
     """Shares of doubted files by mistake, for files of one person, by view, and of ten."""
-    heading = ["read", "one person", *(f"view {low}–{high}°" for low, high in itertools.pairwise(BINS)), "ten people"]
+    heading = [
+        "read",
+        "one person",
+        *(f"view {low}–{high}°" for low, high in itertools.pairwise(BINS)),
+        "ten people",
+    ]
     lines = ["| " + " | ".join(heading) + " |", "| --- " * len(heading) + "|"]
     for kind, verdicts in found.verdicts.items():
         row = [WORDS.get(kind, kind), percent(*share(verdicts))]
         for low, high in itertools.pairwise(BINS):
-            inside = [v for v, angle in zip(verdicts, found.angles, strict=False) if low <= angle < high]
+            inside = [
+                v for v, angle in zip(verdicts, found.angles, strict=False) if low <= angle < high
+            ]
             row.append(f"{share(inside)[0] / max(len(inside), 1):.1%}")
         lines.append("| " + " | ".join([*row, percent(*share(verdicts, 10))]) + " |")
     return "\n".join(lines)
 
 
 def real_people(data: Path) -> list[Detection]:
-    """The people of the data pack of whom enough is seen; of AlphaPose's twenty frames of one person the first."""
+    """The people of the data pack of whom enough is seen; of AlphaPose's twenty frames of one
+    person the first."""
     folder = data / "detections"
-    files = sorted([*folder.glob("openpose/*.json"), folder / "coco" / "test_coco.json", *folder.glob("mmpose/*.json"),
-                    folder / "mediapipe" / "pose_landmarks.pbtxt"])  # fmt: skip
+    files = sorted(
+        [
+            *folder.glob("openpose/*.json"),
+            folder / "coco" / "test_coco.json",
+            *folder.glob("mmpose/*.json"),
+            folder / "mediapipe" / "pose_landmarks.pbtxt",
+        ]
+    )
     people = [person for file in files for person in read_detections(file, image_size=(1000, 667))]
     return [*people, read_detections(folder / "alphapose" / "alphapose-results_halpe26.json")[0]]
 
@@ -223,7 +271,9 @@ def real_table(judge: Judge, people: list[Detection]) -> str:
     verdicts: dict[str, list[Verdict]] = {}
     for person in people:
         try:
-            usual, opposed, whole = (judge.evidence(exchanged(person, *parts)) for parts in ((), ("shoulder",), BODY))
+            usual, opposed, whole = (
+                judge.evidence(exchanged(person, *parts)) for parts in ((), ("shoulder",), BODY)
+            )
         except BadInput:
             continue  # too little of the torso is seen
         verdicts.setdefault("right", []).append(weigh(person, usual, opposed, whole))
@@ -238,7 +288,8 @@ def real_table(judge: Judge, people: list[Detection]) -> str:
 
 
 def picture(found: Study) -> Figure:
-    """Gains of the right readings and of the wrong ones, by kind: where they overlap, nothing can be told."""
+    """Gains of the right readings and of the wrong ones, by kind: where they overlap, nothing can
+    be told."""
     kinds = ["whole", *(reading.name for reading in READINGS)]
     figure = Figure(figsize=(8, 4.2), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
@@ -248,13 +299,17 @@ def picture(found: Study) -> Figure:
         right = np.array([verdict.gains[0, column] for verdict in found.verdicts["right"]])
         for values, colour, shift in ((right, "#0072B2", 0.17), (-right, "#D55E00", -0.17)):
             jitter = np.random.default_rng(row).uniform(-0.12, 0.12, len(values))
-            axis.plot(np.clip(values, -60, 60), row + shift + jitter, ".", ms=2, color=colour, alpha=0.5)
+            axis.plot(
+                np.clip(values, -60, 60), row + shift + jitter, ".", ms=2, color=colour, alpha=0.5
+            )
     axis.axvline(THRESHOLD, ymin=1 / len(kinds), color="#222222", lw=0.8)
     axis.axvline(FACE_THRESHOLD, ymax=1 / len(kinds), color="#222222", lw=0.8)
     axis.set_xscale("symlog", linthresh=5)
     axis.set_yticks(range(len(kinds)), [WORDS[kind] for kind in kinds], fontsize=8)
     axis.set_xlabel(
-        "nats by which the exchange explains one person better; right of the line a file is doubted", fontsize=8
+        "nats by which the exchange explains one person better; right of the line a file is"
+        " doubted",
+        fontsize=8,
     )
     axis.set_title("Blue: read rightly. Orange: read with this exchange", loc="left", fontsize=9)
     return figure
@@ -277,7 +332,9 @@ def main(data: Path) -> None:
         "OTHERS": str(OTHERS),
         "POSES": str(POSES),
         "REAL": real_table(judge, real_people(data)),
-        "SYMMETRY": f"{np.median(spread):.2f} nats in the median, {np.quantile(spread, 0.95):.1f} for 95 %",
+        "SYMMETRY": (
+            f"{np.median(spread):.2f} nats in the median, {np.quantile(spread, 0.95):.1f} for 95 %"
+        ),
     }
     for name, text in sorted(facts.items(), key=lambda fact: -len(fact[0])):
         body = body.replace(name, text)

@@ -1,7 +1,8 @@
-"""The fixed frames of the benchmark: 64 prior poses by their seeds, and 64 of motion capture where that is at hand.
+"""The fixed frames of the benchmark: 64 prior poses by their seeds, and 64 of motion capture where
+that is at hand.
 
-Every second frame has all limb joints, the others miss one or two; the head is seen in every second pair.
-"""
+Every second frame has all limb joints, the others miss one or two; the head is seen in every second
+pair."""
 
 from pathlib import Path
 
@@ -36,10 +37,17 @@ def prior_frames(model: PoseModel) -> list[Frame]:
 
 
 def motion_frames(path: Path) -> list[Frame]:
-    """Poses of motion capture at even distances in the archive, yaw and tilt by the frame's number."""
+    """Poses of motion capture at even distances in the archive, yaw and tilt by the frame's
+    number."""
     joints = np.concatenate([motion.joints for motion in read_motion(path)])
     rows = np.linspace(0, len(joints) - 1, NUMBER).astype(int)
     return [
-        motion_scene(joints[row], 360 * index * 0.618 % 360, (-20, 0, 20)[index % 3], index, missing=hidden(index))
+        motion_scene(
+            joints[row],
+            360 * index * 0.618 % 360,
+            (-20, 0, 20)[index % 3],
+            index,
+            missing=hidden(index),
+        )
         for index, row in enumerate(rows)
     ]

@@ -2,8 +2,8 @@
 
     python -m tests.benchmarks.speed_report [../shared/data]
 
-Times are of one run on one machine; what carries over are the ratios. Naive rejection per group is never run to its
-end: its cost a draw is the measured cost of a proposal over the measured evidence.
+Times are of one run on one machine; what carries over are the ratios. Naive rejection per group is
+never run to its end: its cost a draw is the measured cost of a proposal over the measured evidence.
 """
 
 import functools
@@ -23,12 +23,12 @@ import numpy as np
 
 import inference
 from inference.candidates import Frame
+from inference.exact.groups import StratifiedGroup
+from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
+from inference.exact.naive import BATCH, group_prior
+from inference.exact.problem import build_groups
+from inference.exact.rates import Budget
 from inference.sampler import candidate_samplers, draw_mixture
-from inference.samplers.limbs import build_groups
-from inference.samplers.numbers import compiled, load, seeded, store, uniform
-from inference.samplers.rates import Budget
-from inference.samplers.rejection import BATCH, group_prior
-from inference.samplers.stratified import StratifiedGroup
 from inference.stream import Item, sample_frames
 from probmodel import PoseModel
 from probmodel.skeleton import GROUPS
@@ -46,8 +46,9 @@ STREAM_FRAMES = 32
 
 
 class Cost(NamedTuple):
-    """Of one frame: seconds to set up as finely as `DRAWS` draws deserve, and in all; acceptance of arms and legs;
-    proposals a whole body; seconds that naive rejection per group would need a draw, in JAX and in NumPy."""
+    """Of one frame: seconds to set up as finely as `DRAWS` draws deserve, and in all; acceptance of
+    arms and legs; proposals a whole body; seconds that naive rejection per group would need a draw,
+    in JAX and in NumPy."""
 
     set_up: float
     seconds: float
@@ -97,7 +98,8 @@ def floors() -> dict[str, float]:
 
 
 def naive_proposals(model: PoseModel, frame: Frame) -> dict[str, tuple[float, float]]:
-    """Seconds of one proposal of each group from the prior: JAX, and the plain NumPy of the tests."""
+    """Seconds of one proposal of each group from the prior: JAX, and the plain NumPy of the
+    tests."""
     groups = build_groups(model, frame.observation(frame.candidates[0]))
     found = {}
     for name, group in groups.items():
@@ -106,7 +108,9 @@ def naive_proposals(model: PoseModel, frame: Frame) -> dict[str, tuple[float, fl
         in_jax = timed(lambda run=run: jax.block_until_ready(run(jax.random.key(1)))) / BATCH
         torso = np.asarray(frame.observation(frame.candidates[0]).view)
         rng = np.random.default_rng(0)
-        propose = functools.partial(propose_group, model.limits, model.lengths, torso, name, 20_000, rng)
+        propose = functools.partial(
+            propose_group, model.limits, model.lengths, torso, name, 20_000, rng
+        )
         in_numpy = timed(propose, 1) / 20_000
         found[name] = (in_jax, in_numpy)
     return found
@@ -118,23 +122,32 @@ def cost(model: PoseModel, frame: Frame, naive: dict[str, tuple[float, float]]) 
     (candidate,) = candidate_samplers(model, frame, jax.random.key(0), "rejection-strata")
     assert candidate.more(DRAWS, budget)
     seconds = time.perf_counter() - started
-    groups = {sampler.name: sampler for sampler in candidate.samplers if isinstance(sampler, StratifiedGroup)}
+    groups = {
+        sampler.name: sampler
+        for sampler in candidate.samplers
+        if isinstance(sampler, StratifiedGroup)
+    }
     last = {name: sampler.rates[0].rates[-1] for name, sampler in groups.items()}
     set_up = timed(lambda: [sampler.plan_at(sampler.level) for sampler in groups.values()], 1)
     evidence = {name: np.exp(sampler.rates[0].log_probability) for name, sampler in groups.items()}
     return Cost(
-        set_up, seconds, last["arms"].accepted / last["arms"].proposed, last["legs"].accepted / last["legs"].proposed,
+        set_up,
+        seconds,
+        last["arms"].accepted / last["arms"].proposed,
+        last["legs"].accepted / last["legs"].proposed,
         budget.spent / candidate.held,
         sum(naive[name][0] / evidence[name] for name in GROUPS),
         sum(naive[name][1] / evidence[name] for name in GROUPS),
-    )  # fmt: skip
+    )
 
 
 def line(what: str, values: np.ndarray, scale: float = 1.0, digits: int = 3) -> str:
     """A row of the table: smallest, lower quartile, median, upper quartile, largest."""
     parts = np.quantile(values * scale, [0, 0.25, 0.5, 0.75, 1])
     return (
-        f"| {what} | " + " | ".join(f"{part:,.{digits}g}" if part < 1000 else f"{part:,.0f}" for part in parts) + " |"
+        f"| {what} | "
+        + " | ".join(f"{part:,.{digits}g}" if part < 1000 else f"{part:,.0f}" for part in parts)
+        + " |"
     )
 
 
@@ -152,15 +165,21 @@ def table(costs: list[Cost], floor: float) -> list[str]:
         line("times faster than naive groups (NumPy)", columns["numpy"] * rate),
         line("times the floor (23 random numbers)", 1 / rate / floor),
     ]
-    return ["| over 64 frames | min | ¼ | median | ¾ | max |", "| --- | ---: | ---: | ---: | ---: | ---: |", *rows]
+    return [
+        "| over 64 frames | min | ¼ | median | ¾ | max |",
+        "| --- | ---: | ---: | ---: | ---: | ---: |",
+        *rows,
+    ]
 
 
 def curves(model: PoseModel, frame: Frame) -> dict[str, tuple[list[float], list[float]]]:
-    """Microseconds a draw, set-up included, against the number of draws and, for 10,000 of a pose of the prior, the
-    radius of the discs."""
+    """Microseconds a draw, set-up included, against the number of draws and, for 10,000 of a pose
+    of the prior, the radius of the discs."""
 
     def each(frame: Frame, number: int) -> float:
-        seconds = timed(lambda: draw_mixture(model, frame, jax.random.key(1), "rejection-strata", number), 2)
+        seconds = timed(
+            lambda: draw_mixture(model, frame, jax.random.key(1), "rejection-strata", number), 2
+        )
         return seconds / number * 1e6
 
     numbers = [100, 1000, 10_000, 100_000, 1_000_000]
@@ -172,7 +191,8 @@ def curves(model: PoseModel, frame: Frame) -> dict[str, tuple[list[float], list[
 
 
 def streams(model: PoseModel, frames: list[Frame]) -> tuple[list[int], list[float], float]:
-    """Seconds of streams of 1 to `STREAM_FRAMES` frames × 10,000 draws with five hypotheses, and the memory it took."""
+    """Seconds of streams of 1 to `STREAM_FRAMES` frames × 10,000 draws with five hypotheses, and
+    the memory it took."""
     counts, seconds = [1, 4, 16, STREAM_FRAMES], []
     items = [Item(str(number), frame) for number, frame in enumerate(frames)]
     with tempfile.TemporaryDirectory() as folder:
@@ -185,12 +205,17 @@ def streams(model: PoseModel, frames: list[Frame]) -> tuple[list[int], list[floa
     return counts, seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 
 
-def draw_curves(path: Path, found: dict[str, tuple[list[float], list[float]]], stream: tuple) -> None:
+def draw_curves(
+    path: Path, found: dict[str, tuple[list[float], list[float]]], stream: tuple
+) -> None:
     """Three panels: cost against draws, frames and τ."""
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
     for axis, (name, (x, y)) in zip(axes[[0, 2]], found.items(), strict=True):
         axis.loglog(x, y, "o-", color="#1f6fb2")
-        axis.set(xlabel=name if name != "draws" else "draws of one frame", ylabel="µs a draw, set-up included")
+        axis.set(
+            xlabel=name if name != "draws" else "draws of one frame",
+            ylabel="µs a draw, set-up included",
+        )
     axes[1].plot(stream[0], stream[1], "o-", color="#1f6fb2")
     axes[1].set(xlabel="frames × 10,000 draws, five hypotheses each", ylabel="seconds", ylim=0)
     for axis in axes:
@@ -205,7 +230,9 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     model = PoseModel()
     sets = {"Poses of the prior, by their seeds": prior_frames(model)}
-    archive = Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data") / "cmu" / "actions_train.npz"
+    archive = (
+        Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data") / "cmu" / "actions_train.npz"
+    )
     if archive.exists():
         sets["Poses of CMU motion capture"] = motion_frames(archive)
     frames = list(sets.values())[-1]
@@ -221,19 +248,44 @@ def main() -> None:
         ]
     found, stream = curves(model, frames[0]), streams(model, frames)
     slope = float(np.polyfit(stream[0], stream[1], 1)[0])
-    patches = timed(lambda: inference.sample(model, frames[0], key=jax.random.key(1), sampler="rejection-patches",
-                                             num_samples=5000), 2) / 5000  # fmt: skip
-    strata = timed(lambda: inference.sample(model, frames[0], key=jax.random.key(1), num_samples=5000), 2) / 5000
+    patches = (
+        timed(
+            lambda: inference.sample(
+                model,
+                frames[0],
+                key=jax.random.key(1),
+                sampler="rejection-patches",
+                num_samples=5000,
+            ),
+            2,
+        )
+        / 5000
+    )
+    strata = (
+        timed(
+            lambda: inference.sample(model, frames[0], key=jax.random.key(1), num_samples=5000), 2
+        )
+        / 5000
+    )
     report = Path("reports") / "speed.md"
     draw_curves(report.with_suffix(".png"), found, stream)
     template = (Path(__file__).parent / "speed_report.md").read_text(encoding="utf-8")
     text = template.format(
-        tables="\n".join(pages).rstrip(), draws=DRAWS, cores=os.cpu_count(), machine=platform.machine(),
+        tables="\n".join(pages).rstrip(),
+        draws=DRAWS,
+        cores=os.cpu_count(),
+        machine=platform.machine(),
         floors="\n".join(f"| {name} | {seconds * 1e9:,.0f} |" for name, seconds in floor.items()),
-        naive="\n".join(f"| {name} | {one * 1e9:,.0f} | {two * 1e9:,.0f} |" for name, (one, two) in naive.items()),
-        per_frame=slope * 1e3, thousand=slope * 1000, paper=slope * 26_385 / 60, memory=stream[2],
+        naive="\n".join(
+            f"| {name} | {one * 1e9:,.0f} | {two * 1e9:,.0f} |"
+            for name, (one, two) in naive.items()
+        ),
+        per_frame=slope * 1e3,
+        thousand=slope * 1000,
+        paper=slope * 26_385 / 60,
+        memory=stream[2],
         patches=patches / strata,
-    )  # fmt: skip
+    )
     report.write_text(text, encoding="utf-8")
     print(text)
 

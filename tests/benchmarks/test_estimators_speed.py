@@ -1,11 +1,12 @@
-"""What an estimate costs, 64 people together: `make bench`. The aims: 30 ms a person for Zhou, 60 ms for A&B."""
+"""What an estimate costs, 64 people together: `make bench`. The aims: 30 ms a person for Zhou, 60
+ms for A&B."""
 
 import numpy as np
 import pytest
 
 import inference
 from probmodel import Detection
-from probmodel.dictionaries import PoseDictionary
+from probmodel.learning.dictionaries import PoseDictionary
 from tests.scenes import camera
 
 PEOPLE = 64
@@ -18,7 +19,9 @@ def people() -> list[Detection]:
     poses = dictionary.mean + np.einsum("nk,kja->nja", weights, dictionary.bases)
     found = []
     for number, pose in enumerate(poses):
-        keypoints = np.asarray(camera(37.0 * number, 10).project(pose)) + rng.normal(size=(15, 2)) * 5
+        keypoints = (
+            np.asarray(camera(37.0 * number, 10).project(pose)) + rng.normal(size=(15, 2)) * 5
+        )
         found.append(Detection(keypoints, rng.uniform(0.5, 1, 15), "synthetic", "a crowd", number))
     return found
 

@@ -1,12 +1,13 @@
-"""What the main job costs, piece by piece: `make bench`. Times are for comparison within one run only."""
+"""What the main job costs, piece by piece: `make bench`. Times are for comparison within one run
+only."""
 
 import jax
 import pytest
 
 import inference
-from inference.samplers.limbs import build_groups
-from inference.samplers.patches import limbs_of, plan_limb, propose_limb
-from inference.samplers.rejection import BATCH, group_prior
+from inference.exact.naive import BATCH, group_prior
+from inference.exact.patches import limbs_of, plan_limb, propose_limb
+from inference.exact.problem import build_groups
 from probmodel import PoseModel
 from probmodel.example import example
 

@@ -1,0 +1,80 @@
+"""The evidence: how probable the prior thinks what was seen, with its standard error, whole and
+limb by limb.
+
+It ranks torsos and cameras: of two candidates that fit a torso alike, the limbs are better
+explained under one of them."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from inference.candidates import Frame
+from inference.exact.groups import StratifiedGroup, anatomies, sights
+from inference.exact.rates import Budget, GroupSampler
+from probmodel.model import PoseModel
+from probmodel.skeleton import GROUPS
+
+BODY = "body"
+STEP = 4000
+"""Draws after which the error is looked at again."""
+
+
+class Evidence(NamedTuple):
+    """Log prior probability that every seen joint lies in its disc, and its standard error (`inf`
+    with `-inf`: no pose was found that explains what was seen)."""
+
+    log_evidence: float
+    standard_error: float
+
+
+def evidence(
+    model: PoseModel,
+    frame: Frame,
+    *,
+    key: jax.Array,
+    candidate: int = 0,
+    relative_error: float = 0.01,
+    max_proposals: int = 1_000_000_000,
+) -> dict[str, Evidence]:
+    """Evidence under one candidate: of the "body", of each group (head, arms, legs) and of each
+    limb alone.
+
+    Draws go on until the relative standard error of every entry is below `relative_error`, or the
+    budget ends; then the error says how far it got. The body is the product of its groups; limbs of
+    a group share lengths, so that a group is not the product of its limbs."""
+    tables, limbs = anatomies(model), sights(frame.observation(frame.candidates[candidate]))
+    budget = Budget(max_proposals)
+    found, goal = {}, relative_error / np.sqrt(len(GROUPS))
+    for index, (name, members) in enumerate(GROUPS.items()):
+        words = jax.random.fold_in(key, index)
+        found[name] = _estimate(
+            StratifiedGroup(words, name, tables[name], limbs[name]), goal, budget
+        )
+        for row, limb in enumerate(members):
+            if len(members) == 1:
+                found[limb.name] = found[name]
+                continue
+            alone = tables[name]._replace(builds=tables[name].builds[row : row + 1])
+            sampler = StratifiedGroup(
+                jax.random.fold_in(words, row), limb.name, alone, limbs[name][row : row + 1]
+            )
+            found[limb.name] = _estimate(sampler, relative_error, budget)
+    groups = [found[name] for name in GROUPS]
+    body = Evidence(
+        sum(e.log_evidence for e in groups),
+        float(np.sqrt(sum(e.standard_error**2 for e in groups))),
+    )
+    return {BODY: body, **found}
+
+
+def _estimate(sampler: GroupSampler, goal: float, budget: Budget) -> Evidence:
+    number = 0
+    while True:
+        number += STEP
+        enough = sampler.more(number, budget)
+        (rate,) = sampler.rates
+        if not enough or rate.variance <= goal**2:
+            return Evidence(rate.log_probability, float(np.sqrt(rate.variance)))
+        # Binomial errors fall with the square root of the successes.
+        number = max(number, int(sampler.held * min(rate.variance / goal**2, 4.0)) - STEP)

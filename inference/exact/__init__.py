@@ -1,0 +1,1 @@
+"""The exact engine: draws of the posterior itself by rejection, and its evidence."""

@@ -1,0 +1,1 @@
+"""Compiled loops over strata, and the tables they share."""

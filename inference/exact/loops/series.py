@@ -1,0 +1,62 @@
+"""Sine and arcsine as polynomials, and the smaller of two, for the compiled loops: no calls and no
+branches, so that loops over them become vector instructions. Angles and sines are within 4e-16 of
+the true values."""
+
+import math
+
+from inference.exact.loops.numbers import inlined
+
+
+@inlined
+def sine(angle: float) -> float:
+    """Sine of an angle within ±π/2: its series."""
+    s = angle * angle
+    rest = 1 / 1307674368000 - s * (
+        1 / 355687428096000 - s * (1 / 121645100408832000 - s * (1 / 51090942171709440000))
+    )
+    rest = 1 / 362880 - s * (1 / 39916800 - s * (1 / 6227020800 - s * rest))
+    return angle * (1 - s * (1 / 6 - s * (1 / 120 - s * (1 / 5040 - s * rest))))
+
+
+@inlined
+def cosine(angle: float) -> float:
+    """Cosine of an angle within ±π/2."""
+    return sine(math.pi / 2 - (angle if angle > 0 else -angle))
+
+
+@inlined
+def small_sine_cosine(angle: float) -> tuple[float, float]:
+    """Sine and cosine of an angle within ±0.03: the first terms."""
+    s = angle * angle
+    sine = angle * (1 - s * (1 / 6 - s * (1 / 120 - s * (1 / 5040))))
+    return sine, 1 - s * (1 / 2 - s * (1 / 24 - s * (1 / 720 - s * (1 / 40320))))
+
+
+@inlined
+def arcsine(value: float) -> float:
+    """Arcsine of a number, taken as ±1 where it is beyond: up to ½ a polynomial in its square
+    (interpolated in Chebyshev nodes), beyond by π/2 - 2 arcsin √((1-v)/2)."""
+    size = value if value > 0 else -value
+    size = size if size < 1 else 1.0
+    z = 0.5 * (1 - size) if size > 0.5 else size * size
+    s = math.sqrt(z) if size > 0.5 else size
+    p = 0.01392965290232663 + z * (
+        0.01187549438263692
+        + z
+        * (
+            0.00780294947735332
+            + z * (0.01603551434914883 + z * (-0.01074905033969781 + z * 0.02816921806088142))
+        )
+    )
+    p = 0.03038194736709848 + z * (0.02237204763174451 + z * (0.01735525995578632 + z * p))
+    p = s + s * z * (
+        0.1666666666666665 + z * (0.07500000000020764 + z * (0.04464285710342365 + z * p))
+    )
+    found = math.pi / 2 - 2 * p if size > 0.5 else p
+    return found if value > 0 else -found
+
+
+@inlined
+def smaller(one: float, other: float) -> float:
+    """The smaller of two numbers, neither of which is NaN; `min` would look."""
+    return one if one < other else other

@@ -1,0 +1,145 @@
+"""What exact rejection keeps count of: rates, which are evidence, the budget, and the draws
+held."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from inference.exact.problem import Draws
+
+HOPELESS = 1 << 24
+"""Pruned proposals without one success after which a group is given up: its rate is below 3e-7 with
+99 % confidence."""
+
+
+class Rate(NamedTuple):
+    """Accepted out of proposed, and the mass of the proposal: probability = mass · accepted /
+    proposed."""
+
+    proposed: int
+    accepted: int
+    mass: float = 1.0
+
+    @property
+    def log_probability(self) -> float:
+        """Log of the estimated probability; -inf where nothing was accepted."""
+        return (
+            math.log(self.mass * self.accepted / self.proposed)
+            if self.accepted and self.mass
+            else -math.inf
+        )
+
+    @property
+    def variance(self) -> float:
+        """Variance of `log_probability` (binomial, delta method); infinite where nothing was
+        accepted."""
+        return (1 - self.accepted / self.proposed) / self.accepted if self.accepted else math.inf
+
+
+class Pooled(NamedTuple):
+    """Rates of several proposals for one probability, each as good as its number of proposals over
+    its mass."""
+
+    rates: tuple[Rate, ...]
+
+    @property
+    def accepted(self) -> int:
+        """Successes of all of them."""
+        return sum(rate.accepted for rate in self.rates)
+
+    @property
+    def log_probability(self) -> float:
+        """Log of the estimated probability; -inf where nothing was accepted."""
+        effort = sum(rate.proposed / rate.mass for rate in self.rates if rate.mass)
+        return math.log(self.accepted / effort) if self.accepted else -math.inf
+
+    @property
+    def variance(self) -> float:
+        """Variance of `log_probability` (binomials, delta method); infinite where nothing was
+        accepted."""
+        if not self.accepted:
+            return math.inf
+        return (
+            sum(rate.accepted**2 * rate.variance for rate in self.rates if rate.accepted)
+            / self.accepted**2
+        )
+
+
+@dataclass
+class Budget:
+    """How many proposals may still be made; shared by everything that draws for one frame. One with
+    a `whole` is an allowance out of that larger one. `watch` is called whenever proposals are about
+    to be made."""
+
+    proposals: int
+    spent: int = 0
+    whole: "Budget | None" = None
+    watch: Callable[[], None] | None = None
+
+    def spend(self, number: int) -> bool:
+        """Whether `number` more proposals may be made; counts them if so."""
+        if self.watch:
+            self.watch()
+        if self.spent + number > self.proposals or (
+            self.whole is not None and not self.whole.spend(number)
+        ):
+            return False
+        self.spent += number
+        return True
+
+
+class GroupSampler(Protocol):
+    """Exact draws of one or more groups. `more` asks for draws, `draws` holds them, `rates` say
+    what they cost."""
+
+    def more(self, number: int, budget: Budget) -> bool:
+        """Goes on until `number` draws are held in all; False where the budget ends first."""
+
+    @property
+    def held(self) -> int:
+        """Number of draws held."""
+
+    def draws(self) -> dict[str, Draws]:
+        """All draws held, by group."""
+
+    @property
+    def rates(self) -> Sequence[Rate | Pooled]:
+        """The rates whose product is the evidence."""
+
+    @property
+    def slowest(self) -> str:
+        """Name of the group that draws wait for."""
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether it has been given up: the bounds leave nothing, or a great many proposals brought
+        nothing at all."""
+
+
+class Pile:
+    """Rows that arrive in batches and leave from the front."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[np.ndarray, ...]] = []
+        self.size = 0
+
+    def add(self, *rows: np.ndarray) -> None:
+        if len(rows[0]):
+            self._parts.append(rows)
+            self.size += len(rows[0])
+
+    def all(self) -> tuple[np.ndarray, ...]:
+        if len(self._parts) > 1:
+            self._parts = [
+                tuple(np.concatenate(column) for column in zip(*self._parts, strict=True))
+            ]
+        return self._parts[0]
+
+    def take(self, number: int) -> tuple[np.ndarray, ...]:
+        rows = self.all()
+        self._parts = [tuple(column[number:] for column in rows)]
+        self.size -= number
+        return tuple(column[:number] for column in rows)

@@ -1,0 +1,170 @@
+"""Diverse hypotheses from many poses (§ 4 of the paper): k-means++, then for each centroid the
+nearest actual pose.
+
+Poses come from exact draws (`hypotheses(result)`), or from the paper's deterministic grid
+(`grid_poses`). A centroid itself may be impossible, an actual pose never is."""
+
+import itertools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from sklearn.cluster import KMeans
+from threadpoolctl import threadpool_limits
+
+from inference.exact.problem import Draws, Group, build_groups
+from inference.results import Result
+from probmodel.anatomy.limits import cell_of
+from probmodel.directions.cells import Cells
+from probmodel.failures import BadInput
+from probmodel.kinematics import direction
+from probmodel.model import PoseModel
+from probmodel.observation import Observation
+from probmodel.skeleton import GROUPS, JOINTS, NUM_LENGTHS, NUM_LOWER, NUM_UPPER, Limb
+
+NUM_ANGLES = 15
+"""Azimuths, and polar angles, of the grid for upper bones (Stage I of the paper)."""
+NUM_BOX = 5
+"""Points a side of the box for lower bones."""
+
+
+class Hypothesis(NamedTuple):
+    """One of k answers: `joints` `(15, 3)` in camera axes and body units, the share of poses in its
+    cluster, and the number of the draw it is."""
+
+    joints: np.ndarray
+    weight: float
+    draw: int
+
+    def as_json(self) -> dict:
+        """The form it has in hypotheses.json."""
+        joints = {
+            name: [round(float(value), 6) for value in xyz]
+            for name, xyz in zip(JOINTS, self.joints, strict=True)
+        }
+        return {"joints": joints, "weight": self.weight, "draw": self.draw}
+
+
+def hypotheses(result: Result, k: int = 5, *, seed: int = 0) -> list[Hypothesis]:
+    """`k` diverse poses among a result's draws, heaviest cluster first. Raises `BadInput` where k
+    is not from 1 to the number of draws."""
+    joints = np.asarray(result.tree["posterior"]["joints"])
+    return diverse(joints.reshape(-1, *joints.shape[-2:]), k, seed=seed)
+
+
+def diverse(joints: np.ndarray, k: int, *, seed: int = 0) -> list[Hypothesis]:
+    """`k` diverse ones of the poses `(n, 15, 3)`, heaviest cluster first; distance is over all
+    joint coordinates."""
+    if not 1 <= k <= len(joints):
+        raise BadInput(
+            f"{k} hypotheses cannot be chosen among {len(joints)} poses; choose k from 1 to"
+            f" {len(joints)}"
+        )
+    flat = joints.reshape(len(joints), -1)
+    # For so small a problem, many threads spend their time waiting for each other.
+    with threadpool_limits(1, user_api="openmp"):
+        fit = KMeans(k, init="k-means++", n_init=1, random_state=seed).fit(flat)
+    found = []
+    for cluster, centre in enumerate(fit.cluster_centers_):
+        members = np.flatnonzero(fit.labels_ == cluster)
+        if len(members):  # fewer distinct poses than k leave clusters empty
+            nearest = members[np.argmin(np.sum((flat[members] - centre) ** 2, axis=1))]
+            found.append(Hypothesis(joints[nearest], len(members) / len(joints), int(nearest)))
+    return sorted(found, key=lambda hypothesis: -hypothesis.weight)
+
+
+def grid_poses(
+    model: PoseModel, observation: Observation, *, most: int = 10_000, seed: int = 0
+) -> np.ndarray:
+    """Stage I of the paper: poses `(n, 15, 3)` in camera axes from the grid of directions, at the
+    mean bone lengths, that the limits allow and that explain the observation.
+
+    Limbs are filtered one by one and combine freely (their lengths are fixed here): n is the
+    product of what is left of each, or `most` random ones of that product where it is larger. Empty
+    where a limb has none."""
+    groups = build_groups(model, observation)
+    fraction = np.asarray(model.lengths.alpha) / (
+        np.asarray(model.lengths.alpha) + np.asarray(model.lengths.beta)
+    )
+    length = np.asarray(model.lengths.low) + fraction * (
+        np.asarray(model.lengths.high) - np.asarray(model.lengths.low)
+    )
+    limbs = [
+        (limb, group, row)
+        for name, group in groups.items()
+        for row, limb in enumerate(GROUPS[name])
+    ]
+    choices = [_limb_grid(group, row, limb, length) for limb, group, row in limbs]
+    sizes = [len(upper) for upper, _ in choices]
+    if not all(sizes):
+        return np.empty((0, len(JOINTS), 3))
+    picks = _combinations(sizes, most, seed)
+    upper, lower = np.zeros((len(picks), NUM_UPPER, 3)), np.zeros((len(picks), NUM_LOWER, 3))
+    for column, ((limb, _, _), (first, second)) in enumerate(zip(limbs, choices, strict=True)):
+        upper[:, limb.upper] = first[picks[:, column]]
+        if limb.lower is not None:
+            lower[:, limb.lower] = second[picks[:, column]]
+    return np.asarray(
+        model.joints(
+            np.asarray(observation.view),
+            np.broadcast_to(length, (len(picks), NUM_LENGTHS)),
+            upper,
+            lower,
+        )
+    )
+
+
+def _combinations(sizes: list[int], most: int, seed: int) -> np.ndarray:
+    total = float(np.prod([float(size) for size in sizes]))
+    if total <= most:
+        return np.array(list(itertools.product(*map(range, sizes))))
+    rng = np.random.default_rng(seed)
+    return np.stack([rng.integers(0, size, most) for size in sizes], axis=1)
+
+
+def _limb_grid(
+    group: Group, row: int, limb: Limb, length: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Directions `(n, 3)`, `(n, 3)` of one limb's bones on the grid that are possible and explain
+    its detections."""
+    cells = jax.tree.map(lambda leaf: leaf[row], group.cells)
+    upper = _upper_grid(cells)
+    if limb.lower is None:
+        lower = upper
+    else:
+        upper, lower = _lower_grid(group, row, upper)
+    sizes = np.array([length[bone.length_group] for bone in limb.bones])
+    draws = Draws(np.broadcast_to(sizes, (len(upper), len(sizes))), upper[:, None], lower[:, None])
+    kept = np.asarray(group.limb(row).explains(draws)) if len(upper) else np.zeros(0, bool)
+    return upper[kept], lower[kept]
+
+
+def _upper_grid(cells: Cells) -> np.ndarray:
+    steps = (np.arange(NUM_ANGLES) + 0.5) / NUM_ANGLES
+    azimuth, polar = np.meshgrid((2 * steps - 1) * np.pi, steps * np.pi, indexing="ij")
+    vectors = np.asarray(direction(azimuth, np.pi / 2 - polar)).reshape(-1, 3)
+    return vectors[np.asarray(jax.vmap(cells.contains)(jnp.asarray(vectors)))]
+
+
+def _lower_grid(group: Group, row: int, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every upper direction with the grid of its own box, in front of and behind the plane, where
+    possible."""
+    column, line = (np.asarray(index) for index in cell_of(upper))
+    hinges = jax.tree.map(lambda leaf: np.asarray(leaf)[row, column, line], group.hinges)
+    steps = (np.arange(NUM_BOX) + 0.5) / NUM_BOX
+    low, high = hinges.bounds[:, 0::2, None], hinges.bounds[:, 1::2, None]
+    u2, u3 = np.moveaxis(low + steps * (high - low), 1, 0)
+    u2, u3 = np.broadcast_arrays(u2[:, :, None], u3[:, None, :])
+    square = 1 - u2**2 - u3**2
+    u1 = np.sqrt(np.maximum(square, 0.0))
+    both = np.stack([np.stack([-u1, u2, u3], axis=-1), np.stack([u1, u2, u3], axis=-1)], axis=1)
+    lower = np.einsum("nsabi,nij->nsabj", both, hinges.triple).reshape(len(upper), -1, 3)
+    valid = np.asarray(
+        jax.vmap(lambda hinge, many: jax.vmap(hinge.contains)(many))(hinges, jnp.asarray(lower))
+    )
+    # Outside the unit disc there is no direction; the paper clamps there, which leaves the law
+    # without a density.
+    valid = valid & np.broadcast_to((square > 0)[:, None], both.shape[:-1]).reshape(len(upper), -1)
+    which, point = np.nonzero(valid)
+    return upper[which], lower[which, point]

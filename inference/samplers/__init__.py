@@ -1,1 +1,0 @@
-"""How draws are made: one file for each way, one face for all of them in `inference.sampler`."""

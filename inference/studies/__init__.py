@@ -1,0 +1,1 @@
+"""Studies: samplers compared, posteriors calibrated, estimators evaluated."""

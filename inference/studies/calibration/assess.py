@@ -1,0 +1,159 @@
+"""One instance: where its truth stands among the draws of its posterior, and how sharp that
+posterior is."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from inference.results import COMPLETE
+from inference.studies.calibration.levels import (
+    distance_level,
+    energy_level,
+    median_levels,
+    rank_level,
+    stand_in_levels,
+)
+from inference.studies.calibration.quantities import (
+    ENERGY_BALL,
+    MOVING,
+    OF_MODEL,
+    OF_POSE,
+    QUANTITIES,
+    TARP,
+    of_both,
+    of_pose,
+)
+from inference.studies.calibration.simulations import Instance
+from probmodel.failures import BadInput
+from probmodel.model import PoseModel
+from probmodel.skeleton import NUM_JOINTS
+
+FAILED = "failed"
+FEWEST_DRAWS = 9
+"""Independent draws below which an instance counts as failed: the ranks would say next to
+nothing."""
+
+
+STAND_INS = 10
+"""Draws of each posterior that stand in for the truth, to see what a right posterior would look
+like."""
+
+
+class Posterior(NamedTuple):
+    """What a sampler says of an instance: independent draws `joints` `(n, 15, 3)` in camera axes
+    and body units, the log evidence or NaN; `status` as in `inference.results`, and where it is not
+    complete a `sentence` that says why."""
+
+    joints: np.ndarray
+    log_evidence: float = np.nan
+    status: str = COMPLETE
+    sentence: str = ""
+
+
+class Standing(NamedTuple):
+    """The truth of one instance among its draws.
+
+    `level` `(len(QUANTITIES),)`: uniform if the posterior is right; NaN where a quantity was not
+    looked at. `whole`, `lateral`, `depth` `(9,)`: share of draws nearer to the draws' median than
+    the truth is, by joint that moves, over all axes, in the image plane, in depth; `stand_in` `(10,
+    9)`: as `whole`, of draws. `spread_lateral`, `spread_depth` `(9,)`: standard deviations of the
+    draws, body units. NaN throughout where `status` is "failed" or the sampler's own word for it.
+    """
+
+    status: str
+    sentence: str
+    num_draws: int
+    log_evidence: float
+    level: np.ndarray
+    whole: np.ndarray
+    lateral: np.ndarray
+    depth: np.ndarray
+    stand_in: np.ndarray
+    spread_lateral: np.ndarray
+    spread_depth: np.ndarray
+
+
+def failure(
+    status: str, sentence: str, num_draws: int = 0, log_evidence: float = np.nan
+) -> Standing:
+    """The standing of an instance whose posterior brought too few draws."""
+    blank, level = np.full(len(MOVING), np.nan), np.full(len(QUANTITIES), np.nan)
+    stand_in = np.full((STAND_INS, len(MOVING)), np.nan)
+    return Standing(
+        status,
+        sentence,
+        num_draws,
+        log_evidence,
+        level,
+        blank,
+        blank,
+        blank,
+        stand_in,
+        blank,
+        blank,
+    )
+
+
+def assess(
+    instance: Instance,
+    posterior: Posterior,
+    rng: np.random.Generator,
+    *,
+    model: PoseModel | None = None,
+    reference: np.ndarray | None = None,
+) -> Standing:
+    """Lines truth and draws up in every way.
+
+    With `model` (where the frame has one candidate, the true one) also by log density and misfit;
+    with a `reference` pose `(15, 3)` also by the distance from it. Raises `BadInput` on draws of
+    other dimensions, or not finite."""
+    draws = check_draws(posterior.joints, instance.frame.detection.where)
+    if len(draws) < FEWEST_DRAWS:
+        status = FAILED if posterior.status == COMPLETE else posterior.status
+        said = (
+            posterior.sentence
+            or f"{len(draws)} independent draws, at least {FEWEST_DRAWS} are needed"
+        )
+        return failure(status, said, len(draws), posterior.log_evidence)
+    level = dict.fromkeys(QUANTITIES, np.nan)
+    both = np.concatenate([instance.joints[None], draws])
+    values = of_pose(both)
+    level.update(zip(OF_POSE, rank_level(values[0], values[1:], rng), strict=True))
+    if model is not None:
+        values = of_both(model, instance.frame.observation(instance.frame.candidates[0]), both)
+        level.update(zip(OF_MODEL, rank_level(values[0], values[1:], rng), strict=True))
+    moving = both[:, MOVING]
+    flat = moving.reshape(len(moving), -1)
+    level[ENERGY_BALL] = energy_level(flat[0], flat[1:], rng)
+    if reference is not None:
+        level[TARP] = distance_level(flat[0], flat[1:], reference[list(MOVING)].ravel(), rng)
+    truth, cloud = moving[0], moving[1:]
+    spread = cloud.std(axis=0)
+    return Standing(
+        posterior.status,
+        posterior.sentence,
+        len(draws),
+        posterior.log_evidence,
+        np.array([*level.values()]),
+        median_levels(truth, cloud),
+        median_levels(truth[:, :2], cloud[..., :2]),
+        median_levels(truth[:, 2:], cloud[..., 2:]),
+        stand_in_levels(cloud, rng.integers(0, len(cloud), STAND_INS)),
+        np.sqrt(np.mean(spread[:, :2] ** 2, axis=1)),
+        spread[:, 2],
+    )
+
+
+def check_draws(joints: np.ndarray, where: str) -> np.ndarray:
+    """The draws `(n, 15, 3)` as numbers. Raises `BadInput` on another shape, and on numbers that
+    are not finite."""
+    joints = np.asarray(joints, float)
+    if joints.ndim != 3 or joints.shape[1:] != (NUM_JOINTS, 3):
+        raise BadInput(
+            f"the draws for {where} have shape {joints.shape}; they need (draws, {NUM_JOINTS}, 3)"
+        )
+    if not np.isfinite(joints).all():
+        raise BadInput(
+            f"the draws for {where} hold numbers that are not finite; drop those draws, or run anew"
+        )
+    return joints

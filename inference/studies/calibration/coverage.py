@@ -1,0 +1,78 @@
+"""How real poses are covered, from a `coverage.nc` of them: by joint and kind, the field's ECE,
+sharpness, reasons.
+
+An instance without draws counts as a miss at every level; it has no spread.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from inference.results import COMPLETE
+from inference.studies.calibration.ece import Ece, Interval, coverage, ece
+from inference.studies.calibration.exclusions import Rank, from_text, ranking
+
+NOMINAL = (0.5, 0.8, 0.95)
+KINDS = ("lateral", "depth", "whole")
+
+
+class Summary(NamedTuple):
+    """`covered`: by (kind, nominal level) over all joints; `by_joint`: by (kind, nominal) of each
+    of the nine; `ece`; medians over instances of the root-mean-square `lateral` and `depth` spread
+    (mm) and of the log `evidence`; `without_draws`, `excluded` and `reasons` of all `size`
+    instances."""
+
+    size: int
+    covered: dict[tuple[str, float], Interval]
+    by_joint: dict[tuple[str, float], list[Interval]]
+    ece: Ece
+    lateral: float
+    depth: float
+    evidence: float
+    without_draws: int
+    excluded: Interval
+    reasons: list[Rank]
+
+
+def summary(tree: xr.DataTree) -> Summary:
+    """Of a tree with columns `recording`, `unit_mm` and `reasons` (`coverage.nc` of real poses).
+    Intervals draw whole recordings anew."""
+    found = tree["simulation"].to_dataset()
+    recording = found.recording.values
+    covered, by_joint = {}, {}
+    for kind in KINDS:
+        for nominal in NOMINAL:
+            covered[kind, nominal] = coverage(found[kind].values, nominal, recording)
+            by_joint[kind, nominal] = [
+                coverage(column, nominal, recording) for column in found[kind].values.T
+            ]
+    reasons = [from_text(text) for text in found.reasons.values.tolist()]
+    held = np.array([0.0 if one else 1.0 for one in reasons])
+    inside = coverage(np.where(held > 0, 0.0, np.nan), 0.5, recording)
+    return Summary(
+        len(recording),
+        covered,
+        by_joint,
+        ece(found.whole.values, found.stand_in.values, recording),
+        _spread(found.spread_lateral, found.unit_mm),
+        _spread(found.spread_depth, found.unit_mm),
+        (
+            float(np.median(found.log_evidence.values[_drawn(found)]))
+            if _drawn(found).any()
+            else np.nan
+        ),
+        int((found.status != COMPLETE).sum()),
+        Interval(1 - inside.value, 1 - inside.high, 1 - inside.low),
+        ranking(reasons),
+    )
+
+
+def _drawn(found: xr.Dataset) -> np.ndarray:
+    return np.isfinite(found.spread_depth.values).all(axis=1)
+
+
+def _spread(spread: xr.DataArray, unit: xr.DataArray) -> float:
+    """Median over instances of the root mean square over joints, in mm."""
+    root = np.sqrt(np.mean(spread.values**2, axis=1)) * unit.values
+    return float(np.nanmedian(root)) if np.isfinite(root).any() else np.nan

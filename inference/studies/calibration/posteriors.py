@@ -1,0 +1,202 @@
+"""Whose posterior is judged: exact rejection, a baseline thinned until its draws are independent,
+or draws in a file.
+
+Each is a `Sampler`: an instance and its key → `Posterior`. Failures are part of the answer, never
+left out."""
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import numpy as np
+import xarray as xr
+
+from inference.baselines.catalogue import (
+    BASELINES,
+    DISPERSED,
+    STARTING,
+    baseline_tree,
+    starting_points,
+)
+from inference.baselines.run import Allowance, check_packages, run
+from inference.baselines.target import Target
+from inference.results import COMPLETE, pose_columns
+from inference.sampler import MAX_PROPOSALS, SAMPLERS, draw_mixture
+from inference.studies.calibration.assess import FAILED, Posterior
+from inference.studies.calibration.quantities import of_pose
+from inference.studies.calibration.simulations import Instance
+from inference.studies.comparison.mixing import mean_ess, mixing
+from probmodel.anatomy.limits import read_tables
+from probmodel.failures import BadInput
+from probmodel.model import PoseModel
+from probmodel.skeleton import NUM_JOINTS
+
+Sampler = Callable[[int, Instance, jax.Array], Posterior]
+"""The number of the instance, the instance, a key of its own."""
+SUFFIXES = (".nc", ".npz", ".npy")
+
+
+def sampler_of(
+    name: str,
+    model: PoseModel,
+    num_samples: int,
+    *,
+    max_proposals: int = MAX_PROPOSALS,
+    start: str = DISPERSED,
+) -> Sampler:
+    """The sampler of that name, or the draws of a file. Raises `BadInput` where there is none such,
+    or its package is missing."""
+    if num_samples < 1:
+        raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
+    if name in SAMPLERS:
+        return functools.partial(_exact, name, model, num_samples, max_proposals)
+    if name in BASELINES:
+        check_packages(name, BASELINES[name])
+        return functools.partial(_baseline, name, model, num_samples, max_proposals, start)
+    if Path(name).suffix.lower() in SUFFIXES:
+        return FromFile.read(Path(name))
+    known = ", ".join([*SAMPLERS, *BASELINES])
+    raise BadInput(
+        f"there is no sampler {name!r}; choose one of {known}, or a file of draws"
+        f" ({', '.join(SUFFIXES)})"
+    )
+
+
+def _exact(
+    name: str,
+    model: PoseModel,
+    number: int,
+    budget: int,
+    index: int,
+    instance: Instance,
+    key: jax.Array,
+) -> Posterior:
+    mixture = draw_mixture(model, instance.frame, key, name, number, budget)
+    columns = pose_columns(model, instance.frame, mixture.parts, mixture.rng)
+    scale = np.array([float(candidate.camera.scale) for candidate in instance.frame.candidates])
+    joints = (
+        columns["joints"] * (scale / scale[0])[columns["candidate"]][:, None, None]
+    )  # the first one's body units
+    return Posterior(joints, mixture.attributes["log_evidence"], mixture.status, mixture.sentence)
+
+
+def _baseline(
+    name: str,
+    model: PoseModel,
+    number: int,
+    budget: int,
+    start: str,
+    index: int,
+    instance: Instance,
+    key: jax.Array,
+) -> Posterior:
+    target, baseline = Target.of(model, instance.frame), BASELINES[name]
+    places = None
+    if baseline.starts:
+        exact = _exact_tree(model, instance, jax.random.fold_in(key, 0))
+        places = starting_points(target, exact, start)
+    done = run(
+        baseline,
+        name,
+        target,
+        key=key,
+        starts=places,
+        num_samples=number,
+        allowance=Allowance(evaluations=budget),
+    )
+    if not done.num_draws:
+        return Posterior(
+            np.empty((0, NUM_JOINTS, 3)), done.log_evidence, done.status, done.sentence
+        )
+    chains = np.asarray(baseline_tree(model, instance.frame, done, key)["posterior"].joints)
+    joints = independent(chains)
+    if not len(joints):
+        return Posterior(joints, done.log_evidence, FAILED, f"the chains of {name} did not move")
+    return Posterior(joints, done.log_evidence, COMPLETE, done.sentence)
+
+
+def _exact_tree(model: PoseModel, instance: Instance, key: jax.Array) -> xr.DataTree:
+    from inference.sampler import sample
+
+    return sample(model, instance.frame, key=key, num_samples=STARTING).tree
+
+
+def independent(joints: np.ndarray) -> np.ndarray:
+    """`(n, 15, 3)`: draws of chains `(chain, draw, 15, 3)` thinned to their effective number, that
+    of the worst quantity of the pose; none where the chains did not move."""
+    chains, draws = joints.shape[:2]
+    values = of_pose(joints.reshape(-1, *joints.shape[2:])).reshape(chains, draws, -1)
+    flips = np.all((values == 0) | (values == 1), axis=(0, 1))
+    smooth = values[..., ~flips]
+    mixed = mixing(smooth, smooth.std(axis=(0, 1)))
+    if mixed.stuck:
+        return joints[:, :0].reshape(0, *joints.shape[2:])
+    sizes = [float(np.nanmin(mixed.bulk)) if np.isfinite(mixed.bulk).any() else 1.0]
+    sizes += [mean_ess(values[..., column]) for column in np.flatnonzero(flips)]
+    stride = max(1, math.ceil(chains * draws / min(sizes)))
+    return joints[:, ::stride].reshape(-1, *joints.shape[2:])
+
+
+@dataclass(frozen=True)
+class FromFile:
+    """Draws made elsewhere: `joints` `(instances, draws, 15, 3)`, camera axes, body units, pelvis
+    at the origin; an instance with NaN in a draw has failed."""
+
+    path: Path
+    joints: np.ndarray
+
+    @classmethod
+    def read(cls, path: Path) -> "FromFile":
+        """Raises `BadInput` on a file without such joints."""
+        joints = _read(path)
+        if (
+            joints.ndim != 4
+            or joints.shape[2:] != (NUM_JOINTS, 3)
+            or joints.dtype.kind not in "fiu"
+        ):
+            raise BadInput(
+                f"the joints in {path} have shape {joints.shape}; they need (simulations, draws,"
+                f" {NUM_JOINTS}, 3)"
+            )
+        return cls(path, joints.astype(float))
+
+    def __call__(self, index: int, instance: Instance, key: jax.Array) -> Posterior:
+        if index >= len(self.joints):
+            raise BadInput(
+                f"{self.path} has draws for {len(self.joints)} simulations; ask for as many, not"
+                " for more"
+            )
+        draws = self.joints[index]
+        given = np.isfinite(draws).all(axis=(1, 2))
+        if given.all():
+            return Posterior(draws)
+        said = f"{int((~given).sum())} of {len(draws)} draws in {self.path.name} are not finite"
+        return Posterior(draws[:0], np.nan, FAILED, said)
+
+
+def _read(path: Path) -> np.ndarray:
+    advice = "write one with numpy.savez(path, joints=joints)"
+    if path.suffix.lower() == ".nc":
+        try:
+            with xr.open_datatree(path, engine="netcdf4") as tree:
+                return np.asarray(tree["posterior"]["joints"])
+        except (
+            Exception
+        ) as error:  # netCDF meets foreign and damaged files with errors of many unrelated kinds.
+            raise BadInput(
+                f"{path} holds no draws (posterior/joints) that can be read"
+                f" ({type(error).__name__}); {advice}"
+            ) from None
+    if path.suffix.lower() == ".npz":
+        tables = read_tables(path, "file of draws", advice)
+        if "joints" not in tables:
+            raise BadInput(f"{path} has no array `joints`; {advice}")
+        return tables["joints"]
+    try:
+        with open(path, "rb") as file:
+            return np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise BadInput(f"{path} is no array of draws ({type(error).__name__}); {advice}") from None

@@ -1,0 +1,79 @@
+"""What is ranked: numbers of a pose, and numbers of a pose together with what was seen of it.
+
+Numbers of the pose alone cannot tell a posterior that ignores what was seen from a right one: the
+prior passes them (Modrák et al. 2023). Log density, misfit, energy ball and TARP can."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from inference.baselines.target import read_poses
+from inference.studies.flips import FLIPPING, away
+from probmodel.chunks import in_chunks
+from probmodel.model import PoseModel, log_joint
+from probmodel.observation import Observation
+from probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS, LOWER_BONES
+
+MOVING = tuple(bone.end for bone in BONES)
+"""The nine joints that move when the torso is given."""
+MOVING_NAMES = tuple(JOINTS[joint] for joint in MOVING)
+OF_POSE = (
+    *(f"{name} {axis}" for name in MOVING_NAMES for axis in "xyz"),
+    *(f"length of {group}" for group in LENGTH_GROUPS),
+    *(f"{bone.name} points away" for bone in FLIPPING),
+)
+LOG_DENSITY, MISFIT, ENERGY_BALL, TARP = "log density", "misfit", "energy ball", "TARP"
+HINGES = tuple(f"{bone.name} from its plane" for bone in LOWER_BONES)
+"""How far a lower bone points away from its hinge's plane, a sine: where the measures of lower
+bones differ most."""
+OF_MODEL = (*HINGES, LOG_DENSITY, MISFIT)
+"""Known where the model is; `TARP` where there was a reference."""
+OF_BOTH = (*OF_MODEL, ENERGY_BALL, TARP)
+QUANTITIES = (*OF_POSE, *OF_BOTH)
+CHUNK = 512
+
+
+def of_pose(joints: np.ndarray) -> np.ndarray:
+    """`(n, 40)`: coordinates, bone lengths (left and right averaged) and depth flips of poses `(n,
+    15, 3)`, camera axes, in the order of `OF_POSE`."""
+    ends = joints[:, MOVING].reshape(len(joints), -1)
+    return np.concatenate([ends, lengths(joints), away(joints)], axis=1)
+
+
+def lengths(joints: np.ndarray) -> np.ndarray:
+    """`(n, 5)`: the lengths of the groups, left and right averaged, of poses `(n, 15, 3)`."""
+    found = np.linalg.norm(joints[:, MOVING] - joints[:, [bone.start for bone in BONES]], axis=-1)
+    group = np.array([bone.length_group for bone in BONES])
+    return np.stack(
+        [found[:, group == number].mean(axis=1) for number in range(len(LENGTH_GROUPS))], axis=1
+    )
+
+
+def of_both(model: PoseModel, observation: Observation, joints: np.ndarray) -> np.ndarray:
+    """`(n, 6)`: of poses `(n, 15, 3)` in camera axes and body units, in the order of `OF_MODEL`:
+    sines of the lower bones from their planes, log joint density (-inf outside), and the largest
+    distance of a seen joint from its detection, in radii τ."""
+    rows = in_chunks(
+        functools.partial(_of_both, model, observation), joints, lengths(joints), size=CHUNK
+    )
+    return np.concatenate([rows[0], np.stack(rows[1:], axis=1)], axis=1)
+
+
+@jax.jit
+def _of_both(
+    model: PoseModel, observation: Observation, joints: jax.Array, length: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    poses = read_poses(model, joints, length)
+    sine = -jnp.sum(model.hinges_at(poses.upper).triple[..., 0, :] * poses.lower, axis=-1)
+    seen = observation.has_factor
+    offset = (
+        observation.camera.image(joints)
+        - jnp.where(seen[:, None], jnp.asarray(observation.keypoints), 0.0)[None]
+    )
+    far = (
+        jnp.linalg.norm(offset, axis=-1)
+        / jnp.where(seen, jnp.asarray(observation.radius), jnp.inf)[None]
+    )
+    return sine, log_joint(model, observation, *poses), far.max(axis=1)

@@ -1,0 +1,192 @@
+"""Standings as a DataTree, and back: `coverage.nc`, laid out as ArviZ looks for it, and where a run
+goes on.
+
+`/simulation` has everything by instance, failures too; `/prior_sbc` the levels of those that were
+judged, with `chain` and `draw` as ArviZ's plots of calibration want them (a draw is a simulation).
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inference.results import save_tree
+from inference.studies.calibration.assess import Standing
+from inference.studies.calibration.quantities import MOVING_NAMES, OF_BOTH, OF_POSE, QUANTITIES
+from inference.studies.calibration.simulations import Instance
+from inference.studies.flips import FLIPPING
+from probmodel.failures import BadInput
+from probmodel.skeleton import JOINTS, LENGTH_GROUPS, TORSO_JOINTS
+
+JOINTWISE = ("whole", "lateral", "depth", "spread_lateral", "spread_depth")
+SCALARS = ("status", "sentence", "num_draws", "log_evidence")
+
+
+def standings_tree(
+    standings: list[Standing],
+    attributes: dict[str, Any],
+    columns: dict[str, np.ndarray] | None = None,
+) -> xr.DataTree:
+    """The tree of `standings`; `columns` `(n,)` are further variables by simulation."""
+    simulation = _simulation(standings)
+    for name, column in (columns or {}).items():
+        simulation[name] = ("simulation", column)
+    tree = xr.DataTree.from_dict({"simulation": simulation, "prior_sbc": levels(simulation)})
+    tree.attrs.update(attributes)
+    return tree
+
+
+def _simulation(standings: list[Standing]) -> xr.Dataset:
+    data: dict[str, Any] = {
+        name: (("simulation",), np.array([getattr(one, name) for one in standings]))
+        for name in SCALARS
+    }
+    data["level"] = (("simulation", "quantity"), np.stack([one.level for one in standings]))
+    data |= {
+        name: (("simulation", "joint"), np.stack([getattr(one, name) for one in standings]))
+        for name in JOINTWISE
+    }
+    data["stand_in"] = (
+        ("simulation", "replicate", "joint"),
+        np.stack([one.stand_in for one in standings]),
+    )
+    coords = {
+        "simulation": np.arange(len(standings)),
+        "quantity": list(QUANTITIES),
+        "joint": list(MOVING_NAMES),
+    }
+    return xr.Dataset(data, coords=coords)
+
+
+def levels(simulation: xr.Dataset) -> xr.Dataset:
+    """The levels of the simulations that were judged, quantities of a kind together: `joints`
+    `(chain, draw, joint, axis)`, `bone_length`, `away`, and those of pose and detection one by one,
+    where they were looked at."""
+    found = simulation["level"]
+    judged = np.isfinite(found.values).any(axis=1)
+    values = found.values[judged][None]
+    joints, rest = np.split(values[..., : len(OF_POSE)], [3 * len(MOVING_NAMES)], axis=-1)
+    data: dict[str, Any] = {
+        "joints": (
+            ("chain", "draw", "joint", "axis"),
+            joints.reshape(*joints.shape[:2], len(MOVING_NAMES), 3),
+        ),
+        "bone_length": (("chain", "draw", "length_group"), rest[..., : len(LENGTH_GROUPS)]),
+        "away": (("chain", "draw", "bone"), rest[..., len(LENGTH_GROUPS) :]),
+    }
+    for name in OF_BOTH:
+        column = values[..., QUANTITIES.index(name)]
+        if np.isfinite(column).any():
+            data[name.replace(" ", "_")] = (("chain", "draw"), column)
+    coords = {
+        "chain": [0],
+        "draw": np.flatnonzero(judged),
+        "joint": list(MOVING_NAMES),
+        "axis": list("xyz"),
+        "length_group": list(LENGTH_GROUPS),
+        "bone": [bone.name for bone in FLIPPING],
+    }
+    return xr.Dataset(data, coords=coords)
+
+
+def read_standings(tree: xr.DataTree) -> list[Standing]:
+    """The standings of a tree."""
+    simulation = tree["simulation"].to_dataset()
+    rows = []
+    for number in range(simulation.sizes["simulation"]):
+        row = simulation.isel(simulation=number)
+        whole, lateral, depth, spread_lateral, spread_depth = (
+            row[name].values for name in JOINTWISE
+        )
+        rows.append(
+            Standing(
+                str(row.status.item()),
+                str(row.sentence.item()),
+                int(row.num_draws),
+                float(row.log_evidence),
+                row.level.values,
+                whole,
+                lateral,
+                depth,
+                row.stand_in.values,
+                spread_lateral,
+                spread_depth,
+            )
+        )
+    return rows
+
+
+def resume(path: Path, settings: dict[str, Any]) -> list[Standing]:
+    """What an earlier run of the same settings left at `path`; none where there is no file. Raises
+    `BadInput` where it is another run's, or cannot be read."""
+    if not path.exists():
+        return []
+    try:
+        with xr.open_datatree(path, engine="netcdf4") as tree:
+            found = {name: tree.attrs.get(name) for name in settings}
+            standings = read_standings(tree.load())
+    except (
+        Exception
+    ) as error:  # netCDF meets foreign and damaged files with errors of many unrelated kinds.
+        raise BadInput(
+            f"{path} is no run that can be taken up ({type(error).__name__}); delete it, or choose"
+            " another folder"
+        ) from None
+    for name, value in settings.items():
+        if str(found[name]) != str(value):
+            raise BadInput(
+                f"{path} holds another run (its {name} is {found[name]!r}, not {value!r}); choose"
+                " another folder, or delete that file"
+            )
+    return standings
+
+
+def save(tree: xr.DataTree, path: Path) -> None:
+    """Writes the tree, atomically. Raises `BadInput` where it cannot."""
+    save_tree(tree, path)
+
+
+def instances_tree(instances: Sequence[Instance]) -> xr.DataTree:
+    """What samplers elsewhere need of simulations, by simulation: `observed_data` (keypoints,
+    score), `constant_data` (the torso in camera axes, the camera's scale and translation, radii τ),
+    and `truth`."""
+    frames = [instance.frame for instance in instances]
+    views = [frame.observation(frame.candidates[0]) for frame in frames]
+    names = {
+        "simulation": np.arange(len(frames)),
+        "joint": list(JOINTS),
+        "axis": list("xyz"),
+        "uv": list("uv"),
+    }
+
+    def rows(dims: tuple[str, ...], values: list) -> tuple[tuple[str, ...], np.ndarray]:
+        return ("simulation", *dims), np.stack([np.asarray(value) for value in values])
+
+    return xr.DataTree.from_dict(
+        {
+            "observed_data": xr.Dataset(
+                {
+                    "keypoints": rows(
+                        ("joint", "uv"), [frame.detection.keypoints for frame in frames]
+                    ),
+                    "score": rows(("joint",), [frame.detection.score for frame in frames]),
+                },
+                coords=names,
+            ),
+            "constant_data": xr.Dataset(
+                {
+                    "torso": rows(("torso_joint", "axis"), [view.view for view in views]),
+                    "scale": rows((), [float(view.camera.scale) for view in views]),
+                    "translation": rows(("uv",), [view.camera.translation for view in views]),
+                    "radius": rows(("joint",), [view.radius for view in views]),
+                },
+                coords=names | {"torso_joint": list(TORSO_JOINTS)},
+            ),
+            "truth": xr.Dataset(
+                {"joints": rows(("joint", "axis"), [instance.joints for instance in instances])},
+                coords=names,
+            ),
+        }
+    )

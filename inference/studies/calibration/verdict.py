@@ -1,0 +1,124 @@
+"""What the levels say: one test of uniformity for each quantity, all of them held to one
+false-alarm rate.
+
+Holm's procedure corrects for the number of tests, however they depend on each other. "calibrated"
+means that no test rejects with so many simulations, no more; too few simulations are refused, and
+failures are counted."""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from inference.studies.calibration.quantities import ENERGY_BALL, LOG_DENSITY, QUANTITIES, TARP
+from inference.studies.calibration.uniformity import uniformity
+from probmodel.failures import BadInput
+
+FALSE_ALARM = 0.01
+"""Chance that a right posterior is said to be miscalibrated, over all tests together."""
+FEWEST = 100
+"""Simulations below which nothing is said: fewer would not notice draws of 0.8 times the spread."""
+FEW_FAILURES = 0.01
+"""With a larger share of failures the others prove nothing: which ones fail may depend on the
+truth."""
+CALIBRATED, MISCALIBRATED, CANNOT_TELL = "calibrated", "miscalibrated", "cannot tell"
+
+
+class Calibration(NamedTuple):
+    """`tests`, with the dimension `quantity`: `statistic` (smallest binomial tail), `p_value`,
+    `adjusted` (Holm's) and `size`; the `verdict` and a `sentence` for it."""
+
+    tests: xr.Dataset
+    verdict: str
+    sentence: str
+
+    def p_value(self, quantity: str) -> float:
+        """Of one quantity, before the correction."""
+        return float(self.tests.p_value.sel(quantity=quantity))
+
+    @property
+    def families(self) -> dict[str, float]:
+        """p-values of the ranks (SBC: the smallest one, corrected by Holm), of the regions of
+        highest density, of the energy balls and of TARP; without what was not looked at."""
+        single = {"highest density": LOG_DENSITY, "energy balls": ENERGY_BALL, "TARP": TARP}
+        known = set(self.tests.quantity.values)
+        ranks = [name for name in self.tests.quantity.values if name not in single.values()]
+        found = (
+            {"ranks (SBC)": float(holm(self.tests.p_value.sel(quantity=ranks).values).min())}
+            if ranks
+            else {}
+        )
+        return found | {
+            family: self.p_value(name) for family, name in single.items() if name in known
+        }
+
+
+def judge(
+    simulation: xr.Dataset, *, false_alarm: float = FALSE_ALARM, fewest: int = FEWEST
+) -> Calibration:
+    """The verdict on levels by (simulation, quantity), NaN where an instance failed. Raises
+    `BadInput` where there are fewer than `fewest` judged simulations."""
+    table = simulation["level"]
+    total, failed = len(table), int((~np.isfinite(table.values).any(axis=1)).sum())
+    if total - failed < fewest:
+        lost = f", {failed} of them failed" if failed else ""
+        raise BadInput(
+            f"there are {total} simulations{lost}; the tests need at least {fewest} that did not"
+            " fail"
+        )
+    known = set(table.quantity.values)
+    looked_at = [
+        name
+        for name in QUANTITIES
+        if name in known and np.isfinite(table.sel(quantity=name).values).any()
+    ]
+    found = []
+    for name in looked_at:
+        column = table.sel(quantity=name).values
+        found.append(uniformity(column[np.isfinite(column)]))
+    p_values = np.array([test.p_value for test in found])
+    tests = xr.Dataset(
+        {
+            "statistic": ("quantity", [test.statistic for test in found]),
+            "p_value": ("quantity", p_values),
+            "adjusted": ("quantity", holm(p_values)),
+            "size": ("quantity", [test.size for test in found]),
+        },
+        coords={"quantity": looked_at},
+        attrs={"false_alarm": false_alarm, "multiplicity": "Holm", "num_failed": failed},
+    )
+    return Calibration(tests, *_verdict(tests, failed, total, false_alarm))
+
+
+def _verdict(tests: xr.Dataset, failed: int, total: int, false_alarm: float) -> tuple[str, str]:
+    worst = tests.isel(quantity=int(np.argmin(tests.adjusted.values)))
+    number = tests.sizes["quantity"]
+    said = (
+        f"{worst.quantity.item()}: p = {float(worst.p_value):.2g}, {float(worst.adjusted):.2g} over"
+        f" {number} tests"
+    )
+    missing = f"; the sampler failed on {failed} of {total} simulations" if failed else ""
+    if float(worst.adjusted) < false_alarm:
+        return MISCALIBRATED, f"{said}, with {int(worst['size'])} simulations{missing}"
+    if failed > FEW_FAILURES * total:
+        return (
+            CANNOT_TELL,
+            f"the sampler failed on {failed} of {total} simulations; no test rejects on the others",
+        )
+    return (
+        CALIBRATED,
+        (
+            f"no test of {number} rejects at {false_alarm:g} with {total - failed}"
+            f" simulations{missing}"
+        ),
+    )
+
+
+def holm(p_values: np.ndarray) -> np.ndarray:
+    """p-values `(n,)` corrected for their number (Holm 1979): rejecting those below α errs at all
+    with chance ≤ α."""
+    order = np.argsort(p_values)
+    steps = np.maximum.accumulate(p_values[order] * np.arange(len(p_values), 0, -1))
+    corrected = np.empty(len(p_values))
+    corrected[order] = np.minimum(steps, 1.0)
+    return corrected

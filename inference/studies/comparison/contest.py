@@ -1,0 +1,204 @@
+"""Several samplers on one frame, each from two starts, judged by exact draws: what `poseterior
+compare` runs."""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import xarray as xr
+
+from inference.baselines.catalogue import BASELINES, STARTS, baseline_tree, starting_points
+from inference.baselines.run import Allowance, Clock, Run, check_packages, run
+from inference.baselines.target import Target
+from inference.candidates import Frame
+from inference.results import COMPLETE
+from inference.sampler import SAMPLERS, draw_mixture, sample
+from inference.studies.comparison.cost import course
+from inference.studies.comparison.judge import judge
+from inference.studies.comparison.pace import pace
+from inference.studies.comparison.record import SHOWN, Entry
+from inference.studies.comparison.sample import Sample, read_sample
+from probmodel.failures import BadInput, OutOfBudget
+from probmodel.model import PoseModel
+
+PILOT = 500
+"""Draws by which the candidate is chosen."""
+REFERENCE = 20_000
+"""Exact draws that the judge compares with."""
+MOST = 20_000
+"""Draws of a baseline that are judged, at most, taken evenly along its paths."""
+ENDLESS = 1 << 40
+"""More draws than any budget brings."""
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Exact draws under one candidate: the frame with that candidate, their tree and sample, and
+    what they cost."""
+
+    frame: Frame
+    tree: xr.DataTree
+    sample: Sample
+
+    @property
+    def evidence(self) -> tuple[float, float]:
+        """Log evidence and its standard error."""
+        return self.tree.attrs["log_evidence"], self.tree.attrs["log_evidence_se"]
+
+
+def truth(model: PoseModel, frame: Frame, *, key: jax.Array, number: int = REFERENCE) -> Truth:
+    """Exact draws under the candidate with the largest weight. Raises `OutOfBudget` where there are
+    none."""
+    if len(frame.candidates) > 1:
+        pilot = sample(model, frame, key=jax.random.fold_in(key, 0), num_samples=PILOT)
+        best = int(np.argmax(pilot.tree["constant_data"].weight.values))
+        frame = dataclasses.replace(frame, candidates=(frame.candidates[best],))
+    result = sample(model, frame, key=jax.random.fold_in(key, 1), num_samples=number)
+    if result.status != COMPLETE:
+        raise OutOfBudget(f"the exact draws to judge by are not complete: {result.sentence}")
+    return Truth(frame, result.tree, read_sample(result.tree, "the exact draws"))
+
+
+def check_names(names: list[str]) -> None:
+    """Raises `BadInput` on a sampler that does not exist or whose package is missing, before any
+    work is done."""
+    unknown = [name for name in names if name not in BASELINES and name not in SAMPLERS]
+    if unknown or not names:
+        raise BadInput(
+            f"there is no sampler {unknown[0] if unknown else ''!r}; choose from"
+            f" {', '.join([*SAMPLERS, *BASELINES])}"
+        )
+    for name in names:
+        if name in BASELINES:
+            check_packages(name, BASELINES[name])
+
+
+def starts_of(name: str) -> tuple[str, ...]:
+    """The starts that a sampler is run from; one without a name where it needs none."""
+    return STARTS if name in BASELINES and BASELINES[name].starts else ("",)
+
+
+def enter_exact(
+    model: PoseModel,
+    known: Truth,
+    name: str,
+    *,
+    key: jax.Array,
+    num_samples: int,
+    clock: Clock = time.perf_counter,
+) -> Entry:
+    """A line of exact rejection, drawn anew with another key. It is drawn twice, the same: the
+    first time everything is compiled, the second time the clock runs, as with baselines up to where
+    draws are given names."""
+    result = sample(model, known.frame, sampler=name, key=key, num_samples=num_samples)
+    started = clock()
+    draw_mixture(model, known.frame, key, name, num_samples)
+    seconds = clock() - started
+    attributes = result.tree.attrs
+    evidence = attributes["log_evidence"], attributes["log_evidence_se"]
+    found = read_sample(result.tree, f"the draws of {name}")
+    work = Work(attributes["num_proposals"], seconds, 1.0, found.num_draws, 0)
+    return _entry(name, "", found, known, result.sentence, work, evidence)
+
+
+def enter_baseline(
+    model: PoseModel,
+    known: Truth,
+    name: str,
+    start: str,
+    *,
+    key: jax.Array,
+    allowance: Allowance,
+    num_samples: int,
+    progress: Progress | None = None,
+    save_to: Path | None = None,
+    clock: Clock = time.perf_counter,
+) -> tuple[Entry, xr.DataTree | None]:
+    """A line of a baseline, and its draws, or none where its budget brought none."""
+    target = Target.of(model, known.frame)
+    starts = starting_points(target, known.tree, start) if start else None
+    done = run(
+        BASELINES[name],
+        name,
+        target,
+        key=key,
+        starts=starts,
+        num_samples=num_samples,
+        most=MOST,
+        allowance=allowance,
+        progress=progress,
+        save_to=save_to,
+        clock=clock,
+    )
+    evidence = done.log_evidence, done.log_evidence_se
+    if not done.num_draws:
+        cost = done.cost.num_proposals, done.cost.wall_time
+        return Entry(name, start, None, done.sentence, 0, *cost, None, None, *evidence), None
+    tree = baseline_tree(model, known.frame, done, key)
+    found = read_sample(tree, f"the draws of {name}")
+    return (
+        _entry(name, start, found, known, "", _work_of(done, BASELINES[name].starts), evidence),
+        tree,
+    )
+
+
+class Work(NamedTuple):
+    """What draws cost: evaluations, seconds, the share `kept` of them that brought draws; `steps`,
+    how many draws in a row are one path; `given`, the exact draws that the start was given."""
+
+    evaluations: int
+    seconds: float
+    kept: float
+    steps: int
+    given: int
+
+
+def _work_of(done: Run, given: int) -> Work:
+    """Of a baseline's run."""
+    info = done.info
+    return Work(
+        done.cost.num_proposals,
+        done.cost.wall_time,
+        info.get("kept", 1.0),
+        int(info["steps"]),
+        given,
+    )
+
+
+def _entry(
+    name: str,
+    start: str,
+    found: Sample,
+    known: Truth,
+    sentence: str,
+    work: Work,
+    evidence: tuple[float, float],
+) -> Entry:
+    verdict = judge(found, known.sample, evidence=evidence, exact_evidence=known.evidence)
+    way = course(found, known.sample, work.seconds, work.kept)
+    speed = pace(
+        found, known.sample, effective=verdict.mixing.worst, given=work.given, steps=work.steps
+    )
+    shown = evidence if math.isfinite(evidence[0]) else (math.nan, math.nan)
+    some = found.flat[:: max(1, found.num_draws // SHOWN)][:SHOWN]
+    said = sentence or verdict.sentence
+    return Entry(
+        name,
+        start,
+        verdict,
+        said,
+        found.num_draws,
+        work.evaluations,
+        work.seconds,
+        way,
+        speed,
+        *shown,
+        some,
+    )

@@ -1,0 +1,214 @@
+"""The verdict on a sampler: tests against exact draws, each with its sample size and what it takes
+for granted.
+
+Tests that need independent draws are given draws thinned by their measured autocorrelation. The
+verdict holds all of them to one level (Holm's procedure): "differs", "agrees" (as far as the draws
+can tell), or "cannot tell" where there are too few effective draws to see anything. Chains that did
+not move differ without a test."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from inference.studies.comparison.distances import MILLIMETRES, sliced_wasserstein, wasserstein
+from inference.studies.comparison.mixing import Mixing, mean_ess, mixing
+from inference.studies.comparison.modes import Modes, modes, same_shares
+from inference.studies.comparison.permutation import (
+    PERMUTATIONS,
+    classifier_test,
+    permutation_tests,
+)
+from inference.studies.comparison.ranks import all_together, each_coordinate
+from inference.studies.comparison.sample import NAMES, Sample
+
+LEVEL = 0.01
+"""Chance that a sampler without fault is said to differ."""
+FEWEST = 100
+"""Effective draws below which no agreement is claimed: a shift of 0.3 standard deviations would go
+unseen."""
+INDEPENDENT = 0.5
+"""Draws are taken as independent if no autocorrelation is seen between neighbours and the worst
+estimate of the effective size, which is noisy, is at least this share of their number."""
+DIFFERS, AGREES, CANNOT_TELL = "differs", "agrees", "cannot tell"
+
+
+class Test(NamedTuple):
+    """One test: its statistic, the p-value, the effective number of draws behind it, and what it
+    takes for granted."""
+
+    name: str
+    statistic: float
+    p_value: float
+    size: float
+    assumption: str
+
+
+class Judgement(NamedTuple):
+    """All that the judge found. `tests` decide the verdict; `others` are reported beside it.
+    `coordinate_p` `(32, 2)`: rank tests of shift and spread; `joint_w1` `(9,)`: W1 of the joints'
+    depth in body units (× 350: millimetres of a person of 1.7 m); `distance`: sliced Wasserstein in
+    standard deviations; `sentence` says why."""
+
+    verdict: str
+    sentence: str
+    tests: tuple[Test, ...]
+    others: tuple[Test, ...]
+    mixing: Mixing
+    modes: Modes
+    coordinate_p: np.ndarray
+    joint_w1: np.ndarray
+    distance: float
+
+    @property
+    def worst_millimetres(self) -> float:
+        """The largest W1 of a joint's depth, for a person of 1.7 m."""
+        return float(self.joint_w1.max() * MILLIMETRES)
+
+
+def judge(
+    sample: Sample,
+    exact: Sample,
+    *,
+    seed: int = 0,
+    evidence: tuple[float, float] = (math.nan, math.nan),
+    exact_evidence: tuple[float, float] = (math.nan, math.nan),
+    level: float = LEVEL,
+    permutations: int = PERMUTATIONS,
+) -> Judgement:
+    """Judges draws against exact, independent ones of the same posterior. `evidence` and
+    `exact_evidence`: log evidence and its standard error, NaN where there is none."""
+    rng = np.random.default_rng(seed)
+    mixed = mixing(sample.values, exact.flat.std(axis=0))
+    worst = _worst(sample, mixed)
+    coordinate_p, ess = each_coordinate(sample.values, exact.flat)
+    tests: list[Test] = []
+    others: list[Test] = []
+    if not mixed.stuck and worst >= FEWEST:
+        thinned = sample if _independent(sample, worst) else sample.rows(_stride(sample, worst))
+        tests, others = _tests(thinned, exact, rng, permutations)
+        tests.append(_coordinates(coordinate_p, ess))
+    if math.isfinite(evidence[0]) and math.isfinite(exact_evidence[0]):
+        tests.append(_evidence(evidence, exact_evidence))
+    found = modes(
+        sample.away.reshape(-1, sample.away.shape[-1]),
+        exact.away.reshape(-1, exact.away.shape[-1]),
+        worst,
+    )
+    verdict, sentence = _verdict(tests, mixed, worst, found, level)
+    depth = [column for column, name in enumerate(NAMES) if name.endswith(" z")]
+    joint_w1 = wasserstein(sample.flat[:, depth], exact.flat[:, depth])
+    distance = sliced_wasserstein(sample.flat, exact.flat)
+    return Judgement(
+        verdict,
+        sentence,
+        tuple(tests),
+        tuple(others),
+        mixed,
+        found,
+        coordinate_p,
+        joint_w1,
+        distance,
+    )
+
+
+def _worst(sample: Sample, mixed: Mixing) -> float:
+    """The smallest effective size: of any coordinate, and of how often any bone points away."""
+    if mixed.stuck or not np.isfinite(mixed.bulk).any():
+        return 1.0
+    flips = [
+        mean_ess(sample.away[..., bone].astype(float)) for bone in range(sample.away.shape[-1])
+    ]
+    return float(min(np.nanmin(mixed.bulk), *flips))
+
+
+def _independent(sample: Sample, worst: float) -> bool:
+    number = sample.num_draws
+    spread = sample.flat.std(axis=0)
+    scaled = (sample.values - sample.flat.mean(axis=0)) / np.where(spread > 0, spread, np.inf)
+    neighbours = (
+        np.mean(scaled[:, 1:] * scaled[:, :-1], axis=(0, 1)) if scaled.shape[1] > 1 else np.ones(1)
+    )
+    return bool(neighbours.max() < 4 / math.sqrt(number) and worst >= INDEPENDENT * number)
+
+
+def _stride(sample: Sample, worst: float) -> int:
+    """Twice the autocorrelation time: what is left between neighbours is some percent."""
+    return math.ceil(2 * sample.num_draws / worst)
+
+
+def _tests(
+    thinned: Sample, exact: Sample, rng: np.random.Generator, permutations: int
+) -> tuple[list[Test], list[Test]]:
+    draws, known, number = thinned.flat, exact.flat, thinned.num_draws
+    lengths = thinned.lengths
+    rest = slice(lengths.stop, None)
+    independent = "thinned draws are independent"
+    permuted = permutation_tests(draws, known, rng, permutations)
+    tests = [Test(name, *permuted[name], number, independent) for name in permuted]
+    for name, part in (("ranks of lengths", lengths), ("ranks of joints", rest)):
+        tests.append(
+            Test(
+                name,
+                *all_together(draws[:, part], known[:, part]),
+                number,
+                f"{independent}; normal scores",
+            )
+        )
+    flips = same_shares(thinned.away.reshape(number, -1), exact.away.reshape(exact.num_draws, -1))
+    tests.append(Test("modes", *flips, number, f"{independent}; rare modes put together"))
+    return tests, [Test("C2ST", *classifier_test(draws, known, rng), number, independent)]
+
+
+def _coordinates(p_values: np.ndarray, ess: np.ndarray) -> Test:
+    """The worst of all rank tests of single coordinates, corrected for their number."""
+    worst = np.unravel_index(np.argmin(p_values), p_values.shape)
+    name = f"ranks of {NAMES[worst[0]]}, {('shift', 'spread')[worst[1]]}"
+    corrected = min(1.0, float(p_values[worst] * p_values.size))
+    assumption = (
+        "means of ranks are normal, with the effective size measured on them; corrected for"
+        f" {p_values.size} tests"
+    )
+    return Test(
+        name, float(stats.norm.isf(p_values[worst] / 2)), corrected, float(ess[worst]), assumption
+    )
+
+
+def _evidence(evidence: tuple[float, float], exact: tuple[float, float]) -> Test:
+    z = (evidence[0] - exact[0]) / math.hypot(evidence[1], exact[1])
+    assumption = "log evidences are normal with the standard errors that they state"
+    return Test("evidence", z, float(2 * stats.norm.sf(abs(z))), math.nan, assumption)
+
+
+def _verdict(
+    tests: list[Test], mixed: Mixing, worst: float, found: Modes, level: float
+) -> tuple[str, str]:
+    if mixed.stuck:
+        return (
+            DIFFERS,
+            (
+                f"the chains did not move: {mixed.unique:.1%} of the draws are distinct, or a"
+                " coordinate stood still"
+            ),
+        )
+    worse = sorted(tests, key=lambda test: test.p_value)
+    if (
+        worse and worse[0].p_value * len(worse) < level
+    ):  # Holm's first step decides whether anything differs
+        test = worse[0]
+        missed = (
+            f"; {found.missed:.1%} of the mass in modes never visited"
+            if found.missed > found.expected_missed
+            else ""
+        )
+        return DIFFERS, f"{test.name}: p = {test.p_value:.2g} of {len(worse)} tests{missed}"
+    if worst < FEWEST:
+        return (
+            CANNOT_TELL,
+            (
+                f"only {worst:.0f} effective draws in the worst coordinate; at least {FEWEST} are"
+                " needed"
+            ),
+        )
+    return AGREES, f"no test of {len(worse)} rejects at {level:g} with {worst:.0f} effective draws"

@@ -1,0 +1,107 @@
+"""How fast a sampler brings effective draws, as only the truth can tell.
+
+ArviZ gives a run shorter than its autocorrelation time as many effective draws as it has walkers:
+those it was started with. Two figures are not taken in. *Earned*: the effective draws beyond the
+exact ones that the start was given. And the autocorrelation time of all walkers together about the
+mean and variance of the exact draws (Sokal 1997): a walker that stays where it is has a long one,
+and so has one that walks about in the wrong place. For a mean, draws are worth their number over
+that time. From a path that is short beside it, it can only be bounded from below. And a path does
+not show what keeps walkers apart for good, draws from clouds of their own, say: where ArviZ, which
+compares walkers with each other, finds far fewer effective draws, that is the bound."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from inference.studies.comparison.mixing import CONSTANT
+from inference.studies.comparison.sample import Sample
+
+WINDOW = 5.0
+"""The sum of autocorrelations ends at this many autocorrelation times (Sokal's rule)."""
+ENOUGH = 50.0
+"""A path of fewer autocorrelation times bounds them, and no more (the rule of emcee's
+documentation)."""
+APART = 2.0
+"""How many times as many effective draws paths may promise as ArviZ finds, whose figure is of tails
+too."""
+GROUPS = 16
+"""Groups of walkers, from whose differences standard errors come."""
+
+
+class Pace(NamedTuple):
+    """Of the worst coordinate: `earned` effective draws; `time`, the autocorrelation time in draws,
+    at least 1; `settled` effective draws, their number over that time: what the run is worth, or
+    where it is not `known` at most that."""
+
+    earned: float
+    time: float
+    settled: float
+    known: bool
+
+
+def pace(sample: Sample, exact: Sample, *, effective: float, given: int, steps: int) -> Pace:
+    """Of draws whose effective size in the worst coordinate is said to be `effective`, started with
+    `given` exact draws, every `steps` draws being the path of one walker."""
+    series, truth = _series(sample), _series(exact)
+    centre, spread = truth.mean(axis=0), truth.std(axis=0)
+    varies = spread > CONSTANT
+    paths = ((series[:, varies] - centre[varies]) / spread[varies]).reshape(
+        -1, steps, int(varies.sum())
+    )
+    times, closed = autocorrelation_times(paths)
+    time = max(1.0, float(times.max()))
+    settled = sample.num_draws / time
+    known = bool(closed.all()) and steps >= ENOUGH * time
+    if settled > APART * effective:
+        settled, known = effective, False
+    return Pace(max(0.0, effective - given), time, settled, known)
+
+
+def _series(sample: Sample) -> np.ndarray:
+    """`(n, 40)`: coordinates and depth flips."""
+    return np.concatenate([sample.flat, sample.away.reshape(-1, sample.away.shape[-1])], axis=1)
+
+
+def autocorrelation_times(paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`(c,)` integrated autocorrelation times of `paths` `(walker, step, c)` that have mean 0 and
+    variance 1 in the limit, and whether the sum came to its end within half a path; where it did
+    not, it is a lower bound."""
+    steps = paths.shape[1]
+    times, closed = np.empty(paths.shape[2]), np.empty(paths.shape[2], bool)
+    lags = np.arange(steps // 2 + 1)
+    groups = np.array_split(np.arange(len(paths)), min(GROUPS, len(paths)))
+    for column in range(paths.shape[2]):
+        power = np.abs(np.fft.rfft(paths[..., column], 2 * steps, axis=1)) ** 2
+        products = np.fft.irfft(np.stack([power[group].mean(axis=0) for group in groups]))[
+            :, : len(lags)
+        ]
+        found = products / (steps - lags)
+        mean = np.average(found, axis=0, weights=[len(group) for group in groups])
+        sums = 2 * np.cumsum(mean) - mean[0]
+        ends = lags >= WINDOW * np.maximum(sums, 1.0)
+        closed[column] = ends.any()
+        times[column] = sums[np.argmax(ends)] if closed[column] else sums[-1] + 2 * _rest(found)
+    return times, closed
+
+
+def _rest(found: np.ndarray) -> float:
+    """At least what autocorrelations `(group, lag)` add up to beyond the last lag.
+
+    Those of a reversible chain are mixtures of exponentials, log-convex, so that they fall ever
+    more slowly (Geyer 1992): no faster than they do from half of the last lag to the last one, two
+    standard errors (jackknife) added."""
+    last = found.shape[1] - 1
+    width = last // 8
+    if len(found) < GROUPS or not width:
+        return 0.0
+    half, end = last // 2, last
+    early, late = (found[:, at - width : at + 1].mean(axis=1) for at in (half, end))
+    left_out = np.array(
+        [[np.delete(part, group).mean() for group in range(len(found))] for part in (early, late)]
+    )
+    if left_out.min() <= 0:
+        return 0.0
+    falls = np.log(left_out[0] / left_out[1])
+    error = np.sqrt((len(falls) - 1) * falls.var())
+    fall = (max(falls.mean(), 0.0) + 2 * error) / (end - half)
+    return float(late.mean() / fall) if fall > 0 else 0.0

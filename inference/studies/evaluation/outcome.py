@@ -1,0 +1,243 @@
+"""What comes out of a frame: errors of the single estimate, of k hypotheses, of all draws; and how
+it went.
+
+A block of frames is estimated together and then drawn one by one, each with a key from its own
+number. The same block gives the same bits wherever and whenever it is done."""
+
+import functools
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from inference.candidates import Frame
+from inference.hypothesis import diverse
+from inference.results import pose_columns
+from inference.roots import estimate_torsos
+from inference.sampler import draw_mixture
+from inference.studies.errors import aligned_errors, joint_errors
+from inference.studies.evaluation.conditions import Condition
+from inference.studies.evaluation.metrics import distinct_flips, spread
+from probmodel.anatomy.population import Anatomy
+from probmodel.datasets import Case, DataSet
+from probmodel.detections import LIKELIHOOD_JOINTS
+from probmodel.failures import BadInput
+from probmodel.learning.dictionaries import PoseDictionary
+from probmodel.model import PoseModel
+from probmodel.skeleton import BONES, NUM_JOINTS
+
+BAD_INPUT, FAILED = "bad input", "failed"
+STATUS_BYTES, SENTENCE_BYTES = 16, 400
+
+
+@dataclass(frozen=True, eq=False)
+class Protocol:
+    """What is done with every frame: what is believed (`anatomy`, its measures `upper` and `lower`,
+    pose `dictionary`), how many torso-and-camera `candidates` are kept (1: the paper's method), the
+    `factor` of the discs and the `joints` that have one, `num_samples` draws within
+    `max_proposals`, and among them `ks` hypotheses; `seed` of it all."""
+
+    anatomy: Anatomy
+    dictionary: PoseDictionary
+    upper: str = "angle"
+    lower: str = "area"
+    candidates: int = 1
+    factor: float = 0.25
+    joints: tuple[int, ...] = LIKELIHOOD_JOINTS
+    num_samples: int = 1000
+    ks: tuple[int, ...] = (5, 20)
+    max_proposals: int = 20_000_000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if (
+            not self.ks
+            or len(set(self.ks)) != len(self.ks)
+            or not 1 <= min(self.ks) <= max(self.ks) <= self.num_samples
+        ):
+            raise BadInput(
+                f"k must be different numbers from 1 to the {self.num_samples} draws of a frame,"
+                f" not {', '.join(map(str, self.ks)) or 'none'}"
+            )
+
+    @functools.cached_property
+    def model(self) -> PoseModel:
+        """The model of it."""
+        return PoseModel.from_anatomy(self.anatomy, upper=self.upper, lower=self.lower)
+
+    def fields(self) -> dict[str, tuple[tuple[int, ...], str]]:
+        """Shape and type of what is kept of a frame, by name. Errors in mm; `hypotheses_k` are
+        heaviest cluster first; `_unscaled`: by similarity alone, mean over joints."""
+        joints = (NUM_JOINTS,)
+        found: dict[str, tuple[tuple[int, ...], str]] = {
+            "status": ((STATUS_BYTES,), "u1"),
+            "sentence": ((SENTENCE_BYTES,), "u1"),
+            "num_draws": ((), "i4"),
+            "log_evidence": ((), "f8"),
+            "single": (joints, "f4"),
+            "single_unscaled": ((), "f4"),
+            "single_valid": ((len(BONES),), "u1"),
+            "all": (joints, "f4"),
+            "all_unscaled": ((), "f4"),
+            "all_by_joint": (joints, "f4"),
+            "mean_draw": ((), "f4"),
+            "spread": ((), "f4"),
+            "flips": ((), "i4"),
+            "seconds": ((), "f4"),
+        }
+        for k in self.ks:
+            found |= {
+                f"hypotheses_{k}": ((k, NUM_JOINTS), "f4"),
+                f"hypotheses_{k}_unscaled": ((k,), "f4"),
+                f"flips_{k}": ((), "i4"),
+            }
+        return found
+
+    def blank(self, number: int) -> dict[str, np.ndarray]:
+        """`number` frames of which nothing is known."""
+        return {
+            name: np.full((number, *shape), np.nan if kind[0] == "f" else 0, kind)
+            for name, (shape, kind) in self.fields().items()
+        }
+
+
+def judge_block(
+    protocol: Protocol, condition: Condition, data: DataSet, first: int
+) -> dict[str, np.ndarray]:
+    """What comes out of the frames of `data`, the first of which has the number `first` in its data
+    set, by name.
+
+    A frame that cannot be read, estimated or drawn from is recorded with its reason.
+    """
+    found = protocol.blank(len(data))
+    cases = [_prepared(condition, protocol.seed, data, row, first) for row in range(len(data))]
+    frames = _estimated(protocol, condition.estimator, cases)
+    for row, (case, frame) in enumerate(zip(cases, frames, strict=True)):
+        started = time.perf_counter()
+        status, sentence, values = _judged(protocol, case, frame)
+        values["seconds"] = time.perf_counter() - started
+        values |= {
+            "status": _text(status, STATUS_BYTES),
+            "sentence": _text(sentence, SENTENCE_BYTES),
+        }
+        for name, value in values.items():
+            found[name][row] = value
+    return found
+
+
+def _prepared(
+    condition: Condition, seed: int, data: DataSet, row: int, first: int
+) -> Case | Exception:
+    try:
+        case = data.case(row, number=first + row)
+        return case.hiding(condition.missing, seed).turned(condition.rotate)
+    except BadInput as error:
+        return error
+
+
+def _estimated(
+    protocol: Protocol, estimator: str, cases: Sequence[Case | Exception]
+) -> list[Frame | Exception]:
+    """All together, which is faster; one by one where one of them spoils it for the others."""
+    good = [case.detection for case in cases if isinstance(case, Case)]
+    settings: dict[str, Any] = {
+        "torsos": protocol.anatomy.torsos,
+        "limits": protocol.anatomy.limits,
+        "poses": protocol.dictionary,
+        "num_candidates": protocol.candidates,
+        "factor": protocol.factor,
+        "joints": protocol.joints,
+    }
+    try:
+        frames: list[Frame | Exception] = list(estimate_torsos(good, estimator, **settings))
+    except Exception:
+        frames = []
+        for detection in good:
+            try:
+                frames += estimate_torsos([detection], estimator, **settings)
+            except Exception as error:  # recorded, frame by frame
+                frames.append(error)
+    rest = iter(frames)
+    return [case if isinstance(case, Exception) else next(rest) for case in cases]
+
+
+def _judged(
+    protocol: Protocol, case: Case | Exception, frame: Frame | Exception
+) -> tuple[str, str, dict[str, Any]]:
+    if isinstance(case, Exception) or isinstance(frame, Exception):
+        return *_reason(frame), {}
+    try:
+        values = _single(protocol, case, frame)
+        status, sentence, drawn = _drawn(protocol, case, frame)
+    except (
+        Exception
+    ) as error:  # one frame of a million must not stop the others; it is counted, and says why
+        return *_reason(error), {}
+    return status, sentence, values | drawn
+
+
+def _reason(error: object) -> tuple[str, str]:
+    return (
+        (BAD_INPUT, str(error))
+        if isinstance(error, BadInput)
+        else (FAILED, f"{type(error).__name__}: {error}")
+    )
+
+
+def _single(protocol: Protocol, case: Case, frame: Frame) -> dict[str, Any]:
+    pose = frame.pose
+    assert pose is not None  # every estimator of the table gives one
+    return {
+        "single": joint_errors(pose, case.pose),
+        "single_unscaled": aligned_errors(pose, case.pose).mean(),
+        "single_valid": protocol.anatomy.limits.check(pose).valid,
+    }
+
+
+def _drawn(protocol: Protocol, case: Case, frame: Frame) -> tuple[str, str, dict[str, Any]]:
+    key = jax.random.fold_in(jax.random.key(protocol.seed), case.number)
+    mixture = draw_mixture(
+        protocol.model, frame, key, "rejection", protocol.num_samples, protocol.max_proposals
+    )
+    joints = pose_columns(protocol.model, frame, mixture.parts, mixture.rng)["joints"]
+    values = {"num_draws": len(joints), "log_evidence": mixture.attributes["log_evidence"]}
+    if len(joints) < max(protocol.ks):
+        return mixture.status, mixture.sentence, values
+    scaled, plain = joint_errors(joints, case.pose), aligned_errors(joints, case.pose).mean(axis=-1)
+    means = scaled.mean(axis=-1)
+    values |= {
+        "all": scaled[means.argmin()],
+        "all_by_joint": scaled.min(axis=0),
+        "all_unscaled": plain.min(),
+        "mean_draw": means.mean(),
+        "spread": spread(joints) * case.unit,
+        "flips": distinct_flips(joints),
+    }
+    for k in protocol.ks:
+        chosen = [
+            hypothesis.draw
+            for hypothesis in diverse(joints.astype(np.float32), k, seed=protocol.seed)
+        ]
+        rows = np.resize(chosen, k)  # fewer than k where draws are alike: then some stand twice
+        values |= {
+            f"hypotheses_{k}": scaled[rows],
+            f"hypotheses_{k}_unscaled": plain[rows],
+            f"flips_{k}": distinct_flips(joints[rows]),
+        }
+    return mixture.status, mixture.sentence, values
+
+
+def _text(words: str, size: int) -> np.ndarray:
+    """Text as `size` bytes."""
+    data = words.encode("utf-8")[:size].decode("utf-8", "ignore").encode("utf-8")
+    return np.frombuffer(data.ljust(size, b"\0"), np.uint8)
+
+
+def texts(values: np.ndarray) -> np.ndarray:
+    """`(N,)` texts from bytes `(N, size)`."""
+    return np.array(
+        [row.tobytes().rstrip(b"\0").decode("utf-8", "replace") for row in values], dtype=str
+    )

@@ -1,0 +1,2 @@
+"""What anatomy allows: joint limits, bone lengths and torsos, their tables, and the published
+ones."""

@@ -1,0 +1,364 @@
+"""Anatomical limits: which bone directions a body can take, after Akhter & Black (CVPR 2015).
+
+Upper bones have a table of occupied cells (azimuth × elevation in the torso's frame, 3° each).
+Lower bones have, for each cell of their parent, a plane and a box: a local unit vector u is
+possible iff n·u + d < 0 and bnd1 ≤ e2·u ≤ bnd2 and bnd3 ≤ e3·u ≤ bnd4, with (n, e2, e3) an
+orthonormal triple. The usual way in: `AnatomicalLimits.default()`, `.load(path)`, `.check(joints)`.
+"""
+
+import dataclasses
+import functools
+import hashlib
+import os
+from collections.abc import Mapping
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from probmodel.chunks import in_chunks
+from probmodel.failures import BadInput
+from probmodel.files import replacing
+from probmodel.kinematics import Articulation, articulation, azimuth_elevation, direction
+from probmodel.skeleton import BONE_NAMES, NUM_JOINTS, NUM_LOWER, NUM_UPPER
+
+CELL = np.pi / 60
+"""Side of a cell: 3° in azimuth and in elevation."""
+NUM_AZIMUTH, NUM_ELEVATION = 120, 60
+GRID = (NUM_AZIMUTH, NUM_ELEVATION)
+
+_SHAPES = {
+    "occupied": (NUM_UPPER, *GRID),
+    "normal": (NUM_LOWER, *GRID, 3),
+    "tangent": (NUM_LOWER, *GRID, 3),
+    "offset": (NUM_LOWER, *GRID),
+    "bounds": (NUM_LOWER, *GRID, 4),
+    "reference": (3,),
+    "fallback": (NUM_LOWER, 3),
+}
+_PLANES = ("normal", "tangent", "offset", "bounds")
+_BITS = {"occupied": "occupied", "has_plane": "offset"}
+"""Arrays stored as packed bits, and the table whose shape each has."""
+WRITER = "`poseterior learn`"
+LIMITS = ("none", "occupancy", "parent", "plane", "box")
+"""What a bone can break. `parent`: its parent bone is where no lower bone was ever seen, so it has
+no plane."""
+
+
+def cell_of(vector: ArrayLike) -> tuple[jax.Array, jax.Array]:
+    """Indices (azimuth, elevation) of the cells in which local unit vectors `(..., 3)` lie."""
+    azimuth, elevation = azimuth_elevation(vector)
+    column = jnp.floor((azimuth + jnp.pi) / CELL).astype(int) % NUM_AZIMUTH
+    row = jnp.clip(jnp.floor((elevation + jnp.pi / 2) / CELL).astype(int), 0, NUM_ELEVATION - 1)
+    return column, row
+
+
+class Check(NamedTuple):
+    """Verdict on poses. `valid` `(..., 9)` bool per bone of `skeleton.BONES`; `limit` `(..., 9)`
+    indexes `LIMITS`; `excess` `(..., 9)` is how far beyond the limit the bone is, in degrees (NaN
+    for `parent`)."""
+
+    valid: np.ndarray
+    limit: np.ndarray
+    excess: np.ndarray
+
+    @property
+    def pose_valid(self) -> np.ndarray:
+        """`(...)`: whether all nine bones are possible."""
+        return self.valid.all(axis=-1)
+
+    def sentences(self) -> list[str]:
+        """What a single pose breaks, a sentence a bone; empty where it breaks nothing."""
+        words = {
+            "occupancy": "points {:.1f}° outside the directions this bone can take",
+            "parent": "hangs from a bone whose own direction is impossible",
+            "plane": "bends {:.1f}° beyond the joint's plane",
+            "box": "turns {:.1f}° beyond the joint's range",
+        }
+        rows = zip(BONE_NAMES, self.valid, self.limit, self.excess, strict=True)
+        return [
+            f"{name} {words[LIMITS[code]].format(far)}" for name, ok, code, far in rows if not ok
+        ]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class AnatomicalLimits:
+    """The tables, a pytree of arrays.
+
+    `occupied` `(5, 120, 60)`; `normal`, `tangent` `(4, 120, 60, 3)`; `offset` `(4, 120, 60)`;
+    `bounds` `(4, 120, 60, 4)`, NaN where the parent's cell has no plane; `reference` `(3,)` and
+    `fallback` `(4, 3)` turn the frame of a lower bone (`frames.lower_frame`). `tangent` need not be
+    orthogonal to `normal`: it is made so on use."""
+
+    occupied: ArrayLike
+    normal: ArrayLike
+    tangent: ArrayLike
+    offset: ArrayLike
+    bounds: ArrayLike
+    reference: ArrayLike
+    fallback: ArrayLike
+    name: str = dataclasses.field(default="unnamed", metadata={"static": True})
+
+    @classmethod
+    def default(cls) -> "AnatomicalLimits":
+        """The embedded tables, learned from CMU motion capture by `poseterior learn`."""
+        with resources.as_file(resources.files("probmodel.data") / "limits.npz") as path:
+            return dataclasses.replace(cls.load(path), name="default")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike) -> "AnatomicalLimits":
+        """Reads a file that `save` wrote. Raises `BadInput` where it is not one, is truncated or
+        has other shapes."""
+        return cls.unpack(read_tables(path), Path(path))
+
+    @classmethod
+    def unpack(cls, arrays: Mapping[str, np.ndarray], path: Path) -> "AnatomicalLimits":
+        """Inverse of `pack`; other keys are ignored, errors name `path`."""
+        missing = [
+            key
+            for key in ("occupied", "has_plane", *_PLANES, "reference", "fallback")
+            if key not in arrays
+        ]
+        if missing:
+            raise BadInput(
+                f"{path} lacks {', '.join(missing)}, so it is no limits file; write one with"
+                f" {WRITER}"
+            )
+        occupied = _unpack_bits(arrays["occupied"], "occupied", path)
+        has_plane = _unpack_bits(arrays["has_plane"], "has_plane", path)
+        tables: dict[str, Any] = {}
+        for key in ("reference", "fallback"):
+            if arrays[key].shape != _SHAPES[key] or arrays[key].dtype.kind != "f":
+                raise BadInput(
+                    f"{path}: {key} has shape {arrays[key].shape}, not {_SHAPES[key]}; is it"
+                    " another model?"
+                )
+            tables[key] = arrays[key]
+        for key in _PLANES:
+            expected = (int(has_plane.sum()), *_SHAPES[key][3:])
+            if arrays[key].shape != expected or arrays[key].dtype.kind != "f":
+                raise BadInput(
+                    f"{path}: {key} has shape {arrays[key].shape}, not {expected}; is it another"
+                    " model?"
+                )
+            tables[key] = np.full(_SHAPES[key], np.nan)
+            tables[key][has_plane] = arrays[key]
+        name = str(arrays["name"]) if "name" in arrays else path.stem
+        limits = cls(**tables, occupied=occupied, name=name)
+        limits.verify(str(path))
+        return limits
+
+    def verify(self, source: str) -> None:
+        """Raises `BadInput`, naming `source`, unless shapes, finiteness and orthonormality are
+        those of limits."""
+        for key, shape in _SHAPES.items():
+            found = np.shape(getattr(self, key))
+            if found != shape:
+                raise BadInput(
+                    f"{source}: {key} has shape {found}, limits have {shape}; is it another model?"
+                )
+        has_plane = self.has_plane
+        if not np.all(np.asarray(self.occupied)[1:] <= has_plane):
+            raise BadInput(
+                f"{source}: some occupied cells of upper bones have no plane for the lower bone"
+            )
+        values = [np.asarray(getattr(self, key))[has_plane] for key in _PLANES]
+        if not all(
+            np.isfinite(value).all()
+            for value in [*values, np.asarray(self.reference), np.asarray(self.fallback)]
+        ):
+            raise BadInput(f"{source}: a plane or box holds a number that is not finite")
+        normal, tangent, _, bounds = values
+        if normal.size and np.abs(np.linalg.norm(normal, axis=-1) - 1).max() > 1e-4:
+            raise BadInput(f"{source}: a plane's normal is not of length one")
+        if tangent.size and np.linalg.norm(np.cross(normal, tangent), axis=-1).min() < 1e-6:
+            raise BadInput(f"{source}: a plane's normal and tangent are parallel")
+        if (bounds[:, 0] > bounds[:, 1]).any() or (bounds[:, 2] > bounds[:, 3]).any():
+            raise BadInput(f"{source}: a box's lower bound exceeds its upper bound")
+        if not np.asarray(self.occupied).any(axis=(1, 2)).all():
+            raise BadInput(f"{source}: an upper bone has no occupied cell at all")
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Writes a compact .npz, atomically; planes are kept for their cells only, without loss. No
+        pickle."""
+        write_tables(path, self.pack())
+
+    def pack(self) -> dict[str, np.ndarray]:
+        """The tables as compact arrays for an .npz."""
+        has_plane = self.has_plane
+        packed = {key: compact(np.asarray(getattr(self, key))[has_plane]) for key in _PLANES}
+        return packed | {
+            "occupied": np.packbits(np.asarray(self.occupied)),
+            "has_plane": np.packbits(has_plane),
+            "reference": np.asarray(self.reference, float),
+            "fallback": np.asarray(self.fallback, float),
+            "name": np.array(self.name),
+        }
+
+    @property
+    def has_plane(self) -> np.ndarray:
+        """`(4, 120, 60)` bool: the parent's cells that have a plane and a box."""
+        return ~np.isnan(np.asarray(self.offset))
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the contents (not of a file): the same tables have the same hash however they
+        were stored."""
+        digest = hashlib.sha256()
+        for key, shape in _SHAPES.items():
+            digest.update(key.encode() + str(shape).encode())
+            digest.update(np.ascontiguousarray(np.asarray(getattr(self, key), "<f8")).tobytes())
+        return digest.hexdigest()
+
+    def triples(self) -> jax.Array:
+        """Orthonormal triples `(4, 120, 60, 3, 3)`, rows n, e2, e3 = n × e2 (Gram–Schmidt of
+        normal, tangent)."""
+        normal, tangent = jnp.asarray(self.normal), jnp.asarray(self.tangent)
+        normal = normal / jnp.linalg.norm(normal, axis=-1, keepdims=True)
+        second = tangent - jnp.sum(tangent * normal, axis=-1, keepdims=True) * normal
+        second = second / jnp.linalg.norm(second, axis=-1, keepdims=True)
+        return jnp.stack([normal, second, jnp.cross(normal, second)], axis=-2)
+
+    def check(self, joints: ArrayLike) -> Check:
+        """Says of poses `(..., 15, 3)`, any right-handed axes, any unit, which bones are possible,
+        which limit the others break, and by how many degrees. Raises `BadInput` on another shape,
+        on NaN and on a bone of length 0."""
+        joints = np.asarray(joints, float)
+        if joints.shape[-2:] != (NUM_JOINTS, 3):
+            raise BadInput(
+                f"poses have shape {joints.shape}; the check needs (..., {NUM_JOINTS}, 3)"
+            )
+        if not np.isfinite(joints).all():
+            raise BadInput(
+                "a pose has a coordinate that is not finite; the check needs all fifteen joints"
+            )
+        batch = joints.shape[:-2]
+        if 0 in batch:
+            empty = np.zeros((*batch, len(BONE_NAMES)))
+            return Check(empty == 0, empty.astype(int), empty)
+        locate = functools.partial(_locate, jnp.asarray(self.reference), jnp.asarray(self.fallback))
+        local, column, row = in_chunks(locate, joints.reshape(-1, NUM_JOINTS, 3))
+        if not np.all(local.length > 0):
+            raise BadInput("a pose has a bone of length zero, which has no direction to check")
+        upper_limit, upper_excess = self._check_upper(local.upper, column, row)
+        lower_limit, lower_excess = self._check_lower(local.lower, column[:, 1:], row[:, 1:])
+        limit = np.concatenate([upper_limit, lower_limit], axis=-1).reshape(*batch, -1)
+        excess = np.concatenate([upper_excess, lower_excess], axis=-1).reshape(*batch, -1)
+        return Check(limit == 0, limit, excess)
+
+    def _check_upper(
+        self, upper: np.ndarray, column: np.ndarray, row: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        valid = np.asarray(self.occupied)[np.arange(NUM_UPPER), column, row]
+        excess = np.zeros(valid.shape)
+        for bone in range(NUM_UPPER):
+            outside = ~valid[..., bone]
+            if outside.any():
+                excess[outside, bone] = self._distance(bone, upper[..., bone, :][outside])
+        return np.where(valid, 0, LIMITS.index("occupancy")), excess
+
+    def _distance(self, bone: int, vectors: np.ndarray) -> np.ndarray:
+        """Degrees from unit vectors `(n, 3)` to the nearest occupied cell, whose borders are
+        sampled every 0.5°."""
+        if bone not in self._trees:
+            self._trees[bone] = cKDTree(_cell_points(np.asarray(self.occupied)[bone]))
+        chord, _ = self._trees[bone].query(vectors)
+        return np.degrees(2 * np.arcsin(np.clip(chord / 2, 0, 1)))
+
+    @cached_property
+    def _trees(self) -> dict[int, cKDTree]:
+        return {}
+
+    def _check_lower(
+        self, lower: np.ndarray, column: np.ndarray, row: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        where = (np.arange(NUM_LOWER), column, row)
+        coordinate = np.einsum("...ij,...j->...i", self._host_triples[where], lower)
+        offset, bounds = np.asarray(self.offset)[where], np.asarray(self.bounds)[where]
+        beyond_plane = coordinate[..., 0] + offset
+        low, high = bounds[..., 0::2], bounds[..., 1::2]
+        inside = np.clip(coordinate[..., 1:], low, high)
+        no_plane = np.isnan(offset)
+        broken = [no_plane, beyond_plane >= 0, (inside != coordinate[..., 1:]).any(axis=-1)]
+        limit = np.select(broken, [LIMITS.index(name) for name in ("parent", "plane", "box")], 0)
+        plane_excess = _arcsine(coordinate[..., 0]) - _arcsine(-offset)
+        box_excess = np.abs(_arcsine(coordinate[..., 1:]) - _arcsine(inside)).max(axis=-1)
+        return limit, np.select(
+            broken, [np.full(no_plane.shape, np.nan), plane_excess, box_excess], 0.0
+        )
+
+    @cached_property
+    def _host_triples(self) -> np.ndarray:
+        return np.asarray(self.triples())
+
+
+def read_tables(
+    path: str | os.PathLike, what: str = "limits file", advice: str = f"write one with {WRITER}"
+) -> dict[str, np.ndarray]:
+    """All arrays of an .npz. Raises `BadInput` where it is not one, or is damaged; `what` and
+    `advice` go into it."""
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
+            return {key: stored[key] for key in stored.files}
+    except FileNotFoundError:
+        raise BadInput(f"there is no {what} at {path}; {advice}") from None
+    except Exception as error:  # numpy meets damaged files with errors of many unrelated kinds.
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise BadInput(f"{path} is no {what}, or is truncated ({reason}); {advice}") from None
+
+
+def write_tables(path: str | os.PathLike, arrays: Mapping[str, np.ndarray]) -> None:
+    """Writes an .npz, whole or not at all."""
+    with replacing(path) as partial, open(partial, "wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def _unpack_bits(bits: np.ndarray, key: str, path: Path) -> np.ndarray:
+    size = int(np.prod(_SHAPES[_BITS[key]]))
+    if bits.dtype != np.uint8 or bits.shape != (size // 8,):
+        raise BadInput(
+            f"{path}: {key} has shape {bits.shape}, a limits file has ({size // 8},) bytes of bits"
+        )
+    return np.unpackbits(bits).reshape(_SHAPES[_BITS[key]]).astype(bool)
+
+
+@jax.jit
+def _locate(
+    reference: jax.Array, fallback: jax.Array, joints: jax.Array
+) -> tuple[Articulation, jax.Array, jax.Array]:
+    """Local directions of a chunk of poses, and the cells of their upper bones."""
+    local = articulation(joints, reference, fallback)
+    return local, *cell_of(local.upper)
+
+
+def _arcsine(value: np.ndarray) -> np.ndarray:
+    return np.degrees(np.arcsin(np.clip(value, -1, 1)))
+
+
+def compact(values: np.ndarray) -> np.ndarray:
+    """float32 where that loses nothing, float64 otherwise."""
+    single = values.astype(np.float32)
+    return (
+        single
+        if np.array_equal(single.astype(np.float64), values)
+        else np.asarray(values, np.float64)
+    )
+
+
+def _cell_points(occupied: np.ndarray) -> np.ndarray:
+    """Points `(n, 3)` on a 0.5° mesh, borders included, of the occupied cells that have a free
+    neighbour."""
+    padded = np.pad(np.pad(occupied, ((1, 1), (0, 0)), mode="wrap"), ((0, 0), (1, 1)), mode="edge")
+    inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    cells = np.argwhere(occupied & ~inner)
+    steps = np.linspace(0, 1, 7)
+    azimuth = (cells[:, 0, None, None] + steps[:, None]) * CELL - np.pi
+    elevation = (cells[:, 1, None, None] + steps) * CELL - np.pi / 2
+    return np.asarray(direction(*np.broadcast_arrays(azimuth, elevation))).reshape(-1, 3)

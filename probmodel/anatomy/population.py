@@ -1,0 +1,105 @@
+"""A population's anatomy: joint limits, ranges of bone lengths, and a dictionary of torsos, in one
+file.
+
+All three are learned together (`learning.learn`) and stored together; lengths and torsos are in
+body units (the mean length of a subject's limb bones is one). The usual way in:
+`Anatomy.default()`, `Anatomy.load(path)`."""
+
+import dataclasses
+import os
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from probmodel.anatomy.lengths import LengthPrior
+from probmodel.anatomy.limits import AnatomicalLimits, compact, read_tables, write_tables
+from probmodel.anatomy.published import read_published
+from probmodel.failures import BadInput
+from probmodel.skeleton import NUM_LENGTHS, TORSO_JOINTS
+
+_LENGTH_KEYS = tuple(f"length_{field}" for field in LengthPrior._fields)
+_KEYS = (*_LENGTH_KEYS, "torsos")
+
+
+@dataclasses.dataclass(frozen=True)
+class Anatomy:
+    """`limits`, `lengths` (arrays `(5,)`) and `torsos` `(J, 6, 3)`: torsos in body axes (pelvis at
+    the origin; x to the person's left, y up, z forward; right-handed), joints in the order of
+    `skeleton.TORSO_JOINTS`."""
+
+    limits: AnatomicalLimits
+    lengths: LengthPrior
+    torsos: np.ndarray
+
+    @classmethod
+    def default(cls) -> "Anatomy":
+        """The embedded anatomy, learned from CMU motion capture; `probmodel/data/PROVENANCE.md`
+        says how."""
+        with resources.as_file(resources.files("probmodel.data") / "limits.npz") as path:
+            anatomy = cls.load(path)
+        return dataclasses.replace(
+            anatomy, limits=dataclasses.replace(anatomy.limits, name="default")
+        )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike) -> "Anatomy":
+        """Reads what `save` wrote. A file of limits alone (`AnatomicalLimits.save`, or the
+        published .mat of Akhter & Black) gets the default lengths and torsos. Raises `BadInput` on
+        anything else."""
+        path = Path(path)
+        if path.suffix.lower() == ".mat":
+            return dataclasses.replace(cls.default(), limits=read_published(path))
+        arrays = read_tables(path)
+        limits = AnatomicalLimits.unpack(arrays, path)
+        present = [key for key in _KEYS if key in arrays]
+        if not present:
+            return dataclasses.replace(cls.default(), limits=limits)
+        if len(present) < len(_KEYS):
+            missing = ", ".join(key for key in _KEYS if key not in arrays)
+            raise BadInput(
+                f"{path} lacks {missing}, so it is damaged; write one with `poseterior learn`"
+            )
+        return cls(limits, _lengths(arrays, path), _torsos(arrays["torsos"], path))
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Writes all tables to one .npz, atomically and without loss. Raises `BadInput` where it
+        cannot be written."""
+        tables = dict(zip(_LENGTH_KEYS, self.lengths, strict=True)) | {"torsos": self.torsos}
+        write_tables(
+            path,
+            self.limits.pack() | {key: compact(np.asarray(value)) for key, value in tables.items()},
+        )
+
+
+def _finite(value: np.ndarray, key: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
+    if value.dtype.kind != "f" or value.shape != shape:
+        raise BadInput(
+            f"{path}: {key} has shape {value.shape}, an anatomy has {shape}; is it another model?"
+        )
+    if not np.isfinite(value).all():
+        raise BadInput(f"{path}: {key} holds a number that is not finite; write the file anew")
+    return value.astype(np.float64)
+
+
+def _lengths(arrays: Mapping[str, np.ndarray], path: Path) -> LengthPrior:
+    low, high, alpha, beta = (
+        _finite(arrays[key], key, (NUM_LENGTHS,), path) for key in _LENGTH_KEYS
+    )
+    if not (np.all(low > 0) and np.all(high > low)):
+        raise BadInput(
+            f"{path}: a range of bone lengths is empty or reaches below zero; write the file anew"
+        )
+    if not (np.all(alpha > 0) and np.all(beta > 0)):
+        raise BadInput(
+            f"{path}: a Beta distribution of bone lengths has a parameter that is not positive"
+        )
+    return LengthPrior(low, high, alpha, beta)
+
+
+def _torsos(value: np.ndarray, path: Path) -> np.ndarray:
+    torsos = _finite(value, "torsos", (len(value) if value.ndim else 0, len(TORSO_JOINTS), 3), path)
+    if not len(torsos):
+        raise BadInput(f"{path}: the dictionary of torsos is empty; write the file anew")
+    return torsos

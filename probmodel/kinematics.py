@@ -1,0 +1,173 @@
+"""Local frames of the bones, azimuth and elevation in them, and forward kinematics.
+
+Conventions are Akhter & Black's, so that their published tables and ours are read by the same code.
+A bone vector is *parent minus child*. Their tables live in a left-handed system; poses here are
+right-handed, so the frames below are left-handed triples (w = -u × v) and poses need no axis swap.
+Inside a local frame all cross products are plain ones. The usual way in: `pose` (directions →
+joints) and `articulation` (joints → directions)."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from probmodel.skeleton import (
+    BONES,
+    JOINT_INDEX,
+    LOWER_BONES,
+    NUM_JOINTS,
+    TORSO_INDEX,
+    UPPER_BONES,
+)
+
+_LEG_FRAME = jnp.array(
+    [bone.start in (JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]) for bone in UPPER_BONES], int
+)
+PARALLEL = 1e-8
+"""Below this sine of the angle between a parent bone and the reference direction, the fallback
+direction is used."""
+
+
+class Articulation(NamedTuple):
+    """A pose in its own frames: `torso` `(..., 6, 3)`, `upper` `(..., 5, 3)` and `lower` `(..., 4,
+    3)` local unit vectors (parent minus child), `length` `(..., 9)` of each bone in the order of
+    `skeleton.BONES`."""
+
+    torso: jax.Array
+    upper: jax.Array
+    lower: jax.Array
+    length: jax.Array
+
+
+def unit(vector: ArrayLike) -> jax.Array:
+    """Divides vectors `(..., 3)` by their length; the zero vector stays zero, with a finite
+    gradient."""
+    vector = jnp.asarray(vector)
+    square = jnp.sum(vector**2, axis=-1, keepdims=True)
+    positive = square > 0
+    return jnp.where(positive, vector / jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+
+def direction(azimuth: ArrayLike, elevation: ArrayLike) -> jax.Array:
+    """Unit vectors `(..., 3)` from azimuth in (-π, π] and elevation in [-π/2, π/2] (radians)."""
+    azimuth, elevation = jnp.asarray(azimuth), jnp.asarray(elevation)
+    planar = jnp.cos(elevation)
+    return jnp.stack(
+        [planar * jnp.cos(azimuth), planar * jnp.sin(azimuth), jnp.sin(elevation)], axis=-1
+    )
+
+
+def azimuth_elevation(vector: ArrayLike) -> tuple[jax.Array, jax.Array]:
+    """Azimuth and elevation (radians) of unit vectors `(..., 3)`; the paper's polar angle is π/2
+    minus elevation."""
+    x, y, z = jnp.moveaxis(jnp.asarray(vector), -1, 0)
+    return jnp.arctan2(y, x), jnp.arctan2(z, jnp.hypot(x, y))
+
+
+def _left_handed(u: jax.Array, v: jax.Array) -> jax.Array:
+    """Gram–Schmidt on (u, v), completed to a left-handed triple; columns of the result `(..., 3,
+    3)`."""
+    u = unit(u)
+    v = unit(v - jnp.sum(u * v, axis=-1, keepdims=True) * u)
+    return jnp.stack([u, v, -jnp.cross(u, v)], axis=-1)
+
+
+def upper_frames(torso: ArrayLike) -> jax.Array:
+    """Frames `(..., 5, 3, 3)` of the upper bones from the torso's six joints `(..., 6, 3)`.
+
+    u runs along the shoulders (arms, head) or the hips (legs), v along the back-bone. Columns are
+    u, v, w."""
+    pelvis, thorax, right_shoulder, left_shoulder, right_hip, left_hip = jnp.moveaxis(
+        jnp.asarray(torso), -2, 0
+    )
+    back = pelvis - thorax
+    # Differences of two parent-minus-child bones that share their parent: the parent drops out.
+    frames = jnp.stack(
+        [
+            _left_handed(right_shoulder - left_shoulder, back),
+            _left_handed(right_hip - left_hip, back),
+        ]
+    )
+    return jnp.moveaxis(frames[_LEG_FRAME], 0, -3)
+
+
+def lower_frame(parent: ArrayLike, reference: ArrayLike, fallback: ArrayLike) -> jax.Array:
+    """Frame `(3, 3)` of a lower bone in its parent's frame, from the parent's local direction
+    `(3,)`.
+
+    u is the parent, v = unit(reference × u), w = u × v. Where the parent is parallel to the
+    reference, v is unit(u × fallback) instead. Source: Akhter & Black (2015), published model,
+    variables `a` and `di`."""
+    parent, reference, fallback = jnp.asarray(parent), jnp.asarray(reference), jnp.asarray(fallback)
+    usual = jnp.cross(reference, parent)
+    parallel = jnp.sum(usual**2) < PARALLEL**2
+    v = unit(jnp.where(parallel, jnp.cross(parent, fallback), usual))
+    return jnp.stack([parent, v, jnp.cross(parent, v)], axis=-1)
+
+
+@jax.jit
+def pose(
+    torso: ArrayLike,
+    upper: ArrayLike,
+    lower: ArrayLike,
+    length: ArrayLike,
+    reference: ArrayLike,
+    fallback: ArrayLike,
+) -> jax.Array:
+    """Forward kinematics: joints `(..., 15, 3)` from torso `(..., 6, 3)`, local unit vectors
+    `upper` `(..., 5, 3)` and `lower` `(..., 4, 3)`, and bone lengths `length` `(..., 9)` in the
+    order of `skeleton.BONES`."""
+    one = jnp.vectorize(_pose, signature="(t,x),(u,x),(l,x),(b),(x),(l,x)->(j,x)")
+    return one(
+        *_same_rank((torso, 2), (upper, 2), (lower, 2), (length, 1), (reference, 1), (fallback, 2))
+    )
+
+
+def _same_rank(*arguments: tuple[ArrayLike, int]) -> list[jax.Array]:
+    """Arrays, given with the number of their own axes, with as many batch axes each: ranks are
+    promoted here only."""
+    arrays = [(jnp.asarray(array), axes) for array, axes in arguments]
+    batch = max(array.ndim - axes for array, axes in arrays)
+    return [
+        array.reshape((1,) * (batch + axes - array.ndim) + array.shape) for array, axes in arrays
+    ]
+
+
+def _pose(
+    torso: jax.Array,
+    upper: jax.Array,
+    lower: jax.Array,
+    length: jax.Array,
+    reference: jax.Array,
+    fallback: jax.Array,
+) -> jax.Array:
+    frames = upper_frames(torso)
+    joints = jnp.zeros((NUM_JOINTS, 3), torso.dtype).at[jnp.array(TORSO_INDEX)].set(torso)
+    world_upper = jnp.einsum("nij,nj->ni", frames, upper)
+    local = jax.vmap(lower_frame, (0, None, 0))(upper[1:], reference, fallback)
+    world_lower = jnp.einsum("nij,njk,nk->ni", frames[1:], local, lower)
+    for bone, vector, size in zip(BONES, [*world_upper, *world_lower], length, strict=True):
+        joints = joints.at[bone.end].set(joints[bone.start] - size * vector)
+    return joints
+
+
+@jax.jit
+def articulation(joints: ArrayLike, reference: ArrayLike, fallback: ArrayLike) -> Articulation:
+    """Inverse of `pose`: joints `(..., 15, 3)` → torso, local directions and lengths. A bone of
+    length zero has the zero vector as its direction."""
+    one = jnp.vectorize(_articulation, signature="(j,x),(x),(l,x)->(t,x),(u,x),(l,x),(b)")
+    return Articulation(*one(*_same_rank((joints, 2), (reference, 1), (fallback, 2))))
+
+
+def _articulation(
+    joints: jax.Array, reference: jax.Array, fallback: jax.Array
+) -> tuple[jax.Array, ...]:
+    torso = joints[jnp.array(TORSO_INDEX)]
+    vectors = jnp.stack([joints[bone.start] - joints[bone.end] for bone in BONES])
+    length = jnp.linalg.norm(vectors, axis=-1)
+    frames = upper_frames(torso)
+    upper = jnp.einsum("nji,nj->ni", frames, unit(vectors[: len(UPPER_BONES)]))
+    local = jax.vmap(lower_frame, (0, None, 0))(upper[1:], reference, fallback)
+    lower = jnp.einsum("nkj,nik,ni->nj", local, frames[1:], unit(vectors[-len(LOWER_BONES) :]))
+    return torso, upper, lower, length

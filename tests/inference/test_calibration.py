@@ -1,0 +1,567 @@
+"""Calibration: the test of uniformity against simulation, levels on a toy posterior in closed form,
+verdicts, controls.
+
+False-alarm rates stand beside every statistical test; each has a control that must fail.
+"""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+from scipy import stats
+
+from inference.results import pose_columns
+from inference.sampler import draw_mixture
+from inference.studies.calibration import assess, band, calibrate, judge, simulate, uniformity
+from inference.studies.calibration.assess import FAILED, Posterior, check_draws
+from inference.studies.calibration.controls import (
+    DISTORTIONS,
+    distorted,
+    following_the_recipe,
+    ignoring,
+)
+from inference.studies.calibration.levels import (
+    distance_level,
+    energy_level,
+    median_levels,
+    rank_level,
+    stand_in_levels,
+)
+from inference.studies.calibration.posteriors import independent, sampler_of
+from inference.studies.calibration.quantities import (
+    HINGES,
+    MISFIT,
+    OF_POSE,
+    QUANTITIES,
+    TARP,
+    of_both,
+    of_pose,
+)
+from inference.studies.calibration.record import read_standings
+from inference.studies.calibration.simulations import HIDDEN, Instance
+from inference.studies.calibration.uniformity import LEVELS, difference
+from inference.studies.calibration.verdict import CALIBRATED, CANNOT_TELL, MISCALIBRATED, holm
+from probmodel import BadInput, PoseModel
+from probmodel.skeleton import JOINT_INDEX
+
+RNG = np.random.default_rng
+
+
+@pytest.fixture(scope="module")
+def model() -> PoseModel:
+    return PoseModel()
+
+
+# --- uniformity
+# ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1, 20, 300])
+def test_p_values_are_what_simulation_says(size: int) -> None:
+    """The law of the statistic by its Markov chain against 1,000 simulated samples; five standard
+    errors, so a false alarm in 2 million for each of 9 comparisons."""
+    p_values = np.array(
+        [uniformity(values).p_value for values in RNG(size).uniform(size=(1000, size))]
+    )
+    for level in (0.05, 0.2, 0.5):
+        share = np.mean(p_values <= level)
+        assert share <= level + 5 * np.sqrt(level * (1 - level) / 1000)
+        if (
+            size >= 100
+        ):  # small samples have few values of the statistic, and the test keeps below its level
+            assert share >= level - 0.03 - 5 * np.sqrt(level * (1 - level) / 1000)
+
+
+def test_the_band_and_the_test_say_the_same() -> None:
+    low, high = band(200, 0.95)
+    left = []
+    for values in RNG(0).uniform(size=(600, 200)):
+        share = difference(values) + LEVELS
+        inside = (share >= low - 1e-12).all() and (share <= high + 1e-12).all()
+        assert inside == (uniformity(values).p_value > 0.05)
+        left.append(not inside)
+    assert abs(np.mean(left) - 0.05) < 0.045  # five standard errors
+
+
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [
+        ("narrow", stats.beta(1.5, 1.5)),
+        ("wide", stats.beta(0.7, 0.7)),
+        ("shifted", stats.beta(1.3, 1.0)),
+        ("always covered", stats.uniform(0, 0.9)),
+    ],
+)
+def test_what_is_not_uniform_is_rejected(name: str, law: object) -> None:
+    found = uniformity(law.rvs(1000, random_state=RNG(1)))  # type: ignore[attr-defined]
+    assert found.p_value < 1e-4, (name, found)
+    assert found.size == 1000
+
+
+def test_extreme_values_have_tiny_p_values() -> None:
+    assert uniformity(np.zeros(1000)).p_value < 1e-100
+    assert 0 < uniformity(np.full(20, 0.5)).p_value < 1e-4
+
+
+@pytest.mark.parametrize("values", [[], [0.5, np.nan], [1.5]])
+def test_what_cannot_be_levels_is_refused(values: list) -> None:
+    with pytest.raises(ValueError, match="0 to 1"):
+        uniformity(np.array(values))
+
+
+# --- levels on a toy
+# -------------------------------------------------------------------------------------------------
+
+
+class Toy:
+    """Three correlated Gaussian numbers, seen with Gaussian noise: the posterior is Gaussian, in
+    closed form."""
+
+    mix = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.3, -0.4, np.sqrt(0.75)]])
+    noise = 0.7
+
+    def __init__(self, number: int, draws: int, rng: np.random.Generator) -> None:
+        prior = self.mix @ self.mix.T
+        gain = prior @ np.linalg.inv(prior + self.noise**2 * np.eye(3))
+        self.covariance = prior - gain @ prior
+        self.truth = rng.normal(size=(number, 3)) @ self.mix.T
+        self.seen = self.truth + self.noise * rng.normal(size=(number, 3))
+        root = np.linalg.cholesky(self.covariance)
+        self.mean = self.seen @ gain.T
+        self.draws = self.mean[:, None] + rng.normal(size=(number, draws, 3)) @ root.T
+        self.prior_draws = rng.normal(size=(number, draws, 3)) @ self.mix.T
+
+    def p_values(self, draws: np.ndarray, rng: np.random.Generator) -> dict[str, float]:
+        """Of the four kinds of tests: ranks of a coordinate, highest density, energy balls,
+        TARP."""
+        inverse = np.linalg.inv(self.covariance)
+        levels: dict[str, list] = {
+            "ranks": [],
+            "highest density": [],
+            "energy balls": [],
+            "TARP": [],
+        }
+        for truth, cloud, mean, seen in zip(self.truth, draws, self.mean, self.seen, strict=True):
+            both = np.vstack([truth, cloud])
+            density = -np.einsum("ni,ij,nj->n", both - mean, inverse, both - mean)
+            levels["ranks"].append(float(rank_level(truth[0], cloud[:, 0], rng)))
+            levels["highest density"].append(float(rank_level(density[0], density[1:], rng)))
+            levels["energy balls"].append(energy_level(truth, cloud, rng))
+            levels["TARP"].append(distance_level(truth, cloud, seen + 0.5, rng))
+        return {name: uniformity(np.array(found)).p_value for name, found in levels.items()}
+
+
+def sizes(repetitions: int, number: int, draws: int) -> dict[str, np.ndarray]:
+    """p-values of right posteriors, by kind of test."""
+    found: dict[str, list] = {}
+    for repetition in range(repetitions):
+        rng = RNG([7, repetition])
+        toy = Toy(number, draws, rng)
+        for name, p_value in toy.p_values(toy.draws, rng).items():
+            found.setdefault(name, []).append(p_value)
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def test_every_test_has_its_size_on_a_posterior_in_closed_form() -> None:
+    """200 repetitions at level 0.05: at most 20 rejections (binomial, false alarm 0.002 for each of
+    four tests)."""
+    for name, p_values in sizes(200, 60, 30).items():
+        rejected = int(np.sum(p_values < 0.05))
+        assert rejected <= 20, (name, rejected)
+        assert np.sum(p_values < 0.5) >= 60, (
+            name,
+            "the test is far too timid",
+        )  # false alarm below 1e-7
+
+
+WRONG = {
+    "narrower": (
+        lambda toy: toy.mean[:, None] + 0.8 * (toy.draws - toy.mean[:, None]),
+        {"ranks", "energy balls", "TARP"},
+    ),
+    "ignores what was seen": (lambda toy: toy.prior_draws, {"TARP"}),
+    "uncorrelated": (
+        lambda toy: np.stack(
+            [toy.draws[:, RNG(axis).permutation(toy.draws.shape[1]), axis] for axis in range(3)], 2
+        ),
+        {"highest density"},
+    ),
+}
+"""Spoilt toys, and the tests that have to reject them."""
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_toys_are_rejected(name: str) -> None:
+    rng = RNG(3)
+    toy = Toy(600, 60, rng)
+    spoil, blamed = WRONG[name]
+    found = toy.p_values(spoil(toy), rng)
+    for test in blamed:
+        assert found[test] < 1e-3, found
+    if name == "ignores what was seen":
+        assert found["ranks"] > 1e-3, (
+            "the prior passes ranks of the parameters: that is why TARP is there"
+        )
+
+
+def test_ties_are_broken_evenly() -> None:
+    """Coins: the level of a discrete quantity is uniform (n = 1,000; false alarm 0.001)."""
+    rng = RNG(4)
+    levels = [
+        float(rank_level(rng.integers(2), rng.integers(2, size=50), rng)) for _ in range(1000)
+    ]
+    assert uniformity(np.array(levels)).p_value > 0.001
+    untied = [np.mean(rng.integers(2, size=50) < rng.integers(2)) for _ in range(1000)]
+    assert uniformity(np.array(untied)).p_value < 1e-10
+
+
+def test_ranks_of_what_is_outside() -> None:
+    draws = np.array([[-np.inf], [-np.inf], [0.0]])
+    assert rank_level(np.array([1.0]), draws, RNG(0))[0] >= 0.75
+    assert rank_level(np.array([np.nan]), draws, RNG(0))[0] <= 0.75
+    with pytest.raises(ValueError, match="cannot rank"):
+        rank_level(np.zeros(3), np.zeros((5, 2)), RNG(0))
+
+
+def test_median_levels_by_hand() -> None:
+    draws = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])[:, None, None]
+    assert median_levels(np.array([[0.5]]), draws) == pytest.approx(0.2)
+    assert median_levels(np.array([[1.5]]), draws) == pytest.approx(0.6)
+    assert median_levels(np.array([[9.0]]), draws) == pytest.approx(1.0)
+    np.testing.assert_allclose(stand_in_levels(draws, np.array([2, 0])).ravel(), [0.0, 0.75])
+
+
+# --- verdicts
+# --------------------------------------------------------------------------------------------------------
+
+
+def test_holm() -> None:
+    np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02])
+    assert holm(np.array([0.9, 0.8])).max() == 1.0
+
+
+def table(levels: np.ndarray) -> xr.Dataset:
+    blank = np.full((len(levels), len(QUANTITIES)), np.nan)
+    blank[:, : levels.shape[1]] = levels
+    return xr.Dataset(
+        {"level": (("simulation", "quantity"), blank)}, coords={"quantity": list(QUANTITIES)}
+    )
+
+
+def test_verdicts() -> None:
+    """A right sampler is called calibrated in 100 of 100 tables, of which one may fail (false alarm
+    0.26 for two)."""
+    assert (
+        sum(judge(table(RNG(n).uniform(size=(150, 5)))).verdict != CALIBRATED for n in range(100))
+        <= 4
+    )
+    narrow = RNG(0).beta(2, 2, size=(150, 5))
+    found = judge(table(narrow))
+    assert found.verdict == MISCALIBRATED
+    assert "with 150 simulations" in found.sentence
+    assert found.tests.attrs["multiplicity"] == "Holm"
+    lost = RNG(1).uniform(size=(150, 5))
+    lost[:10] = np.nan
+    found = judge(table(lost))
+    assert found.verdict == CANNOT_TELL
+    assert "failed on 10 of 150" in found.sentence
+
+
+def test_too_few_simulations_are_refused() -> None:
+    with pytest.raises(BadInput, match="99 simulations; the tests need at least 100"):
+        judge(table(RNG(0).uniform(size=(99, 5))))
+    lost = RNG(0).uniform(size=(110, 5))
+    lost[:20] = np.nan
+    with pytest.raises(
+        BadInput, match="110 simulations, 20 of them failed; the tests need at least 100"
+    ):
+        judge(table(lost))
+
+
+# --- poses
+# -----------------------------------------------------------------------------------------------------------
+
+
+def test_quantities_of_draws_are_the_samplers_own(model: PoseModel) -> None:
+    """Log density by way of the joints against the sampler's, lengths and depth against its
+    columns."""
+    for instance in simulate(model, 3, 0, 4):
+        mixture = draw_mixture(model, instance.frame, jax.random.key(1), "rejection", 300)
+        columns = pose_columns(model, instance.frame, mixture.parts, mixture.rng)
+        *_, density, misfit = of_both(
+            model, instance.frame.observation(instance.frame.candidates[0]), columns["joints"]
+        ).T
+        np.testing.assert_allclose(density, columns["lp"], atol=1e-6)
+        assert (misfit <= 1).all()
+        values = of_pose(columns["joints"])
+        np.testing.assert_allclose(values[:, 27:32], columns["bone_length"], atol=1e-12)
+        elbow = JOINT_INDEX["left_elbow"]
+        np.testing.assert_allclose(
+            values[:, OF_POSE.index("left_elbow z")], columns["joints"][:, elbow, 2]
+        )
+
+
+def test_simulations_are_draws_of_the_model(model: PoseModel) -> None:
+    """The truth is possible, explains its detection, and does not depend on the block that it is
+    made in."""
+    some = simulate(model, 0, 0, 24)
+    for number, instance in enumerate(some):
+        *_, density, misfit = of_both(
+            model, instance.frame.observation(instance.frame.candidates[0]), instance.joints[None]
+        )[0]
+        assert np.isfinite(density)
+        assert misfit <= 1
+        missing = {JOINT_INDEX[name] for name in HIDDEN[number % len(HIDDEN)]}
+        assert set(np.flatnonzero(~instance.frame.detection.seen)) == missing
+    again = simulate(model, 0, 20, 4)
+    np.testing.assert_array_equal(again[1].joints, some[21].joints)
+    np.testing.assert_array_equal(
+        again[1].frame.detection.keypoints, some[21].frame.detection.keypoints
+    )
+    assert not np.array_equal(simulate(model, 1, 21, 1)[0].joints, some[21].joints)
+
+
+def test_detections_fill_their_discs(model: PoseModel) -> None:
+    """(d/τ)² is uniform (n = some 1,900 joints; false alarm 0.001)."""
+    squares = []
+    for instance in simulate(model, 5, 0, 250):
+        observation = instance.frame.observation(instance.frame.candidates[0])
+        seen = np.asarray(observation.has_factor)
+        far = np.asarray(observation.camera.image(instance.joints)) - np.asarray(
+            observation.keypoints
+        )
+        squares += list((np.sum(far**2, axis=1) / np.asarray(observation.radius) ** 2)[seen])
+    assert uniformity(np.array(squares)).p_value > 0.001
+
+
+def test_exact_draws_are_calibrated(model: PoseModel) -> None:
+    """120 simulations here, 1,000 in every measure in the report (false alarm 0.01 over 44
+    tests)."""
+    tree = calibrate(model, "rejection", num_simulations=120, num_samples=100)
+    found = judge(tree["simulation"].to_dataset())
+    assert found.verdict == CALIBRATED, found.sentence
+    assert set(found.families) == {"ranks (SBC)", "highest density", "energy balls", "TARP"}
+    assert tree["prior_sbc"].joints.dims == ("chain", "draw", "joint", "axis")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("upper", "lower"), [("angle", "area"), ("area", "area"), ("angle", "box")]
+)
+def test_every_measure_is_calibrated(upper: str, lower: str) -> None:
+    """Another seed than the report's; false alarm 0.01 for each measure."""
+    tree = calibrate(
+        PoseModel(upper=upper, lower=lower),
+        "rejection",
+        seed=11,
+        num_simulations=200,
+        num_samples=100,
+    )
+    found = judge(tree["simulation"].to_dataset())
+    assert found.verdict == CALIBRATED, found.sentence
+
+
+@pytest.mark.slow
+def test_another_measure_is_noticed(model: PoseModel) -> None:
+    """Draws under the box measure are judged under the default: a wrong prior, the negative
+    control."""
+    wrong = sampler_of("rejection", PoseModel(lower="box"), 100)
+    tree = calibrate(model, wrong, num_simulations=150)
+    assert judge(tree["simulation"].to_dataset()).verdict == MISCALIBRATED
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", DISTORTIONS)
+def test_distorted_posteriors_fail(model: PoseModel, name: str) -> None:
+    tree = calibrate(
+        model,
+        distorted(sampler_of("rejection", model, 100), DISTORTIONS[name]),
+        num_simulations=100,
+    )
+    found = judge(tree["simulation"].to_dataset())
+    assert found.verdict == MISCALIBRATED, (name, found.sentence)
+    assert (
+        min(found.families["energy balls"], found.families["TARP"], found.families["ranks (SBC)"])
+        < 0.01
+    )
+
+
+def test_a_posterior_that_ignores_the_image_fails(model: PoseModel) -> None:
+    """TARP and the misfit see it."""
+    found = judge(
+        calibrate(model, ignoring(model, 100), num_simulations=100)["simulation"].to_dataset()
+    )
+    assert found.verdict == MISCALIBRATED
+    assert found.p_value(TARP) < 1e-4
+    assert found.p_value(MISFIT) < 1e-10
+    coordinates = [
+        float(found.tests.p_value.sel(quantity=f"{name} z"))
+        for name in ("right_elbow", "left_ankle")
+    ]
+    assert min(coordinates) > 1e-4, "ranks of the pose alone cannot see it"
+
+
+@pytest.mark.slow
+def test_the_literal_recipe_fails_under_equation_8(model: PoseModel) -> None:
+    found = judge(
+        calibrate(model, following_the_recipe(model, 60), num_simulations=300)[
+            "simulation"
+        ].to_dataset()
+    )
+    assert found.verdict == MISCALIBRATED
+    assert min(found.p_value(name) for name in HINGES) < 1e-4
+
+
+def test_the_recipes_draws_explain_the_detection(model: PoseModel) -> None:
+    """Second route for the control itself: every pose puts every seen joint into its disc."""
+    for index, instance in enumerate(simulate(model, 0, 0, 4)):
+        draws = following_the_recipe(model, 30)(index, instance, jax.random.key(index)).joints
+        *_, misfit = of_both(
+            model, instance.frame.observation(instance.frame.candidates[0]), draws
+        ).T
+        assert (misfit <= 1 + 1e-9).all()
+
+
+# --- chains, files, failures
+# -----------------------------------------------------------------------------------------
+
+
+def chains(rho: float, rng: np.random.Generator, number: int = 4, draws: int = 500) -> np.ndarray:
+    """Autoregressive chains of poses."""
+    noise = rng.normal(size=(number, draws, 15, 3))
+    found = np.zeros_like(noise)
+    found[:, 0] = noise[:, 0]
+    for step in range(1, draws):
+        found[:, step] = rho * found[:, step - 1] + np.sqrt(1 - rho**2) * noise[:, step]
+    return found
+
+
+def test_chains_are_thinned_to_their_effective_number() -> None:
+    free, tied = independent(chains(0.0, RNG(0))), independent(chains(0.9, RNG(0)))
+    assert len(free) > 600
+    assert 20 < len(tied) < 300  # 2,000 draws are worth 2,000 · (1 - ρ)/(1 + ρ) = 105
+    assert len(independent(np.repeat(chains(0.0, RNG(0), 4, 1), 100, axis=1))) == 0, (
+        "chains that stand still"
+    )
+
+
+def test_failures_are_counted_and_said(model: PoseModel) -> None:
+    right = sampler_of("rejection", model, 20)
+
+    def sometimes(index: int, instance: Instance, key: jax.Array) -> Posterior:
+        return (
+            Posterior(np.empty((0, 15, 3)), sentence="gave up")
+            if index % 10 == 0
+            else right(index, instance, key)
+        )
+
+    tree = calibrate(model, sometimes, num_simulations=120)
+    simulation = tree["simulation"].to_dataset()
+    assert int((simulation.status == FAILED).sum()) == 12
+    assert simulation.sentence.values[10] == "gave up"
+    assert tree["prior_sbc"].sizes["draw"] == 108
+    assert judge(simulation).verdict == CANNOT_TELL
+    assert judge(simulation).tests.attrs["num_failed"] == 12
+
+
+def test_draws_of_a_file(model: PoseModel, tmp_path: Path) -> None:
+    """The same draws by name and by file; a simulation without draws is a failure."""
+    right = sampler_of("rejection", model, 20)
+    some = simulate(model, 0, 0, 6)
+    joints = np.stack(
+        [
+            right(index, instance, jax.random.fold_in(jax.random.key(0), index)).joints
+            for index, instance in enumerate(some)
+        ]
+    )
+    joints[4] = np.nan
+    np.savez(tmp_path / "draws.npz", joints=joints)
+    by_file = calibrate(model, str(tmp_path / "draws.npz"), num_simulations=6, num_samples=20)
+    by_name = calibrate(model, "rejection", num_simulations=6, num_samples=20)
+    one, other = read_standings(by_file), read_standings(by_name)
+    np.testing.assert_array_equal(one[2].level, other[2].level)
+    assert one[4].status == FAILED
+    assert "20 of 20 draws" in one[4].sentence
+    with pytest.raises(BadInput, match="draws for 6 simulations; ask for as many"):
+        calibrate(model, str(tmp_path / "draws.npz"), num_simulations=7)
+
+
+@pytest.mark.parametrize(
+    ("shape", "match"),
+    [
+        ((6, 20, 17, 3), r"shape \(6, 20, 17, 3\); they need \(simulations, draws, 15, 3\)"),
+        ((20, 15, 3), "they need"),
+    ],
+)
+def test_files_of_other_dimensions_are_refused(
+    model: PoseModel, tmp_path: Path, shape: tuple, match: str
+) -> None:
+    np.save(tmp_path / "draws.npy", np.zeros(shape))
+    with pytest.raises(BadInput, match=match):
+        calibrate(model, str(tmp_path / "draws.npy"), num_simulations=6)
+
+
+@pytest.mark.parametrize(
+    ("call", "match"),
+    [
+        (lambda model: calibrate(model, "magic"), "no sampler 'magic'; choose one of rejection"),
+        (
+            lambda model: calibrate(model, "rejection", num_simulations=0),
+            "simulations must be at least 1",
+        ),
+        (lambda model: calibrate(model, "rejection", num_samples=0), "samples must be at least 1"),
+        (lambda model: calibrate(model, "missing.npz"), "missing.npz"),
+        (lambda model: check_draws(np.zeros((5, 17, 3)), "a pose"), r"need \(draws, 15, 3\)"),
+        (lambda model: check_draws(np.full((5, 15, 3), np.nan), "a pose"), "not finite"),
+    ],
+)
+def test_bad_input(model: PoseModel, call: object, match: str) -> None:
+    with pytest.raises(BadInput, match=match):
+        call(model)  # type: ignore[operator]
+
+
+def test_a_run_goes_on_to_the_same_bits(model: PoseModel, tmp_path: Path) -> None:
+    settings = {"num_samples": 12, "seed": 2}
+    whole = calibrate(model, "rejection", num_simulations=110, **settings)  # type: ignore[arg-type]
+    path = tmp_path / "coverage.nc"
+    calibrate(model, "rejection", num_simulations=60, out=path, **settings)  # type: ignore[arg-type]
+    done: list[int] = []
+    resumed = calibrate(
+        model,
+        "rejection",
+        num_simulations=110,
+        out=path,
+        progress=lambda now, all: done.append(now),
+        **settings,
+    )  # type: ignore[arg-type]
+    assert done == [100, 110]  # the first block was there
+    for name in ("level", "depth", "stand_in", "log_evidence"):
+        np.testing.assert_array_equal(resumed["simulation"][name], whole["simulation"][name])
+    with xr.open_datatree(path) as stored:
+        np.testing.assert_array_equal(stored["prior_sbc"].joints, whole["prior_sbc"].joints)
+    with pytest.raises(BadInput, match="another run \\(its seed"):
+        calibrate(model, "rejection", num_simulations=110, out=path, num_samples=12, seed=3)
+    path.write_bytes(b"not a file of ours")
+    with pytest.raises(BadInput, match="no run that can be taken up"):
+        calibrate(model, "rejection", num_simulations=110, out=path, **settings)  # type: ignore[arg-type]
+
+
+def test_too_few_draws_are_a_failure(model: PoseModel) -> None:
+    instance = simulate(model, 0, 0, 1)[0]
+    found = assess(instance, Posterior(np.repeat(instance.joints[None], 3, axis=0)), RNG(0))
+    assert found.status == FAILED
+    assert "3 independent draws, at least 9" in found.sentence
+
+
+def test_the_log_density_is_the_models(model: PoseModel) -> None:
+    """Outside the discs it is -inf, and so is its level at the bottom: the truth of another
+    detection."""
+    one, other = simulate(model, 0, 0, 2)
+    observation = one.frame.observation(one.frame.candidates[0])
+    assert not np.isfinite(of_both(model, observation, other.joints[None])[0, -2])
+    moved = dataclasses.replace(one.frame, factor=1e-4)
+    observation = moved.observation(moved.candidates[0])
+    assert of_both(model, observation, one.joints[None])[0, -1] > 1

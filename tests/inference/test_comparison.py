@@ -1,0 +1,468 @@
+"""The judge: it says "differs" as often as it should where all is well, and where something is
+wrong at n = 2,000.
+
+Size: counts of rejections over 200 repetitions lie in the binomial interval at 0.1 % (both tails);
+seeds are fixed. Negative controls, each caught with 2,000 draws: a sampler that never leaves one
+depth flip, lengths 5 % too narrow, emcee started in one point, the half-updated ensembles of
+NumPyro ≤ 0.21."""
+
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arviz_stats.base import array_stats
+from numpyro.infer import AIES, ESS
+from numpyro.infer.ensemble import EnsembleSamplerState
+from scipy.signal import lfilter
+from scipy.stats import binom
+
+import inference
+from inference.baselines.chains import Walk
+from inference.baselines.ensemble import EmceeKernel, NumPyroKernel
+from inference.baselines.target import Target, read_poses
+from inference.studies.comparison import Judgement, comparison_tree, judge
+from inference.studies.comparison.cost import course
+from inference.studies.comparison.distances import (
+    energy,
+    mmd,
+    pairwise,
+    sliced_wasserstein,
+    wasserstein,
+)
+from inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
+from inference.studies.comparison.mixing import mean_ess, mixing
+from inference.studies.comparison.modes import modes, same_shares
+from inference.studies.comparison.pace import autocorrelation_times, pace
+from inference.studies.comparison.permutation import classifier_test, permutation_tests
+from inference.studies.comparison.ranks import all_together, each_coordinate, scores
+from inference.studies.comparison.record import Entry
+from inference.studies.comparison.sample import NAMES, Sample, read_sample, sample_of
+from inference.studies.flips import codes
+from probmodel import BadInput, PoseModel
+from tests.scenes import key, prior_scene
+
+ARM_ONLY = (
+    "head",
+    "left_elbow",
+    "left_wrist",
+    "right_knee",
+    "left_knee",
+    "right_ankle",
+    "left_ankle",
+)
+SEEN = [0, 4]
+"""The bones of the seen arm among those that flip."""
+REPETITIONS = 200
+DRAWS = 2000
+FEW = 99
+"""Permutations where the other tests decide: fewer could not, at any level used here."""
+
+
+def between(count: int, rate: float) -> bool:
+    """Whether `count` of the repetitions is what `rate` allows, at 0.1 %."""
+    return binom.ppf(0.0005, REPETITIONS, rate) <= count <= binom.ppf(0.9995, REPETITIONS, rate)
+
+
+@functools.cache
+def arm():
+    """One arm seen: the model, the frame, and 20,000 exact draws as joints and lengths."""
+    model = PoseModel()
+    frame = prior_scene(model, 1, missing=ARM_ONLY)
+    tree = inference.sample(model, frame, key=key(11), num_samples=20_000).tree
+    return model, frame, tree["posterior"].joints.values[0], tree["posterior"].bone_length.values[0]
+
+
+def exact_pair(number: int, reference: int, seed: int) -> tuple[Sample, Sample]:
+    """Two disjoint lots of exact draws."""
+    _, _, joints, length = arm()
+    rows = np.random.default_rng(seed).permutation(len(joints))
+    one, other = rows[:number], rows[number : number + reference]
+    return sample_of(joints[None, one], length[None, one]), sample_of(
+        joints[None, other], length[None, other]
+    )
+
+
+def reference() -> Sample:
+    """The exact draws that the negative controls are judged by: the last 15,000."""
+    _, _, joints, length = arm()
+    return sample_of(joints[None, 5000:], length[None, 5000:])
+
+
+def test_tests_of_independent_draws_reject_at_their_level():
+    """Energy, MMD, ranks of lengths and of joints, modes: 60 against 180 exact draws, 5 %."""
+    rejected = dict.fromkeys(("energy", "mmd", "lengths", "joints", "modes"), 0)
+    for repetition in range(REPETITIONS):
+        one, other = exact_pair(60, 180, repetition)
+        rng = np.random.default_rng(repetition)
+        p = {
+            name: found[1]
+            for name, found in permutation_tests(one.flat, other.flat, rng, permutations=99).items()
+        }
+        p["lengths"] = all_together(one.flat[:, :5], other.flat[:, :5])[1]
+        p["joints"] = all_together(one.flat[:, 5:14], other.flat[:, 5:14])[1]
+        p["modes"] = same_shares(one.away[0][:, SEEN], other.away[0][:, SEEN])[1]
+        for name in rejected:
+            rejected[name] += p[name] <= 0.05
+    assert all(between(count, 0.05) for count in rejected.values()), rejected
+
+
+@pytest.mark.slow
+def test_the_verdict_on_exact_draws_is_wrong_at_its_level():
+    """200 whole judgements at 5 %; Holm is conservative, so only too many are a fault."""
+    wrong = 0
+    for repetition in range(REPETITIONS):
+        one, other = exact_pair(400, 1200, 1000 + repetition)
+        wrong += judge(one, other, seed=repetition, level=0.05, permutations=199).verdict == DIFFERS
+    assert wrong <= binom.ppf(0.999, REPETITIONS, 0.05), wrong
+
+
+def chains(rho: float, seed: int) -> np.ndarray:
+    """`(4, 1000, 2)`: autoregressive chains of a standard normal law."""
+    rng = np.random.default_rng(seed)
+    noise = rng.normal(size=(4, 1000, 2)) * math.sqrt(1 - rho**2)
+    noise[:, 0] = rng.normal(size=(4, 2))
+    return lfilter([1.0], [1.0, -rho], noise, axis=1)
+
+
+def test_rank_tests_of_autocorrelated_chains_keep_their_size():
+    """Autocorrelation 0.9: with the measured effective size 5 % (up to 10 %, for it is estimated);
+    negative control: with the number of draws in its place more than half of the tests reject."""
+    with_ess = without = 0
+    for repetition in range(REPETITIONS):
+        draws = chains(0.9, repetition)
+        exact = np.random.default_rng(10_000 + repetition).normal(size=(8000, 2))
+        with_ess += each_coordinate(draws, exact)[0][0, 0] < 0.05
+        shuffled = (
+            np.random.default_rng(repetition).permutation(draws.reshape(-1, 2)).reshape(draws.shape)
+        )
+        without += each_coordinate(shuffled, exact)[0][0, 0] < 0.05
+    assert with_ess <= binom.ppf(0.9995, REPETITIONS, 0.1), with_ess
+    assert without > REPETITIONS / 2, without
+
+
+def test_exact_draws_agree():
+    one, other = exact_pair(DRAWS, 15_000, 1)
+    found = judge(one, other, permutations=FEW)
+    assert found.verdict == AGREES, found.sentence
+    assert {test.name.split(",")[0].split(" of ")[0] for test in found.tests} >= {
+        "energy",
+        "mmd",
+        "ranks",
+        "modes",
+    }
+    assert all(test.assumption and test.size > 0 for test in found.tests)
+
+
+def test_a_sampler_that_never_leaves_one_flip_is_caught():
+    _, _, joints, length = arm()
+    everything = sample_of(joints[None], length[None])
+    first_two = codes(everything.away[0][:, SEEN])
+    assert len(np.unique(first_two)) > 1
+    rows = np.flatnonzero(first_two == np.bincount(first_two).argmax())[:DRAWS]
+    found = judge(sample_of(joints[None, rows], length[None, rows]), reference(), permutations=FEW)
+    assert found.verdict == DIFFERS
+
+
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+)
+def test_lengths_five_percent_too_narrow_are_caught(seed):
+    model, frame, joints, length = arm()
+    rows = slice(DRAWS * seed // 2, DRAWS * seed // 2 + DRAWS)
+    poses = read_poses(model, joints[rows], length[rows])
+    narrow = length.mean(axis=0) + 0.95 * (length[rows] - length.mean(axis=0))
+    view = frame.observation(frame.candidates[0]).view
+    moved = np.asarray(model.joints(view, narrow, poses.upper, poses.lower))
+    found = judge(sample_of(moved[None], narrow[None]), reference(), permutations=FEW)
+    assert found.verdict == DIFFERS, found.sentence
+
+
+@functools.cache
+def low_target() -> tuple[Target, np.ndarray]:
+    """The arm's posterior and exact starting points in it."""
+    model, frame, joints, length = arm()
+    target = Target.of(model, frame)
+    return target, target.points_of(read_poses(model, joints[:5000], length[:5000]))
+
+
+def evenly(points: np.ndarray) -> np.ndarray:
+    """2,000 of the draws `(chain, draw, d)`."""
+    every = max(1, points.shape[0] * points.shape[1] // DRAWS)
+    return points[:, ::every][:, : DRAWS // points.shape[0]]
+
+
+def judged(walk: Walk, rounds: int):
+    """Runs a walk for some rounds and judges 2,000 of its draws, evenly taken."""
+    target, _ = low_target()
+    for _ in range(rounds):
+        walk.more()
+    few = evenly(walk.drawn(key(0)).points)
+    poses = target.poses(key(1), few)
+    joints = target.model.joints(target.observation.view, *poses)
+    return judge(
+        sample_of(np.asarray(joints), np.asarray(poses.length)), reference(), permutations=FEW
+    )
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_autocorrelation_times_against_their_closed_form(rho):
+    """(1 + ρ)/(1 - ρ) of an autoregressive chain, four standard errors wide (Sokal 1997, √(2 (2·5 +
+    1)/n) · τ^1.5)."""
+    draws = np.concatenate([chains(rho, seed) for seed in range(8)])
+    times, closed = autocorrelation_times(draws)
+    truth = (1 + rho) / (1 - rho)
+    error = truth * math.sqrt(2 * 11 * truth / draws[..., 0].size)
+    assert closed.all()
+    np.testing.assert_allclose(times, truth, atol=4 * error)
+
+
+def test_short_paths_bound_slow_times_by_their_slope():
+    """256 walkers, 70 steps, an autocorrelation time of 19,999: it is bounded at some 0.6 of that;
+    without the slope a path could not tell it from its own length."""
+    rho = 0.9999
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(256, 70, 40)) * math.sqrt(1 - rho**2)
+    noise[:, 0] = rng.normal(size=(256, 40))
+    times, closed = autocorrelation_times(lfilter([1.0], [1.0, -rho], noise, axis=1))
+    truth = (1 + rho) / (1 - rho)
+    assert not closed.any()
+    assert 0.3 * truth < np.median(times) < truth
+    assert times.max() < 2 * truth
+
+
+def test_walkers_that_stay_earn_nothing():
+    """Every start an exact draw, and hardly a step away from it: ArviZ sees as many effective draws
+    as walkers."""
+    one, other = exact_pair(128, 5000, 7)
+    steps = 40
+    still = np.repeat(one.values.reshape(4, 32, 1, -1), steps, axis=2)
+    still = still + 1e-6 * np.random.default_rng(0).normal(size=still.shape)
+    still = Sample(
+        still.reshape(4, 32 * steps, -1), np.repeat(one.away.reshape(4, 32, -1), steps, axis=1)
+    )
+    effective = mixing(still.values, other.flat.std(axis=0)).worst
+    assert 16 < effective < 256
+    found = pace(still, other, effective=effective, given=128, steps=steps)
+    assert found.earned < 64
+    assert not found.known
+    assert found.settled < 256  # at most that, it says
+    moving = pace(other, other, effective=5000.0, given=0, steps=5000)
+    assert moving.known
+    assert moving.settled > 3000
+
+
+@pytest.fixture(scope="module")
+def clouds() -> tuple[Sample, Sample]:
+    """Sixteen walkers that draw at random from clouds of forty exact draws of their own, and exact
+    draws."""
+    one, other = exact_pair(640, 5000, 8)
+    rows = np.random.default_rng(0).integers(40, size=(16, 5000)) + 40 * np.arange(16)[:, None]
+    return Sample(one.flat[rows], one.away.reshape(640, -1)[rows]), other
+
+
+def test_walkers_apart_for_good_are_worth_what_tells_them_apart(clouds):
+    """Hardly any autocorrelation, and 16 × 40 draws in all, whatever the number of steps."""
+    drawn, other = clouds
+    effective = mixing(drawn.values, other.flat.std(axis=0)).worst
+    assert effective < 2000
+    found = pace(drawn, other, effective=effective, given=0, steps=5000)
+    assert drawn.num_draws / found.time > 10_000  # what the paths promise
+    assert found.settled == effective
+    assert not found.known
+
+
+def test_chains_that_scatter_are_worth_what_they_agree_on(clouds):
+    """640: less than four times as much in every one of 32 coordinates (a scatter of 15 degrees of
+    freedom is too small by that in 1 of 640); ArviZ alone says 33,000 for one: the negative
+    control. Independent draws in as many chains keep half of their number at least."""
+    drawn, other = clouds
+    found = scores(drawn.values, other.flat)[..., 0]
+    varies = [series for series in np.moveaxis(found, -1, 0) if np.ptp(series)]
+    said = [float(array_stats.ess(one, chain_axis=0, draw_axis=1, method="mean")) for one in varies]
+    assert max(said) > 40 * 640
+    assert max(mean_ess(one) for one in varies) < 4 * 640
+    assert mean_ess(np.random.default_rng(1).normal(size=(16, 500))) > 4000
+
+
+class HalfUpdatedAIES(AIES):
+    """Affine-invariant ensembles as NumPyro ≤ 0.21 had them: the second half of the walkers finds
+    its partners among themselves, who move at the same time (mended in its pull request 2189)."""
+
+    def sample(self, state, model_args, model_kwargs):
+        return half_updated(self, state)
+
+
+class HalfUpdatedESS(ESS):
+    """Ensemble slice sampling of NumPyro ≤ 0.21, with the same fault."""
+
+    def sample(self, state, model_args, model_kwargs):
+        return half_updated(self, state)
+
+
+def half_updated(kernel, state):
+    z, inner, rng_key = state
+    rng_key, _ = jax.random.split(rng_key)
+    half = len(z) // 2
+    first, inner = kernel.update_active_chains(z[:half], z[half:], inner)
+    second, inner = kernel.update_active_chains(z[half:], z[half:], inner)
+    return EnsembleSamplerState(jnp.concatenate([first, second]), inner, rng_key)
+
+
+def of_normal(kernel) -> Judgement:
+    """Judges 2,000 draws of NumPyro's ensemble on a standard normal law of 32 coordinates, started
+    in it."""
+    rng = np.random.default_rng(0)
+    stepper = NumPyroKernel(kernel, 64, 0, lambda before, after: jnp.asarray(64))
+    walk = Walk(stepper, key(3), rng.normal(size=(256, 32)), runs=4, ensemble=True, steps=32)
+    for _ in range(64):
+        walk.more()
+    few = evenly(walk.drawn(key(0)).points)
+    exact = rng.normal(size=(1, 15_000, 32))
+    return judge(Sample(few, few[..., :8] > 0), Sample(exact, exact[..., :8] > 0), permutations=FEW)
+
+
+def normal_potential(x):
+    return 0.5 * jnp.sum(x**2)
+
+
+@pytest.mark.slow
+def test_the_half_updated_ensemble_of_numpyro_up_to_0_21_is_caught_and_the_mended_one_is_not():
+    """Differential moves, its default: variance 0.71 instead of 1."""
+    assert of_normal(HalfUpdatedAIES(potential_fn=normal_potential)).verdict == DIFFERS
+    assert of_normal(AIES(potential_fn=normal_potential)).verdict != DIFFERS
+
+
+@pytest.mark.slow
+def test_the_half_updated_slice_sampler_is_caught_too():
+    assert (
+        of_normal(HalfUpdatedESS(potential_fn=normal_potential, randomize_split=False)).verdict
+        == DIFFERS
+    )
+    assert of_normal(ESS(potential_fn=normal_potential, randomize_split=False)).verdict != DIFFERS
+
+
+def test_emcee_started_in_one_point_is_caught():
+    target, starts = low_target()
+    import emcee
+
+    kernel = EmceeKernel(target, emcee.moves.StretchMove())
+    walk = Walk(kernel, key(3), np.repeat(starts[:1], 256, axis=0), runs=4, ensemble=True, steps=32)
+    found = judged(walk, 2)
+    assert found.verdict == DIFFERS
+    assert "did not move" in found.sentence
+
+
+def test_stuck_chains_are_not_believed():
+    """ArviZ alone would say ESS = N and R-hat = 1 of copies of one chain or of constant ones."""
+    rng = np.random.default_rng(0)
+    assert mixing(np.repeat(rng.normal(size=(4, 1, 3)), 500, axis=1), np.ones(3)).stuck
+    alive = rng.normal(size=(4, 500, 3))
+    assert not mixing(alive, np.ones(3)).stuck
+    alive[2, :, 1] = 1e-12 * alive[2, :, 1]
+    assert mixing(alive, np.ones(3)).stuck
+    assert not mixing(alive, np.array([1.0, 0.0, 1.0])).stuck  # a coordinate that may stand still
+
+
+def test_few_effective_draws_cannot_tell():
+    one, other = exact_pair(60, 5000, 4)
+    found = judge(one, other, permutations=FEW)
+    assert found.verdict == CANNOT_TELL
+    assert "effective draws" in found.sentence
+
+
+@pytest.mark.slow
+def test_evidence_is_judged_by_its_stated_error():
+    one, other = exact_pair(DRAWS, 15_000, 5)
+    good = judge(one, other, evidence=(-4.2, 0.1), exact_evidence=(-4.1, 0.01), permutations=FEW)
+    bad = judge(one, other, evidence=(-4.2, 0.01), exact_evidence=(-4.1, 0.01), permutations=FEW)
+    assert good.verdict == AGREES
+    assert bad.verdict == DIFFERS
+    assert "evidence" in bad.sentence
+
+
+def test_distances_against_closed_forms():
+    """W1 of a shifted and of a stretched normal law; energy and MMD by their double sums; sliced W1
+    of a shift."""
+    rng = np.random.default_rng(1)
+    x = rng.normal(size=(200_000, 1))
+    assert wasserstein(x, x + 0.3)[0] == pytest.approx(0.3)
+    assert wasserstein(x, 2 * x)[0] == pytest.approx(math.sqrt(2 / math.pi), rel=0.01)
+    one, other = rng.normal(size=(40, 3)), rng.normal(size=(30, 3)) + 0.5
+    distance = pairwise(one, other)
+    labels = (np.arange(70) < 40)[None]
+    by_hand = 2 * np.linalg.norm(one[:, None] - other, axis=-1).mean()
+    by_hand -= (
+        np.linalg.norm(one[:, None] - one, axis=-1).mean()
+        + np.linalg.norm(other[:, None] - other, axis=-1).mean()
+    )
+    assert energy(distance, labels)[0] == pytest.approx(by_hand, rel=1e-4)
+    kernel = np.exp(-0.5 * (distance / np.median(distance[distance > 0])) ** 2)
+    squared = kernel[:40, :40].mean() + kernel[40:, 40:].mean() - 2 * kernel[:40, 40:].mean()
+    assert mmd(distance, labels)[0] == pytest.approx(squared, rel=1e-3)
+    # Along a random direction in one dimension a shift of one standard deviation is one standard
+    # deviation.
+    assert sliced_wasserstein(x[:50_000] + 1.0, x[50_000:]) == pytest.approx(1.0, abs=0.03)
+
+
+def test_c2st_sees_what_is_plain_and_nothing_where_there_is_nothing():
+    rng = np.random.default_rng(2)
+    x, y = rng.normal(size=(1000, 2)), rng.normal(size=(1000, 2))
+    assert classifier_test(x, y, rng)[1] > 1e-3
+    assert classifier_test(x, y + 1, rng)[1] < 1e-6
+
+
+def test_modes_count_what_was_missed():
+    rng = np.random.default_rng(3)
+    exact = rng.uniform(size=(4000, 2)) < np.array([0.5, 0.1])
+    never = exact[~exact[:, 1]]
+    found = modes(never, exact, 1000.0)
+    assert found.missed == pytest.approx(exact[:, 1].mean(), abs=1e-12)
+    assert found.expected_missed < 1e-6
+    assert same_shares(never[:500], exact)[1] < 1e-6
+    assert same_shares(exact[:500], exact[500:])[1] > 1e-3
+
+
+def test_draws_that_are_not_finite_or_none_are_refused():
+    _, _, joints, length = arm()
+    broken = joints[None, :10].copy()
+    broken[0, 3, 4, 2] = np.nan
+    with pytest.raises(BadInput, match="not finite in 1 of 10"):
+        sample_of(broken, length[None, :10])
+    with pytest.raises(BadInput, match="are none"):
+        sample_of(joints[None, :0], length[None, :0])
+
+
+def test_the_tree_of_a_comparison_holds_every_sampler(tmp_path):
+    one, other = exact_pair(DRAWS, 5000, 6)
+    verdict = judge(one, other, permutations=FEW)
+    way = course(one, other, 2.0, 0.5)
+    assert way.seconds[-1] == pytest.approx(2.0)
+    assert way.seconds_to(1e9) == way.seconds[0]
+    assert way.seconds_to(0.0) == math.inf
+    speed = pace(one, other, effective=verdict.mixing.worst, given=100, steps=DRAWS)
+    entries = [
+        Entry(
+            "rejection", "", verdict, "fine", DRAWS, 100, 2.0, way, speed, -4.0, 0.1, one.flat[:50]
+        ),
+        Entry("nuts", "one flip", None, "no draws", 0, 10, 1.0, None, None, math.nan, math.nan),
+    ]
+    tree = comparison_tree(entries, other, {"source": "a scene"})
+    assert list(tree["summary"].sampler.values) == ["rejection", "nuts (one flip)"]
+    assert (
+        tree["tests"].p_value.sel(sampler="rejection", test="energy").item()
+        == verdict.tests[0].p_value
+    )
+    assert np.isnan(tree["tests"].p_value.sel(sampler="nuts (one flip)")).all()
+    assert tree["modes"].exact_share.sum().item() == pytest.approx(1.0)
+    assert tree["coordinates"].sizes["coordinate"] == len(NAMES)
+    tree.to_netcdf(tmp_path / "comparison.nc")
+
+
+def test_a_tree_without_poses_is_refused():
+    import xarray as xr
+
+    with pytest.raises(BadInput, match="lack"):
+        read_sample(xr.DataTree.from_dict({"posterior": xr.Dataset()}))

@@ -1,0 +1,316 @@
+"""Evaluations as they run: stores that are gone on with, workers and runs that are killed, what is
+refused."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from inference.studies.evaluation.conditions import Condition
+from inference.studies.evaluation.outcome import Protocol
+from inference.studies.evaluation.run import STORE
+from inference.studies.evaluation.store import BLOCK, Store
+from probmodel import Anatomy, BadInput
+from probmodel.datasets import DataSet, from_motions, write_plain
+from probmodel.learning.dictionaries import PoseDictionary
+from probmodel.motion import Motion
+from reports import cli
+
+POSETERIOR = Path(sys.executable).with_name("poseterior")
+TABLES = (
+    "table1.csv",
+    "table2.csv",
+    "relations.csv",
+    "metrics.csv",
+    "frames.csv",
+    "pck.csv",
+    "evaluation.md",
+)
+PROTOCOL = Protocol(Anatomy.default(), PoseDictionary.default(), num_samples=25, ks=(2, 5))
+ONE, TWO = Condition("zhou"), Condition("zhou", 1)
+
+
+def made(frames: int) -> DataSet:
+    """Frames of two actions in several recordings."""
+    rng = np.random.default_rng(0)
+    base = 330 * PoseDictionary.default().mean
+    many = [
+        Motion(
+            base + np.linspace(0, 1, 30)[:, None, None] * rng.normal(size=(15, 3)) * 40,
+            30.0,
+            f"{action}/{n}",
+            "a",
+        )
+        for action in ("running", "walking")
+        for n in range(3)
+    ]
+    return from_motions(many, "made", frames=frames)
+
+
+def block(frames: int, value: float) -> dict[str, np.ndarray]:
+    return {
+        name: np.full((frames, *shape), value, kind)
+        for name, (shape, kind) in PROTOCOL.fields().items()
+    }
+
+
+def opened(path: Path, frames: int = 70, **settings: object) -> Store:
+    return Store.open(path / STORE, {"seed": 0, "k": [2, 5], **settings}, frames, PROTOCOL.fields())
+
+
+def test_a_store_is_gone_on_with(tmp_path):
+    store = opened(tmp_path)
+    assert store.missing(ONE) == [0, 1, 2]
+    store.write(ONE, 1, block(BLOCK, 3.0))
+    again = opened(tmp_path)
+    assert again.missing(ONE) == [0, 2]
+    assert again.missing(TWO) == [0, 1, 2]
+    values = again.read(ONE)["single"]
+    assert np.isnan(values[:BLOCK]).all()
+    assert (values[BLOCK : 2 * BLOCK] == 3.0).all()
+    again.write(ONE, 2, block(70 - 2 * BLOCK, 4.0))
+    assert (again.read(ONE)["num_draws"][2 * BLOCK :] == 4).all()
+
+
+def test_a_block_without_its_mark_is_done_again(tmp_path):
+    """As if the power had gone between a block's arrays and its mark."""
+    store = opened(tmp_path)
+    store.write(ONE, 0, block(BLOCK, 3.0))
+    (tmp_path / STORE / ONE.name / "done" / "c" / "0").unlink()
+    assert opened(tmp_path).missing(ONE) == [0, 1, 2]
+    store.write(ONE, 0, block(BLOCK, 5.0))
+    assert (opened(tmp_path).read(ONE)["all"][:BLOCK] == 5.0).all()
+
+
+def test_a_store_half_made_is_made_anew(tmp_path):
+    (tmp_path / f"{STORE}.partial").mkdir()
+    (tmp_path / f"{STORE}.partial" / "zarr.json").write_text("{")
+    assert opened(tmp_path).missing(ONE) == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [({"seed": 1}, r"its seed is 0, not 1"), ({"k": [5]}, r"its k is \[2, 5\], not \[5\]")],
+)
+def test_another_runs_store_is_left_alone(settings, words, tmp_path):
+    opened(tmp_path).write(ONE, 0, block(BLOCK, 3.0))
+    before = contents(tmp_path)
+    with pytest.raises(BadInput, match=f"holds another run .{words}"):
+        opened(tmp_path, **settings)
+    assert contents(tmp_path) == before
+
+
+def test_what_is_no_store_is_left_alone(tmp_path):
+    (tmp_path / STORE).mkdir()
+    (tmp_path / STORE / "thesis.txt").write_text("important")
+    with pytest.raises(BadInput, match="is not the folder of a finished or stopped evaluation"):
+        opened(tmp_path)
+    assert contents(tmp_path) == {f"{STORE}/thesis.txt": b"important"}
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+# --- the command
+# -----------------------------------------------------------------------------------------------------
+
+
+def arguments(data: Path, out: Path, *more: str) -> list[str]:
+    return [
+        str(POSETERIOR),
+        "evaluate",
+        str(data),
+        "--out",
+        str(out),
+        "--estimator",
+        "zhou",
+        "--num-samples",
+        "25",
+        "--k",
+        "2,5",
+        "--no-bias",
+        "--quiet",
+        *more,
+    ]
+
+
+def evaluated(data: Path, out: Path, *more: str) -> subprocess.CompletedProcess:
+    return subprocess.run(arguments(data, out, *more), capture_output=True, text=True, timeout=600)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("data") / "made.npz"
+    write_plain(made(BLOCK + 5), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def undisturbed(data, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("undisturbed")
+    done = evaluated(data, out, "--missing", "0,1", "--json")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    tables = json.loads(done.stdout)["tables"]
+    assert next(row["name"] for row in tables["table1"]) == "Zhou et al., single estimate"
+    assert {row["lost"] for row in tables["frames"]} == {0}
+    return out
+
+
+def test_the_command_writes_tables_and_pictures(undisturbed):
+    names = {path.name for path in undisturbed.iterdir()}
+    assert names == {*TABLES, "errors.png", "pck.png", STORE}
+    page = (undisturbed / "evaluation.md").read_text()
+    assert "## " in page
+    assert "another data set, Human3.6M" in page
+
+
+def said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, *command: str
+) -> tuple[int, str, str]:
+    """The command in this process: its exit code, and what it said on stdout and stderr."""
+    monkeypatch.setattr(sys, "argv", ["poseterior", *command[1:]])
+    monkeypatch.setattr(
+        "reports.options.prepare_jax", lambda: None
+    )  # which tests have done, without a cache
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    return left.value.code, *capsys.readouterr()
+
+
+def test_a_finished_run_is_only_told_again(data, undisturbed, monkeypatch, capsys):
+    """No worker is needed for what is there, nor a scheduler."""
+    before = (undisturbed / "metrics.csv").read_bytes()
+    command = arguments(data, undisturbed, "--missing", "0,1", "--scheduler", "tcp://127.0.0.1:9")
+    code, out, _ = said(monkeypatch, capsys, *command)
+    assert code == 0
+    assert "best of 2" in out
+    assert (undisturbed / "metrics.csv").read_bytes() == before
+
+
+NOBODY = "tcp://127.0.0.1:9"
+REFUSED = {
+    "another seed": ("holds another run (its seed is 0, not 1)", "--seed", "1"),
+    "other draws": ("holds another run (its num_samples is 25, not 30)", "--num-samples", "30"),
+    "no estimator": ("no estimator 'hmr' to evaluate", "--estimator", "hmr"),
+    "no numbers": ("--missing must be numbers with commas", "--missing", "few"),
+    "noise on given 2D": ("brings its own 2D joints", "--noise", "gaussian:0.1"),
+    "no scheduler": (
+        f"no scheduler answers at '{NOBODY}'",
+        "--scheduler",
+        NOBODY,
+        "--missing",
+        "2",
+    ),
+    "k too large": ("k must be different numbers from 1 to the 25 draws", "--k", "26"),
+    "no predictions": ("there is no file of poses", "--predictions", "nothing.npz"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_bad_input_is_a_sentence_and_nothing_is_overwritten(
+    case, data, undisturbed, monkeypatch, capsys
+):
+    words, *more = REFUSED[case]
+    monkeypatch.setattr("inference.studies.evaluation.workers.PATIENCE", "1s")
+    before = contents(undisturbed)
+    code, out, sentence = said(monkeypatch, capsys, *arguments(data, undisturbed, *more))
+    assert (code, out) == (2, "")
+    assert words in sentence
+    assert sentence.count("\n") == 1
+    after = contents(undisturbed)
+    assert {name: after[name] for name in before} == before
+
+
+def children(pid: int) -> list[int]:
+    """The processes below a process, worker processes among them."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rsplit(")", 1)[1].split()
+        except OSError:
+            continue
+        if int(fields[1]) == pid:
+            own = int(path.parent.name)
+            found += [own, *children(own)]
+    return found
+
+
+def workers(pid: int) -> list[int]:
+    return [
+        child
+        for child in children(pid)
+        if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not Path("/proc/self/stat").exists(), reason="worker processes are found through /proc"
+)
+def test_killed_at_random_moments_it_ends_with_the_same_bits(data, undisturbed, tmp_path):
+    """Workers, and the whole run, are killed without warning, again and again, until a run comes to
+    its end; other runs have another number of workers. Every table is then what it would have been,
+    and every number in the store."""
+    rng = random.Random(0)
+    killed = {"worker": 0, "run": 0}
+    for attempt in range(4):
+        command = arguments(data, tmp_path, "--missing", "0,1", "--workers", str(1 + attempt % 2))
+        run = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+        )
+        moments = (
+            0 if attempt >= 3 else 1 + attempt % 2
+        )  # the last of them ends the run, those before it a worker
+        begun = len(contents(tmp_path))
+        while moments and run.poll() is None:
+            wait_for_progress(run, tmp_path, begun)
+            time.sleep(rng.uniform(0, 2.0))
+            victims = workers(run.pid)
+            if moments > 1 and victims:
+                os.kill(rng.choice(victims), signal.SIGKILL)
+                killed["worker"] += 1
+            elif run.poll() is None:
+                run.kill()
+                killed["run"] += 1
+            begun = len(contents(tmp_path))
+            moments -= 1
+        _, said = run.communicate(timeout=600)
+        if run.returncode == 0:
+            break
+        assert run.returncode == -signal.SIGKILL, said
+    assert run.returncode == 0
+    assert killed["run"] > 0
+    assert killed["worker"] > 0
+    for name in TABLES:
+        assert (tmp_path / name).read_bytes() == (undisturbed / name).read_bytes(), name
+    fields = [name for name in PROTOCOL.fields() if name != "seconds"]
+    for condition in (ONE, TWO):
+        for name in fields:
+            mine, theirs = (stored(folder, condition, name) for folder in (tmp_path, undisturbed))
+            assert np.array_equal(mine, theirs, equal_nan=mine.dtype.kind == "f"), name
+
+
+def stored(folder: Path, condition: Condition, field: str) -> np.ndarray:
+    import zarr
+
+    return np.asarray(zarr.open_group(folder / STORE, mode="r")[condition.name][field][:])
+
+
+def wait_for_progress(run: subprocess.Popen, folder: Path, files: int) -> None:
+    """Until something more has been written, so that there is something to lose."""
+    deadline = time.monotonic() + 240
+    while run.poll() is None and len(contents(folder)) <= files and time.monotonic() < deadline:
+        time.sleep(0.1)

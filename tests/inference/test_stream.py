@@ -1,0 +1,152 @@
+"""Many frames as one stream: resumed to the same bits, bad frames recorded, other runs refused."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import inference
+from inference import Item, draws_of, open_stream, sample_frames, stream
+from probmodel import BadInput, PoseModel
+from tests.scenes import key, prior_scene
+
+SETTINGS = {"num_samples": 40, "k": 3}
+
+
+@pytest.fixture(scope="module")
+def model() -> PoseModel:
+    return PoseModel()
+
+
+@pytest.fixture(scope="module")
+def items(model) -> list[Item]:
+    frames = [Item(f"frame {seed}", prior_scene(model, seed, factor=0.6)) for seed in range(5)]
+    return [*frames[:2], Item("frame 9", "frame 9 has no torso; choose another"), *frames[2:]]
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch):
+    monkeypatch.setattr(stream, "MOST_FRAMES", 2)
+
+
+def content(folder) -> dict[str, bytes]:
+    """The values of all blocks (netCDF notes when it was written)."""
+    found = {}
+    for path in sorted(folder.glob("block-*.nc")):
+        with xr.open_datatree(path, engine="netcdf4") as tree:
+            for name, node in tree.children.items():
+                found |= {
+                    f"{path.name} {name} {key}": value.values.tobytes()
+                    for key, value in node.data_vars.items()
+                }
+    return found
+
+
+def test_a_stream_holds_every_frame_and_says_why_one_has_no_draws(model, items, tmp_path):
+    done = []
+    sample_frames(model, items, key=key(0), out=tmp_path / "s", progress=done.append, **SETTINGS)
+    assert done == [2, 4, 6]
+    tree = open_stream(tmp_path / "s")
+    summary, hypotheses = tree["summary"], tree["hypotheses"]
+    assert list(summary.frame.values) == [item.name for item in items]
+    assert list(summary.status.values) == [
+        "complete",
+        "complete",
+        "bad input",
+        "complete",
+        "complete",
+        "complete",
+    ]
+    assert "no torso" in str(summary.sentence[2].item())
+    good = np.arange(6) != 2
+    assert (summary.num_draws.values == np.where(good, 40, 0)).all()
+    assert np.isfinite(summary.log_evidence.values[good]).all()
+    assert model.limits.check(hypotheses.joints.values[good]).valid.all()
+    np.testing.assert_allclose(hypotheses.weight.values[good].sum(axis=1), 1)
+    draws = draws_of(tmp_path / "s", "frame 1")
+    assert draws.joints.shape == (1, 40, 15, 3)
+    np.testing.assert_allclose(
+        draws.joints[0].mean("draw"), summary["mean"].sel(frame="frame 1"), atol=1e-5
+    )
+    chosen = hypotheses.sel(frame="frame 1")
+    np.testing.assert_allclose(chosen.joints, draws.joints[0, chosen.draw.values], atol=1e-6)
+    assert draws_of(tmp_path / "s", "frame 9").sizes["draw"] == 0
+
+
+def test_draws_are_those_of_sample(model, items, tmp_path):
+    """With the frame's own key: the same set, in the same order."""
+    import jax
+
+    sample_frames(model, items[:2], key=key(4), out=tmp_path, **SETTINGS)
+    result = inference.sample(
+        model, items[1].frame, key=jax.random.fold_in(key(4), 1), num_samples=40
+    )
+    ours = draws_of(tmp_path, items[1].name).joints.values
+    assert np.array_equal(ours, result.tree["posterior"].joints.values.astype(np.float32))
+
+
+def test_a_run_that_was_killed_goes_on_to_the_same_bits(model, items, tmp_path):
+    sample_frames(model, items, key=key(0), out=tmp_path / "whole", **SETTINGS)
+
+    def breaking():
+        yield from items[:5]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sample_frames(model, breaking(), key=key(0), out=tmp_path / "killed", **SETTINGS)
+    assert len(list((tmp_path / "killed").glob("block-*.nc"))) == 2
+    before = (tmp_path / "killed" / "block-000000.nc").stat().st_mtime_ns
+    sample_frames(model, items, key=key(0), out=tmp_path / "killed", **SETTINGS)
+    assert (tmp_path / "killed" / "block-000000.nc").stat().st_mtime_ns == before
+    assert content(tmp_path / "killed") == content(tmp_path / "whole")
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_only_so_many_draws_are_kept(model, items, tmp_path):
+    sample_frames(model, items[:1], key=key(0), out=tmp_path, keep=7, **SETTINGS)
+    assert draws_of(tmp_path, items[0].name).sizes["draw"] == 7
+    assert int(open_stream(tmp_path)["summary"].num_draws[0]) == 40
+
+
+def test_other_runs_and_other_frames_are_refused_and_nothing_is_overwritten(model, items, tmp_path):
+    sample_frames(model, items[:2], key=key(0), out=tmp_path, **SETTINGS)
+    before = content(tmp_path)
+    with pytest.raises(BadInput, match=r"holds another run .its seed is"):
+        sample_frames(model, items[:2], key=key(1), out=tmp_path, **SETTINGS)
+    with pytest.raises(BadInput, match="its num_samples is 40, not 41"):
+        sample_frames(model, items[:2], key=key(0), out=tmp_path, num_samples=41, k=3)
+    moved = dataclasses.replace(items[0].frame, factor=0.7)
+    with pytest.raises(BadInput, match=r"made of other frames"):
+        sample_frames(
+            model, [Item(items[0].name, moved), items[1]], key=key(0), out=tmp_path, **SETTINGS
+        )
+    assert content(tmp_path) == before
+
+
+def test_a_broken_block_is_named(model, items, tmp_path):
+    sample_frames(model, items[:2], key=key(0), out=tmp_path, **SETTINGS)
+    block = tmp_path / "block-000000.nc"
+    block.write_bytes(block.read_bytes()[:1000])
+    with pytest.raises(BadInput, match=r"block-000000.nc cannot be read"):
+        sample_frames(model, items[:2], key=key(0), out=tmp_path, **SETTINGS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        ({"num_samples": 3, "k": 4}, "3 samples, 4 hypotheses"),
+        ({"num_samples": 0, "k": 1}, "0 samples"),
+        ({"num_samples": 3, "k": 1, "keep": -1}, "-1 kept"),
+    ],
+)
+def test_numbers_that_do_not_go_together_are_refused(model, tmp_path, arguments, match):
+    with pytest.raises(BadInput, match=match):
+        sample_frames(model, [], key=key(0), out=tmp_path, **arguments)
+
+
+def test_what_is_not_a_stream_is_named(tmp_path):
+    with pytest.raises(BadInput, match="is not a stream of frames"):
+        open_stream(tmp_path)
+    with pytest.raises(BadInput, match="has no frame"):
+        draws_of(tmp_path, "x")

@@ -1,0 +1,415 @@
+"""Data sets: what readers give back of files the test writes, what cameras and noise do, what is
+refused."""
+
+import dataclasses
+import itertools
+import os
+import pickle
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import kstest, norm, t
+
+from probmodel import BadInput
+from probmodel.datasets import (
+    EXACT,
+    VIEWS,
+    DataSet,
+    Noise,
+    View,
+    body_height,
+    from_motions,
+    read_data_set,
+    write_plain,
+)
+from probmodel.datasets.human36m import SEVENTEEN
+from probmodel.datasets.noise import FREEDOM
+from probmodel.datasets.pickles import follow
+from probmodel.datasets.views import resection
+from probmodel.layouts import H36M_17
+from probmodel.learning.dictionaries import PoseDictionary
+from probmodel.motion import Motion
+from probmodel.skeleton import JOINTS, LIMB_JOINTS, NUM_JOINTS
+
+BODY = 330 * PoseDictionary.default().mean
+"""A pose in millimetres, y up."""
+
+
+def waving(seed: int, frames: int = 40) -> np.ndarray:
+    """Poses `(frames, 15, 3)` that differ a little, smoothly."""
+    rng = np.random.default_rng(seed)
+    way = np.linspace(0, 1, frames)[:, None, None] * rng.normal(size=(NUM_JOINTS, 3)) * 30
+    return BODY + way + 1000 * rng.normal(size=3)
+
+
+MOTIONS = [
+    Motion(waving(0), 30.0, "walking/one", "a"),
+    Motion(waving(1), 30.0, "walking/two", "a"),
+    Motion(waving(2, 7), 30.0, "running/one", "b"),
+]
+
+
+@pytest.fixture(scope="module")
+def data() -> DataSet:
+    return from_motions(MOTIONS, "three recordings", frames=60)
+
+
+# --- motion capture
+# --------------------------------------------------------------------------------------------------
+
+
+def test_every_action_gets_as_many_frames_and_none_the_same_twice(data):
+    assert {action: int((data.action == action).sum()) for action in data.actions} == {
+        "running": 30,
+        "walking": 30,
+    }
+    assert set(data.recording[data.action == "walking"]) == {"walking/one", "walking/two"}
+    pixels = np.stack([case.pixels for case in data])
+    assert len(np.unique(pixels.round(6), axis=0)) == len(
+        data
+    )  # seven frames, but thirty views of them
+
+
+def test_true_2d_is_the_projection_of_the_pose(data):
+    for case in data:
+        assert case.detection.keypoints == pytest.approx(case.pixels[:, :2], abs=1e-9)
+        assert case.pose[0] == pytest.approx(0.0)
+
+
+def test_a_pose_in_camera_axes_is_the_recorded_one_turned(data):
+    recorded = MOTIONS[2].joints[0] - MOTIONS[2].joints[0, :1]
+    rotation, distance = Rotation.align_vectors(data.poses[0], recorded)
+    assert distance == pytest.approx(0.0, abs=1e-3)
+    assert rotation.as_matrix() == pytest.approx(np.asarray(VIEWS[0].camera.rotation), abs=1e-9)
+
+
+def test_a_person_who_faces_the_camera_stands_upright_and_looks_at_it():
+    seen = View(0.0, 0.0).see(BODY)
+    head, left_hip = JOINTS.index("head"), JOINTS.index("left_hip")
+    assert seen[head, 1] < -400  # y points down
+    assert seen[left_hip, 0] > 50  # the person's left is the image's right
+    assert np.linalg.det(np.asarray(View(31.0, -12.0).camera.rotation)) == pytest.approx(1.0)
+
+
+def test_the_same_seed_gives_the_same_noise_and_larger_noise_is_the_same_enlarged():
+    def errors(size: float, seed: int = 0) -> np.ndarray:
+        noisy = from_motions(MOTIONS, "x", frames=20, noise=Noise("gaussian", size), seed=seed)
+        return noisy.keypoints - from_motions(MOTIONS, "x", frames=20).keypoints
+
+    assert np.array_equal(errors(0.02), errors(0.02))
+    assert errors(0.04) == pytest.approx(2 * errors(0.02))
+    assert np.abs(errors(0.02, seed=1) - errors(0.02)).min() > 0
+
+
+@pytest.mark.parametrize(
+    ("noise", "law"),
+    [
+        (Noise("gaussian", 0.02), norm(scale=0.02)),
+        (Noise("heavy-tailed", 0.02), t(FREEDOM, scale=0.02)),
+    ],
+)
+def test_noise_has_the_law_it_says(noise, law):
+    """Kolmogorov–Smirnov, 6,000 numbers; false alarm 1e-3 each. Twice the size must fail, and so
+    must the other law."""
+    errors = np.concatenate([noise.errors(1.0, 7, number).ravel() for number in range(200)])
+    assert kstest(errors, law.cdf).pvalue > 1e-3
+    assert kstest(2 * errors, law.cdf).pvalue < 1e-6
+    other = t(FREEDOM, scale=0.02) if noise.kind == "gaussian" else norm(scale=0.02)
+    assert kstest(errors, other.cdf).pvalue < 1e-6
+
+
+def test_missing_joints_are_limb_joints_nested_and_every_one_has_its_turn(data):
+    case = data.case(3)
+    gone = [set(np.flatnonzero(~case.hiding(number).detection.seen)) for number in range(9)]
+    assert [len(joints) for joints in gone] == list(range(9))
+    assert all(few <= more for few, more in itertools.pairwise(gone))
+    assert gone[8] == set(LIMB_JOINTS)
+    first = [int(np.flatnonzero(~case.hiding(1).detection.seen)[0]) for case in data]
+    assert set(first) == set(LIMB_JOINTS)
+    with pytest.raises(BadInput, match="9 limb joints cannot be missing"):
+        case.hiding(9)
+
+
+def test_a_turned_case_is_seen_by_a_rolled_camera(data):
+    case = data.case(5).hiding(1)
+    turned = case.turned(90.0)
+    seen = case.detection.seen
+    assert turned.detection.keypoints[seen] == pytest.approx(turned.pixels[seen, :2], abs=1e-9)
+    right, down = turned.pose[8, 0], turned.pose[8, 1]
+    assert (right, down) == pytest.approx((-case.pose[8, 1], case.pose[8, 0]))
+    assert np.array_equal(np.isnan(turned.detection.keypoints), np.isnan(case.detection.keypoints))
+
+
+def test_height_does_not_depend_on_the_pose_and_units_are_checked(data):
+    assert body_height(BODY[None]) == pytest.approx(body_height(data.case(0).pose), rel=0.1)
+    for factor, words in ((0.001, r"0\.00\d+"), (1000.0, r"1,\d\d\d")):
+        with pytest.raises(BadInput, match=f"subject a would be {words} m tall"):
+            dataclasses.replace(data, poses=data.poses * factor, subject=np.full(len(data), "a"))
+
+
+def test_real_motion_capture_is_read(shared_data):
+    found = read_data_set(shared_data / "cmu" / "actions_train.npz", frames=80)
+    assert len(found) == 80
+    assert len(found.actions) == 8
+    assert 1500 < np.median(body_height(found.poses)) < 1900
+    trials = read_data_set(shared_data / "cmu" / "asfamc" / "02", frames=6)
+    assert trials.actions == ["subject 02"]
+
+
+# --- a plain file
+# ----------------------------------------------------------------------------------------------------
+
+
+def test_a_plain_file_gives_back_what_was_written(data, tmp_path):
+    write_plain(data, tmp_path / "set.npz")
+    back = read_data_set(tmp_path / "set.npz")
+    assert back.sha256 == data.sha256
+    assert len(read_data_set(tmp_path / "set.npz", frames=10)) == 10
+
+
+def test_without_a_camera_one_is_fitted(data, tmp_path):
+    """The 2D of a scaled orthographic camera gives its rotation back exactly; a turned world does
+    not matter."""
+    turn = Rotation.from_rotvec([0.3, -1.0, 2.0]).as_matrix()
+    np.savez(
+        tmp_path / "set.npz",
+        poses=data.poses @ turn.T + 500,
+        keypoints=data.keypoints,
+        action=data.action,
+        subject=data.subject,
+    )
+    back = read_data_set(tmp_path / "set.npz")
+    assert back.poses == pytest.approx(data.poses, abs=1e-6)
+    assert back.scale == pytest.approx(data.scale)
+    assert back.translation == pytest.approx(data.translation)
+    assert np.isnan(resection(data.poses[:1], np.full((1, NUM_JOINTS, 2), np.nan))[1]).all()
+
+
+def plain(data: DataSet, **changes: object) -> dict[str, object]:
+    return {
+        "poses": data.poses,
+        "keypoints": data.keypoints,
+        "action": data.action,
+        "subject": data.subject,
+    } | changes
+
+
+def at(row: int, values: np.ndarray, other: object) -> np.ndarray:
+    """`values` with something else in one row."""
+    changed = values.copy()
+    changed[row] = other
+    return changed
+
+
+REFUSED = {
+    "another skeleton": (
+        lambda d: plain(d, poses=d.poses[:, :13]),
+        r"poses has shape \(60, 13, 3\)",
+    ),
+    "metres": (lambda d: plain(d, poses=d.poses / 1000), "m tall; poses must be in millimetres"),
+    "no actions": (lambda d: {k: v for k, v in plain(d).items() if k != "action"}, "lacks action"),
+    "an empty action": (lambda d: plain(d, action=at(7, d.action, " ")), "frame 7 has no action"),
+    "too few actions": (lambda d: plain(d, action=d.action[:5]), "action must be 60 texts"),
+    "actions as numbers": (lambda d: plain(d, action=np.arange(60)), "action must be 60 texts"),
+    "a frame of NaN": (lambda d: plain(d, poses=at(4, d.poses, np.nan)), "frame 4 has a coord"),
+    "too few keypoints": (lambda d: plain(d, keypoints=d.keypoints[:9]), "60 poses, but 9 sets"),
+    "scores of another shape": (lambda d: plain(d, score=np.ones(60)), r"score has shape \(60,\)"),
+    "no frames": (lambda d: {k: v[:0] for k, v in plain(d).items()}, "no frames"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_no_data_set_is_refused(case, data, tmp_path):
+    make, words = REFUSED[case]
+    np.savez(tmp_path / "set.npz", **make(data))
+    with pytest.raises(BadInput, match=words):
+        read_data_set(tmp_path / "set.npz")
+
+
+def test_what_does_not_go_together_is_refused(data, tmp_path):
+    write_plain(data, tmp_path / "set.npz")
+    with pytest.raises(BadInput, match="brings its own 2D joints"):
+        read_data_set(tmp_path / "set.npz", noise=Noise("gaussian", 0.1))
+    with pytest.raises(BadInput, match="at least 1, not 0"):
+        read_data_set(tmp_path / "set.npz", frames=0)
+    with pytest.raises(BadInput, match="there is no motion capture"):
+        read_data_set(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize(
+    "text", ["gaussian", "gaussian:x", "gaussian:2", "gaussian:-1", "none:0.1", "uniform:0.1"]
+)
+def test_noise_that_is_none_is_refused(text):
+    with pytest.raises(BadInput, match="must look like"):
+        Noise.parse(text)
+
+
+def test_noise_is_read():
+    assert Noise.parse("none") == EXACT
+    assert Noise.parse("heavy-tailed:0.05") == Noise("heavy-tailed", 0.05)
+
+
+# --- Human3.6M
+# -------------------------------------------------------------------------------------------------------
+
+
+def human36m(folder: Path, poses: np.ndarray, protocol: int = 4, **changes: object) -> Path:
+    """VideoPose3D's two files with two subjects, two actions of two takes, four cameras: metres, z
+    up, 32 joints."""
+    rng = np.random.default_rng(0)
+    three: dict[str, dict[str, np.ndarray]] = {}
+    two: dict[str, dict[str, list[np.ndarray]]] = {}
+    rows = [H36M_17.points.index(name) for name in JOINTS]
+    for subject in ("S1", "S11"):
+        for action in ("Eating 1", "Eating 2", "Walking"):
+            room = poses[:, :, [0, 2, 1]] * [1, -1, 1] / 1000 + rng.normal(size=3)
+            joints = rng.normal(size=(len(poses), 32, 3))
+            joints[:, np.array(SEVENTEEN)[rows]] = room
+            three.setdefault(subject, {})[action] = joints.astype(np.float32)
+            cameras = []
+            for view in VIEWS[:4]:
+                points = rng.normal(
+                    size=(len(poses) + 3, 17, 2)
+                )  # three frames more than the motion capture has
+                points[:-3, rows] = 0.2 * view.see(poses)[..., :2] + 500
+                cameras.append(points.astype(np.float32))
+            two.setdefault(subject, {})[action] = cameras
+    three, two = changes.get("three", three), changes.get("two", two)
+    write_objects(folder / "data_3d_h36m.npz", protocol, positions_3d=three)
+    metadata = {"layout_name": "h36m", "num_joints": 17, "keypoints_symmetry": [[4, 5], [1, 2]]}
+    write_objects(folder / "data_2d_h36m_gt.npz", protocol, positions_2d=two, metadata=metadata)
+    return folder
+
+
+def write_objects(path: Path, protocol: int, **objects: object) -> None:
+    """As np.savez_compressed writes objects, but in any protocol of pickle."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, value in objects.items():
+            with archive.open(f"{name}.npy", "w") as file:
+                array = np.array(value, dtype=object)
+                np.lib.format.write_array_header_1_0(
+                    file, np.lib.format.header_data_from_array_1_0(array)
+                )
+                pickle.dump(array, file, protocol=protocol)
+
+
+@pytest.mark.parametrize("protocol", [2, 3, 4])
+def test_human36m_is_read_without_unpickling(protocol, tmp_path, monkeypatch):
+    poses = waving(5, 12)
+    folder = human36m(tmp_path, poses, protocol)
+    expected = np.load(folder / "data_3d_h36m.npz", allow_pickle=True)["positions_3d"].item()
+    monkeypatch.setattr(pickle, "load", None)
+    monkeypatch.setattr(pickle, "loads", None)
+    found = read_data_set(folder)
+    assert len(found) == 2 * 3 * 4 * 12
+    assert found.actions == ["Eating", "Walking"]
+    assert sorted(set(found.subject)) == ["S1", "S11"]
+    assert len(set(found.recording)) == 6
+    truth = np.concatenate([np.concatenate([view.see(poses) for view in VIEWS[:4]])] * 6)
+    order = np.argsort(found.action == "Walking", kind="stable")
+    assert np.array_equal(order, np.arange(len(found)))
+    assert found.poses == pytest.approx(
+        truth, abs=0.02
+    )  # of single precision, and of metres off the room's origin
+    assert found.scale == pytest.approx(0.2, abs=1e-4)
+    assert expected["S1"]["Walking"].shape == (12, 32, 3)
+    few = read_data_set(folder / "data_3d_h36m.npz", frames=20)
+    assert {action: int((few.action == action).sum()) for action in few.actions} == {
+        "Eating": 10,
+        "Walking": 10,
+    }
+
+
+def test_numpy_itself_writes_what_is_read(tmp_path):
+    tree = {
+        "S1": {"Eating": np.arange(6.0).reshape(1, 2, 3)},
+        "list": [np.arange(3, dtype="<i4"), "ä", None, 2.5],
+    }
+    path = tmp_path / "any.npz"
+    np.savez_compressed(path, positions=tree)
+    from probmodel.datasets.pickles import read_object
+
+    found = read_object(path, "positions")
+    assert np.array_equal(found["S1"]["Eating"], tree["S1"]["Eating"])
+    assert np.array_equal(found["list"][0], [0, 1, 2])
+    assert found["list"][1:] == ["ä", None, 2.5]
+
+
+class Evil:
+    """Whoever unpickles this makes a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple:
+        return os.mkdir, (str(self.path),)
+
+
+def test_a_pickle_that_would_run_code_is_refused_and_runs_nothing(tmp_path):
+    folder = human36m(tmp_path, waving(5, 3), three={"S1": {"Eating": Evil(tmp_path / "made")}})
+    with pytest.raises(BadInput, match="which plain data does not need"):
+        read_data_set(folder)
+    assert not (tmp_path / "made").exists()
+
+
+def nested(depth: int) -> bytes:
+    """A few bytes that stand for 10^depth texts."""
+    value: list = ["x"]
+    for _ in range(depth):
+        value = [value] * 10
+    return pickle.dumps(value)
+
+
+def test_repetition_costs_nothing_and_damage_is_a_sentence():
+    found = follow(nested(30), "a file")
+    assert isinstance(found, list)
+    whole = pickle.dumps({"a": np.arange(5.0), "b": ["x", 1, 2.0, None]})
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(400):  # whatever happens to the bytes, a value or BadInput comes out
+        damaged = bytearray(whole[: rng.integers(1, len(whole) + 1)])
+        damaged[rng.integers(len(damaged))] = rng.integers(256)
+        try:
+            follow(bytes(damaged), "a file")
+        except BadInput:
+            refused += 1
+    assert refused > 200
+    loop: list = []
+    loop.append(loop)
+    with pytest.raises(BadInput, match="damaged"):
+        follow(pickle.dumps(loop), "a file")
+
+
+SLEEPER = np.zeros((3, 32, 3))
+HUMAN_REFUSED = {
+    "one file alone": (
+        lambda f: (f / "data_2d_h36m_gt.npz").unlink(),
+        "there is no data_2d_h36m_gt.npz",
+    ),
+    "a text": (
+        lambda f: (f / "data_3d_h36m.npz").write_text("hello"),
+        "holds no readable positions_3d",
+    ),
+    "seventeen joints": (
+        lambda f: human36m(f, waving(1, 3), three={"S1": {"Eating": np.zeros((3, 17, 3))}}),
+        "17, 3",
+    ),
+    "no such action": (
+        lambda f: human36m(f, waving(1, 3), three={"S1": {"Sleeping": SLEEPER}}),
+        "lacks S1 Sl",
+    ),
+    "a list": (lambda f: human36m(f, waving(1, 3), three=[1, 2]), "not the dictionary"),
+    "NaN": (lambda f: human36m(f, waving(1, 3) * np.nan), "coordinate that is not finite"),
+}
+
+
+@pytest.mark.parametrize("case", HUMAN_REFUSED)
+def test_what_is_not_human36m_is_refused(case, tmp_path):
+    spoil, words = HUMAN_REFUSED[case]
+    human36m(tmp_path, waving(5, 3))
+    spoil(tmp_path)
+    with pytest.raises(BadInput, match=words):
+        read_data_set(tmp_path)

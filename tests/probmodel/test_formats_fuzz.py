@@ -1,0 +1,367 @@
+"""Damaged files of every format: each is read, or refused in a sentence; none crashes, hangs, or is
+unpickled."""
+
+import csv
+import io
+import json
+import pickle
+import time
+from collections.abc import Callable
+
+import h5py
+import numpy as np
+import pytest
+
+from probmodel.failures import BadInput
+from probmodel.formats import FORMATS, Content, format_of, read_content
+from probmodel.layouts import (
+    BODY_25,
+    BODY_25B,
+    COCO_17,
+    COCO_18,
+    H36M_17,
+    HALPE_26,
+    MEDIAPIPE_33,
+    MPII_16,
+    Layout,
+)
+from tests.probmodel.test_formats import STANDING, annotations, flat, native_with, openpose, results
+
+SIZE = (200, 200)
+SLOWEST = 5.0
+"""Seconds that one file of a few thousand bytes may take, on a busy machine."""
+
+
+def points(layout: Layout, score: float = 0.5) -> np.ndarray:
+    """`(count, 3)` of `STANDING`; points that it lacks lie on the pelvis."""
+    return np.array(
+        [[*STANDING.get(name, STANDING["pelvis"]), score] for name in layout.points], float
+    )
+
+
+def npy(array: np.ndarray, *, pickled: bool = False) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array, allow_pickle=pickled)
+    return file.getvalue()
+
+
+def npz(**arrays: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)
+    return file.getvalue()
+
+
+def hdf5(write: Callable[[h5py.File], object]) -> bytes:
+    file = io.BytesIO()
+    with h5py.File(file, "w") as opened:
+        write(opened)
+    return file.getvalue()
+
+
+def landmarks(layout: Layout = MEDIAPIPE_33, visibility: float = 0.9) -> list[dict[str, float]]:
+    xy = points(layout)[:, :2] / SIZE
+    return [{"x": float(x), "y": float(y), "z": -0.1, "visibility": visibility} for x, y in xy]
+
+
+def landmark_text(visibility: float = 0.9) -> str:
+    rows = landmarks(visibility=visibility)
+    inner = "\n".join(
+        "  landmark {\n" + "\n".join(f"    {k}: {v}" for k, v in row.items()) + "\n  }"
+        for row in rows
+    )
+    return f"# proto-message: LandmarksDetectionResult\nlandmarks {{\n{inner}\n}}\n"
+
+
+def table(rows: list[list[object]]) -> str:
+    file = io.StringIO()
+    csv.writer(file, lineterminator="\n").writerows(rows)
+    return file.getvalue()
+
+
+def long_landmarks() -> str:
+    return table([["x", "y", "z", "visibility"], *[list(row.values()) for row in landmarks()]])
+
+
+def wide_landmarks(frames: int = 2) -> str:
+    header = [
+        "frame",
+        *[
+            f"{name}_{part}"
+            for name in MEDIAPIPE_33.points
+            for part in ("x", "y", "z", "visibility")
+        ],
+    ]
+    body = [value for row in landmarks() for value in row.values()]
+    return table([header, *[[frame, *body] for frame in range(frames)]])
+
+
+def mmpose_instance(layout: Layout) -> dict[str, object]:
+    rows = points(layout).tolist()
+    return {
+        "keypoints": [row[:2] for row in rows],
+        "keypoint_scores": [row[2] for row in rows],
+        "bbox": [[0, 0, 9, 9]],
+        "bbox_score": 1.0,
+    }
+
+
+def mmpose(layout: Layout, **meta: object) -> dict[str, object]:
+    frames = [{"frame_id": number, "instances": [mmpose_instance(layout)]} for number in (0, 1)]
+    return {"meta_info": meta, "instance_info": frames}
+
+
+PARTS = {
+    "LeftShoulder": "left_shoulder",
+    "right_shoulder": "right_shoulder",
+    "l_elbow": "left_elbow",
+    "r_elbow": "right_elbow",
+    "wrist_left": "left_wrist",
+    "Right-Wrist": "right_wrist",
+    "LHip": "left_hip",
+    "RHip": "right_hip",
+    "LKnee": "left_knee",
+    "RKnee": "right_knee",
+    "left ankle": "left_ankle",
+    "R_Ankle": "right_ankle",
+    "nose": "nose",
+}
+"""Body parts as people name them, and what they are."""
+
+
+def deeplabcut_rows(
+    individuals: tuple[str, ...] = (), parts: dict[str, str] = PARTS
+) -> list[list[object]]:
+    who = individuals or ("",)
+    columns = [
+        (name, part, coord) for name in who for part in parts for coord in ("x", "y", "likelihood")
+    ]
+    body = [value for _ in who for part in parts.values() for value in (*STANDING[part], 0.5)]
+    rows: list[list[object]] = [["scorer", *["net"] * len(columns)]]
+    rows += [["individuals", *[c[0] for c in columns]]] if individuals else []
+    rows += [["bodyparts", *[c[1] for c in columns]], ["coords", *[c[2] for c in columns]]]
+    return rows + [[frame, *body] for frame in (0, 1)]
+
+
+def deeplabcut_fixed(file: h5py.File) -> None:
+    """The form that pandas calls fixed."""
+    group = file.create_group("df_with_missing")
+    group.attrs["pandas_type"] = np.bytes_("frame")
+    levels = (["net"], list(PARTS), ["x", "y", "likelihood"])
+    codes = np.array([(0, part, coord) for part in range(len(PARTS)) for coord in range(3)])
+    for number, names in enumerate(levels):
+        group[f"block0_items_level{number}"] = np.array(names, dtype="S20")
+        group[f"block0_items_label{number}"] = codes[:, number].astype("i1")
+    group["axis1"] = np.arange(2)
+    group["block0_values"] = np.tile(
+        [value for part in PARTS.values() for value in (*STANDING[part], 0.5)], (2, 1)
+    )
+
+
+def deeplabcut_table(file: h5py.File) -> None:
+    """The form that pandas calls table, whose labels are a pickle in text form."""
+    group = file.create_group("df_with_missing")
+    group.attrs["pandas_type"] = np.bytes_("frame_table")
+    body = [value for part in PARTS.values() for value in (*STANDING[part], 0.5)]
+    rows = np.zeros(2, dtype=[("index", "<i8"), ("values_block_0", "<f8", (len(body),))])
+    rows["index"], rows["values_block_0"] = [0, 1], body
+    group["table"] = rows
+    labels = [("net", part, coord) for part in PARTS for coord in ("x", "y", "likelihood")]
+    group["table"].attrs["values_block_0_kind"] = np.bytes_(pickle.dumps(labels, protocol=0))
+
+
+def blobs(layout: Layout = MPII_16, width: float = 2.0) -> np.ndarray:
+    """Heatmaps `(J, 48, 48)` of `STANDING` at a quarter of its size."""
+    y, x = np.mgrid[:48, :48]
+    centre = points(layout)[:, :2] / 4
+    square = (x - centre[:, 0, None, None]) ** 2 + (y - centre[:, 1, None, None]) ** 2
+    return np.exp(-square / 2 / width**2)
+
+
+BOX = np.array([[-2.0, -2.0, 192.0, 192.0]])
+"""What makes four pixels of an image of one of `blobs`, its centres falling on multiples of
+four."""
+
+FILES: dict[str, list[bytes]] = {
+    "poseterior": [
+        json.dumps(native_with(image_id="a", image_size=[9, 9], face={"nose": [1, 2, 1]})).encode()
+    ],
+    "openpose": [
+        json.dumps(openpose(*[flat(layout.points)] * 2)).encode()
+        for layout in (BODY_25, BODY_25B, COCO_18)
+    ],
+    "coco-annotations": [json.dumps(annotations({"keypoints": flat(COCO_17.points, 2)})).encode()],
+    "coco-results": [
+        json.dumps(results(*[points(layout).ravel().tolist()] * 2)).encode()
+        for layout in (COCO_17, HALPE_26, MPII_16)
+    ],
+    "alphapose": [
+        json.dumps(
+            {"1.jpg": {"version": "0.3", "people": [{"pose_keypoints_2d": flat(COCO_18.points)}]}}
+        ).encode(),
+        json.dumps(
+            {"1.jpg": {"version": "0.3", "bodies": [{"joints": flat(COCO_18.points)}] * 2}}
+        ).encode(),
+    ],
+    "mmpose": [
+        json.dumps([mmpose_instance(COCO_17)]).encode(),
+        json.dumps(mmpose(H36M_17, dataset_name="h36m")).encode(),
+        json.dumps(
+            mmpose(
+                COCO_18, keypoint_id2name={str(i): name for i, name in enumerate(COCO_18.points)}
+            )
+        ).encode(),
+    ],
+    "mediapipe": [
+        json.dumps(landmarks()).encode(),
+        json.dumps([landmarks(), landmarks(visibility=4.0)]).encode(),
+        json.dumps({"pose_landmarks": [landmarks()]}).encode(),
+    ],
+    "mediapipe-text": [landmark_text().encode()],
+    "mediapipe-csv": [long_landmarks().encode(), wide_landmarks().encode()],
+    "deeplabcut-csv": [
+        table(deeplabcut_rows()).encode(),
+        table(deeplabcut_rows(("ann", "bob"))).encode(),
+    ],
+    "deeplabcut-hdf5": [hdf5(deeplabcut_fixed), hdf5(deeplabcut_table)],
+    "videopose3d": [npz(**{"S1/Walking/0": points(H36M_17)[None, :, :2].repeat(2, 0)})],
+    "heatmaps": [
+        npy(blobs().astype("f4")),
+        npz(heatmaps=blobs(COCO_17)[None].astype("f4"), box=BOX),
+        hdf5(
+            lambda file: file.create_dataset(
+                "heatmaps", data=blobs()[None].astype("f4"), compression="gzip"
+            )
+        ),
+    ],
+    "hourglass": [
+        hdf5(lambda file: file.create_dataset("preds", data=points(MPII_16)[None, :, :2]))
+    ],
+}
+"""Undamaged files, by the name of their format."""
+
+
+class Bomb:
+    """What must never be unpickled."""
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return (_explode, ("unpickled",))
+
+
+def _explode(word: str) -> None:
+    raise AssertionError(word)
+
+
+PICKLES = {
+    "npy": npy(np.array([Bomb()], object), pickled=True),
+    "npz": npz(positions_2d=np.array({"S1": Bomb()}, object)),
+    "npz of heatmaps": npz(heatmaps=np.array([Bomb()], object)),
+    "labels": hdf5(
+        lambda file: (
+            deeplabcut_table(file),
+            file["df_with_missing/table"].attrs.__setitem__(
+                "values_block_0_kind", np.bytes_(pickle.dumps([Bomb()], protocol=0))
+            ),
+        )
+    ),
+    "bare": pickle.dumps(Bomb()),
+}
+
+
+@pytest.mark.parametrize("name", PICKLES)
+def test_no_pickle_is_ever_run(name: str) -> None:
+    with pytest.raises(BadInput, match=r"pickle|not UTF-8|not valid JSON"):
+        read_content(Content(PICKLES[name], "a file", SIZE))
+
+
+_DIGITS = np.frombuffer(b"0123456789", np.uint8)
+
+
+def damaged(data: bytes, rng: np.random.Generator) -> bytes:
+    """Some bytes or bits changed, a part cut out, doubled, or swapped for a number that hurts;
+    most often one digit for another, which leaves a file that can be read."""
+    content = bytearray(data)
+    for _ in range(int(rng.integers(1, 4))):
+        place = int(rng.integers(len(content))) if content else 0
+        if not content:
+            return b""
+        kind = rng.integers(9)
+        if kind == 0:
+            content[place] = int(rng.integers(256))
+        elif kind == 1:
+            content[place] ^= 1 << int(rng.integers(8))
+        elif kind == 2:
+            del content[place:]
+        elif kind == 3:
+            del content[place : place + int(rng.integers(1, 64))]
+        elif kind > 5:
+            digits = np.flatnonzero(np.isin(np.frombuffer(bytes(content), np.uint8), _DIGITS))
+            if len(digits):
+                content[int(rng.choice(digits))] = int(rng.choice(_DIGITS))
+        elif kind == 4:
+            content[place:place] = content[place : place + int(rng.integers(1, 64))]
+        else:
+            hurting = (
+                b"NaN",
+                b"-1e999",
+                b"null",
+                b"{}",
+                b"[]",
+                b'"',
+                b"\xff" * 8,
+                b"\x00" * 8,
+                b"9" * 40,
+            )
+            content[place : place + 2] = hurting[int(rng.integers(len(hurting)))]
+    return bytes(content)
+
+
+def fuzz(count: int, seed: int) -> dict[str, int]:
+    """Reads `count` damaged files and says how many were read and refused; anything else raises."""
+    rng = np.random.default_rng(seed)
+    originals = [(name, data) for name, several in FILES.items() for data in several]
+    said = {"read": 0, "refused": 0}
+    for number in range(count):
+        name, data = originals[number % len(originals)]
+        bytes_ = damaged(data, rng)
+        format = "auto" if rng.random() < 0.7 else name
+        started = time.perf_counter()
+        try:
+            people = read_content(Content(bytes_, "a file", SIZE), format)
+        except BadInput as error:
+            message = str(error)
+            assert message.endswith("."), message
+            assert "\n" not in message, message
+            assert len(message) < 600, message
+            said["refused"] += 1
+        else:
+            assert [person.person for person in people] == list(range(len(people)))
+            said["read"] += 1
+        assert time.perf_counter() - started < SLOWEST, name
+    return said
+
+
+@pytest.mark.parametrize("count", [2_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_damaged_files_of_every_format(count: int) -> None:
+    """Seeded, so that it finds the same every time; both outcomes must occur, or nothing was
+    tested."""
+    said = fuzz(count, seed=count)
+    assert min(said.values()) > count // 20, said
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_any_format_may_be_asked_for_any_file(name: str) -> None:
+    refused = 0
+    for several in FILES.values():
+        for data in several:
+            try:
+                read_content(Content(data, "a file", SIZE), name)
+            except BadInput:
+                refused += 1
+    assert refused > 0  # no file is of every format
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_format_is_recognised_by_its_content(name: str) -> None:
+    assert name in FORMATS
+    for data in FILES[name]:
+        assert format_of(Content(data, "a file", SIZE)).name == name

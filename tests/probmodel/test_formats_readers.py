@@ -1,0 +1,474 @@
+"""Readers of every detector's files: the same person out of each, real files by hand, folders,
+corrections."""
+
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+import probmodel
+from probmodel import Anatomy, BadInput, Detection, read_detections, read_frames, write_detections
+from probmodel.detections import FACE
+from probmodel.formats import Content, read_content
+from probmodel.layouts import (
+    BODY_25,
+    COCO_17,
+    COCO_18,
+    H36M_17,
+    HALPE_26,
+    LAYOUTS,
+    MEDIAPIPE_33,
+    MPII_16,
+    TOWARDS_THE_OTHER,
+    corrected,
+    layout_of_names,
+    spoken_name,
+)
+from probmodel.skeleton import JOINT_INDEX, JOINTS
+from tests.probmodel.test_formats import (
+    ALPHAPOSE,
+    HMR,
+    POSE2SIM,
+    SPIN,
+    STANDING,
+    detections,
+    flat,
+    openpose,
+    results,
+    same,
+)
+from tests.probmodel.test_formats_fuzz import (
+    FILES,
+    PARTS,
+    SIZE,
+    deeplabcut_rows,
+    hdf5,
+    landmark_text,
+    landmarks,
+    long_landmarks,
+    mmpose,
+    mmpose_instance,
+    npz,
+    points,
+    table,
+)
+
+MMPOSE = "detections/mmpose/mmpose_inferencer_000000000785.json"
+COCO = "detections/coco/test_coco.json"
+LUNGE = "detections/mediapipe/pose_landmarks.pbtxt"
+WEBCAM = "detections/mediapipe/pose_landmarks_webcam.json"
+HAS_NO_HEAD = {"head"}
+
+
+def read(data: bytes, format: str = "auto", **known: Any) -> list[Detection]:
+    return read_content(Content(data, "a file", **({"image_size": SIZE} | known)), format)
+
+
+def missing(detection: Detection) -> set[str]:
+    return {name for name, seen in zip(JOINTS, detection.seen, strict=True) if not seen}
+
+
+# One person, every format.
+
+
+@pytest.mark.parametrize(
+    ("format", "number"),
+    [
+        (name, i)
+        for name, several in FILES.items()
+        if name != "poseterior"
+        for i in range(len(several))
+    ],
+)
+def test_every_format_reads_the_same_person(format: str, number: int) -> None:
+    """`STANDING` stands behind every file; rounding and the pixels of heatmaps aside, it must come
+    out of each."""
+    person = read(FILES[format][number])[0]
+    near = 2.0 if format == "heatmaps" else 1e-3
+    shown = set(JOINTS) - missing(person)
+    assert shown >= {"right_wrist", "left_ankle", "right_knee", "left_elbow", "thorax", "pelvis"}
+    unscaled = 4 if format == "heatmaps" and number != 1 else 1
+    for name in shown:
+        xy = person.keypoints[JOINT_INDEX[name]] * unscaled
+        if name in STANDING:
+            np.testing.assert_allclose(xy, STANDING[name], atol=near, err_msg=name)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
+def test_no_layout_swaps_left_and_right(layout: probmodel.layouts.Layout) -> None:
+    """The person faces the camera: left is right of right in the image, in the body and in the
+    face."""
+    person = layout.detection(points(layout), 0.0, "a file", 0)
+    for name in [
+        name for name in JOINTS if name.startswith("left") and person.seen[JOINT_INDEX[name]]
+    ]:
+        other = JOINT_INDEX[name.replace("left", "right")]
+        assert person.keypoints[JOINT_INDEX[name], 0] > person.keypoints[other, 0], name
+    assert len(set(layout.points)) == layout.count
+    if layout.has_face:
+        assert person.face is not None
+        for name, row in zip(FACE, person.face, strict=True):
+            np.testing.assert_array_equal(row[:2], STANDING[name], err_msg=name)
+
+
+def test_layouts_without_eyes_and_ears_have_no_face() -> None:
+    assert {layout.name for layout in LAYOUTS.values() if not layout.has_face} == {
+        "mpii_16",
+        "h36m_17",
+        "crowdpose_14",
+        "aic_14",
+    }
+    assert MPII_16.detection(points(MPII_16), 0.0, "a file", 0).face is None
+
+
+# MediaPipe.
+
+
+def test_mediapipe_visibility_may_be_a_logit() -> None:
+    probability = read(json.dumps(landmarks(visibility=0.9)).encode())[0]
+    logit = read(json.dumps(landmarks(visibility=float(np.log(9)))).encode())[0]
+    np.testing.assert_allclose(logit.score, probability.score)
+    hidden = json.dumps([*landmarks(visibility=2.0)[:32], landmarks(visibility=-2.0)[32]]).encode()
+    assert len(missing(read(hidden)[0])) == 1  # the head; the hidden foot is no joint
+
+
+def test_mediapipe_seen_means_more_likely_than_not() -> None:
+    rows = landmarks()
+    rows[16]["visibility"] = 0.5  # the right wrist
+    assert missing(read(json.dumps(rows).encode())[0]) == {"head", "right_wrist"}
+    assert missing(
+        read_content(Content(json.dumps(rows).encode(), "a file", SIZE), threshold=0.2)[0]
+    ) == {"head"}
+
+
+def test_mediapipe_frames_of_tables() -> None:
+    assert [person.image_id for person in read(FILES["mediapipe-csv"][1])] == ["0", "1"]
+    twice = long_landmarks() + "".join(long_landmarks().splitlines(keepends=True)[1:])
+    assert [person.image_id for person in read(twice.encode())] == ["0", "1"]
+
+
+def test_real_mediapipe_files(shared_data: Path) -> None:
+    (lunge,) = read_detections(shared_data / LUNGE, image_size=(1000, 667))
+    assert missing(lunge) == HAS_NO_HEAD
+    assert lunge.image_size == (1000, 667)
+    right, left = (lunge.keypoints[JOINT_INDEX[f"{side}_wrist"]] for side in ("right", "left"))
+    assert right[0] < left[0]  # she faces the camera
+    (webcam,) = read_detections(shared_data / WEBCAM, image_size=(640, 480))
+    assert set(JOINTS) - missing(webcam) == {
+        "thorax",
+        "right_shoulder",
+        "left_shoulder",
+    }  # all else lies outside
+
+
+# MMPose and AlphaPose.
+
+
+def test_mmpose_layout_stands_in_meta_info() -> None:
+    by_name = {str(i): name for i, name in enumerate(H36M_17.points)}
+    named = read(
+        json.dumps(mmpose(H36M_17, dataset_name="mine", keypoint_id2name=by_name)).encode()
+    )[0]
+    known = read(json.dumps(mmpose(H36M_17, dataset_name="h36m")).encode())[0]
+    assert (named.layout, known.layout) == ("named", "h36m_17")
+    np.testing.assert_array_equal(named.keypoints, known.keypoints)
+    assert [
+        person.image_id
+        for person in read(json.dumps(mmpose(COCO_17, dataset_name="coco")).encode())
+    ] == ["0", "1"]
+
+
+def test_real_mmpose_file_agrees_with_the_annotation(shared_data: Path) -> None:
+    (person,) = read_detections(shared_data / MMPOSE)
+    truth = read_detections(shared_data / COCO)[0]
+    assert (person.layout, missing(person)) == ("coco_17", HAS_NO_HEAD)
+    assert person.score.max() > 0.7
+    distance = np.linalg.norm(person.keypoints - truth.keypoints, axis=1)
+    assert np.nanmax(distance) < 15  # pixels; she is 320 tall
+
+
+def test_alphapose_scores_run_to_six() -> None:
+    high = results(points(COCO_17, 5.5).ravel().tolist())
+    low = results(points(COCO_17, 0.5).ravel().tolist())
+    one, other = (read(json.dumps(document).encode())[0] for document in (high, low))
+    assert one.score.max() == 5.5
+    np.testing.assert_array_equal(one.alpha(), other.alpha())
+
+
+# DeepLabCut.
+
+
+def test_deeplabcut_individuals_and_frames() -> None:
+    people = read(FILES["deeplabcut-csv"][1])
+    assert [(person.person, person.image_id) for person in people] == [
+        (0, "0"),
+        (1, "0"),
+        (2, "1"),
+        (3, "1"),
+    ]
+    assert missing(people[0]) == {"head"}
+
+
+def test_deeplabcut_names_are_ours_or_mapped() -> None:
+    odd = {f"part{number}": joint for number, joint in enumerate(PARTS.values())}
+    data = table(deeplabcut_rows(parts=odd)).encode()
+    with pytest.raises(
+        BadInput, match=r"none of the body parts of a file .* is a joint known here; give a map"
+    ):
+        read(data)
+    for names in (odd, list(odd.values())):
+        assert missing(read(data, names=names)[0]) == {"head"}
+    with pytest.raises(BadInput, match=r"list of names has 2, but a file has 13 body parts"):
+        read(data, names=["nose", "head"])
+    with pytest.raises(BadInput, match="several body parts that are left_hip"):
+        read(data, names=dict.fromkeys(odd, "left_hip"))
+
+
+def test_deeplabcut_without_likelihood_was_labelled_by_hand() -> None:
+    rows = deeplabcut_rows()
+    keep = [0] + [i for i in range(1, len(rows[0])) if i % 3]
+    person = read(table([[row[i] for i in keep] for row in rows]).encode())[0]
+    assert person.score.max() == 1
+    rows[-1][1:3] = ["", ""]
+    assert "left_shoulder" in missing(
+        read(table([[row[i] for i in keep] for row in rows]).encode())[1]
+    )
+
+
+@pytest.mark.parametrize(
+    ("written", "name"),
+    [
+        ("LeftShoulder", "left_shoulder"),
+        ("r_knee", "right_knee"),
+        ("Ankle-L", "left_ankle"),
+        ("RWrist", "right_wrist"),
+        ("MidHip", "pelvis"),
+        ("HEAD_TOP", "head"),
+        ("Nose", "nose"),
+        ("hip1", "hip1"),
+        ("neck", "neck"),
+    ],
+)
+def test_names_as_people_write_them(written: str, name: str) -> None:
+    assert spoken_name(written) == name
+    assert layout_of_names([written], {written: "pelvis"}).points == ("pelvis",)
+
+
+REFUSALS = {
+    "mediapipe: pixels": (
+        json.dumps([row | {"x": 300} for row in landmarks()]).encode(),
+        "fractions of the image",
+    ),
+    "mediapipe: 32": (
+        json.dumps(landmarks()[:-1]).encode(),
+        "has 32 landmarks where 33 are needed",
+    ),
+    "mediapipe: text cut": (landmark_text()[:-3].encode(), "ends inside a block"),
+    "mediapipe: rows cut": (long_landmarks().rsplit("\n", 2)[0].encode(), "32 rows of landmarks"),
+    "mmpose: points": (
+        json.dumps([mmpose_instance(COCO_17) | {"keypoints": [[0, 0]] * 15}]).encode(),
+        "holds 15 points where",
+    ),
+    "mmpose: scores": (
+        json.dumps([mmpose_instance(COCO_17) | {"keypoint_scores": [1] * 3}]).encode(),
+        "17 keypoints but 3 scores",
+    ),
+    "mmpose: meta": (
+        json.dumps(mmpose(COCO_17, keypoint_id2name={"1": "nose"})).encode(),
+        "does not name the points",
+    ),
+    "alphapose: count": (
+        json.dumps({"a.jpg": {"people": [{"pose_keypoints_2d": [1, 2, 3]}]}}).encode(),
+        "holds 3 numbers, but",
+    ),
+    "deeplabcut: header": (
+        table([["scorer", "a"], ["0", "1"]]).encode(),
+        "no rows 'bodyparts' and 'coords'",
+    ),
+    "deeplabcut: word": (
+        table([*deeplabcut_rows()[:-1], ["x"] * 40]).encode(),
+        "holds 'x' where a number",
+    ),
+    "videopose3d: shape": (
+        npz(walk=np.zeros((4, 16, 2))),
+        r"not \(frames, 17, 2 or 3\) of h36m_17",
+    ),
+    "videopose3d: own": (npz(positions_2d=np.zeros(3)), "pickles its arrays in a dictionary"),
+    "heatmaps: layout": (npz(heatmaps=np.zeros((15, 8, 8))), "has 15 joints and no 'layout'"),
+    "heatmaps: nan": (npz(heatmaps=np.full((16, 8, 8), np.nan)), "not finite"),
+    "heatmaps: box": (
+        npz(heatmaps=np.ones((16, 8, 8)), box=np.zeros((1, 4))),
+        "size that is not positive",
+    ),
+    "hourglass: shape": (
+        hdf5(lambda f: f.create_dataset("preds", data=np.zeros(4))),
+        "not .people, joints, 2 or 3",
+    ),
+    "hdf5: nothing known": (
+        hdf5(lambda f: f.create_dataset("poses", data=np.zeros(4))),
+        "not known here",
+    ),
+    "hdf5: cut": (FILES["hourglass"][0][:900], r"not known here|no HDF5 file"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSALS)
+def test_refusals(name: str) -> None:
+    data, match = REFUSALS[name]
+    with pytest.raises(BadInput, match=match) as error:
+        read(data)
+    assert str(error.value).endswith(".")
+    assert "\n" not in str(error.value)
+
+
+# Folders and frames.
+
+
+def test_a_folder_is_read_frame_by_frame_in_the_order_of_numbers(tmp_path: Path) -> None:
+    for number in (10, 2, 1):
+        people = [flat(BODY_25.points)] * (number % 3)
+        (tmp_path / f"walk_{number}_keypoints.json").write_text(json.dumps(openpose(*people)))
+    (tmp_path / ".hidden").write_text("no")
+    frames = list(read_frames(tmp_path))
+    assert [(frame.name, len(frame.people)) for frame in frames] == [
+        ("walk_1", 1),
+        ("walk_2", 2),
+        ("walk_10", 1),
+    ]
+
+
+def test_a_folder_decides_once_which_order_its_25_points_have(tmp_path: Path) -> None:
+    hand = flat(BODY_25.points, missing=tuple(set(BODY_25.points) - {"right_wrist"}))
+    (tmp_path / "0.json").write_text(json.dumps(openpose(hand)))
+    with pytest.raises(BadInput, match="too few are seen to tell BODY_25 from BODY_25B"):
+        list(read_frames(tmp_path))
+    (tmp_path / "1.json").write_text(json.dumps(openpose(flat(BODY_25.points))))
+    assert [frame.people[0].layout for frame in read_frames(tmp_path)] == ["body_25"] * 2
+
+
+def test_a_frame_with_nobody_is_a_frame(tmp_path: Path) -> None:
+    (tmp_path / "0.json").write_text(json.dumps(openpose()))
+    (tmp_path / "1.json").write_text(json.dumps(openpose(flat(COCO_18.points))))
+    assert [len(frame.people) for frame in read_frames(tmp_path)] == [0, 1]
+
+
+def test_a_file_of_many_images_has_many_frames(shared_data: Path) -> None:
+    frames = list(read_frames(shared_data / COCO))
+    counts = {"785": 1, "40083": 2, "196141": 4, "197388": 5}
+    assert {frame.name: len(frame.people) for frame in frames} == counts
+    assert [frame.name for frame in read_frames(shared_data / ALPHAPOSE)][:2] == [
+        "92.jpg",
+        "93.jpg",
+    ]
+
+
+def test_long_lists_are_read_lazily(tmp_path: Path) -> None:
+    """What stands behind the first frames is not parsed before it is asked for: here, it could not
+    be."""
+    records = json.dumps(results(flat(COCO_17.points))[0])
+    (tmp_path / "a.json").write_text(f"[{records}, {records.replace('a.jpg', 'b.jpg')}, broken")
+    frames = read_frames(tmp_path / "a.json")
+    assert next(frames).name == "a.jpg"
+    with pytest.raises(BadInput, match="not valid JSON"):
+        list(frames)
+
+
+def test_folders_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="holds no files"):
+        read_frames(tmp_path)
+    (tmp_path / "0.json").write_text(json.dumps(openpose(flat(COCO_18.points))))
+    (tmp_path / "1.json").write_text(json.dumps(results(flat(COCO_17.points))))
+    with pytest.raises(BadInput, match="differ in format"):
+        read_frames(tmp_path)
+    with pytest.raises(BadInput, match="does not exist"):
+        read_frames(tmp_path / "none")
+
+
+def test_ten_thousand_frames_read_in_under_five_seconds(tmp_path: Path) -> None:
+    """2.4 s of one core's time on the machine on which this was written; its own seconds count, not
+    its neighbours'."""
+    text = json.dumps(openpose(flat(BODY_25.points)))
+    for number in range(10_000):
+        with open(
+            os.path.join(tmp_path, f"{number:012d}_keypoints.json"), "w", encoding="utf-8"
+        ) as file:
+            file.write(text)
+    started = time.process_time()
+    assert sum(len(frame.people) for frame in read_frames(tmp_path)) == 10_000
+    assert time.process_time() - started < 5
+
+
+# Where the joints are.
+
+
+def test_correction_moves_midpoints_to_where_the_skeleton_has_them() -> None:
+    """On the embedded torsos themselves: shoulders and hips given, midpoints corrected, thorax and
+    pelvis nearer."""
+    torsos = Anatomy.default().torsos  # pelvis, thorax, shoulders, hips
+    shoulders, hips = (torsos[:, 2] + torsos[:, 3]) / 2, (torsos[:, 4] + torsos[:, 5]) / 2
+    line = (hips - shoulders).mean(axis=0)
+    for joint, midpoint, step in ((torsos[:, 1], shoulders, line), (torsos[:, 0], hips, -line)):
+        share = (joint - midpoint).mean(axis=0) @ step / (step @ step)
+        assert share == pytest.approx(
+            TOWARDS_THE_OTHER["thorax" if step is line else "pelvis"], abs=2e-3
+        )
+
+
+def test_correction_touches_midpoints_only() -> None:
+    for layout, moved in (
+        (COCO_17, {"thorax", "pelvis"}),
+        (MPII_16, set()),
+        (HALPE_26, {"thorax", "pelvis"}),
+    ):
+        person = layout.detection(points(layout), 0.0, "a file", 0)
+        after = corrected(person)
+        different = {
+            name
+            for name, one, other in zip(JOINTS, person.keypoints, after.keypoints, strict=True)
+            if not np.array_equal(one, other, equal_nan=True)
+        }
+        assert different == moved
+    person = corrected(COCO_17.detection(points(COCO_17), 0.0, "a file", 0))
+    np.testing.assert_allclose(person.keypoints[JOINT_INDEX["thorax"]], [50, 30 + 0.125 * 50])
+    np.testing.assert_allclose(person.keypoints[JOINT_INDEX["pelvis"]], [50, 80 - 0.192 * 50])
+
+
+# The face, and writing.
+
+
+def test_the_face_is_read_where_there_is_one(shared_data: Path) -> None:
+    (walker,) = read_detections(shared_data / SPIN)
+    assert walker.face is not None
+    assert [name for name, row in zip(FACE, walker.face, strict=True) if row[2] > 0] == [
+        "nose",
+        "left_eye",
+        "right_eye",
+        "left_ear",
+    ]
+    behind, _ = read_detections(shared_data / HMR)
+    assert behind.face is not None
+    assert (behind.face[:3, 2] == 0).all()  # seen from behind: neither nose nor eyes
+    assert read_detections(shared_data / POSE2SIM)[0].face is not None
+
+
+@settings(
+    deadline=None, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(detections())
+def test_frames_and_file_are_the_same_after_writing(
+    tmp_path: Path, people: list[Detection]
+) -> None:
+    write_detections(tmp_path / "out.json", people)
+    again = [person for frame in read_frames(tmp_path / "out.json") for person in frame.people]
+    assert all(same(one, other) for one, other in zip(people, again, strict=True))
+
+
+def test_mediapipe_has_the_points_it_says() -> None:
+    assert MEDIAPIPE_33.count == 33
+    assert MEDIAPIPE_33.points[11] == "left_shoulder"
+    assert MEDIAPIPE_33.points[28] == "right_ankle"

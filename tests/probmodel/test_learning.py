@@ -1,0 +1,462 @@
+"""Learning: what was seen is possible, what is far from it is not; lengths, torsos and the embedded
+anatomy."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from probmodel.anatomy.limits import GRID, AnatomicalLimits
+from probmodel.anatomy.population import Anatomy
+from probmodel.failures import BadInput
+from probmodel.learning.learning import (
+    LEARNING_RATE,
+    Poses,
+    Tolerance,
+    body_unit,
+    bone_lengths,
+    fit_cell,
+    gather,
+    largest_empty_cap,
+    learn,
+    learn_from,
+    learn_lengths,
+    learn_torsos,
+    mirror_pose,
+    mirror_torso,
+    occupancy,
+)
+from probmodel.learning.overlap import cell_areas, cell_centres, fibonacci, overlap
+from probmodel.motion import Motion, read_motion
+from probmodel.skeleton import LENGTH_GROUPS, NUM_JOINTS
+
+CLIMBING = ("01_04", "01_06", "01_11", "01_12", "01_14")
+seeds = st.integers(0, 2**32 - 1)
+
+
+@pytest.fixture(scope="module")
+def walking(shared_data: Path) -> list[Motion]:
+    motions = read_motion(shared_data / "cmu" / "actions_train.npz")
+    return [motion for motion in motions if motion.name.startswith("walking/")]
+
+
+@pytest.fixture(scope="module")
+def walker(walking: list[Motion]) -> Anatomy:
+    return learn(walking)
+
+
+@pytest.fixture(scope="module")
+def climbing(shared_data: Path) -> np.ndarray:
+    folder = shared_data / "cmu" / "asfamc" / "01"
+    return gather(
+        [motion for name in CLIMBING[:2] for motion in read_motion(folder / f"{name}.amc")]
+    ).joints
+
+
+def some_poses(count: int, seed: int = 0) -> np.ndarray:
+    """Bodies `(count, 15, 3)` with smooth random motion, in millimetres."""
+    rng = np.random.default_rng(seed)
+    rest = rng.normal(size=(NUM_JOINTS, 3)) * 400
+    time = np.linspace(0, 6, count)[:, None, None]
+    return rest + 100 * np.sin(
+        time * rng.uniform(0.5, 2, (NUM_JOINTS, 3)) + rng.uniform(0, 6, (NUM_JOINTS, 3))
+    )
+
+
+def some_motion(count: int = 120, seed: int = 0) -> Motion:
+    return Motion(some_poses(count, seed), LEARNING_RATE, "random", f"nobody {seed}")
+
+
+# --- the criterion
+# ---------------------------------------------------------------------------------------------------
+
+
+def test_training_poses_and_their_mirror_images_are_valid(
+    walking: list[Motion], walker: Anatomy
+) -> None:
+    joints = gather(walking).joints
+    assert len(joints) > 500
+    assert walker.limits.check(np.concatenate([joints, mirror_pose(joints)])).valid.all()
+
+
+def test_limits_of_walking_reject_climbing(walker: Anatomy, climbing: np.ndarray) -> None:
+    """The negative control."""
+    default = Anatomy.default().limits.check(climbing)
+    assert default.valid.all()
+    check = walker.limits.check(climbing)
+    assert check.pose_valid.mean() < 0.5, "these people also walk, to the playground"
+    assert check.valid.mean(axis=0)[1:3].max() < 0.8, "arms overhead"
+
+
+@pytest.mark.parametrize("mirror", [True, False])
+def test_random_training_poses_are_valid(mirror: bool) -> None:
+    """Without any tolerance too: directions on the very edge stay in by the rounding of tables, or
+    by a hair."""
+    motion = some_motion()
+    limits = learn([motion], mirror=mirror, tolerance=Tolerance(2, 2, 2, 0, 5, 5, 0.1)).limits
+    assert limits.check(motion.joints).valid.all()
+    assert mirror == limits.check(mirror_pose(motion.joints)).valid.all()
+
+
+def test_mirrored_limits_are_symmetric(walker: Anatomy, climbing: np.ndarray) -> None:
+    here, there = (
+        walker.limits.check(climbing).valid,
+        walker.limits.check(mirror_pose(climbing)).valid,
+    )
+    np.testing.assert_array_equal(here, there[:, [0, 2, 1, 4, 3, 6, 5, 8, 7]])
+
+
+@pytest.mark.slow
+def test_more_tolerance_contains_less() -> None:
+    motion = some_motion()
+    tight, wide = (
+        learn([motion], tolerance=Tolerance(r, r, r, 5, 15, 10, margin)).limits
+        for r, margin in ((3, 2), (9, 8))
+    )
+    assert np.all(np.asarray(tight.occupied) <= np.asarray(wide.occupied))
+    assert (overlap(wide, tight).covered[:5] == 1).all()
+    assert (overlap(wide, tight).area[:5] > overlap(tight, wide).area[:5]).all()
+
+
+def test_learning_twice_gives_the_same_and_other_motion_gives_other_limits() -> None:
+    first, again, other = (learn([some_motion(seed=seed)]) for seed in (0, 0, 1))
+    assert first.limits.sha256 == again.limits.sha256
+    np.testing.assert_array_equal(first.torsos, again.torsos)
+    assert first.limits.sha256 != other.limits.sha256
+
+
+# --- its parts
+# -------------------------------------------------------------------------------------------------------
+
+
+@settings(deadline=None, max_examples=20)
+@given(seeds, st.floats(1.0, 15.0), st.floats(0.0, 30.0))
+def test_occupancy_holds_what_was_seen_and_nothing_far(
+    seed: int, radius: float, closing: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    seen = rng.normal(size=(30, 3)) + rng.normal(size=3) * 2
+    seen /= np.linalg.norm(seen, axis=-1, keepdims=True)
+    occupied = occupancy(seen, radius, closing)
+    angle = np.degrees(np.arccos(np.clip(cell_centres() @ seen.T, -1, 1))).min(axis=-1)
+    assert occupied[angle <= radius - 0.2].all()
+    if closing == 0:
+        assert (
+            angle[occupied].max() <= max(radius + 0.2, 2.2)
+            or occupied.sum() > (angle <= radius).sum()
+        )
+
+
+def test_holes_are_filled_across_the_seam_and_over_the_poles() -> None:
+    """A ring around each of these centres has one hole, which is filled."""
+    for centre in ([-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.6, 0.0, 0.8]):
+        angle = np.degrees(np.arccos(np.clip(fibonacci(60_000) @ np.array(centre), -1, 1)))
+        ring = fibonacci(60_000)[(angle > 25) & (angle < 35)]
+        occupied = occupancy(ring, 2.0, 0.0)
+        from_centre = np.degrees(np.arccos(np.clip(cell_centres() @ np.array(centre), -1, 1)))
+        assert occupied[from_centre < 30].all()
+        assert not occupied[from_centre > 42].any()
+
+
+def test_a_gap_is_closed() -> None:
+    angle = np.radians([0, 20])
+    seen = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+    middle = np.array([np.cos(np.radians(10)), np.sin(np.radians(10)), 0.0])
+    at_middle = np.degrees(np.arccos(np.clip(cell_centres() @ middle, -1, 1))) < 2.2
+    assert not occupancy(seen, 6.0, 0.0)[at_middle].any()
+    assert occupancy(seen, 6.0, 15.0)[at_middle].all()
+
+
+@settings(deadline=None, max_examples=30)
+@given(seeds, st.integers(1, 200), st.floats(0.05, 20.0), st.floats(0.02, 3.0))
+def test_plane_and_box_hold_all_directions(
+    seed: int, count: int, margin: float, spread: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=3) + spread * rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    fit = fit_cell(directions, margin)
+    assert abs(np.linalg.norm(fit.normal) - 1) < 1e-12
+    assert abs(fit.normal @ fit.tangent) < 1e-12
+    assert -1 <= fit.offset <= 0
+    third = np.cross(fit.normal, fit.tangent)
+    assert (directions @ fit.normal + fit.offset < 0).all() or fit.offset == -1
+    assert (fit.bounds[0] <= directions @ fit.tangent).all()
+    assert (directions @ fit.tangent <= fit.bounds[1]).all()
+    assert (fit.bounds[2] <= directions @ third).all()
+    assert (directions @ third <= fit.bounds[3]).all()
+    assert fit.bounds[1] - fit.bounds[0] > 1e-6
+
+
+def test_the_plane_moves_out_by_its_margin() -> None:
+    """A ring 120° around x leaves a cap of 120° around x and one of 60° around −x: the plane is the
+    larger one's, cut to a hemisphere; a ring 70° around x leaves 110° around −x, and the two
+    margins of 5° stop at the hemisphere."""
+    angle = np.linspace(0, 2 * np.pi, 90)
+    for degrees, normal, offset in (
+        (120, 1.0, 0.0),
+        (88, -1.0, -np.sin(np.radians(3))),
+        (75, -1.0, 0.0),
+    ):
+        radius = np.sin(np.radians(degrees))
+        ring = np.stack(
+            [
+                np.full(90, np.cos(np.radians(degrees))),
+                radius * np.cos(angle),
+                radius * np.sin(angle),
+            ],
+            axis=-1,
+        )
+        fit = fit_cell(ring, 5.0)
+        assert fit.normal[0] * normal > 0.999, degrees
+        assert fit.offset == pytest.approx(offset, abs=0.02), degrees
+
+
+@settings(deadline=None, max_examples=15)
+@given(seeds)
+def test_the_empty_cap_is_the_largest(seed: int) -> None:
+    """To the accuracy that its candidates allow, against ten thousand random centres."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(40, 3)) * [1, 1, 0.3]
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    others = rng.normal(size=(10_000, 3))
+    others /= np.linalg.norm(others, axis=-1, keepdims=True)
+    found = np.degrees(np.arccos((directions @ largest_empty_cap(directions)).max()))
+    best = np.degrees(np.arccos((directions @ others.T).max(axis=0).min()))
+    assert found > best - 3.0
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"arm": -1.0},
+        {"leg": 91.0},
+        {"lower": float("nan")},
+        {"samples": 0},
+        {"neighbourhood": 180.0},
+    ],
+)
+def test_tolerances_out_of_range_are_refused(values: dict[str, float]) -> None:
+    with pytest.raises(BadInput, match=next(iter(values))):
+        Tolerance(**values)  # type: ignore[arg-type]
+
+
+def test_nothing_to_learn_from_is_refused() -> None:
+    with pytest.raises(BadInput, match="no usable frame"):
+        learn([])
+    with pytest.raises(BadInput, match="nobody has a bone of length zero"):
+        learn([Motion(np.zeros((40, NUM_JOINTS, 3)), 30.0, "still", "nobody")])
+
+
+def test_overlap_of_limits_with_themselves(walker: Anatomy) -> None:
+    measure = overlap(walker.limits, walker.limits, joint=True)
+    np.testing.assert_allclose(measure.covered, 1)
+    np.testing.assert_allclose(measure.outside, 0, atol=1e-12)
+    assert cell_areas().sum() == pytest.approx(4 * np.pi)
+
+
+def test_overlap_by_hand() -> None:
+    """Upper bones: a hemisphere against a quarter. Lower bones: everything but a hemisphere against
+    a lune of it."""
+    half, quarter = np.zeros(GRID, bool), np.zeros(GRID, bool)
+    half[:60], quarter[:30] = True, True
+
+    def limits(occupied: np.ndarray, bound: float) -> AnatomicalLimits:
+        plane = np.where(occupied, 0.0, np.nan) + np.zeros((4, 1, 1))
+        return AnatomicalLimits(
+            occupied=np.tile(occupied, (5, 1, 1)),
+            normal=plane[..., None] + np.array([1.0, 0.0, 0.0]),
+            tangent=plane[..., None] + np.array([0.0, 1.0, 0.0]),
+            offset=plane,
+            bounds=plane[..., None] + np.array([bound, 1.0, -1.0, 1.0]),
+            reference=np.array([1.0, 0.0, 0.0]),
+            fallback=np.tile([0.0, 1.0, 0.0], (4, 1)),
+        )
+
+    given = overlap(limits(half, -1.0), limits(quarter, 0.0))
+    np.testing.assert_allclose(given.area[:5], 2 * np.pi)
+    np.testing.assert_allclose(given.outside[:5], 0.5)
+    np.testing.assert_allclose(given.covered, 1)
+    np.testing.assert_allclose(given.area[5:], 2 * np.pi, rtol=0.01)
+    np.testing.assert_allclose(given.outside[5:], 0.5, atol=0.01)
+    joint = overlap(limits(half, -1.0), limits(quarter, 0.0), joint=True)
+    np.testing.assert_allclose(joint.area[5:], (2 * np.pi) ** 2, rtol=0.01)
+    np.testing.assert_allclose(joint.outside[5:], 0.75, atol=0.01)
+
+
+# --- lengths and torsos
+# ----------------------------------------------------------------------------------------------
+
+
+def test_lengths_have_the_moments_of_the_subjects(walker: Anatomy) -> None:
+    joints = np.concatenate(
+        [some_poses(1) + np.zeros((5, 1, 1)), 1.1 * some_poses(1, 1) + np.zeros((5, 1, 1))]
+    )
+    joints = np.stack([pose / body_unit(pose[None]) for pose in joints])
+    subject = np.repeat([0, 1], 5)
+    prior = learn_lengths(Poses(joints, subject))
+    beta = scipy.stats.beta(prior.alpha, prior.beta)
+    lengths = bone_lengths(joints)[::5]
+    pairs = np.stack(
+        [lengths[:, 0], *((lengths[:, i] + lengths[:, i + 1]) / 2 for i in (1, 5, 3, 7))], axis=-1
+    )
+    np.testing.assert_allclose(
+        prior.low + (prior.high - prior.low) * beta.mean(), pairs.mean(axis=0), rtol=1e-6
+    )
+    assert (prior.low < pairs).all()
+    assert (pairs < prior.high).all()
+    assert len(walker.lengths.low) == len(LENGTH_GROUPS)
+
+
+def test_default_lengths_are_a_human_body() -> None:
+    """Means within a fifth of the proportions that are usual for this skeleton; limbs average
+    one."""
+    prior = Anatomy.default().lengths
+    mean = prior.low + (prior.high - prior.low) * prior.alpha / (prior.alpha + prior.beta)
+    assert mean[1:].mean() == pytest.approx(1.0, abs=0.01)
+    assert (prior.alpha > 1).all()
+    assert (prior.beta > 1).all()
+    assert mean[2] / mean[1] == pytest.approx(0.66, abs=0.1)
+    assert 1 < mean[4] / mean[3] < 1.3
+
+
+def test_torsos_are_seen_ones_in_body_axes(walking: list[Motion], walker: Anatomy) -> None:
+    torsos = walker.torsos
+    assert torsos.shape == (48, 6, 3)
+    np.testing.assert_array_equal(torsos[:, 0], 0)
+    np.testing.assert_array_equal(torsos[24:], mirror_torso(torsos[:24]))
+    seen = gather(walking).joints[:, [0, 1, 2, 5, 9, 12]]
+    for torso in torsos[:3]:
+        misfit = min(Rotation.align_vectors(torso[1:], other[1:])[1] for other in seen)
+        assert misfit < 1e-5
+    mean = torsos.mean(axis=0)
+    assert mean[1, 1] > 0.5
+    assert abs(mean[1, [0, 2]]).max() < 0.05
+    assert mean[3, 0] > 0.3 > -0.3 > mean[2, 0]
+
+
+def test_torsos_do_not_depend_on_heading_and_place(walking: list[Motion]) -> None:
+    joints = gather(walking).joints[::5]
+    turns = Rotation.random(len(joints), rng=np.random.default_rng(0)).as_matrix()
+    moved = np.einsum("nij,ntj->nti", turns, joints) + 3.0
+    np.testing.assert_allclose(
+        learn_torsos(moved, 8, mirror=True), learn_torsos(joints, 8, mirror=True), atol=1e-9
+    )
+
+
+def test_few_frames_give_few_torsos() -> None:
+    assert len(learn_torsos(some_poses(3), 48, mirror=False)) == 3
+
+
+# --- files
+# -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def anatomy() -> Anatomy:
+    return learn([some_motion()], num_torsos=6, name="mine")
+
+
+def assert_same(one: Anatomy, other: Anatomy) -> None:
+    assert one.limits.sha256 == other.limits.sha256
+    np.testing.assert_array_equal(np.array(one.lengths), np.array(other.lengths))
+    np.testing.assert_array_equal(one.torsos, other.torsos)
+
+
+def test_saved_and_loaded_without_loss(anatomy: Anatomy, tmp_path: Path) -> None:
+    anatomy.save(tmp_path / "anatomy.npz")
+    loaded = Anatomy.load(tmp_path / "anatomy.npz")
+    assert_same(loaded, anatomy)
+    assert loaded.limits.name == "mine"
+    assert AnatomicalLimits.load(tmp_path / "anatomy.npz").sha256 == anatomy.limits.sha256
+    assert list(tmp_path.iterdir()) == [tmp_path / "anatomy.npz"]
+
+
+def test_limits_alone_get_default_lengths_and_torsos(anatomy: Anatomy, tmp_path: Path) -> None:
+    anatomy.limits.save(tmp_path / "limits.npz")
+    assert_same(
+        Anatomy.load(tmp_path / "limits.npz"),
+        dataclasses.replace(Anatomy.default(), limits=anatomy.limits),
+    )
+
+
+def test_published_limits_get_default_lengths_and_torsos(shared_data: Path) -> None:
+    loaded = Anatomy.load(shared_data / "akhter_black" / "jointAngleModel_v2.mat")
+    assert loaded.limits.name == "akhter-black"
+    np.testing.assert_array_equal(loaded.torsos, Anatomy.default().torsos)
+
+
+@pytest.mark.parametrize(
+    ("key", "change", "message"),
+    [
+        ("torsos", lambda value: value[:, :5], "torsos has shape"),
+        ("torsos", lambda value: value[:0], "empty"),
+        ("torsos", lambda value: value * np.nan, "not finite"),
+        ("torsos", lambda value: np.float64(1.0), "torsos has shape"),
+        ("length_low", lambda value: value[:4], "length_low has shape"),
+        ("length_low", lambda value: value + 10, "range of bone lengths"),
+        ("length_high", lambda value: np.array("text"), "length_high has shape"),
+        ("length_alpha", lambda value: -value, "not positive"),
+        ("length_beta", None, "lacks length_beta"),
+    ],
+)
+def test_damaged_tables_are_refused(
+    anatomy: Anatomy,
+    tmp_path: Path,
+    key: str,
+    change: Callable[[np.ndarray], np.ndarray] | None,
+    message: str,
+) -> None:
+    anatomy.save(tmp_path / "anatomy.npz")
+    with np.load(tmp_path / "anatomy.npz") as stored:
+        arrays = dict(stored)
+    value = arrays.pop(key)
+    if change is not None:
+        arrays[key] = change(value)
+    np.savez(tmp_path / "anatomy.npz", **arrays)
+    with pytest.raises(BadInput, match=message):
+        Anatomy.load(tmp_path / "anatomy.npz")
+
+
+def test_the_embedded_anatomy() -> None:
+    anatomy = Anatomy.default()
+    assert anatomy.limits.name == "default"
+    assert AnatomicalLimits.default().sha256 == anatomy.limits.sha256
+    assert anatomy.torsos.shape == (48, 6, 3)
+    file = Path(__file__).parents[2] / "probmodel" / "data" / "limits.npz"
+    assert file.stat().st_size < 1_000_000
+
+
+def sources(shared_data: Path) -> list[Path]:
+    return [
+        shared_data / "cmu" / "asfamc",
+        shared_data / "cmu" / "actions_train.npz",
+        shared_data / "bvh",
+    ]
+
+
+def test_all_frames_of_the_data_are_valid_under_the_embedded_limits(shared_data: Path) -> None:
+    joints = gather(
+        [motion for path in sources(shared_data) for motion in read_motion(path)]
+    ).joints
+    assert len(joints) > 27_000
+    assert Anatomy.default().limits.check(joints).valid.all()
+
+
+@pytest.mark.slow
+def test_the_embedded_anatomy_can_be_rebuilt(shared_data: Path, tmp_path: Path) -> None:
+    steps: list[str] = []
+    rebuilt = learn_from(
+        sources(shared_data), progress=lambda what, done, total: steps.append(what)
+    )
+    rebuilt.save(tmp_path / "limits.npz")
+    file = Path(__file__).parents[2] / "probmodel" / "data" / "limits.npz"
+    assert_same(rebuilt, Anatomy.default())
+    assert (tmp_path / "limits.npz").read_bytes() == file.read_bytes()
+    assert steps[0].startswith("reading")

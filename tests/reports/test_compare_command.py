@@ -1,0 +1,177 @@
+"""`poseterior compare`: what it writes and says, its refusals, and that nothing computed is
+lost."""
+
+import contextlib
+import io
+import json
+import shutil
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import rich.console
+import xarray as xr
+
+from probmodel import BadInput, PoseModel, write_detections
+from reports import comparison_tables
+from reports.commands import compare
+from reports.comparison_figures import comparison_figure
+from reports.options import Belief, Sight
+from tests.scenes import prior_scene
+
+SEEN_ARM = (
+    "head",
+    "left_elbow",
+    "left_wrist",
+    "right_knee",
+    "left_knee",
+    "right_ankle",
+    "left_ankle",
+)
+
+
+@pytest.fixture(scope="module")
+def detection(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("frames") / "frame.json"
+    write_detections(path, [prior_scene(PoseModel(), 1, missing=SEEN_ARM).detection])
+    return path
+
+
+def request(
+    out: Path, *samplers: str, evaluations: int = 20_000, seconds: float = 60.0
+) -> compare.Request:
+    return compare.Request(samplers, out, seconds, evaluations, 500, 0)
+
+
+@pytest.fixture(scope="module")
+def done(detection: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """One small comparison, its folder and what it printed."""
+    out = tmp_path_factory.mktemp("out") / "comparison"
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        compare.run(
+            Sight(detection), Belief(), request(out, "rejection", "emcee"), quiet=True, as_json=True
+        )
+    return out, said.getvalue()
+
+
+def test_the_comparison_is_written_and_said(done: tuple[Path, str]) -> None:
+    out, said = done
+    lines = json.loads(said)["samplers"]
+    assert [line["sampler"] for line in lines] == [
+        "rejection",
+        "emcee (dispersed)",
+        "emcee (one flip)",
+    ]
+    assert lines[0]["verdict"] in ("agrees", "differs")
+    assert lines[0]["ess_per_second"] > lines[1]["ess_per_second"]
+    tree = xr.open_datatree(out / "comparison.nc")
+    assert list(tree["summary"].sampler.values) == [line["sampler"] for line in lines]
+    assert set(tree.children) >= {
+        "summary",
+        "tests",
+        "coordinates",
+        "joints",
+        "modes",
+        "course",
+        "draws",
+    }
+    assert tree.attrs["versions"]
+    assert (out / "comparison.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_another_call_goes_on_whoever_else_is_asked(
+    done: tuple[Path, str], detection: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    out, said = done
+    before = json.loads(said)["samplers"][1]
+    shutil.copytree(out, tmp_path / "again")
+    compare.run(
+        Sight(detection), Belief(), request(tmp_path / "again", "emcee"), quiet=True, as_json=True
+    )
+    after = json.loads(capsys.readouterr().out)["samplers"][0]
+    assert after["num_evaluations"] == before["num_evaluations"]
+    assert after["ess_worst"] == before["ess_worst"]
+
+
+def test_the_table_and_the_picture(done: tuple[Path, str]) -> None:
+    tree = xr.open_datatree(done[0] / "comparison.nc").load()
+    rows = comparison_tables.rows(tree)
+    assert [row[0] for row in rows] == ["rejection", "emcee (dispersed)", "emcee (one flip)"]
+    assert all(len(row) == len(comparison_tables.COLUMNS) for row in rows)
+    assert "±" in rows[0][-1]
+    assert comparison_tables.markdown(tree).count("\n") == 4
+    for width, columns in ((80, comparison_tables.NARROW), (160, comparison_tables.COLUMNS)):
+        printed = io.StringIO()
+        rich.console.Console(file=printed, width=width).print(
+            comparison_tables.comparison_table(tree, width)
+        )
+        assert "emcee (dispersed)" in printed.getvalue()
+        assert "…" not in printed.getvalue()
+        assert len(comparison_tables.comparison_table(tree, width).columns) == len(columns)
+    figure = comparison_figure(tree)
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles[0].startswith("Ranks")
+    assert titles[3].startswith("Distance")
+    assert len(figure.axes[3].lines) == 4  # three samplers and the distance to reach
+    shown = figure.axes[3].lines[0]
+    np.testing.assert_allclose(shown.get_xdata(), tree["course"].seconds.sel(sampler="rejection"))
+    plt.close(figure)
+
+
+def test_what_cannot_be_compared_is_refused_before_any_work(
+    detection: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(BadInput, match="no sampler 'magic'; choose from rejection"):
+        compare.run(
+            Sight(detection),
+            Belief(),
+            request(tmp_path / "a", "emcee", "magic"),
+            quiet=True,
+            as_json=False,
+        )
+    with pytest.raises(BadInput, match="--seconds must be more than 0"):
+        compare.run(
+            Sight(detection),
+            Belief(),
+            request(tmp_path / "b", "emcee", seconds=0),
+            quiet=True,
+            as_json=False,
+        )
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_a_broken_file_loses_nothing_else(done: tuple[Path, str], detection: Path) -> None:
+    out, _ = done
+    kept = (out / "runs" / "emcee-one-flip.npz").read_bytes()
+    (out / "runs" / "emcee-one-flip.npz").write_bytes(kept[:1000])
+    with pytest.raises(BadInput, match=r"emcee-one-flip.npz is not a saved run, or was cut off"):
+        compare.run(
+            Sight(detection),
+            Belief(),
+            request(out, "rejection", "emcee"),
+            quiet=True,
+            as_json=False,
+        )
+    (out / "runs" / "emcee-one-flip.npz").write_bytes(kept)
+    tree = xr.open_datatree(out / "comparison.nc")
+    assert "emcee (dispersed)" in tree["summary"].sampler.values
+
+
+@pytest.mark.slow
+def test_no_draws_is_a_line_of_its_own(
+    detection: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    compare.run(
+        Sight(detection),
+        Belief(),
+        request(tmp_path, "random-walk", evaluations=1),
+        quiet=True,
+        as_json=True,
+    )
+    lines = json.loads(capsys.readouterr().out)["samplers"]
+    assert all(line["verdict"] == "no draws" for line in lines)
+    assert all("not one draw" in line["sentence"] for line in lines)

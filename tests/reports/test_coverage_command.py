@@ -1,0 +1,174 @@
+"""`poseterior coverage`: what it writes and says, under the model and on real poses, and its
+refusals."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from inference.studies.calibration import judge, simulate
+from inference.studies.calibration.quantities import QUANTITIES
+from probmodel import BadInput, PoseModel
+from probmodel.datasets import DataSet, write_plain
+from reports import coverage_figures, coverage_tables
+from reports.commands import coverage
+from reports.options import Belief
+
+
+def request(out: Path, sampler: str = "rejection", num_samples: int = 20) -> coverage.Request:
+    return coverage.Request(sampler, num_samples, 0, out, 0.25, 1_000_000)
+
+
+def read(path: Path) -> xr.DataTree:
+    with xr.open_datatree(path) as tree:
+        return tree.load()
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    """One small run, its folder and what it printed."""
+    import contextlib
+    import io
+
+    out = tmp_path_factory.mktemp("out") / "coverage"
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        coverage.simulated(Belief(), request(out), 100, quiet=True, as_json=True)
+    return out, json.loads(said.getvalue())
+
+
+def test_the_run_is_written_and_said(done: tuple[Path, dict]) -> None:
+    out, said = done
+    assert said["verdict"] == "calibrated", said["sentence"]
+    assert set(said["families"]) == {"ranks (SBC)", "highest density", "energy balls", "TARP"}
+    assert [one["quantity"] for one in said["tests"]] == list(QUANTITIES)
+    assert {one["size"] for one in said["tests"]} == {100}
+    tree = read(out / "coverage.nc")
+    assert tree["prior_sbc"].joints.shape == (1, 100, 9, 3)
+    assert tree.attrs["sampler"] == "rejection"
+    assert (out / "coverage.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_arviz_plots_it_as_it_is(done: tuple[Path, dict]) -> None:
+    import arviz_plots
+
+    tree = read(done[0] / "coverage.nc")
+    plot = arviz_plots.plot_ecdf_pit(tree, var_names=["log_density", "TARP"], backend="none")
+    assert plot is not None
+
+
+def test_another_call_goes_on(done: tuple[Path, dict], capsys: pytest.CaptureFixture) -> None:
+    out = done[0]
+    coverage.simulated(Belief(), request(out), 100, quiet=True, as_json=False)
+    words = capsys.readouterr().out
+    assert "calibrated: no test of 48 rejects at 0.01 with 100 simulations" in words
+    assert "highest density" in words
+    with pytest.raises(BadInput, match="holds another run"):
+        coverage.simulated(Belief(), request(out, num_samples=21), 100, quiet=True, as_json=False)
+
+
+def test_too_few_simulations_are_refused_before_any_work(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="99 simulations are too few: the tests need at least 100"):
+        coverage.simulated(Belief(), request(tmp_path / "out"), 99, quiet=True, as_json=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_draws_from_elsewhere(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """Simulations are written, somebody draws (here: always the truth of the next one), and is
+    found out."""
+    coverage.write_simulations(Belief(), request(tmp_path), 100, quiet=True, as_json=False)
+    tree = read(tmp_path / "simulations.nc")
+    some = simulate(PoseModel(), 0, 0, 100)
+    np.testing.assert_array_equal(tree["truth"].joints[3], some[3].joints)
+    np.testing.assert_array_equal(
+        tree["observed_data"].keypoints[3], some[3].frame.detection.keypoints
+    )
+    seen = np.isfinite(tree["constant_data"].radius.values[3])
+    assert seen[some[3].frame.detection.seen].sum() == seen.sum()
+    draws = np.roll(tree["truth"].joints.values, 1, axis=0)[:, None] + np.random.default_rng(
+        0
+    ).normal(size=(100, 10, 15, 3))
+    np.savez(tmp_path / "draws.npz", joints=draws)
+    capsys.readouterr()
+    coverage.simulated(
+        Belief(),
+        request(tmp_path / "judged", str(tmp_path / "draws.npz"), 10),
+        100,
+        quiet=True,
+        as_json=True,
+    )
+    assert json.loads(capsys.readouterr().out)["verdict"] == "miscalibrated"
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Poses of the model as a data set."""
+    some = simulate(PoseModel(), 4, 0, 8)
+    poses = np.stack([350 * instance.joints for instance in some])
+    keypoints = np.stack([instance.frame.detection.keypoints for instance in some])
+    score = np.stack([instance.frame.detection.score for instance in some])
+    names = np.array([f"recording {number % 4}" for number in range(8)])
+    scale, translation = np.full(8, 100 / 350), np.tile([320.0, 240.0], (8, 1))
+    made = DataSet("made", poses, keypoints, score, scale, translation, names, names, names)
+    path = tmp_path_factory.mktemp("data") / "made.npz"
+    write_plain(made, path)
+    return path
+
+
+def test_real_poses(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    real = coverage.Real(data, 8, "none", 0, "true")
+    coverage.real(Belief(), request(tmp_path), real, quiet=True, as_json=False)
+    words = capsys.readouterr().out
+    assert "true poses are excluded" in words
+    assert "right ankle" in words
+    tree = read(tmp_path / "coverage.nc")
+    assert tree["simulation"].sizes["simulation"] == 8
+    assert tree.attrs["estimator"] == "true"
+    assert (tmp_path / "coverage.png").exists()
+
+
+@pytest.mark.slow
+def test_estimated_torsos(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    real = coverage.Real(data, 8, "none", 1, "zhou")
+    coverage.real(Belief(), request(tmp_path), real, quiet=True, as_json=True)
+    said = json.loads(capsys.readouterr().out)
+    assert said["poses"] == 8
+    assert 0 <= said["excluded"] <= 1
+    assert len(said["by_joint"]) == 81
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"noise": "pink:1"}, "must look like none, gaussian"),
+        ({"estimator": "oracle"}, "no estimator 'oracle'"),
+        ({"missing": 9}, "9 limb joints cannot be missing"),
+        ({"frames": 0}, "at least 1"),
+        ({"noise": "gaussian:0.02"}, "brings its own 2D joints"),
+    ],
+)
+def test_bad_real_poses(data: Path, tmp_path: Path, change: dict, match: str) -> None:
+    real = coverage.Real(data, 8, "none", 0, "true")._replace(**change)
+    with pytest.raises(BadInput, match=match):
+        coverage.real(Belief(), request(tmp_path), real, quiet=True, as_json=False)
+
+
+def test_tables_and_figures_show_every_quantity(done: tuple[Path, dict]) -> None:
+    tree = read(done[0] / "coverage.nc")
+    simulation = tree["simulation"].to_dataset()
+    figure = coverage_figures.ranks_figure(simulation)
+    drawn = {line.get_gid() for axis in figure.axes for line in axis.lines}
+    assert {f"ranks {name}" for name in QUANTITIES} <= drawn
+    shown = coverage_figures.controls_figure(
+        {"one": simulation, "other": simulation}, QUANTITIES[-2:]
+    )
+    assert len(shown.axes[0].lines) == 3
+    rows = coverage_tables.tests(judge(simulation)).rows
+    assert len(rows) == 4 + coverage_tables.WORST
+    assert coverage_tables.p_text(0.0) == "< 1e-300"
+    assert (
+        coverage_tables.markdown(coverage_tables.families({"exact": judge(simulation)})).count("\n")
+        == 2
+    )

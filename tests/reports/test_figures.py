@@ -1,0 +1,386 @@
+"""Figures: what is drawn is what the tree holds, on every case of the contract; files appear whole
+or not at all."""
+
+import os
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+from PIL import Image
+
+import inference
+import probmodel
+from inference.hypothesis import Hypothesis
+from inference.results import Result
+from probmodel.example import example
+from probmodel.failures import BadInput
+from probmodel.skeleton import BONES, JOINT_INDEX, JOINTS
+from reports import figures
+from reports.tables import heaviest, values
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture(scope="module")
+def model() -> probmodel.PoseModel:
+    return probmodel.PoseModel()
+
+
+def sampled(model: probmodel.PoseModel, detection: probmodel.Detection) -> Result:
+    with jax.numpy_rank_promotion("allow"):  # strictness is for the tests of the sampler
+        return inference.sample(
+            model, inference.estimate_torso(detection), key=jax.random.key(3), num_samples=200
+        )
+
+
+@pytest.fixture(scope="module")
+def result(model: probmodel.PoseModel) -> Result:
+    """The embedded example: right wrist missing, two candidates."""
+    return sampled(model, example().detection)
+
+
+@pytest.fixture(scope="module")
+def five(result: Result) -> list[Hypothesis]:
+    return inference.hypotheses(result, 5)
+
+
+def named(axis: Axes, kind: type, start: str) -> list:
+    """The artists of a kind whose gid begins like that."""
+    return [
+        artist
+        for artist in axis.get_children()
+        if isinstance(artist, kind) and (artist.get_gid() or "").startswith(start)
+    ]
+
+
+def words(axis: Axes) -> str:
+    return " ".join(text.get_text().replace("\n", " ") for text in axis.texts)
+
+
+def legend_of(figure: Figure) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def test_discs_are_the_factors_of_the_heaviest_candidate(
+    result: Result, five: list[Hypothesis]
+) -> None:
+    figure = figures.hypotheses_figure(result.tree, five)
+    discs = {disc.get_gid(): disc for disc in named(figure.axes[0], Circle, "disc")}
+    seen = example().detection.seen
+    assert set(discs) == {
+        f"disc {bone_end}" for bone_end in (JOINTS[bone.end] for bone in BONES if seen[bone.end])
+    }
+    radius = values(result.tree, "constant_data", "radius")[heaviest(result.tree)]
+    knee = discs["disc left_knee"]
+    assert knee.radius == pytest.approx(radius[JOINT_INDEX["left_knee"]])
+    np.testing.assert_allclose(knee.center, example().detection.keypoints[JOINT_INDEX["left_knee"]])
+    assert "missing: right wrist" in words(figure.axes[0])
+    assert len(named(figure.axes[0], Line2D, "joint")) == seen.sum()
+
+
+def test_cloud_lies_in_the_discs_where_a_joint_was_seen(
+    result: Result, five: list[Hypothesis]
+) -> None:
+    axis = figures.hypotheses_figure(result.tree, five).axes[0]
+    draws = values(result.tree, "posterior", "candidate")[: figures.MAX_DRAWS] == heaviest(
+        result.tree
+    )
+    for disc in named(axis, Circle, "disc"):
+        (cloud,) = [
+            c for c in axis.collections if c.get_gid() == disc.get_gid().replace("disc", "cloud")
+        ]
+        points = np.asarray(cloud.get_offsets())
+        assert len(points) == figures.MAX_DRAWS
+        distance = np.linalg.norm(points - disc.center, axis=1)
+        assert (distance[draws] <= disc.radius * (1 + 1e-6)).all()
+
+
+LEFT = {JOINT_INDEX[name] for name in ("left_elbow", "left_wrist", "left_knee", "left_ankle")}
+
+
+def drawn_joints(axis, pose: str) -> np.ndarray:
+    """The joints of a pose that are drawn, those of the right limbs first."""
+    dots = [line for line in named(axis, Line2D, pose) if line.get_marker() == "o"]
+    assert len(dots) == 2
+    return np.concatenate([line.get_xydata() for line in dots])
+
+
+def test_views_show_the_axes_they_say(result: Result, five: list[Hypothesis]) -> None:
+    figure = figures.hypotheses_figure(result.tree, five)
+    assert [axis.get_title(loc="left") for axis in figure.axes[1:]] == [
+        "From the camera",
+        "From the side",
+        "From above",
+    ]
+    wrist = five[0].joints[JOINT_INDEX["left_wrist"]]
+    for axis, (across, along) in zip(figure.axes[1:], [(0, 1), (2, 1), (0, 2)], strict=True):
+        assert [wrist[across], wrist[along]] in drawn_joints(axis, "hypothesis 1").tolist()
+        assert axis.get_aspect() == 1
+    bottom, top = figure.axes[1].get_ylim()
+    assert bottom > top, "y points down, as in the image"
+    low, high = figure.axes[3].get_ylim()
+    assert low < high, "away from the camera is up when seen from above"
+
+
+def test_projected_hypotheses_lie_in_their_discs(result: Result, five: list[Hypothesis]) -> None:
+    axis = figures.hypotheses_figure(result.tree, five).axes[1]
+    constant = result.tree["constant_data"]
+    for rank, hypothesis in enumerate(five, 1):
+        candidate = int(values(result.tree, "posterior", "candidate")[hypothesis.draw])
+        scale, offset = (constant[name].values[candidate] for name in ("scale", "translation"))
+        drawn = drawn_joints(axis, f"hypothesis {rank}")
+        assert len(drawn) == len(BONES)
+        for bone, point in zip(
+            sorted(figures._COLOUR_OF, key=lambda bone: bone in LEFT), drawn, strict=True
+        ):
+            radius = constant["radius"].values[candidate, bone]
+            if np.isfinite(radius):
+                miss = np.linalg.norm(scale * point + offset - example().detection.keypoints[bone])
+                assert miss <= radius * (1 + 1e-6)
+
+
+def test_one_colour_a_hypothesis_in_all_panels(result: Result, five: list[Hypothesis]) -> None:
+    figure = figures.hypotheses_figure(result.tree, five)
+    assert len(set(figures.hypothesis_colours(5))) == 5
+    for rank, colour in enumerate(figures.hypothesis_colours(5), 1):
+        for axis in figure.axes[1:]:
+            assert {line.get_color() for line in named(axis, Line2D, f"hypothesis {rank}")} >= {
+                colour
+            }
+    percents = [f"{100 * hypothesis.weight:.0f} %" for hypothesis in five]
+    assert all(
+        any(label.startswith(percent) for label in legend_of(figure)) for percent in percents
+    )
+
+
+def test_left_limbs_are_dashed(result: Result, five: list[Hypothesis]) -> None:
+    axis = figures.hypotheses_figure(result.tree, five[:1]).axes[1]
+    (dashed,) = (line for line in named(axis, Line2D, "hypothesis 1") if line.is_dashed())
+    ends = dashed.get_xydata()[~np.isnan(dashed.get_xydata()[:, 0])].reshape(-1, 2, 2)[:, 1]
+    np.testing.assert_array_equal(
+        np.sort(ends, axis=0), np.sort(five[0].joints[sorted(LEFT), :2], axis=0)
+    )
+
+
+def test_truth_is_drawn_where_given(result: Result, five: list[Hypothesis]) -> None:
+    truth = example().joints
+    figure = figures.hypotheses_figure(result.tree, five, truth=truth)
+    for axis in figure.axes[1:]:
+        bones = named(axis, Line2D, "truth")
+        assert {line.get_color() for line in bones} >= {"black"}
+    assert "truth" in legend_of(figure)
+    assert "truth" not in legend_of(figures.hypotheses_figure(result.tree, five))
+
+
+def test_draws_are_thinned(result: Result, five: list[Hypothesis]) -> None:
+    figure = figures.hypotheses_figure(result.tree, five)
+    (lines,) = named(figure.axes[2], LineCollection, "draws")
+    assert len(lines.get_segments()) == figures.MAX_DRAWS * (len(JOINTS) - 1)
+
+
+@pytest.mark.parametrize("k", [1, 7, 20])
+def test_any_number_of_hypotheses_fits(result: Result, k: int, tmp_path: Path) -> None:
+    figure = figures.hypotheses_figure(result.tree, inference.hypotheses(result, k))
+    figures.save_figure(figure, tmp_path / "k.png")
+    assert (f"{k - figures.MAX_NAMED} more" in " ".join(legend_of(figure))) == (
+        k > figures.MAX_NAMED
+    )
+    width = figure.get_figwidth() * figure.dpi
+    assert all(legend.get_window_extent().x1 <= width for legend in figure.legends)
+
+
+def test_image_lies_under_the_detections(result: Result, five: list[Hypothesis]) -> None:
+    image = np.full((640, 480, 3), 200, np.uint8)
+    axis = figures.hypotheses_figure(result.tree, five, image=image).axes[0]
+    (picture,) = axis.images
+    assert tuple(picture.get_extent()) == (
+        -0.5,
+        479.5,
+        639.5,
+        -0.5,
+    ), "the centre of a pixel has whole coordinates"
+    left, right = axis.get_xlim()
+    keypoints = example().detection.keypoints
+    assert left < np.nanmin(keypoints[:, 0])
+    assert right > np.nanmax(keypoints[:, 0])
+    assert not figures.hypotheses_figure(result.tree, five).axes[0].images
+
+
+@pytest.mark.parametrize(
+    ("image", "match"),
+    [
+        (np.zeros((10, 10, 3), np.uint8), "none of the detected joints lies in it"),
+        (np.zeros((640, 480), np.uint8), "shape"),
+        (np.zeros((640, 480, 2), np.uint8), "shape"),
+        (np.zeros((0, 480, 3), np.uint8), "shape"),
+    ],
+)
+def test_images_that_do_not_fit(
+    result: Result, five: list[Hypothesis], image: np.ndarray, match: str
+) -> None:
+    with pytest.raises(BadInput, match=match):
+        figures.hypotheses_figure(result.tree, five, image=image)
+
+
+def without_draws(tree: xr.DataTree) -> xr.DataTree:
+    groups = {name: tree[name].to_dataset() for name in tree.children}
+    return xr.DataTree.from_dict(
+        {
+            name: data.isel(draw=slice(0)) if "draw" in data.dims else data
+            for name, data in groups.items()
+        }
+    )
+
+
+def test_a_run_without_draws_shows_the_detection(result: Result, tmp_path: Path) -> None:
+    tree = without_draws(result.tree)
+    figures.save_figure(figures.hypotheses_figure(tree, []), tmp_path / "a.png")
+    figures.save_figure(figures.depth_figure(tree), tmp_path / "b.png")
+    assert len(named(figures.hypotheses_figure(tree, []).axes[0], Circle, "disc")) == 8
+
+
+def test_one_draw_is_enough(result: Result, tmp_path: Path) -> None:
+    groups = {name: result.tree[name].to_dataset() for name in result.tree.children}
+    tree = xr.DataTree.from_dict(
+        {
+            name: data.isel(draw=slice(1)) if "draw" in data.dims else data
+            for name, data in groups.items()
+        }
+    )
+    figures.save_figure(figures.depth_figure(tree), tmp_path / "b.png")
+
+
+def test_depth_figure_shows_interval_and_deviation(result: Result) -> None:
+    ridges, spreads = figures.depth_figure(result.tree).axes
+    joint = JOINT_INDEX["left_ankle"]
+    depth = values(result.tree, "posterior", "joints")[:, joint, 2]
+    (interval,) = named(ridges, Line2D, "interval left_ankle")
+    np.testing.assert_allclose(interval.get_xdata(), np.quantile(depth, [0.05, 0.95]))
+    (point,) = named(spreads, Line2D, "sd left_ankle")
+    assert point.get_xdata()[0] == pytest.approx(depth.std())
+    assert any(label.get_text() == "right wrist (missing)" for label in ridges.get_yticklabels())
+
+
+def test_density_keeps_the_mass() -> None:
+    edges = np.linspace(-3, 3, 161)
+    sample = np.random.default_rng(0).normal(scale=0.5, size=1000)
+    assert figures._density(sample, edges).sum() == pytest.approx(1000)
+
+
+REAL = {
+    "side view": ("openpose/body25_spin_im1010_keypoints.json", 0),
+    "from behind": ("openpose/coco18_hmr_random_keypoints.json", 0),
+    "upper body": ("openpose/body25_openposer_du_wohn_wo_000000000030_keypoints.json", 0),
+}
+
+
+@pytest.mark.parametrize("case", REAL)
+def test_real_detections(
+    shared_data: Path, model: probmodel.PoseModel, case: str, tmp_path: Path
+) -> None:
+    name, person = REAL[case]
+    detection = probmodel.read_detections(shared_data / "detections" / name)[person]
+    real = sampled(model, detection)
+    figure = figures.hypotheses_figure(real.tree, inference.hypotheses(real, 5))
+    factors = detection.seen[[bone.end for bone in BONES]].sum()
+    assert len(named(figure.axes[0], Circle, "disc")) == factors
+    figures.save_figure(figure, tmp_path / "real.png")
+    figures.save_figure(figures.depth_figure(real.tree), tmp_path / "depth.png")
+    assert (tmp_path / "real.png").read_bytes().startswith(PNG)
+
+
+def test_a_real_image(shared_data: Path, model: probmodel.PoseModel) -> None:
+    folder = shared_data / "detections" / "coco"
+    detection = probmodel.read_detections(folder / "test_coco.json")[0]
+    real = sampled(model, detection)
+    image = figures.read_image(folder / "000000000785.jpg")
+    assert image.shape == (425, 640, 3)
+    axis = figures.hypotheses_figure(real.tree, inference.hypotheses(real, 3), image=image).axes[0]
+    assert axis.get_xlim()[1] - axis.get_xlim()[0] < 640, "shows the person, not the whole image"
+
+
+# ---- files
+
+
+@pytest.fixture
+def plain() -> Figure:
+    figure = Figure(figsize=(1, 1))
+    figure.add_subplot()
+    return figure
+
+
+@pytest.mark.parametrize(
+    ("name", "start"), [("a.png", PNG), ("a.PNG", PNG), ("a.pdf", b"%PDF"), ("a.svg", b"<?xml")]
+)
+def test_saved_by_the_names_ending(plain: Figure, tmp_path: Path, name: str, start: bytes) -> None:
+    figures.save_figure(plain, tmp_path / name)
+    assert (tmp_path / name).read_bytes().startswith(start)
+    assert os.listdir(tmp_path) == [name]
+
+
+def test_saving_replaces_whole_files_only(
+    plain: Figure, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(b"old")
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(plain, "savefig", full)
+    with pytest.raises(BadInput, match="No space left"):
+        figures.save_figure(plain, path)
+    assert path.read_bytes() == b"old"
+    assert os.listdir(tmp_path) == ["a.png"]
+
+
+@pytest.mark.parametrize("name", ["missing/a.png", "a.gif", "a", "folder.png"])
+def test_saving_says_why_it_cannot(plain: Figure, tmp_path: Path, name: str) -> None:
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(BadInput, match=r"cannot write .*;"):
+        figures.save_figure(plain, tmp_path / name)
+    assert os.listdir(tmp_path) == ["folder.png"]
+
+
+@pytest.mark.parametrize("mode", ["RGB", "L", "RGBA", "P", "1", "CMYK"])
+def test_images_of_any_kind_become_rgb(tmp_path: Path, mode: str) -> None:
+    path = tmp_path / ("a.tiff" if mode == "CMYK" else "a.png")
+    Image.new(mode, (5, 4)).save(path)
+    image = figures.read_image(path)
+    assert image.shape == (4, 5, 3)
+    assert image.dtype == np.uint8
+
+
+def test_images_are_turned_as_the_camera_was_held(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6  # orientation: turn by 90°
+    Image.new("RGB", (5, 4)).save(tmp_path / "a.jpg", exif=exif)
+    assert figures.read_image(tmp_path / "a.jpg").shape == (5, 4, 3)
+
+
+def test_images_that_cannot_be_read(tmp_path: Path) -> None:
+    (tmp_path / "text.png").write_text("no image")
+    Image.new("RGB", (50, 40)).save(tmp_path / "whole.png")
+    (tmp_path / "half.png").write_bytes((tmp_path / "whole.png").read_bytes()[:60])
+    for name, match in {
+        "text.png": "no image",
+        "half.png": "no image",
+        "none.png": "no image at",
+        ".": "no image",
+    }.items():
+        with pytest.raises(BadInput, match=match):
+            figures.read_image(tmp_path / name)
+
+
+@pytest.mark.parametrize("side", [7_800, 9_600, 20_000])
+def test_images_that_claim_too_much(tmp_path: Path, side: int) -> None:
+    Image.new("1", (side, side)).save(tmp_path / "bomb.png")
+    with pytest.raises(BadInput, match="million pixels"):
+        figures.read_image(tmp_path / "bomb.png")

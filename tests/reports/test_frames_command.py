@@ -1,0 +1,65 @@
+"""`poseterior frames`: a folder of detections as one stream; refusals, and that a second call goes
+on."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from inference import draws_of, open_stream
+from probmodel import PoseModel, write_detections
+from tests.reports.test_cli import Cli, poseterior  # noqa: F401 — a fixture
+from tests.scenes import prior_scene
+
+OPTIONS = ("--num-samples", 50, "--k", 3, "--quiet")
+FEW = ("head", "right_elbow", "right_wrist", "left_knee", "left_ankle")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three frames; in the second one nothing of the torso is seen but the hips."""
+    path = tmp_path_factory.mktemp("walk")
+    for index in range(3):
+        torso = ("thorax", "right_shoulder", "left_shoulder", "pelvis") if index == 1 else ()
+        detection = prior_scene(PoseModel(), index, factor=0.8, missing=(*FEW, *torso)).detection
+        write_detections(path / f"frame_{index}.json", [detection])
+    return path
+
+
+def test_a_folder_becomes_a_stream_and_a_second_call_goes_on(
+    poseterior: Cli, folder: Path, tmp_path: Path
+) -> None:  # noqa: F811
+    out = tmp_path / "out"
+    run = poseterior("frames", folder, "--out", out, *OPTIONS, "--json")
+    assert run.code == 0, run
+    said = json.loads(run.out)
+    assert said["status"] == {"bad input": 1, "complete": 2}
+    assert [frame["num_draws"] for frame in said["frames"]] == [50, 0, 50]
+    assert "frame_1" in said["frames"][1]["sentence"]
+    names = [frame["frame"] for frame in said["frames"]]
+    assert names == [f"frame_{index}/0" for index in range(3)]
+    tree = open_stream(out)
+    assert np.isfinite(tree["hypotheses"].joints.values[[0, 2]]).all()
+    assert draws_of(out, names[0]).joints.shape == (1, 50, 15, 3)
+    before = {path: path.stat().st_mtime_ns for path in out.iterdir()}
+    again = poseterior("frames", folder, "--out", out, *OPTIONS)
+    assert again.code == 0, again
+    assert {path: path.stat().st_mtime_ns for path in out.iterdir()} == before
+    assert "3 frames: 1 bad input, 2 complete" in again.out
+    assert "frame_1/0: " in again.out
+
+
+def test_refusals(poseterior: Cli, folder: Path, tmp_path: Path) -> None:  # noqa: F811
+    out = tmp_path / "out"
+    assert poseterior("frames", folder, "--out", out, *OPTIONS).code == 0
+    for arguments, said in [
+        ((folder, "--out", out, *OPTIONS, "--seed", 1), "holds another run"),
+        ((folder, "--out", tmp_path / "x", "--num-samples", 2, "--k", 3), "do not go together"),
+        ((folder, "--out", tmp_path / "x", "--factor", 0), "--factor must lie between"),
+        ((tmp_path / "nothing", "--out", tmp_path / "x"), "nothing"),
+    ]:
+        run = poseterior("frames", *arguments)
+        assert run.code == 2, run
+        assert said in run.err
+        assert run.err.count("\n") == 1

@@ -1,0 +1,183 @@
+"""`poseterior show` and the overlay: every joint has its name where it is, and doubts are said in
+sentences."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from inference.readings import BODY, exchanged
+from probmodel import Detection, write_detections
+from probmodel.layouts import COCO_17
+from probmodel.skeleton import BONES, JOINTS
+from reports import figures
+from reports.commands.show import about_the_image
+from reports.options import Known
+from reports.overlay import _spread, overlay_figure
+from tests.probmodel.test_formats_fuzz import deeplabcut_rows, landmarks, points, table
+from tests.reports.test_cli import Cli, poseterior  # noqa: F401 — a fixture
+
+
+def person(**missing: bool) -> Detection:
+    rows = points(COCO_17)
+    rows[:, 0] = 50 + (rows[:, 0] - 50) * 1.2
+    rows[[COCO_17.points.index(name) for name in missing], 2] = 0
+    return COCO_17.detection(rows, 0.0, "a file", 0)
+
+
+def gids(figure: figures.Figure) -> dict[str, object]:
+    return {artist.get_gid(): artist for artist in figure.findobj() if artist.get_gid()}
+
+
+def test_every_joint_is_drawn_where_it_is_with_name_score_and_disc() -> None:
+    detection = person(right_wrist=True)
+    radius = detection.radius(30.0)
+    drawn = gids(overlay_figure(detection, radius))
+    for joint, name in enumerate(JOINTS):
+        seen = bool(detection.seen[joint])
+        assert (f"joint {name}" in drawn) == seen
+        assert any(gid.startswith(f"name {name.replace('_', ' ')} ") for gid in drawn) == seen
+        assert (f"disc {name}" in drawn) == (seen and joint in {bone.end for bone in BONES})
+        if seen:
+            np.testing.assert_allclose(
+                drawn[f"joint {name}"].get_xydata()[0], detection.keypoints[joint]
+            )
+    assert drawn["disc left_wrist"].radius == pytest.approx(radius[JOINTS.index("left_wrist")])
+    assert "missing: right wrist, head" in drawn["note"].get_text()
+    assert "face nose" in drawn
+
+
+def test_sides_have_their_colours_and_the_image_lies_behind() -> None:
+    drawn = gids(overlay_figure(person(), image=np.zeros((200, 100, 3), np.uint8)))
+    assert drawn["bone left_knee"].get_color() == figures.LIMB_COLOURS["left leg"]
+    assert drawn["bone right_elbow"].get_color() == figures.LIMB_COLOURS["right arm"]
+    assert drawn["image"].get_extent() == [-0.5, 99.5, 199.5, -0.5]
+
+
+def test_names_do_not_lie_on_each_other() -> None:
+    places = np.random.default_rng(0).uniform(size=(200, 7))
+    for row in places:
+        spread = _spread(sorted(row.tolist(), reverse=True), 0.05)
+        assert (np.diff(spread) <= -0.05 + 1e-9).all()
+        assert min(spread) > -0.2
+        assert max(spread) <= 1
+
+
+def test_a_file_that_is_read_rightly_is_shown_without_a_word(
+    tmp_path: Path, poseterior: Cli
+) -> None:  # noqa: F811
+    write_detections(tmp_path / "a.json", [person()])
+    done = poseterior("show", tmp_path / "a.json", "--out", tmp_path / "a.png", "--quiet")
+    assert (done.code, done.err) == (0, "")
+    assert "right wrist" in done.out
+    assert figures.read_image(tmp_path / "a.png").shape[1] == 1600
+
+
+def test_a_doubted_reading_is_one_sentence_and_a_field_of_the_json(
+    tmp_path: Path, poseterior: Cli
+) -> None:  # noqa: F811
+    write_detections(tmp_path / "a.json", [exchanged(person(), *BODY)])
+    done = poseterior("show", tmp_path / "a.json", "--out", tmp_path / "a.png", "--quiet", "--json")
+    assert done.code == 0
+    assert re.fullmatch(
+        r"poseterior: left and right seem to be exchanged, or the image mirrored[^\n]*\n", done.err
+    )
+    said = json.loads(done.out)
+    assert said["noticed"] == ["whole"]
+    assert said["warnings"] == [done.err.removeprefix("poseterior: ").strip()]
+    assert said["gains"]["whole"] > 2.5
+
+
+def test_the_image_says_its_size(tmp_path: Path) -> None:
+    """Fractions become pixels of the image that is given; an image that does not fit the detection
+    is spoken of."""
+    (tmp_path / "a.json").write_text(json.dumps(landmarks()))
+    Image.new("RGB", (200, 200)).save(tmp_path / "a.png")
+    (found,) = Known(image=tmp_path / "a.png").read(tmp_path / "a.json", "auto", None)
+    assert found.keypoints[JOINTS.index("right_wrist")] == pytest.approx([26, 80])
+    assert about_the_image(found, np.zeros((200, 200, 3), np.uint8)) == []
+    (said,) = about_the_image(found, np.zeros((400, 300, 3), np.uint8))
+    assert said == "the detection was made on an image of 200x200 pixels, but this one has 300x400"
+    (said,) = about_the_image(person(), np.zeros((30, 30, 3), np.uint8))
+    assert re.match(r"\d+ of 14 joints lie outside the image: is it the right one", said)
+
+
+def test_a_map_of_names_and_the_correction(tmp_path: Path) -> None:
+    odd = {"a": "right_hip", "b": "left_hip", "c": "right_shoulder", "d": "left_shoulder"}
+    (tmp_path / "a.csv").write_text(table(deeplabcut_rows(parts=odd)))
+    (tmp_path / "names.json").write_text(json.dumps(odd))
+    mapped = Known(names=tmp_path / "names.json").read(tmp_path / "a.csv", "auto", None)[0]
+    assert mapped.seen.sum() == 6  # thorax and pelvis are their midpoints
+    (tmp_path / "b.json").write_text(json.dumps(landmarks()))
+    usual, moved = (
+        Known("200x200", correct=correct).read(tmp_path / "b.json", "auto", None)[0]
+        for correct in (False, True)
+    )
+    assert usual.keypoints[0] == pytest.approx([50, 80])
+    assert moved.keypoints[0] == pytest.approx([50, 80 - 0.192 * 50])
+
+
+@pytest.mark.parametrize(
+    ("words", "match"),
+    [
+        (("--image-size", "640"), "--image-size must look like 640x480"),
+        (("--names", "{tmp}/a.json"), "must hold an object of names, or a list of them"),
+        (("--names", "{tmp}/none.json"), "is no JSON that can be read"),
+        (("--person", "3"), "--person 3 is not among them"),
+        (("--image", "{tmp}/a.json"), "is no image that can be read"),
+    ],
+)
+def test_what_show_refuses(
+    tmp_path: Path,
+    poseterior: Cli,  # noqa: F811
+    words: tuple[str, ...],
+    match: str,
+) -> None:
+    write_detections(tmp_path / "a.json", [person()])
+    (tmp_path / "a.json").write_text((tmp_path / "a.json").read_text())
+    done = poseterior(
+        "show", tmp_path / "a.json", *(word.format(tmp=tmp_path) for word in words), "--quiet"
+    )
+    assert done.code == 2
+    assert match in done.err
+
+
+REAL_FILES = {
+    "openpose/body25_openposer_du_wohn_wo_000000000030_keypoints.json": (),
+    "openpose/body25_openposer_du_wohn_wo_000000000031_keypoints.json": (),
+    "openpose/body25_openposer_du_wohn_wo_000000000032_keypoints.json": (),
+    "openpose/body25_spin_im1010_keypoints.json": (),
+    "openpose/body25b_pose2sim_cam02.0022.json": (),
+    "openpose/coco18_hmr_random_keypoints.json": (),
+    "coco/test_coco.json": (),
+    "alphapose/alphapose-results_halpe26.json": (),
+    "mmpose/mmpose_inferencer_000000000785.json": (),
+    "mediapipe/pose_landmarks.pbtxt": ("--image-size", "1000x667"),
+    # Seated in front of a webcam: the hips lie outside the image, and are used only where that is
+    # asked for.
+    "mediapipe/pose_landmarks_webcam.json": (
+        "--image-size",
+        "640x480",
+        "--threshold",
+        "0.001",
+        "--factor",
+        "0.5",
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", REAL_FILES)
+def test_every_real_file_runs_through_hypotheses(
+    shared_data: Path,
+    tmp_path: Path,
+    poseterior: Cli,  # noqa: F811
+    file: str,
+) -> None:
+    words = ("--num-samples", "50", "--k", "2", "--out", tmp_path, "--quiet", *REAL_FILES[file])
+    done = poseterior("hypotheses", shared_data / "detections" / file, *words)
+    assert done.code == 0, done.err
+    assert (tmp_path / "hypotheses.png").exists()

@@ -4,7 +4,6 @@ frame = inference.estimate_torso(detection)
 result = inference.sample(model, frame, key=jax.random.key(0), num_samples=10_000)
 """
 
-from inference.candidates import Candidate, Frame
 from inference.evidences import Evidence, evidence
 from inference.hypothesis import Hypothesis, diverse, grid_poses, hypotheses
 from inference.results import Result
@@ -15,9 +14,7 @@ from inference.stream import Item, draws_of, open_stream, sample_frames
 __all__ = [
     "ESTIMATORS",
     "SAMPLERS",
-    "Candidate",
     "Evidence",
-    "Frame",
     "Hypothesis",
     "Item",
     "Result",

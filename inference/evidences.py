@@ -9,11 +9,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from inference.candidates import Frame
-from inference.exact.groups import StratifiedGroup, anatomies, sights
+from inference.exact.groups import StratifiedGroup, group_tables
+from inference.exact.problem import limb_problems, log_ratio_of
 from inference.exact.rates import Budget, GroupSampler
 from probmodel.model import PoseModel
-from probmodel.skeleton import GROUPS
+from probmodel.posterior import Estimate
+from probmodel.skeleton import GROUPS, Limb
 
 BODY = "body"
 STEP = 4000
@@ -21,8 +22,9 @@ STEP = 4000
 
 
 class Evidence(NamedTuple):
-    """Log prior probability that every seen joint lies in its disc, and its standard error (`inf`
-    with `-inf`: no pose was found that explains what was seen)."""
+    """Log of the prior's mean of the likelihood over its peak (for discs: the log prior probability
+    that every seen joint lies in its own), and its standard error: `inf` with `-inf`, where no pose
+    was found that explains what was seen."""
 
     log_evidence: float
     standard_error: float
@@ -30,7 +32,7 @@ class Evidence(NamedTuple):
 
 def evidence(
     model: PoseModel,
-    frame: Frame,
+    frame: Estimate,
     *,
     key: jax.Array,
     candidate: int = 0,
@@ -43,23 +45,25 @@ def evidence(
     Draws go on until the relative standard error of every entry is below `relative_error`, or the
     budget ends; then the error says how far it got. The body is the product of its groups; limbs of
     a group share lengths, so that a group is not the product of its limbs."""
-    tables, limbs = anatomies(model), sights(frame.observation(frame.candidates[candidate]))
+    observation = frame.posterior(model).observations[candidate]
+    tables, problems = group_tables(model), limb_problems(observation)
     budget = Budget(max_proposals)
     found, goal = {}, relative_error / np.sqrt(len(GROUPS))
+
+    def sampler(key: jax.Array, name: str, limbs: tuple[Limb, ...], rows: slice) -> StratifiedGroup:
+        group = tables[name]._replace(builds=tables[name].builds[rows])
+        thin = log_ratio_of(model, observation, limbs)
+        return StratifiedGroup(key, name, group, problems[name][rows], thin)
+
     for index, (name, members) in enumerate(GROUPS.items()):
         words = jax.random.fold_in(key, index)
-        found[name] = _estimate(
-            StratifiedGroup(words, name, tables[name], limbs[name]), goal, budget
-        )
+        found[name] = _estimate(sampler(words, name, members, slice(None)), goal, budget)
         for row, limb in enumerate(members):
             if len(members) == 1:
                 found[limb.name] = found[name]
                 continue
-            alone = tables[name]._replace(builds=tables[name].builds[row : row + 1])
-            sampler = StratifiedGroup(
-                jax.random.fold_in(words, row), limb.name, alone, limbs[name][row : row + 1]
-            )
-            found[limb.name] = _estimate(sampler, relative_error, budget)
+            alone = sampler(jax.random.fold_in(words, row), name, (limb,), slice(row, row + 1))
+            found[limb.name] = _estimate(alone, relative_error, budget)
     groups = [found[name] for name in GROUPS]
     body = Evidence(
         sum(e.log_evidence for e in groups),

@@ -13,15 +13,17 @@ import numpy as np
 from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
-from inference.exact.problem import Draws, Group, build_groups
 from inference.results import Result
+from probmodel.anatomy.lengths import BoneLength
 from probmodel.anatomy.limits import cell_of
 from probmodel.directions.cells import Cells
+from probmodel.directions.hinges import Hinge
 from probmodel.failures import BadInput
 from probmodel.kinematics import direction
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
-from probmodel.skeleton import GROUPS, JOINTS, NUM_LENGTHS, NUM_LOWER, NUM_UPPER, Limb
+from probmodel.pose import GroupDraws, Pose
+from probmodel.skeleton import GROUPS, JOINTS, Limb
 
 NUM_ANGLES = 15
 """Azimuths, and polar angles, of the grid for upper bones (Stage I of the paper)."""
@@ -83,36 +85,18 @@ def grid_poses(
     Limbs are filtered one by one and combine freely (their lengths are fixed here): n is the
     product of what is left of each, or `most` random ones of that product where it is larger. Empty
     where a limb has none."""
-    groups = build_groups(model, observation)
-    fraction = np.asarray(model.lengths.alpha) / (
-        np.asarray(model.lengths.alpha) + np.asarray(model.lengths.beta)
-    )
-    length = np.asarray(model.lengths.low) + fraction * (
-        np.asarray(model.lengths.high) - np.asarray(model.lengths.low)
-    )
-    limbs = [
-        (limb, group, row)
-        for name, group in groups.items()
-        for row, limb in enumerate(GROUPS[name])
-    ]
-    choices = [_limb_grid(group, row, limb, length) for limb, group, row in limbs]
-    sizes = [len(upper) for upper, _ in choices]
+    alpha, beta = np.asarray(model.lengths.alpha), np.asarray(model.lengths.beta)
+    length = np.asarray(BoneLength(model.lengths).at(alpha / (alpha + beta)))
+    limbs = [limb for members in GROUPS.values() for limb in members]
+    choices = [_limb_grid(model, observation, limb, length) for limb in limbs]
+    sizes = [len(choice.length) for choice in choices]
     if not all(sizes):
         return np.empty((0, len(JOINTS), 3))
     picks = _combinations(sizes, most, seed)
-    upper, lower = np.zeros((len(picks), NUM_UPPER, 3)), np.zeros((len(picks), NUM_LOWER, 3))
-    for column, ((limb, _, _), (first, second)) in enumerate(zip(limbs, choices, strict=True)):
-        upper[:, limb.upper] = first[picks[:, column]]
-        if limb.lower is not None:
-            lower[:, limb.lower] = second[picks[:, column]]
-    return np.asarray(
-        model.joints(
-            np.asarray(observation.view),
-            np.broadcast_to(length, (len(picks), NUM_LENGTHS)),
-            upper,
-            lower,
-        )
-    )
+    poses = Pose.blank(len(picks))
+    for column, (limb, choice) in enumerate(zip(limbs, choices, strict=True)):
+        GroupDraws(*(part[picks[:, column]] for part in choice)).fill(poses, (limb,))
+    return np.asarray(model.joints(np.asarray(observation.view), *poses))
 
 
 def _combinations(sizes: list[int], most: int, seed: int) -> np.ndarray:
@@ -124,20 +108,23 @@ def _combinations(sizes: list[int], most: int, seed: int) -> np.ndarray:
 
 
 def _limb_grid(
-    group: Group, row: int, limb: Limb, length: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Directions `(n, 3)`, `(n, 3)` of one limb's bones on the grid that are possible and explain
-    its detections."""
-    cells = jax.tree.map(lambda leaf: leaf[row], group.cells)
-    upper = _upper_grid(cells)
-    if limb.lower is None:
-        lower = upper
-    else:
-        upper, lower = _lower_grid(group, row, upper)
-    sizes = np.array([length[bone.length_group] for bone in limb.bones])
-    draws = Draws(np.broadcast_to(sizes, (len(upper), len(sizes))), upper[:, None], lower[:, None])
-    kept = np.asarray(group.limb(row).explains(draws)) if len(upper) else np.zeros(0, bool)
-    return upper[kept], lower[kept]
+    model: PoseModel, observation: Observation, limb: Limb, length: np.ndarray
+) -> GroupDraws:
+    """The directions of one limb's bones on the grid that are possible and explain its
+    detections."""
+    upper = _upper_grid(jax.tree.map(lambda leaf: leaf[limb.upper], model.cells))
+    lower = upper
+    if limb.lower is not None:
+        below = jax.tree.map(lambda leaf: leaf[limb.lower], model.hinges)
+        upper, lower = _lower_grid(below, upper)
+    sizes = length[[bone.length_group for bone in limb.bones]]
+    sizes = np.broadcast_to(sizes, (len(upper), len(sizes)))
+    draws = GroupDraws(sizes, upper[:, None], lower[:, None])
+    poses = Pose.blank(len(upper))
+    draws.fill(poses, (limb,))
+    reached = np.asarray(observation.squares(model.joints(np.asarray(observation.view), *poses)))
+    kept = (reached[:, [bone.end for bone in limb.bones]] <= observation.law.reach**2).all(axis=1)
+    return GroupDraws(*(part[kept] for part in draws))
 
 
 def _upper_grid(cells: Cells) -> np.ndarray:
@@ -147,11 +134,11 @@ def _upper_grid(cells: Cells) -> np.ndarray:
     return vectors[np.asarray(jax.vmap(cells.contains)(jnp.asarray(vectors)))]
 
 
-def _lower_grid(group: Group, row: int, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _lower_grid(below: Hinge, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Every upper direction with the grid of its own box, in front of and behind the plane, where
     possible."""
     column, line = (np.asarray(index) for index in cell_of(upper))
-    hinges = jax.tree.map(lambda leaf: np.asarray(leaf)[row, column, line], group.hinges)
+    hinges = jax.tree.map(lambda leaf: np.asarray(leaf)[column, line], below)
     steps = (np.arange(NUM_BOX) + 0.5) / NUM_BOX
     low, high = hinges.bounds[:, 0::2, None], hinges.bounds[:, 1::2, None]
     u2, u3 = np.moveaxis(low + steps * (high - low), 1, 0)

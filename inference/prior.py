@@ -3,15 +3,13 @@
 from collections.abc import Callable
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
+from numpyro.infer import Predictive
+from numpyro.infer.util import log_density
 
-from inference.results import key_words, versions
-from probmodel.anatomy.lengths import BoneLength
-from probmodel.anatomy.torsos import TorsoDictionary
+from inference.results import key_words, provenance
 from probmodel.chunks import CHUNK
-from probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS
@@ -36,14 +34,22 @@ def sample_prior(
         parts.append(jax.tree.map(np.asarray, _draw(jax.random.fold_in(key, chunk), model)))
         if progress:
             progress(min((chunk + 1) * CHUNK, num_samples), num_samples)
-    columns = (np.concatenate(column)[None, :num_samples] for column in zip(*parts, strict=True))
-    torso, length, joints, lp = columns
+    drawn = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    drawn = {name: column[None, :num_samples] for name, column in drawn.items()}
     coords = {"chain": [0], "draw": np.arange(num_samples)}
     prior = xr.Dataset(
         {
-            "joints": (("chain", "draw", "joint", "axis"), joints, {"units": "body units"}),
-            "bone_length": (("chain", "draw", "length_group"), length, {"units": "body units"}),
-            "torso": (("chain", "draw"), torso),
+            "joints": (
+                ("chain", "draw", "joint", "axis"),
+                drawn["joints"],
+                {"units": "body units"},
+            ),
+            "bone_length": (
+                ("chain", "draw", "length_group"),
+                drawn["bone_length"],
+                {"units": "body units"},
+            ),
+            "torso": (("chain", "draw"), drawn["torso"]),
         },
         coords=coords
         | {
@@ -52,30 +58,20 @@ def sample_prior(
             "length_group": list(LENGTH_GROUPS),
         },
     )
-    stats = xr.Dataset({"lp": (("chain", "draw"), lp)}, coords=coords)
+    stats = xr.Dataset({"lp": (("chain", "draw"), drawn["lp"])}, coords=coords)
     tree = xr.DataTree.from_dict({"prior": prior, "sample_stats_prior": stats})
     tree.attrs.update(
         sampler="prior",
         seed=key_words(key),
-        limits=f"{model.limits.name} {model.limits.sha256}",
-        measures=f"upper {model.upper}, lower {model.lower}",
         axes="body: x to the person's left, y up, z forward",
-        versions=versions(),
+        **provenance(model),
     )
     return tree
 
 
 @jax.jit
-def _draw(key: jax.Array, model: PoseModel) -> tuple[jax.Array, ...]:
-    for_torso, for_length, for_upper, for_lower = jax.random.split(key, 4)
-    torso = TorsoDictionary(model.torsos).sample(for_torso, (CHUNK,))
-    length = BoneLength(model.lengths).sample(for_length, (CHUNK,))
-    upper = OccupiedDirection(model.cells).sample(for_upper, (CHUNK,))
-    lower = HingedDirection(model.hinges_at(upper)).sample(for_lower)
-    joints = model.joints(jnp.asarray(model.torsos)[torso], length, upper, lower)
-    return (
-        torso,
-        length,
-        joints,
-        model.log_prior(length, upper, lower) - jnp.log(model.torsos.shape[0]),
-    )
+def _draw(key: jax.Array, model: PoseModel) -> dict[str, jax.Array]:
+    drawn = Predictive(model.prior, num_samples=CHUNK, parallel=True)(key)
+    sites = {name: drawn[name] for name in ("torso", "bone_length", "upper", "lower")}
+    lp = jax.vmap(lambda one: log_density(model.prior, (), {}, one)[0])(sites)
+    return {**drawn, "lp": lp}

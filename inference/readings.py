@@ -17,14 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from inference.candidates import Candidate
 from inference.face import log_face_likelihood
 from inference.roots import estimate_torso
 from probmodel.detections import FACE, Detection
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
+from probmodel.pose import Pose
+from probmodel.roots import Candidate
 from probmodel.skeleton import GROUPS, JOINT_INDEX, LIMB_JOINTS, MIRROR, TORSO_INDEX
-from probmodel.transport import CUBE_DIM, Configuration, from_cube
+from probmodel.transport import CUBE_DIM, from_cube
 
 DRAWS = 2**15
 """Poses of the prior that stand for it."""
@@ -37,7 +38,7 @@ FLOOR = -25.0
 everything else."""
 
 
-class Evidence(NamedTuple):
+class ReadingEvidence(NamedTuple):
     """Log evidence of one detection with the torso as it is: by candidate, `torso` `(c,)` and
     `face` `(c,)`; and `arms` and `legs` `(c, 2)`, as they are and exchanged."""
 
@@ -62,12 +63,12 @@ def _points() -> np.ndarray:
 
 
 @jax.jit
-def _prior(model: PoseModel, points: jax.Array) -> Configuration:
+def _prior(model: PoseModel, points: jax.Array) -> Pose:
     return from_cube(model, points)
 
 
 @jax.jit
-def _joints(model: PoseModel, torso: jax.Array, draws: Configuration) -> jax.Array:
+def _joints(model: PoseModel, torso: jax.Array, draws: Pose) -> jax.Array:
     """`(n, 15, 3)`: the draws on one torso."""
     return jax.vmap(model.joints, (None, 0, 0, 0))(torso, *draws)
 
@@ -118,7 +119,7 @@ BODY = ("shoulder", "hip", *ARMS, *LEGS, "face")
 class Reading(NamedTuple):
     """Another way to read a detection: left and right exchanged in `parts`; with shoulders and hips
     (not) `opposed`, and `arms` and `legs` (not) exchanged against them, it stands in two
-    `Evidence`s."""
+    `ReadingEvidence`s."""
 
     name: str
     parts: tuple[str, ...]
@@ -228,11 +229,11 @@ class Judge:
         self._draws = _prior(model, jnp.asarray(_points()))
         self._kept: dict[int, np.ndarray] = {}
 
-    def evidence(self, detection: Detection) -> Evidence:
+    def evidence(self, detection: Detection) -> ReadingEvidence:
         """Of one person. Raises `BadInput` where too little of the torso is seen."""
         frame = estimate_torso(detection, torsos=self._torsos)
         parts = [self._under(detection, candidate) for candidate in frame.candidates]
-        return Evidence(*(np.array(part) for part in zip(*parts, strict=True)))
+        return ReadingEvidence(*(np.array(part) for part in zip(*parts, strict=True)))
 
     def file(self, detections: Sequence[Detection], *, sizes: bool = False) -> Verdict:
         """What the readings say of all these people together; those of whom too little is seen are
@@ -261,7 +262,7 @@ class Judge:
     ) -> tuple[float, float, list[float], list[float]]:
         scale, rows = float(candidate.camera.scale), np.asarray(candidate.camera.rotation)[:2]
         draws = self._limbs(candidate) @ rows.T.astype(np.float32)
-        target = (detection.keypoints - np.asarray(candidate.camera.translation)) / scale
+        target = candidate.camera.to_plane(detection.keypoints)
         seen = int(detection.seen[list(TORSO_INDEX)].sum())
         torso = -0.5 * seen * (candidate.reprojection_error / scale / TORSO_NOISE) ** 2
         arms, legs = (
@@ -304,10 +305,10 @@ def together(verdicts: Sequence[Verdict], skipped: tuple[str, ...] = ()) -> Verd
 
 def weigh(
     detection: Detection,
-    usual: Evidence,
-    opposed: Evidence,
-    whole: Evidence,
-    sizes: Sequence[Evidence] = (),
+    usual: ReadingEvidence,
+    opposed: ReadingEvidence,
+    whole: ReadingEvidence,
+    sizes: Sequence[ReadingEvidence] = (),
 ) -> Verdict:
     """The verdict on one person from the evidence `usual`, with the shoulders exchanged
     (`opposed`), with everything exchanged (`whole`), and with other aspects of the image

@@ -12,15 +12,18 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from inference.candidates import Candidate, Frame
 from inference.exact.loops.numbers import words_of
 from probmodel.chunks import in_chunks
+from probmodel.detections import Detection
 from probmodel.files import replacing
 from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
+from probmodel.pose import Pose
+from probmodel.posterior import Posterior
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS
 
 _PACKAGES = ("poseterior", "numpyro", "jax", "numpy", "scipy", "arviz", "xarray")
@@ -31,14 +34,19 @@ BASE_MEASURE = (
 COMPLETE, OUT_OF_BUDGET, IMPOSSIBLE = "complete", "out of budget", "impossible"
 
 
-class CandidateDraws(NamedTuple):
-    """Draws under one candidate: `length` `(n, 5)`, `upper` `(n, 5, 3)`, `lower` `(n, 4, 3)`; log
-    evidence (log prior probability of the indicator) and its standard error; `weight` the
-    candidate's share of the posterior."""
+class RootDraws(NamedTuple):
+    """Draws under one root.
 
-    length: np.ndarray
-    upper: np.ndarray
-    lower: np.ndarray
+    Attributes
+    ----------
+    poses : the draws `(n, ...)`.
+    log_evidence : log of the prior's mean of the likelihood over its peak; for discs, the log prior
+        probability of the indicator.
+    log_evidence_se : its standard error.
+    weight : the root's share of the posterior.
+    """
+
+    poses: Pose
     log_evidence: float
     log_evidence_se: float
     weight: float
@@ -91,62 +99,60 @@ def versions() -> str:
     return ", ".join([f"python {platform.python_version()}", *found])
 
 
+def provenance(model: PoseModel) -> dict[str, str]:
+    """What every result says of the model it was made with, and of the software."""
+    return {
+        "limits": f"{model.limits.name} {model.limits.sha256}",
+        "measures": f"upper {model.upper}, lower {model.lower}",
+        "versions": versions(),
+    }
+
+
 def build_tree(
-    model: PoseModel,
-    frame: Frame,
-    parts: list[CandidateDraws],
+    posterior: Posterior,
+    parts: list[RootDraws],
     attributes: dict[str, Any],
     rng: np.random.Generator | None,
 ) -> xr.DataTree:
-    """The DataTree of the mixture over a frame's candidates. Draws are put in random order, so that
-    any stretch of them is a sample of the mixture; without `rng` they stay in theirs."""
-    observations = [frame.observation(candidate) for candidate in frame.candidates]
-    chain = {key: value[None] for key, value in pose_columns(model, frame, parts, rng).items()}
-    number = chain["joints"].shape[1]
-    lp = chain.pop("lp")
-    dims = {
-        "joints": ("chain", "draw", "joint", "axis"),
-        "bone_length": ("chain", "draw", "length_group"),
-        "torso": ("chain", "draw"),
-        "candidate": ("chain", "draw"),
-        "keypoints": ("chain", "draw", "joint", "uv"),
-    }
+    """The DataTree of a posterior's draws, those of each root in `parts`.
+
+    Draws are put in random order, so that any stretch of them is a sample of the mixture; without
+    `rng` they stay in theirs.
+    """
+    columns = pose_columns(posterior, parts, rng)
+    chain = ("chain", "draw")
     units = {"joints": "body units", "bone_length": "body units", "keypoints": "pixels"}
-    posterior = xr.Dataset(
-        {
-            key: (dims[key], chain[key], {"units": units[key]} if key in units else {})
-            for key in dims
-        },
-        coords={
-            "chain": [0],
-            "draw": np.arange(number),
-            "joint": list(JOINTS),
-            "axis": list("xyz"),
-            "length_group": list(LENGTH_GROUPS),
-            "uv": list("uv"),
-        },
-    )
-    stats = xr.Dataset(
-        {"lp": (("chain", "draw"), lp, {"base_measure": BASE_MEASURE})},
-        coords={"chain": [0], "draw": posterior.draw},
-    )
+    dims = {
+        "joints": (*chain, "joint", "axis"),
+        "bone_length": (*chain, "length_group"),
+        "torso": chain,
+        "candidate": chain,
+        "keypoints": (*chain, "joint", "uv"),
+    }
+    coords = {"chain": [0], "draw": np.arange(len(columns["joints"]))}
+    names = {"joint": list(JOINTS), "axis": list("xyz"), "uv": list("uv")}
+    draws = {
+        name: (dims[name], columns[name][None], {"units": units[name]} if name in units else {})
+        for name in dims
+    }
+    lp = (chain, columns["lp"][None], {"base_measure": BASE_MEASURE})
     tree = xr.DataTree.from_dict(
         {
-            "posterior": posterior,
-            "sample_stats": stats,
-            "observed_data": observed_data(frame),
-            "constant_data": _constant_data(frame.candidates, observations, parts),
+            "posterior": xr.Dataset(
+                draws, coords=coords | names | {"length_group": list(LENGTH_GROUPS)}
+            ),
+            "sample_stats": xr.Dataset({"lp": lp}, coords=coords),
+            "observed_data": observed_data(posterior.detection),
+            "constant_data": _constant_data(posterior, parts),
         }
     )
     tree.attrs.update(
         attributes,
-        limits=f"{model.limits.name} {model.limits.sha256}",
-        measures=f"upper {model.upper}, lower {model.lower}",
-        versions=versions(),
-        source=frame.detection.source,
-        person=frame.detection.person,
-        estimator=frame.estimator,
-        converged=int(frame.converged),
+        **provenance(posterior.model),
+        source=posterior.detection.source,
+        person=posterior.detection.person,
+        estimator=posterior.estimator,
+        converged=int(posterior.converged),
         body_unit="mean limb length",
     )
     return tree
@@ -156,78 +162,61 @@ Columns = dict[str, np.ndarray]
 
 
 def pose_columns(
-    model: PoseModel, frame: Frame, parts: list[CandidateDraws], rng: np.random.Generator | None
+    posterior: Posterior, parts: list[RootDraws], rng: np.random.Generator | None
 ) -> Columns:
-    """Draws of all candidates as columns: those of `joint_columns`, and torso, candidate, keypoints
-    `(n, 15, 2)`, lp; in random order, or without `rng` one candidate after the other."""
+    """Draws under all roots as columns: those of `joint_columns`, and torso, candidate, keypoints
+    `(n, 15, 2)`, lp; in random order, or without `rng` one root after the other."""
     columns: list[Columns] = []
-    for index, (candidate, part) in enumerate(zip(frame.candidates, parts, strict=True)):
-        observation, camera, number = (
-            frame.observation(candidate),
-            candidate.camera,
-            len(part.length),
-        )
-        joints = _each(functools.partial(_joints, model, observation), part, (len(JOINTS), 3))
+    for index, (root, observation, part) in enumerate(
+        zip(posterior.roots, posterior.observations, parts, strict=True)
+    ):
+        number = len(part.poses.length)
+        density = functools.partial(log_joint, posterior.model, observation)
+        joints = _joints_of(posterior.model, observation, part.poses)
         columns.append(
             {
                 "joints": joints,
-                "bone_length": part.length,
-                "torso": np.full(number, candidate.torso_index),
+                "bone_length": part.poses.length,
+                "torso": np.full(number, root.torso_index),
                 "candidate": np.full(number, index),
-                "keypoints": float(camera.scale) * joints[..., :2] + np.asarray(camera.translation),
-                "lp": _each(functools.partial(_density, model, observation), part, ()),
+                "keypoints": np.asarray(root.camera.image(joints)),
+                "lp": _each(density, part.poses, ()),
             }
         )
     return _shuffled(columns, rng)
 
 
 def joint_columns(
-    model: PoseModel, frame: Frame, parts: list[CandidateDraws], rng: np.random.Generator
+    posterior: Posterior, parts: list[RootDraws], rng: np.random.Generator
 ) -> Columns:
-    """Draws of all candidates in the same random order: joints `(n, 15, 3)` and bone_length `(n,
-    5)` only."""
-    columns = []
-    for candidate, part in zip(frame.candidates, parts, strict=True):
-        joints = functools.partial(_joints, model, frame.observation(candidate))
-        columns.append(
-            {"joints": _each(joints, part, (len(JOINTS), 3)), "bone_length": part.length}
-        )
+    """Draws under all roots in the same random order: joints `(n, 15, 3)` and bone_length `(n, 5)`
+    only."""
+    columns = [
+        {
+            "joints": _joints_of(posterior.model, observation, part.poses),
+            "bone_length": part.poses.length,
+        }
+        for observation, part in zip(posterior.observations, parts, strict=True)
+    ]
     return _shuffled(columns, rng)
 
 
-def _each(
-    function: Callable[..., np.ndarray], part: CandidateDraws, shape: tuple[int, ...]
-) -> np.ndarray:
+def _joints_of(model: PoseModel, observation: Observation, poses: Pose) -> np.ndarray:
+    view = jnp.asarray(observation.view)
+    return _each(functools.partial(_joints, model, view), poses, (len(JOINTS), 3))
+
+
+def _each(function: Callable[..., np.ndarray], poses: Pose, shape: tuple[int, ...]) -> np.ndarray:
     """A compiled function of every draw, each a row of this shape."""
-    return (
-        in_chunks(function, part.length, part.upper, part.lower)
-        if len(part.length)
-        else np.empty((0, *shape))
-    )
+    return in_chunks(function, *poses) if len(poses.length) else np.empty((0, *shape))
 
 
 @jax.jit
 def _joints(
-    model: PoseModel,
-    observation: Observation,
-    length: jax.Array,
-    upper: jax.Array,
-    lower: jax.Array,
+    model: PoseModel, view: jax.Array, length: jax.Array, upper: jax.Array, lower: jax.Array
 ) -> jax.Array:
     """Joints of a chunk of draws in camera axes."""
-    return model.joints(observation.view, length, upper, lower)
-
-
-@jax.jit
-def _density(
-    model: PoseModel,
-    observation: Observation,
-    length: jax.Array,
-    upper: jax.Array,
-    lower: jax.Array,
-) -> jax.Array:
-    """Log joint density of a chunk of draws."""
-    return log_joint(model, observation, length, upper, lower)
+    return model.joints(view, length, upper, lower)
 
 
 def _shuffled(columns: list[Columns], rng: np.random.Generator | None) -> Columns:
@@ -238,50 +227,42 @@ def _shuffled(columns: list[Columns], rng: np.random.Generator | None) -> Column
     return {key: value[order] for key, value in joined.items()}
 
 
-def observed_data(frame: Frame) -> xr.Dataset:
+def observed_data(detection: Detection) -> xr.Dataset:
     """The detection with names; NaN and score 0 where a joint is missing."""
     return xr.Dataset(
         {
-            "keypoints": (("joint", "uv"), frame.detection.keypoints, {"units": "pixels"}),
-            "score": (("joint",), frame.detection.score),
+            "keypoints": (("joint", "uv"), detection.keypoints, {"units": "pixels"}),
+            "score": (("joint",), detection.score),
         },
         coords={"joint": list(JOINTS), "uv": list("uv")},
     )
 
 
-def _constant_data(
-    candidates: tuple[Candidate, ...], observations: list[Observation], parts: list[CandidateDraws]
-) -> xr.Dataset:
-    cameras = [candidate.camera for candidate in candidates]
+def _constant_data(posterior: Posterior, parts: list[RootDraws]) -> xr.Dataset:
+    roots, one = posterior.roots, ("candidate",)
+    cameras = [root.camera for root in roots]
+    reach = np.stack([observation.reach for observation in posterior.observations])
+    radius = np.where(np.isfinite(reach), reach, np.nan) * [[float(c.scale)] for c in cameras]
     return xr.Dataset(
         {
-            "radius": (
-                ("candidate", "joint"),
-                np.stack([np.asarray(o.radius) for o in observations]),
-            ),
-            "scale": (("candidate",), np.array([float(camera.scale) for camera in cameras])),
+            "radius": ((*one, "joint"), radius),
+            "scale": (one, [float(camera.scale) for camera in cameras]),
             "rotation": (
-                ("candidate", "axis", "body_axis"),
-                np.stack([np.asarray(c.rotation) for c in cameras]),
+                (*one, "axis", "body_axis"),
+                np.stack([np.asarray(camera.rotation) for camera in cameras]),
             ),
             "translation": (
-                ("candidate", "uv"),
-                np.stack([np.asarray(c.translation) for c in cameras]),
+                (*one, "uv"),
+                np.stack([np.asarray(camera.translation) for camera in cameras]),
             ),
-            "torso_index": (
-                ("candidate",),
-                np.array([candidate.torso_index for candidate in candidates]),
-            ),
-            "reprojection_error": (
-                ("candidate",),
-                np.array([c.reprojection_error for c in candidates]),
-            ),
-            "log_evidence": (("candidate",), np.array([part.log_evidence for part in parts])),
-            "log_evidence_se": (("candidate",), np.array([part.log_evidence_se for part in parts])),
-            "weight": (("candidate",), np.array([part.weight for part in parts])),
+            "torso_index": (one, [root.torso_index for root in roots]),
+            "reprojection_error": (one, [root.reprojection_error for root in roots]),
+            "log_evidence": (one, [part.log_evidence for part in parts]),
+            "log_evidence_se": (one, [part.log_evidence_se for part in parts]),
+            "weight": (one, [part.weight for part in parts]),
         },
         coords={
-            "candidate": np.arange(len(candidates)),
+            "candidate": np.arange(len(roots)),
             "joint": list(JOINTS),
             "axis": list("xyz"),
             "body_axis": ["left", "up", "forward"],

@@ -23,15 +23,15 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.candidates import Frame
+from inference.exact.mixture import MAX_PROPOSALS, draw_mixture
 from inference.hypothesis import diverse
 from inference.results import joint_columns, key_words, save_tree, versions
-from inference.sampler import MAX_PROPOSALS, draw_mixture
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from probmodel.files import replacing
 from probmodel.formats.frames import DetectedFrame
 from probmodel.model import PoseModel
+from probmodel.posterior import Estimate
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS, NUM_JOINTS, NUM_LENGTHS
 
 BLOCK_BYTES = 64_000_000
@@ -43,11 +43,11 @@ Progress = Callable[[int], None]
 
 
 class Item(NamedTuple):
-    """A frame of a stream: its `name`, and the `Frame` or, where there is none, the sentence that
+    """A frame of a stream: its `name`, and the `Estimate` or, where there is none, the sentence that
     says why."""
 
     name: str
-    frame: Frame | str
+    frame: Estimate | str
 
 
 class Drawn(NamedTuple):
@@ -184,7 +184,7 @@ def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
 
 
 def estimated(
-    frames: Iterable[DetectedFrame], estimate: Callable[[Detection], Frame]
+    frames: Iterable[DetectedFrame], estimate: Callable[[Detection], Estimate]
 ) -> Iterator[Item]:
     """Everyone in frames of detections as items of a stream, named `frame/person`; who cannot be
     estimated becomes the sentence that says why."""
@@ -210,8 +210,15 @@ def _draw(
     name, frame = item
     if isinstance(frame, str):
         return _nothing(name, BAD_INPUT, frame, k, keep)
-    mixture = draw_mixture(model, frame, key, sampler, num_samples, max_proposals)
-    columns = joint_columns(model, frame, mixture.parts, mixture.rng)
+    posterior = frame.posterior(model)
+    mixture = draw_mixture(
+        posterior,
+        key=key,
+        sampler=sampler,
+        num_samples=num_samples,
+        max_proposals=max_proposals,
+    )
+    columns = joint_columns(posterior, mixture.parts, mixture.rng)
     joints, number = columns["joints"], len(columns["joints"])
     drawn = _nothing(name, mixture.status, mixture.sentence, k, keep)
     if number == 0:
@@ -307,7 +314,7 @@ def _fingerprint(items: list[Item]) -> str:
         if isinstance(frame, str):
             digest.update(frame.encode())
             continue
-        digest.update(repr((frame.factor, frame.joints)).encode())
+        digest.update(repr(frame.likelihood).encode())
         arrays: list[Any] = [frame.detection.keypoints, frame.detection.score]
         for candidate in frame.candidates:
             camera = candidate.camera

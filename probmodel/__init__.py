@@ -13,18 +13,28 @@ from probmodel.detections import Detection
 from probmodel.failures import BadInput, OutOfBudget
 from probmodel.formats import read_detections, write_detections
 from probmodel.formats.frames import DetectedFrame, read_frames
+from probmodel.likelihood import Disc, ErrorLaw, Likelihood
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
+from probmodel.posterior import Estimate, Posterior
+from probmodel.roots import Candidate, Root
 
 __all__ = [
     "AnatomicalLimits",
     "Anatomy",
     "BadInput",
+    "Candidate",
     "DetectedFrame",
     "Detection",
+    "Disc",
+    "ErrorLaw",
+    "Estimate",
+    "Likelihood",
     "Observation",
     "OutOfBudget",
     "PoseModel",
+    "Posterior",
+    "Root",
     "WeakPerspective",
     "read_detections",
     "read_frames",

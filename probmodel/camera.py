@@ -1,8 +1,10 @@
 """The weak-perspective camera: keypoint = scale · (rotation · point)[:2] + translation.
 
 Axes of the image and of the camera: x right, y down, z away from the camera. The paper writes the
-translation with the opposite sign. Points are in body units, keypoints in pixels, the scale in
-pixels per body unit."""
+translation with the opposite sign. A camera owns both steps of a projection: from a point in its
+axes to the *plane* through the pelvis parallel to the image (`flatten`, body units), and from there
+to pixels (`to_pixels`, with its inverse `to_plane`). Everything but a picture works on the plane.
+"""
 
 from typing import NamedTuple
 
@@ -13,8 +15,14 @@ from jax.typing import ArrayLike
 
 
 class WeakPerspective(NamedTuple):
-    """Camera with `scale` `()`, `rotation` `(3, 3)` from body to camera axes (proper),
-    `translation` `(2,)`."""
+    """A weak-perspective camera.
+
+    Attributes
+    ----------
+    scale : `()`, pixels per body unit.
+    rotation : `(3, 3)`, from body axes to camera axes, proper.
+    translation : `(2,)`, where the pelvis falls in the image, pixels.
+    """
 
     scale: float | np.ndarray | jax.Array
     rotation: np.ndarray | jax.Array
@@ -24,12 +32,25 @@ class WeakPerspective(NamedTuple):
         """Turns points `(..., 3)` from body axes into camera axes, body units."""
         return jnp.asarray(points) @ jnp.asarray(self.rotation).T
 
+    def flatten(self, points: ArrayLike) -> jax.Array:
+        """Where points `(..., 3)` in camera axes fall on the plane `(..., 2)`, body units."""
+        return jnp.asarray(points)[..., :2]
+
+    def to_pixels(self, plane: ArrayLike) -> jax.Array:
+        """Points of the plane `(..., 2)` as keypoints, pixels."""
+        plane = jnp.asarray(plane)
+        translation = jnp.broadcast_to(jnp.asarray(self.translation), plane.shape)
+        return jnp.asarray(self.scale) * plane + translation
+
+    def to_plane(self, keypoints: ArrayLike) -> np.ndarray:
+        """Keypoints `(..., 2)` in pixels as points of the plane, body units."""
+        return (np.asarray(keypoints, float) - np.asarray(self.translation)) / np.asarray(
+            self.scale
+        )
+
     def image(self, points: ArrayLike) -> jax.Array:
         """Projects points `(..., 3)` that are already in camera axes to pixels `(..., 2)`."""
-        planar = jnp.asarray(points)[..., :2]
-        return jnp.asarray(self.scale) * planar + jnp.broadcast_to(
-            jnp.asarray(self.translation), planar.shape
-        )
+        return self.to_pixels(self.flatten(points))
 
     def project(self, points: ArrayLike) -> jax.Array:
         """Projects points `(..., 3)` in body axes to pixels `(..., 2)`."""

@@ -2,8 +2,7 @@
 or missing.
 
 The usual way in is `read_detections` of `probmodel.formats`; `Detection` is what every reader
-returns. The radii of the likelihood (a uniform disc around each projected joint) follow from the
-scores: `Detection.radius`."""
+returns. What the scores mean for the likelihood: `probmodel.likelihood`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -87,32 +86,6 @@ class Detection:
         if chosen:
             alpha[chosen] = self.score[chosen] / self.score[chosen].mean()
         return alpha
-
-    def radius(
-        self, scale: float, *, factor: float = 0.25, joints: Sequence[int] = LIKELIHOOD_JOINTS
-    ) -> FloatArray:
-        """`(15,)` pixels: how far each seen one of `joints` may lie from its projection; NaN where
-        there is no factor.
-
-        The paper's tau_i = `factor` · `scale` · (mean limb length) / alpha_i; the mean limb length
-        is 1 body unit, so `scale` (pixels per body unit) carries it. Raises `BadInput` where
-        `scale` or `factor` is not positive, or a score is so far below the others that its radius
-        is not a finite number."""
-        for name, value in (("scale", scale), ("factor", factor)):
-            if not 0 < value <= LARGEST_NUMBER:  # false for NaN too
-                raise BadInput(
-                    f"the {name} of the radii must lie between 0 and {LARGEST_NUMBER:g}, not"
-                    f" {value}."
-                )
-        alpha = self.alpha(joints)
-        with np.errstate(over="ignore", divide="ignore"):  # reported below, by name
-            radius = factor * scale / alpha
-        for joint in np.flatnonzero(np.isinf(radius)):
-            raise BadInput(
-                f"the score of {JOINTS[joint]} in {self.where} is {self.score[joint]}, too far"
-                " below the others for a radius; read the file with a higher threshold."
-            )
-        return radius
 
 
 def pick_person(detections: Sequence[Detection], person: int) -> Detection:

@@ -8,6 +8,7 @@ length (5) × surface of the sphere (9) × area of the image."""
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 import numpyro
 from jax.typing import ArrayLike
 from numpyro.handlers import mask
+from numpyro.infer.util import log_density
 
 from probmodel.anatomy.lengths import BoneLength, LengthPrior
 from probmodel.anatomy.limits import AnatomicalLimits, cell_of
@@ -23,9 +25,10 @@ from probmodel.anatomy.torsos import TorsoDictionary
 from probmodel.directions.cells import Cells
 from probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from probmodel.directions.hinges import Hinge
-from probmodel.disc import UniformDisc
-from probmodel.kinematics import pose
+from probmodel.kinematics import articulation, pose
+from probmodel.likelihood import Detected
 from probmodel.observation import Observation
+from probmodel.pose import Pose
 from probmodel.skeleton import BONES, NUM_LOWER
 
 LENGTH_OF_BONE = tuple(bone.length_group for bone in BONES)
@@ -116,17 +119,36 @@ class PoseModel:
     def joints(
         self, torso: ArrayLike, length: ArrayLike, upper: ArrayLike, lower: ArrayLike
     ) -> jax.Array:
-        """Joints `(..., 15, 3)` in the axes of the `torso` `(..., 6, 3)`, from the lengths `(...,
-        5)` and the local directions `(..., 5, 3)`, `(..., 4, 3)`."""
+        """Joints `(..., 15, 3)`, in the axes of the `torso` `(..., 6, 3)`, of the pose `(length,
+        upper, lower)` as in `Pose`."""
         length = jnp.asarray(length)[..., jnp.array(LENGTH_OF_BONE)]
-        return pose(
-            torso,
-            upper,
-            lower,
-            length,
-            jnp.asarray(self.limits.reference),
-            jnp.asarray(self.limits.fallback),
-        )
+        reference, fallback = jnp.asarray(self.limits.reference), jnp.asarray(self.limits.fallback)
+        return pose(torso, upper, lower, length, reference, fallback)
+
+    def pose_of(self, joints: ArrayLike, length: ArrayLike) -> Pose:
+        """The pose whose joints `(..., 15, 3)`, in any axes, and lengths `(..., 5)` are given."""
+        reference, fallback = jnp.asarray(self.limits.reference), jnp.asarray(self.limits.fallback)
+        parts = articulation(joints, reference, fallback)
+        return Pose(jnp.asarray(length), parts.upper, parts.lower)
+
+    def compose(self, step: Callable[[str, Any], jax.Array]) -> Pose:
+        """The chain of the prior, lengths → upper → hinge → lower, written once.
+
+        `step(site, law)` says what becomes of each law in turn (a draw, a quantile, a given value);
+        the law of the lower bones is that below the upper directions which `step` returned.
+        """
+        length = step("bone_length", BoneLength(self.lengths))
+        upper = step("upper", OccupiedDirection(self.cells))
+        return Pose(length, upper, step("lower", HingedDirection(self.hinges_at(upper))))
+
+    def draw(self, key: jax.Array, number: int) -> Pose:
+        """`number` poses of the prior, `(number, ...)`."""
+        keys = iter(jax.random.split(key, 3))
+
+        def step(site: str, law: Any) -> jax.Array:
+            return law.sample(next(keys), () if site == "lower" else (number,))
+
+        return self.compose(step)
 
     def prior(self) -> jax.Array:
         """NumPyro model: a pose in body axes, body units; returns the joints `(15, 3)`."""
@@ -134,34 +156,35 @@ class PoseModel:
         return self._pose(jnp.asarray(self.torsos)[index])
 
     def posterior(self, observation: Observation) -> jax.Array:
-        """NumPyro model: a pose in camera axes that explains the observation's keypoints, given its
-        torso and camera.
+        """NumPyro model: a pose in camera axes that explains the detection, given its root.
 
         Draw new keypoints from it by `numpyro.handlers.uncondition`.
         """
+        camera, seen = observation.root.camera, observation.seen
         joints = self._pose(observation.view)
-        keypoints = numpyro.deterministic("keypoints", observation.camera.image(joints))
-        seen = observation.has_factor
-        detected = jnp.where(seen[:, None], jnp.asarray(observation.keypoints), keypoints)
-        radius = jnp.where(seen, jnp.asarray(observation.radius), 1.0)
+        keypoints = numpyro.deterministic("keypoints", camera.image(joints))
+        detected = jnp.where(seen[:, None], camera.to_pixels(observation.target), keypoints)
+        spread = jnp.where(seen, jnp.asarray(observation.spread) * camera.scale, 1.0)
         with numpyro.plate("joint", len(seen)), mask(mask=seen):
-            numpyro.sample(
-                "detection", UniformDisc(keypoints, radius, validate_args=False), obs=detected
-            )
+            law = Detected(observation.law, keypoints, spread, validate_args=False)
+            numpyro.sample("detection", law, obs=detected)
         return joints
 
     def _pose(self, torso: jax.Array) -> jax.Array:
-        length = numpyro.sample("bone_length", BoneLength(self.lengths))
-        upper = numpyro.sample("upper", OccupiedDirection(self.cells).to_event(1))
-        lower = numpyro.sample("lower", HingedDirection(self.hinges_at(upper)).to_event(1))
-        return numpyro.deterministic("joints", self.joints(torso, length, upper, lower))
+        drawn = self.compose(lambda site, law: numpyro.sample(site, _whole(law)))
+        return numpyro.deterministic("joints", self.joints(torso, *drawn))
 
     def log_prior(self, length: ArrayLike, upper: ArrayLike, lower: ArrayLike) -> jax.Array:
-        """`(...)`: log density of lengths `(..., 5)` and directions `(..., 5, 3)`, `(..., 4, 3)`,
-        the torso given."""
-        log_prob = BoneLength(self.lengths).log_prob(length)
-        log_prob = log_prob + OccupiedDirection(self.cells).log_prob(upper).sum(axis=-1)
-        return log_prob + HingedDirection(self.hinges_at(upper)).log_prob(lower).sum(axis=-1)
+        """`(...)`: log density of poses `(length, upper, lower)` as in `Pose`, given the torso."""
+        given = {"bone_length": length, "upper": upper, "lower": lower}
+        terms = []
+
+        def step(site: str, law: Any) -> jax.Array:
+            terms.append(_whole(law).log_prob(given[site]))
+            return jnp.asarray(given[site])
+
+        self.compose(step)
+        return terms[0] + terms[1] + terms[2]
 
     @property
     def measures(self) -> dict[str, str]:
@@ -181,6 +204,11 @@ def _regions(limits: AnatomicalLimits, upper: str, lower: str) -> dict[str, Any]
     }
 
 
+def _whole(law: Any) -> Any:
+    """The law of all bones together: their product."""
+    return law.to_event(1) if law.batch_shape else law
+
+
 @jax.jit
 def log_joint(
     model: PoseModel,
@@ -189,9 +217,11 @@ def log_joint(
     upper: ArrayLike,
     lower: ArrayLike,
 ) -> jax.Array:
-    """`(...)`: log joint density of poses (lengths `(..., 5)`, directions `(..., 5, 3)`, `(..., 4,
-    3)`) and keypoints: the prior without the torso, times the discs; -inf outside."""
-    inside = observation.explains(model.joints(observation.view, length, upper, lower))
-    return model.log_prior(length, upper, lower) + jnp.where(
-        inside, observation.log_disc_density, -jnp.inf
-    )
+    """`(...)`: log joint density of poses `(length, upper, lower)` and the detection, given the
+    root: that of the program `PoseModel.posterior`; -inf outside."""
+
+    def one(length: jax.Array, upper: jax.Array, lower: jax.Array) -> jax.Array:
+        sites = {"bone_length": length, "upper": upper, "lower": lower}
+        return log_density(model.posterior, (observation,), {}, sites)[0]
+
+    return jnp.vectorize(one, signature="(g),(u,x),(l,x)->()")(length, upper, lower)

@@ -1,56 +1,96 @@
-"""What the likelihood needs: one candidate torso in front of one camera, the detected keypoints and
-their discs."""
+"""What a detection says under one root: where each joint was seen on the camera's plane, and how
+far from there it may fall.
 
-from typing import NamedTuple
+Here pixels have become body units, once, and a joint that does not count is one thing: it may fall
+infinitely far.
+"""
+
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
-from probmodel.camera import WeakPerspective
+if TYPE_CHECKING:
+    from probmodel.likelihood import ErrorLaw
+    from probmodel.roots import Root
 
 
 class Observation(NamedTuple):
-    """A torso and camera held fixed, and the detections to be explained.
+    """A detection under one root, a pytree.
 
-    `torso` `(6, 3)` body units, body axes, pelvis at the origin; `camera`; `keypoints` `(15, 2)`
-    pixels, NaN where missing; `radius` `(15,)` τ in pixels, NaN where a joint has no factor;
-    `torso_index` in the dictionary."""
+    Attributes
+    ----------
+    root : the torso and camera.
+    target : `(15, 2)`, the detected joints on the camera's plane, body units; 0 where a joint does
+        not count.
+    spread : `(15,)`, the spread of each joint's error, body units; infinite where a joint does not
+        count.
+    law : the errors' law, in spreads.
+    """
 
-    torso: ArrayLike
-    camera: WeakPerspective
-    keypoints: ArrayLike
-    radius: ArrayLike
-    torso_index: ArrayLike = 0
+    root: "Root"
+    target: np.ndarray | jax.Array
+    spread: np.ndarray | jax.Array
+    law: "ErrorLaw"
 
     @property
-    def has_factor(self) -> jax.Array:
-        """`(15,)` bool: joints that were detected and count in the likelihood."""
-        return jnp.isfinite(jnp.asarray(self.radius)) & jnp.isfinite(
-            jnp.asarray(self.keypoints)
-        ).all(axis=-1)
+    def seen(self) -> jax.Array:
+        """`(15,)` bool: the joints that count."""
+        return jnp.isfinite(jnp.asarray(self.spread))
+
+    @property
+    def reach(self) -> np.ndarray:
+        """`(15,)`: how far each joint may fall from its target, body units; infinite where it does
+        not count."""
+        return self.law.reach * np.asarray(self.spread)
 
     @property
     def view(self) -> jax.Array:
         """`(6, 3)`: the torso in camera axes."""
-        return self.camera.view(self.torso)
+        return self.root.view
 
     @property
-    def log_disc_density(self) -> jax.Array:
-        """`()`: the likelihood wherever the indicator is one, -Σ log πτ², per square pixel and seen
-        joint."""
-        radius = jnp.where(self.has_factor, jnp.asarray(self.radius), 1.0)
-        return -jnp.sum(jnp.where(self.has_factor, jnp.log(jnp.pi * radius**2), 0.0))
+    def log_peak(self) -> jax.Array:
+        """`()`: the log likelihood of a pose that projects onto every target, per square pixel and
+        joint seen; for discs -Σ log πτ²."""
+        pixels = jnp.where(self.seen, jnp.asarray(self.spread) * self.root.camera.scale, 1.0)
+        return jnp.sum(jnp.where(self.seen, self.law.log_peak - 2 * jnp.log(pixels), 0.0))
+
+    def distances(self, joints: ArrayLike) -> jax.Array:
+        """`(..., 15)`: how far the joints `(..., 15, 3)` of poses, in camera axes, fall from their
+        targets on the plane, body units."""
+
+        def one(joints: jax.Array) -> jax.Array:
+            return jnp.linalg.norm(self.root.camera.flatten(joints) - self.target, axis=-1)
+
+        return jnp.vectorize(one, signature="(j,x)->(j)")(joints)
+
+    def squares(self, joints: ArrayLike) -> jax.Array:
+        """`(..., 15)`: the same distances squared, in spreads; 0 where a joint does not count."""
+
+        def one(joints: jax.Array) -> jax.Array:
+            offset = self.root.camera.flatten(joints) - jnp.asarray(self.target)
+            return jnp.sum(offset**2, axis=-1) / jnp.asarray(self.spread) ** 2
+
+        return jnp.vectorize(one, signature="(j,x)->(j)")(joints)
+
+    def log_ratios(self, joints: ArrayLike) -> jax.Array:
+        """`(..., 15)`: for each joint, the log of the likelihood over its peak: at most 0, and 0
+        where a joint does not count."""
+        return jnp.where(self.seen, self.law.log_ratio(self.squares(joints)), 0.0)
+
+    def log_density(self, joints: ArrayLike) -> jax.Array:
+        """`(...)`: the log likelihood of poses `(..., 15, 3)` in camera axes, per square pixel and
+        joint seen."""
+        return self.log_peak + jnp.sum(self.log_ratios(joints), axis=-1)
+
+    def misfit(self, joints: ArrayLike) -> jax.Array:
+        """`(...)`: the largest distance of a seen joint from its target, in reaches."""
+        return jnp.sqrt(jnp.max(self.squares(joints), axis=-1)) / self.law.reach
 
     def explains(self, joints: ArrayLike) -> jax.Array:
-        """`(...)` bool: whether poses `(..., 15, 3)` in camera axes put every seen joint into its
-        disc."""
-        return jnp.vectorize(self._explains, signature="(j,x)->()")(joints)
-
-    def _explains(self, joints: jax.Array) -> jax.Array:
-        seen = self.has_factor
-        offset = self.camera.image(joints) - jnp.where(
-            seen[:, None], jnp.asarray(self.keypoints), 0.0
-        )
-        radius = jnp.where(seen, jnp.asarray(self.radius), jnp.inf)
-        return jnp.all(jnp.sum(offset**2, axis=-1) <= radius**2)
+        """`(...)` bool: whether poses `(..., 15, 3)` in camera axes put every seen joint within its
+        reach."""
+        return jnp.all(self.squares(joints) <= self.law.reach**2, axis=-1)

@@ -104,9 +104,7 @@ def brute_force(limits, lengths, frame, name, number, seed):
     rng = np.random.default_rng(seed)
     candidate = frame.candidates[0]
     torso = np.asarray(candidate.torso) @ np.asarray(candidate.camera.rotation).T
-    radius = frame.detection.radius(
-        float(candidate.camera.scale), factor=frame.factor, joints=frame.joints
-    )
+    radius = frame.likelihood.spread(frame.detection, float(candidate.camera.scale))
     sizes, parts = [], []
     for start in range(0, number, CHUNK):
         size, joints = propose_group(limits, lengths, torso, name, min(CHUNK, number - start), rng)

@@ -6,11 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from inference.candidates import Candidate, Frame
 from probmodel.camera import WeakPerspective
-from probmodel.detections import LIKELIHOOD_JOINTS, Detection
+from probmodel.detections import Detection
 from probmodel.learning.learning import body_unit
+from probmodel.likelihood import Likelihood
 from probmodel.model import PoseModel
+from probmodel.posterior import Estimate
+from probmodel.roots import Candidate
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from probmodel.transport import CUBE_DIM, from_cube
 
@@ -33,7 +35,7 @@ def scene(
     missing: tuple[str, ...] = ("head",),
     rng: np.random.Generator,
     scores: np.ndarray | None = None,
-) -> Frame:
+) -> Estimate:
     """A frame with one candidate, the truth: keypoints drawn from the discs around the projected
     `joints` `(15, 3)` (body axes, body units, pelvis at the origin)."""
     score = np.full(NUM_JOINTS, 0.8) if scores is None else scores.copy()
@@ -41,7 +43,9 @@ def scene(
     exact = np.asarray(view.project(joints))
     seen = score > 0
     blank = Detection(np.where(seen[:, None], exact, np.nan), score, "synthetic", "a scene", 0)
-    radius = np.nan_to_num(blank.radius(float(view.scale), factor=factor))
+    likelihood = Likelihood(factor=factor)
+    radius = likelihood.spread(blank, float(view.scale))
+    radius = np.where(np.isfinite(radius), radius, 0.0)
     distance, angle = (
         radius * np.sqrt(rng.uniform(size=NUM_JOINTS)),
         rng.uniform(0, 2 * np.pi, NUM_JOINTS),
@@ -50,15 +54,15 @@ def scene(
     detection = Detection(
         np.where(seen[:, None], shifted, np.nan), score, "synthetic", "a scene", 0
     )
-    return Frame(detection, (Candidate(0, torso, view, 0.0),), factor, LIKELIHOOD_JOINTS)
+    return Estimate(detection, (Candidate(0, torso, view, 0.0),), likelihood)
 
 
-def prior_scene(model: PoseModel, seed: int, **options: object) -> Frame:
+def prior_scene(model: PoseModel, seed: int, **options: object) -> Estimate:
     """A scene with a pose of the model's prior, seen from a random side."""
     rng = np.random.default_rng(seed)
-    configuration = from_cube(model, jnp.asarray(rng.uniform(size=CUBE_DIM)))
+    pose = from_cube(model, jnp.asarray(rng.uniform(size=CUBE_DIM)))
     torso = np.asarray(model.torsos)[rng.integers(len(model.torsos))]
-    joints = np.asarray(model.joints(torso, *configuration))
+    joints = np.asarray(model.joints(torso, *pose))
     return scene(
         torso, camera(rng.uniform(0, 360), rng.uniform(-30, 30)), joints, rng=rng, **options
     )
@@ -66,7 +70,7 @@ def prior_scene(model: PoseModel, seed: int, **options: object) -> Frame:
 
 def motion_scene(
     joints: np.ndarray, yaw: float, tilt: float, seed: int, **options: object
-) -> Frame:
+) -> Estimate:
     """A scene with a pose of motion capture `(15, 3)` (Y up), its own torso and the true camera."""
     body = (joints - joints[0]) / body_unit(joints[None])
     return scene(

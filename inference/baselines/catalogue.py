@@ -19,13 +19,13 @@ from inference.baselines.hamiltonian import GRADIENTS
 from inference.baselines.metropolis import WALKS
 from inference.baselines.nested import NESTED
 from inference.baselines.run import Allowance, Baseline, Progress, Run, check_packages, run
-from inference.baselines.target import Target, read_poses
+from inference.baselines.target import Target
 from inference.baselines.tempering import TEMPERINGS
-from inference.candidates import Frame
-from inference.results import CandidateDraws, Result, build_tree, key_words
+from inference.results import Result, RootDraws, build_tree, key_words
 from inference.studies.flips import away, codes
 from probmodel.failures import BadInput
-from probmodel.model import PoseModel
+from probmodel.pose import Pose
+from probmodel.posterior import Posterior
 
 BASELINES: dict[str, Baseline] = {**ENSEMBLES, **GRADIENTS, **WALKS, **TEMPERINGS, **NESTED}
 """Every baseline by its name."""
@@ -41,9 +41,8 @@ def starting_points(target: Target, exact: xr.DataTree, start: str) -> np.ndarra
     if start not in STARTS:
         raise BadInput(f"there is no start {start!r}; choose one of {', '.join(STARTS)}")
     posterior = exact["posterior"]
-    points = target.points_of(
-        read_poses(target.model, posterior.joints.values[0], posterior.bone_length.values[0])
-    )
+    joints, length = posterior.joints.values[0], posterior.bone_length.values[0]
+    points = target.points_of(target.model.pose_of(joints, length))
     if start == DISPERSED:
         return points
     flips = codes(away(posterior.joints.values[0]))
@@ -52,8 +51,7 @@ def starting_points(target: Target, exact: xr.DataTree, start: str) -> np.ndarra
 
 
 def sample_baseline(
-    model: PoseModel,
-    frame: Frame,
+    posterior: Posterior,
     exact: Callable[..., Result],
     *,
     key: jax.Array,
@@ -66,7 +64,7 @@ def sample_baseline(
     `exact(num_samples=…)`. They are not independent, and not exact: `inference.studies.comparison`
     says how good they are. Raises as `Target.of`, and `BadInput` where chains are asked for more
     than they keep."""
-    target, baseline = Target.of(model, frame), BASELINES[sampler]
+    target, baseline = Target.of(posterior), BASELINES[sampler]
     check_packages(sampler, baseline)
     if baseline.starts and num_samples > CAPACITY:
         raise BadInput(
@@ -89,7 +87,7 @@ def sample_baseline(
         progress=progress,
     )
     return Result(
-        baseline_tree(model, frame, _thinned(done, num_samples), key), done.status, done.sentence
+        baseline_tree(posterior, _thinned(done, num_samples), key), done.status, done.sentence
     )
 
 
@@ -102,14 +100,12 @@ def _thinned(done: Run, number: int) -> Run:
     return dataclasses.replace(done, poses=jax.tree.map(lambda leaf: leaf[:, rows], done.poses))
 
 
-def baseline_tree(model: PoseModel, frame: Frame, run: Run, key: jax.Array) -> xr.DataTree:
-    """The DataTree of the contract, with a baseline's chains; the frame has the one candidate that
-    it drew under."""
+def baseline_tree(posterior: Posterior, run: Run, key: jax.Array) -> xr.DataTree:
+    """The DataTree of the contract, with a baseline's chains; the posterior has the one root that it
+    drew under."""
     chains, draws = run.poses.length.shape[:2]
-    length, upper, lower = (
-        np.asarray(part).reshape(chains * draws, *part.shape[2:]) for part in run.poses
-    )
-    part = CandidateDraws(length, upper, lower, run.log_evidence, run.log_evidence_se, 1.0)
+    flat = Pose(*(np.asarray(part).reshape(chains * draws, *part.shape[2:]) for part in run.poses))
+    part = RootDraws(flat, run.log_evidence, run.log_evidence_se, 1.0)
     attributes: dict[str, Any] = {
         "sampler": run.sampler,
         "seed": key_words(key),
@@ -121,7 +117,7 @@ def baseline_tree(model: PoseModel, frame: Frame, run: Run, key: jax.Array) -> x
         "status": run.status,
         **{f"info_{name}": value for name, value in run.info.items()},
     }
-    tree = build_tree(model, frame, [part], attributes, rng=None)
+    tree = build_tree(posterior, [part], attributes, rng=None)
     for group in ("posterior", "sample_stats"):
         tree[group] = xr.DataTree(_chained(tree[group].to_dataset(), chains, draws))
     return tree

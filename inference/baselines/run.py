@@ -22,7 +22,7 @@ from inference.results import COMPLETE, OUT_OF_BUDGET, Cost
 from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
 from probmodel.files import replacing
-from probmodel.transport import Configuration
+from probmodel.pose import Pose
 
 Progress = Callable[[int, int], None]
 Clock = Callable[[], float]
@@ -122,7 +122,7 @@ class Run:
     compilation, which `info` has."""
 
     sampler: str
-    poses: Configuration
+    poses: Pose
     log_evidence: float
     log_evidence_se: float
     info: dict[str, float]
@@ -243,13 +243,13 @@ def _result(
     )
 
 
-def _poses(target: Target, key: jax.Array, points: np.ndarray) -> Configuration:
+def _poses(target: Target, key: jax.Array, points: np.ndarray) -> Pose:
     chains, draws = points.shape[:2]
     if not chains * draws:
         length, upper, lower = (
             np.empty((chains, draws, *shape)) for shape in ((5,), (5, 3), (4, 3))
         )
-        return Configuration(length, upper, lower)  # type: ignore[arg-type]
+        return Pose(length, upper, lower)  # type: ignore[arg-type]
     return target.poses(key, points)
 
 

@@ -1,7 +1,7 @@
 """Exact rejection by strata: the fast way on a processor. `StratifiedGroup` is a `GroupSampler`.
 
 A group starts with few strata, and is cut finer as soon as the attempts still to be made cost more
-than the cutting (§ 4 of the model: set-up and acceptance trade against each other). Draws of every
+than the cutting (`docs/model.md`, § 4: set-up and acceptance trade against each other). Draws of every
 resolution are draws of the same posterior, so all are kept, and their rates are pooled."""
 
 import functools
@@ -13,7 +13,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from inference.exact.loops.attempts import Desk, attempt_bodies, desk
@@ -32,12 +31,11 @@ from inference.exact.loops.strata import (
     Strata,
     stratify,
 )
-from inference.exact.problem import Draws
+from inference.exact.problem import LogRatio
 from inference.exact.rates import HOPELESS, Budget, Pile, Pooled, Rate
-from probmodel.kinematics import upper_frames
 from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.skeleton import GROUPS, TORSO_INDEX
+from probmodel.pose import GroupDraws
+from probmodel.skeleton import GROUPS
 
 RESOLUTIONS = (
     Resolution(4, 3, 1),
@@ -57,7 +55,7 @@ FIRST = 1 << 11
 """Attempts of the first batch, which shows how a group fares."""
 
 
-class Anatomy(NamedTuple):
+class GroupTables(NamedTuple):
     """What the model says of a group of limbs: a `Build` each, and the parameters `(bones, 4)` of
     their lengths."""
 
@@ -65,23 +63,23 @@ class Anatomy(NamedTuple):
     lengths: np.ndarray
 
 
-_known: dict[int, tuple[weakref.ref, dict[str, Anatomy]]] = {}
+_known: dict[int, tuple[weakref.ref, dict[str, GroupTables]]] = {}
 """By the identity of the model, which is no key itself; an entry goes when its model goes."""
 
 
-def anatomies(model: PoseModel) -> dict[str, Anatomy]:
+def group_tables(model: PoseModel) -> dict[str, GroupTables]:
     """The model's tables as the compiled loops read them, by group; made once a model."""
     identity = id(model)
     if identity not in _known or _known[identity][0]() is not model:
-        found = {name: _anatomy(model, limbs) for name, limbs in GROUPS.items()}
+        found = {name: _group(model, limbs) for name, limbs in GROUPS.items()}
         _known[identity] = weakref.ref(model, lambda _: _known.pop(identity, None)), found
     return _known[identity][1]
 
 
-def _anatomy(model: PoseModel, limbs: Sequence) -> Anatomy:
+def _group(model: PoseModel, limbs: Sequence) -> GroupTables:
     lengths = np.stack([np.asarray(field) for field in model.lengths], axis=1)
     used = [bone.length_group for bone in limbs[0].bones]
-    return Anatomy(
+    return GroupTables(
         tuple(_build(model, limb.upper, limb.lower) for limb in limbs),
         np.ascontiguousarray(lengths[used], dtype=float),
     )
@@ -132,35 +130,6 @@ def _workers() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count())
 
 
-def sights(observation: Observation) -> dict[str, tuple[Sight, ...]]:
-    """Every limb in front of the camera, by group; what each has to explain, measured from where it
-    starts. The loops compute in 64 bits, whatever JAX does."""
-    frames, image = (
-        np.array(part, float) for part in _torso(observation)
-    )  # copies: the loops know one type
-    start = dict(zip(TORSO_INDEX, image, strict=True))
-    keypoints, radius = np.asarray(observation.keypoints), np.asarray(observation.radius)
-    seen, scale = np.asarray(observation.has_factor), float(observation.camera.scale)
-    found = {}
-    for name, limbs in GROUPS.items():
-        rows = []
-        for limb in limbs:
-            target, reach = np.zeros((2, 2)), np.full(2, np.inf)
-            for row, bone in enumerate(limb.bones):
-                if seen[bone.end]:
-                    target[row] = (keypoints[bone.end] - start[limb.bones[0].start]) / scale
-                    reach[row] = radius[bone.end] / scale
-            rows.append(Sight(np.ascontiguousarray(frames[limb.upper]), target, reach))
-        found[name] = tuple(rows)
-    return found
-
-
-@jax.jit
-def _torso(observation: Observation) -> tuple[jax.Array, jax.Array]:
-    """Frames of the upper bones in camera axes, and the torso's joints in the image."""
-    return upper_frames(observation.view), observation.camera.image(jnp.asarray(observation.view))
-
-
 class Plan(NamedTuple):
     """Strata of a group at one resolution; `share` `(bins,)` of the attempts, and the proposal's
     whole `mass`."""
@@ -177,19 +146,19 @@ class Plan(NamedTuple):
         return sum(len(strata.pieces) for strata in self.strata)
 
 
-def plan_group(anatomy: Anatomy, limbs: tuple[Sight, ...], resolution: Resolution) -> Plan:
+def plan_group(tables: GroupTables, limbs: tuple[Sight, ...], resolution: Resolution) -> Plan:
     """Cuts a group at a resolution. Attempts × `mass` × acceptance rate = the prior probability of
     what is accepted."""
-    two = anatomy.builds[0].bones == 2
-    low, high, alpha, beta = anatomy.lengths[0]
+    two = tables.builds[0].bones == 2
+    low, high, alpha, beta = tables.lengths[0]
     first = length_bins(low, high, alpha, beta, resolution.first)
-    low, high, alpha, beta = anatomy.lengths[-1]
+    low, high, alpha, beta = tables.lengths[-1]
     second = length_bins(low, high, alpha, beta, resolution.second if two else 1)
 
     def one(sight: Sight, build: Build) -> Strata:
         return stratify(sight, build, first.edges, second.edges, resolution.sub)
 
-    strata = tuple(_workers().map(one, limbs, anatomy.builds))
+    strata = tuple(_workers().map(one, limbs, tables.builds))
     prior = np.outer(first.mass, second.mass).ravel() if two else first.mass
     weight = prior * np.prod([limb.totals for limb in strata], axis=0)
     mass = float(weight.sum())
@@ -201,9 +170,15 @@ class StratifiedGroup:
     see the module."""
 
     def __init__(
-        self, key: jax.Array, name: str, anatomy: Anatomy, limbs: tuple[Sight, ...]
+        self,
+        key: jax.Array,
+        name: str,
+        tables: GroupTables,
+        limbs: tuple[Sight, ...],
+        log_ratio: LogRatio | None = None,
     ) -> None:
-        self.name, self._anatomy, self._limbs = name, anatomy, limbs
+        self._log_ratio = log_ratio
+        self.name, self._tables, self._limbs = name, tables, limbs
         self._words = words_of(key)
         self._pile = Pile()
         self.level = self._batches = 0
@@ -216,9 +191,13 @@ class StratifiedGroup:
         return self._pile.size
 
     @property
+    def impossible(self) -> bool:
+        return self._plan.mass == 0
+
+    @property
     def hopeless(self) -> bool:
         tried = sum(rate.proposed for rate in self._rates)
-        return self._plan.mass == 0 or (self.held == 0 and tried >= HOPELESS)
+        return self.impossible or (self.held == 0 and tried >= HOPELESS)
 
     @property
     def slowest(self) -> str:
@@ -271,7 +250,7 @@ class StratifiedGroup:
 
     def plan_at(self, level: int) -> Plan:
         """The group cut at one of the resolutions."""
-        return plan_group(self._anatomy, self._limbs, RESOLUTIONS[level])
+        return plan_group(self._tables, self._limbs, RESOLUTIONS[level])
 
     def _run(self, sizes: list[int]) -> None:
         numbers = range(self._batches, self._batches + len(sizes))
@@ -298,7 +277,7 @@ class StratifiedGroup:
         counts = rng.multinomial(attempts, plan.share)
         rows = np.empty((attempts, 2 + 6 * len(self._limbs)))
         limbs = [
-            (self._limbs[row], self._anatomy.builds[row], plan.strata[row]) for row in self._order
+            (self._limbs[row], self._tables.builds[row], plan.strata[row]) for row in self._order
         ]
         state, pair = seeded(self._words, number, 1), (limbs[0], limbs[-1])
         found, passed = attempt_bodies(
@@ -307,13 +286,13 @@ class StratifiedGroup:
         rows = rows[rng.permutation(found)]
         if self._order[0]:
             rows[:, 2:8], rows[:, 8:] = rows[:, 8:], rows[:, 2:8].copy()
+        if self._log_ratio is not None and found:
+            rows = rows[np.log1p(-rng.uniform(size=found)) <= self._log_ratio(self._named(rows))]
         return rows, passed
 
-    def draws(self) -> dict[str, Draws]:
-        rows = self._pile.all()[0]
+    def draws(self) -> dict[str, GroupDraws]:
+        return {self.name: self._named(self._pile.all()[0])}
+
+    def _named(self, rows: np.ndarray) -> GroupDraws:
         vectors = rows[:, 2:].reshape(len(rows), len(self._limbs), 2, 3)
-        return {
-            self.name: Draws(
-                rows[:, : len(self._anatomy.lengths)], vectors[:, :, 0], vectors[:, :, 1]
-            )
-        }
+        return GroupDraws(rows[:, : len(self._tables.lengths)], vectors[:, :, 0], vectors[:, :, 1])

@@ -1,252 +1,98 @@
-"""Exact rejection: draws of the prior that pass the indicator are draws of the posterior, and the
-rate is the evidence.
-
-Four proposals: the whole body from the prior, each group of limbs from the prior, each group pruned
-(`patches`), and each group by strata (`stratified`), the fast way on a processor. The first three
-are JAX programs with one accept step (`limbs.Group.explains`) and run on any device. The pruned one
-draws limbs for which *some* lengths explain the detections, puts limbs that share lengths together,
-draws those lengths once from the prior, and asks the accept step. Nothing is redrawn after
-acceptance, so every draw is independent and exact."""
+"""Exact rejection as the textbook has it: bodies from the prior, kept where they explain the
+detection, whole or group by group. Slow; it needs nothing but the program's own pieces.
+"""
 
 import functools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.exact.groups import StratifiedGroup, anatomies, sights
-from inference.exact.patches import Limb, Plan, limbs_of, plan_limb, propose_limb
-from inference.exact.problem import Draws, Group, build_groups
-from inference.exact.rates import HOPELESS, Budget, GroupSampler, Pile, Rate
-from probmodel.anatomy.lengths import BoneLength
-from probmodel.anatomy.limits import cell_of
-from probmodel.directions.distributions import HingedDirection, OccupiedDirection
+from inference.exact.rates import Budget, Pile, Rate
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
+from probmodel.pose import GroupDraws, Pose
+from probmodel.skeleton import GROUPS
 
 BATCH = 1 << 15
-"""Proposals made at a time; one compilation serves every batch of every frame."""
-PAIRS = 1 << 12
-"""Limbs put together at a time."""
-HOPELESS_PAIRS = 1 << 20
-"""The same for limbs put together, whose rate is far higher where their lengths can agree at all:
-below 5e-6."""
+"""Bodies proposed at a time; one compilation serves every batch of every frame."""
 
 
-@dataclass
-class LimbStream:
-    """Independent draws of one limb for which some lengths in range explain its detections."""
+class PriorBodies:
+    """Bodies from the prior. Each of `wholes`, a tuple of groups, is accepted as one, and all of
+    them independently of each other, since the prior's groups are.
 
-    key: jax.Array
-    limb: Limb
-    plan: Plan
-    batches: int = 0
-    accepted: int = 0
-    pile: Pile = field(default_factory=Pile)
+    Parameters
+    ----------
+    key : of all draws.
+    model, observation : what is believed, under one root.
+    wholes : the groups that are accepted together, e.g. `(("head",), ("arms",), ("legs",))`.
+    """
 
-    def run(self, budget: Budget) -> bool:
-        """One more batch of proposals; False where the budget does not allow it."""
-        if not budget.spend(BATCH):
-            return False
-        upper, lower, kept = propose_limb(
-            jax.random.fold_in(self.key, self.batches), self.limb, self.plan, BATCH
-        )
-        chosen = np.flatnonzero(np.asarray(kept))
-        self.batches += 1
-        self.accepted += len(chosen)
-        self.pile.add(np.asarray(upper)[chosen], np.asarray(lower)[chosen])
-        return True
+    impossible = hopeless = False  # draws from the prior go on to the end of the budget
 
-    @property
-    def rate(self) -> Rate:
-        return Rate(self.batches * BATCH, self.accepted, float(self.plan.mass))
-
-
-class PrunedGroup:
-    """Limbs pruned one by one, put together, lengths drawn once; see the module."""
-
-    def __init__(self, key: jax.Array, name: str, group: Group) -> None:
-        self.name, self.group = name, group
-        self._key = jax.random.fold_in(key, 0)
-        self.streams = [
-            LimbStream(jax.random.fold_in(key, index + 1), limb, plan_limb(limb))
-            for index, limb in enumerate(limbs_of(group))
-        ]
-        self._pile = Pile()
-        self._chunks = self._tried = 0
-
-    @property
-    def hopeless(self) -> bool:
-        empty = any(stream.rate.mass == 0 for stream in self.streams)
-        barren = any(
-            stream.accepted == 0 and stream.rate.proposed >= HOPELESS for stream in self.streams
-        )
-        return empty or barren or (self.held == 0 and self._tried >= HOPELESS_PAIRS)
-
-    @property
-    def held(self) -> int:
-        return self._pile.size
-
-    def more(self, number: int, budget: Budget) -> bool:
-        while self.held < number:
-            going_on = not self.hopeless and min(
-                self.streams, key=lambda stream: stream.pile.size
-            ).run(budget)
-            # Few are put together as soon as few are wanted, or when nothing more will come.
-            enough = min(PAIRS, number - self.held) if going_on else 1
-            while (ready := min(stream.pile.size for stream in self.streams)) >= enough:
-                self._put_together(min(ready, PAIRS))
-            if not going_on:
-                break
-        return self.held >= number
-
-    def _put_together(self, number: int) -> None:
-        limbs = [stream.pile.take(number) for stream in self.streams]
-        upper, lower = (np.zeros((PAIRS, len(limbs), 3)) for _ in range(2))
-        for index, (first, second) in enumerate(limbs):
-            upper[:number, index], lower[:number, index] = first, second
-        length = _lengths(jax.random.fold_in(self._key, self._chunks), self.group)
-        accepted = _explains(self.group, Draws(length, upper, lower))
-        chosen = np.flatnonzero(np.asarray(accepted)[:number])
-        self._chunks += 1
-        self._tried += number
-        self._pile.add(length[chosen], upper[chosen], lower[chosen])
-
-    def draws(self) -> dict[str, Draws]:
-        return {self.name: Draws(*self._pile.all())}
-
-    @property
-    def slowest(self) -> str:
-        return self.name
-
-    @property
-    def rates(self) -> list[Rate]:
-        return [*(stream.rate for stream in self.streams), Rate(self._tried, self.held)]
-
-
-def _lengths(key: jax.Array, group: Group) -> np.ndarray:
-    """`(PAIRS, bones)` lengths from the prior. NumPy draws Beta numbers ten times faster than JAX
-    on a CPU, and has nothing to compile."""
-    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-    low, high, alpha, beta = (np.asarray(field) for field in group.lengths)
-    return np.clip(low + (high - low) * rng.beta(alpha, beta, (PAIRS, len(low))), low, high)
-
-
-@jax.jit
-def _explains(group: Group, draws: Draws) -> jax.Array:
-    return group.explains(draws)
-
-
-class PriorGroups:
-    """Draws of several groups straight from the prior, accepted together: whole bodies, or one
-    group alone."""
-
-    def __init__(self, key: jax.Array, groups: dict[str, Group]) -> None:
-        self._key, self.groups = key, groups
-        self._pile = Pile()
+    def __init__(
+        self,
+        key: jax.Array,
+        model: PoseModel,
+        observation: Observation,
+        wholes: tuple[tuple[str, ...], ...],
+    ) -> None:
+        self._key, self._model, self._observation, self.wholes = key, model, observation, wholes
+        self._piles = [Pile() for _ in wholes]
+        self._accepted = np.zeros(len(wholes), int)
         self._batches = 0
 
     @property
     def held(self) -> int:
-        return self._pile.size
+        return min(pile.size for pile in self._piles)
 
     def more(self, number: int, budget: Budget) -> bool:
         while self.held < number:
             if not budget.spend(BATCH):
                 return False
-            proposals, accepted = _from_prior(
-                jax.random.fold_in(self._key, self._batches), list(self.groups.values())
-            )
-            chosen = np.flatnonzero(np.asarray(accepted))
+            key = jax.random.fold_in(self._key, self._batches)
+            poses, kept = _propose(key, self._model, self._observation, self.wholes)
             self._batches += 1
-            self._pile.add(*(np.asarray(leaf)[chosen] for leaf in jax.tree.leaves(proposals)))
+            for index, pile in enumerate(self._piles):
+                chosen = np.flatnonzero(np.asarray(kept[index]))
+                self._accepted[index] += len(chosen)
+                if pile.size < number:  # the others' surplus would only fill the memory
+                    pile.add(*(np.asarray(part)[chosen] for part in poses))
         return True
 
-    def draws(self) -> dict[str, Draws]:
-        leaves = self._pile.all()
+    def draws(self) -> dict[str, GroupDraws]:
         return {
-            name: Draws(*leaves[3 * index : 3 * index + 3])
-            for index, name in enumerate(self.groups)
+            name: GroupDraws.of(Pose(*pile.all()), GROUPS[name])
+            for whole, pile in zip(self.wholes, self._piles, strict=True)
+            for name in whole
         }
 
     @property
-    def hopeless(self) -> bool:
-        return False  # draws from the prior go on to the end of the budget
-
-    @property
     def slowest(self) -> str:
-        return max(self.groups, key=lambda name: self.groups[name].target.size)
+        return self.wholes[int(np.argmin(self._accepted))][-1]
 
     @property
     def rates(self) -> list[Rate]:
-        return [Rate(self._batches * BATCH, self.held)]
+        return [Rate(self._batches * BATCH, int(accepted)) for accepted in self._accepted]
 
 
-@jax.jit
-def _from_prior(key: jax.Array, groups: list[Group]) -> tuple[list[Draws], jax.Array]:
-    proposals = [
-        group_prior(jax.random.fold_in(key, index), group, BATCH)
-        for index, group in enumerate(groups)
-    ]
-    accepted = [group.explains(draws) for group, draws in zip(groups, proposals, strict=True)]
-    return proposals, jnp.all(jnp.stack(accepted), axis=0)
-
-
-@functools.partial(jax.jit, static_argnames="num")
-def group_prior(key: jax.Array, group: Group, num: int) -> Draws:
-    """`num` draws of a group from the prior: lengths, upper directions, lower directions given the
-    upper ones."""
-    for_length, for_upper, for_lower = jax.random.split(key, 3)
-    length = BoneLength(group.lengths).sample(for_length, (num,))
-    upper = OccupiedDirection(group.cells).sample(for_upper, (num,))
-    if group.num_bones == 1:
-        return Draws(length, upper, upper)
-    column, row = cell_of(upper)
-    hinges = jax.tree.map(lambda leaf: leaf[jnp.arange(group.num_limbs), column, row], group.hinges)
-    return Draws(length, upper, HingedDirection(hinges).sample(for_lower))
-
-
-def _strata(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
-    tables, limbs = anatomies(model), sights(observation)
-    return [
-        StratifiedGroup(jax.random.fold_in(key, index), name, tables[name], limbs[name])
-        for index, name in enumerate(tables)
-    ]
-
-
-def _pruned(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
-    groups = build_groups(model, observation)
-    return [
-        PrunedGroup(jax.random.fold_in(key, index), *item)
-        for index, item in enumerate(groups.items())
-    ]
-
-
-def _per_group(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
-    groups = build_groups(model, observation)
-    return [
-        PriorGroups(jax.random.fold_in(key, index), dict([item]))
-        for index, item in enumerate(groups.items())
-    ]
-
-
-def _whole_body(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
-    return [PriorGroups(key, build_groups(model, observation))]
-
-
-def _fastest(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
-    """By strata on a processor, pruned where JAX computes on an accelerator."""
-    return (_strata if jax.default_backend() == "cpu" else _pruned)(key, model, observation)
-
-
-Proposal = Callable[[jax.Array, PoseModel, Observation], Sequence[GroupSampler]]
-PROPOSALS: dict[str, Proposal] = {
-    "rejection": _fastest,
-    "rejection-strata": _strata,
-    "rejection-patches": _pruned,
-    "rejection-group": _per_group,
-    "rejection-prior": _whole_body,
-}
-"""How exact rejection proposes, by the sampler's name."""
+@functools.partial(jax.jit, static_argnames="wholes")
+def _propose(
+    key: jax.Array,
+    model: PoseModel,
+    observation: Observation,
+    wholes: tuple[tuple[str, ...], ...],
+) -> tuple[Pose, list[jax.Array]]:
+    """Bodies from the prior, and which of them are kept for each of `wholes`."""
+    for_pose, for_test = jax.random.split(key)
+    poses = model.draw(for_pose, BATCH)
+    log_ratios = observation.log_ratios(model.joints(observation.view, *poses))
+    test = jnp.log1p(-jax.random.uniform(for_test, (len(wholes), BATCH)))
+    kept = []
+    for row, whole in enumerate(wholes):
+        ends = jnp.array(
+            [bone.end for name in whole for limb in GROUPS[name] for bone in limb.bones]
+        )
+        kept.append(test[row] <= jnp.sum(log_ratios[:, ends], axis=1))
+    return poses, kept

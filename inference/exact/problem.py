@@ -1,123 +1,70 @@
-"""The problem of one group of limbs, in body units: where its joints may be, given torso and
-camera.
+"""What one root leaves of each limb: where its joints have to fall, seen from where the limb starts.
 
-Exact rejection treats head, arms and legs apart (given torso and camera they are independent). Each
-proposal makes draws of a group; `explains` is the one accept step behind all of them."""
+Given the root, head, arms and legs are independent of each other, and the limbs of a group share
+nothing but bone lengths. Everything here is in body units and 64 bits, whatever JAX computes in.
+"""
 
-import dataclasses
-from typing import Any, NamedTuple
+from collections.abc import Callable
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from probmodel.anatomy.lengths import LengthPrior
-from probmodel.directions.cells import Cells
-from probmodel.directions.hinges import Hinge
-from probmodel.kinematics import lower_frame, upper_frames
+from inference.exact.loops.strata import Sight
+from probmodel.chunks import in_chunks
+from probmodel.kinematics import upper_frames
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
-from probmodel.skeleton import GROUPS, TORSO_INDEX
+from probmodel.pose import GroupDraws, Pose
+from probmodel.skeleton import GROUPS, TORSO_INDEX, Limb
+
+LogRatio = Callable[[GroupDraws], np.ndarray]
+"""`(n,)`: for draws of a group, the log of the likelihood of its joints over its peak."""
 
 
-class Draws(NamedTuple):
-    """Draws of a group: `length` `(n, bones)` shared by its limbs, `upper` `(n, limbs, 3)`, `lower`
-    `(n, limbs, 3)` local directions (of no account in a group whose limbs have one bone)."""
-
-    length: jax.Array | np.ndarray
-    upper: jax.Array | np.ndarray
-    lower: jax.Array | np.ndarray
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Group:
-    """A group of limbs in front of a camera. Leaves start with the number of limbs, `lengths` with
-    that of bones.
-
-    `frame` `(limbs, 3, 3)`: local frames in camera axes. `target` `(limbs, bones, 2)`: detected
-    joints minus the limb's start, in the image, body units. `radius` `(limbs, bones)`: body units,
-    infinite where nothing was seen."""
-
-    frame: jax.Array
-    target: jax.Array
-    radius: jax.Array
-    cells: Cells
-    hinges: Hinge
-    lengths: LengthPrior
-    reference: jax.Array
-    fallback: jax.Array
-
-    @property
-    def num_limbs(self) -> int:
-        return self.target.shape[0]
-
-    @property
-    def num_bones(self) -> int:
-        return self.target.shape[1]
-
-    def limb(self, row: int) -> "Group":
-        """The group that consists of one of the limbs, with lengths of its own."""
-        names = ("frame", "target", "radius", "cells", "hinges", "fallback")
-        parts = {
-            name: jax.tree.map(lambda leaf: leaf[row : row + 1], getattr(self, name))
-            for name in names
-        }
-        return dataclasses.replace(self, **parts)
-
-    def reach(self, draws: Draws) -> jax.Array:
-        """Image positions `(n, limbs, bones, 2)` of the joints minus the limb's start, body
-        units."""
-        return jax.vmap(lambda *draw: _reach(self, *draw))(*draws)
-
-    def explains(self, draws: Draws) -> jax.Array:
-        """The accept step, `(n,)` bool: whether each seen joint of the group lies within its
-        disc."""
-        return jax.vmap(lambda *draw: _explains(self, *draw))(*draws)
-
-
-def _explains(group: Group, length: jax.Array, upper: jax.Array, lower: jax.Array) -> jax.Array:
-    offset = _reach(group, length, upper, lower) - group.target
-    return jnp.all(jnp.sum(offset**2, axis=-1) <= group.radius**2)
-
-
-def _reach(group: Group, length: jax.Array, upper: jax.Array, lower: jax.Array) -> jax.Array:
-    first = -length[0] * jnp.einsum("lij,lj->li", group.frame[:, :2], upper)
-    if group.num_bones == 1:
-        return first[:, None]
-    local = jax.vmap(lower_frame, (0, None, 0))(upper, group.reference, group.fallback)
-    second = first - length[1] * jnp.einsum("lij,ljk,lk->li", group.frame[:, :2], local, lower)
-    return jnp.stack([first, second], axis=1)
+def limb_problems(observation: Observation) -> dict[str, tuple[Sight, ...]]:
+    """The problem of every limb, by group."""
+    axes, plane = (np.array(part, float) for part in _torso(observation))  # copies: one type
+    start = dict(zip(TORSO_INDEX, plane, strict=True))
+    target, reach = np.asarray(observation.target, float), observation.reach
+    found = {}
+    for name, limbs in GROUPS.items():
+        rows = []
+        for limb in limbs:
+            offset, radius = np.zeros((2, 2)), np.full(2, np.inf)
+            for row, bone in enumerate(limb.bones):
+                if np.isfinite(reach[bone.end]):
+                    offset[row] = target[bone.end] - start[limb.bones[0].start]
+                    radius[row] = reach[bone.end]
+            rows.append(Sight(np.ascontiguousarray(axes[limb.upper]), offset, radius))
+        found[name] = tuple(rows)
+    return found
 
 
 @jax.jit
-def build_groups(model: PoseModel, observation: Observation) -> dict[str, Group]:
-    """The problems of `skeleton.GROUPS`, by name. Everything is measured from where each limb
-    starts at the torso."""
-    torso = observation.view
-    frames, seen = upper_frames(torso), observation.has_factor
-    keypoints, radius = jnp.asarray(observation.keypoints), jnp.asarray(observation.radius)
-    image = dict(zip(TORSO_INDEX, observation.camera.image(torso), strict=True))
-    groups = {}
-    for name, limbs in GROUPS.items():
-        ends = np.array([[bone.end for bone in limb.bones] for limb in limbs])
-        start = jnp.stack([image[limb.bones[0].start] for limb in limbs])
-        uppers = np.array([limb.upper for limb in limbs])
-        lowers = np.array([0 if limb.lower is None else limb.lower for limb in limbs])
-        lengths = np.array([bone.length_group for bone in limbs[0].bones])
-        target = (keypoints[ends] - start[:, None]) / observation.camera.scale
-        groups[name] = Group(
-            frame=frames[uppers],
-            target=jnp.where(seen[ends][..., None], target, 0.0),
-            radius=jnp.where(seen[ends], radius[ends] / observation.camera.scale, jnp.inf),
-            cells=_pick(model.cells, uppers),
-            hinges=_pick(model.hinges, lowers),
-            lengths=_pick(model.lengths, lengths),
-            reference=jnp.asarray(model.limits.reference),
-            fallback=jnp.asarray(model.limits.fallback)[lowers],
-        )
-    return groups
+def _torso(observation: Observation) -> tuple[jax.Array, jax.Array]:
+    """Local axes of the upper bones in camera axes, and the torso's joints on the plane."""
+    view = observation.view
+    return upper_frames(view), observation.root.camera.flatten(view)
 
 
-def _pick(tree: Any, index: np.ndarray) -> Any:
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[index], tree)
+def log_ratio_of(
+    model: PoseModel, observation: Observation, limbs: tuple[Limb, ...]
+) -> LogRatio | None:
+    """What draws within reach of all their targets are thinned by; None where the law is flat, so
+    that all of them are kept."""
+    if observation.law.flat:
+        return None
+    ends = [bone.end for limb in limbs for bone in limb.bones]
+
+    def log_ratio(draws: GroupDraws) -> np.ndarray:
+        poses = Pose.blank(len(draws.length))
+        draws.fill(poses, limbs)
+        rows = in_chunks(lambda *pose: _log_ratios(model, observation, Pose(*pose)), *poses)
+        return rows[:, ends].sum(axis=1)
+
+    return log_ratio
+
+
+@jax.jit
+def _log_ratios(model: PoseModel, observation: Observation, poses: Pose) -> jax.Array:
+    return observation.log_ratios(model.joints(observation.view, *poses))

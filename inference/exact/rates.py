@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from inference.exact.problem import Draws
+from probmodel.pose import GroupDraws
 
 HOPELESS = 1 << 24
 """Pruned proposals without one success after which a group is given up: its rate is below 3e-7 with
@@ -102,7 +102,7 @@ class GroupSampler(Protocol):
     def held(self) -> int:
         """Number of draws held."""
 
-    def draws(self) -> dict[str, Draws]:
+    def draws(self) -> dict[str, GroupDraws]:
         """All draws held, by group."""
 
     @property
@@ -112,6 +112,10 @@ class GroupSampler(Protocol):
     @property
     def slowest(self) -> str:
         """Name of the group that draws wait for."""
+
+    @property
+    def impossible(self) -> bool:
+        """Whether there is proof that no draw exists: the bounds leave nothing."""
 
     @property
     def hopeless(self) -> bool:

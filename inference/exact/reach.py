@@ -1,26 +1,27 @@
 """Why a detection has no explanation: which joint is out of reach, and by how much.
 
-Bounds, not estimates: a joint reported here as out of reach is so for every pose that the limits
-and lengths allow."""
+Bounds, not estimates: a joint reported here as out of reach is so for every pose that the limits and
+lengths allow.
+"""
 
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from inference.exact.naive import group_prior
-from inference.exact.patches import cell_sizes, to_segment
-from inference.exact.problem import Group
+from inference.exact.loops.strata import grid
+from inference.exact.problem import limb_problems
 from probmodel.directions.cells import cell_centres
-from probmodel.skeleton import GROUPS, JOINTS
+from probmodel.model import PoseModel
+from probmodel.observation import Observation
+from probmodel.skeleton import GROUPS, JOINTS, Limb
 
 TRIALS = 1 << 15
 """Draws of the prior among which the nearest miss is looked for."""
 
 
 class OutOfReach(NamedTuple):
-    """A detected joint that no possible pose brings into its disc: `excess` is the missing
+    """A detected joint that no possible pose brings within its reach: `excess` is the missing
     distance, body units."""
 
     joint: str
@@ -36,43 +37,41 @@ class OutOfReach(NamedTuple):
         )
 
 
-def out_of_reach(name: str, group: Group) -> list[OutOfReach]:
-    """The seen joints of a group that are out of reach for every occupied direction and every
-    length in range."""
-    excess = np.asarray(_excess(group))
-    return [
-        OutOfReach(JOINTS[bone.end], limb.name, float(excess[row, column]))
-        for row, limb in enumerate(GROUPS[name])
-        for column, bone in enumerate(limb.bones)
-        if excess[row, column] > 0
-    ]
+def out_of_reach(model: PoseModel, observation: Observation) -> list[OutOfReach]:
+    """The seen joints that are out of reach for every occupied direction and every length in
+    range."""
+    problems = limb_problems(observation)
+    found = []
+    for name, limbs in GROUPS.items():
+        for limb, problem in zip(limbs, problems[name], strict=True):
+            for row, bone in enumerate(limb.bones):
+                excess = _excess(model, limb, row, problem)
+                if excess > 0:
+                    found.append(OutOfReach(JOINTS[bone.end], limb.name, excess))
+    return found
 
 
-@jax.jit
-def _excess(group: Group) -> jax.Array:
-    """`(limbs, bones)`: at least how far each joint stays from its disc, body units; negative where
-    it may reach it."""
-    low, high, size = jnp.asarray(group.lengths.low), jnp.asarray(group.lengths.high), cell_sizes()
-
-    def one(
-        frame: jax.Array, target: jax.Array, radius: jax.Array, occupied: jax.Array, column: int
-    ) -> jax.Array:
-        end = -jnp.einsum("ij,abj->abi", frame[:2], cell_centres())
-        distance = to_segment(target[column], end, low[0], high[0])
-        missing = distance - high[0] * size - (high[1] if column else 0.0)
-        return jnp.min(jnp.where(occupied, missing, jnp.inf)) - radius[column]
-
-    each = jax.vmap(one, in_axes=(0, 0, 0, 0, None))
-    columns = [
-        each(group.frame, group.target, group.radius, group.cells.occupied, column)
-        for column in range(group.num_bones)
-    ]
-    return jnp.stack(columns, axis=-1)
+def _excess(model: PoseModel, limb: Limb, row: int, problem: NamedTuple) -> float:
+    """At least how far the limb's joint `row` stays from its disc, body units; negative where it may
+    reach it."""
+    axes, target, reach = problem
+    low, high = (
+        np.asarray(ends)[[bone.length_group for bone in limb.bones]]
+        for ends in (model.lengths.low, model.lengths.high)
+    )
+    end = -np.asarray(cell_centres()) @ axes[:2].T
+    square = np.sum(end**2, axis=-1)
+    along = np.clip(end @ target[row] / np.where(square > 0, square, 1.0), low[0], high[0])
+    distance = np.linalg.norm(target[row] - along[..., None] * end, axis=-1)
+    chord = grid(1).elevation[:, 4]
+    missing = distance - high[0] * chord - (high[1] if row else 0.0)
+    occupied = np.asarray(model.cells.occupied)[limb.upper]
+    return float(np.min(np.where(occupied, missing, np.inf)) - reach[row])
 
 
 class Miss(NamedTuple):
     """The nearest that draws of the prior came to explaining a group: `excess` is how far `joint`
-    still was from its disc, body units (negative: some draws do explain the group)."""
+    still was beyond its reach, body units (negative: some draws do explain the group)."""
 
     joint: str
     excess: float
@@ -80,18 +79,24 @@ class Miss(NamedTuple):
     def sentence(self, scale: float) -> str:
         """In words; `scale` in pixels per body unit."""
         if self.excess <= 0:
-            return "possible poses there are, but few"
+            return "poses that explain them exist, but they are rare"
         return (
             f"in the nearest of {TRIALS} possible poses {self.joint} misses its disc by"
             f" {self.excess * scale:.0f} px"
         )
 
 
-def nearest_miss(name: str, group: Group) -> Miss:
+def nearest_miss(model: PoseModel, observation: Observation, name: str) -> Miss:
     """How near draws of the prior come to explaining a group that rejection could not fill."""
-    reach = np.asarray(group.reach(group_prior(jax.random.key(0), group, TRIALS)))
-    beyond = np.linalg.norm(reach - np.asarray(group.target), axis=-1) - np.asarray(group.radius)
-    worst = beyond.reshape(TRIALS, -1).max(axis=1)
+    ends = [bone.end for limb in GROUPS[name] for bone in limb.bones]
+    beyond = np.asarray(_beyond(model, observation))[:, ends]
+    worst = beyond.max(axis=1)
     nearest = int(np.argmin(worst))
-    limb, bone = np.unravel_index(np.argmax(beyond[nearest]), beyond.shape[1:])
-    return Miss(JOINTS[GROUPS[name][limb].bones[bone].end], float(worst[nearest]))
+    return Miss(JOINTS[ends[int(np.argmax(beyond[nearest]))]], float(worst[nearest]))
+
+
+@jax.jit
+def _beyond(model: PoseModel, observation: Observation) -> jax.Array:
+    """`(TRIALS, 15)`: how far joints of draws of the prior lie beyond their reaches, body units."""
+    joints = model.joints(observation.view, *model.draw(jax.random.key(0), TRIALS))
+    return observation.distances(joints) - observation.law.reach * observation.spread[None]

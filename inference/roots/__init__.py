@@ -10,16 +10,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.candidates import Candidate, Frame
 from inference.roots.akhter_black import fit_akhter_black
 from inference.roots.dictionary import fit_dictionary
 from inference.roots.external import SUFFIXES, fit_poses, read_poses
 from inference.roots.zhou import fit_zhou
 from probmodel.anatomy.limits import AnatomicalLimits
 from probmodel.anatomy.population import Anatomy
-from probmodel.detections import LIKELIHOOD_JOINTS, Detection
+from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from probmodel.learning.dictionaries import PoseDictionary
+from probmodel.likelihood import Likelihood
+from probmodel.posterior import Estimate
+from probmodel.roots import Candidate
 
 
 class Learned(NamedTuple):
@@ -41,6 +43,7 @@ ESTIMATORS: dict[str, Estimator] = {
     ),
     "zhou": lambda detections, learned: fit_zhou(detections, learned.poses),
 }
+PAPER = Likelihood()
 BATCH = 64
 """Detections that are fitted at once; more do not get faster, and need more memory."""
 
@@ -53,18 +56,29 @@ def estimate_torsos(
     limits: AnatomicalLimits | None = None,
     poses: PoseDictionary | None = None,
     num_candidates: int = 2,
-    factor: float = 0.25,
-    joints: Sequence[int] = LIKELIHOOD_JOINTS,
-) -> list[Frame]:
+    likelihood: Likelihood = PAPER,
+) -> list[Estimate]:
     """Estimates torso, camera and a single 3D pose for each of many people.
 
-    `method` is one of `ESTIMATORS`, or a file of poses of another estimator
-    (`estimators.external`). `torsos` `(J, 6, 3)`, `limits` and `poses` are what is known of bodies
-    (default: what is embedded). `num_candidates` is the most that are kept for each, best
-    reprojection (dictionary) or objective first; 1 is the paper's method. `factor` and `joints`
-    shape the likelihood's discs (`Frame`). An estimate that did not converge says so
-    (`Frame.converged`). Raises `BadInput` on an unknown method, and where too little was detected
-    for a camera or a pose."""
+    Parameters
+    ----------
+    detections : the people.
+    method : one of `ESTIMATORS`, or a file of poses of another estimator (`roots.external`).
+    torsos, limits, poses : what is known of bodies: torsos `(J, 6, 3)`, joint limits, a pose
+        dictionary; default: what is embedded.
+    num_candidates : the most that are kept for each, best reprojection (dictionary) or objective
+        first; 1 is the paper's method.
+    likelihood : how detections err; no estimator looks at it, it is handed on.
+
+    Returns
+    -------
+    An `Estimate` a person; one that did not converge says so (`Estimate.converged`).
+
+    Raises
+    ------
+    BadInput
+        On an unknown method, and where too little was detected for a camera or a pose.
+    """
     if num_candidates < 1:
         raise BadInput(f"the number of candidates must be at least 1, not {num_candidates}")
     estimator = _estimator(str(method))
@@ -73,12 +87,14 @@ def estimate_torsos(
     for start in range(0, len(detections), BATCH):
         found += estimator(detections[start : start + BATCH], learned)
     return [
-        Frame(detection, candidates[:num_candidates], factor, tuple(joints), str(method))
+        Estimate(detection, candidates[:num_candidates], likelihood, str(method))
         for detection, candidates in zip(detections, found, strict=True)
     ]
 
 
-def estimate_torso(detection: Detection, method: str = "dictionary", **settings: object) -> Frame:
+def estimate_torso(
+    detection: Detection, method: str = "dictionary", **settings: object
+) -> Estimate:
     """`estimate_torsos` of one person, with the same settings."""
     return estimate_torsos([detection], method, **settings)[0]  # type: ignore[arg-type]
 

@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from inference.candidates import Candidate
 from inference.roots.points import require_camera
 from inference.roots.twins import SAME_ANGLE
 from probmodel.camera import WeakPerspective
 from probmodel.detections import Detection
 from probmodel.learning.dictionaries import PoseDictionary, with_lengths
+from probmodel.roots import Candidate
 from probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
 
 _DEPTH = np.diag([1.0, 1.0, -1.0])

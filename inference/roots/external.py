@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from inference.candidates import Candidate, candidate_from_pose
 from inference.roots.adjustment import adjust
 from inference.roots.points import Points
 from inference.roots.twins import Outcome, candidates_both_ways, mirrored
+from inference.roots.whole_pose import candidate_from_pose
 from probmodel.anatomy.limits import read_tables
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
+from probmodel.roots import Candidate
 from probmodel.skeleton import JOINTS, NUM_JOINTS
 
 SUFFIXES = (".npz", ".npy")

@@ -16,13 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.candidates import Candidate
 from inference.roots.adjustment import Adjusted, Penalty, adjust, mirror_twin
 from inference.roots.points import Points
 from inference.roots.twins import Outcome, candidates_both_ways
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from probmodel.learning.dictionaries import PoseDictionary
+from probmodel.roots import Candidate
 
 PENALTY = 0.03
 """λ, for image points of size one (`Points`)."""

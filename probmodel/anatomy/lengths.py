@@ -48,7 +48,7 @@ class BoneLength(Distribution):
     def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
         """Lengths `sample_shape + batch_shape + (5,)`."""
         shape = (*sample_shape, *self.batch_shape, *self.event_shape)
-        return self._stretch(jax.random.beta(key, self.prior.alpha, self.prior.beta, shape))
+        return self.at(jax.random.beta(key, self.prior.alpha, self.prior.beta, shape))
 
     def log_prob(self, value: ArrayLike) -> jax.Array:
         """Log density with respect to length in body units, -inf outside the ranges."""
@@ -59,12 +59,16 @@ class BoneLength(Distribution):
 
     def transport(self, cube: ArrayLike) -> jax.Array:
         """Lengths at points `(..., 5)` of the unit cube: the quantile functions."""
-        return self._stretch(_beta_quantile(jnp.asarray(cube), self.prior.alpha, self.prior.beta))
+        return self.at(_beta_quantile(jnp.asarray(cube), self.prior.alpha, self.prior.beta))
 
     def inverse(self, value: ArrayLike) -> jax.Array:
         """The point `(..., 5)` of the unit cube of some lengths: the distribution functions."""
         fraction, _, alpha, beta = self._fraction(value)
         return betainc(*jnp.broadcast_arrays(alpha, beta, jnp.clip(fraction, 0.0, 1.0)))
+
+    def fraction(self, value: ArrayLike) -> jax.Array:
+        """Where in the ranges lengths `(..., 5)` lie: the inverse of `at`."""
+        return self._fraction(value)[0]
 
     def _fraction(self, value: ArrayLike) -> list[jax.Array]:
         """Where in the ranges lengths lie, the ranges' widths, and the Beta parameters, of one
@@ -72,7 +76,8 @@ class BoneLength(Distribution):
         value, low, high, alpha, beta = same_rank(value, *self.prior)
         return [(value - low) / (high - low), high - low, alpha, beta]
 
-    def _stretch(self, fraction: jax.Array) -> jax.Array:
+    def at(self, fraction: ArrayLike) -> jax.Array:
+        """Lengths `(..., 5)` at fractions of the ranges."""
         fraction, low, high = same_rank(fraction, self.prior.low, self.prior.high)
         # Rounding may carry a fraction of one past the end of the range.
         return jnp.clip(low + (high - low) * fraction, low, high)

@@ -53,7 +53,7 @@ def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json:
         "seconds": request.seconds,
         "exact_draws": known.sample.num_draws,
     }
-    everyone = [*contest.SAMPLERS, *contest.BASELINES]
+    everyone = contest.SAMPLERS
     for name in request.samplers:
         own = jax.random.fold_in(
             key, 1 + everyone.index(name)

@@ -248,7 +248,7 @@ def choices(work: Path, data: Path) -> None:
         if len(drawn) < CHOSEN_DRAWS + STAND_INS:
             print("no draws for", some[number].recording, flush=True)
             continue
-        observation = instance.frame.observation(instance.frame.candidates[0])
+        observation = instance.frame.observation
         chosen = _chosen(drawn[STAND_INS:], grid_poses(held.model, observation, most=CHOSEN_DRAWS))
         mm, truth, held_out = some[number].unit, instance.joints, drawn[:STAND_INS]
         rows["error"].append([[mm * _best(picked, truth) for picked in way] for way in chosen])

@@ -20,12 +20,12 @@ import xarray as xr
 from inference.baselines.catalogue import BASELINES
 from inference.baselines.run import Allowance
 from inference.baselines.target import Target
-from inference.candidates import Frame
+from inference.exact.mixture import draw_mixture
 from inference.results import save_tree
-from inference.sampler import draw_mixture
 from inference.studies.comparison import comparison_tree, contest
 from inference.studies.comparison.record import Entry
 from probmodel import PoseModel
+from probmodel.posterior import Estimate
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from reports import comparison_figures, comparison_tables
 from tests.scenes import key, prior_scene
@@ -65,10 +65,10 @@ def low_scores() -> np.ndarray:
     return score
 
 
-def foreshortened(model: PoseModel) -> Frame:
+def foreshortened(model: PoseModel) -> Estimate:
     """Of forty scenes, the one whose seen limbs point most along the camera's axis."""
 
-    def flatness(frame: Frame) -> float:
+    def flatness(frame: Estimate) -> float:
         keypoints = frame.detection.keypoints
         upper = [("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")]
         bones = [
@@ -86,7 +86,7 @@ def foreshortened(model: PoseModel) -> Frame:
     return min((prior_scene(model, seed) for seed in range(100, 140)), key=flatness)
 
 
-SUITE: dict[str, Callable[[PoseModel], Frame]] = {
+SUITE: dict[str, Callable[[PoseModel], Estimate]] = {
     "4 joints missing": lambda model: prior_scene(
         model, 2, missing=("head", "left_wrist", "right_elbow", "left_knee", "right_ankle")
     ),
@@ -107,7 +107,7 @@ SUITE: dict[str, Callable[[PoseModel], Frame]] = {
 seen."""
 
 
-def clock(model: PoseModel, frame: Frame, number: int) -> list[float]:
+def clock(model: PoseModel, frame: Estimate, number: int) -> list[float]:
     """Processor seconds of exact rejection for each of `CLOCKED`, everything compiled, short of
     naming the draws."""
     found = []
@@ -119,7 +119,7 @@ def clock(model: PoseModel, frame: Frame, number: int) -> list[float]:
 
 
 def compare(
-    model: PoseModel, number: int, frame: Frame, names: list[str], seconds: float, folder: Path
+    model: PoseModel, number: int, frame: Estimate, names: list[str], seconds: float, folder: Path
 ) -> None:
     """Runs the contest on one frame and writes a comparison of every line, unless there is one of
     as many seconds."""

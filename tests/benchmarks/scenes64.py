@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from inference.candidates import Frame
 from probmodel.model import PoseModel
 from probmodel.motion import read_motion
+from probmodel.posterior import Estimate
 from tests.scenes import motion_scene, prior_scene
 
 NUMBER = 64
@@ -31,12 +31,12 @@ def hidden(index: int) -> tuple[str, ...]:
     return (*_MISSING[index % 8], *(("head",) if index % 4 < 2 else ()))
 
 
-def prior_frames(model: PoseModel) -> list[Frame]:
+def prior_frames(model: PoseModel) -> list[Estimate]:
     """Poses of the prior, seeds 0 to 63, each from its own side."""
     return [prior_scene(model, seed, missing=hidden(seed)) for seed in range(NUMBER)]
 
 
-def motion_frames(path: Path) -> list[Frame]:
+def motion_frames(path: Path) -> list[Estimate]:
     """Poses of motion capture at even distances in the archive, yaw and tilt by the frame's
     number."""
     joints = np.concatenate([motion.joints for motion in read_motion(path)])

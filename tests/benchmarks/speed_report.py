@@ -22,19 +22,19 @@ import matplotlib
 import numpy as np
 
 import inference
-from inference.candidates import Frame
 from inference.exact.groups import StratifiedGroup
 from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
-from inference.exact.naive import BATCH, group_prior
-from inference.exact.problem import build_groups
+from inference.exact.mixture import draw_mixture
 from inference.exact.rates import Budget
-from inference.sampler import candidate_samplers, draw_mixture
 from inference.stream import Item, sample_frames
 from probmodel import PoseModel
+from probmodel.posterior import Estimate
 from probmodel.skeleton import GROUPS
 from tests.benchmarks.scenes64 import motion_frames, prior_frames
 from tests.brute_force import propose_group
 from tests.scenes import prior_scene
+from tests.witnesses.limbs import build_groups
+from tests.witnesses.pruned import BATCH, group_prior
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -97,16 +97,16 @@ def floors() -> dict[str, float]:
     }
 
 
-def naive_proposals(model: PoseModel, frame: Frame) -> dict[str, tuple[float, float]]:
+def naive_proposals(model: PoseModel, frame: Estimate) -> dict[str, tuple[float, float]]:
     """Seconds of one proposal of each group from the prior: JAX, and the plain NumPy of the
     tests."""
-    groups = build_groups(model, frame.observation(frame.candidates[0]))
+    groups = build_groups(model, frame.observation)
     found = {}
     for name, group in groups.items():
         run = jax.jit(lambda key, group=group: group.explains(group_prior(key, group, BATCH)))
         jax.block_until_ready(run(jax.random.key(0)))
         in_jax = timed(lambda run=run: jax.block_until_ready(run(jax.random.key(1)))) / BATCH
-        torso = np.asarray(frame.observation(frame.candidates[0]).view)
+        torso = np.asarray(frame.observation.view)
         rng = np.random.default_rng(0)
         propose = functools.partial(
             propose_group, model.limits, model.lengths, torso, name, 20_000, rng
@@ -116,10 +116,10 @@ def naive_proposals(model: PoseModel, frame: Frame) -> dict[str, tuple[float, fl
     return found
 
 
-def cost(model: PoseModel, frame: Frame, naive: dict[str, tuple[float, float]]) -> Cost:
+def cost(model: PoseModel, frame: Estimate, naive: dict[str, tuple[float, float]]) -> Cost:
     """Times one frame, its one candidate known."""
     started, budget = time.perf_counter(), Budget(10**12)
-    (candidate,) = candidate_samplers(model, frame, jax.random.key(0), "rejection-strata")
+    (candidate,) = root_samplers(frame.posterior(model), jax.random.key(0), "rejection")
     assert candidate.more(DRAWS, budget)
     seconds = time.perf_counter() - started
     groups = {
@@ -172,11 +172,11 @@ def table(costs: list[Cost], floor: float) -> list[str]:
     ]
 
 
-def curves(model: PoseModel, frame: Frame) -> dict[str, tuple[list[float], list[float]]]:
+def curves(model: PoseModel, frame: Estimate) -> dict[str, tuple[list[float], list[float]]]:
     """Microseconds a draw, set-up included, against the number of draws and, for 10,000 of a pose
     of the prior, the radius of the discs."""
 
-    def each(frame: Frame, number: int) -> float:
+    def each(frame: Estimate, number: int) -> float:
         seconds = timed(
             lambda: draw_mixture(model, frame, jax.random.key(1), "rejection-strata", number), 2
         )
@@ -190,7 +190,7 @@ def curves(model: PoseModel, frame: Frame) -> dict[str, tuple[list[float], list[
     return found
 
 
-def streams(model: PoseModel, frames: list[Frame]) -> tuple[list[int], list[float], float]:
+def streams(model: PoseModel, frames: list[Estimate]) -> tuple[list[int], list[float], float]:
     """Seconds of streams of 1 to `STREAM_FRAMES` frames × 10,000 draws with five hypotheses, and
     the memory it took."""
     counts, seconds = [1, 4, 16, STREAM_FRAMES], []

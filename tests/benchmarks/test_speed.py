@@ -5,18 +5,18 @@ import jax
 import pytest
 
 import inference
-from inference.exact.naive import BATCH, group_prior
-from inference.exact.patches import limbs_of, plan_limb, propose_limb
-from inference.exact.problem import build_groups
 from probmodel import PoseModel
 from probmodel.example import example
+from tests.witnesses.limbs import build_groups
+from tests.witnesses.patches import limbs_of, plan_limb, propose_limb
+from tests.witnesses.pruned import BATCH, group_prior
 
 
 @pytest.fixture(scope="module")
 def problem():
     model = PoseModel()
     frame = inference.estimate_torso(example().detection)
-    return model, frame, build_groups(model, frame.observation(frame.candidates[0]))["arms"]
+    return model, frame, build_groups(model, frame.observation)["arms"]
 
 
 def test_the_floor_random_numbers_alone(benchmark):

@@ -125,7 +125,7 @@ def test_the_target_is_numpyro_s_own_potential():
         return potential_energy(target.model.posterior, (target.observation,), {}, parameters)
 
     theirs = jax.jit(jax.vmap(lambda x: -potential(x)))
-    ours = everything.log_density(x) + target.observation.log_disc_density
+    ours = everything.log_density(x) + target.observation.log_peak
     np.testing.assert_allclose(ours, theirs(x), rtol=0, atol=1e-9)
     away = x + np.random.default_rng(0).normal(scale=0.02, size=x.shape)
     inside = np.isfinite(everything.log_density(away))
@@ -177,7 +177,7 @@ def test_soft_walls_have_gradients_and_weights_undo_them():
     assert np.isfinite(slope).all()
     walls = np.asarray(target.log_smooth(points, 8.0)) - np.asarray(target.log_density(points))
     np.testing.assert_allclose(walls, target.log_walls(points, 8.0), atol=1e-9)
-    seen = int(np.sum(target.observation.has_factor))
+    seen = int(np.sum(target.observation.seen))
     assert np.all((walls <= 0) & (walls >= -seen * math.log(2) - 1e-9))
 
 
@@ -500,7 +500,7 @@ def test_the_active_coordinates_are_those_that_matter():
         moved[0, coordinate] += 0.3
         poses = [everything.poses(key(0), place) for place in (x, moved)]
         joints = [target.model.joints(target.observation.view, *pose) for pose in poses]
-        seen = np.flatnonzero(np.asarray(target.observation.has_factor))
+        seen = np.flatnonzero(np.asarray(target.observation.seen))
         changed = np.abs(np.asarray(joints[1] - joints[0]))[0, seen].max() > 1e-6
         assert changed == (coordinate in target.active)
     assert before.shape == (1,)

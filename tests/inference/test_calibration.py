@@ -13,8 +13,8 @@ import pytest
 import xarray as xr
 from scipy import stats
 
+from inference.exact.mixture import draw_mixture
 from inference.results import pose_columns
-from inference.sampler import draw_mixture
 from inference.studies.calibration import assess, band, calibrate, judge, simulate, uniformity
 from inference.studies.calibration.assess import FAILED, Posterior, check_draws
 from inference.studies.calibration.controls import (
@@ -44,7 +44,7 @@ from inference.studies.calibration.record import read_standings
 from inference.studies.calibration.simulations import HIDDEN, Instance
 from inference.studies.calibration.uniformity import LEVELS, difference
 from inference.studies.calibration.verdict import CALIBRATED, CANNOT_TELL, MISCALIBRATED, holm
-from probmodel import BadInput, PoseModel
+from probmodel import BadInput, Likelihood, PoseModel
 from probmodel.skeleton import JOINT_INDEX
 
 RNG = np.random.default_rng
@@ -289,11 +289,10 @@ def test_quantities_of_draws_are_the_samplers_own(model: PoseModel) -> None:
     """Log density by way of the joints against the sampler's, lengths and depth against its
     columns."""
     for instance in simulate(model, 3, 0, 4):
-        mixture = draw_mixture(model, instance.frame, jax.random.key(1), "rejection", 300)
-        columns = pose_columns(model, instance.frame, mixture.parts, mixture.rng)
-        *_, density, misfit = of_both(
-            model, instance.frame.observation(instance.frame.candidates[0]), columns["joints"]
-        ).T
+        posterior = instance.frame.posterior(model)
+        mixture = draw_mixture(posterior, key=jax.random.key(1), num_samples=300)
+        columns = pose_columns(posterior, mixture.parts, mixture.rng)
+        *_, density, misfit = of_both(model, instance.frame.observation, columns["joints"]).T
         np.testing.assert_allclose(density, columns["lp"], atol=1e-6)
         assert (misfit <= 1).all()
         values = of_pose(columns["joints"])
@@ -309,9 +308,7 @@ def test_simulations_are_draws_of_the_model(model: PoseModel) -> None:
     made in."""
     some = simulate(model, 0, 0, 24)
     for number, instance in enumerate(some):
-        *_, density, misfit = of_both(
-            model, instance.frame.observation(instance.frame.candidates[0]), instance.joints[None]
-        )[0]
+        *_, density, misfit = of_both(model, instance.frame.observation, instance.joints[None])[0]
         assert np.isfinite(density)
         assert misfit <= 1
         missing = {JOINT_INDEX[name] for name in HIDDEN[number % len(HIDDEN)]}
@@ -328,12 +325,12 @@ def test_detections_fill_their_discs(model: PoseModel) -> None:
     """(d/τ)² is uniform (n = some 1,900 joints; false alarm 0.001)."""
     squares = []
     for instance in simulate(model, 5, 0, 250):
-        observation = instance.frame.observation(instance.frame.candidates[0])
-        seen = np.asarray(observation.has_factor)
-        far = np.asarray(observation.camera.image(instance.joints)) - np.asarray(
-            observation.keypoints
-        )
-        squares += list((np.sum(far**2, axis=1) / np.asarray(observation.radius) ** 2)[seen])
+        observation = instance.frame.observation
+        seen = np.asarray(observation.seen)
+        camera, detection = observation.root.camera, instance.frame.detection
+        far = np.asarray(camera.image(instance.joints)) - detection.keypoints
+        radius = observation.reach * camera.scale
+        squares += list((np.sum(far**2, axis=1) / radius**2)[seen])
     assert uniformity(np.array(squares)).p_value > 0.001
 
 
@@ -419,9 +416,7 @@ def test_the_recipes_draws_explain_the_detection(model: PoseModel) -> None:
     """Second route for the control itself: every pose puts every seen joint into its disc."""
     for index, instance in enumerate(simulate(model, 0, 0, 4)):
         draws = following_the_recipe(model, 30)(index, instance, jax.random.key(index)).joints
-        *_, misfit = of_both(
-            model, instance.frame.observation(instance.frame.candidates[0]), draws
-        ).T
+        *_, misfit = of_both(model, instance.frame.observation, draws).T
         assert (misfit <= 1 + 1e-9).all()
 
 
@@ -560,8 +555,8 @@ def test_the_log_density_is_the_models(model: PoseModel) -> None:
     """Outside the discs it is -inf, and so is its level at the bottom: the truth of another
     detection."""
     one, other = simulate(model, 0, 0, 2)
-    observation = one.frame.observation(one.frame.candidates[0])
+    observation = one.frame.observation
     assert not np.isfinite(of_both(model, observation, other.joints[None])[0, -2])
-    moved = dataclasses.replace(one.frame, factor=1e-4)
-    observation = moved.observation(moved.candidates[0])
+    moved = dataclasses.replace(one.frame, likelihood=Likelihood(factor=1e-4))
+    observation = moved.observation
     assert of_both(model, observation, one.joints[None])[0, -1] > 1

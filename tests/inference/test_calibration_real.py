@@ -6,7 +6,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from inference.candidates import Candidate
 from inference.hypothesis import diverse
 from inference.studies.calibration import assess, simulate
 from inference.studies.calibration.assess import Posterior
@@ -46,6 +45,8 @@ from inference.studies.calibration.simulations import Instance
 from probmodel import PoseModel
 from probmodel.camera import WeakPerspective
 from probmodel.datasets import Case
+from probmodel.likelihood import Likelihood
+from probmodel.roots import Candidate
 from probmodel.skeleton import BONE_NAMES, BONES, JOINT_INDEX, TORSO_INDEX
 
 RNG = np.random.default_rng
@@ -117,13 +118,7 @@ def test_reasons_and_log_density_agree(model: PoseModel, cases: list[Case]) -> N
     known = instances(moved, model)
     found = exclusions(model, moved, known)
     finite = [
-        bool(
-            np.isfinite(
-                of_both(model, one.frame.observation(one.frame.candidates[0]), one.joints[None])[
-                    0, -2
-                ]
-            )
-        )
+        bool(np.isfinite(of_both(model, one.frame.observation, one.joints[None])[0, -2]))
         for one in known
     ]
     assert finite == [not reasons for reasons in found]
@@ -140,9 +135,8 @@ def test_a_joint_beyond_its_disc_is_named(model: PoseModel, cases: list[Case]) -
     )
     known = instances([case], model)
     (found,) = exclusions(model, [case], known)
-    radius = float(
-        np.asarray(known[0].frame.observation(known[0].frame.candidates[0]).radius)[knee]
-    )
+    observation = known[0].frame.observation
+    radius = observation.reach[knee] * observation.root.camera.scale
     assert [reason.source for reason in found] == [TAU]
     assert found[0].broken.part == "right_knee"
     assert found[0].broken.much == pytest.approx(60 / radius)
@@ -324,7 +318,7 @@ def test_detections_of_the_likelihood_stay_in_their_discs(
         drawn = by_the_likelihood(case)
         seen = drawn.detection.seen
         assert (seen == case.detection.seen).all()
-        radius = drawn.detection.radius(case.scale * case.unit)
+        radius = Likelihood().spread(drawn.detection, case.scale * case.unit)
         far = np.linalg.norm(drawn.detection.keypoints - case.pixels[:, :2], axis=1)
         assert (
             far[list(MOVING)][seen[list(MOVING)]] <= radius[list(MOVING)][seen[list(MOVING)]]

@@ -174,7 +174,7 @@ def test_lengths_five_percent_too_narrow_are_caught(seed):
     rows = slice(DRAWS * seed // 2, DRAWS * seed // 2 + DRAWS)
     poses = read_poses(model, joints[rows], length[rows])
     narrow = length.mean(axis=0) + 0.95 * (length[rows] - length.mean(axis=0))
-    view = frame.observation(frame.candidates[0]).view
+    view = frame.observation.view
     moved = np.asarray(model.joints(view, narrow, poses.upper, poses.lower))
     found = judge(sample_of(moved[None], narrow[None]), reference(), permutations=FEW)
     assert found.verdict == DIFFERS, found.sentence

@@ -14,7 +14,7 @@ import inference
 from inference.roots import ESTIMATORS, external
 from inference.roots.zhou import fit_zhou
 from inference.studies.errors import mean_joint_error
-from probmodel import Anatomy, BadInput, Detection, PoseModel
+from probmodel import Anatomy, BadInput, Detection, Likelihood, PoseModel
 from probmodel.detections import LIMB_JOINTS
 from probmodel.example import example
 from probmodel.learning.dictionaries import PoseDictionary
@@ -96,7 +96,9 @@ def test_poses_can_be_drawn_under_every_estimate(method):
     for index, candidate in enumerate(frame.candidates):
         drawn = np.asarray(result.tree["posterior"].candidate)[0] == index
         joints = np.asarray(result.tree["posterior"].joints)[0][drawn]
-        assert np.asarray(frame.observation(candidate).explains(joints)).all()
+        assert np.asarray(
+            frame.likelihood.observe(frame.detection, candidate.root).explains(joints)
+        ).all()
 
 
 @pytest.mark.parametrize("method", list(ESTIMATORS))
@@ -400,8 +402,9 @@ def test_the_head_can_be_left_out():
     keypoints, score = np.full((NUM_JOINTS, 2), 300.0), np.full(NUM_JOINTS, 0.5)
     keypoints[list(TORSO_INDEX)] = np.asarray(camera(30).project(TORSOS[0]))
     frame = inference.estimate_torso(
-        Detection(keypoints, score, "synthetic", "x", 0), joints=LIMB_JOINTS
+        Detection(keypoints, score, "synthetic", "x", 0),
+        likelihood=Likelihood(joints=LIMB_JOINTS),
     )
-    seen = np.asarray(frame.observation(frame.candidates[0]).has_factor)
+    seen = np.asarray(frame.observation.seen)
     assert not seen[JOINT_INDEX["head"]]
     assert seen.sum() == 8

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import inference
-from inference.exact.naive import group_prior
-from inference.exact.problem import build_groups
 from probmodel import PoseModel
 from tests.scenes import key, prior_scene
+from tests.witnesses.limbs import build_groups
+from tests.witnesses.pruned import group_prior
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_limbs_and_groups_have_the_evidence_of_the_prior(found):
     """Share of a million draws of the prior that explain each limb and each group, within 4
     standard errors (false alarms: 4e-4 over six)."""
     model, frame, parts = found
-    groups = build_groups(model, frame.observation(frame.candidates[0]))
+    groups = build_groups(model, frame.observation)
     for name, sides in (("arms", ("right arm", "left arm")), ("legs", ("right leg", "left leg"))):
         hits = np.zeros(3)
         for part in range(4):

@@ -74,7 +74,7 @@ def test_k_out_of_range_is_refused(result, k):
 def test_the_grid_is_possible_explains_the_detection_and_lies_on_the_grid():
     model = PoseModel()
     frame = prior_scene(model, 1, factor=0.7)
-    observation = frame.observation(frame.candidates[0])
+    observation = frame.observation
     poses = inference.grid_poses(model, observation, most=400)
     assert len(poses) == 400
     assert model.limits.check(poses).valid.all()
@@ -90,4 +90,4 @@ def test_the_grid_is_possible_explains_the_detection_and_lies_on_the_grid():
 def test_a_limb_that_the_grid_cannot_explain_leaves_no_pose():
     model = PoseModel()
     frame = prior_scene(model, 1, factor=0.01)
-    assert inference.grid_poses(model, frame.observation(frame.candidates[0])).shape == (0, 15, 3)
+    assert inference.grid_poses(model, frame.observation).shape == (0, 15, 3)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import inference
-from inference.candidates import Frame
 from inference.face import HEADS, OUTWARD, POINTS, log_face_likelihood
 from inference.readings import (
     BODY,
@@ -26,6 +25,8 @@ from inference.readings import (
 from probmodel import Anatomy, Detection, PoseModel, read_detections
 from probmodel.detections import FACE
 from probmodel.layouts import COCO_17, H36M_17, MPII_16
+from probmodel.likelihood import Likelihood
+from probmodel.posterior import Estimate
 from probmodel.skeleton import JOINT_INDEX, JOINTS, MIRROR
 from tests.benchmarks.readings_report import View, mirrored, seen_as, views
 from tests.probmodel.test_formats import HMR, POSE2SIM, SPIN
@@ -69,7 +70,7 @@ def test_the_cheap_evidence_is_the_exact_samplers(shared_data: Path) -> None:
     pairs = []
     for parts in ((), ("knee", "ankle")):
         detection = exchanged(frame.detection, *parts)
-        wide = Frame(detection, frame.candidates, factor=2 * NOISE)
+        wide = Estimate(detection, frame.candidates, Likelihood(factor=2 * NOISE))
         result = inference.sample(
             MODEL, wide, key=key(0), num_samples=300, max_proposals=30_000_000
         )

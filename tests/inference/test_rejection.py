@@ -14,9 +14,7 @@ import pytest
 from scipy.stats import chi2, ks_2samp
 
 import inference
-from inference.exact.naive import PriorGroups, PrunedGroup, group_prior
-from inference.exact.patches import limbs_of, patch_rectangle, plan_limb
-from inference.exact.problem import Draws, build_groups
+from inference.exact.mixture import PROPOSALS
 from inference.exact.rates import Budget
 from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
 from probmodel import Anatomy, PoseModel
@@ -25,9 +23,15 @@ from probmodel.kinematics import lower_frame
 from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, LENGTH_GROUPS
 from tests.brute_force import brute_force
 from tests.scenes import key, prior_scene
+from tests.witnesses.limbs import Draws, build_groups
+from tests.witnesses.patches import limbs_of, patch_rectangle, plan_limb
+from tests.witnesses.pruned import PriorGroups, PrunedGroup, group_prior, pruned
 
 FAMILY = 1e-3
 """False-alarm rate of one family of tests."""
+
+
+PROPOSALS["pruned"] = pruned  # the witness draws like any other
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +62,7 @@ def columns(result: inference.Result, name: str):
     return found
 
 
-@pytest.mark.parametrize("sampler", ["rejection-strata", "rejection-patches"])
+@pytest.mark.parametrize("sampler", ["rejection", "pruned"])
 @pytest.mark.parametrize(("seed", "missing"), [(1, ("head",)), (5, ("right_wrist", "left_ankle"))])
 def test_rejection_follows_the_second_implementation(model, sampler, seed, missing):
     """Lengths and all joint coordinates of head, arms and legs; evidence per group within 3
@@ -97,7 +101,7 @@ def coupled_scene():
     """Both legs seen: their shared lengths couple them."""
     model = PoseModel()
     frame = prior_scene(model, 1, factor=0.35)
-    return model, frame, build_groups(model, frame.observation(frame.candidates[0]))["legs"]
+    return model, frame, build_groups(model, frame.observation)["legs"]
 
 
 def drawn(sampler, number: int) -> Draws:
@@ -149,7 +153,7 @@ def test_bounds_are_bounds(upper, lower, factor):
     discs. A pose explains them, so its cells must be kept, its lower bones lie in their rectangles,
     and the rectangles within their bounds."""
     model = PoseModel(upper=upper, lower=lower)
-    observation = prior_scene(model, 3).observation(prior_scene(model, 3).candidates[0])
+    observation = prior_scene(model, 3).observation
     for name in ("arms", "legs"):
         group = build_groups(model, observation)[name]
         draws = group_prior(key(4), group, 400)
@@ -203,7 +207,7 @@ def test_bounds_test_can_fail():
     caught."""
     model = PoseModel()
     frame = prior_scene(model, 3)
-    group = build_groups(model, frame.observation(frame.candidates[0]))["legs"]
+    group = build_groups(model, frame.observation)["legs"]
     draws = group_prior(key(4), group, 200)
     limb = dataclasses.replace(limbs_of(group)[0], high=limbs_of(group)[0].low + 1e-3)
     reach = group.reach(draws)
@@ -215,7 +219,7 @@ def test_bounds_test_can_fail():
 
 def test_same_key_same_draws_and_a_longer_run_goes_on_with_them(model):
     frame = prior_scene(model, 2)
-    observation = frame.observation(frame.candidates[0])
+    observation = frame.observation
     arms = build_groups(model, observation)["arms"]
     first, longer = (
         drawn(PrunedGroup(key(7), "arms", arms), 500),
@@ -266,7 +270,7 @@ def test_an_exhausted_budget_returns_what_there_is(model):
     assert model.limits.check(result.tree["posterior"].joints.values).valid.all()
 
 
-@pytest.mark.parametrize("sampler", list(inference.SAMPLERS))
+@pytest.mark.parametrize("sampler", list(PROPOSALS))
 def test_every_sampler_has_the_same_face(model, sampler):
     """Same arguments, same result: tree, status, sentence, evidence with its error."""
     seen = ("right_wrist", "left_knee")
@@ -295,7 +299,7 @@ def test_the_proposals_agree():
         frame = prior_scene(model, 11, factor=1.0, missing=missing)
         results = [
             inference.sample(model, frame, sampler=name, key=key(index), num_samples=1500)
-            for index, name in enumerate(inference.SAMPLERS)
+            for index, name in enumerate(PROPOSALS)
         ]
         for other in results[1:]:
             for name in GROUPS:

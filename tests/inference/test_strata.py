@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 
 import inference
-from inference.exact.groups import RESOLUTIONS, StratifiedGroup, anatomies, plan_group, sights
+from inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
 from inference.exact.loops import numbers
 from inference.exact.loops.attempts import attempt_bodies
 from inference.exact.loops.bins import SLICES, alias_table, draw_lengths, length_bins
@@ -24,9 +24,7 @@ from inference.exact.loops.rectangles import COUNT, ROWS, largest_rectangle, rec
 from inference.exact.loops.series import arcsine, cosine, sine, small_sine_cosine
 from inference.exact.loops.strata import Resolution, Sight
 from inference.exact.loops.strata import _stratify as stratify_loop
-from inference.exact.naive import PriorGroups, group_prior
-from inference.exact.patches import patch_rectangle
-from inference.exact.problem import build_groups
+from inference.exact.problem import limb_problems
 from inference.exact.rates import Budget, Pooled, Rate
 from probmodel import Anatomy, PoseModel
 from probmodel.anatomy.limits import CELL, NUM_ELEVATION, cell_of
@@ -34,6 +32,9 @@ from probmodel.kinematics import lower_frame
 from tests.benchmarks.scenes64 import hidden
 from tests.goodness import energy_p_value
 from tests.scenes import key, prior_scene
+from tests.witnesses.limbs import build_groups
+from tests.witnesses.patches import patch_rectangle
+from tests.witnesses.pruned import PriorGroups, group_prior
 
 FAMILY = 1e-3
 
@@ -172,7 +173,7 @@ def limb_draws(model, seed, number):
     """Every limb of two bones: its name, its place in the group, draws of the prior, and what they
     look like."""
     frame = prior_scene(model, seed)
-    groups = build_groups(model, frame.observation(frame.candidates[0]))
+    groups = build_groups(model, frame.observation)
     for name in ("arms", "legs"):
         draws = group_prior(key(seed), groups[name], number)
         reach = np.asarray(groups[name].reach(draws))
@@ -238,7 +239,7 @@ def violations(model, seed, factor, resolution, tighten=1.0, number=60):
     rng = np.random.default_rng(seed)
     found = []
     for name, row, group, (length, upper, lower), reach in limb_draws(model, seed, number):
-        anatomy = anatomies(model)[name]
+        anatomy = group_tables(model)[name]
         anatomy = anatomy._replace(builds=anatomy.builds[row : row + 1])
         for n in range(len(length)):
             radius = factor * rng.uniform(0.3, 2, 2)
@@ -296,8 +297,8 @@ def test_a_bound_two_percent_too_tight_is_caught():
 
 
 def stratified(model, frame, name, seed) -> StratifiedGroup:
-    limbs = sights(frame.observation(frame.candidates[0]))
-    return StratifiedGroup(key(seed), name, anatomies(model)[name], limbs[name])
+    limbs = limb_problems(frame.observation)
+    return StratifiedGroup(key(seed), name, group_tables(model)[name], limbs[name])
 
 
 def test_same_key_same_draws_and_more_are_added_at_the_end():
@@ -378,7 +379,7 @@ def test_strata_follow_group_rejection_on_all_frames_of_the_benchmark(part):
     energies, coordinates = [], []
     for index in range(16 * part, 16 * part + 16):
         frame = prior_scene(model, index, factor=1.0, missing=hidden(index))
-        groups = build_groups(model, frame.observation(frame.candidates[0]))
+        groups = build_groups(model, frame.observation)
         for name in ("arms", "legs"):
             simple = PriorGroups(key(index), {name: groups[name]})
             assert simple.more(250, Budget(10**9))

@@ -8,7 +8,7 @@ import xarray as xr
 
 import inference
 from inference import Item, draws_of, open_stream, sample_frames, stream
-from probmodel import BadInput, PoseModel
+from probmodel import BadInput, Likelihood, PoseModel
 from tests.scenes import key, prior_scene
 
 SETTINGS = {"num_samples": 40, "k": 3}
@@ -116,7 +116,7 @@ def test_other_runs_and_other_frames_are_refused_and_nothing_is_overwritten(mode
         sample_frames(model, items[:2], key=key(1), out=tmp_path, **SETTINGS)
     with pytest.raises(BadInput, match="its num_samples is 40, not 41"):
         sample_frames(model, items[:2], key=key(0), out=tmp_path, num_samples=41, k=3)
-    moved = dataclasses.replace(items[0].frame, factor=0.7)
+    moved = dataclasses.replace(items[0].frame, likelihood=Likelihood(factor=0.7))
     with pytest.raises(BadInput, match=r"made of other frames"):
         sample_frames(
             model, [Item(items[0].name, moved), items[1]], key=key(0), out=tmp_path, **SETTINGS

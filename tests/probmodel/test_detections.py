@@ -13,6 +13,7 @@ from probmodel.detections import (
     pick_person,
 )
 from probmodel.failures import BadInput
+from probmodel.likelihood import Likelihood
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 ELBOW, HEAD, WRIST = (JOINT_INDEX[name] for name in ("right_elbow", "head", "left_wrist"))
@@ -92,27 +93,14 @@ def test_likelihood_joints_are_the_limb_joints_and_the_head() -> None:
     assert len(LIKELIHOOD_JOINTS) == 9
 
 
-def test_radius_by_hand() -> None:
-    """Two observed joints with scores 0.2 and 0.6: alpha 0.5 and 1.5, radii 0.25 · 60 / alpha = 30
-    and 10 pixels."""
+def test_alpha_by_hand() -> None:
+    """Two observed joints with scores 0.2 and 0.6: alpha 0.5 and 1.5."""
     score = np.zeros(NUM_JOINTS)
     score[[ELBOW, WRIST]] = 0.2, 0.6
     score[JOINT_INDEX["pelvis"]] = 7  # of the torso: no factor, and no part in the mean
-    person = detection(score)
-    expected_alpha, expected = np.full((2, NUM_JOINTS), np.nan)
-    expected_alpha[[ELBOW, WRIST]] = 0.5, 1.5
-    expected[[ELBOW, WRIST]] = 30, 10
-    np.testing.assert_allclose(person.alpha(LIMB_JOINTS), expected_alpha)
-    np.testing.assert_allclose(person.radius(60), expected)
-    np.testing.assert_allclose(person.radius(60, factor=0.5), 2 * expected)
-
-
-def test_the_head_takes_part_in_the_mean_unless_left_out() -> None:
-    person = detection(with_entry(ONES, HEAD, 2))
-    assert person.alpha()[HEAD] == pytest.approx(2 / (10 / 9))
-    without = person.radius(4, joints=LIMB_JOINTS)
-    assert np.isnan(without[HEAD])
-    np.testing.assert_allclose(without[list(LIMB_JOINTS)], 1)
+    expected = np.full(NUM_JOINTS, np.nan)
+    expected[[ELBOW, WRIST]] = 0.5, 1.5
+    np.testing.assert_allclose(detection(score).alpha(LIMB_JOINTS), expected)
 
 
 @settings(deadline=None)
@@ -124,32 +112,10 @@ def test_alpha_has_mean_one_over_the_observed(score: list[float], joints: tuple[
     alpha = person.alpha(joints)
     observed = person.seen & np.isin(np.arange(NUM_JOINTS), joints)
     np.testing.assert_array_equal(np.isfinite(alpha), observed)
-    np.testing.assert_array_equal(np.isfinite(person.radius(3.0, joints=joints)), observed)
+    spread = Likelihood(joints=joints).spread(person, 3.0)
+    np.testing.assert_array_equal(np.isfinite(spread), observed)
     if observed.any():
         assert alpha[observed].mean() == pytest.approx(1)
-
-
-@settings(deadline=None)
-@given(SCORES, st.floats(1e-6, 1e6))
-def test_only_the_ratios_of_scores_matter(score: list[float], unit: float) -> None:
-    """Detectors score in 0..1, 0..6 or above 1: the radii are the same."""
-    scaled = detection(np.array(score) * unit).radius(50)
-    np.testing.assert_allclose(scaled, detection(score).radius(50), rtol=1e-9)
-
-
-@pytest.mark.parametrize("value", [0, -1, np.nan, np.inf, 1e300])
-def test_radius_refuses_a_scale_or_factor_that_is_none(value: float) -> None:
-    with pytest.raises(BadInput, match="scale of the radii must lie between 0 and"):
-        detection().radius(value)
-    with pytest.raises(BadInput, match="factor of the radii must lie between 0 and"):
-        detection().radius(1, factor=value)
-
-
-def test_a_radius_that_is_not_finite_is_refused_by_name() -> None:
-    with pytest.raises(
-        BadInput, match=r"score of right_elbow in person 0 of f is 5e-324, too far below"
-    ):
-        detection(with_entry(ONES * 1e9, ELBOW, 5e-324)).radius(1)
 
 
 def test_pick_person() -> None:

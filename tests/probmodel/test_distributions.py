@@ -17,7 +17,7 @@ from probmodel.anatomy.published import read_published
 from probmodel.anatomy.torsos import TorsoDictionary
 from probmodel.directions.distributions import HingedDirection, OccupiedDirection, RecipeDirection
 from probmodel.directions.hinges import Hinge
-from probmodel.disc import UniformDisc
+from probmodel.likelihood import Detected
 from tests.goodness import FALSE_ALARM, chi_square, floor, hinge_masses, uniform_each
 from tests.instances import LENGTHS, distributions, hinge_table, hinges_of
 
@@ -163,7 +163,7 @@ def outside(name: str) -> list[np.ndarray]:
         ]
     if name.startswith("disc"):
         law = TABLE[name]
-        away = np.asarray(law.centre) + np.asarray(law.radius)[..., None] * np.array([0.8, 0.6]) * (
+        away = np.asarray(law.centre) + np.asarray(law.spread)[..., None] * np.array([0.8, 0.6]) * (
             1 + 1e-9
         )
         return [
@@ -267,14 +267,14 @@ def test_discs_are_filled_evenly() -> None:
     out."""
     law = TABLE["disc three"]
     offset = (np.asarray(law.sample(KEY, (10_000,))) - np.asarray(law.centre)) / np.asarray(
-        law.radius
+        law.spread
     )[:, None]
     distance = np.linalg.norm(offset, axis=-1)
     angle = np.arctan2(offset[..., 1], offset[..., 0]) / (2 * np.pi) + 0.5
     assert uniform_each(np.concatenate([distance**2, angle], axis=1)).min() > floor(6)
     assert uniform_each(distance).max() < floor(6)
     np.testing.assert_allclose(
-        np.exp(law.log_prob(law.centre)) * np.pi * law.radius**2, 1.0, rtol=1e-12
+        np.exp(law.log_prob(law.centre)) * np.pi * law.spread**2, 1.0, rtol=1e-12
     )
 
 
@@ -289,7 +289,7 @@ def test_sample_and_transport_of_directions_are_one_law() -> None:
 
 
 @pytest.mark.parametrize(
-    "law", [OccupiedDirection, HingedDirection, BoneLength, UniformDisc, TorsoDictionary]
+    "law", [OccupiedDirection, HingedDirection, BoneLength, Detected, TorsoDictionary]
 )
 def test_custom_laws_say_what_they_are(law: type) -> None:
     assert issubclass(law, dist.Distribution)

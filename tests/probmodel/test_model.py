@@ -13,8 +13,10 @@ from numpyro.infer.util import initialize_model, log_density, potential_energy, 
 from probmodel.anatomy.lengths import BoneLength
 from probmodel.camera import WeakPerspective
 from probmodel.directions.distributions import HingedDirection, OccupiedDirection
+from probmodel.likelihood import Disc
 from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
+from probmodel.roots import Root
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
 from tests.instances import random_triple
 
@@ -42,11 +44,12 @@ def observation(model, truth) -> Observation:
     camera = WeakPerspective(100.0, random_triple(rng), np.array([300.0, 200.0]))
     joints = np.asarray(truth["joints"])
     torso = np.asarray(model.torsos)[int(truth["torso"])]
-    radius = np.full(NUM_JOINTS, np.nan)
-    radius[list(LIMB_JOINTS)] = 30.0
+    spread = np.full(NUM_JOINTS, np.inf)
+    spread[list(LIMB_JOINTS)] = 30.0 / 100.0
+    spread[MISSING] = np.inf
     keypoints = np.asarray(camera.project(joints)) + rng.uniform(-14, 14, (NUM_JOINTS, 2))
-    keypoints[MISSING] = np.nan
-    return Observation(torso, camera, keypoints, radius, truth["torso"])
+    target = np.where(np.isfinite(spread)[:, None], camera.to_plane(keypoints), 0.0)
+    return Observation(Root(torso, camera), target, spread, Disc())
 
 
 @pytest.fixture(scope="module")
@@ -73,13 +76,16 @@ def by_hand(model: PoseModel, latents: dict, observation: Observation) -> float:
         value + HingedDirection(model.hinges_at(latents["upper"])).log_prob(latents["lower"]).sum()
     )
     joints = model.joints(
-        observation.torso @ observation.camera.rotation.T, *(latents[name] for name in SITES)
+        observation.root.torso @ observation.root.camera.rotation.T,
+        *(latents[name] for name in SITES),
     )
     for joint in LIMB_JOINTS:
         if joint == MISSING:
             continue
-        at = observation.camera.scale * joints[joint, :2] + observation.camera.translation
-        inside = np.sum((at - observation.keypoints[joint]) ** 2) <= 30.0**2
+        camera = observation.root.camera
+        at = camera.scale * joints[joint, :2] + camera.translation
+        detected = camera.scale * observation.target[joint] + camera.translation
+        inside = np.sum((at - detected) ** 2) <= 30.0**2
         value = value - np.log(np.pi * 30.0**2) if inside else -np.inf
     return float(value)
 
@@ -104,8 +110,8 @@ def test_posterior_density_equals_the_sum_by_hand(model, latents, observation) -
     np.testing.assert_allclose(log_joint(model, observation, *batch), found, rtol=1e-12)
     np.testing.assert_allclose(
         sites["joints"]["value"],
-        observation.camera.view(
-            PoseModel.joints(model, observation.torso, *(latents[name] for name in SITES))
+        observation.root.camera.view(
+            PoseModel.joints(model, observation.root.torso, *(latents[name] for name in SITES))
         ),
         atol=1e-12,
     )
@@ -115,19 +121,19 @@ def test_posterior_density_equals_the_sum_by_hand(model, latents, observation) -
 def test_a_joint_that_leaves_its_disc_is_impossible_and_a_missing_one_has_no_factor(
     model, latents, observation, joint
 ) -> None:
-    """Each limb joint's keypoint moved by 1,000 pixels: -inf, but for the missing one, which
+    """Each limb joint's target moved by 1,000 pixels: -inf, but for the missing one, which
     changes nothing."""
-    keypoints = np.array(observation.keypoints)
-    keypoints[joint] += 1000.0  # NaN stays NaN
-    moved = observation._replace(keypoints=keypoints)
+    target = np.array(observation.target)
+    target[joint] += 10.0
+    moved = observation._replace(target=target)
     found = density(model, moved, latents)
     assert found == (density(model, observation, latents) if joint == MISSING else -np.inf)
 
 
-def test_joints_without_a_radius_have_no_factor(model, latents, observation) -> None:
-    keypoints = np.array(observation.keypoints)
-    keypoints[JOINT_INDEX["head"]] += 1e6
-    found = density(model, observation._replace(keypoints=keypoints), latents)
+def test_joints_without_a_spread_have_no_factor(model, latents, observation) -> None:
+    target = np.array(observation.target)
+    target[JOINT_INDEX["head"]] += 1e4
+    found = density(model, observation._replace(target=target), latents)
     np.testing.assert_allclose(found, by_hand(model, latents, observation), rtol=1e-12)
 
 
@@ -138,7 +144,7 @@ def test_predictive_draws_the_prior_and_the_keypoints(model, observation) -> Non
     offset = np.linalg.norm(
         np.asarray(sample["detection"]) - np.asarray(sample["keypoints"]), axis=-1
     )
-    seen = np.asarray(observation.has_factor)
+    seen = np.asarray(observation.seen)
     assert seen.sum() == len(LIMB_JOINTS) - 1
     assert (offset[:, seen] <= 30.0).all()
     assert (offset[:, seen] > 15.0).any()
@@ -158,16 +164,16 @@ def test_condition_and_substitute_hold_a_site(model, latents, observation) -> No
 def test_log_likelihood_of_numpyro(model, latents, observation) -> None:
     stacked = {name: value[None] for name, value in latents.items()}
     found = log_likelihood(model.posterior, stacked, observation)["detection"].sum()
-    np.testing.assert_allclose(found, observation.log_disc_density, rtol=1e-12)
+    np.testing.assert_allclose(found, observation.log_peak, rtol=1e-12)
 
 
 def test_explains_agrees_with_the_discs(model, observation) -> None:
     sample = Predictive(model.posterior, num_samples=100)(KEY, observation)
-    wide = observation._replace(radius=np.asarray(observation.radius) * 8)
+    wide = observation._replace(spread=np.asarray(observation.spread) * 8)
     inside = np.asarray(wide.explains(sample["joints"]))
-    offset = np.linalg.norm(
-        np.nan_to_num(np.asarray(sample["keypoints"]) - observation.keypoints), axis=-1
-    )
+    detected = np.asarray(observation.root.camera.to_pixels(observation.target))
+    offset = np.linalg.norm(np.asarray(sample["keypoints"]) - detected, axis=-1)
+    offset = np.where(np.asarray(observation.seen), offset, 0.0)
     np.testing.assert_array_equal(inside, (offset[:, list(LIMB_JOINTS)] <= 240.0).all(axis=1))
 
 
@@ -175,8 +181,9 @@ def test_turning_the_person_before_a_turned_camera_changes_nothing(
     model, latents, observation
 ) -> None:
     turn = random_triple(np.random.default_rng(9))
-    camera = observation.camera._replace(rotation=observation.camera.rotation @ turn.T)
-    turned = observation._replace(torso=observation.torso @ turn.T, camera=camera)
+    torso, camera = observation.root
+    camera = camera._replace(rotation=camera.rotation @ turn.T)
+    turned = observation._replace(root=Root(torso @ turn.T, camera))
     pair = [density(model, o, latents) for o in (observation, turned)]
     np.testing.assert_allclose(*pair, rtol=1e-12)
 
@@ -208,12 +215,12 @@ def test_potential_energy_by_hand(model, latents, observation) -> None:
     lengths += float(np.sum(np.log((high - low) * fraction * (1 - fraction))))
     # In the directions' coordinates the prior is flat: only the logistic functions remain.
     np.testing.assert_allclose(
-        found, -(logistic + lengths + float(observation.log_disc_density)), rtol=1e-9
+        found, -(logistic + lengths + float(observation.log_peak)), rtol=1e-9
     )
 
 
 def test_potential_is_infinite_outside(model, latents, observation) -> None:
-    moved = observation._replace(keypoints=np.asarray(observation.keypoints) + 500.0)
+    moved = observation._replace(target=np.asarray(observation.target) + 5.0)
     assert energy(model, moved, unconstrained(model, latents)) == np.inf
 
 
@@ -225,7 +232,7 @@ def test_gradient_of_the_potential_is_finite(model, latents, observation) -> Non
 def test_nuts_runs_from_a_possible_start(model, latents, observation) -> None:
     """With wide discs, and 100 steps to find the step size: the chain moves, and every draw is
     possible."""
-    wide = observation._replace(radius=np.asarray(observation.radius) * 10)
+    wide = observation._replace(spread=np.asarray(observation.spread) * 10)
     kernel = NUTS(
         model.posterior,
         init_strategy=init_to_value(values=latents),
@@ -242,7 +249,7 @@ def test_nuts_runs_from_a_possible_start(model, latents, observation) -> None:
 
 
 def test_initialise_without_values_where_discs_are_wide(model, observation) -> None:
-    wide = observation._replace(radius=np.full(NUM_JOINTS, 1e4))
+    wide = observation._replace(spread=np.full(NUM_JOINTS, 100.0))
     info = initialize_model(KEY, model.posterior, model_args=(wide,))
     assert np.isfinite(info.param_info.potential_energy)
 

@@ -8,7 +8,7 @@ import pytest
 from numpyro.infer import Predictive
 
 from probmodel.model import PoseModel
-from probmodel.transport import CUBE_DIM, Configuration, from_cube, to_cube
+from probmodel.transport import CUBE_DIM, Pose, from_cube, to_cube
 from tests.goodness import energy_p_value, floor, uniform_each
 
 RNG = np.random.default_rng(12)
@@ -50,7 +50,7 @@ def test_shapes() -> None:
 def test_ancestral_draws_become_uniform(model, ancestral) -> None:
     """1,000 draws of the NumPyro prior through the inverse: Kolmogorov–Smirnov on 23 coordinates,
     false alarm 1e-4."""
-    configuration = Configuration(ancestral["bone_length"], ancestral["upper"], ancestral["lower"])
+    configuration = Pose(ancestral["bone_length"], ancestral["upper"], ancestral["lower"])
     p_values = uniform_each(to_cube(model, configuration))
     assert p_values.min() > floor(CUBE_DIM), p_values
 
@@ -59,7 +59,7 @@ def test_a_wrong_measure_is_found_out(model, ancestral) -> None:
     """Negative control: 1,000 draws under one pair of measures are not uniform under the other
     pair."""
     other = PoseModel(upper="area", lower="box") if model.upper == "angle" else PoseModel()
-    configuration = Configuration(ancestral["bone_length"], ancestral["upper"], ancestral["lower"])
+    configuration = Pose(ancestral["bone_length"], ancestral["upper"], ancestral["lower"])
     assert uniform_each(to_cube(other, configuration)).min() < floor(CUBE_DIM)
 
 

@@ -120,7 +120,7 @@ def assess(
     values = of_pose(both)
     level.update(zip(OF_POSE, rank_level(values[0], values[1:], rng), strict=True))
     if model is not None:
-        values = of_both(model, instance.frame.observation(instance.frame.candidates[0]), both)
+        values = of_both(model, instance.frame.observation, both)
         level.update(zip(OF_MODEL, rank_level(values[0], values[1:], rng), strict=True))
     moving = both[:, MOVING]
     flat = moving.reshape(len(moving), -1)

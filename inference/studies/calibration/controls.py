@@ -10,8 +10,7 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from inference.candidates import Frame
-from inference.sampler import draw_mixture
+from inference.exact.mixture import draw_mixture
 from inference.studies.calibration.assess import Posterior
 from inference.studies.calibration.posteriors import Sampler
 from inference.studies.calibration.quantities import MOVING
@@ -20,6 +19,7 @@ from probmodel.chunks import in_chunks
 from probmodel.directions.distributions import RecipeDirection
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
+from probmodel.posterior import Estimate
 from probmodel.skeleton import GROUPS, LOWER_BONES, UPPER_BONES
 from probmodel.transport import CUBE_DIM, from_cube
 
@@ -81,7 +81,7 @@ def ignoring(model: PoseModel, number: int) -> Sampler:
 
     def draw(index: int, instance: Instance, key: jax.Array) -> Posterior:
         cube = np.asarray(jax.random.uniform(key, (number, CUBE_DIM)))
-        view = np.asarray(instance.frame.observation(instance.frame.candidates[0]).view)
+        view = np.asarray(instance.frame.observation.view)
         return Posterior(in_chunks(functools.partial(_prior, model, view), cube, size=512))
 
     return draw
@@ -106,14 +106,15 @@ def following_the_recipe(model: PoseModel, number: int) -> Sampler:
     theirs."""
 
     def draw(index: int, instance: Instance, key: jax.Array) -> Posterior:
-        observation = instance.frame.observation(instance.frame.candidates[0])
+        observation = instance.frame.observation
         upper_only = _without_lower(instance.frame)
         kept: dict[str, list[np.ndarray]] = {name: [] for name in GROUPS}
         tried = 0
         while min(_held(kept).values()) < number and tried < MOST_TRIES:
             own = jax.random.fold_in(key, tried)
-            (part,) = draw_mixture(model, upper_only, own, "rejection", TRIES).parts
-            joints = np.asarray(_recipe(model, observation, own, part.length, part.upper))
+            mixture = draw_mixture(upper_only.posterior(model), key=own, num_samples=TRIES)
+            length, upper, _ = mixture.parts[0].poses
+            joints = np.asarray(_recipe(model, observation, own, length, upper))
             for name, right in _explained(observation, joints).items():
                 kept[name].append(joints[right])
             tried += TRIES
@@ -123,21 +124,23 @@ def following_the_recipe(model: PoseModel, number: int) -> Sampler:
     return draw
 
 
-def _without_lower(frame: Frame) -> Frame:
+def _without_lower(frame: Estimate) -> Estimate:
     """The frame whose likelihood looks at head, elbows and knees alone; their radii are those of
     the whole."""
     import dataclasses
 
     lower = [bone.end for bone in LOWER_BONES]
     keypoints, score = frame.detection.keypoints.copy(), frame.detection.score.copy()
-    mean = score[[joint for joint in frame.joints if score[joint] > 0]].mean()
+    mean = score[[joint for joint in frame.likelihood.joints if score[joint] > 0]].mean()
     keypoints[lower], score[lower] = np.nan, 0.0
     upper = [bone.end for bone in UPPER_BONES if score[bone.end] > 0]
-    factor = frame.factor * mean / score[upper].mean()  # τ = factor · scale · mean score / score
+    factor = (
+        frame.likelihood.factor * mean / score[upper].mean()
+    )  # τ = factor · scale · mean score / score
     return dataclasses.replace(
         frame,
         detection=dataclasses.replace(frame.detection, keypoints=keypoints, score=score),
-        factor=factor,
+        likelihood=dataclasses.replace(frame.likelihood, factor=factor),
     )
 
 
@@ -151,10 +154,8 @@ def _recipe(
 
 def _explained(observation: Observation, joints: np.ndarray) -> dict[str, np.ndarray]:
     """By group, which of the poses `(n, 15, 3)` put its seen lower joints into their discs."""
-    seen, radius = np.asarray(observation.has_factor), np.asarray(observation.radius)
-    far = np.linalg.norm(
-        np.asarray(observation.camera.image(joints)) - np.asarray(observation.keypoints), axis=-1
-    )
+    seen = np.asarray(observation.seen)
+    reached = np.asarray(observation.squares(joints)) <= observation.law.reach**2
     lower = {bone.end for bone in LOWER_BONES}
     found = {}
     for name, limbs in GROUPS.items():
@@ -164,7 +165,7 @@ def _explained(observation: Observation, joints: np.ndarray) -> dict[str, np.nda
             for bone in limb.bones
             if bone.end in lower and seen[bone.end]
         ]
-        found[name] = (far[:, ends] <= radius[ends]).all(axis=1)
+        found[name] = reached[:, ends].all(axis=1)
     return found
 
 

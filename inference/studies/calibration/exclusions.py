@@ -12,13 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.candidates import Candidate, Frame
 from inference.studies.calibration.quantities import lengths
 from inference.studies.calibration.real import true_candidate
 from inference.studies.calibration.simulations import Instance
 from probmodel.anatomy.limits import LIMITS
 from probmodel.datasets import Case
 from probmodel.model import PoseModel
+from probmodel.posterior import Estimate
+from probmodel.roots import Candidate
 from probmodel.skeleton import BONE_NAMES, BONES, JOINTS, LENGTH_GROUPS, NUM_JOINTS, TORSO_INDEX
 
 LIMIT, LENGTH, TAU, TORSO, CAMERA, BOTH = SOURCES = (
@@ -106,7 +107,7 @@ def _combinations(mine: Candidate, right: Candidate) -> list[Candidate]:
 
 
 def _broken(
-    model: PoseModel, places: list[tuple[Case, Frame, Candidate]]
+    model: PoseModel, places: list[tuple[Case, Estimate, Candidate]]
 ) -> list[dict[tuple[str, str], Break]]:
     joints = np.stack([hung(case, candidate) for case, _, candidate in places])
     check = model.limits.check(joints)
@@ -143,12 +144,10 @@ def hung(case: Case, candidate: Candidate) -> np.ndarray:
     return joints
 
 
-def _misfits(frame: Frame, candidate: Candidate, joints: np.ndarray) -> np.ndarray:
+def _misfits(frame: Estimate, candidate: Candidate, joints: np.ndarray) -> np.ndarray:
     """`(15,)`: distances from the detections in radii τ, 0 where a joint has no factor."""
-    observation = frame.observation(candidate)
-    seen = np.asarray(observation.has_factor)
-    offset = np.asarray(candidate.camera.image(joints)) - np.asarray(observation.keypoints)
-    return np.where(seen, np.linalg.norm(offset, axis=1) / np.asarray(observation.radius), 0.0)
+    observation = frame.likelihood.observe(frame.detection, candidate.root)
+    return np.sqrt(np.asarray(observation.squares(joints))) / observation.law.reach
 
 
 def _reasons(mine: dict, right: dict, with_camera: dict, with_torso: dict) -> list[Reason]:

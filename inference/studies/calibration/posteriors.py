@@ -23,8 +23,9 @@ from inference.baselines.catalogue import (
 )
 from inference.baselines.run import Allowance, check_packages, run
 from inference.baselines.target import Target
+from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, draw_mixture
 from inference.results import COMPLETE, pose_columns
-from inference.sampler import MAX_PROPOSALS, SAMPLERS, draw_mixture
+from inference.sampler import SAMPLERS
 from inference.studies.calibration.assess import FAILED, Posterior
 from inference.studies.calibration.quantities import of_pose
 from inference.studies.calibration.simulations import Instance
@@ -51,14 +52,14 @@ def sampler_of(
     or its package is missing."""
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
-    if name in SAMPLERS:
+    if name in PROPOSALS:
         return functools.partial(_exact, name, model, num_samples, max_proposals)
     if name in BASELINES:
         check_packages(name, BASELINES[name])
         return functools.partial(_baseline, name, model, num_samples, max_proposals, start)
     if Path(name).suffix.lower() in SUFFIXES:
         return FromFile.read(Path(name))
-    known = ", ".join([*SAMPLERS, *BASELINES])
+    known = ", ".join(SAMPLERS)
     raise BadInput(
         f"there is no sampler {name!r}; choose one of {known}, or a file of draws"
         f" ({', '.join(SUFFIXES)})"
@@ -74,8 +75,11 @@ def _exact(
     instance: Instance,
     key: jax.Array,
 ) -> Posterior:
-    mixture = draw_mixture(model, instance.frame, key, name, number, budget)
-    columns = pose_columns(model, instance.frame, mixture.parts, mixture.rng)
+    posterior = instance.frame.posterior(model)
+    mixture = draw_mixture(
+        posterior, key=key, sampler=name, num_samples=number, max_proposals=budget
+    )
+    columns = pose_columns(posterior, mixture.parts, mixture.rng)
     scale = np.array([float(candidate.camera.scale) for candidate in instance.frame.candidates])
     joints = (
         columns["joints"] * (scale / scale[0])[columns["candidate"]][:, None, None]
@@ -93,7 +97,8 @@ def _baseline(
     instance: Instance,
     key: jax.Array,
 ) -> Posterior:
-    target, baseline = Target.of(model, instance.frame), BASELINES[name]
+    given = instance.frame.posterior(model)
+    target, baseline = Target.of(given), BASELINES[name]
     places = None
     if baseline.starts:
         exact = _exact_tree(model, instance, jax.random.fold_in(key, 0))
@@ -111,7 +116,7 @@ def _baseline(
         return Posterior(
             np.empty((0, NUM_JOINTS, 3)), done.log_evidence, done.status, done.sentence
         )
-    chains = np.asarray(baseline_tree(model, instance.frame, done, key)["posterior"].joints)
+    chains = np.asarray(baseline_tree(given, done, key)["posterior"].joints)
     joints = independent(chains)
     if not len(joints):
         return Posterior(joints, done.log_evidence, FAILED, f"the chains of {name} did not move")

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.baselines.target import read_poses
 from inference.studies.flips import FLIPPING, away
 from probmodel.chunks import in_chunks
 from probmodel.model import PoseModel, log_joint
@@ -65,15 +64,6 @@ def of_both(model: PoseModel, observation: Observation, joints: np.ndarray) -> n
 def _of_both(
     model: PoseModel, observation: Observation, joints: jax.Array, length: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    poses = read_poses(model, joints, length)
+    poses = model.pose_of(joints, length)
     sine = -jnp.sum(model.hinges_at(poses.upper).triple[..., 0, :] * poses.lower, axis=-1)
-    seen = observation.has_factor
-    offset = (
-        observation.camera.image(joints)
-        - jnp.where(seen[:, None], jnp.asarray(observation.keypoints), 0.0)[None]
-    )
-    far = (
-        jnp.linalg.norm(offset, axis=-1)
-        / jnp.where(seen, jnp.asarray(observation.radius), jnp.inf)[None]
-    )
-    return sine, log_joint(model, observation, *poses), far.max(axis=1)
+    return sine, log_joint(model, observation, *poses), observation.misfit(joints)

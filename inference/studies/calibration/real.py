@@ -11,7 +11,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from inference.candidates import Candidate, Frame
 from inference.roots import estimate_torsos
 from inference.studies.calibration.assess import Standing, assess
 from inference.studies.calibration.posteriors import sampler_of
@@ -19,7 +18,10 @@ from inference.studies.calibration.simulations import Instance, detected
 from probmodel.camera import WeakPerspective
 from probmodel.datasets import Case
 from probmodel.learning.learning import align_torsos
+from probmodel.likelihood import Likelihood
 from probmodel.model import PoseModel
+from probmodel.posterior import Estimate
+from probmodel.roots import Candidate
 from probmodel.skeleton import TORSO_INDEX
 
 TRUE = "true"
@@ -54,12 +56,16 @@ def instances(
     cases: Sequence[Case], model: PoseModel, estimator: str = TRUE, **settings: Any
 ) -> list[Instance]:
     """What is seen of each case with its candidates. `settings` are those of `estimate_torsos`
-    (factor, joints, poses, …); torsos and limits are the model's. Raises `BadInput` on an unknown
+    (likelihood, poses, …); torsos and limits are the model's. Raises `BadInput` on an unknown
     estimator."""
     if estimator == TRUE:
-        kept = {name: value for name, value in settings.items() if name in ("factor", "joints")}
         frames = [
-            Frame(case.detection, (true_candidate(case, model),), estimator=TRUE, **kept)
+            Estimate(
+                case.detection,
+                (true_candidate(case, model),),
+                settings.get("likelihood", Likelihood()),
+                estimator=TRUE,
+            )
             for case in cases
         ]
     else:

@@ -153,7 +153,7 @@ def instances_tree(instances: Sequence[Instance]) -> xr.DataTree:
     score), `constant_data` (the torso in camera axes, the camera's scale and translation, radii τ),
     and `truth`."""
     frames = [instance.frame for instance in instances]
-    views = [frame.observation(frame.candidates[0]) for frame in frames]
+    views = [frame.observation for frame in frames]
     names = {
         "simulation": np.arange(len(frames)),
         "joint": list(JOINTS),

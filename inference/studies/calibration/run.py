@@ -17,9 +17,9 @@ import jax
 import numpy as np
 import xarray as xr
 
+from inference.exact.mixture import MAX_PROPOSALS
 from inference.results import versions
 from inference.roots import estimate_torsos
-from inference.sampler import MAX_PROPOSALS
 from inference.studies.calibration.assess import Standing, assess
 from inference.studies.calibration.posteriors import Sampler, sampler_of
 from inference.studies.calibration.quantities import QUANTITIES

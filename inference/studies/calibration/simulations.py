@@ -12,11 +12,13 @@ import jax
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from inference.candidates import Candidate, Frame
 from probmodel.camera import WeakPerspective
 from probmodel.chunks import in_chunks
 from probmodel.detections import Detection
+from probmodel.likelihood import Likelihood
 from probmodel.model import PoseModel
+from probmodel.posterior import Estimate
+from probmodel.roots import Candidate
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from probmodel.transport import CUBE_DIM, from_cube
 
@@ -36,7 +38,7 @@ class Instance(NamedTuple):
     """What is seen of a person, and the truth behind it: the pose `joints` `(15, 3)`, pelvis at the
     origin, camera axes, in the body units of the frame's first candidate."""
 
-    frame: Frame
+    frame: Estimate
     joints: np.ndarray
 
 
@@ -76,7 +78,8 @@ def _instance(
     detection = detected(np.asarray(camera.project(pose)), score, SCALE, factor, rng)
     candidate = Candidate(0, torso, camera, 0.0)
     return Instance(
-        Frame(detection, (candidate,), factor, estimator="truth"), np.asarray(camera.view(pose))
+        Estimate(detection, (candidate,), Likelihood(factor=factor), estimator="truth"),
+        np.asarray(camera.view(pose)),
     )
 
 
@@ -95,7 +98,8 @@ def detected(
     seen = score > 0
     where = "a pose"
     blank = Detection(np.where(seen[:, None], exact, np.nan), score, source, where, 0)
-    radius = np.nan_to_num(blank.radius(scale, factor=factor), nan=factor * scale / 2)
+    radius = Likelihood(factor=factor).spread(blank, scale)
+    radius = np.where(np.isfinite(radius), radius, factor * scale / 2)
     far, angle = (
         radius * np.sqrt(rng.uniform(size=NUM_JOINTS)),
         rng.uniform(0, 2 * np.pi, NUM_JOINTS),

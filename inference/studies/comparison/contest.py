@@ -16,9 +16,9 @@ import xarray as xr
 from inference.baselines.catalogue import BASELINES, STARTS, baseline_tree, starting_points
 from inference.baselines.run import Allowance, Clock, Run, check_packages, run
 from inference.baselines.target import Target
-from inference.candidates import Frame
+from inference.exact.mixture import draw_mixture
 from inference.results import COMPLETE
-from inference.sampler import SAMPLERS, draw_mixture, sample
+from inference.sampler import SAMPLERS, sample
 from inference.studies.comparison.cost import course
 from inference.studies.comparison.judge import judge
 from inference.studies.comparison.pace import pace
@@ -26,6 +26,7 @@ from inference.studies.comparison.record import SHOWN, Entry
 from inference.studies.comparison.sample import Sample, read_sample
 from probmodel.failures import BadInput, OutOfBudget
 from probmodel.model import PoseModel
+from probmodel.posterior import Estimate
 
 PILOT = 500
 """Draws by which the candidate is chosen."""
@@ -43,7 +44,7 @@ class Truth:
     """Exact draws under one candidate: the frame with that candidate, their tree and sample, and
     what they cost."""
 
-    frame: Frame
+    frame: Estimate
     tree: xr.DataTree
     sample: Sample
 
@@ -53,7 +54,7 @@ class Truth:
         return self.tree.attrs["log_evidence"], self.tree.attrs["log_evidence_se"]
 
 
-def truth(model: PoseModel, frame: Frame, *, key: jax.Array, number: int = REFERENCE) -> Truth:
+def truth(model: PoseModel, frame: Estimate, *, key: jax.Array, number: int = REFERENCE) -> Truth:
     """Exact draws under the candidate with the largest weight. Raises `OutOfBudget` where there are
     none."""
     if len(frame.candidates) > 1:
@@ -69,11 +70,11 @@ def truth(model: PoseModel, frame: Frame, *, key: jax.Array, number: int = REFER
 def check_names(names: list[str]) -> None:
     """Raises `BadInput` on a sampler that does not exist or whose package is missing, before any
     work is done."""
-    unknown = [name for name in names if name not in BASELINES and name not in SAMPLERS]
+    unknown = [name for name in names if name not in SAMPLERS]
     if unknown or not names:
         raise BadInput(
             f"there is no sampler {unknown[0] if unknown else ''!r}; choose from"
-            f" {', '.join([*SAMPLERS, *BASELINES])}"
+            f" {', '.join(SAMPLERS)}"
         )
     for name in names:
         if name in BASELINES:
@@ -99,7 +100,7 @@ def enter_exact(
     draws are given names."""
     result = sample(model, known.frame, sampler=name, key=key, num_samples=num_samples)
     started = clock()
-    draw_mixture(model, known.frame, key, name, num_samples)
+    draw_mixture(known.frame.posterior(model), key=key, sampler=name, num_samples=num_samples)
     seconds = clock() - started
     attributes = result.tree.attrs
     evidence = attributes["log_evidence"], attributes["log_evidence_se"]
@@ -122,7 +123,8 @@ def enter_baseline(
     clock: Clock = time.perf_counter,
 ) -> tuple[Entry, xr.DataTree | None]:
     """A line of a baseline, and its draws, or none where its budget brought none."""
-    target = Target.of(model, known.frame)
+    posterior = known.frame.posterior(model)
+    target = Target.of(posterior)
     starts = starting_points(target, known.tree, start) if start else None
     done = run(
         BASELINES[name],
@@ -141,7 +143,7 @@ def enter_baseline(
     if not done.num_draws:
         cost = done.cost.num_proposals, done.cost.wall_time
         return Entry(name, start, None, done.sentence, 0, *cost, None, None, *evidence), None
-    tree = baseline_tree(model, known.frame, done, key)
+    tree = baseline_tree(posterior, done, key)
     found = read_sample(tree, f"the draws of {name}")
     return (
         _entry(name, start, found, known, "", _work_of(done, BASELINES[name].starts), evidence),

@@ -7,26 +7,26 @@ number. The same block gives the same bits wherever and whenever it is done."""
 import functools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
 import numpy as np
 
-from inference.candidates import Frame
+from inference.exact.mixture import draw_mixture
 from inference.hypothesis import diverse
-from inference.results import pose_columns
+from inference.results import joint_columns
 from inference.roots import estimate_torsos
-from inference.sampler import draw_mixture
 from inference.studies.errors import aligned_errors, joint_errors
 from inference.studies.evaluation.conditions import Condition
 from inference.studies.evaluation.metrics import distinct_flips, spread
 from probmodel.anatomy.population import Anatomy
 from probmodel.datasets import Case, DataSet
-from probmodel.detections import LIKELIHOOD_JOINTS
 from probmodel.failures import BadInput
 from probmodel.learning.dictionaries import PoseDictionary
+from probmodel.likelihood import Likelihood
 from probmodel.model import PoseModel
+from probmodel.posterior import Estimate
 from probmodel.skeleton import BONES, NUM_JOINTS
 
 BAD_INPUT, FAILED = "bad input", "failed"
@@ -37,7 +37,7 @@ STATUS_BYTES, SENTENCE_BYTES = 16, 400
 class Protocol:
     """What is done with every frame: what is believed (`anatomy`, its measures `upper` and `lower`,
     pose `dictionary`), how many torso-and-camera `candidates` are kept (1: the paper's method), the
-    `factor` of the discs and the `joints` that have one, `num_samples` draws within
+    `likelihood`, `num_samples` draws within
     `max_proposals`, and among them `ks` hypotheses; `seed` of it all."""
 
     anatomy: Anatomy
@@ -45,8 +45,7 @@ class Protocol:
     upper: str = "angle"
     lower: str = "area"
     candidates: int = 1
-    factor: float = 0.25
-    joints: tuple[int, ...] = LIKELIHOOD_JOINTS
+    likelihood: Likelihood = field(default_factory=Likelihood)
     num_samples: int = 1000
     ks: tuple[int, ...] = (5, 20)
     max_proposals: int = 20_000_000
@@ -140,7 +139,7 @@ def _prepared(
 
 def _estimated(
     protocol: Protocol, estimator: str, cases: Sequence[Case | Exception]
-) -> list[Frame | Exception]:
+) -> list[Estimate | Exception]:
     """All together, which is faster; one by one where one of them spoils it for the others."""
     good = [case.detection for case in cases if isinstance(case, Case)]
     settings: dict[str, Any] = {
@@ -148,11 +147,10 @@ def _estimated(
         "limits": protocol.anatomy.limits,
         "poses": protocol.dictionary,
         "num_candidates": protocol.candidates,
-        "factor": protocol.factor,
-        "joints": protocol.joints,
+        "likelihood": protocol.likelihood,
     }
     try:
-        frames: list[Frame | Exception] = list(estimate_torsos(good, estimator, **settings))
+        frames: list[Estimate | Exception] = list(estimate_torsos(good, estimator, **settings))
     except Exception:
         frames = []
         for detection in good:
@@ -165,7 +163,7 @@ def _estimated(
 
 
 def _judged(
-    protocol: Protocol, case: Case | Exception, frame: Frame | Exception
+    protocol: Protocol, case: Case | Exception, frame: Estimate | Exception
 ) -> tuple[str, str, dict[str, Any]]:
     if isinstance(case, Exception) or isinstance(frame, Exception):
         return *_reason(frame), {}
@@ -187,7 +185,7 @@ def _reason(error: object) -> tuple[str, str]:
     )
 
 
-def _single(protocol: Protocol, case: Case, frame: Frame) -> dict[str, Any]:
+def _single(protocol: Protocol, case: Case, frame: Estimate) -> dict[str, Any]:
     pose = frame.pose
     assert pose is not None  # every estimator of the table gives one
     return {
@@ -197,12 +195,16 @@ def _single(protocol: Protocol, case: Case, frame: Frame) -> dict[str, Any]:
     }
 
 
-def _drawn(protocol: Protocol, case: Case, frame: Frame) -> tuple[str, str, dict[str, Any]]:
+def _drawn(protocol: Protocol, case: Case, frame: Estimate) -> tuple[str, str, dict[str, Any]]:
     key = jax.random.fold_in(jax.random.key(protocol.seed), case.number)
+    posterior = frame.posterior(protocol.model)
     mixture = draw_mixture(
-        protocol.model, frame, key, "rejection", protocol.num_samples, protocol.max_proposals
+        posterior,
+        key=key,
+        num_samples=protocol.num_samples,
+        max_proposals=protocol.max_proposals,
     )
-    joints = pose_columns(protocol.model, frame, mixture.parts, mixture.rng)["joints"]
+    joints = joint_columns(posterior, mixture.parts, mixture.rng)["joints"]
     values = {"num_draws": len(joints), "log_evidence": mixture.attributes["log_evidence"]}
     if len(joints) < max(protocol.ks):
         return mixture.status, mixture.sentence, values

@@ -18,11 +18,11 @@ import functools
 import jax
 import jax.numpy as jnp
 
-from inference.exact.problem import Group
 from probmodel.anatomy.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION
 from probmodel.directions.cells import Cells, cell_centres, row_sines
 from probmodel.directions.hinges import Hinge
 from probmodel.kinematics import direction, lower_frame
+from tests.witnesses.limbs import Group
 
 SLACK = 1e-9
 """Bounds are widened by this much (relative, or body units), so that rounding never makes them less

@@ -1,0 +1,293 @@
+"""Exact draws from the mixture over a posterior's roots.
+
+Each root's evidence comes out of its own rejection, weighs it against the others, and decides how
+many of the draws are its own.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from inference.exact.groups import StratifiedGroup, group_tables
+from inference.exact.naive import PriorBodies
+from inference.exact.problem import limb_problems, log_ratio_of
+from inference.exact.rates import Budget, GroupSampler, Pooled, Rate
+from inference.exact.reach import nearest_miss, out_of_reach
+from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET, RootDraws, key_words
+from probmodel.failures import BadInput
+from probmodel.model import PoseModel
+from probmodel.observation import Observation
+from probmodel.pose import Pose
+from probmodel.posterior import Posterior
+from probmodel.skeleton import GROUPS
+
+PILOTS = (64, 2000)
+"""Draws of each root from which the roots are weighed, in two rounds, before the rest is shared
+out."""
+NEGLIGIBLE = 0.01
+"""A root whose share is below this after the first round (known to an eighth) needs no second."""
+PILOT_PROPOSALS = 20_000_000
+"""Proposals (some seconds) in which a root must make its first pilot draws."""
+EVEN = 16
+"""Every group gets so many-th part of its draws before any group gets the rest."""
+MAX_PROPOSALS = 1_000_000_000
+"""Most proposals for one detection, where nothing else is said."""
+Progress = Callable[[int, int], None]
+"""Called with the draws made and the draws wanted."""
+
+
+def _strata(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
+    tables, problems = group_tables(model), limb_problems(observation)
+    return [
+        StratifiedGroup(
+            jax.random.fold_in(key, index),
+            name,
+            tables[name],
+            problems[name],
+            log_ratio_of(model, observation, GROUPS[name]),
+        )
+        for index, name in enumerate(GROUPS)
+    ]
+
+
+def _per_group(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
+    return [PriorBodies(key, model, observation, tuple((name,) for name in GROUPS))]
+
+
+def _whole_body(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
+    return [PriorBodies(key, model, observation, (tuple(GROUPS),))]
+
+
+Proposal = Callable[[jax.Array, PoseModel, Observation], Sequence[GroupSampler]]
+PROPOSALS: dict[str, Proposal] = {
+    "rejection": _strata,
+    "rejection-group": _per_group,
+    "rejection-prior": _whole_body,
+}
+"""How exact rejection proposes, by the sampler's name: by strata; each group, or the whole body,
+from the prior."""
+
+
+@dataclass
+class RootSampler:
+    """Exact rejection under one root, and what has been drawn of it."""
+
+    model: PoseModel
+    observation: Observation
+    samplers: Sequence[GroupSampler]
+
+    def more(self, number: int, budget: Budget) -> bool:
+        """Goes on until every group holds `number` draws; False where it cannot."""
+        # Every group goes on, also when another one cannot, and none to the end before all have
+        # some: where the budget ends first, there shall be as many whole bodies as there can be.
+        done = [
+            sampler.more(target, budget)
+            for target in (-(-number // EVEN), number)
+            for sampler in self.samplers
+        ]
+        return all(done)
+
+    @property
+    def held(self) -> int:
+        """Whole bodies held."""
+        return min(sampler.held for sampler in self.samplers)
+
+    def progress(self, number: int) -> float:
+        """How much of `number` draws there is, from 0 to 1, all groups taken together."""
+        held = sum(min(sampler.held, number) for sampler in self.samplers)
+        return held / max(1, number * len(self.samplers))
+
+    @property
+    def rates(self) -> list[Rate | Pooled]:
+        return [rate for sampler in self.samplers for rate in sampler.rates]
+
+    @property
+    def log_evidence(self) -> float:
+        """Log of the prior's mean of the likelihood over its peak; -inf where no draw was
+        accepted."""
+        return -math.inf if not self.held else sum(rate.log_probability for rate in self.rates)
+
+    @property
+    def log_evidence_se(self) -> float:
+        """Standard error of `log_evidence`."""
+        return math.inf if not self.held else math.sqrt(sum(rate.variance for rate in self.rates))
+
+    def poses(self, number: int) -> Pose:
+        """The first `number` draws."""
+        poses = Pose.blank(number)
+        if number:
+            for sampler in self.samplers:
+                for name, draws in sampler.draws().items():
+                    draws.fill(poses, GROUPS[name])
+        return poses
+
+
+class Mixture(NamedTuple):
+    """Draws from the mixture over a posterior's roots, before they are named and put in order.
+
+    Attributes
+    ----------
+    parts : the draws under each root.
+    attributes : what they cost and are worth.
+    status, sentence : as in `inference.results.Result`.
+    rng : for what remains random.
+    """
+
+    parts: list[RootDraws]
+    attributes: dict[str, Any]
+    status: str
+    sentence: str
+    rng: np.random.Generator
+
+
+def draw_mixture(
+    posterior: Posterior,
+    *,
+    key: jax.Array,
+    sampler: str = "rejection",
+    num_samples: int = 10_000,
+    max_proposals: int = MAX_PROPOSALS,
+    progress: Progress | None = None,
+) -> Mixture:
+    """Draws from a posterior by one of `PROPOSALS`; arguments and errors as in
+    `inference.sample`."""
+    if sampler not in PROPOSALS:
+        raise BadInput(f"there is no exact sampler {sampler!r}; choose from {', '.join(PROPOSALS)}")
+    if num_samples < 1:
+        raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
+    budget = Budget(max_proposals)
+    samplers = root_samplers(posterior, key, sampler)
+    prior = posterior.log_weights
+    log_weight = _weigh(samplers, prior, num_samples, budget)
+    seed = jax.random.key_data(jax.random.fold_in(key, len(samplers)))
+    rng = np.random.default_rng(np.asarray(seed))
+    counts = rng.multinomial(num_samples, _shares(log_weight))
+    enough = _fill(samplers, counts, budget, progress)
+    held = [min(int(count), one.held) for count, one in zip(counts, samplers, strict=True)]
+    shares = _shares(_log_weights(samplers, prior))
+    parts = [
+        RootDraws(one.poses(number), one.log_evidence, one.log_evidence_se, float(share))
+        for one, number, share in zip(samplers, held, shares, strict=True)
+    ]
+    evidence, error = _mixture_evidence(prior, parts)
+    attributes = {
+        "sampler": sampler,
+        "seed": key_words(key),
+        "num_samples": num_samples,
+        "num_proposals": budget.spent,
+        "acceptance_rate": sum(held) / max(budget.spent, 1),
+        "log_evidence": evidence,
+        "log_evidence_se": error,
+    }
+    status, sentence = COMPLETE, ""
+    if not enough:
+        status, sentence = _explain(samplers, posterior, budget, sum(held), num_samples)
+    return Mixture(parts, attributes, status, sentence, rng)
+
+
+def root_samplers(posterior: Posterior, key: jax.Array, sampler: str) -> list[RootSampler]:
+    """A sampler for each of the posterior's roots, with keys of their own."""
+    propose, model = PROPOSALS[sampler], posterior.model
+    return [
+        RootSampler(model, one, propose(jax.random.fold_in(key, index), model, one))
+        for index, one in enumerate(posterior.observations)
+    ]
+
+
+def _weigh(
+    samplers: list[RootSampler], prior: np.ndarray, number: int, budget: Budget
+) -> np.ndarray:
+    """Log weights of the roots from pilot draws: few of each, more of those that turn out to
+    matter.
+
+    A root under which draws are very rare is not waited for: what its allowance brought is its
+    evidence. Only where no root brings any draw do the allowances grow, to the end of the budget.
+    """
+    if len(samplers) == 1:
+        return prior
+    first, second = (min(pilot, number) for pilot in PILOTS)
+    allowance = PILOT_PROPOSALS
+    log_weight = np.full(len(samplers), -np.inf)
+    while not np.isfinite(log_weight).any() and budget.spent < budget.proposals:
+        spent = budget.spent
+        for index in np.flatnonzero(np.isfinite(prior)):
+            samplers[index].more(first, Budget(allowance, whole=budget))
+        log_weight = _log_weights(samplers, prior)
+        allowance *= 2
+        if budget.spent == spent:
+            break  # every root has been given up
+    for index in np.flatnonzero(_shares(log_weight) > NEGLIGIBLE):
+        samplers[index].more(second, Budget(allowance, whole=budget))
+    return _log_weights(samplers, prior)
+
+
+def _log_weights(samplers: list[RootSampler], prior: np.ndarray) -> np.ndarray:
+    return prior + np.array([one.log_evidence for one in samplers])
+
+
+def _shares(log_weight: np.ndarray) -> np.ndarray:
+    """Weights that sum to one; where nothing has any, the first root (best reprojection) has
+    all."""
+    if not np.isfinite(log_weight).any():
+        return np.eye(len(log_weight))[0]
+    share = np.exp(log_weight - log_weight.max())
+    return share / share.sum()
+
+
+def _fill(
+    samplers: list[RootSampler], counts: np.ndarray, budget: Budget, progress: Progress | None
+) -> bool:
+    wanted, pairs = int(counts.sum()), list(zip(samplers, counts.tolist(), strict=True))
+
+    def report() -> None:
+        if progress:
+            progress(int(sum(one.progress(count) * count for one, count in pairs)), wanted)
+
+    budget.watch = report
+    done = [one.more(count, budget) for one, count in pairs if count]
+    report()
+    return all(done)
+
+
+def _mixture_evidence(prior: np.ndarray, parts: list[RootDraws]) -> tuple[float, float]:
+    """Log evidence of the mixture and its standard error, the roots' errors being independent."""
+    log_terms = prior + np.array([part.log_evidence for part in parts])
+    if not np.isfinite(log_terms).any():
+        return -math.inf, math.inf
+    shares = _shares(log_terms)
+    errors = np.array([part.log_evidence_se for part in parts])
+    errors = np.where(shares > 0, errors, 0.0)
+    return float(np.logaddexp.reduce(log_terms)), float(np.sqrt(np.sum((shares * errors) ** 2)))
+
+
+def _explain(
+    samplers: list[RootSampler], posterior: Posterior, budget: Budget, held: int, wanted: int
+) -> tuple[str, str]:
+    """Why there are fewer draws than wanted, in a sentence that names the joint or the group."""
+    model, where = posterior.model, posterior.detection.where
+    unreachable = [out_of_reach(model, observation) for observation in posterior.observations]
+    if all(unreachable):
+        scale = float(posterior.roots[0].camera.scale)
+        return IMPOSSIBLE, f"no pose explains {where}: {unreachable[0][0].sentence(scale)}"
+    index = unreachable.index([])
+    observation = posterior.observations[index]
+    slowest = min(samplers[index].samplers, key=lambda sampler: sampler.held)
+    name = slowest.slowest
+    scale = float(observation.root.camera.scale)
+    miss = nearest_miss(model, observation, name).sentence(scale)
+    if all(any(group.impossible for group in one.samplers) for one in samplers):
+        return IMPOSSIBLE, (
+            f"no pose explains {where}: the bounds leave no possible {name} for their detections"
+            f" ({miss}); mend or drop one"
+        )
+    counts = f"{held} of {wanted} draws after {budget.spent:,} proposals for {where}"
+    if slowest.hopeless:
+        return OUT_OF_BUDGET, (
+            f"{counts}: no possible {name} explain their detections ({miss}); mend or drop one"
+        )
+    advice = "ask for fewer samples, allow more proposals, or mend a detection"
+    return OUT_OF_BUDGET, f"{counts}: the {name} stand in the way ({miss}); {advice}"

@@ -1,0 +1,195 @@
+"""The likelihood: how far, and in what way, a detected joint may lie from where the pose projects.
+
+An `ErrorLaw` is the isotropic law of one joint's error in units of its spread; the paper's is `Disc`.
+A `Likelihood` gives every joint its spread (τ, from the detector's scores) and says which joints
+count. `Observation` is what a detection then says under one root; see `docs/model.md`, § 3.
+
+To add a law, write one subclass of `ErrorLaw`: samplers propose within its `reach` and keep a draw
+with probability exp(`log_ratio`), so nothing else has to know it.
+"""
+
+import abc
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from numpyro.distributions import Distribution, constraints
+
+from probmodel.detections import LARGEST_NUMBER, LIKELIHOOD_JOINTS, Detection
+from probmodel.directions.supports import disc, same_rank
+from probmodel.failures import BadInput
+from probmodel.observation import Observation
+from probmodel.skeleton import JOINTS, NUM_JOINTS, TORSO_INDEX
+
+if TYPE_CHECKING:
+    from probmodel.roots import Root
+
+
+class ErrorLaw(abc.ABC):
+    """The isotropic law of an error e in the plane, in units of a joint's spread.
+
+    Its density falls with |e| and ends at `reach`.
+
+    Attributes
+    ----------
+    reach : the largest |e| that has any density.
+    log_peak : log density at e = 0, per squared spread.
+    flat : whether the density is the same everywhere within the reach, so that the indicator is all
+        there is.
+    """
+
+    reach: float
+    log_peak: float
+    flat: bool = False
+
+    @abc.abstractmethod
+    def log_ratio(self, square: ArrayLike) -> jax.Array:
+        """`(...)`: log f(e)/f(0) at squared distances |e|² `(...)`; -inf beyond the reach."""
+
+    @abc.abstractmethod
+    def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+        """Errors `(*shape, 2)`."""
+
+
+@jax.tree_util.register_static
+@dataclasses.dataclass(frozen=True)
+class Disc(ErrorLaw):
+    """Uniform in the disc of radius one: the paper's law, an indicator."""
+
+    reach = 1.0
+    log_peak = float(-np.log(np.pi))
+    flat = True
+
+    def log_ratio(self, square: ArrayLike) -> jax.Array:
+        """0 in the disc, -inf outside."""
+        return jnp.where(jnp.asarray(square) <= 1.0, 0.0, -jnp.inf)
+
+    def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+        """Errors `(*shape, 2)`."""
+        for_distance, for_angle = jax.random.split(key)
+        distance = jnp.sqrt(jax.random.uniform(for_distance, shape))
+        angle = jax.random.uniform(for_angle, shape, maxval=2 * jnp.pi)
+        return distance[..., None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+
+
+class Detected(Distribution):
+    """Where a joint is detected: `centre` plus an error of the law, times `spread`.
+
+    Parameters
+    ----------
+    law : the errors' law.
+    centre : `(..., 2)`, where the joint projects.
+    spread : `(...)`, in the units of `centre`.
+    """
+
+    arg_constraints = {"centre": constraints.real_vector, "spread": constraints.positive}  # noqa: RUF012
+    reparametrized_params = ["centre", "spread"]  # noqa: RUF012
+    pytree_data_fields = ("law",)
+
+    def __init__(
+        self,
+        law: ErrorLaw,
+        centre: ArrayLike,
+        spread: ArrayLike,
+        *,
+        validate_args: bool | None = None,
+    ) -> None:
+        centre, spread = jnp.asarray(centre), jnp.asarray(spread)
+        batch_shape = jnp.broadcast_shapes(centre.shape[:-1], spread.shape)
+        self.law = law
+        self.centre = jnp.broadcast_to(centre, (*batch_shape, 2))
+        self.spread = jnp.broadcast_to(spread, batch_shape)
+        super().__init__(batch_shape=batch_shape, event_shape=(2,), validate_args=validate_args)
+
+    @constraints.dependent_property(is_discrete=False, event_dim=1)
+    def support(self) -> constraints.Constraint:
+        return disc(self.centre, self.law.reach * self.spread)
+
+    def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
+        """Points `sample_shape + batch_shape + (2,)`."""
+        error = self.law.sample(key, (*sample_shape, *self.batch_shape))
+        error, centre, spread = same_rank(error, self.centre, self.spread[..., None])
+        return centre + spread * error
+
+    def log_prob(self, value: ArrayLike) -> jax.Array:
+        """Log density per unit of area of `centre`, -inf outside the reach."""
+        value, centre, spread = same_rank(value, self.centre, self.spread[..., None])
+        square = jnp.sum(((value - centre) / spread) ** 2, axis=-1)
+        return self.law.log_peak + self.law.log_ratio(square) - 2 * jnp.log(spread[..., 0])
+
+
+@dataclasses.dataclass(frozen=True)
+class Likelihood:
+    """What a detection says: an error law, and every joint's spread.
+
+    Attributes
+    ----------
+    law : the law of the errors.
+    factor : the paper's 0.25: the spread of a joint of average score, in mean limb lengths.
+    joints : the joints that count where they are seen.
+    """
+
+    law: ErrorLaw = dataclasses.field(default_factory=Disc)
+    factor: float = 0.25
+    joints: tuple[int, ...] = LIKELIHOOD_JOINTS
+
+    def spread(
+        self, detection: Detection, scale: float, joints: Sequence[int] | None = None
+    ) -> np.ndarray:
+        """How far joints may lie from their projections: the paper's τ = `factor` · `scale` · (mean
+        limb length) / α, where the mean limb length is one body unit and α is the joint's score over
+        the mean score.
+
+        Parameters
+        ----------
+        detection : whose scores.
+        scale : pixels per body unit.
+        joints : which of the seen joints count, and average to α = 1; default: `self.joints`.
+
+        Returns
+        -------
+        `(15,)` pixels, infinite where a joint does not count.
+
+        Raises
+        ------
+        BadInput
+            Where `scale` or `factor` is not positive, or a score is so far below the others that its
+            spread is not a finite number.
+        """
+        for name, value in (("scale", scale), ("factor", self.factor)):
+            if not 0 < value <= LARGEST_NUMBER:  # false for NaN too
+                raise BadInput(
+                    f"the {name} of the radii must lie between 0 and {LARGEST_NUMBER:g}, not"
+                    f" {value}."
+                )
+        alpha = detection.alpha(self.joints if joints is None else joints)
+        with np.errstate(over="ignore", divide="ignore"):  # reported below, by name
+            spread = self.factor * scale / alpha
+        for joint in np.flatnonzero(np.isinf(spread)):
+            raise BadInput(
+                f"the score of {JOINTS[joint]} in {detection.where} is {detection.score[joint]},"
+                " too far below the others for a radius; read the file with a higher threshold."
+            )
+        return np.where(np.isnan(spread), np.inf, spread)
+
+    def observe(
+        self, detection: Detection, root: "Root", joints: Sequence[int] | None = None
+    ) -> Observation:
+        """The detection as it looks under `root`, on the camera's plane and in body units; the
+        arguments and errors are those of `spread`."""
+        scale = float(root.camera.scale)
+        spread = self.spread(detection, scale, joints) / scale
+        target = root.camera.to_plane(detection.keypoints)
+        target = np.where(np.isfinite(spread)[:, None], target, 0.0)
+        return Observation(root, target, spread, self.law)
+
+    def log_torso(self, detection: Detection, root: "Root") -> float:
+        """Log density of the seen torso joints, whose scores are normalised among themselves; -inf
+        where one lies beyond its reach."""
+        joints = np.zeros((NUM_JOINTS, 3))
+        joints[list(TORSO_INDEX)] = np.asarray(root.view)
+        return float(self.observe(detection, root, TORSO_INDEX).log_density(joints))

@@ -1,0 +1,119 @@
+"""The posterior as one value: what is believed of poses, of detectors' errors, and of the root.
+
+`Posterior(model, likelihood, detection, roots)` owns the program, its mixture over roots and their
+weights; samplers, streams, studies and pictures ask it. `Estimate` is the same without the model,
+which is what an estimator makes of a detection. See `docs/model.md`, § 7.
+"""
+
+import functools
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+from numpyro.distributions import CategoricalLogits
+
+from probmodel.detections import Detection
+from probmodel.likelihood import Likelihood
+from probmodel.model import PoseModel
+from probmodel.observation import Observation
+from probmodel.roots import Candidate
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """The posterior of one detection: a mixture over roots, the prior's atoms.
+
+    Attributes
+    ----------
+    model : the prior of poses.
+    likelihood : how detections err.
+    detection : what was detected.
+    roots : the candidates for torso and camera, all of equal prior mass.
+    estimator : where they come from.
+    """
+
+    model: PoseModel
+    likelihood: Likelihood
+    detection: Detection
+    roots: tuple[Candidate, ...]
+    estimator: str = ""
+
+    @functools.cached_property
+    def observations(self) -> tuple[Observation, ...]:
+        """The detection under each root."""
+        return tuple(self.likelihood.observe(self.detection, one.root) for one in self.roots)
+
+    @functools.cached_property
+    def log_root_weights(self) -> np.ndarray:
+        """`(roots,)`: log probability of each root given the torso's detected joints alone.
+
+        Where no root has all of them within reach, they say nothing and are left out.
+        """
+        if len(self.roots) == 1:
+            return np.zeros(1)
+        torso = [self.likelihood.log_torso(self.detection, one.root) for one in self.roots]
+        log_weight = np.array(torso) if np.isfinite(torso).any() else np.zeros(len(self.roots))
+        return log_weight - np.logaddexp.reduce(log_weight)
+
+    @functools.cached_property
+    def log_weights(self) -> np.ndarray:
+        """`(roots,)`: what weighs each root beside its log evidence, which is the prior's mean of
+        the likelihood over its peak (for discs, of the indicator). Normalised."""
+        if len(self.roots) == 1:
+            return np.zeros(1)
+        peaks = np.array([float(observation.log_peak) for observation in self.observations])
+        log_weight = self.log_root_weights + peaks
+        return log_weight - np.logaddexp.reduce(log_weight)
+
+    def program(self) -> jax.Array:
+        """NumPyro model of the whole mixture: site `root`, then those of `PoseModel.posterior`.
+        Returns the joints `(15, 3)` in camera axes, body units of the root drawn."""
+        index = numpyro.sample("root", CategoricalLogits(jnp.asarray(self.log_root_weights)))
+        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *self.observations)
+        return self.model.posterior(jax.tree.map(lambda leaf: leaf[index], stacked))
+
+    @property
+    def converged(self) -> bool:
+        """Whether the estimator came to an end for every root."""
+        return all(candidate.converged for candidate in self.roots)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A detection with the roots that are left open, held fixed from here on, best reprojection
+    first: everything of its posterior but the model.
+
+    Attributes
+    ----------
+    detection : what was detected.
+    candidates : the roots.
+    likelihood : how detections err.
+    estimator : where the candidates come from.
+    """
+
+    detection: Detection
+    candidates: tuple[Candidate, ...]
+    likelihood: Likelihood = field(default_factory=Likelihood)
+    estimator: str = ""
+
+    def posterior(self, model: PoseModel) -> Posterior:
+        """The posterior under a model of poses."""
+        return Posterior(model, self.likelihood, self.detection, self.candidates, self.estimator)
+
+    @property
+    def observation(self) -> Observation:
+        """The detection under the first candidate."""
+        return self.likelihood.observe(self.detection, self.candidates[0].root)
+
+    @property
+    def pose(self) -> np.ndarray | None:
+        """`(15, 3)`: the estimator's single 3D pose, that of the best candidate, in camera axes and
+        body units."""
+        return self.candidates[0].pose
+
+    @property
+    def converged(self) -> bool:
+        """Whether the estimator came to an end for every candidate."""
+        return all(candidate.converged for candidate in self.candidates)

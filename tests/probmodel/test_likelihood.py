@@ -1,0 +1,64 @@
+"""The likelihood's spreads, error laws and observations: by hand, and against other routes."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from probmodel.detections import LIMB_JOINTS
+from probmodel.failures import BadInput
+from probmodel.likelihood import Likelihood
+from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from tests.probmodel.test_detections import (
+    ELBOW,
+    HEAD,
+    ONES,
+    SCORES,
+    WRIST,
+    detection,
+    with_entry,
+)
+
+
+def test_spread_by_hand() -> None:
+    """Two observed joints with scores 0.2 and 0.6: alpha 0.5 and 1.5, radii 0.25 · 60 / alpha = 30
+    and 10 pixels; a joint that does not count may lie anywhere."""
+    score = np.zeros(NUM_JOINTS)
+    score[[ELBOW, WRIST]] = 0.2, 0.6
+    score[JOINT_INDEX["pelvis"]] = 7  # of the torso: no factor, and no part in the mean
+    person = detection(score)
+    expected = np.full(NUM_JOINTS, np.inf)
+    expected[[ELBOW, WRIST]] = 30, 10
+    np.testing.assert_allclose(Likelihood().spread(person, 60), expected)
+    np.testing.assert_allclose(Likelihood(factor=0.5).spread(person, 60), 2 * expected)
+
+
+def test_the_head_takes_part_in_the_mean_unless_left_out() -> None:
+    person = detection(with_entry(ONES, HEAD, 2))
+    assert person.alpha()[HEAD] == pytest.approx(2 / (10 / 9))
+    without = Likelihood(joints=LIMB_JOINTS).spread(person, 4)
+    assert np.isinf(without[HEAD])
+    np.testing.assert_allclose(without[list(LIMB_JOINTS)], 1)
+
+
+@settings(deadline=None)
+@given(SCORES, st.floats(1e-6, 1e6))
+def test_only_the_ratios_of_scores_matter(score: list[float], unit: float) -> None:
+    """Detectors score in 0..1, 0..6 or above 1: the radii are the same."""
+    scaled = Likelihood().spread(detection(np.array(score) * unit), 50)
+    np.testing.assert_allclose(scaled, Likelihood().spread(detection(score), 50), rtol=1e-9)
+
+
+@pytest.mark.parametrize("value", [0, -1, np.nan, np.inf, 1e300])
+def test_spread_refuses_a_scale_or_factor_that_is_none(value: float) -> None:
+    with pytest.raises(BadInput, match="scale of the radii must lie between 0 and"):
+        Likelihood().spread(detection(), value)
+    with pytest.raises(BadInput, match="factor of the radii must lie between 0 and"):
+        Likelihood(factor=value).spread(detection(), 1)
+
+
+def test_a_spread_that_is_not_finite_is_refused_by_name() -> None:
+    with pytest.raises(
+        BadInput, match=r"score of right_elbow in person 0 of f is 5e-324, too far below"
+    ):
+        Likelihood().spread(detection(with_entry(ONES * 1e9, ELBOW, 5e-324)), 1)

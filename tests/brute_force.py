@@ -98,9 +98,9 @@ def accepted(joints, camera, keypoints, radius):
     return np.broadcast_to(ok, len(next(iter(joints.values()))))
 
 
-def brute_force(limits, lengths, frame, name, number, seed):
+def brute_force(limits, lengths, frame, name, number, seed, keep=accepted):
     """Accepted lengths `(m, bones)`, joints `{joint: (m, 3)}`, the number proposed, for a frame's
-    first candidate."""
+    first candidate; `keep` says which are accepted."""
     rng = np.random.default_rng(seed)
     candidate = frame.candidates[0]
     torso = np.asarray(candidate.torso) @ np.asarray(candidate.camera.rotation).T
@@ -108,7 +108,7 @@ def brute_force(limits, lengths, frame, name, number, seed):
     sizes, parts = [], []
     for start in range(0, number, CHUNK):
         size, joints = propose_group(limits, lengths, torso, name, min(CHUNK, number - start), rng)
-        ok = accepted(joints, candidate.camera, frame.detection.keypoints, radius)
+        ok = keep(joints, candidate.camera, frame.detection.keypoints, radius)
         sizes.append(size[ok])
         parts.append({joint: points[ok] for joint, points in joints.items()})
     return (

@@ -1,0 +1,113 @@
+"""Another error law than the disc: exact draws of it, by strata and from the prior, against a
+second implementation in NumPy. What a new law has to bring is here in one class.
+
+False alarms: every family of p-values is held to 0.001 altogether (Bonferroni), every evidence to 3
+standard errors (0.3 % each); seeds are fixed.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import integrate
+from scipy.stats import ks_2samp
+
+import inference
+from probmodel import Disc, ErrorLaw, PoseModel
+from probmodel.likelihood import Detected
+from probmodel.skeleton import GROUPS
+from tests.brute_force import brute_force
+from tests.scenes import key, prior_scene
+
+FAMILY = 1e-3
+"""False-alarm rate of one family of tests."""
+ARM_JOINTS = [bone.end for limb in GROUPS["arms"] for bone in limb.bones]
+
+
+@jax.tree_util.register_static
+@dataclasses.dataclass(frozen=True)
+class CutGaussian(ErrorLaw):
+    """A Gaussian of standard deviation one, cut at three: its square is exponential, cut at nine."""
+
+    reach = 3.0
+    log_peak = float(-np.log(2 * np.pi * (1 - np.exp(-4.5))))
+
+    def log_ratio(self, square):
+        square = jnp.asarray(square)
+        return jnp.where(square <= self.reach**2, -square / 2, -jnp.inf)
+
+    def sample(self, key, shape):
+        for_distance, for_angle = jax.random.split(key)
+        mass = 1 - np.exp(-self.reach**2 / 2)
+        distance = jnp.sqrt(-2 * jnp.log1p(-mass * jax.random.uniform(for_distance, shape)))
+        angle = jax.random.uniform(for_angle, shape, maxval=2 * jnp.pi)
+        return distance[..., None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+
+
+@pytest.mark.parametrize("law", [Disc(), CutGaussian()])
+def test_a_law_is_normalised_and_its_draws_follow_it(law):
+    """Mass one by quadrature; 10,000 squared distances against the law's distribution function."""
+
+    def ring(distance):
+        ratio = np.exp(float(law.log_ratio(distance**2)))
+        return 2 * np.pi * distance * np.exp(law.log_peak) * ratio
+
+    assert integrate.quad(ring, 0, law.reach)[0] == pytest.approx(1, abs=1e-9)
+    drawn = Detected(law, jnp.array([3.0, -2.0]), 0.5).sample(key(1), (10_000,))
+    far = np.linalg.norm(np.asarray(drawn) - [3.0, -2.0], axis=-1) / 0.5
+    grid = np.linspace(0, law.reach, 400)
+    mass = np.array([integrate.quad(ring, 0, distance)[0] for distance in grid])
+    uniform = np.interp(far, grid, mass)
+    assert ks_2samp(uniform, np.linspace(0, 1, 20_001)).pvalue > FAMILY
+    assert ks_2samp(uniform**1.2, np.linspace(0, 1, 20_001)).pvalue < FAMILY / 100  # it can fail
+
+
+def by_the_law(joints, camera, keypoints, spread):
+    """`(n,)` bool: draws kept with the probability that the Gaussian, cut at three, gives them."""
+    log_keep = 0.0
+    for joint, points in joints.items():
+        if np.isfinite(spread[joint]):
+            image = camera.scale * points[:, :2] + camera.translation
+            square = np.sum((image - keypoints[joint]) ** 2, axis=-1) / spread[joint] ** 2
+            log_keep = log_keep + np.where(square <= 9, -square / 2, -np.inf)
+    rng = np.random.default_rng(int(1e6 * np.abs(log_keep[np.isfinite(log_keep)]).sum()) % 2**32)
+    return np.log1p(-rng.uniform(size=len(log_keep))) <= log_keep
+
+
+@pytest.mark.parametrize("sampler", ["rejection", "rejection-group"])
+def test_draws_and_evidence_follow_the_law(sampler):
+    """Both arms and their lengths; and the disc that has the same reach, which must fail."""
+    model = PoseModel()
+    seen = ("right_elbow", "right_wrist", "left_elbow", "left_wrist")
+    missing = ("head", "right_knee", "right_ankle", "left_knee", "left_ankle")
+    frame = prior_scene(model, 5, factor=0.5, missing=missing)
+    assert all(frame.detection.seen[joint] for joint in ARM_JOINTS), seen
+    frame = dataclasses.replace(
+        frame, likelihood=dataclasses.replace(frame.likelihood, law=CutGaussian())
+    )
+    size, joints, proposed = brute_force(
+        model.limits, model.lengths, frame, "arms", 400_000, 1, by_the_law
+    )
+    assert len(size) > 400
+    result = inference.sample(model, frame, sampler=sampler, key=key(2), num_samples=3000)
+
+    def smallest(tree):
+        drawn = tree["posterior"].joints.values[0]
+        pairs = [
+            ks_2samp(drawn[:, joint, axis], points[:, axis]).pvalue
+            for joint, points in joints.items()
+            for axis in range(3)
+        ]
+        return min(pairs) * len(pairs)
+
+    assert smallest(result.tree) > FAMILY
+    rate = len(size) / proposed
+    error = np.hypot(result.tree.attrs["log_evidence_se"], np.sqrt((1 - rate) / len(size)))
+    assert abs(result.tree.attrs["log_evidence"] - np.log(rate)) < 3 * error
+    wide = dataclasses.replace(frame.likelihood, law=Disc(), factor=3 * 0.5)
+    wrong = inference.sample(
+        model, dataclasses.replace(frame, likelihood=wide), key=key(3), num_samples=3000
+    )
+    assert smallest(wrong.tree) < FAMILY / 100

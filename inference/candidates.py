@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from probmodel.body import align_torsos
 from probmodel.camera import WeakPerspective
 from probmodel.detections import LIKELIHOOD_JOINTS, Detection
 from probmodel.failures import BadInput
-from probmodel.learning.learning import align_torsos
 from probmodel.observation import Observation
 from probmodel.skeleton import TORSO_INDEX
 

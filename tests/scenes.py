@@ -7,9 +7,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from inference.candidates import Candidate, Frame
+from probmodel.body import body_unit
 from probmodel.camera import WeakPerspective
 from probmodel.detections import LIKELIHOOD_JOINTS, Detection
-from probmodel.learning.learning import body_unit
 from probmodel.model import PoseModel
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from probmodel.transport import CUBE_DIM, from_cube

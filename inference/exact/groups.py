@@ -34,7 +34,7 @@ from inference.exact.loops.strata import (
 )
 from inference.exact.problem import Draws
 from inference.exact.rates import HOPELESS, Budget, Pile, Pooled, Rate
-from probmodel.kinematics import upper_frames
+from probmodel.kinematics import upper_axes
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
 from probmodel.skeleton import GROUPS, TORSO_INDEX
@@ -158,7 +158,7 @@ def sights(observation: Observation) -> dict[str, tuple[Sight, ...]]:
 @jax.jit
 def _torso(observation: Observation) -> tuple[jax.Array, jax.Array]:
     """Frames of the upper bones in camera axes, and the torso's joints in the image."""
-    return upper_frames(observation.view), observation.camera.image(jnp.asarray(observation.view))
+    return upper_axes(observation.view), observation.camera.image(jnp.asarray(observation.view))
 
 
 class Plan(NamedTuple):

@@ -11,10 +11,10 @@ from probmodel.kinematics import (
     articulation,
     azimuth_elevation,
     direction,
-    lower_frame,
+    lower_axes,
     pose,
     unit,
-    upper_frames,
+    upper_axes,
 )
 from probmodel.skeleton import BONES, JOINT_INDEX, MIRROR, NUM_JOINTS, TORSO_INDEX
 from tests.instances import random_triple
@@ -45,7 +45,7 @@ def test_articulation_undoes_pose() -> None:
 
 
 def test_frames_are_orthonormal_and_left_handed() -> None:
-    frames = np.asarray(upper_frames(POSES[:, np.array(TORSO_INDEX)]))
+    frames = np.asarray(upper_axes(POSES[:, np.array(TORSO_INDEX)]))
     np.testing.assert_allclose(
         np.swapaxes(frames, -1, -2) @ frames, np.broadcast_to(np.eye(3), frames.shape), atol=1e-12
     )
@@ -53,7 +53,7 @@ def test_frames_are_orthonormal_and_left_handed() -> None:
 
 
 def test_lower_frames_are_proper_in_their_parents_frame() -> None:
-    frame = np.asarray(lower_frame(jnp.array([0.6, 0.0, 0.8]), REFERENCE, FALLBACK[0]))
+    frame = np.asarray(lower_axes(jnp.array([0.6, 0.0, 0.8]), REFERENCE, FALLBACK[0]))
     np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-14)
     assert np.linalg.det(frame) == pytest.approx(1.0)
     np.testing.assert_allclose(frame[:, 0], [0.6, 0.0, 0.8])
@@ -61,11 +61,11 @@ def test_lower_frames_are_proper_in_their_parents_frame() -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_parent_along_the_reference_uses_the_fallback(sign: int) -> None:
-    frame = np.asarray(lower_frame(sign * REFERENCE, REFERENCE, FALLBACK[0]))
+    frame = np.asarray(lower_axes(sign * REFERENCE, REFERENCE, FALLBACK[0]))
     v = np.cross(sign * REFERENCE, FALLBACK[0])
     np.testing.assert_allclose(frame[:, 1], v / np.linalg.norm(v), atol=1e-14)
     np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-14)
-    gradient = jax.jacrev(lambda parent: lower_frame(parent, REFERENCE, FALLBACK[0]))(
+    gradient = jax.jacrev(lambda parent: lower_axes(parent, REFERENCE, FALLBACK[0]))(
         sign * REFERENCE
     )
     assert np.isfinite(gradient).all()

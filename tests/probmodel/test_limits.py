@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from probmodel.anatomy.limits import GRID, LIMITS, AnatomicalLimits, cell_of
 from probmodel.anatomy.population import Anatomy
+from probmodel.body import mirror_pose
 from probmodel.failures import BadInput
 from probmodel.kinematics import articulation, direction, pose
-from probmodel.learning.learning import mirror_pose
 from probmodel.skeleton import BONE_NAMES, BONES, NUM_LOWER, NUM_UPPER
 
 TORSO = np.array(

@@ -2,7 +2,7 @@
 
 Poses are `(..., 15, 3)` in the order of `skeleton.JOINTS`, torsos `(..., 6, 3)` in that of
 `skeleton.TORSO_JOINTS`. One body unit is the mean length of the eight limb bones. Body axes: x to
-the person's left, y up along the back, z forward, the pelvis at the origin (docs/model.md § 2)."""
+the person's left, y up along the back, z forward, the pelvis at the origin (docs/model.md)."""
 
 import numpy as np
 

@@ -219,7 +219,7 @@ def test_no_file_and_no_npz_are_refused(tmp_path):
         ([recording(smooth(20, 1), "a/1")], "too few for a dictionary of 128"),
         (
             [recording(np.repeat(np.zeros((1, 15, 3)), 9, axis=0), "a/1")],
-            "a/1 has a bone of length zero",
+            "a/1 of subject one has a bone of length zero",
         ),
     ],
 )

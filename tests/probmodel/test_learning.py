@@ -240,7 +240,7 @@ def test_tolerances_out_of_range_are_refused(values: dict[str, float]) -> None:
 def test_nothing_to_learn_from_is_refused() -> None:
     with pytest.raises(BadInput, match="no usable frame"):
         learn([])
-    with pytest.raises(BadInput, match="nobody has a bone of length zero"):
+    with pytest.raises(BadInput, match="still of subject nobody has a bone of length zero"):
         learn([Motion(np.zeros((40, NUM_JOINTS, 3)), 30.0, "still", "nobody")])
 
 

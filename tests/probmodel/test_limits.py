@@ -30,7 +30,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def simple_limits() -> AnatomicalLimits:
-    """Upper bones within 30° of the frame's equator; lower ones with u·x < 0.5, |u·y| ≤ 0.8 and
+    """Upper bones within 30° of the equator; lower ones with u·x < 0.5, |u·y| ≤ 0.8 and
     |u·z| ≤ 0.6."""
     occupied = np.zeros((NUM_UPPER, *GRID), bool)
     occupied[:, :, 20:40] = True

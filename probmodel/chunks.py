@@ -11,24 +11,38 @@ CHUNK = 1 << 12
 
 
 def in_chunks(function: Callable[..., Any], *rows: np.ndarray, size: int = CHUNK) -> Any:
-    """Applies `function`, a map of rows `(n, …)` to rows (or a pytree of them), chunk by chunk;
-    returns NumPy arrays.
+    """Applies a function to rows, chunk by chunk.
 
-    Padding repeats the last row, so `function` never sees an invalid one. With no rows it sees
-    nothing: raises `ValueError`."""
+    Parameters
+    ----------
+    function
+        Maps rows `(size, …)` to rows, or to a pytree of them. The last chunk is padded with its
+        last row, so that the function never sees an invalid one.
+    rows
+        Arrays `(n, …)`.
+    size
+        Rows of a chunk.
+
+    Returns
+    -------
+    What `function` returns, with `n` rows, as NumPy arrays.
+
+    Raises
+    ------
+    ValueError
+        Where there are no rows.
+    """
     number = len(rows[0])
     if number == 0:
         raise ValueError("there are no rows")
     parts = []
     for start in range(0, number, size):
         piece = [row[start : start + size] for row in rows]
-        missing = size - len(piece[0])
-        padded = (
-            [np.concatenate([part, np.repeat(part[-1:], missing, axis=0)]) for part in piece]
-            if missing
-            else piece
-        )
-        result = function(*padded)
-        keep = size - missing
+        keep = len(piece[0])
+        if keep < size:
+            piece = [
+                np.append(part, np.repeat(part[-1:], size - keep, axis=0), 0) for part in piece
+            ]
+        result = function(*piece)
         parts.append(jax.tree.map(lambda leaf, keep=keep: np.asarray(leaf)[:keep], result))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)

@@ -1,8 +1,7 @@
-"""The embedded example: a projected motion-capture pose with a detector's noise and one wrist
-missing, truth known.
+"""The embedded example: a pose of motion capture, projected, with a detector's noise and one wrist
+missing; its truth is known.
 
-`example()` reads it; `make_example` is how it was made, `python -m probmodel.example MOTION` makes
-it again."""
+`example()` reads it; `python -m probmodel.example MOTION` makes it again, by `make_example`."""
 
 import json
 import sys
@@ -13,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probmodel.body import body_unit
 from probmodel.camera import WeakPerspective
 from probmodel.detections import Detection
 from probmodel.formats import read_detections
-from probmodel.learning.learning import body_unit
 from probmodel.motion import read_motion
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 
@@ -36,7 +35,7 @@ deviation of the noise in body units, joints taken away."""
 
 
 class Example(NamedTuple):
-    """A `detection`, and the pose behind it: `joints` `(15, 3)` in camera axes, body units, pelvis
+    """A `detection` and the pose behind it: `joints` `(15, 3)` in camera axes, body units, pelvis
     at the origin."""
 
     detection: Detection
@@ -52,13 +51,10 @@ def example() -> Example:
 
 
 def make_example(joints: np.ndarray, recipe: dict[str, Any]) -> dict[str, Any]:
-    """The native JSON of a pose `(15, 3)` (Y up) under a recipe: projected, disturbed, some joints
-    removed.
-
-    Scores fall with the disturbance, as a detector's do.
-    """
+    """The native JSON of a pose `(15, 3)` (y up) seen as a recipe like `RECIPE` says. Scores fall
+    with the noise, as a detector's do."""
     rng = np.random.default_rng(recipe["seed"])
-    body = (joints - joints[0]) / body_unit(joints[None])
+    body = (joints - joints[0]) / body_unit(joints)
     turn = Rotation.from_euler("yx", [recipe["yaw"], recipe["tilt"]], degrees=True).as_matrix()
     view = body @ (np.diag([1.0, -1.0, -1.0]) @ turn).T
     width, height = recipe["image_size"]

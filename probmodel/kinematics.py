@@ -1,10 +1,11 @@
-"""Local frames of the bones, azimuth and elevation in them, and forward kinematics.
+"""Local axes of the bones, azimuth and elevation in them, and forward kinematics
+(docs/model.md § 2).
 
 Conventions are Akhter & Black's, so that their published tables and ours are read by the same code.
 A bone vector is *parent minus child*. Their tables live in a left-handed system; poses here are
-right-handed, so the frames below are left-handed triples (w = -u × v) and poses need no axis swap.
-Inside a local frame all cross products are plain ones. The usual way in: `pose` (directions →
-joints) and `articulation` (joints → directions)."""
+right-handed, so the axes of upper bones are left-handed triples (w = -u × v) and poses need no
+exchange of coordinates. Among local axes all cross products are plain ones. The usual way in:
+`pose` (directions → joints) and `articulation` (joints → directions)."""
 
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from probmodel.skeleton import (
     UPPER_BONES,
 )
 
-_LEG_FRAME = jnp.array(
+_IS_LEG = jnp.array(
     [bone.start in (JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]) for bone in UPPER_BONES], int
 )
 PARALLEL = 1e-8
@@ -30,9 +31,8 @@ direction is used."""
 
 
 class Articulation(NamedTuple):
-    """A pose in its own frames: `torso` `(..., 6, 3)`, `upper` `(..., 5, 3)` and `lower` `(..., 4,
-    3)` local unit vectors (parent minus child), `length` `(..., 9)` of each bone in the order of
-    `skeleton.BONES`."""
+    """A pose in its own axes: `torso` `(..., 6, 3)`, local unit vectors `upper` `(..., 5, 3)` and
+    `lower` `(..., 4, 3)` (parent minus child), `length` `(..., 9)` of each of `skeleton.BONES`."""
 
     torso: jax.Array
     upper: jax.Array
@@ -41,8 +41,7 @@ class Articulation(NamedTuple):
 
 
 def unit(vector: ArrayLike) -> jax.Array:
-    """Divides vectors `(..., 3)` by their length; the zero vector stays zero, with a finite
-    gradient."""
+    """Vectors `(..., 3)` over their lengths; the zero vector stays zero, with a finite gradient."""
     vector = jnp.asarray(vector)
     square = jnp.sum(vector**2, axis=-1, keepdims=True)
     positive = square > 0
@@ -66,39 +65,57 @@ def azimuth_elevation(vector: ArrayLike) -> tuple[jax.Array, jax.Array]:
 
 
 def _left_handed(u: jax.Array, v: jax.Array) -> jax.Array:
-    """Gram–Schmidt on (u, v), completed to a left-handed triple; columns of the result `(..., 3,
-    3)`."""
+    """Gram–Schmidt on (u, v), completed to a left-handed triple; columns of `(..., 3, 3)`."""
     u = unit(u)
     v = unit(v - jnp.sum(u * v, axis=-1, keepdims=True) * u)
     return jnp.stack([u, v, -jnp.cross(u, v)], axis=-1)
 
 
-def upper_frames(torso: ArrayLike) -> jax.Array:
-    """Frames `(..., 5, 3, 3)` of the upper bones from the torso's six joints `(..., 6, 3)`.
+def upper_axes(torso: ArrayLike) -> jax.Array:
+    """Local axes of the upper bones: u along the shoulders (arms, head) or the hips (legs), v along
+    the back.
 
-    u runs along the shoulders (arms, head) or the hips (legs), v along the back-bone. Columns are
-    u, v, w."""
+    Parameters
+    ----------
+    torso : `(..., 6, 3)`
+        In the order of `skeleton.TORSO_JOINTS`.
+
+    Returns
+    -------
+    axes : `(..., 5, 3, 3)`
+        Columns u, v, w of each, a left-handed triple, in the axes of the torso.
+    """
     pelvis, thorax, right_shoulder, left_shoulder, right_hip, left_hip = jnp.moveaxis(
         jnp.asarray(torso), -2, 0
     )
     back = pelvis - thorax
     # Differences of two parent-minus-child bones that share their parent: the parent drops out.
-    frames = jnp.stack(
+    axes = jnp.stack(
         [
             _left_handed(right_shoulder - left_shoulder, back),
             _left_handed(right_hip - left_hip, back),
         ]
     )
-    return jnp.moveaxis(frames[_LEG_FRAME], 0, -3)
+    return jnp.moveaxis(axes[_IS_LEG], 0, -3)
 
 
-def lower_frame(parent: ArrayLike, reference: ArrayLike, fallback: ArrayLike) -> jax.Array:
-    """Frame `(3, 3)` of a lower bone in its parent's frame, from the parent's local direction
-    `(3,)`.
+def lower_axes(parent: ArrayLike, reference: ArrayLike, fallback: ArrayLike) -> jax.Array:
+    """Local axes of a lower bone: u is the parent, v = unit(reference × u), w = u × v.
 
-    u is the parent, v = unit(reference × u), w = u × v. Where the parent is parallel to the
-    reference, v is unit(u × fallback) instead. Source: Akhter & Black (2015), published model,
-    variables `a` and `di`."""
+    Source: Akhter & Black (2015), published model, variables `a` and `di`.
+
+    Parameters
+    ----------
+    parent : `(3,)`
+        The parent's direction in its own local axes.
+    reference, fallback : `(3,)`
+        Where the parent is parallel to the reference, v is unit(u × fallback) instead.
+
+    Returns
+    -------
+    axes : `(3, 3)`
+        Columns u, v, w in the local axes of the parent.
+    """
     parent, reference, fallback = jnp.asarray(parent), jnp.asarray(reference), jnp.asarray(fallback)
     usual = jnp.cross(reference, parent)
     parallel = jnp.sum(usual**2) < PARALLEL**2
@@ -115,9 +132,22 @@ def pose(
     reference: ArrayLike,
     fallback: ArrayLike,
 ) -> jax.Array:
-    """Forward kinematics: joints `(..., 15, 3)` from torso `(..., 6, 3)`, local unit vectors
-    `upper` `(..., 5, 3)` and `lower` `(..., 4, 3)`, and bone lengths `length` `(..., 9)` in the
-    order of `skeleton.BONES`."""
+    """Forward kinematics.
+
+    Parameters
+    ----------
+    torso : `(..., 6, 3)`
+    upper, lower : `(..., 5, 3)`, `(..., 4, 3)`
+        Local unit vectors, parent minus child.
+    length : `(..., 9)`
+        In the order of `skeleton.BONES`, in the unit of the torso.
+    reference, fallback : `(3,)`, `(4, 3)`
+        As in `AnatomicalLimits`.
+
+    Returns
+    -------
+    joints : `(..., 15, 3)`, in the axes of the torso
+    """
     one = jnp.vectorize(_pose, signature="(t,x),(u,x),(l,x),(b),(x),(l,x)->(j,x)")
     return one(
         *_same_rank((torso, 2), (upper, 2), (lower, 2), (length, 1), (reference, 1), (fallback, 2))
@@ -142,11 +172,11 @@ def _pose(
     reference: jax.Array,
     fallback: jax.Array,
 ) -> jax.Array:
-    frames = upper_frames(torso)
+    axes = upper_axes(torso)
     joints = jnp.zeros((NUM_JOINTS, 3), torso.dtype).at[jnp.array(TORSO_INDEX)].set(torso)
-    world_upper = jnp.einsum("nij,nj->ni", frames, upper)
-    local = jax.vmap(lower_frame, (0, None, 0))(upper[1:], reference, fallback)
-    world_lower = jnp.einsum("nij,njk,nk->ni", frames[1:], local, lower)
+    world_upper = jnp.einsum("nij,nj->ni", axes, upper)
+    local = jax.vmap(lower_axes, (0, None, 0))(upper[1:], reference, fallback)
+    world_lower = jnp.einsum("nij,njk,nk->ni", axes[1:], local, lower)
     for bone, vector, size in zip(BONES, [*world_upper, *world_lower], length, strict=True):
         joints = joints.at[bone.end].set(joints[bone.start] - size * vector)
     return joints
@@ -166,8 +196,8 @@ def _articulation(
     torso = joints[jnp.array(TORSO_INDEX)]
     vectors = jnp.stack([joints[bone.start] - joints[bone.end] for bone in BONES])
     length = jnp.linalg.norm(vectors, axis=-1)
-    frames = upper_frames(torso)
-    upper = jnp.einsum("nji,nj->ni", frames, unit(vectors[: len(UPPER_BONES)]))
-    local = jax.vmap(lower_frame, (0, None, 0))(upper[1:], reference, fallback)
-    lower = jnp.einsum("nkj,nik,ni->nj", local, frames[1:], unit(vectors[-len(LOWER_BONES) :]))
+    axes = upper_axes(torso)
+    upper = jnp.einsum("nji,nj->ni", axes, unit(vectors[: len(UPPER_BONES)]))
+    local = jax.vmap(lower_axes, (0, None, 0))(upper[1:], reference, fallback)
+    lower = jnp.einsum("nkj,nik,ni->nj", local, axes[1:], unit(vectors[-len(LOWER_BONES) :]))
     return torso, upper, lower, length

@@ -1,8 +1,8 @@
-"""The skeleton: fifteen joints, the bones between them, and the groups of bones that share a
-length.
+"""The skeleton: fifteen joints, the bones between them, the groups of bones that share a length
+(docs/model.md § 1).
 
 Order and names are Akhter & Black's (CVPR 2015) without the feet. Everything that loops over limbs
-reads it from here: `JOINTS`, `PARENTS`, `UPPER_BONES`, `LOWER_BONES`, `LENGTH_GROUPS`, `LIMBS`."""
+reads it from here: `JOINTS`, `PARENTS`, `UPPER_BONES`, `LOWER_BONES`, `LENGTH_GROUPS`, `GROUPS`."""
 
 from typing import NamedTuple
 

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probmodel.body import body_unit
 from probmodel.camera import WeakPerspective
 from probmodel.detections import Detection
-from probmodel.learning.learning import body_unit
 from probmodel.likelihood import Likelihood
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate

@@ -11,7 +11,7 @@ import numpy as np
 
 from inference.exact.loops.strata import Sight
 from probmodel.chunks import in_chunks
-from probmodel.kinematics import upper_frames
+from probmodel.kinematics import upper_axes
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
 from probmodel.pose import GroupDraws, Pose
@@ -44,7 +44,7 @@ def limb_problems(observation: Observation) -> dict[str, tuple[Sight, ...]]:
 def _torso(observation: Observation) -> tuple[jax.Array, jax.Array]:
     """Local axes of the upper bones in camera axes, and the torso's joints on the plane."""
     view = observation.view
-    return upper_frames(view), observation.root.camera.flatten(view)
+    return upper_axes(view), observation.root.camera.flatten(view)
 
 
 def log_ratio_of(

@@ -19,8 +19,9 @@ from inference.roots.adjustment import Penalty, adjust, centred, mirror_twin
 from inference.roots.points import Points, require_camera
 from inference.roots.twins import Outcome, candidates_both_ways
 from probmodel.anatomy.limits import AnatomicalLimits
+from probmodel.body import bone_vectors
 from probmodel.detections import Detection
-from probmodel.learning.dictionaries import PoseDictionary, bone_vectors
+from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.roots import Candidate
 
 BONES_WEIGHT = 1.0

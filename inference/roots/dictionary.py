@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from inference.roots.points import require_camera
 from inference.roots.twins import SAME_ANGLE
+from probmodel.body import with_lengths
 from probmodel.camera import WeakPerspective
 from probmodel.detections import Detection
-from probmodel.learning.dictionaries import PoseDictionary, with_lengths
+from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.roots import Candidate
 from probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
 

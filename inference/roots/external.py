@@ -16,11 +16,11 @@ from inference.roots.adjustment import adjust
 from inference.roots.points import Points
 from inference.roots.twins import Outcome, candidates_both_ways, mirrored
 from inference.roots.whole_pose import candidate_from_pose
-from probmodel.anatomy.limits import read_tables
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from probmodel.roots import Candidate
 from probmodel.skeleton import JOINTS, NUM_JOINTS
+from probmodel.tables import read_tables
 
 SUFFIXES = (".npz", ".npy")
 SHAPES = f"({NUM_JOINTS}, 3), (people, {NUM_JOINTS}, 3) or (people, alternatives, {NUM_JOINTS}, 3)"

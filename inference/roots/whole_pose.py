@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from probmodel.body import align_torsos
 from probmodel.camera import WeakPerspective
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
-from probmodel.learning.learning import align_torsos
 from probmodel.roots import Candidate
 from probmodel.skeleton import TORSO_INDEX
 

@@ -9,7 +9,7 @@ error NaN."""
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probmodel.learning.dictionaries import bone_vectors, with_lengths
+from probmodel.body import bone_vectors, with_lengths
 from probmodel.skeleton import PARENTS
 
 

@@ -1,7 +1,7 @@
-"""Bone lengths: five groups, left and right shared, each lo + (hi - lo)·Beta(a, b), in body units
-(eq. 6).
+"""Bone lengths: five groups, shared by left and right, each low + (high - low)·Beta(α, β), in body
+units (eq. 6; docs/model.md § 2).
 
-`LengthPrior` holds the fitted numbers; `BoneLength` is the distribution over the five.
+`LengthPrior` holds the fitted numbers; `BoneLength` is the distribution of the five.
 """
 
 from typing import Any, NamedTuple
@@ -18,8 +18,8 @@ from probmodel.directions.supports import same_rank
 
 
 class LengthPrior(NamedTuple):
-    """Ranges `low`, `high` (body units) and Beta parameters `alpha`, `beta` of the length groups,
-    `(5,)` each."""
+    """Ranges `low`, `high` (body units) and Beta parameters `alpha`, `beta` of the groups, `(5,)`
+    each."""
 
     low: np.ndarray | jax.Array
     high: np.ndarray | jax.Array
@@ -28,8 +28,7 @@ class LengthPrior(NamedTuple):
 
 
 class BoneLength(Distribution):
-    """Lengths `(5,)` of the groups head, upper_arm, forearm, upper_leg, lower_leg, in body
-    units."""
+    """Lengths `(5,)` of `skeleton.LENGTH_GROUPS`, body units."""
 
     arg_constraints: dict[str, Any] = {}  # noqa: RUF012 — NumPyro's own protocol
     pytree_data_fields = ("prior",)
@@ -112,10 +111,9 @@ def _beta_quantile(probability: jax.Array, alpha: ArrayLike, beta: ArrayLike) ->
 
 
 def _beta_guess(probability: jax.Array, alpha: jax.Array, beta: jax.Array) -> jax.Array:
-    """Roughly the quantile: for both parameters above one from the normal quantile (Abramowitz &
-    Stegun, 26.5.22), otherwise from the power laws at the two ends."""
-    # Where the approximation does not hold it is evaluated at harmless parameters, so that nothing
-    # is NaN.
+    """Roughly the quantile: where both parameters exceed one, from the normal quantile (Abramowitz
+    & Stegun, 26.5.22), otherwise from the power laws at the two ends."""
+    # Where the approximation does not hold, harmless parameters keep it from being NaN.
     a, b = jnp.maximum(alpha, 1.001), jnp.maximum(beta, 1.001)
     edge = jnp.finfo(probability.dtype).eps
     y = -ndtri(jnp.clip(probability, edge, 1 - edge))

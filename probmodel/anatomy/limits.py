@@ -1,9 +1,10 @@
 """Anatomical limits: which bone directions a body can take, after Akhter & Black (CVPR 2015).
 
-Upper bones have a table of occupied cells (azimuth × elevation in the torso's frame, 3° each).
+Upper bones have a table of occupied cells (azimuth × elevation in the torso's axes, 3° each).
 Lower bones have, for each cell of their parent, a plane and a box: a local unit vector u is
 possible iff n·u + d < 0 and bnd1 ≤ e2·u ≤ bnd2 and bnd3 ≤ e3·u ≤ bnd4, with (n, e2, e3) an
-orthonormal triple. The usual way in: `AnatomicalLimits.default()`, `.load(path)`, `.check(joints)`.
+orthonormal triple (docs/model.md § 2). The usual way in: `AnatomicalLimits.default()`,
+`.load(path)`, `.check(joints)`.
 """
 
 import dataclasses
@@ -24,9 +25,9 @@ from scipy.spatial import cKDTree
 
 from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
-from probmodel.files import replacing
 from probmodel.kinematics import Articulation, articulation, azimuth_elevation, direction
 from probmodel.skeleton import BONE_NAMES, NUM_JOINTS, NUM_LOWER, NUM_UPPER
+from probmodel.tables import WRITER, compact, read_tables, write_tables
 
 CELL = np.pi / 60
 """Side of a cell: 3° in azimuth and in elevation."""
@@ -45,10 +46,9 @@ _SHAPES = {
 _PLANES = ("normal", "tangent", "offset", "bounds")
 _BITS = {"occupied": "occupied", "has_plane": "offset"}
 """Arrays stored as packed bits, and the table whose shape each has."""
-WRITER = "`poseterior learn`"
 LIMITS = ("none", "occupancy", "parent", "plane", "box")
-"""What a bone can break. `parent`: its parent bone is where no lower bone was ever seen, so it has
-no plane."""
+"""What a bone can break. `parent`: its parent bone points into a cell without a plane, where no
+lower bone was ever seen."""
 
 
 def cell_of(vector: ArrayLike) -> tuple[jax.Array, jax.Array]:
@@ -60,9 +60,16 @@ def cell_of(vector: ArrayLike) -> tuple[jax.Array, jax.Array]:
 
 
 class Check(NamedTuple):
-    """Verdict on poses. `valid` `(..., 9)` bool per bone of `skeleton.BONES`; `limit` `(..., 9)`
-    indexes `LIMITS`; `excess` `(..., 9)` is how far beyond the limit the bone is, in degrees (NaN
-    for `parent`)."""
+    """Verdict on poses, for each of `skeleton.BONES`.
+
+    Parameters
+    ----------
+    valid : `(..., 9)` bool
+    limit : `(..., 9)` int
+        Which of `LIMITS` the bone breaks.
+    excess : `(..., 9)`
+        How far beyond the limit the bone is, in degrees; NaN for `parent`.
+    """
 
     valid: np.ndarray
     limit: np.ndarray
@@ -74,7 +81,7 @@ class Check(NamedTuple):
         return self.valid.all(axis=-1)
 
     def sentences(self) -> list[str]:
-        """What a single pose breaks, a sentence a bone; empty where it breaks nothing."""
+        """What a single pose breaks, one sentence for each bone that breaks a limit."""
         words = {
             "occupancy": "points {:.1f}° outside the directions this bone can take",
             "parent": "hangs from a bone whose own direction is impossible",
@@ -90,12 +97,25 @@ class Check(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class AnatomicalLimits:
-    """The tables, a pytree of arrays.
+    """The tables, a pytree of arrays; those of lower bones are NaN where the parent's cell has no
+    plane.
 
-    `occupied` `(5, 120, 60)`; `normal`, `tangent` `(4, 120, 60, 3)`; `offset` `(4, 120, 60)`;
-    `bounds` `(4, 120, 60, 4)`, NaN where the parent's cell has no plane; `reference` `(3,)` and
-    `fallback` `(4, 3)` turn the frame of a lower bone (`frames.lower_frame`). `tangent` need not be
-    orthogonal to `normal`: it is made so on use."""
+    Parameters
+    ----------
+    occupied : `(5, 120, 60)` bool
+        Cells into which an upper bone can point.
+    normal, tangent : `(4, 120, 60, 3)`
+        Of a lower bone's plane, by the parent's cell: n, of length one, and a vector that becomes
+        e2 when it is made orthogonal to n.
+    offset : `(4, 120, 60)`
+        d of the plane.
+    bounds : `(4, 120, 60, 4)`
+        The box: bounds of e2·u, then of e3·u.
+    reference, fallback : `(3,)`, `(4, 3)`
+        Directions that fix a lower bone's local axes (`kinematics.lower_axes`).
+    name
+        Kept in results, beside the hash.
+    """
 
     occupied: ArrayLike
     normal: ArrayLike
@@ -114,13 +134,12 @@ class AnatomicalLimits:
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "AnatomicalLimits":
-        """Reads a file that `save` wrote. Raises `BadInput` where it is not one, is truncated or
-        has other shapes."""
+        """Reads a file that `save` wrote. Raises `BadInput` on anything else."""
         return cls.unpack(read_tables(path), Path(path))
 
     @classmethod
     def unpack(cls, arrays: Mapping[str, np.ndarray], path: Path) -> "AnatomicalLimits":
-        """Inverse of `pack`; other keys are ignored, errors name `path`."""
+        """Inverse of `pack`; other keys are ignored. Raises `BadInput`, naming `path`."""
         missing = [
             key
             for key in ("occupied", "has_plane", *_PLANES, "reference", "fallback")
@@ -186,12 +205,12 @@ class AnatomicalLimits:
             raise BadInput(f"{source}: an upper bone has no occupied cell at all")
 
     def save(self, path: str | os.PathLike) -> None:
-        """Writes a compact .npz, atomically; planes are kept for their cells only, without loss. No
-        pickle."""
+        """Writes a compact .npz, whole or not at all and without loss. Raises `BadInput` where it
+        cannot be written."""
         write_tables(path, self.pack())
 
     def pack(self) -> dict[str, np.ndarray]:
-        """The tables as compact arrays for an .npz."""
+        """The tables as compact arrays for an .npz; planes are kept for their cells only."""
         has_plane = self.has_plane
         packed = {key: compact(np.asarray(getattr(self, key))[has_plane]) for key in _PLANES}
         return packed | {
@@ -209,8 +228,7 @@ class AnatomicalLimits:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the contents (not of a file): the same tables have the same hash however they
-        were stored."""
+        """Hash of the tables themselves, however they were stored."""
         digest = hashlib.sha256()
         for key, shape in _SHAPES.items():
             digest.update(key.encode() + str(shape).encode())
@@ -218,8 +236,8 @@ class AnatomicalLimits:
         return digest.hexdigest()
 
     def triples(self) -> jax.Array:
-        """Orthonormal triples `(4, 120, 60, 3, 3)`, rows n, e2, e3 = n × e2 (Gram–Schmidt of
-        normal, tangent)."""
+        """Orthonormal triples `(4, 120, 60, 3, 3)`, rows n, e2 (Gram–Schmidt of normal and
+        tangent), e3 = n × e2."""
         normal, tangent = jnp.asarray(self.normal), jnp.asarray(self.tangent)
         normal = normal / jnp.linalg.norm(normal, axis=-1, keepdims=True)
         second = tangent - jnp.sum(tangent * normal, axis=-1, keepdims=True) * normal
@@ -227,9 +245,18 @@ class AnatomicalLimits:
         return jnp.stack([normal, second, jnp.cross(normal, second)], axis=-2)
 
     def check(self, joints: ArrayLike) -> Check:
-        """Says of poses `(..., 15, 3)`, any right-handed axes, any unit, which bones are possible,
-        which limit the others break, and by how many degrees. Raises `BadInput` on another shape,
-        on NaN and on a bone of length 0."""
+        """Says which bones of poses are possible, which limit the others break, and by how much.
+
+        Parameters
+        ----------
+        joints : `(..., 15, 3)`
+            In any right-handed axes and any unit.
+
+        Raises
+        ------
+        BadInput
+            On another shape, a coordinate that is not finite, or a bone of length zero.
+        """
         joints = np.asarray(joints, float)
         if joints.shape[-2:] != (NUM_JOINTS, 3):
             raise BadInput(
@@ -299,27 +326,6 @@ class AnatomicalLimits:
         return np.asarray(self.triples())
 
 
-def read_tables(
-    path: str | os.PathLike, what: str = "limits file", advice: str = f"write one with {WRITER}"
-) -> dict[str, np.ndarray]:
-    """All arrays of an .npz. Raises `BadInput` where it is not one, or is damaged; `what` and
-    `advice` go into it."""
-    try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
-            return {key: stored[key] for key in stored.files}
-    except FileNotFoundError:
-        raise BadInput(f"there is no {what} at {path}; {advice}") from None
-    except Exception as error:  # numpy meets damaged files with errors of many unrelated kinds.
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise BadInput(f"{path} is no {what}, or is truncated ({reason}); {advice}") from None
-
-
-def write_tables(path: str | os.PathLike, arrays: Mapping[str, np.ndarray]) -> None:
-    """Writes an .npz, whole or not at all."""
-    with replacing(path) as partial, open(partial, "wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
-
-
 def _unpack_bits(bits: np.ndarray, key: str, path: Path) -> np.ndarray:
     size = int(np.prod(_SHAPES[_BITS[key]]))
     if bits.dtype != np.uint8 or bits.shape != (size // 8,):
@@ -340,16 +346,6 @@ def _locate(
 
 def _arcsine(value: np.ndarray) -> np.ndarray:
     return np.degrees(np.arcsin(np.clip(value, -1, 1)))
-
-
-def compact(values: np.ndarray) -> np.ndarray:
-    """float32 where that loses nothing, float64 otherwise."""
-    single = values.astype(np.float32)
-    return (
-        single
-        if np.array_equal(single.astype(np.float64), values)
-        else np.asarray(values, np.float64)
-    )
 
 
 def _cell_points(occupied: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """A population's anatomy: joint limits, ranges of bone lengths, and a dictionary of torsos, in one
 file.
 
-All three are learned together (`learning.learn`) and stored together; lengths and torsos are in
+All three are learned together (`learning.learner`) and stored together; lengths and torsos are in
 body units (the mean length of a subject's limb bones is one). The usual way in:
 `Anatomy.default()`, `Anatomy.load(path)`."""
 
@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from probmodel.anatomy.lengths import LengthPrior
-from probmodel.anatomy.limits import AnatomicalLimits, compact, read_tables, write_tables
+from probmodel.anatomy.limits import AnatomicalLimits
 from probmodel.anatomy.published import read_published
 from probmodel.failures import BadInput
 from probmodel.skeleton import NUM_LENGTHS, TORSO_JOINTS
+from probmodel.tables import compact, read_tables, write_tables
 
 _LENGTH_KEYS = tuple(f"length_{field}" for field in LengthPrior._fields)
 _KEYS = (*_LENGTH_KEYS, "torsos")
@@ -25,9 +26,17 @@ _KEYS = (*_LENGTH_KEYS, "torsos")
 
 @dataclasses.dataclass(frozen=True)
 class Anatomy:
-    """`limits`, `lengths` (arrays `(5,)`) and `torsos` `(J, 6, 3)`: torsos in body axes (pelvis at
-    the origin; x to the person's left, y up, z forward; right-handed), joints in the order of
-    `skeleton.TORSO_JOINTS`."""
+    """What is learned of a population.
+
+    Parameters
+    ----------
+    limits
+    lengths
+        Arrays `(5,)`, body units.
+    torsos : `(J, 6, 3)`
+        In body axes (x to the person's left, y up, z forward; right-handed) and body units, pelvis
+        at the origin, joints in the order of `skeleton.TORSO_JOINTS`.
+    """
 
     limits: AnatomicalLimits
     lengths: LengthPrior
@@ -45,9 +54,8 @@ class Anatomy:
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "Anatomy":
-        """Reads what `save` wrote. A file of limits alone (`AnatomicalLimits.save`, or the
-        published .mat of Akhter & Black) gets the default lengths and torsos. Raises `BadInput` on
-        anything else."""
+        """Reads what `save` wrote. Limits alone (`AnatomicalLimits.save`, or the published .mat of
+        Akhter & Black) get the default lengths and torsos. Raises `BadInput` on anything else."""
         path = Path(path)
         if path.suffix.lower() == ".mat":
             return dataclasses.replace(cls.default(), limits=read_published(path))
@@ -64,8 +72,8 @@ class Anatomy:
         return cls(limits, _lengths(arrays, path), _torsos(arrays["torsos"], path))
 
     def save(self, path: str | os.PathLike) -> None:
-        """Writes all tables to one .npz, atomically and without loss. Raises `BadInput` where it
-        cannot be written."""
+        """Writes one .npz, whole or not at all and without loss. Raises `BadInput` where it cannot
+        be written."""
         tables = dict(zip(_LENGTH_KEYS, self.lengths, strict=True)) | {"torsos": self.torsos}
         write_tables(
             path,

@@ -1,10 +1,11 @@
 """Importer of the published joint-limit model of Akhter & Black (CVPR 2015),
 `jointAngleModel_v2.mat`.
 
-The file is research-only and is not part of this package; whoever has it can check and sample under
-it. Its bones are parent minus child in a left-handed system, as `frames` has them, so directions
-are taken over as they are. What changes is the order of the bones, the base of the indices and the
-size of the tables (a last empty row and column are cut). The usual way in: `read_published(path)`.
+The file is for research only and is not part of this package; whoever has it can check and sample
+under it. Its bones are parent minus child in a left-handed system, as in `kinematics`, so
+directions are taken over as they are. What changes is the order of the bones, the base of the
+indices and the size of the tables (a last empty row and column are cut). The usual way in:
+`read_published(path)`.
 """
 
 import os
@@ -43,9 +44,20 @@ def read_published(
 ) -> AnatomicalLimits:
     """Limits named "akhter-black" from the published .mat file.
 
-    The reference direction `a` and the static bones `di` are read from the model itself, or from
-    `static_pose` (the published `staticPose.mat`) where it is given. Raises `BadInput` where a file
-    is not a MATLAB file, is truncated, lacks a variable, or holds tables of other shapes."""
+    Parameters
+    ----------
+    path
+        Of `jointAngleModel_v2.mat`.
+    static_pose
+        Of the published `staticPose.mat`, from which the reference direction `a` and the static
+        bones `di` are read; by default from the model itself.
+
+    Raises
+    ------
+    BadInput
+        Where a file is not a MATLAB file, is truncated, lacks a variable, or holds tables of other
+        shapes.
+    """
     path = Path(path)
     model = _read_mat(path)
     pose_path = path if static_pose is None else Path(static_pose)
@@ -93,9 +105,7 @@ def _read_mat(path: Path) -> dict[str, Any]:
         raise BadInput(f"{path} {what}; give the path of the published jointAngleModel_v2.mat")
     try:
         return scipy.io.loadmat(path, appendmat=False)
-    except (
-        Exception
-    ) as error:  # The reader meets damaged files with errors of many unrelated kinds.
+    except Exception as error:  # the reader meets damaged files with errors of unrelated kinds
         raise BadInput(
             f"{path} is not a MATLAB file, or is truncated ({str(error) or type(error).__name__}); "
             "give the published jointAngleModel_v2.mat"
@@ -168,7 +178,7 @@ def _occupancy(cells: Any, entry: int, path: Path) -> np.ndarray:
 
 
 def _table(model: Mapping[str, Any], key: str, entry: int, path: Path) -> np.ndarray:
-    """Tables are read where there is a plane only; the published `E2` is filled beyond that."""
+    """A table where there is a plane; the published `E2` holds numbers elsewhere too."""
     table = _cell(model[key], key, entry, (*_STORED, _TABLES[key]), path)
     plane = _cell(model["sepPlane"], "sepPlane", entry, (*_STORED, _TABLES["sepPlane"]), path)
     empty = np.isnan(plane[..., 3])

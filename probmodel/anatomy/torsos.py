@@ -1,5 +1,5 @@
-"""The torso dictionary: six joints each, aligned (rotation, translation, body units); a torso is an
-index into it."""
+"""The dictionary of torsos, six joints each in body axes and body units; a torso is an index into
+it."""
 
 from typing import Any
 
@@ -10,8 +10,7 @@ from numpyro.distributions import Distribution, constraints
 
 
 class TorsoDictionary(Distribution):
-    """Index `()` of a torso, uniform over the dictionary (`torsos` `(J, 6, 3)`, order of
-    `skeleton.TORSO_JOINTS`)."""
+    """Index `()` of a torso, uniform over the dictionary `torsos` `(J, 6, 3)`."""
 
     arg_constraints: dict[str, Any] = {}  # noqa: RUF012 — NumPyro's own protocol
     has_enumerate_support = True

@@ -14,9 +14,9 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probmodel.body import body_unit
 from probmodel.detections import LARGEST_NUMBER, Detection
 from probmodel.failures import BadInput
-from probmodel.learning.learning import body_unit
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS, PARENTS
 
 _TALL = (

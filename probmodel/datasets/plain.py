@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.anatomy.limits import read_tables, write_tables
 from probmodel.datasets.cases import DataSet
 from probmodel.datasets.views import resection
 from probmodel.failures import BadInput
 from probmodel.skeleton import NUM_JOINTS
+from probmodel.tables import read_tables, write_tables
 
 NEEDED = ("poses", "keypoints", "action", "subject")
 _WHAT, _ADVICE = "data set", f"give an .npz with {', '.join(NEEDED)}"

@@ -1,5 +1,5 @@
-"""Directions of upper bones: the occupied cells of an azimuth × elevation table, after eq. 7 of the
-paper.
+"""Directions of upper bones: the occupied cells of an azimuth × elevation table (eq. 7;
+docs/model.md § 2).
 
 Measure "angle" is uniform in azimuth and polar angle on the occupied cells, eq. 7: density ∝
 1/cos(elevation) per steradian, which is unbounded at the poles. Measure "area" is uniform per
@@ -21,9 +21,18 @@ UPPER_MEASURES = ("angle", "area")
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Cells(Region):
-    """Occupied cells with a measure. `occupied` `(120, 60)`; `columns` `(121,)` and `rows` `(120,
-    61)` are running sums of the cells' measure over azimuth, and within each azimuth over
-    elevation; `total` `()`."""
+    """Occupied cells with a measure.
+
+    Parameters
+    ----------
+    occupied : `(120, 60)` bool
+    columns : `(121,)`
+        Running sums over azimuth of the cells' measure.
+    rows : `(120, 61)`
+        Within each azimuth, running sums over elevation.
+    measure
+        One of `UPPER_MEASURES`.
+    """
 
     occupied: jax.Array
     columns: jax.Array
@@ -32,8 +41,7 @@ class Cells(Region):
 
     @classmethod
     def build(cls, occupied: ArrayLike, measure: str = "angle") -> "Cells":
-        """Sums the measure of the cells `(..., 120, 60)`. Raises `ValueError` on an unknown
-        measure."""
+        """The region of a table `(..., 120, 60)`. Raises `ValueError` on an unknown measure."""
         if measure not in UPPER_MEASURES:
             raise ValueError(
                 f"the measure of upper bones is one of {', '.join(UPPER_MEASURES)}, not {measure!r}"

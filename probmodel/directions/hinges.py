@@ -1,5 +1,5 @@
-"""Directions of lower bones: the part of the sphere that a plane and a box leave, after A&B (2015)
-and eq. 8.
+"""Directions of lower bones: the part of the sphere that a plane and a box leave (Akhter & Black
+2015; eq. 8; docs/model.md § 2).
 
 In the triple (n, e2, e3) of a hinge a unit vector is (u1, u2, u3); it is possible iff u1 + d < 0,
 bnd1 ≤ u2 ≤ bnd2 and bnd3 ≤ u3 ≤ bnd4. With ρ = √(1 - u2²), u3 = ρ sin β and u1 = ∓ρ cos β (in
@@ -25,12 +25,27 @@ MARGIN = 1e-9
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Hinge(Region):
-    """One hinge with a measure. `triple` `(3, 3)` rows n, e2, e3; `offset` `()`; `bounds` `(4,)`.
+    """One hinge with a measure; `build` derives the last four arrays from the first three.
 
-    Derived: `nodes` `(12,)` values of u2 between which the intervals' ends are smooth; `pattern`
-    `(11, 4)` how the total length is made of them there; `areas` `(12,)` the measure below each
-    node; `box` `(4,)` ranges of u2 and of the angle α (u3 = ρ sin α, u1 = -ρ cos α, in front and
-    behind) around all that is possible."""
+    Parameters
+    ----------
+    triple : `(3, 3)`
+        Rows n, e2, e3.
+    offset, bounds : `()`, `(4,)`
+        d of the plane; bounds of u2, then of u3.
+    nodes : `(12,)`
+        Values of u2 between which the intervals' ends are smooth.
+    pattern : `(11, 4)`
+        Between two nodes, the coefficients that make the total length of the intervals out of
+        `_ends`.
+    areas : `(12,)`
+        The measure below each node.
+    box : `(4,)`
+        Ranges of u2 and of the angle α (u3 = ρ sin α, u1 = -ρ cos α, in front and behind) around
+        all that is possible.
+    measure
+        One of `LOWER_MEASURES`.
+    """
 
     triple: jax.Array
     offset: jax.Array
@@ -45,14 +60,13 @@ class Hinge(Region):
     def build(
         cls, triple: ArrayLike, offset: ArrayLike, bounds: ArrayLike, measure: str = "area"
     ) -> "Hinge":
-        """Integrates hinges `(..., 3, 3)`, `(...)`, `(..., 4)`. Raises `ValueError` on an unknown
+        """Hinges from `(..., 3, 3)`, `(...)`, `(..., 4)`. Raises `ValueError` on an unknown
         measure."""
         if measure not in LOWER_MEASURES:
             raise ValueError(
                 f"the measure of lower bones is one of {', '.join(LOWER_MEASURES)}, not {measure!r}"
             )
         triple, offset, bounds = jnp.asarray(triple), jnp.asarray(offset), jnp.asarray(bounds)
-
         nodes, pattern, areas, box = _integrate_all(offset, bounds, measure)
         return cls(triple, offset, bounds, nodes, pattern, areas, box, measure)
 
@@ -62,7 +76,7 @@ class Hinge(Region):
         return self.areas[..., -1]
 
     def contains(self, vector: jax.Array) -> jax.Array:
-        """`()` bool: whether the unit vector `(3,)` is on the free side of the plane and inside the
+        """`()` bool: whether the unit vector `(3,)` is on the free side of the plane and in the
         box."""
         u1, u2, u3 = self.triple @ vector
         low2, high2, low3, high3 = self.bounds
@@ -306,9 +320,8 @@ def _box(offset: jax.Array, bounds: jax.Array) -> jax.Array:
         ends = jnp.array([largest, smallest]) + 1e-300
         front = jnp.max(jnp.arcsin(jnp.clip(outer / ends, -1.0, 1.0)))
         inmost = jnp.min(jnp.arcsin(jnp.clip(inner / ends, -1.0, 1.0)))
-        turn = jnp.arccos(
-            jnp.clip(-offset / ends[1], -1.0, 1.0)
-        )  # |β| beyond which the back is allowed
+        # |β| beyond which the back is allowed
+        turn = jnp.arccos(jnp.clip(-offset / ends[1], -1.0, 1.0))
         has_back = (front > turn) & (offset < 0)
         return jnp.where(has_back, jnp.pi - jnp.maximum(turn, jnp.maximum(inmost, 0.0)), front)
 

@@ -1,10 +1,10 @@
 """Regions of the unit sphere with a density, each given as a map from the unit square: the geometry
 of the prior.
 
-A region is one event's worth of parameters. It knows whether it `contains` a unit vector, the
-`log_density` of one (per unit of surface), the `transport` from the unit square that turns uniform
-numbers into its law, and the `inverse`. Distributions (`directions`), supports and bijections
-(`supports`) and the unit cube (`cube`) are all read off these."""
+A region holds the parameters of one event. It knows whether it `contains` a unit vector, the
+`log_density` of one (per steradian), the `transport` from the unit square that turns uniform
+numbers into its law, and the `inverse`. Distributions (`distributions`), supports and bijections
+(`supports`) and the transport of whole poses (`probmodel.transport`) all follow from these."""
 
 import abc
 from collections.abc import Callable
@@ -57,13 +57,19 @@ def invert_monotone(
     start: jax.Array,
     noise: ArrayLike,
 ) -> jax.Array:
-    """Solves f(x) = target for x in [low, high], where f increases there; `function` returns f, f′
-    and f″/f′ at x.
+    """Solves f(x) = target for x in [low, high], on which f increases.
 
-    Halley's method from `start` (Newton's where f″/f′ is given as 0), kept inside a shrinking
-    bracket, until f misses the target by no more than `noise`, the error of f itself.
-    Differentiable once, in `target` (slope 1/f′), not in the bracket: the derivative is that of the
-    implicit function, not of the iterations."""
+    Halley's method, kept inside a shrinking bracket. Differentiable once, in `target` (slope 1/f′)
+    and not in the bracket: the derivative is that of the implicit function, not of the iterations.
+
+    Parameters
+    ----------
+    function
+        Returns f, f′ and f″/f′ at x; with 0 for the last, the method is Newton's.
+    target, low, high, start : `()`
+    noise : `()`
+        The rounding error of f: where f misses the target by no more, the search ends.
+    """
     fixed, low, high, start = jax.lax.stop_gradient((target, low, high, start))
     close = 2 * jnp.finfo(jnp.result_type(fixed)).eps
     tiny = jnp.finfo(jnp.result_type(fixed)).tiny
@@ -74,10 +80,8 @@ def invert_monotone(
     def narrow(state: _Search) -> _Search:
         value, slope, bend = function(state.x)
         error = value - fixed
-        low, high = (
-            jnp.where(error < 0, state.x, state.low),
-            jnp.where(error < 0, state.high, state.x),
-        )
+        low = jnp.where(error < 0, state.x, state.low)
+        high = jnp.where(error < 0, state.high, state.x)
         newton = error / jnp.maximum(slope, tiny)
         after = state.x - newton / jnp.clip(1 - newton * bend / 2, 0.5, 2.0)
         after = jnp.where((after >= low) & (after <= high), after, (low + high) / 2)
@@ -85,8 +89,7 @@ def invert_monotone(
         done = exact | (jnp.abs(after - state.x) <= close) | (high - low <= close)
         return _Search(state.step + 1, low, high, jnp.where(exact, state.x, after), done)
 
-    # A bool that is false in every element of a batch: `False` alone would not be batched like the
-    # rest.
+    # False in every element of a batch: `False` alone would not be batched like the rest.
     begin = _Search(jnp.zeros((), int), low, high, jnp.clip(start, low, high), jnp.isnan(fixed))
     solution = jax.lax.stop_gradient(jax.lax.while_loop(unfinished, narrow, begin).x)
     flat = jnp.maximum(jax.lax.stop_gradient(function(solution)[1]), tiny)

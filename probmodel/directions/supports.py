@@ -1,9 +1,9 @@
 """Supports of the custom distributions as NumPyro constraints, each with its registered bijection
-from R^n.
+from R².
 
-`directions(region)`: unit vectors of a region of the sphere. `disc(centre, radius)`: points of a
-disc in the image. The log determinants are with respect to surface measure on the sphere, and area
-in the image."""
+`directions(region)`: unit vectors in a region of the sphere. `disc(centre, radius)`: points in a
+disc of the image. Log determinants are with respect to surface on the sphere and area in the
+image."""
 
 import functools
 from typing import Any
@@ -19,11 +19,24 @@ from probmodel.directions.regions import Region
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
 def over_batch(function: Any, batch_ndim: int, parameters: Any, value: ArrayLike) -> jax.Array:
-    """Applies a formula for one event, function(parameters, event), to a batch.
+    """Applies a formula for one event to a batch.
 
-    Leaves of `parameters` start with `batch_ndim` batch axes. `value` `(*sample, *batch, n)` may
-    lack leading batch axes or have 1 there; the result is `(*sample, *batch, ...)`. Compiled once
-    for each `function` and shape, so give it a function that lasts, not a new lambda."""
+    Parameters
+    ----------
+    function
+        function(parameters, event). Compiled once for each function and shape, so give it a
+        function that lasts, not a new lambda.
+    batch_ndim
+        Number of batch axes with which the leaves of `parameters` start.
+    parameters
+        A pytree.
+    value : `(*sample, *batch, n)`
+        May lack leading batch axes or have length 1 there.
+
+    Returns
+    -------
+    `(*sample, *batch, ...)`
+    """
     value = jnp.asarray(value)
     batch_shape = jnp.shape(jax.tree.leaves(parameters)[0])[:batch_ndim]
     value = jnp.broadcast_to(
@@ -142,8 +155,8 @@ class DirectionTransform(Transform):
     def log_abs_det_jacobian(
         self, x: ArrayLike, y: ArrayLike, intermediates: Any = None
     ) -> jax.Array:
-        """Log of the surface swept per unit of the plane: minus the log density of the
-        pushed-forward square."""
+        """Log of the surface swept per unit of the plane: that of the logistic function, less the
+        region's log density."""
         x = jnp.asarray(x)
         logistic = jnp.sum(jax.nn.log_sigmoid(x) + jax.nn.log_sigmoid(-x), axis=-1)
         return logistic - over_batch(type(self.region).log_density, self.batch_ndim, self.region, y)

@@ -1,8 +1,7 @@
-"""Pose dictionaries: whole poses as few terms, learned from motion capture, for estimators of 3D
-pose from 2D.
+"""Pose dictionaries: whole poses as few terms, for estimators of 3D pose from 2D.
 
 Poses are bone-length normalised (every person gets one body), aligned by their torsos (Procrustes),
-and then described twice: by principal directions per class of action, concatenated and thus
+and then described twice: by principal directions of each class of action, concatenated and thus
 overcomplete, around one mean (Akhter & Black 2015); and by atoms of which every pose is a sparse
 non-negative sum (Zhou et al. 2015). The usual way in: `PoseDictionary.default()`,
 `PoseDictionary.load(path)`, `learn_dictionary(motions)`."""
@@ -16,18 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.anatomy.limits import read_tables, write_tables
+from probmodel.body import aligned, bone_vectors, mean_torso, mirror_pose, with_lengths
 from probmodel.failures import BadInput
-from probmodel.learning.learning import (
-    LEARNING_RATE,
-    align_torsos,
-    body_unit,
-    mean_torso,
-    mirror_pose,
-    single,
-)
+from probmodel.learning.poses import in_body_units, usable
 from probmodel.motion import Motion
-from probmodel.skeleton import JOINTS, MIRROR, NUM_JOINTS, PARENTS, TORSO_INDEX
+from probmodel.skeleton import JOINTS, MIRROR, NUM_JOINTS, TORSO_INDEX
+from probmodel.tables import read_tables, single, write_tables
 
 EXPLAINED = 0.99
 """Share of a class's variance that its principal directions keep, `MOST` of them at most."""
@@ -43,13 +36,20 @@ learned."""
 
 @dataclasses.dataclass(frozen=True)
 class PoseDictionary:
-    """Whole poses in body axes (x to the person's left, y up, z forward), body units, pelvis at the
-    origin.
+    """Whole poses in body axes and body units, pelvis at the origin.
 
-    `mean` `(15, 3)`; `bases` `(B, 15, 3)`, principal directions of the action classes, each of
-    length one; `atoms` `(K, 15, 3)`, of length one; `lengths` `(14,)`, those of the bones from each
-    joint but the pelvis to its parent, to which all poses were normalised; `torso` `(6, 3)`, the
-    mean torso, which defines the axes."""
+    Parameters
+    ----------
+    mean : `(15, 3)`
+    bases : `(B, 15, 3)`
+        Principal directions of the classes of action, each of length one.
+    atoms : `(K, 15, 3)`
+        Of length one each.
+    lengths : `(14,)`
+        Lengths of `body.bone_vectors` to which all poses were normalised.
+    torso : `(6, 3)`
+        The mean torso, which defines the axes.
+    """
 
     mean: np.ndarray
     bases: np.ndarray
@@ -66,8 +66,7 @@ class PoseDictionary:
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "PoseDictionary":
-        """Reads what `save` wrote. Raises `BadInput` on anything else, and on a dictionary for
-        another skeleton."""
+        """Reads what `save` wrote. Raises `BadInput` on anything else, or another skeleton."""
         path = Path(path)
         advice = "write one with `poseterior learn --poses`"
         arrays = read_tables(path, "file of pose dictionaries", advice)
@@ -116,90 +115,42 @@ def _checked(value: np.ndarray, name: str, path: Path) -> np.ndarray:
     return value.astype(np.float64)
 
 
-# --- learning
-# --------------------------------------------------------------------------------------------------------
-
-
 def learn_dictionary(motions: Sequence[Motion], *, num_atoms: int = NUM_ATOMS) -> PoseDictionary:
-    """Learns all of it from recordings; every pose counts as it is and mirrored.
+    """Learns a dictionary from recordings; every pose counts as it is and mirrored.
 
-    The class of a recording is its name up to a slash (`walking/walking_1`), or its subject. Raises
-    `BadInput` where no usable frame is left, a bone has length zero, or there are fewer poses than
-    atoms."""
-    blocks = _by_action(motions)
-    lengths = reference_lengths(blocks)
-    blocks = {action: with_lengths(joints, lengths) for action, joints in blocks.items()}
-    blocks = {
-        action: np.concatenate([joints, mirror_pose(joints)]) for action, joints in blocks.items()
-    }
-    torso = mean_torso(np.concatenate([joints[:, list(TORSO_INDEX)] for joints in blocks.values()]))
-    blocks = {action: aligned(joints, torso) for action, joints in blocks.items()}
-    mean = np.mean([joints.mean(axis=0) for joints in blocks.values()], axis=0)
-    bases = np.concatenate([principal_directions(joints) for joints in blocks.values()])
-    atoms = _learn_atoms(np.concatenate([_spread(joints) for joints in blocks.values()]), num_atoms)
+    The class of a recording is its name up to a slash (`walking/walking_1`), or its subject.
+
+    Raises
+    ------
+    BadInput
+        Where no usable frame is left, a bone has length zero, or there are fewer poses than atoms.
+    """
+    classes = _by_action(motions)
+    lengths = _reference_lengths(classes)
+    classes = [with_lengths(joints, lengths) for joints in classes]
+    classes = [np.concatenate([joints, mirror_pose(joints)]) for joints in classes]
+    torso = mean_torso(np.concatenate([joints[:, list(TORSO_INDEX)] for joints in classes]))
+    classes = [aligned(joints, torso) for joints in classes]
+    mean = np.mean([joints.mean(axis=0) for joints in classes], axis=0)
+    bases = np.concatenate([principal_directions(joints) for joints in classes])
+    atoms = _learn_atoms(np.concatenate([_spread(joints) for joints in classes]), num_atoms)
     return PoseDictionary(*(single(table) for table in (mean, bases, atoms, lengths, torso)))
 
 
-def _by_action(motions: Sequence[Motion]) -> dict[str, np.ndarray]:
-    """Poses `(n, 15, 3)` of each class, millimetres turned into body units, glitches dropped, 30
-    Hz."""
-    blocks: dict[str, list[np.ndarray]] = {}
-    for motion in motions:
-        joints = motion.without_jumps().at_rate(LEARNING_RATE).joints
-        if not (np.linalg.norm(bone_vectors(joints), axis=-1) > 0).all():
-            raise BadInput(
-                f"{motion.name} has a bone of length zero in a frame; leave that recording out"
-            )
-        if len(joints):
-            action = motion.name.split("/")[0] if "/" in motion.name else motion.subject
-            blocks.setdefault(action, []).append((joints - joints[:, :1]) / body_unit(joints))
-    if not blocks:
-        raise BadInput(
-            "the motion capture holds no usable frame; give recordings of at least a tenth of a"
-            " second"
-        )
-    return {action: np.concatenate(block) for action, block in blocks.items()}
+def _by_action(motions: Sequence[Motion]) -> list[np.ndarray]:
+    """Poses `(n, 15, 3)` of each class, every recording in its own body units."""
+    classes: dict[str, list[np.ndarray]] = {}
+    for motion in usable(motions):
+        action = motion.name.split("/")[0] if "/" in motion.name else motion.subject
+        classes.setdefault(action, []).append(in_body_units(motion.joints))
+    return [np.concatenate(parts) for parts in classes.values()]
 
 
-def bone_vectors(joints: np.ndarray) -> np.ndarray:
-    """`(..., 14, 3)`: from each joint's parent to the joint, for all joints but the pelvis."""
-    return joints[..., 1:, :] - joints[..., list(PARENTS[1:]), :]
-
-
-def reference_lengths(blocks: dict[str, np.ndarray]) -> np.ndarray:
+def _reference_lengths(classes: list[np.ndarray]) -> np.ndarray:
     """Mean lengths `(14,)` of the bones over classes, the same for left and right."""
-    means = [
-        np.linalg.norm(bone_vectors(joints), axis=-1).mean(axis=0) for joints in blocks.values()
-    ]
+    means = [np.linalg.norm(bone_vectors(joints), axis=-1).mean(axis=0) for joints in classes]
     mean = np.concatenate([[0.0], np.mean(means, axis=0)])
     return (0.5 * (mean + mean[list(MIRROR)]))[1:]
-
-
-def with_lengths(joints: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Poses `(..., 15, 3)` whose bones keep their directions and get new `lengths` `(..., 14)`; the
-    pelvis stays.
-
-    A bone of length zero has no direction; raises `BadInput`.
-    """
-    vectors = bone_vectors(joints)
-    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    if not (size > 0).all():
-        bone = JOINTS[1 + int(np.argwhere(~(size > 0))[0][-2])]
-        raise BadInput(
-            f"a pose has its {bone} on the joint before it, so that this bone has no direction"
-        )
-    vectors = vectors / size * np.asarray(lengths)[..., None]
-    found = joints.copy()
-    for joint, parent in enumerate(PARENTS[1:], start=1):  # parents come before their children
-        found[..., joint, :] = found[..., parent, :] + vectors[..., joint - 1, :]
-    return found
-
-
-def aligned(joints: np.ndarray, torso: np.ndarray) -> np.ndarray:
-    """Poses `(N, 15, 3)`, moved and turned so that their torsos lie on `torso` `(6, 3)`, pelvis at
-    the origin."""
-    joints = joints - joints[:, :1]
-    return np.einsum("nab,njb->nja", align_torsos(joints[:, list(TORSO_INDEX)], torso), joints)
 
 
 def principal_directions(joints: np.ndarray) -> np.ndarray:
@@ -217,11 +168,10 @@ def _spread(joints: np.ndarray) -> np.ndarray:
 
 
 def _learn_atoms(joints: np.ndarray, number: int) -> np.ndarray:
-    """Atoms `(number, 15, 3)` with Σ ½|pose − Σ c atom|² + SPARSITY Σ c least over coefficients c ≥
-    0 (Mairal 2009)."""
-    from sklearn.decomposition import (
-        MiniBatchDictionaryLearning,
-    )  # a second to import, and only learning needs it
+    """At most `number` atoms `(k, 15, 3)` that make Σ ½|pose − Σ c atom|² + SPARSITY Σ c small over
+    coefficients c ≥ 0 (Mairal et al. 2009)."""
+    # A second to import, and only learning needs it.
+    from sklearn.decomposition import MiniBatchDictionaryLearning
     from sklearn.exceptions import ConvergenceWarning
 
     if len(joints) < number:
@@ -239,11 +189,9 @@ def _learn_atoms(joints: np.ndarray, number: int) -> np.ndarray:
         random_state=0,
     )
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", ConvergenceWarning
-        )  # of single steps on the way, which need not converge
+        # Single steps on the way need not converge.
+        warnings.simplefilter("ignore", ConvergenceWarning)
         learner.fit(joints.reshape(len(joints), -1))
-    atoms = learner.components_.reshape(number, NUM_JOINTS, 3)
-    size = np.linalg.norm(atoms, axis=(1, 2), keepdims=True)
-    atoms = atoms[size[:, 0, 0] > 0] / size[size[:, 0, 0] > 0]
-    return atoms
+    size = np.linalg.norm(learner.components_, axis=1, keepdims=True)
+    used = size[:, 0] > 0
+    return (learner.components_[used] / size[used]).reshape(-1, NUM_JOINTS, 3)

@@ -1,5 +1,5 @@
-"""Overlap of two sets of limits: which share of the directions possible under one is possible under
-the other.
+"""Overlap of two sets of limits: the share of the directions possible under one that is possible
+under the other.
 
 Shares are of area (steradians), not of cells: cells near the poles of azimuth and elevation are
 small. The usual way in: `overlap(limits, other)`."""
@@ -10,18 +10,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from probmodel.anatomy.limits import CELL, GRID, NUM_AZIMUTH, NUM_ELEVATION, AnatomicalLimits
-from probmodel.kinematics import direction, lower_frame
+from probmodel.anatomy.limits import AnatomicalLimits
+from probmodel.kinematics import lower_axes
+from probmodel.learning.sphere import cell_areas, cell_centres, fibonacci
 from probmodel.skeleton import NUM_LOWER
 
 
 class Overlap(NamedTuple):
-    """Two sets of possible directions, `(9,)` each in the order of `skeleton.BONES`.
+    """Two sets of possible directions, in the order of `skeleton.BONES`.
 
-    `area` and `other_area` are steradians; for a lower bone, steradians of its direction averaged
-    over the parent's (steradians of directions that both have, or, where `joint`, the integral over
-    all that either has). `covered` is the share of `other_area` that is in `area` too; `outside` is
-    the share of `area` that is not in `other_area`."""
+    Parameters
+    ----------
+    area, other_area : `(9,)`
+        Steradians. Of a lower bone: averaged over the parent's directions that both sets have, or,
+        where `joint`, integrated over all that either has.
+    covered : `(9,)`
+        Share of `other_area` that is in `area` too.
+    outside : `(9,)`
+        Share of `area` that is not in `other_area`.
+    """
 
     area: np.ndarray
     other_area: np.ndarray
@@ -34,10 +41,17 @@ def overlap(
 ) -> Overlap:
     """Compares `limits` with `other`.
 
-    A lower bone's set is that of pairs (parent's direction, own direction in the torso's frame),
-    measured by the parent cell's area times the area of the valid directions at the cell's centre,
-    which is a sum over `points` points. By default only parent cells that both have are compared;
-    where `joint`, all are, and a cell without a plane is empty."""
+    A lower bone's set is that of pairs (parent's direction, own direction in the torso's axes),
+    measured by the parent cell's area times the area of the valid directions at the cell's centre.
+
+    Parameters
+    ----------
+    limits, other
+    joint
+        Whether parent cells that only one set has count too, a cell without a plane being empty.
+    points
+        Number of points over which a valid area is summed.
+    """
     weights = cell_areas()
     measures = [
         _measure(weights[a], weights[b], weights[a & b])
@@ -62,47 +76,23 @@ def _measure(a: np.ndarray, b: np.ndarray, both: np.ndarray) -> tuple[float, flo
     return area, other, common / other, 1 - common / area
 
 
-def cell_areas() -> np.ndarray:
-    """Areas `(120, 60)` of the cells in steradians."""
-    edges = np.sin(np.arange(NUM_ELEVATION + 1) * CELL - np.pi / 2)
-    return np.broadcast_to(CELL * np.diff(edges), GRID)
-
-
-def cell_centres() -> np.ndarray:
-    """Unit vectors `(120, 60, 3)` in the middle of the cells."""
-    azimuth = (np.arange(NUM_AZIMUTH) + 0.5) * CELL - np.pi
-    elevation = (np.arange(NUM_ELEVATION) + 0.5) * CELL - np.pi / 2
-    with jax.enable_x64(True):
-        return np.asarray(direction(*np.meshgrid(azimuth, elevation, indexing="ij")))
-
-
-def fibonacci(count: int) -> np.ndarray:
-    """`count` unit vectors `(count, 3)`, evenly over the sphere."""
-    index = np.arange(count) + 0.5
-    z = 1 - 2 * index / count
-    angle = np.pi * (1 + np.sqrt(5)) * index
-    return np.stack(
-        [np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], axis=-1
-    )
-
-
 def _parents(limits: AnatomicalLimits, bone: int) -> np.ndarray:
     return np.asarray(limits.occupied)[bone + 1] & limits.has_plane[bone]
 
 
 def _valid(limits: AnatomicalLimits, bone: int, cells: np.ndarray, points: int) -> np.ndarray:
-    """`(cells, points)`: which directions, given in the torso's frame, a lower bone can take."""
+    """`(cells, points)`: which directions, given in the torso's axes, a lower bone can take."""
     valid = np.zeros((len(cells), points), bool)
     known = _parents(limits, bone)[tuple(cells.T)]
     where = (bone, *cells[known].T)
     parents = cell_centres()[where[1:]]
     with jax.enable_x64(True):
-        frames = jax.vmap(lower_frame, (0, None, None))(
+        axes = jax.vmap(lower_axes, (0, None, None))(
             jnp.asarray(parents),
             jnp.asarray(limits.reference, float),
             jnp.asarray(limits.fallback, float)[bone],
         )
-        axes = np.asarray(frames) @ np.asarray(limits.triples())[where].swapaxes(-1, -2)
+        axes = np.asarray(axes) @ np.asarray(limits.triples())[where].swapaxes(-1, -2)
     coordinate = np.einsum("pi,cij->cpj", fibonacci(points), axes)
     offset, bounds = np.asarray(limits.offset)[where], np.asarray(limits.bounds)[where][:, None]
     in_box = (coordinate[..., 1:] >= bounds[..., 0::2]) & (coordinate[..., 1:] <= bounds[..., 1::2])

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.anatomy.limits import read_tables
 from probmodel.failures import BadInput
 from probmodel.motion.recording import FROM_SEVENTEEN, NPZ_RATE, Motion
 from probmodel.skeleton import NUM_JOINTS
+from probmodel.tables import read_tables
 
 
 def read_archive(path: Path) -> list[Motion]:

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from probmodel.learning.dictionaries import learn_dictionary
-from probmodel.learning.learning import learn, read_all
+from probmodel.learning.learner import learn
+from probmodel.learning.poses import read_all
 from reports import console
 
 

@@ -52,7 +52,8 @@ from probmodel.anatomy.population import Anatomy
 from probmodel.anatomy.published import read_published
 from probmodel.datasets import Case, Noise, from_motions
 from probmodel.learning.dictionaries import PoseDictionary, learn_dictionary
-from probmodel.learning.learning import learn, read_all
+from probmodel.learning.learner import learn
+from probmodel.learning.poses import read_all
 from probmodel.motion import Motion
 from reports.coverage_figures import (
     Miss,

@@ -29,7 +29,8 @@ from probmodel import Anatomy, Detection, PoseModel
 from probmodel.camera import WeakPerspective
 from probmodel.datasets import body_height
 from probmodel.learning.dictionaries import PoseDictionary, learn_dictionary
-from probmodel.learning.learning import learn, read_all
+from probmodel.learning.learner import learn
+from probmodel.learning.poses import read_all
 from probmodel.motion import Motion
 from probmodel.skeleton import LIMB_JOINTS, NUM_JOINTS
 from tests.scenes import camera

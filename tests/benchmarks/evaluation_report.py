@@ -24,7 +24,8 @@ from inference.studies.evaluation.run import Results, evaluate
 from inference.studies.evaluation.scores import Values, clustered, common, pose_errors, usable
 from probmodel.datasets import EXACT, DataSet, Noise, read_data_set
 from probmodel.learning.dictionaries import learn_dictionary
-from probmodel.learning.learning import learn, read_all
+from probmodel.learning.learner import learn
+from probmodel.learning.poses import read_all
 from reports import evaluation_figures, evaluation_tables
 from reports.commands.evaluate import PAPERS_FRAMES, duration
 from reports.evaluation_tables import Labels, Sheet

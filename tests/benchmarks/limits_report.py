@@ -23,17 +23,14 @@ from matplotlib.image import AxesImage  # noqa: E402
 from probmodel.anatomy.limits import GRID, AnatomicalLimits  # noqa: E402
 from probmodel.anatomy.population import Anatomy  # noqa: E402
 from probmodel.anatomy.published import read_published  # noqa: E402
+from probmodel.body import mirror_pose  # noqa: E402
 from probmodel.kinematics import articulation  # noqa: E402
-from probmodel.learning.learning import (
-    Poses,
-    Tolerance,
-    cells_of,
-    gather,
-    learn_limits,
-    mirror_pose,
-    occupancy,
-)  # noqa: E402
-from probmodel.learning.overlap import Overlap, cell_areas, fibonacci, overlap  # noqa: E402
+from probmodel.learning.limits import learn_limits  # noqa: E402
+from probmodel.learning.occupancy import occupancy  # noqa: E402
+from probmodel.learning.overlap import Overlap, overlap  # noqa: E402
+from probmodel.learning.poses import Poses, gather  # noqa: E402
+from probmodel.learning.sphere import cell_areas, cells_of, fibonacci  # noqa: E402
+from probmodel.learning.tolerance import Tolerance  # noqa: E402
 from probmodel.motion import Motion, read_motion  # noqa: E402
 from probmodel.skeleton import BONE_NAMES, UPPER_BONES  # noqa: E402
 

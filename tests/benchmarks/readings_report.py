@@ -37,9 +37,9 @@ from inference.readings import (
     weigh,
 )
 from probmodel import Anatomy, BadInput, Detection, PoseModel, read_detections
+from probmodel.body import body_unit
 from probmodel.detections import FACE
 from probmodel.layouts import COCO_17, H36M_17, Layout
-from probmodel.learning.learning import body_unit
 from probmodel.motion import read_motion
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 from tests.scenes import camera

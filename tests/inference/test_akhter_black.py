@@ -13,7 +13,8 @@ from inference.roots.adjustment import adjust, mirror_twin
 from inference.roots.points import Points
 from inference.studies.errors import mean_joint_error
 from probmodel import AnatomicalLimits, BadInput
-from probmodel.learning.dictionaries import PoseDictionary, bone_vectors
+from probmodel.body import bone_vectors
+from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from tests.inference.test_zhou import VIEWS, detection, relative_error, seen
 

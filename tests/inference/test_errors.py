@@ -16,7 +16,8 @@ from inference.studies.errors import (
     similarity_aligned,
 )
 from probmodel import BadInput
-from probmodel.learning.dictionaries import PoseDictionary, bone_vectors
+from probmodel.body import bone_vectors
+from probmodel.learning.dictionaries import PoseDictionary
 
 TRUTH = PoseDictionary.default().mean
 RNG = np.random.default_rng(3)

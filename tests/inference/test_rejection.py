@@ -19,7 +19,7 @@ from inference.exact.rates import Budget
 from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
 from probmodel import Anatomy, PoseModel
 from probmodel.anatomy.limits import NUM_ELEVATION, cell_of
-from probmodel.kinematics import lower_frame
+from probmodel.kinematics import lower_axes
 from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, LENGTH_GROUPS
 from tests.brute_force import brute_force
 from tests.scenes import key, prior_scene
@@ -187,7 +187,7 @@ def _violations(limb, radius, target, upper, lower):
     width, low, high = patch_rectangle(
         distance, (radius[1] + half[0] * jnp.linalg.norm(end) + half[1]) / middle[1]
     )
-    bone = limb.frame @ lower_frame(upper, limb.reference, limb.fallback) @ lower
+    bone = limb.frame @ lower_axes(upper, limb.reference, limb.fallback) @ lower
     towards = centre / distance
     x = bone[0] * -towards[1] + bone[1] * towards[0]
     angle = jnp.arcsin(jnp.clip((bone[:2] @ towards) / jnp.sqrt(1 - x**2), -1, 1))

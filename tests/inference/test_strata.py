@@ -28,7 +28,7 @@ from inference.exact.problem import limb_problems
 from inference.exact.rates import Budget, Pooled, Rate
 from probmodel import Anatomy, PoseModel
 from probmodel.anatomy.limits import CELL, NUM_ELEVATION, cell_of
-from probmodel.kinematics import lower_frame
+from probmodel.kinematics import lower_axes
 from tests.benchmarks.scenes64 import hidden
 from tests.goodness import energy_p_value
 from tests.scenes import key, prior_scene
@@ -204,7 +204,7 @@ def violation(strata, group, row, sight, resolution, edges, length, upper, lower
     entry = first + place[0]
     mask, bound = int(strata.pieces[entry]), strata.entries[entry, 3]
     frame = np.asarray(group.frame[row])
-    bone = -frame @ np.asarray(lower_frame(upper, group.reference, group.fallback[row])) @ lower
+    bone = -frame @ np.asarray(lower_axes(upper, group.reference, group.fallback[row])) @ lower
     centre = (sight.target[1] + length[0] * frame[:2] @ upper) / length[1]
     distance = np.linalg.norm(centre)
     width, low, high = (

@@ -10,18 +10,16 @@ from sklearn.decomposition import PCA
 
 import inference
 from probmodel import BadInput
+from probmodel.body import aligned, bone_vectors, mirror_pose, with_lengths
 from probmodel.example import example
 from probmodel.learning.dictionaries import (
     EXPLAINED,
     MOST,
     PoseDictionary,
-    aligned,
-    bone_vectors,
     learn_dictionary,
     principal_directions,
-    with_lengths,
 )
-from probmodel.learning.learning import LEARNING_RATE, mirror_pose, read_all
+from probmodel.learning.poses import LEARNING_RATE, read_all
 from probmodel.motion import Motion
 from probmodel.skeleton import JOINTS, MIRROR, TORSO_INDEX
 from reports.commands import learn
@@ -221,7 +219,7 @@ def test_no_file_and_no_npz_are_refused(tmp_path):
         ([recording(smooth(20, 1), "a/1")], "too few for a dictionary of 128"),
         (
             [recording(np.repeat(np.zeros((1, 15, 3)), 9, axis=0), "a/1")],
-            "a/1 has a bone of length zero",
+            "a/1 of subject one has a bone of length zero",
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""Local frames and forward kinematics: inverse, handedness, and what a rotation of the whole
+"""Local axes and forward kinematics: inverse, handedness, and what a rotation of the whole
 does."""
 
 import jax
@@ -11,10 +11,10 @@ from probmodel.kinematics import (
     articulation,
     azimuth_elevation,
     direction,
-    lower_frame,
+    lower_axes,
     pose,
     unit,
-    upper_frames,
+    upper_axes,
 )
 from probmodel.skeleton import BONES, JOINT_INDEX, MIRROR, NUM_JOINTS, TORSO_INDEX
 from tests.instances import random_triple
@@ -44,28 +44,28 @@ def test_articulation_undoes_pose() -> None:
         np.testing.assert_allclose(a, b, atol=1e-11)
 
 
-def test_frames_are_orthonormal_and_left_handed() -> None:
-    frames = np.asarray(upper_frames(POSES[:, np.array(TORSO_INDEX)]))
+def test_upper_axes_are_orthonormal_and_left_handed() -> None:
+    axes = np.asarray(upper_axes(POSES[:, np.array(TORSO_INDEX)]))
     np.testing.assert_allclose(
-        np.swapaxes(frames, -1, -2) @ frames, np.broadcast_to(np.eye(3), frames.shape), atol=1e-12
+        np.swapaxes(axes, -1, -2) @ axes, np.broadcast_to(np.eye(3), axes.shape), atol=1e-12
     )
-    np.testing.assert_allclose(np.linalg.det(frames), -1.0, rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(axes), -1.0, rtol=1e-12)
 
 
-def test_lower_frames_are_proper_in_their_parents_frame() -> None:
-    frame = np.asarray(lower_frame(jnp.array([0.6, 0.0, 0.8]), REFERENCE, FALLBACK[0]))
-    np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-14)
-    assert np.linalg.det(frame) == pytest.approx(1.0)
-    np.testing.assert_allclose(frame[:, 0], [0.6, 0.0, 0.8])
+def test_lower_axes_are_proper_in_their_parents_axes() -> None:
+    axes = np.asarray(lower_axes(jnp.array([0.6, 0.0, 0.8]), REFERENCE, FALLBACK[0]))
+    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-14)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    np.testing.assert_allclose(axes[:, 0], [0.6, 0.0, 0.8])
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_parent_along_the_reference_uses_the_fallback(sign: int) -> None:
-    frame = np.asarray(lower_frame(sign * REFERENCE, REFERENCE, FALLBACK[0]))
+    axes = np.asarray(lower_axes(sign * REFERENCE, REFERENCE, FALLBACK[0]))
     v = np.cross(sign * REFERENCE, FALLBACK[0])
-    np.testing.assert_allclose(frame[:, 1], v / np.linalg.norm(v), atol=1e-14)
-    np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-14)
-    gradient = jax.jacrev(lambda parent: lower_frame(parent, REFERENCE, FALLBACK[0]))(
+    np.testing.assert_allclose(axes[:, 1], v / np.linalg.norm(v), atol=1e-14)
+    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-14)
+    gradient = jax.jacrev(lambda parent: lower_axes(parent, REFERENCE, FALLBACK[0]))(
         sign * REFERENCE
     )
     assert np.isfinite(gradient).all()
@@ -105,7 +105,7 @@ def test_turning_the_body_and_the_camera_together_changes_no_keypoint() -> None:
 
 def test_an_upright_person_has_the_published_axes() -> None:
     """Standing, facing +z, left to +x, y up: raised forward, an arm (bone: parent minus child, so
-    backwards) lies along the frame's third axis; w = -u × v makes forward limbs point to +w's pole
+    backwards) lies along the third axis; w = -u × v makes forward limbs point to +w's pole
     or its opposite, never to the side."""
     joints = np.zeros((NUM_JOINTS, 3))
     for name, place in {

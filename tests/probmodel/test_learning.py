@@ -14,27 +14,19 @@ from scipy.spatial.transform import Rotation
 
 from probmodel.anatomy.limits import GRID, AnatomicalLimits
 from probmodel.anatomy.population import Anatomy
+from probmodel.body import body_unit, bone_lengths, mirror_pose, mirror_torso
 from probmodel.failures import BadInput
-from probmodel.learning.learning import (
-    LEARNING_RATE,
-    Poses,
-    Tolerance,
-    body_unit,
-    bone_lengths,
-    fit_cell,
-    gather,
-    largest_empty_cap,
-    learn,
-    learn_from,
-    learn_lengths,
-    learn_torsos,
-    mirror_pose,
-    mirror_torso,
-    occupancy,
-)
-from probmodel.learning.overlap import cell_areas, cell_centres, fibonacci, overlap
+from probmodel.learning.hinges import fit_cell, largest_empty_cap
+from probmodel.learning.learner import learn
+from probmodel.learning.lengths import learn_lengths
+from probmodel.learning.occupancy import occupancy
+from probmodel.learning.overlap import overlap
+from probmodel.learning.poses import LEARNING_RATE, Poses, gather, read_all
+from probmodel.learning.sphere import cell_areas, cell_centres, fibonacci
+from probmodel.learning.tolerance import Tolerance
+from probmodel.learning.torsos import learn_torsos
 from probmodel.motion import Motion, read_motion
-from probmodel.skeleton import LENGTH_GROUPS, NUM_JOINTS
+from probmodel.skeleton import JOINT_INDEX, LENGTH_GROUPS, NUM_JOINTS
 
 CLIMBING = ("01_04", "01_06", "01_11", "01_12", "01_14")
 seeds = st.integers(0, 2**32 - 1)
@@ -74,7 +66,6 @@ def some_motion(count: int = 120, seed: int = 0) -> Motion:
 
 
 # --- the criterion
-# ---------------------------------------------------------------------------------------------------
 
 
 def test_training_poses_and_their_mirror_images_are_valid(
@@ -132,7 +123,6 @@ def test_learning_twice_gives_the_same_and_other_motion_gives_other_limits() -> 
 
 
 # --- its parts
-# -------------------------------------------------------------------------------------------------------
 
 
 @settings(deadline=None, max_examples=20)
@@ -250,7 +240,7 @@ def test_tolerances_out_of_range_are_refused(values: dict[str, float]) -> None:
 def test_nothing_to_learn_from_is_refused() -> None:
     with pytest.raises(BadInput, match="no usable frame"):
         learn([])
-    with pytest.raises(BadInput, match="nobody has a bone of length zero"):
+    with pytest.raises(BadInput, match="still of subject nobody has a bone of length zero"):
         learn([Motion(np.zeros((40, NUM_JOINTS, 3)), 30.0, "still", "nobody")])
 
 
@@ -291,7 +281,6 @@ def test_overlap_by_hand() -> None:
 
 
 # --- lengths and torsos
-# ----------------------------------------------------------------------------------------------
 
 
 def test_lengths_have_the_moments_of_the_subjects(walker: Anatomy) -> None:
@@ -312,6 +301,27 @@ def test_lengths_have_the_moments_of_the_subjects(walker: Anatomy) -> None:
     assert (prior.low < pairs).all()
     assert (pairs < prior.high).all()
     assert len(walker.lengths.low) == len(LENGTH_GROUPS)
+
+
+def test_learned_limbs_average_one_body_unit_whatever_the_head() -> None:
+    """Two people whose heads differ by much: limbs of each are one body unit long on average, and
+    so are those of the prior."""
+    joints = some_poses(120)
+    longer = joints.copy()
+    head, thorax = JOINT_INDEX["head"], JOINT_INDEX["thorax"]
+    longer[:, head] += 5 * (longer[:, head] - longer[:, thorax])
+    motions = [
+        Motion(poses, LEARNING_RATE, "random", name)
+        for name, poses in {"usual": joints, "long": longer}.items()
+    ]
+    poses = gather(motions)
+    for subject in range(2):
+        assert bone_lengths(poses.joints[poses.subject == subject])[:, 1:].mean() == pytest.approx(
+            1
+        )
+    prior = learn_lengths(poses)
+    mean = prior.low + (prior.high - prior.low) * prior.alpha / (prior.alpha + prior.beta)
+    assert mean[1:].mean() == pytest.approx(1, abs=1e-6)
 
 
 def test_default_lengths_are_a_human_body() -> None:
@@ -355,7 +365,6 @@ def test_few_frames_give_few_torsos() -> None:
 
 
 # --- files
-# -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -452,9 +461,11 @@ def test_all_frames_of_the_data_are_valid_under_the_embedded_limits(shared_data:
 @pytest.mark.slow
 def test_the_embedded_anatomy_can_be_rebuilt(shared_data: Path, tmp_path: Path) -> None:
     steps: list[str] = []
-    rebuilt = learn_from(
-        sources(shared_data), progress=lambda what, done, total: steps.append(what)
-    )
+
+    def progress(what: str, done: int, total: int) -> None:
+        steps.append(what)
+
+    rebuilt = learn(read_all(sources(shared_data), progress), progress=progress)
     rebuilt.save(tmp_path / "limits.npz")
     file = Path(__file__).parents[2] / "probmodel" / "data" / "limits.npz"
     assert_same(rebuilt, Anatomy.default())

@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from probmodel.anatomy.limits import GRID, LIMITS, AnatomicalLimits, cell_of
 from probmodel.anatomy.population import Anatomy
+from probmodel.body import mirror_pose
 from probmodel.failures import BadInput
 from probmodel.kinematics import articulation, direction, pose
-from probmodel.learning.learning import mirror_pose
 from probmodel.skeleton import BONE_NAMES, BONES, NUM_LOWER, NUM_UPPER
 
 TORSO = np.array(
@@ -30,7 +30,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def simple_limits() -> AnatomicalLimits:
-    """Upper bones within 30° of the frame's equator; lower ones with u·x < 0.5, |u·y| ≤ 0.8 and
+    """Upper bones within 30° of the equator; lower ones with u·x < 0.5, |u·y| ≤ 0.8 and
     |u·z| ≤ 0.6."""
     occupied = np.zeros((NUM_UPPER, *GRID), bool)
     occupied[:, :, 20:40] = True

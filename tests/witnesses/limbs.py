@@ -14,7 +14,7 @@ import numpy as np
 from probmodel.anatomy.lengths import LengthPrior
 from probmodel.directions.cells import Cells
 from probmodel.directions.hinges import Hinge
-from probmodel.kinematics import lower_frame, upper_frames
+from probmodel.kinematics import lower_axes, upper_axes
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
 from probmodel.skeleton import GROUPS, TORSO_INDEX
@@ -85,7 +85,7 @@ def _reach(group: Group, length: jax.Array, upper: jax.Array, lower: jax.Array) 
     first = -length[0] * jnp.einsum("lij,lj->li", group.frame[:, :2], upper)
     if group.num_bones == 1:
         return first[:, None]
-    local = jax.vmap(lower_frame, (0, None, 0))(upper, group.reference, group.fallback)
+    local = jax.vmap(lower_axes, (0, None, 0))(upper, group.reference, group.fallback)
     second = first - length[1] * jnp.einsum("lij,ljk,lk->li", group.frame[:, :2], local, lower)
     return jnp.stack([first, second], axis=1)
 
@@ -95,7 +95,7 @@ def build_groups(model: PoseModel, observation: Observation) -> dict[str, Group]
     """The problems of `skeleton.GROUPS`, by name. Everything is measured from where each limb
     starts at the torso."""
     torso = observation.view
-    frames, seen = upper_frames(torso), observation.seen
+    frames, seen = upper_axes(torso), observation.seen
     target, radius = (
         jnp.asarray(observation.target),
         observation.law.reach * jnp.asarray(observation.spread),

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from probmodel.anatomy.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION
 from probmodel.directions.cells import Cells, cell_centres, row_sines
 from probmodel.directions.hinges import Hinge
-from probmodel.kinematics import direction, lower_frame
+from probmodel.kinematics import direction, lower_axes
 from tests.witnesses.limbs import Group
 
 SLACK = 1e-9
@@ -237,7 +237,7 @@ def _propose(
     if limb.target.shape[0] == 1:
         return upper, upper, kept
     hinge = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[cell], limb.hinges)
-    lower_axes = limb.frame @ lower_frame(upper, limb.reference, limb.fallback)
+    bone_axes = limb.frame @ lower_axes(upper, limb.reference, limb.fallback)
     # Chart of the patch, in camera axes: tangent, towards the disc's centre, depth.
     middle, half = (limb.low + limb.high) / 2, (limb.high - limb.low) / 2
     centre = -(limb.target[1] - middle[0] * end) / middle[1]
@@ -253,7 +253,7 @@ def _propose(
     turn = low + (high - low) * jnp.where(front, 2 * uniform[3], 2 * uniform[3] - 1)
     # Chart of the hinge's box: e2, e3, -n.
     box_axes = (
-        lower_axes @ (hinge.triple[jnp.array([1, 2, 0])] * jnp.array([[1.0], [1.0], [-1.0]])).T
+        bone_axes @ (hinge.triple[jnp.array([1, 2, 0])] * jnp.array([[1.0], [1.0], [-1.0]])).T
     )
     box, patch = plan.box[cell], plan.patch[cell]
     x = jnp.where(patch, width * (2 * uniform[2] - 1), box[0] + (box[1] - box[0]) * uniform[2])
@@ -262,7 +262,7 @@ def _propose(
     rho = jnp.sqrt(jnp.maximum(1 - x**2, 0.0))
     chart = jnp.stack([x, rho * jnp.sin(angle), rho * jnp.cos(angle)])
     bone = jnp.where(patch, patch_axes, box_axes) @ chart
-    lower = lower_axes.T @ bone
+    lower = bone_axes.T @ bone
     area = jnp.where(patch, 4 * width * (high - low), plan.bound[cell])
     density = jnp.abs(hinge.triple[0] @ lower) if limb.hinges.measure == "box" else 1.0
     kept &= (

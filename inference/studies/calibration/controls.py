@@ -14,9 +14,9 @@ from inference.exact.mixture import draw_mixture
 from inference.studies.calibration.assess import Posterior
 from inference.studies.calibration.posteriors import Sampler
 from inference.studies.calibration.quantities import MOVING
+from inference.studies.calibration.recipe import RecipeDirection
 from inference.studies.calibration.simulations import Instance
 from probmodel.chunks import in_chunks
-from probmodel.directions.distributions import RecipeDirection
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
 from probmodel.posterior import Estimate

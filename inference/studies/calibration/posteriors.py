@@ -30,10 +30,10 @@ from inference.studies.calibration.assess import FAILED, Posterior
 from inference.studies.calibration.quantities import of_pose
 from inference.studies.calibration.simulations import Instance
 from inference.studies.comparison.mixing import mean_ess, mixing
-from probmodel.anatomy.limits import read_tables
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.skeleton import NUM_JOINTS
+from probmodel.tables import read_tables
 
 Sampler = Callable[[int, Instance, jax.Array], Posterior]
 """The number of the instance, the instance, a key of its own."""

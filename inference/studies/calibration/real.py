@@ -15,9 +15,9 @@ from inference.roots import estimate_torsos
 from inference.studies.calibration.assess import Standing, assess
 from inference.studies.calibration.posteriors import sampler_of
 from inference.studies.calibration.simulations import Instance, detected
+from probmodel.body import align_torsos
 from probmodel.camera import WeakPerspective
 from probmodel.datasets import Case
-from probmodel.learning.learning import align_torsos
 from probmodel.likelihood import Likelihood
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate

@@ -14,11 +14,12 @@ import numpy as np
 from inference.prior import sample_prior
 from inference.studies.evaluation.scores import Estimate, clustered
 from probmodel.anatomy.population import Anatomy
+from probmodel.body import aligned
 from probmodel.chunks import in_chunks
 from probmodel.datasets import DataSet
 from probmodel.failures import BadInput
 from probmodel.kinematics import articulation
-from probmodel.learning.dictionaries import PoseDictionary, aligned
+from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.model import PoseModel
 from probmodel.skeleton import BONE_NAMES, BONES
 

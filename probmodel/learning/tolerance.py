@@ -1,0 +1,58 @@
+"""How far beyond what was seen a bone may go: the one choice that motion capture does not make."""
+
+import dataclasses
+
+import numpy as np
+
+from probmodel.failures import BadInput
+from probmodel.skeleton import UPPER_BONES
+
+
+@dataclasses.dataclass(frozen=True)
+class Tolerance:
+    """Margins around what was seen, in degrees (0 to 90) but for `samples`.
+
+    Parameters
+    ----------
+    head, arm, leg
+        An upper bone's direction this close to a seen one is possible.
+    closing
+        Gaps between possible directions narrower than twice this are filled (dilation, then
+        erosion), and so are holes without a way out.
+    neighbourhood
+        A lower bone is judged by what was seen while its parent was this close.
+    samples
+        Where fewer distinct observations than this are that close, the nearest ones count.
+    lower
+        Margin around planes and boxes.
+
+    Raises
+    ------
+    BadInput
+        Where a value is out of its range.
+    """
+
+    head: float = 4.0
+    arm: float = 10.0
+    leg: float = 8.0
+    closing: float = 10.0
+    neighbourhood: float = 25.0
+    samples: int = 30
+    lower: float = 4.0
+
+    def __post_init__(self) -> None:
+        for name, value in dataclasses.asdict(self).items():
+            low, high = (1, np.inf) if name == "samples" else (0, 90)
+            if not low <= value <= high:  # true for NaN too
+                raise BadInput(
+                    f"the tolerance {name} is {value}; degrees are 0 to 90, samples at least 1"
+                )
+
+    @property
+    def upper(self) -> tuple[float, ...]:
+        """`head`, `arm` or `leg`, in the order of `skeleton.UPPER_BONES`."""
+        return tuple(getattr(self, bone.name.rsplit("_", 1)[-1]) for bone in UPPER_BONES)
+
+
+DEFAULT = Tolerance()
+"""That of the embedded limits."""

@@ -1,15 +1,15 @@
 """The judge's findings as a picture: ranks, marginals of depth, mode shares, distance against
 seconds."""
 
-from pathlib import Path
-
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from reports.figures import save_figure
+from reports.figures.style import page
+from reports.tables.words import spoken
 
 EXACT = "0.35"
 MODES = 8
@@ -19,22 +19,18 @@ def comparison_figure(tree: xr.DataTree) -> Figure:
     """Four panels from a `comparison.nc`; samplers without draws appear in none of the first
     three."""
     labels = [str(label) for label in tree["summary"].sampler.values]
-    colours = {label: plt.get_cmap("tab20")(index % 20) for index, label in enumerate(labels)}
-    figure, axes = plt.subplots(2, 2, figsize=(12, 9), layout="constrained")
+    colours = {label: colormaps["tab20"](index % 20) for index, label in enumerate(labels)}
+    figure = page(12, 9)
+    axes = figure.subplots(2, 2)
     draws = tree["draws"].to_dataset()
     _ranks(axes[0, 0], draws, colours)
     _depth(axes[0, 1], draws, tree, colours)
     _modes(axes[1, 0], tree, colours)
     _course(axes[1, 1], tree["course"].to_dataset(), tree.attrs["epsilon"], colours)
-    handles = [plt.Line2D([], [], color=colour, label=label) for label, colour in colours.items()]
-    handles.append(plt.Line2D([], [], color=EXACT, lw=3, label="exact"))
+    handles = [Line2D([], [], color=colour, label=label) for label, colour in colours.items()]
+    handles.append(Line2D([], [], color=EXACT, lw=3, label="exact"))
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
     return figure
-
-
-def save(tree: xr.DataTree, path: Path) -> None:
-    """Writes the picture. Raises `BadInput` where it cannot."""
-    save_figure(comparison_figure(tree), path)
 
 
 def _shown(draws: xr.Dataset, label: str) -> np.ndarray:
@@ -77,12 +73,8 @@ def _depth(axes: Axes, draws: xr.Dataset, tree: xr.DataTree, colours: dict) -> N
         values = _shown(draws.sel(coordinate=[f"{joint} z"]), label)
         if len(values):
             axes.hist(values[:, 0], bins, density=True, histtype="step", color=colour, lw=1.4)
-    name = joint.replace("_", " ")
-    axes.set(
-        xlabel=f"depth of the {name}, body units (away from the camera)",
-        ylabel="density",
-        title="Depth",
-    )
+    words = f"depth of the {spoken(joint)}, body units (away from the camera)"
+    axes.set(xlabel=words, ylabel="density", title="Depth")
 
 
 def _modes(axes: Axes, tree: xr.DataTree, colours: dict) -> None:

@@ -24,11 +24,11 @@ from reports.figures.coverage import coverage_figure, ranks_figure
 from reports.options import Belief
 from reports.tables.coverage import (
     brief_table,
+    calibration_json,
     reasons_table,
     share,
     summary_json,
-    tests_json,
-    tests_table,
+    uniformity_table,
 )
 
 LIKELIHOOD = "likelihood"
@@ -84,9 +84,9 @@ def simulated(
     found = judge(simulation)
     save_figure(ranks_figure(simulation, found.sentence), out / "coverage.png")
     if as_json:
-        console.show_json(tests_json(found) | {"out": str(out)})
+        console.show_json(calibration_json(found) | {"out": str(out)})
         return
-    console.OUT.print(tests_table(found))
+    console.OUT.print(uniformity_table(found))
     console.say(f"{found.verdict}: {found.sentence}")
     console.say(f"Written to {out}: coverage.nc, coverage.png")
 

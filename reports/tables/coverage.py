@@ -1,6 +1,6 @@
 """Tables of calibration and coverage."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ def share(interval: Interval) -> str:
     return f"{interval.value:.0%} ({interval.low:.0%}–{interval.high:.0%})"
 
 
-def tests_table(calibration: Calibration) -> Sheet:
+def uniformity_table(calibration: Calibration) -> Sheet:
     """The kinds of tests, then the quantities with the smallest p-values."""
     found = calibration.tests
     size = int(found["size"].max())
@@ -66,7 +66,7 @@ def families_table(found: Mapping[str, Calibration]) -> Sheet:
     return sheet_of(["posterior", *families, Column("simulations", form=str), verdict], rows)
 
 
-def tests_json(calibration: Calibration) -> dict[str, Any]:
+def calibration_json(calibration: Calibration) -> dict[str, Any]:
     """The verdict, and every test, as plain values."""
     found = calibration.tests
     return {
@@ -118,7 +118,7 @@ def _heads() -> list[str]:
     return [f"{kind} {nominal:.0%}" for kind, nominal in COVERED]
 
 
-def settings_table(found: Mapping[tuple[str, ...], Summary], head: Sequence[str]) -> Sheet:
+def settings_table(found: Iterable[tuple[Sequence[str], Summary]], head: Sequence[str]) -> Sheet:
     """Each setting, named by its key under `head`: coverage of 50 % and 95 % regions, ECE and its
     floor, exclusions, sharpness."""
     regions = [(kind, nominal) for kind in ("lateral", "depth") for nominal in (0.5, 0.95)]
@@ -133,7 +133,7 @@ def settings_table(found: Mapping[tuple[str, ...], Summary], head: Sequence[str]
             one.evidence,
             one.size,
         )
-        for key, one in found.items()
+        for key, one in found
     ]
     columns = [
         *(Column(one, left=True) for one in head),

@@ -15,7 +15,7 @@ from probmodel.datasets import DataSet, write_plain
 from reports.commands import coverage
 from reports.figures.coverage import controls_figure, ranks_figure
 from reports.options import Belief
-from reports.tables.coverage import WORST, families_table, p_text, tests_table
+from reports.tables.coverage import WORST, families_table, p_text, uniformity_table
 
 
 def request(out: Path, sampler: str = "rejection", num_samples: int = 20) -> coverage.Request:
@@ -164,7 +164,7 @@ def test_tables_and_figures_show_every_quantity(done: tuple[Path, dict]) -> None
     assert {f"ranks {name}" for name in QUANTITIES} <= drawn
     shown = controls_figure({"one": simulation, "other": simulation}, QUANTITIES[-2:])
     assert len(shown.axes[0].lines) == 3
-    rows = tests_table(judge(simulation)).rows
+    rows = uniformity_table(judge(simulation)).rows
     assert len(rows) == 4 + WORST
     assert p_text(0.0) == "< 1e-300"
     assert families_table({"exact": judge(simulation)}).markdown().count("\n") == 2

@@ -29,6 +29,7 @@ from reports.options import Belief
 from reports.tables import Sheet
 from reports.tables.bias import actions_table, visits_table
 from reports.tables.evaluation import (
+    PAPERS_FRAMES,
     Labels,
     frames_table,
     metrics_table,
@@ -38,8 +39,9 @@ from reports.tables.evaluation import (
     table_1,
     table_2,
 )
+from reports.tables.words import duration
 
-PAPERS_FRAMES, MANY_FRAMES = 26_385, 1_000_000
+MANY_FRAMES = 1_000_000
 
 
 class Source(NamedTuple):
@@ -256,14 +258,6 @@ def throughput(frames: int, seconds: float, workers: int | None) -> str:
         f"{frames:,} frames under their conditions in {duration(seconds)}: {rate:.1f} a second with"
         f" {who}; {costs}"
     )
-
-
-def duration(seconds: float) -> str:
-    """In words that suit it."""
-    for size, name in ((86_400.0, "days"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.1f} {name}"
-    return f"{seconds:.1f} s"
 
 
 def _listed[T](text: str, kind: Callable[[str], T], option: str) -> list[T]:

@@ -25,13 +25,13 @@ from inference.studies.evaluation.scores import Estimate, clustered, common, pos
 from probmodel.datasets import EXACT, DataSet, Noise, read_data_set
 from probmodel.learning.dictionaries import learn_dictionary
 from probmodel.learning.learning import learn, read_all
-from reports.commands.evaluate import PAPERS_FRAMES, duration
 from reports.figures.bias import bias_figure
 from reports.figures.evaluation import errors_figure, pck_curves, pck_figure
 from reports.pages.page import Values, in_doubles, write_page
 from reports.tables import Sheet, sheet_of
 from reports.tables.bias import actions_table, visits_table
 from reports.tables.evaluation import (
+    PAPERS_FRAMES,
     RELATIONS_CAPTION,
     Labels,
     frames_table,
@@ -40,6 +40,7 @@ from reports.tables.evaluation import (
     table_1,
     table_2,
 )
+from reports.tables.words import duration
 
 OTHERS = ("cmu/asfamc/01", "cmu/asfamc/03", "bvh/cmu_131_03.bvh")
 """Recordings of people who are not in the eight classes of action."""

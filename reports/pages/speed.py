@@ -37,6 +37,7 @@ from reports.figures.style import page as blank_page
 from reports.pages.naive import propose
 from reports.pages.page import Values, in_doubles, write_page
 from reports.tables import Column, Sheet, sheet_of
+from reports.tables.evaluation import PAPERS_FRAMES
 
 SAMPLER = "rejection-strata"
 DRAWS = 100_000
@@ -44,7 +45,6 @@ NUMBERS = 23
 """Uniform numbers of a pose: the floor."""
 NUMPY_BATCH = 20_000
 STREAM_FRAMES = 32
-PAPERS_FRAMES = 26_385
 
 
 class Seconds(NamedTuple):

@@ -20,6 +20,8 @@ from inference.studies.evaluation.scores import (
 )
 from reports.tables.sheet import NOTHING, Column, Sheet, sheet_of
 
+PAPERS_FRAMES = 26_385
+"""Of the paper's evaluation on Human3.6M."""
 MOST_COLUMNS = 6
 """Of a table on a terminal."""
 NAMES = {"akhter-black": "Akhter & Black", "zhou": "Zhou et al.", "dictionary": "dictionary fit"}

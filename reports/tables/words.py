@@ -1,4 +1,4 @@
-"""How joints and directions are called."""
+"""How joints, directions and times are called."""
 
 import math
 
@@ -40,3 +40,11 @@ def pose_facing(joints: np.ndarray) -> np.ndarray:
     at = {name: joints[index] for name, index in JOINT_INDEX.items()}
     left = at["left_shoulder"] - at["right_shoulder"] + at["left_hip"] - at["right_hip"]
     return np.cross(left, at["thorax"] - at["pelvis"])
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that suits it: "3.5 s", "12.0 min", "4.2 h", "2.1 days"."""
+    for size, name in ((86_400.0, "days"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.1f} {name}"
+    return f"{seconds:.1f} s"

@@ -93,8 +93,9 @@ def text(table: tables.Sheet) -> str:
     return stream.getvalue()
 
 
-def row(words: str, start: str) -> list[str]:
-    return next(line for line in words.splitlines() if line.strip().startswith(start)).split()
+def row(words: str, start: str) -> str:
+    line = next(line for line in words.splitlines() if line.strip().startswith(start))
+    return " ".join(line.split())
 
 
 @pytest.mark.parametrize(
@@ -144,17 +145,8 @@ def test_posterior_rows_by_hand(tree: xr.DataTree) -> None:
 
 def test_posterior_table_shows_the_rows(tree: xr.DataTree) -> None:
     words = text(tables.posterior_table(tree))
-    assert row(words, "right knee") == [
-        "right",
-        "knee",
-        "0.80",
-        "7.0",
-        "1.000",
-        "350",
-        "0.354",
-        "124",
-    ]
-    assert row(words, "right wrist")[:4] == ["right", "wrist", "missing", "–"]
+    assert row(words, "right knee") == "right knee 0.80 7.0 1.000 350 0.354 124"
+    assert row(words, "right wrist").startswith("right wrist missing – ")
 
 
 def test_body_unit_in_millimetres_is_the_mean_limb_of_a_person_of_170_cm() -> None:
@@ -165,7 +157,7 @@ def test_body_unit_in_millimetres_is_the_mean_limb_of_a_person_of_170_cm() -> No
 def test_without_draws_there_are_no_deviations(tree: xr.DataTree) -> None:
     empty = small_tree(np.empty((0, 15, 3)))
     assert all(row["depth_sd"] is None for row in tables.posterior_table(empty).json())
-    assert row(text(tables.posterior_table(empty)), "right knee")[3:] == ["7.0", "–", "–", "–", "–"]
+    assert row(text(tables.posterior_table(empty)), "right knee").endswith("7.0 – – – –")
 
 
 def test_candidates_by_hand(tree: xr.DataTree) -> None:
@@ -184,18 +176,9 @@ def test_candidates_by_hand(tree: xr.DataTree) -> None:
         "log_evidence_se": 0.03,
         "weight": 0.75,
     }
-    assert row(text(tables.candidates_table(tree)), "2 ") == [
-        "2",
-        "right",
-        "42",
-        "29.0",
-        "3.6",
-        "−16.25",
-        "±",
-        "0.03",
-        "75",
-        "%",
-    ]
+    assert (
+        row(text(tables.candidates_table(tree)), "2 ") == "2 right 42 29.0 3.6 −16.25 ± 0.03 75 %"
+    )
 
 
 def test_hypotheses_rows() -> None:
@@ -208,19 +191,8 @@ def test_hypotheses_rows() -> None:
         {"right_wrist": -0.1, "left_wrist": -0.1, "right_ankle": 0.1, "left_ankle": 0.1}
     )
     words = text(tables.hypotheses_table(two))
-    assert row(words, "1 ") == [
-        "1",
-        "100",
-        "%",
-        "7",
-        "towards",
-        "camera",
-        "−0.10",
-        "−0.10",
-        "+0.10",
-        "+0.10",
-    ]
-    assert row(words, "2 ")[:4] == ["2", "<", "1", "%"]
+    assert row(words, "1 ") == "1 100 % 7 towards camera −0.10 −0.10 +0.10 +0.10"
+    assert row(words, "2 ").startswith("2 < 1 % ")
 
 
 ATTRIBUTES: dict[str, Any] = {
@@ -302,18 +274,7 @@ def test_check_rows_by_hand() -> None:
     ]
     words = text(tables.check_table(check, ["a", "b", "c"]))
     assert "1 of 3 poses are possible." in words
-    assert row(words, "c ") == [
-        "c",
-        "left",
-        "lower",
-        "leg",
-        "bends",
-        "beyond",
-        "the",
-        "joint's",
-        "plane",
-        "4.0",
-    ]
+    assert row(words, "c ") == "c left lower leg bends beyond the joint's plane 4.0"
     assert "right forearm     hangs from an impossible bone" in words
 
 
@@ -390,7 +351,7 @@ def test_a_sheet_on_a_terminal() -> None:
     words = text(SHEET)
     assert words.startswith("Errors")
     assert "In mm." in words
-    assert row(words, "one") == ["one", "well", "1.2", "±", "0.2", "1,234"]
+    assert row(words, "one") == "one well 1.2 ± 0.2 1,234"
     assert "badly" not in text(SHEET.only(["", "error"]))
 
 

@@ -24,7 +24,7 @@ lint: $(VENV)/.done
 
 bench: $(VENV)/.done
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
-	$(BIN)/python -m tests.benchmarks.speed_report
+	$(BIN)/python -m reports.pages.speed
 
 $(VENV)/.done: pyproject.toml requirements.lock
 	@test -n "$(PYTHON)" || { echo "poseterior needs Python 3.12 or newer on the PATH (as python3.12 or python3); install one and run make again." >&2; exit 2; }

@@ -6,10 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from rich import box
-from rich.table import Table
 
-from probmodel.anatomy.limits import LIMITS, Check
+from probmodel.anatomy.limits import Check
 from probmodel.failures import BadInput
 from probmodel.motion import read_motion
 from probmodel.skeleton import BONE_NAMES, BONES, JOINTS, NUM_JOINTS
@@ -40,32 +38,11 @@ def run(path: Path, belief: Belief, *, quiet: bool, as_json: bool) -> None:
         return
     broken = np.flatnonzero(~check.pose_valid)
     if len(broken) > FEW:
-        console.OUT.print(_by_bone(check))
+        console.OUT.print(tables.broken_table(check))
     elif len(broken):
         listed = Check(*(part[broken] for part in check))
         console.OUT.print(tables.check_table(listed, [poses.names[pose] for pose in broken]))
     console.say(f"{check.pose_valid.sum():,} of {len(poses.names):,} poses in {path} are possible.")
-
-
-def _by_bone(check: Check) -> Table:
-    """How many poses break each limit of each bone, and by how much at most."""
-    table = Table(
-        "bone",
-        "limit",
-        title="Broken limits",
-        box=box.SIMPLE_HEAD,
-        title_justify="left",
-        pad_edge=False,
-    )
-    for heading in ("poses", "most degrees"):
-        table.add_column(heading, justify="right")
-    for bone, name in enumerate(BONE_NAMES):
-        for code in range(1, len(LIMITS)):
-            excess = check.excess[check.limit[:, bone] == code, bone]
-            if len(excess):
-                most = "–" if np.isnan(excess).all() else f"{np.nanmax(excess):.1f}"
-                table.add_row(tables.spoken(name), LIMITS[code], f"{len(excess):,}", most)
-    return table
 
 
 def read_poses(path: Path) -> Poses:

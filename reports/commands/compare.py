@@ -31,7 +31,9 @@ def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json:
     from inference.results import save_tree
     from inference.studies.comparison import contest
     from inference.studies.comparison.record import Entry, comparison_tree
-    from reports import comparison_figures, comparison_tables
+    from reports.figures import save_figure
+    from reports.figures.comparison import comparison_figure
+    from reports.tables.comparison import NARROW, WIDE, comparison_table
 
     if not request.seconds > 0:
         raise BadInput(f"--seconds must be more than 0, not {request.seconds:g}")
@@ -80,11 +82,12 @@ def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json:
             save_tree(comparison_tree(entries, known.sample, attributes), out / "comparison.nc")
     tree = comparison_tree(entries, known.sample, attributes)
     with console.progress("picture", quiet):
-        comparison_figures.save(tree, out / "comparison.png")
+        save_figure(comparison_figure(tree), out / "comparison.png")
+    sheet = comparison_table(tree)
     if as_json:
-        console.show_json({"samplers": comparison_tables.comparison_json(tree), "out": str(out)})
+        console.show_json({"samplers": sheet.json(), "out": str(out)})
     else:
-        console.OUT.print(comparison_tables.comparison_table(tree, console.OUT.width))
+        console.OUT.print(sheet if console.OUT.width >= WIDE else sheet.only(NARROW))
         for entry in entries:
             console.say(f"{entry.label}: {entry.sentence}")
         console.say(f"Written to {out}: comparison.nc, comparison.png, runs")

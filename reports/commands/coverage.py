@@ -18,9 +18,18 @@ from inference.studies.calibration.simulations import simulate
 from inference.studies.calibration.verdict import FEWEST, judge
 from probmodel import BadInput, PoseModel
 from probmodel.datasets import Noise, read_data_set
-from reports import console, coverage_figures, coverage_tables
+from reports import console
 from reports.figures import save_figure
+from reports.figures.coverage import coverage_figure, ranks_figure
 from reports.options import Belief
+from reports.tables.coverage import (
+    brief_table,
+    calibration_json,
+    reasons_table,
+    share,
+    summary_json,
+    uniformity_table,
+)
 
 LIKELIHOOD = "likelihood"
 
@@ -73,13 +82,11 @@ def simulated(
         )
     simulation = tree["simulation"].to_dataset()
     found = judge(simulation)
-    save_figure(coverage_figures.ranks_figure(simulation, found.sentence), out / "coverage.png")
+    save_figure(ranks_figure(simulation, found.sentence), out / "coverage.png")
     if as_json:
-        console.show_json(coverage_tables.tests_json(found) | {"out": str(out)})
+        console.show_json(calibration_json(found) | {"out": str(out)})
         return
-    console.OUT.print(
-        coverage_tables.terminal(coverage_tables.tests(found), "Are the ranks uniform?")
-    )
+    console.OUT.print(uniformity_table(found))
     console.say(f"{found.verdict}: {found.sentence}")
     console.say(f"Written to {out}: coverage.nc, coverage.png")
 
@@ -138,10 +145,10 @@ def real(belief: Belief, request: Request, real: Real, *, quiet: bool, as_json: 
     save_tree(tree, out / "coverage.nc")
     found = summary(tree)
     simulation = tree["simulation"].to_dataset()
-    curves = coverage_figures.coverage_figure({f"torso and camera: {real.estimator}": simulation})
+    curves = coverage_figure({f"torso and camera: {real.estimator}": simulation})
     save_figure(curves, out / "coverage.png")
     if as_json:
-        console.show_json(coverage_tables.summary_json(found) | {"out": str(out)})
+        console.show_json(summary_json(found) | {"out": str(out)})
     else:
         _say(tree, out)
 
@@ -164,18 +171,14 @@ def _about(model: PoseModel, request: Request, real: Real, sha256: str) -> dict:
 
 def _say(tree: xr.DataTree, out: Path) -> None:
     found = summary(tree)
-    console.OUT.print(
-        coverage_tables.terminal(coverage_tables.briefly(found), "Covered, nominally and in truth")
-    )
-    excluded = coverage_tables.percent(found.excluded)
+    console.OUT.print(brief_table(found))
+    excluded = share(found.excluded)
     console.say(
         f"{excluded} of {found.size} true poses are excluded; {found.without_draws} posteriors lack"
         " draws."
     )
     if found.reasons:
-        console.OUT.print(
-            coverage_tables.terminal(coverage_tables.reasons(found.reasons, found.size), "Why")
-        )
+        console.OUT.print(reasons_table(found.reasons, found.size))
     console.say(
         f"ECE {found.ece.whole.value:.3f}, that of a right posterior {found.ece.floor:.3f}; spread"
         f" to the side {found.lateral:.0f} mm, in depth {found.depth:.0f} mm; log evidence"

@@ -5,15 +5,11 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from rich import box
-from rich.table import Table
 
 from inference.detector import Network
 from probmodel import BadInput, Detection, write_detections
 from probmodel.layouts import LAYOUTS
-from reports import console, figures
+from reports import console, figures, tables
 
 Box = tuple[float, ...]
 
@@ -69,7 +65,7 @@ def run(images: Sequence[Path], request: Request, out: Path, *, quiet: bool, as_
         ]
         console.show_json({"people": rows, "layout": request.layout, "out": str(out)})
     else:
-        console.OUT.print(_table(people))
+        console.OUT.print(tables.people_table(people))
         console.say(f"Written to {out}; look at it with: poseterior show {out} --image {images[0]}")
 
 
@@ -117,20 +113,3 @@ def parse_size(text: str) -> tuple[int, int]:
     if not (width.isdecimal() and height.isdecimal() and len(text) < 12):
         raise BadInput(f"--input-size must look like 192x256, not {text!r}")
     return int(width), int(height)
-
-
-def _table(people: Sequence[Detection]) -> Table:
-    table = Table(
-        "image", title="People", box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False
-    )
-    for heading in ("person", "joints", "highest score"):
-        table.add_column(heading, justify="right")
-    for person in people:
-        cells: tuple[Any, ...] = (
-            person.image_id,
-            person.person,
-            person.seen.sum(),
-            f"{person.score.max():.3g}",
-        )
-        table.add_row(*map(str, cells))
-    return table

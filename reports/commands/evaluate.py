@@ -21,12 +21,27 @@ from probmodel.datasets import DataSet, Noise, brings_detections, read_data_set
 from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
 from probmodel.failures import BadInput
 from probmodel.learning.dictionaries import PoseDictionary
-from reports import console, evaluation_figures, evaluation_tables
-from reports.evaluation_tables import Labels, Sheet
+from reports import console
 from reports.figures import save_figure
+from reports.figures.bias import bias_figure
+from reports.figures.evaluation import errors_figure, pck_curves, pck_figure
 from reports.options import Belief
+from reports.tables import Sheet
+from reports.tables.bias import actions_table, visits_table
+from reports.tables.evaluation import (
+    PAPERS_FRAMES,
+    Labels,
+    frames_table,
+    metrics_table,
+    narrow,
+    pck_table,
+    relations_table,
+    table_1,
+    table_2,
+)
+from reports.tables.words import duration
 
-PAPERS_FRAMES, MANY_FRAMES = 26_385, 1_000_000
+MANY_FRAMES = 1_000_000
 
 
 class Source(NamedTuple):
@@ -148,7 +163,7 @@ def run(source: Source, belief: Belief, request: Request, *, quiet: bool, as_jso
         return
     for sheet in found.sheets:
         if sheet.name in ("table1", "table2", "relations"):
-            console.OUT.print(sheet.narrow().screen())
+            console.OUT.print(narrow(sheet))
     if fresh:
         console.say(
             throughput(fresh, seconds, request.workers if request.scheduler is None else None)
@@ -169,21 +184,21 @@ def findings(
     labels, ks, few = Labels(data.action, data.recording), protocol.ks, min(protocol.ks)
     related = relations(results, data.recording, ks, base)
     sheets = [
-        evaluation_tables.table_1(results, base, labels, ks, external, caption),
-        evaluation_tables.table_2(results, base, labels, few, caption),
-        evaluation_tables.relations_table(related, evaluation_tables.RELATIONS_CAPTION),
-        evaluation_tables.metrics_table(results, base, ks, evaluation_tables.METRICS_CAPTION),
-        evaluation_tables.frames_table(results),
+        table_1(results, base, labels, ks, external, caption),
+        table_2(results, base, labels, few, caption),
+        relations_table(related),
+        metrics_table(results, base, ks),
+        frames_table(results),
     ]
-    curves = evaluation_figures.pck_curves(results, base, few)
-    sheets.append(evaluation_tables.pck_table(curves))
+    curves = pck_curves(results, base, few)
+    sheets.append(pck_table(curves))
     figures = {
-        "errors": evaluation_figures.errors_figure(results, base, labels, ks),
-        "pck": evaluation_figures.pck_figure(curves),
+        "errors": errors_figure(results, base, labels, ks),
+        "pck": pck_figure(curves),
     }
     if bias is not None:
-        sheets += evaluation_tables.bias_tables(bias)
-        figures["bias"] = evaluation_figures.bias_figure(bias)
+        sheets += [actions_table(bias), visits_table(bias)]
+        figures["bias"] = bias_figure(bias)
     return Findings(sheets, figures, related)
 
 
@@ -195,7 +210,7 @@ def write(found: Findings, out: Path) -> None:
     for name, figure in found.figures.items():
         save_figure(figure, out / f"{name}.png")
     pictures = "\n".join(f"![{name}]({name}.png)\n" for name in found.figures)
-    shown = [sheet.markdown() for sheet in found.sheets if sheet.name != "pck"]
+    shown = [sheet.markdown(titled=True) + "\n" for sheet in found.sheets if sheet.name != "pck"]
     console.write_text(out / "evaluation.md", "\n".join(["# Evaluation\n", pictures, *shown]))
 
 
@@ -245,14 +260,6 @@ def throughput(frames: int, seconds: float, workers: int | None) -> str:
     )
 
 
-def duration(seconds: float) -> str:
-    """In words that suit it."""
-    for size, name in ((86_400.0, "days"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.1f} {name}"
-    return f"{seconds:.1f} s"
-
-
 def _listed[T](text: str, kind: Callable[[str], T], option: str) -> list[T]:
     try:
         return [kind(part) for part in text.split(",")]
@@ -270,12 +277,5 @@ def _cache() -> str | None:
 
 
 def _json(found: Findings, out: Path) -> dict:
-    tables = {
-        sheet.name: [
-            dict(zip(["name", *sheet.head[1:]], map(evaluation_tables.plain, row), strict=True))
-            for row in sheet.rows
-        ]
-        for sheet in found.sheets
-        if sheet.name != "pck"
-    }
+    tables = {sheet.name: sheet.json() for sheet in found.sheets if sheet.name != "pck"}
     return {"out": str(out), "tables": tables}

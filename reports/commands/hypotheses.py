@@ -94,9 +94,9 @@ def _as_text(chosen: list[Hypothesis], result: Result, request: Request) -> str:
 def summary(chosen: list[Hypothesis], result: Result, out: Path) -> dict:
     """The results as plain values."""
     return {
-        "hypotheses": tables.hypotheses_json(chosen),
-        "candidates": tables.candidates_json(result.tree),
-        "joints": tables.posterior_json(result.tree),
+        "hypotheses": tables.hypotheses_table(chosen).json(),
+        "candidates": tables.candidates_table(result.tree).json(),
+        "joints": tables.posterior_table(result.tree).json(),
         "summary": tables.summary_json(result),
         "out": str(out),
     }

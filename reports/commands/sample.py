@@ -42,7 +42,7 @@ def run(
         raise OutOfBudget(result.sentence)
     result.save(out)
     if as_json:
-        found = {"candidates": tables.candidates_json(result.tree), "out": str(out)}
+        found = {"candidates": tables.candidates_table(result.tree).json(), "out": str(out)}
         console.show_json(tables.summary_json(result) | found)
     else:
         for line in tables.summary_lines(result):

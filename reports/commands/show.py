@@ -4,16 +4,13 @@ reading."""
 from pathlib import Path
 
 import numpy as np
-from rich import box
-from rich.table import Table
 
 from inference import estimate_torso
 from inference.readings import Judge, Verdict, together
 from probmodel import BadInput, Detection
-from probmodel.detections import FACE
 from probmodel.layouts import MEDIAPIPE_33
 from probmodel.skeleton import JOINTS
-from reports import console, figures, overlay, tables
+from reports import console, figures, tables
 from reports.options import Belief, Sight
 
 MOST_PEOPLE = 8
@@ -40,12 +37,12 @@ def run(
     own = [sentence for sentence in alone.warnings if sentence not in warnings]
     warnings += [f"{sentence} (person {person.person} alone)" for sentence in own]
     radius = _radius(person, sight, np.asarray(model.torsos))
-    picture = overlay.overlay_figure(person, radius, image=shown, warned=bool(warnings))
+    picture = figures.overlay_figure(person, radius, image=shown, warned=bool(warnings))
     figures.save_figure(picture, out)
     if as_json:
         console.show_json(_json(person, radius, verdict, warnings, out))
     else:
-        console.OUT.print(_table(person, radius))
+        console.OUT.print(tables.reading_table(person, radius))
         judged = len(verdict.gains)
         console.say(
             f"{person.layout}, {len(people)} in {person.source}, reading judged by {judged}."
@@ -90,34 +87,6 @@ def _radius(person: Detection, sight: Sight, torsos: np.ndarray) -> np.ndarray |
     return person.radius(
         float(frame.candidates[0].camera.scale), factor=sight.factor, joints=frame.joints
     )
-
-
-def _table(person: Detection, radius: np.ndarray | None) -> Table:
-    table = Table(
-        "joint",
-        title=f"Person {person.person}",
-        box=box.SIMPLE_HEAD,
-        title_justify="left",
-        pad_edge=False,
-    )
-    for heading in ("x", "y", "score", "radius"):
-        table.add_column(heading, justify="right")
-    for joint in np.flatnonzero(person.seen):
-        reach = "–" if radius is None or np.isnan(radius[joint]) else f"{radius[joint]:.1f}"
-        x, y = person.keypoints[joint]
-        table.add_row(
-            tables.spoken(JOINTS[joint]),
-            f"{x:.1f}",
-            f"{y:.1f}",
-            f"{person.score[joint]:.3g}",
-            reach,
-        )
-    for name, (x, y, score) in zip(
-        FACE, person.face if person.face is not None else [], strict=False
-    ):
-        if score > 0:
-            table.add_row(tables.spoken(name), f"{x:.1f}", f"{y:.1f}", f"{score:.3g}", "–")
-    return table
 
 
 def _json(

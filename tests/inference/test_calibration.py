@@ -42,6 +42,7 @@ from inference.studies.calibration.quantities import (
 )
 from inference.studies.calibration.record import read_standings
 from inference.studies.calibration.simulations import HIDDEN, Instance
+from inference.studies.calibration.toy import Toy, sizes
 from inference.studies.calibration.uniformity import LEVELS, difference
 from inference.studies.calibration.verdict import CALIBRATED, CANNOT_TELL, MISCALIBRATED, holm
 from probmodel import BadInput, Likelihood, PoseModel
@@ -114,55 +115,6 @@ def test_what_cannot_be_levels_is_refused(values: list) -> None:
 
 # --- levels on a toy
 # -------------------------------------------------------------------------------------------------
-
-
-class Toy:
-    """Three correlated Gaussian numbers, seen with Gaussian noise: the posterior is Gaussian, in
-    closed form."""
-
-    mix = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.3, -0.4, np.sqrt(0.75)]])
-    noise = 0.7
-
-    def __init__(self, number: int, draws: int, rng: np.random.Generator) -> None:
-        prior = self.mix @ self.mix.T
-        gain = prior @ np.linalg.inv(prior + self.noise**2 * np.eye(3))
-        self.covariance = prior - gain @ prior
-        self.truth = rng.normal(size=(number, 3)) @ self.mix.T
-        self.seen = self.truth + self.noise * rng.normal(size=(number, 3))
-        root = np.linalg.cholesky(self.covariance)
-        self.mean = self.seen @ gain.T
-        self.draws = self.mean[:, None] + rng.normal(size=(number, draws, 3)) @ root.T
-        self.prior_draws = rng.normal(size=(number, draws, 3)) @ self.mix.T
-
-    def p_values(self, draws: np.ndarray, rng: np.random.Generator) -> dict[str, float]:
-        """Of the four kinds of tests: ranks of a coordinate, highest density, energy balls,
-        TARP."""
-        inverse = np.linalg.inv(self.covariance)
-        levels: dict[str, list] = {
-            "ranks": [],
-            "highest density": [],
-            "energy balls": [],
-            "TARP": [],
-        }
-        for truth, cloud, mean, seen in zip(self.truth, draws, self.mean, self.seen, strict=True):
-            both = np.vstack([truth, cloud])
-            density = -np.einsum("ni,ij,nj->n", both - mean, inverse, both - mean)
-            levels["ranks"].append(float(rank_level(truth[0], cloud[:, 0], rng)))
-            levels["highest density"].append(float(rank_level(density[0], density[1:], rng)))
-            levels["energy balls"].append(energy_level(truth, cloud, rng))
-            levels["TARP"].append(distance_level(truth, cloud, seen + 0.5, rng))
-        return {name: uniformity(np.array(found)).p_value for name, found in levels.items()}
-
-
-def sizes(repetitions: int, number: int, draws: int) -> dict[str, np.ndarray]:
-    """p-values of right posteriors, by kind of test."""
-    found: dict[str, list] = {}
-    for repetition in range(repetitions):
-        rng = RNG([7, repetition])
-        toy = Toy(number, draws, rng)
-        for name, p_value in toy.p_values(toy.draws, rng).items():
-            found.setdefault(name, []).append(p_value)
-    return {name: np.array(values) for name, values in found.items()}
 
 
 def test_every_test_has_its_size_on_a_posterior_in_closed_form() -> None:

@@ -21,7 +21,7 @@ from probmodel.datasets import from_motions
 from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.motion import Motion
 from reports.commands.evaluate import external_errors, findings
-from reports.evaluation_tables import Sheet
+from reports.tables import Sheet
 
 RNG = np.random.default_rng(0)
 ERRORS = RNG.gamma(2.0, 40.0, size=(50, 6, 15))

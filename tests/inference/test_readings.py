@@ -22,13 +22,13 @@ from inference.readings import (
     stretched,
     together,
 )
+from inference.studies.misreadings import View, mirrored, seen_as, views
 from probmodel import Anatomy, Detection, PoseModel, read_detections
 from probmodel.detections import FACE
 from probmodel.layouts import COCO_17, H36M_17, MPII_16
 from probmodel.likelihood import Likelihood
 from probmodel.posterior import Estimate
 from probmodel.skeleton import JOINT_INDEX, JOINTS, MIRROR
-from tests.benchmarks.readings_report import View, mirrored, seen_as, views
 from tests.probmodel.test_formats import HMR, POSE2SIM, SPIN
 from tests.probmodel.test_formats_fuzz import points
 from tests.probmodel.test_formats_readers import LUNGE

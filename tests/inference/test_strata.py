@@ -29,9 +29,8 @@ from inference.exact.rates import Budget, Pooled, Rate
 from probmodel import Anatomy, PoseModel
 from probmodel.anatomy.limits import CELL, NUM_ELEVATION, cell_of
 from probmodel.kinematics import lower_axes
-from tests.benchmarks.scenes64 import hidden
 from tests.goodness import energy_p_value
-from tests.scenes import key, prior_scene
+from tests.scenes import hidden, key, prior_scene
 from tests.witnesses.limbs import build_groups
 from tests.witnesses.patches import patch_rectangle
 from tests.witnesses.pruned import PriorGroups, group_prior

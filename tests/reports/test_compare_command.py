@@ -7,17 +7,16 @@ import json
 import shutil
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import rich.console
 import xarray as xr
 
 from probmodel import BadInput, PoseModel, write_detections
-from reports import comparison_tables
 from reports.commands import compare
-from reports.comparison_figures import comparison_figure
+from reports.figures.comparison import comparison_figure
 from reports.options import Belief, Sight
+from reports.tables.comparison import COLUMNS, NARROW, comparison_table
 from tests.scenes import prior_scene
 
 SEEN_ARM = (
@@ -98,19 +97,18 @@ def test_another_call_goes_on_whoever_else_is_asked(
 
 def test_the_table_and_the_picture(done: tuple[Path, str]) -> None:
     tree = xr.open_datatree(done[0] / "comparison.nc").load()
-    rows = comparison_tables.rows(tree)
+    sheet = comparison_table(tree)
+    rows = sheet.texts()
     assert [row[0] for row in rows] == ["rejection", "emcee (dispersed)", "emcee (one flip)"]
-    assert all(len(row) == len(comparison_tables.COLUMNS) for row in rows)
+    assert all(len(row) == len(COLUMNS) for row in rows)
     assert "±" in rows[0][-1]
-    assert comparison_tables.markdown(tree).count("\n") == 4
-    for width, columns in ((80, comparison_tables.NARROW), (160, comparison_tables.COLUMNS)):
+    assert sheet.markdown().count("\n") == 4
+    for width, shown in ((80, sheet.only(NARROW)), (160, sheet)):
         printed = io.StringIO()
-        rich.console.Console(file=printed, width=width).print(
-            comparison_tables.comparison_table(tree, width)
-        )
+        rich.console.Console(file=printed, width=width).print(shown)
         assert "emcee (dispersed)" in printed.getvalue()
         assert "…" not in printed.getvalue()
-        assert len(comparison_tables.comparison_table(tree, width).columns) == len(columns)
+    assert sheet.only(NARROW).head == list(NARROW)
     figure = comparison_figure(tree)
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[0].startswith("Ranks")
@@ -118,7 +116,6 @@ def test_the_table_and_the_picture(done: tuple[Path, str]) -> None:
     assert len(figure.axes[3].lines) == 4  # three samplers and the distance to reach
     shown = figure.axes[3].lines[0]
     np.testing.assert_allclose(shown.get_xdata(), tree["course"].seconds.sel(sampler="rejection"))
-    plt.close(figure)
 
 
 def test_what_cannot_be_compared_is_refused_before_any_work(

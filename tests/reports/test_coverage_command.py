@@ -12,9 +12,10 @@ from inference.studies.calibration import judge, simulate
 from inference.studies.calibration.quantities import QUANTITIES
 from probmodel import BadInput, PoseModel
 from probmodel.datasets import DataSet, write_plain
-from reports import coverage_figures, coverage_tables
 from reports.commands import coverage
+from reports.figures.coverage import controls_figure, ranks_figure
 from reports.options import Belief
+from reports.tables.coverage import WORST, families_table, p_text, uniformity_table
 
 
 def request(out: Path, sampler: str = "rejection", num_samples: int = 20) -> coverage.Request:
@@ -158,17 +159,12 @@ def test_bad_real_poses(data: Path, tmp_path: Path, change: dict, match: str) ->
 def test_tables_and_figures_show_every_quantity(done: tuple[Path, dict]) -> None:
     tree = read(done[0] / "coverage.nc")
     simulation = tree["simulation"].to_dataset()
-    figure = coverage_figures.ranks_figure(simulation)
+    figure = ranks_figure(simulation)
     drawn = {line.get_gid() for axis in figure.axes for line in axis.lines}
     assert {f"ranks {name}" for name in QUANTITIES} <= drawn
-    shown = coverage_figures.controls_figure(
-        {"one": simulation, "other": simulation}, QUANTITIES[-2:]
-    )
+    shown = controls_figure({"one": simulation, "other": simulation}, QUANTITIES[-2:])
     assert len(shown.axes[0].lines) == 3
-    rows = coverage_tables.tests(judge(simulation)).rows
-    assert len(rows) == 4 + coverage_tables.WORST
-    assert coverage_tables.p_text(0.0) == "< 1e-300"
-    assert (
-        coverage_tables.markdown(coverage_tables.families({"exact": judge(simulation)})).count("\n")
-        == 2
-    )
+    rows = uniformity_table(judge(simulation)).rows
+    assert len(rows) == 4 + WORST
+    assert p_text(0.0) == "< 1e-300"
+    assert families_table({"exact": judge(simulation)}).markdown().count("\n") == 2

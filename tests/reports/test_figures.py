@@ -23,6 +23,10 @@ from probmodel.example import example
 from probmodel.failures import BadInput
 from probmodel.skeleton import BONES, JOINT_INDEX, JOINTS
 from reports import figures
+from reports.figures.depth import _density
+from reports.figures.hypotheses import MAX_DRAWS
+from reports.figures.legend import MAX_NAMED
+from reports.figures.style import LIMB_OF
 from reports.tables import heaviest, values
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -89,15 +93,13 @@ def test_cloud_lies_in_the_discs_where_a_joint_was_seen(
     result: Result, five: list[Hypothesis]
 ) -> None:
     axis = figures.hypotheses_figure(result.tree, five).axes[0]
-    draws = values(result.tree, "posterior", "candidate")[: figures.MAX_DRAWS] == heaviest(
-        result.tree
-    )
+    draws = values(result.tree, "posterior", "candidate")[:MAX_DRAWS] == heaviest(result.tree)
     for disc in named(axis, Circle, "disc"):
         (cloud,) = [
             c for c in axis.collections if c.get_gid() == disc.get_gid().replace("disc", "cloud")
         ]
         points = np.asarray(cloud.get_offsets())
-        assert len(points) == figures.MAX_DRAWS
+        assert len(points) == MAX_DRAWS
         distance = np.linalg.norm(points - disc.center, axis=1)
         assert (distance[draws] <= disc.radius * (1 + 1e-6)).all()
 
@@ -137,9 +139,7 @@ def test_projected_hypotheses_lie_in_their_discs(result: Result, five: list[Hypo
         scale, offset = (constant[name].values[candidate] for name in ("scale", "translation"))
         drawn = drawn_joints(axis, f"hypothesis {rank}")
         assert len(drawn) == len(BONES)
-        for bone, point in zip(
-            sorted(figures._COLOUR_OF, key=lambda bone: bone in LEFT), drawn, strict=True
-        ):
+        for bone, point in zip(sorted(LIMB_OF, key=lambda bone: bone in LEFT), drawn, strict=True):
             radius = constant["radius"].values[candidate, bone]
             if np.isfinite(radius):
                 miss = np.linalg.norm(scale * point + offset - example().detection.keypoints[bone])
@@ -182,16 +182,14 @@ def test_truth_is_drawn_where_given(result: Result, five: list[Hypothesis]) -> N
 def test_draws_are_thinned(result: Result, five: list[Hypothesis]) -> None:
     figure = figures.hypotheses_figure(result.tree, five)
     (lines,) = named(figure.axes[2], LineCollection, "draws")
-    assert len(lines.get_segments()) == figures.MAX_DRAWS * (len(JOINTS) - 1)
+    assert len(lines.get_segments()) == MAX_DRAWS * (len(JOINTS) - 1)
 
 
 @pytest.mark.parametrize("k", [1, 7, 20])
 def test_any_number_of_hypotheses_fits(result: Result, k: int, tmp_path: Path) -> None:
     figure = figures.hypotheses_figure(result.tree, inference.hypotheses(result, k))
     figures.save_figure(figure, tmp_path / "k.png")
-    assert (f"{k - figures.MAX_NAMED} more" in " ".join(legend_of(figure))) == (
-        k > figures.MAX_NAMED
-    )
+    assert (f"{k - MAX_NAMED} more" in " ".join(legend_of(figure))) == (k > MAX_NAMED)
     width = figure.get_figwidth() * figure.dpi
     assert all(legend.get_window_extent().x1 <= width for legend in figure.legends)
 
@@ -271,7 +269,7 @@ def test_depth_figure_shows_interval_and_deviation(result: Result) -> None:
 def test_density_keeps_the_mass() -> None:
     edges = np.linspace(-3, 3, 161)
     sample = np.random.default_rng(0).normal(scale=0.5, size=1000)
-    assert figures._density(sample, edges).sum() == pytest.approx(1000)
+    assert _density(sample, edges).sum() == pytest.approx(1000)
 
 
 REAL = {

@@ -7,16 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from inference.readings import BODY, exchanged
 from probmodel import Detection, write_detections
 from probmodel.layouts import COCO_17
 from probmodel.skeleton import BONES, JOINTS
-from reports import figures
 from reports.commands.show import about_the_image
+from reports.figures import read_image
+from reports.figures.overlay import _spread, overlay_figure
+from reports.figures.style import LIMB_COLOURS
 from reports.options import Known
-from reports.overlay import _spread, overlay_figure
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, landmarks, points, table
 from tests.reports.test_cli import Cli, poseterior  # noqa: F401 — a fixture
 
@@ -28,7 +30,7 @@ def person(**missing: bool) -> Detection:
     return COCO_17.detection(rows, 0.0, "a file", 0)
 
 
-def gids(figure: figures.Figure) -> dict[str, object]:
+def gids(figure: Figure) -> dict[str, object]:
     return {artist.get_gid(): artist for artist in figure.findobj() if artist.get_gid()}
 
 
@@ -52,8 +54,8 @@ def test_every_joint_is_drawn_where_it_is_with_name_score_and_disc() -> None:
 
 def test_sides_have_their_colours_and_the_image_lies_behind() -> None:
     drawn = gids(overlay_figure(person(), image=np.zeros((200, 100, 3), np.uint8)))
-    assert drawn["bone left_knee"].get_color() == figures.LIMB_COLOURS["left leg"]
-    assert drawn["bone right_elbow"].get_color() == figures.LIMB_COLOURS["right arm"]
+    assert drawn["bone left_knee"].get_color() == LIMB_COLOURS["left leg"]
+    assert drawn["bone right_elbow"].get_color() == LIMB_COLOURS["right arm"]
     assert drawn["image"].get_extent() == [-0.5, 99.5, 199.5, -0.5]
 
 
@@ -67,18 +69,20 @@ def test_names_do_not_lie_on_each_other() -> None:
 
 
 def test_a_file_that_is_read_rightly_is_shown_without_a_word(
-    tmp_path: Path, poseterior: Cli
-) -> None:  # noqa: F811
+    tmp_path: Path,
+    poseterior: Cli,  # noqa: F811
+) -> None:
     write_detections(tmp_path / "a.json", [person()])
     done = poseterior("show", tmp_path / "a.json", "--out", tmp_path / "a.png", "--quiet")
     assert (done.code, done.err) == (0, "")
     assert "right wrist" in done.out
-    assert figures.read_image(tmp_path / "a.png").shape[1] == 1600
+    assert read_image(tmp_path / "a.png").shape[1] == 1600
 
 
 def test_a_doubted_reading_is_one_sentence_and_a_field_of_the_json(
-    tmp_path: Path, poseterior: Cli
-) -> None:  # noqa: F811
+    tmp_path: Path,
+    poseterior: Cli,  # noqa: F811
+) -> None:
     write_detections(tmp_path / "a.json", [exchanged(person(), *BODY)])
     done = poseterior("show", tmp_path / "a.json", "--out", tmp_path / "a.png", "--quiet", "--json")
     assert done.code == 0

@@ -5,17 +5,16 @@ import io
 import json
 import math
 from collections.abc import Sequence
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
 from rich.console import Console
-from rich.table import Table
 
 from inference.hypothesis import Hypothesis
 from inference.results import Result
+from inference.studies.evaluation.scores import Estimate
 from probmodel.anatomy.limits import AnatomicalLimits, Check
 from probmodel.skeleton import BONE_NAMES, JOINT_INDEX, JOINTS
 from reports import tables
@@ -88,14 +87,15 @@ def tree() -> xr.DataTree:
     return small_tree(draws)
 
 
-def text(table: Table) -> str:
+def text(table: tables.Sheet) -> str:
     stream = io.StringIO()
     Console(file=stream, width=80).print(table)
     return stream.getvalue()
 
 
-def row(words: str, start: str) -> list[str]:
-    return next(line for line in words.splitlines() if line.strip().startswith(start)).split()
+def row(words: str, start: str) -> str:
+    line = next(line for line in words.splitlines() if line.strip().startswith(start))
+    return " ".join(line.split())
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_a_pose_faces_where_its_candidate_does() -> None:
 
 
 def test_posterior_rows_by_hand(tree: xr.DataTree) -> None:
-    rows = {row["joint"]: row for row in tables.posterior_json(tree)}
+    rows = {row["joint"]: row for row in tables.posterior_table(tree).json()}
     assert list(rows) == [name for name in JOINTS if name != "pelvis"]
     knee = rows["right_knee"]
     assert knee["seen"]
@@ -145,17 +145,8 @@ def test_posterior_rows_by_hand(tree: xr.DataTree) -> None:
 
 def test_posterior_table_shows_the_rows(tree: xr.DataTree) -> None:
     words = text(tables.posterior_table(tree))
-    assert row(words, "right knee") == [
-        "right",
-        "knee",
-        "0.80",
-        "7.0",
-        "1.000",
-        "350",
-        "0.354",
-        "124",
-    ]
-    assert row(words, "right wrist")[:4] == ["right", "wrist", "missing", "–"]
+    assert row(words, "right knee") == "right knee 0.80 7.0 1.000 350 0.354 124"
+    assert row(words, "right wrist").startswith("right wrist missing – ")
 
 
 def test_body_unit_in_millimetres_is_the_mean_limb_of_a_person_of_170_cm() -> None:
@@ -165,12 +156,12 @@ def test_body_unit_in_millimetres_is_the_mean_limb_of_a_person_of_170_cm() -> No
 
 def test_without_draws_there_are_no_deviations(tree: xr.DataTree) -> None:
     empty = small_tree(np.empty((0, 15, 3)))
-    assert all(row["depth_sd"] is None for row in tables.posterior_json(empty))
-    assert row(text(tables.posterior_table(empty)), "right knee")[3:] == ["7.0", "–", "–", "–", "–"]
+    assert all(row["depth_sd"] is None for row in tables.posterior_table(empty).json())
+    assert row(text(tables.posterior_table(empty)), "right knee").endswith("7.0 – – – –")
 
 
 def test_candidates_by_hand(tree: xr.DataTree) -> None:
-    first, second = tables.candidates_json(tree)
+    first, second = tables.candidates_table(tree).json()
     assert first["facing"] == "towards camera"
     assert second["facing"] == "right"
     assert first["log_evidence"] is None, "JSON has no infinity"
@@ -185,44 +176,23 @@ def test_candidates_by_hand(tree: xr.DataTree) -> None:
         "log_evidence_se": 0.03,
         "weight": 0.75,
     }
-    assert row(text(tables.candidates_table(tree)), "2 ") == [
-        "2",
-        "right",
-        "42",
-        "29.0",
-        "3.6",
-        "−16.25",
-        "±",
-        "0.03",
-        "75",
-        "%",
-    ]
+    assert (
+        row(text(tables.candidates_table(tree)), "2 ") == "2 right 42 29.0 3.6 −16.25 ± 0.03 75 %"
+    )
 
 
 def test_hypotheses_rows() -> None:
     turned = standing() * [-1, 1, -1]  # turned by 180° about the vertical
-    rows = tables.hypotheses_json([Hypothesis(standing(), 0.996, 7), Hypothesis(turned, 0.004, 9)])
+    two = [Hypothesis(standing(), 0.996, 7), Hypothesis(turned, 0.004, 9)]
+    rows = tables.hypotheses_table(two).json()
     assert [row["facing"] for row in rows] == ["towards camera", "away"]
     assert [row["draw"] for row in rows] == [7, 9]
     assert rows[0]["depth"] == pytest.approx(
         {"right_wrist": -0.1, "left_wrist": -0.1, "right_ankle": 0.1, "left_ankle": 0.1}
     )
-    words = text(
-        tables.hypotheses_table([Hypothesis(standing(), 0.996, 7), Hypothesis(turned, 0.004, 9)])
-    )
-    assert row(words, "1 ") == [
-        "1",
-        "100",
-        "%",
-        "7",
-        "towards",
-        "camera",
-        "−0.10",
-        "−0.10",
-        "+0.10",
-        "+0.10",
-    ]
-    assert row(words, "2 ")[:4] == ["2", "<", "1", "%"]
+    words = text(tables.hypotheses_table(two))
+    assert row(words, "1 ") == "1 100 % 7 towards camera −0.10 −0.10 +0.10 +0.10"
+    assert row(words, "2 ").startswith("2 < 1 % ")
 
 
 ATTRIBUTES: dict[str, Any] = {
@@ -304,18 +274,7 @@ def test_check_rows_by_hand() -> None:
     ]
     words = text(tables.check_table(check, ["a", "b", "c"]))
     assert "1 of 3 poses are possible." in words
-    assert row(words, "c ") == [
-        "c",
-        "left",
-        "lower",
-        "leg",
-        "bends",
-        "beyond",
-        "the",
-        "joint's",
-        "plane",
-        "4.0",
-    ]
+    assert row(words, "c ") == "c left lower leg bends beyond the joint's plane 4.0"
     assert "right forearm     hangs from an impossible bone" in words
 
 
@@ -332,20 +291,75 @@ def test_as_many_names_as_poses() -> None:
 
 
 def test_everything_fits_a_terminal_and_is_json(tree: xr.DataTree) -> None:
-    forms = SimpleNamespace(
-        check=verdict((0, "left_upper_leg", 1, 123.4)),
-        hypotheses=[Hypothesis(standing() @ np.diag([-1.0, 1, -1]), 1.0, 1_234_567)],
-    )
-    shown = [
-        (tables.posterior_table(tree), tables.posterior_json(tree)),
-        (tables.candidates_table(tree), tables.candidates_json(tree)),
-        (tables.hypotheses_table(forms.hypotheses), tables.hypotheses_json(forms.hypotheses)),
-        (
-            tables.check_table(forms.check, ["x" * 200, "b", "c"]),
-            tables.check_json(forms.check, ["x" * 200, "b", "c"]),
-        ),
-    ]
-    for table, rows in shown:
-        assert max(map(len, text(table).splitlines())) <= 80
-        json.dumps(rows, allow_nan=False)
+    check, names = verdict((0, "left_upper_leg", 1, 123.4)), ["x" * 200, "b", "c"]
+    mirrored = Hypothesis(standing() @ np.diag([-1.0, 1, -1]), 1.0, 1_234_567)
+    for sheet in (
+        tables.posterior_table(tree),
+        tables.candidates_table(tree),
+        tables.hypotheses_table([mirrored]),
+        tables.check_table(check, names),
+        tables.broken_table(check),
+    ):
+        assert max(map(len, text(sheet).splitlines())) <= 80
+        json.dumps(sheet.json(), allow_nan=False)
+    json.dumps(tables.check_json(check, names), allow_nan=False)
     json.dumps(tables.summary_json(result(tree)), allow_nan=False)
+
+
+SHEET = tables.sheet_of(
+    ("", tables.Column("how", left=True), "error", "frames"),
+    [
+        ("one", "well", Estimate(1.25, 1.0, 1.5), 1234),
+        ("two", "badly", Estimate(math.nan, math.nan, math.nan), None),
+        ("three", "once", Estimate(2.0, math.nan, math.nan), 5),
+    ],
+    title="Errors",
+    caption="In mm.",
+)
+"""Words, numbers, intervals, and what there is none of."""
+
+
+def test_a_sheet_as_markdown() -> None:
+    table = """|  | how | error | frames |
+| --- | --- | ---: | ---: |
+| one | well | 1.2 ± 0.2 | 1,234 |
+| two | badly | – | – |
+| three | once | 2.0 | 5 |
+
+*In mm.*"""
+    assert SHEET.markdown() == table
+    assert SHEET.markdown(titled=True) == "### Errors\n\n" + table
+    assert SHEET._repr_markdown_() == SHEET.markdown(titled=True), "in a notebook"
+
+
+def test_a_sheet_as_csv_has_intervals_in_three_columns() -> None:
+    assert SHEET.csv() == (
+        ",how,error,error low,error high,frames\n"
+        "one,well,1.25,1,1.5,1234\ntwo,badly,,,,\nthree,once,2,,,5\n"
+    )
+
+
+def test_a_sheet_as_json_holds_values_and_none() -> None:
+    one, two, _ = SHEET.json()
+    interval = {"value": 1.25, "low": 1.0, "high": 1.5}
+    assert one == {"name": "one", "how": "well", "error": interval, "frames": 1234}
+    assert two["error"] == {"value": None, "low": None, "high": None}
+    json.dumps(SHEET.json(), allow_nan=False)
+
+
+def test_a_sheet_on_a_terminal() -> None:
+    words = text(SHEET)
+    assert words.startswith("Errors")
+    assert "In mm." in words
+    assert row(words, "one") == "one well 1.2 ± 0.2 1,234"
+    assert "badly" not in text(SHEET.only(["", "error"]))
+
+
+def test_columns_of_one_name_are_refused() -> None:
+    with pytest.raises(ValueError, match="two columns of one name: name, ratio, ratio"):
+        tables.sheet_of(("", "ratio", "ratio"), [])
+
+
+def test_rows_are_as_long_as_the_head() -> None:
+    with pytest.raises(ValueError, match="zip"):
+        tables.sheet_of(("", "ratio"), [("one", 1, 2)])

@@ -1,0 +1,134 @@
+"""Calibration and coverage: ranks against their band, nominal against empirical coverage."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from inference.studies.calibration.ece import LEVELS, shares
+from inference.studies.calibration.quantities import (
+    ENERGY_BALL,
+    HINGES,
+    LOG_DENSITY,
+    MISFIT,
+    OF_POSE,
+    TARP,
+)
+from inference.studies.calibration.uniformity import LEVELS as POINTS
+from inference.studies.calibration.uniformity import band, difference
+from reports.figures.style import INK, PALETTE, page, tidy
+from reports.tables.words import spoken
+
+BAND = "#BBBBBB"
+PROBABILITY = 0.95
+PANELS = {
+    "joints, to the side": [name for name in OF_POSE if name.endswith((" x", " y"))],
+    "joints, depth": [name for name in OF_POSE if name.endswith(" z")],
+    "lengths and depth flips": [
+        name for name in OF_POSE if name.startswith("length") or name.endswith("away")
+    ],
+    "pose and model": [*HINGES, LOG_DENSITY, MISFIT, ENERGY_BALL, TARP],
+}
+
+
+def ranks_figure(simulation: xr.Dataset, title: str = "") -> Figure:
+    """Empirical minus uniform distribution function of every quantity's levels, in four panels,
+    with the band in which 95 % of right posteriors stay everywhere (for one quantity)."""
+    figure = page(12, 2.7)
+    axes = figure.subplots(1, len(PANELS), sharey=True)
+    for axis, (name, quantities) in zip(axes, PANELS.items(), strict=True):
+        table = simulation["level"].sel(quantity=quantities).values
+        table = table[np.isfinite(table).any(axis=1)]
+        _band(axis, len(table))
+        for column, (values, quantity) in enumerate(zip(table.T, quantities, strict=True)):
+            if np.isfinite(values).all() and len(values):
+                few = len(quantities) < 9
+                colour = PALETTE[column % len(PALETTE)]
+                axis.plot(
+                    POINTS,
+                    difference(values),
+                    lw=1.1 if few else 0.7,
+                    gid=f"ranks {quantity}",
+                    color=colour,
+                    label=spoken(quantity) if few else None,
+                )
+        if len(quantities) < 9:
+            axis.legend(frameon=False, fontsize=6.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        axis.set_title(name, fontsize=9)
+        axis.set_xlabel("level", fontsize=8)
+        _tidy(axis)
+    axes[0].set_ylabel("share below − level", fontsize=8)
+    if title:
+        figure.suptitle(title, fontsize=9)
+    return figure
+
+
+def _band(axis: Axes, size: int) -> None:
+    low, high = band(max(size, 1), PROBABILITY)
+    axis.fill_between(POINTS, low - POINTS, high - POINTS, color=BAND, alpha=0.5, lw=0, gid="band")
+    axis.axhline(0, color=INK, lw=0.6)
+
+
+def controls_figure(found: Mapping[str, xr.Dataset], quantities: Sequence[str]) -> Figure:
+    """Some quantities' levels of several posteriors, a panel each."""
+    lines = -(-len(found) // 4)
+    figure = page(10.5, 2.3 * lines)
+    axes = np.atleast_1d(figure.subplots(lines, 4, sharex=True)).ravel()
+    for axis in axes[len(found) :]:
+        axis.axis("off")
+    for axis, (name, simulation) in zip(axes, found.items(), strict=False):
+        table = simulation["level"].sel(quantity=list(quantities)).values
+        table = table[np.isfinite(table).all(axis=1)]
+        _band(axis, len(table))
+        for column, quantity in enumerate(quantities):
+            axis.plot(
+                POINTS,
+                difference(table[:, column]),
+                lw=1.1,
+                label=spoken(quantity),
+                color=PALETTE[column],
+            )
+        axis.set_title(name, fontsize=8.5)
+        _tidy(axis)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=len(quantities),
+        frameon=False,
+        fontsize=8,
+    )
+    return figure
+
+
+def coverage_figure(found: Mapping[str, xr.Dataset]) -> Figure:
+    """Nominal against empirical coverage over all joints, a line for each of several sets, to the
+    side, in depth, and over all axes."""
+    figure = page(10.5, 3.5)
+    axes = figure.subplots(1, 3, sharey=True)
+    titles = {"lateral": "to the side", "depth": "depth", "whole": "all axes"}
+    for axis, (kind, title) in zip(axes, titles.items(), strict=True):
+        axis.plot([0, 1], [0, 1], color=INK, lw=0.6)
+        for number, (name, simulation) in enumerate(found.items()):
+            axis.plot(
+                LEVELS,
+                shares(simulation[kind].values).mean(axis=1),
+                lw=1.4,
+                label=name,
+                gid=f"{kind} {name}",
+                color=PALETTE[number % len(PALETTE)],
+            )
+        axis.set_title(title, fontsize=9)
+        axis.set_xlabel("nominal coverage", fontsize=8)
+        _tidy(axis)
+    axes[0].set_ylabel("empirical coverage", fontsize=8)
+    axes[0].legend(frameon=False, fontsize=7.5, loc="upper left")
+    return figure
+
+
+def _tidy(axes: Axes) -> None:
+    tidy(axes)
+    axes.tick_params(labelsize=7)

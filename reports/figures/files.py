@@ -1,0 +1,63 @@
+"""Figures and images as files."""
+
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from PIL import Image, ImageOps
+
+from probmodel.failures import BadInput
+from probmodel.files import replacing
+
+MAX_PIXELS = 60_000_000
+"""Images above this are refused before they are decoded: a small file can claim any size."""
+
+
+def save_figure(figure: Figure, path: str | os.PathLike) -> None:
+    """Writes PNG, PDF or SVG, by the name's ending, whole or not at all.
+
+    Raises
+    ------
+    BadInput
+        Where it cannot be written there.
+    """
+    path = Path(path)
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in ("png", "pdf", "svg"):
+        raise BadInput(
+            f"cannot write a figure to {path}; give it a name that ends in .png, .pdf or .svg."
+        )
+    with replacing(path) as partial:
+        figure.savefig(partial, format=kind)
+
+
+def read_image(path: str | os.PathLike) -> np.ndarray:
+    """An image file as `(H, W, 3)` bytes, turned the way its camera was held.
+
+    Raises
+    ------
+    BadInput
+        Where there is no file, it is no image, is damaged, or has more than `MAX_PIXELS` pixels.
+    """
+    too_large = (
+        f"{path} has more than {MAX_PIXELS // 1_000_000} million pixels; give a smaller image."
+    )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(path) as image:
+                if image.width * image.height > MAX_PIXELS:
+                    raise BadInput(too_large)
+                return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+    except (Image.DecompressionBombWarning, Image.DecompressionBombError):
+        raise BadInput(too_large) from None
+    except FileNotFoundError:
+        raise BadInput(f"there is no image at {path}; check its name.") from None
+    except BadInput:
+        raise
+    except Exception as error:  # Pillow meets damaged files with errors of many kinds.
+        raise BadInput(
+            f"{path} is no image that can be read ({type(error).__name__}); give a PNG or JPEG."
+        ) from None

@@ -1,0 +1,282 @@
+"""Detections and hypotheses from three sides.
+
+save_figure(hypotheses_figure(tree, hypotheses), path)
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from probmodel.failures import BadInput
+from probmodel.skeleton import JOINTS, NUM_JOINTS
+from reports.figures.body import draw_detection, draw_image
+from reports.figures.legend import (
+    DRAW_COLOUR,
+    MAX_NAMED,
+    colour_handles,
+    draw_legend,
+    hypothesis_colours,
+    legend_height,
+    style_handles,
+)
+from reports.figures.style import (
+    COLOURS,
+    DASHES,
+    DPI,
+    FAINT,
+    INK,
+    LEFT_LIMBS,
+    LIMB_OF,
+    SEGMENTS,
+    SMALL,
+    TITLE,
+    Style,
+    blank,
+    footnote,
+    note,
+    page,
+)
+from reports.tables.posterior import heaviest, values
+from reports.tables.words import spoken
+
+if TYPE_CHECKING:
+    from inference.hypothesis import Hypothesis
+
+MAX_DRAWS = 150
+"""Draws shown in the background of a panel; more of them make a grey block."""
+WIDTH, HIGHEST = 10.5, 4.2
+"""Inches: the width of the page, and the most that its panels are high."""
+
+
+class View(NamedTuple):
+    """A panel: its title, which camera axis runs across the page and which along it, whether the
+    latter points down, and a word on the depth."""
+
+    title: str
+    across: int
+    along: int
+    flip: bool
+    hint: str
+
+
+class Pen(NamedTuple):
+    """How a pose is drawn: colour, width of its lines in points, and whether all of them are
+    dashed."""
+
+    colour: str
+    width: float
+    dashed: bool = False
+
+
+VIEWS = (
+    View("From the camera", 0, 1, True, ""),
+    View("From the side", 2, 1, True, "→ away from the camera"),
+    View("From above", 0, 2, False, "↑ away from the camera"),
+)
+
+
+def hypotheses_figure(
+    tree: xr.DataTree,
+    hypotheses: Sequence["Hypothesis"],
+    *,
+    image: np.ndarray | None = None,
+    truth: np.ndarray | None = None,
+) -> Figure:
+    """Detections with their discs; and the hypotheses from the camera, from the side and from
+    above, in body units, over some of the draws.
+
+    Parameters
+    ----------
+    tree
+        A posterior.
+    hypotheses
+        The heaviest first.
+    image
+        `(H, W, 3)`, drawn under the detections.
+    truth
+        `(15, 3)` in camera axes, drawn in black.
+
+    Raises
+    ------
+    BadInput
+        Where the image is not one, or shows none of the detected joints.
+    """
+    draws = values(tree, "posterior", "joints")[:MAX_DRAWS]
+    poses = [hypothesis.joints for hypothesis in hypotheses] + ([] if truth is None else [truth])
+    named = np.array(poses).reshape(-1, NUM_JOINTS, 3)
+    window = _window(tree, image)
+    boxes = [_extent(draws, named, view) for view in VIEWS]
+    colours, styles = colour_handles(hypotheses), style_handles(truth is not None, len(draws))
+    figure, axes = _panels(window, boxes, legend_height(colours))
+    _draw_detections(axes[0], tree, window, image)
+    for axis, view, (low, high) in zip(axes[1:], VIEWS, boxes, strict=True):
+        _draw_view(axis, view, draws, hypotheses, truth)
+        axis.set_xlim(low[0], high[0])
+        axis.set_ylim(*((high[1], low[1]) if view.flip else (low[1], high[1])))
+    _scale_bar(axes[1])
+    draw_legend(figure, colours, styles)
+    return figure
+
+
+class Window(NamedTuple):
+    """The part of the image that is shown: corners `(2,)`, pixels."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+
+def _window(tree: xr.DataTree, image: np.ndarray | None) -> Window:
+    """What there is to see: discs, seen joints, nearly all draws; of an image only what lies around
+    that."""
+    keypoints = values(tree, "observed_data", "keypoints")
+    radius = np.nan_to_num(values(tree, "constant_data", "radius")[heaviest(tree)])[:, None]
+    seen = np.isfinite(keypoints).all(axis=1)
+    points = np.concatenate([(keypoints - radius)[seen], (keypoints + radius)[seen]])
+    projected = values(tree, "posterior", "keypoints")[:MAX_DRAWS].reshape(-1, 2)
+    if len(projected):
+        points = np.concatenate([points, np.quantile(projected, [0.01, 0.99], axis=0)])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.08 * (high - low).max()
+    low, high = low - margin, high + margin
+    if image is not None:
+        size = _image_size(image)
+        if not ((keypoints[seen] >= 0) & (keypoints[seen] <= size)).all(axis=1).any():
+            raise BadInput(
+                f"the image is {size[0]} x {size[1]} pixels and none of the detected joints lies in"
+                " it; give the image from which the detection was made."
+            )
+        low = np.maximum(low, np.minimum(0, points.min(axis=0)))
+        high = np.minimum(high, np.maximum(size, points.max(axis=0)))
+    # A panel of reasonable shape, whatever the pose: at least half as wide as high and as high as
+    # wide.
+    middle, half = (low + high) / 2, (high - low) / 2
+    half = np.maximum(half, half[::-1] * np.array([0.55, 0.75]))
+    return Window(middle - half, middle + half)
+
+
+def _image_size(image: np.ndarray) -> tuple[int, int]:
+    if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
+        raise BadInput(f"an image is an array of shape (height, width, 3), not {image.shape}.")
+    return image.shape[1], image.shape[0]
+
+
+def _extent(draws: np.ndarray, named: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of a view, body units, that hold all of the `named` poses `(n, 15, 3)` and nearly all
+    of the draws."""
+    flat = [view.across, view.along]
+    points = named[:, :, flat].reshape(-1, 2)
+    if len(draws):
+        points = np.concatenate(
+            [points, np.quantile(draws[:, :, flat], [0.03, 0.97], axis=0).reshape(-1, 2)]
+        )
+    if not len(points):
+        return np.array([-1.0, -1.0]), np.array([1.0, 1.0])
+    return points.min(axis=0) - 0.15, points.max(axis=0) + 0.15
+
+
+def _panels(
+    window: Window, boxes: list[tuple[np.ndarray, np.ndarray]], below: float
+) -> tuple[Figure, list[Axes]]:
+    """Axes in one row, tops aligned, the last three to one scale, `below` inches free for the
+    legend. The page is `WIDTH` wide and as high as what is shown then needs, within limits."""
+    gap, top, notes, side = 0.3, 0.33, 0.42, 0.12
+    spans = np.array([high - low for low, high in boxes])
+    pixels = window.high - window.low
+    # In units of the row's height.
+    shapes = np.concatenate([[pixels / pixels[1]], spans / spans[:, 1].max()])
+    free = WIDTH - 2 * side - 3 * gap
+    sizes = shapes * min(free / shapes[:, 0].sum(), HIGHEST)
+    gap += max(0.0, free - sizes[:, 0].sum()) / 3
+    total = top + sizes[0, 1] + notes + below
+    figure = page(WIDTH, total, dpi=DPI, layout=None)
+    left, axes = side, []
+    titles = ("Detections", *(view.title for view in VIEWS))
+    for (wide, high), title in zip(sizes, titles, strict=True):
+        place = (left / WIDTH, (total - top - high) / total, wide / WIDTH, high / total)
+        axis = figure.add_axes(place)
+        axis.set_title(title, loc="left", fontsize=TITLE, fontweight="bold", color=INK, pad=5)
+        axis.set_aspect("equal", adjustable="box", anchor="NW")
+        blank(axis)
+        left += wide + gap
+        axes.append(axis)
+    return figure, axes
+
+
+def _draw_detections(
+    axis: Axes, tree: xr.DataTree, window: Window, image: np.ndarray | None
+) -> None:
+    keypoints = values(tree, "observed_data", "keypoints")
+    radius = values(tree, "constant_data", "radius")[heaviest(tree)]
+    if image is not None:
+        draw_image(axis, image, 0.6)
+    draws = values(tree, "posterior", "keypoints")[:MAX_DRAWS]
+    for joint in LIMB_OF:
+        u, v = draws[:, joint].T
+        cloud = axis.scatter(u, v, s=3, color=COLOURS[joint], alpha=0.22, zorder=1)
+        cloud.set(linewidths=0, gid=f"cloud {JOINTS[joint]}")
+    draw_detection(axis, keypoints, radius, 1.3)
+    axis.set_xlim(window.low[0], window.high[0])
+    axis.set_ylim(window.high[1], window.low[1])
+    axis.spines[:].set_visible(True)
+    axis.spines[:].set(color="#CCCCCC", lw=0.6)
+    lost = [spoken(JOINTS[joint]) for joint in LIMB_OF if not np.isfinite(keypoints[joint]).all()]
+    footnote(axis, "purple: right, green: left", *(["missing: " + ", ".join(lost)] if lost else []))
+
+
+def _draw_view(
+    axis: Axes,
+    view: View,
+    draws: np.ndarray,
+    hypotheses: Sequence["Hypothesis"],
+    truth: np.ndarray | None,
+) -> None:
+    flat = [view.across, view.along]
+    bones = list(draws[:, np.array(SEGMENTS)][..., flat].reshape(-1, 2, 2))
+    options: Style = {"colors": DRAW_COLOUR, "lw": 0.5, "alpha": 0.09, "zorder": 1, "gid": "draws"}
+    axis.add_collection(LineCollection(bones, **options))
+    colours = hypothesis_colours(len(hypotheses))
+    pens = [Pen(colour, 1.6 if rank < MAX_NAMED else 0.6) for rank, colour in enumerate(colours)]
+    for rank, hypothesis in reversed(list(enumerate(hypotheses))):  # the heaviest on top
+        height = 10 + len(hypotheses) - rank
+        _draw_pose(axis, hypothesis.joints[:, flat], pens[rank], f"hypothesis {rank + 1}", height)
+    if truth is not None:
+        pen = Pen("black", 1.0, dashed=True)
+        _draw_pose(axis, truth[:, flat], pen, "truth", 11 + len(hypotheses))
+    if not len(draws):
+        note(axis, "no draws")
+    if view.hint:
+        footnote(axis, view.hint)
+
+
+def _draw_pose(axis: Axes, points: np.ndarray, pen: Pen, gid: str, zorder: int) -> None:
+    """Right limbs and torso solid, left limbs dashed and ending in hollow joints."""
+    for left in (False, True):
+        segments = [pair for pair in SEGMENTS if (pair[1] in LEFT_LIMBS) == left]
+        ends = points[[joint for joint in LIMB_OF if (joint in LEFT_LIMBS) == left]]
+        # One line with gaps: a line for each bone takes matplotlib ten times as long.
+        path = np.full((3 * len(segments), 2), np.nan)
+        path[0::3], path[1::3] = points[np.array(segments)].swapaxes(0, 1)
+        line: Style = {"color": pen.colour, "lw": pen.width, "zorder": zorder, "gid": gid}
+        axis.plot(*path.T, ls=DASHES if pen.dashed or left else "-", **line)
+        dots: Style = {"mec": pen.colour, "mew": pen.width / 2, "zorder": zorder + 0.5, "gid": gid}
+        axis.plot(*ends.T, "o", ms=1 + pen.width, mfc="white" if left else pen.colour, **dots)
+
+
+def _scale_bar(axis: Axes) -> None:
+    left, bottom = axis.get_xlim()[0], max(axis.get_ylim())
+    bar: Style = {"color": INK, "lw": 1.2, "solid_capstyle": "butt", "gid": "scale bar"}
+    axis.plot([left, left + 1], [bottom, bottom], clip_on=False, **bar)
+    axis.annotate(
+        "1 body unit",
+        (left, bottom),
+        xytext=(0, -3),
+        textcoords="offset points",
+        va="top",
+        fontsize=SMALL,
+        color=FAINT,
+    )

@@ -1,0 +1,198 @@
+"""The contest of reports/samplers.md: every baseline on every frame of the suite, from each start.
+
+    python -m reports.pages.contests --seconds 60 --work build/samplers
+
+Every line is kept in the folder `--work`, with its run; called again with more seconds, the runs go
+on. `--frames 1,2` and `--samplers` run some only, so that several processes can share the work. The
+page is then made by `reports.pages.samplers`.
+"""
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+import xarray as xr
+
+from inference.baselines.catalogue import BASELINES
+from inference.baselines.run import Allowance
+from inference.baselines.target import Target
+from inference.candidates import Frame
+from inference.results import save_tree
+from inference.sampler import draw_mixture
+from inference.studies.comparison import comparison_tree, contest
+from inference.studies.comparison.record import Entry
+from inference.studies.scenes import prior_scene
+from probmodel import PoseModel
+from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from reports.pages.page import in_doubles
+
+CHECK = "one arm seen"
+"""Six dimensions, for every sampler to show that it is right; not of the suite."""
+EXACT_DRAWS = 20_000
+CLOCKED = (10_000, 100_000)
+"""Draws of exact rejection that are timed, set-up included."""
+CLOCK = time.process_time
+"""Other work on the machine does not count."""
+PATIENCE = {"nuts": 15, "hmc": 15, "ess": 4, "smc": 8, "nss": 32, "nautilus": 12}
+"""Times as long as the others these may take: they have nothing before a long warm-up, or before
+they have come from the prior to the posterior."""
+HARDLY = 0.25
+"""A low score."""
+WORK = Path("build") / "samplers"
+UNSEEN = (
+    "head",
+    "left_elbow",
+    "left_wrist",
+    "right_knee",
+    "left_knee",
+    "right_ankle",
+    "left_ankle",
+)
+
+
+def low_scores() -> np.ndarray:
+    """Wrists and ankles hardly seen: their discs are the widest."""
+    score = np.full(NUM_JOINTS, 0.8)
+    ends = (f"{side}_{end}" for side in ("left", "right") for end in ("wrist", "ankle"))
+    score[[JOINT_INDEX[end] for end in ends]] = HARDLY
+    return score
+
+
+def foreshortened(model: PoseModel) -> Frame:
+    """Of forty scenes, the one whose seen limbs point most along the camera's axis."""
+
+    pairs = [("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")]
+    starts, ends = (
+        [JOINT_INDEX[f"{side}_{pair[end]}"] for side in ("left", "right") for pair in pairs]
+        for end in (0, 1)
+    )
+
+    def flatness(frame: Frame) -> float:
+        keypoints = frame.detection.keypoints
+        return float(np.linalg.norm(keypoints[ends] - keypoints[starts], axis=1).sum())
+
+    return min((prior_scene(model, seed) for seed in range(100, 140)), key=flatness)
+
+
+SUITE: dict[str, Callable[[PoseModel], Frame]] = {
+    "4 joints missing": lambda model: prior_scene(
+        model, 2, missing=("head", "left_wrist", "right_elbow", "left_knee", "right_ankle")
+    ),
+    "3 joints missing": lambda model: prior_scene(
+        model, 7, missing=("head", "left_elbow", "right_wrist", "left_ankle")
+    ),
+    "2 joints missing": lambda model: prior_scene(
+        model, 3, missing=("head", "left_wrist", "right_ankle")
+    ),
+    "1 joint missing": lambda model: prior_scene(model, 4, missing=("head", "right_wrist")),
+    "low scores": lambda model: prior_scene(model, 5, scores=low_scores()),
+    "all seen": lambda model: prior_scene(model, 1),
+    "all seen, head too": lambda model: prior_scene(model, 6, missing=()),
+    "foreshortened limbs": foreshortened,
+    CHECK: lambda model: prior_scene(model, 1, missing=UNSEEN),
+}
+"""Frames of rising difficulty, and the check; the head is missing too but where it is said to be
+seen."""
+
+
+def clock(model: PoseModel, frame: Frame, number: int) -> list[float]:
+    """Processor seconds of exact rejection for each of `CLOCKED`, everything compiled, short of
+    naming the draws."""
+    found = []
+    for draws in CLOCKED:
+        started = CLOCK()
+        draw_mixture(model, frame, jax.random.key(number), num_samples=draws)
+        found.append(CLOCK() - started)
+    return found
+
+
+def compare(
+    model: PoseModel,
+    number: int,
+    names: Sequence[str],
+    seconds: float,
+    folder: Path,
+) -> None:
+    """Runs the contest on one frame and writes a comparison of every line, unless there is one of
+    as many seconds.
+
+    Parameters
+    ----------
+    model
+        The model.
+    number
+        Of the frame in `SUITE`; every random number comes from it.
+    names
+        The baselines.
+    seconds
+        For each, from each start, but for those with `PATIENCE`.
+    folder
+        Where lines and runs are kept.
+    """
+    (folder / "runs").mkdir(parents=True, exist_ok=True)
+    frame = list(SUITE.values())[number](model)
+    known = contest.truth(model, frame, key=jax.random.key(1000 + number), number=EXACT_DRAWS)
+    attributes: dict[str, object] = {
+        "dim": Target.of(model, known.frame).dim,
+        "exact_log_evidence": known.evidence[0],
+        "exact_log_evidence_se": known.evidence[1],
+    }
+
+    def keep(entry: Entry, path: Path, allowed: float) -> None:
+        times = zip(CLOCKED, clock(model, known.frame, 4000 + number), strict=True)
+        beside = {f"exact_seconds_{draws}": value for draws, value in times}
+        about = attributes | beside | {"allowed": allowed}
+        save_tree(comparison_tree([entry], known.sample, about), path)
+        print(f"  {entry.label}: {entry.verdict}, {entry.sentence}", flush=True)
+
+    if not (path := folder / "rejection.nc").exists():
+        key = jax.random.key(2000 + number)
+        entry = contest.enter_exact(
+            model, known, "rejection", key=key, num_samples=CLOCKED[0], clock=CLOCK
+        )
+        keep(entry, path, 0.0)
+    for name, start in [(one, start) for one in names for start in contest.starts_of(one)]:
+        label = f"{name}-{start.replace(' ', '-')}".removesuffix("-")
+        allowed = seconds * PATIENCE.get(name, 1)
+        path = folder / f"{label}.nc"
+        if path.exists() and xr.open_datatree(path).attrs["allowed"] >= allowed:
+            continue
+        entry, _ = contest.enter_baseline(
+            model,
+            known,
+            name,
+            start,
+            key=jax.random.key(3000 + 100 * number + list(BASELINES).index(name)),
+            allowance=Allowance(seconds=allowed),
+            num_samples=contest.ENDLESS,
+            save_to=folder / "runs" / f"{label}.npz",
+            clock=CLOCK,
+        )
+        keep(entry, path, allowed)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="for each baseline, from each start"
+    )
+    parser.add_argument("--samplers", default=",".join(BASELINES))
+    parser.add_argument("--frames", default=",".join(str(number) for number in range(len(SUITE))))
+    parser.add_argument("--work", type=Path, default=WORK)
+    options = parser.parse_args()
+    in_doubles()
+    jax.config.update("jax_compilation_cache_dir", str(options.work / "compiled"))
+    model = PoseModel()
+    for number, name in enumerate(SUITE):
+        if str(number) in options.frames.split(","):
+            print(name, flush=True)
+            folder = options.work / str(number)
+            compare(model, number, options.samplers.split(","), options.seconds, folder)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,284 @@
+"""What exact draws cost: writes reports/speed.md and its picture (`make bench`).
+
+    python -m reports.pages.speed [../shared/data]
+
+Times are of one run on one machine; what carries over are the ratios. Naive rejection per group is
+never run to its end: its cost a draw is the measured cost of a proposal over the measured evidence.
+"""
+
+import functools
+import os
+import platform
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+
+from inference.candidates import Frame
+from inference.exact.groups import StratifiedGroup
+from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
+from inference.exact.naive import BATCH, group_prior
+from inference.exact.problem import build_groups
+from inference.exact.rates import Budget
+from inference.sampler import candidate_samplers, draw_mixture
+from inference.stream import Item, sample_frames
+from inference.studies.scenes import motion_frames, prior_frames, prior_scene
+from probmodel import PoseModel
+from probmodel.skeleton import GROUPS
+from reports.figures.style import PALETTE, tidy
+from reports.figures.style import page as blank_page
+from reports.pages.naive import propose
+from reports.pages.page import Values, in_doubles, write_page
+from reports.tables import Column, Sheet, sheet_of
+from reports.tables.evaluation import PAPERS_FRAMES
+
+SAMPLER = "rejection-strata"
+DRAWS = 100_000
+NUMBERS = 23
+"""Uniform numbers of a pose: the floor."""
+NUMPY_BATCH = 20_000
+STREAM_FRAMES = 32
+
+
+class Seconds(NamedTuple):
+    """Of one naive proposal of a group: in JAX, and in NumPy."""
+
+    jax: float
+    numpy: float
+
+
+class Cost(NamedTuple):
+    """Of one frame.
+
+    Attributes
+    ----------
+    set_up
+        Seconds to set up as finely as `DRAWS` draws deserve.
+    seconds
+        In all.
+    arms, legs
+        Acceptance.
+    proposals
+        For a whole body.
+    naive, numpy
+        Seconds that naive rejection per group would need for a draw, in JAX and in NumPy.
+    """
+
+    set_up: float
+    seconds: float
+    arms: float
+    legs: float
+    proposals: float
+    naive: float
+    numpy: float
+
+    @property
+    def rate(self) -> float:
+        """Whole bodies a second."""
+        return DRAWS / self.seconds
+
+
+class Curve(NamedTuple):
+    """Measurements `y` at `x`."""
+
+    x: Sequence[float]
+    y: Sequence[float]
+
+
+def timed(action: Callable[[], object], repeats: int = 3) -> float:
+    """Seconds of the fastest of some runs."""
+    found = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        action()
+        found.append(time.perf_counter() - start)
+    return min(found)
+
+
+@compiled
+def _numbers(state, count):  # type: ignore[no-untyped-def]
+    stream, total = load(state), 0.0
+    for _ in range(count):
+        value, stream = uniform(stream)
+        total += value
+    store(state, stream)
+    return total
+
+
+def floors() -> dict[str, float]:
+    """Seconds a pose for its random numbers alone."""
+    state, rng = seeded([0], 0), np.random.default_rng(0)
+    draw = jax.jit(lambda key: jax.random.uniform(key, (NUMBERS * BATCH,)))
+    _numbers(state, 10)
+    jax.block_until_ready(draw(jax.random.key(0)))
+    return {
+        "compiled SFC64": timed(lambda: _numbers(state, NUMBERS * BATCH)) / BATCH,
+        "NumPy PCG64": timed(lambda: rng.random(NUMBERS * BATCH)) / BATCH,
+        "JAX threefry": timed(lambda: jax.block_until_ready(draw(jax.random.key(1)))) / BATCH,
+    }
+
+
+def naive_proposals(model: PoseModel, frame: Frame) -> dict[str, Seconds]:
+    """Seconds of one proposal of each group from the prior."""
+    found = {}
+    for name, group in build_groups(model, frame.observation(frame.candidates[0])).items():
+        run = jax.jit(lambda key, group=group: group.explains(group_prior(key, group, BATCH)))
+        jax.block_until_ready(run(jax.random.key(0)))
+        in_jax = timed(lambda run=run: jax.block_until_ready(run(jax.random.key(1))))  # type: ignore[misc]
+        plain = functools.partial(propose, group, NUMPY_BATCH, np.random.default_rng(0))
+        found[name] = Seconds(in_jax / BATCH, timed(plain, 1) / NUMPY_BATCH)
+    return found
+
+
+def cost(model: PoseModel, frame: Frame, naive: dict[str, Seconds]) -> Cost:
+    """Times one frame, its one candidate known."""
+    started, budget = time.perf_counter(), Budget(10**12)
+    (candidate,) = candidate_samplers(model, frame, jax.random.key(0), SAMPLER)
+    assert candidate.more(DRAWS, budget)
+    seconds = time.perf_counter() - started
+    groups = {
+        sampler.name: sampler
+        for sampler in candidate.samplers
+        if isinstance(sampler, StratifiedGroup)
+    }
+    last = {name: sampler.rates[0].rates[-1] for name, sampler in groups.items()}
+    evidence = {name: np.exp(sampler.rates[0].log_probability) for name, sampler in groups.items()}
+    return Cost(
+        set_up=timed(lambda: [group.plan_at(group.level) for group in groups.values()], 1),
+        seconds=seconds,
+        arms=last["arms"].accepted / last["arms"].proposed,
+        legs=last["legs"].accepted / last["legs"].proposed,
+        proposals=budget.spent / candidate.held,
+        naive=sum(naive[name].jax / evidence[name] for name in GROUPS),
+        numpy=sum(naive[name].numpy / evidence[name] for name in GROUPS),
+    )
+
+
+def _digits(value: float) -> str:
+    return f"{value:,.3g}" if value < 1000 else f"{value:,.0f}"
+
+
+def costs_table(costs: Sequence[Cost], floor: float) -> Sheet:
+    """Costs over the frames: smallest, quartiles, largest."""
+    columns = {name: np.array([getattr(item, name) for item in costs]) for name in Cost._fields}
+    rate = np.array([item.rate for item in costs])
+    lines = {
+        "whole bodies a second": rate,
+        "set-up, ms": 1e3 * columns["set_up"],
+        "acceptance of arms, %": 100 * columns["arms"],
+        "acceptance of legs, %": 100 * columns["legs"],
+        "attempts a body, all groups": columns["proposals"],
+        "times faster than naive groups (JAX)": columns["naive"] * rate,
+        "times faster than naive groups (NumPy)": columns["numpy"] * rate,
+        "times the floor (23 random numbers)": 1 / rate / floor,
+    }
+    rows = [(what, *np.quantile(line, [0, 0.25, 0.5, 0.75, 1])) for what, line in lines.items()]
+    heads = ("min", "¼", "median", "¾", "max")
+    return sheet_of(["over 64 frames", *(Column(head, form=_digits) for head in heads)], rows)
+
+
+def _nanoseconds(head: str) -> Column:
+    return Column(head, form=lambda seconds: f"{1e9 * seconds:,.0f}")
+
+
+def floors_table(floor: dict[str, float]) -> Sheet:
+    """What random numbers cost."""
+    head = (f"random numbers of a pose ({NUMBERS})", _nanoseconds("ns"))
+    return sheet_of(head, list(floor.items()))
+
+
+def naive_table(naive: dict[str, Seconds]) -> Sheet:
+    """What a naive proposal costs."""
+    head = ("one naive proposal", _nanoseconds("JAX, ns"), _nanoseconds("plain NumPy, ns"))
+    return sheet_of(head, [(name, *seconds) for name, seconds in naive.items()])
+
+
+def curves(model: PoseModel, frame: Frame) -> dict[str, Curve]:
+    """Microseconds a draw, set-up included, against the number of draws and, for 10,000 of a pose
+    of the prior, the radius of the discs."""
+
+    def each(frame: Frame, number: int) -> float:
+        draw = functools.partial(draw_mixture, model, frame, jax.random.key(1), SAMPLER, number)
+        return timed(draw, 2) / number * 1e6
+
+    numbers = [100, 1000, 10_000, 100_000, 1_000_000]
+    factors = [0.02, 0.05, 0.1, 0.25, 0.5, 1.0]
+    scaled = [prior_scene(model, 0, factor=factor) for factor in factors]
+    return {
+        "draws of one frame": Curve(numbers, [each(frame, number) for number in numbers]),
+        "factor in τ": Curve(factors, [each(item, 10_000) for item in scaled]),
+    }
+
+
+def streams(model: PoseModel, frames: Sequence[Frame]) -> Curve:
+    """Seconds of streams of 1 to `STREAM_FRAMES` frames × 10,000 draws with five hypotheses."""
+    items = [Item(str(number), frame) for number, frame in enumerate(frames)]
+
+    def run(count: int) -> float:
+        with tempfile.TemporaryDirectory() as folder:
+            started = time.perf_counter()
+            sample_frames(model, items[:count], key=jax.random.key(0), out=folder)
+            return time.perf_counter() - started
+
+    run(1)  # compiles
+    counts = [1, 4, 16, STREAM_FRAMES]
+    return Curve(counts, [run(count) for count in counts])
+
+
+def picture(found: dict[str, Curve], stream: Curve) -> Figure:
+    """Three panels: cost against draws, frames and τ."""
+    figure = blank_page(11, 3.4, dpi=110)
+    axes = figure.subplots(1, 3)
+    for axis, (name, curve) in zip(axes[[0, 2]], found.items(), strict=True):
+        axis.loglog(*curve, "o-", color=PALETTE[0])
+        axis.set(xlabel=name, ylabel="µs a draw, set-up included")
+    axes[1].plot(*stream, "o-", color=PALETTE[0])
+    axes[1].set(xlabel="frames × 10,000 draws, five hypotheses each", ylabel="seconds", ylim=0)
+    for axis in axes:
+        axis.grid(alpha=0.3)
+        tidy(axis)
+    return figure
+
+
+def main(data: Path) -> None:
+    """Measures, writes, and prints the page."""
+    in_doubles()
+    model = PoseModel()
+    sets = {"Poses of the prior, by their seeds": prior_frames(model)}
+    archive = data / "cmu" / "actions_train.npz"
+    if archive.exists():
+        sets["Poses of CMU motion capture"] = motion_frames(archive)
+    frames = list(sets.values())[-1]
+    draw_mixture(model, frames[0], jax.random.key(0), SAMPLER, 2000)  # compiles
+    floor, naive = floors(), naive_proposals(model, frames[0])
+    tables = {
+        title: costs_table([cost(model, frame, naive) for frame in own], floor["compiled SFC64"])
+        for title, own in sets.items()
+    }
+    found, stream = curves(model, frames[0]), streams(model, frames)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    slope = float(np.polyfit(*stream, 1)[0])
+    values: Values = {
+        "tables": "\n\n".join(f"## {title}\n\n{own.markdown()}" for title, own in tables.items()),
+        "draws": f"{DRAWS:,}",
+        "cores": str(os.cpu_count()),
+        "machine": platform.machine(),
+        "floors": floors_table(floor),
+        "naive": naive_table(naive),
+        "per_frame": f"{slope * 1e3:.0f}",
+        "thousand": f"{slope * 1000:,.0f}",
+        "paper": f"{slope * PAPERS_FRAMES / 60:,.0f}",
+        "memory": f"{memory:.2f}",
+    }
+    print(write_page("speed", values, {"speed": picture(found, stream)}))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))

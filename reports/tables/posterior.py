@@ -1,0 +1,201 @@
+"""Tables of one person's posterior: hypotheses, joints, candidates; and its summary.
+
+Lengths are in body units, with millimetres of a person of 1.7 m beside them. Every table fits 80
+columns.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from probmodel.skeleton import JOINT_INDEX, JOINTS
+from reports.tables.sheet import (
+    NOTHING,
+    Column,
+    Record,
+    Sheet,
+    fixed,
+    number,
+    percent,
+    plus_minus,
+    signed,
+)
+from reports.tables.words import facing_words, pose_facing, spoken
+
+if TYPE_CHECKING:
+    from inference.hypothesis import Hypothesis
+    from inference.results import Result
+
+MILLIMETRES = 350.0
+"""One body unit, the mean limb length, of a person of 1.7 m: upper arm, forearm, thigh and shank
+are 0.186, 0.146, 0.245 and 0.246 of the stature (Drillis & Contini, Body segment parameters, 1966),
+on average 0.206 · 1700 mm."""
+UNIT_NOTE = f"1 body unit = mean limb length, about {MILLIMETRES:.0f} mm for a person of 1.7 m"
+_ENDS = ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
+
+
+def values(tree: xr.DataTree, group: str, name: str) -> np.ndarray:
+    """The array of a variable; for those of the posterior, chains and draws are joined: `(draws,
+    …)`."""
+    array = np.asarray(tree.children[group].dataset[name].values)
+    return array.reshape(-1, *array.shape[2:]) if group in ("posterior", "sample_stats") else array
+
+
+def heaviest(tree: xr.DataTree) -> int:
+    """Index of the candidate with the largest share of the posterior."""
+    return int(np.argmax(values(tree, "constant_data", "weight")))
+
+
+def hypotheses_table(hypotheses: Sequence["Hypothesis"]) -> Sheet:
+    """Each hypothesis: its share of the draws, its draw, where it faces, and the depth of its
+    wrists and ankles."""
+    records = [
+        {
+            "hypothesis": rank,
+            "weight": float(hypothesis.weight),
+            "draw": int(hypothesis.draw),
+            "facing": facing_words(pose_facing(hypothesis.joints)),
+            "depth": {name: float(hypothesis.joints[JOINT_INDEX[name], 2]) for name in _ENDS},
+        }
+        for rank, hypothesis in enumerate(hypotheses, 1)
+    ]
+    columns = [
+        Column("", "hypothesis"),
+        Column("share", "weight", percent),
+        Column("draw", form=str),
+        Column("faces", "facing", left=True, whole=True),
+        *(_depth(name) for name in _ENDS),
+    ]
+    caption = "Wrists and ankles: depth behind the pelvis, body units (− is in front of it)."
+    return Sheet(columns, records, "Hypotheses", caption)
+
+
+def _depth(name: str) -> Column:
+    head = spoken(name).replace("right", "R").replace("left", "L")
+    return Column(head, lambda record: record["depth"][name], signed)
+
+
+def posterior_table(tree: xr.DataTree) -> Sheet:
+    """Each joint but the pelvis: its score, τ under the heaviest candidate, and the posterior's
+    standard deviations of its depth and of its place across the image, relative to the pelvis."""
+    joints = values(tree, "posterior", "joints")
+    score = values(tree, "observed_data", "score")
+    radius = values(tree, "constant_data", "radius")[heaviest(tree)]
+    spread = joints.std(axis=0) if len(joints) else np.full(joints.shape[1:], np.nan)
+    lateral = np.sqrt((spread[:, :2] ** 2).mean(axis=1))
+    records = [
+        {
+            "joint": name,
+            "seen": bool(score[joint] > 0),
+            "score": number(score[joint]) if score[joint] > 0 else None,
+            "radius_px": number(radius[joint]),
+            "depth_sd": number(spread[joint, 2]),
+            "depth_sd_mm": number(spread[joint, 2] * MILLIMETRES),
+            "lateral_sd": number(lateral[joint]),
+            "lateral_sd_mm": number(lateral[joint] * MILLIMETRES),
+        }
+        for joint, name in enumerate(JOINTS)
+        if name != "pelvis"
+    ]
+    columns = [
+        Column("joint", form=spoken, left=True),
+        Column("score", form=lambda score: "missing" if score is None else f"{score:.2f}"),
+        Column("τ px", "radius_px", fixed(1)),
+        Column("sd of depth", "depth_sd", fixed(3)),
+        Column("mm", "depth_sd_mm", fixed(0)),
+        Column("sd across", "lateral_sd", fixed(3)),
+        Column("mm", "lateral_sd_mm", fixed(0)),
+    ]
+    caption = f"sd: standard deviation relative to the pelvis. {UNIT_NOTE}."
+    return Sheet(columns, records, "Posterior, joint by joint", caption)
+
+
+def candidates_table(tree: xr.DataTree) -> Sheet:
+    """Each candidate: its torso, where it faces, its scale, reprojection error, log evidence with
+    standard error, and its share of the posterior."""
+    rotation = values(tree, "constant_data", "rotation")
+    variables = {
+        "scale_px": "scale",
+        "reprojection_error_px": "reprojection_error",
+        "log_evidence": "log_evidence",
+        "log_evidence_se": "log_evidence_se",
+        "weight": "weight",
+    }
+    numbers = {key: values(tree, "constant_data", name) for key, name in variables.items()}
+    records = [
+        {
+            "candidate": index,
+            "torso": int(torso),
+            "facing": facing_words(rotation[index, :, 2]),
+            **{key: number(column[index]) for key, column in numbers.items()},
+        }
+        for index, torso in enumerate(values(tree, "constant_data", "torso_index"))
+    ]
+    columns = [
+        Column("", "candidate", form=lambda index: str(index + 1)),
+        Column("faces", "facing", left=True, whole=True),
+        Column("torso", form=lambda index: NOTHING if index < 0 else str(index)),
+        Column("px/unit", "scale_px", fixed(1)),
+        Column("error px", "reprojection_error_px", fixed(1)),
+        Column("log evidence", _evidence, plus_minus),
+        Column("share", "weight", percent),
+    ]
+    return Sheet(columns, records, "Candidates: torso and camera")
+
+
+def _evidence(record: Record) -> tuple[float | None, float | None]:
+    return record["log_evidence"], record["log_evidence_se"]
+
+
+def summary_json(result: "Result") -> dict[str, Any]:
+    """What was drawn, from what, by what, at what cost."""
+    given = result.tree.attrs
+    limits, _, digest = str(given["limits"]).rpartition(" ")
+    return {
+        "status": result.status,
+        "sentence": result.sentence,
+        "source": str(given["source"]),
+        "person": int(given["person"]),
+        "sampler": str(given["sampler"]),
+        "seed": str(given["seed"]),
+        "num_draws": result.num_draws,
+        "num_proposals": int(given["num_proposals"]),
+        "acceptance_rate": number(given["acceptance_rate"]),
+        "log_evidence": number(given["log_evidence"]),
+        "log_evidence_se": number(given["log_evidence_se"]),
+        "wall_time_s": number(given["wall_time_s"]),
+        "limits": limits,
+        "limits_sha256": digest,
+        "measures": str(given["measures"]),
+    }
+
+
+def summary_lines(result: "Result") -> list[str]:
+    """The summary as lines of at most 80 columns (the sentence of a run that is not complete may be
+    longer)."""
+    row = summary_json(result)
+    rate, digest = row["acceptance_rate"], row["limits_sha256"][:12]
+    accepted = "" if rate is None else f", {100 * rate:.2g} % accepted"
+    evidence = plus_minus(_evidence(row)) + _odds(row["log_evidence"])
+    lines = [
+        f"{row['num_draws']:,} draws by {row['sampler']} in {fixed(1)(row['wall_time_s'])} s",
+        f"{row['num_proposals']:,} proposals{accepted}",
+        f"log evidence {evidence}",
+        f"limits {row['limits']} ({digest}), {row['measures']}, seed {row['seed']}",
+    ]
+    return lines + ([f"{row['status']}: {row['sentence']}"] if row["sentence"] else [])
+
+
+def _odds(log_evidence: float | None) -> str:
+    if log_evidence is None:
+        return ""
+    power = -log_evidence / math.log(10)  # not exponentiated as a whole: that may overflow
+    exponent = math.floor(power)
+    mantissa = round(10 ** (power - exponent))
+    if mantissa == 10:
+        mantissa, exponent = 1, exponent + 1
+    odds = f"{10**power:.0f}" if exponent < 3 else f"{mantissa}e{exponent}"
+    return f": one possible pose in {odds} explains the joints seen"

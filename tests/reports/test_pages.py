@@ -1,0 +1,207 @@
+"""Pages: every template is filled in by its module, the page that is there is its template filled
+in, and tables of small studies are what they should be."""
+
+import ast
+import importlib
+import re
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+
+from inference.exact.naive import group_prior
+from inference.exact.problem import build_groups
+from inference.readings import READINGS, Verdict
+from inference.studies.misreadings import Study
+from inference.studies.scenes import prior_scene
+from probmodel import PoseModel
+from probmodel.learning.dictionaries import PoseDictionary
+from reports.pages import (
+    coverage,
+    estimators,
+    facing,
+    naive,
+    page,
+    readings,
+    samplers,
+    speed,
+)
+from reports.tables import sheet_of
+
+FOLDER = Path(page.__file__).parent
+PAGES = sorted(path.stem for path in FOLDER.glob("*.md"))
+SHEET = sheet_of(("", "error"), [("one", 1.0)])
+
+
+def test_there_are_pages() -> None:
+    assert PAGES == [
+        "coverage",
+        "estimators",
+        "evaluation",
+        "facing",
+        "limits",
+        "readings",
+        "samplers",
+        "speed",
+    ]
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_template_is_filled_in(name: str) -> None:
+    template = page.template_of(name)
+    wanted = page.placeholders(template)
+    assert wanted
+    text = page.render(template, dict.fromkeys(wanted, SHEET))
+    assert "{{" not in text
+    assert "}}" not in text
+    assert text.count(SHEET.markdown()) == len(wanted)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_the_module_of_a_page_names_its_placeholders(name: str) -> None:
+    module = importlib.import_module(f"reports.pages.{name}")
+    assert callable(module.main)
+    tree = ast.parse((FOLDER / f"{name}.py").read_text(encoding="utf-8"))
+    keys = {
+        str(key.value)
+        for found in ast.walk(tree)
+        if isinstance(found, ast.Dict)
+        for key in found.keys
+        if isinstance(key, ast.Constant)
+    }
+    missing = set(page.placeholders(page.template_of(name))) - keys
+    assert not missing
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_the_page_that_is_there_is_its_template(name: str) -> None:
+    """Words are changed in both, or not at all."""
+    parts = page.PLACEHOLDER.split(page.template_of(name))[::2]
+    pattern = ".*?".join(map(re.escape, parts))
+    text = (page.REPORTS / f"{name}.md").read_text(encoding="utf-8")
+    assert re.fullmatch(pattern, text, re.DOTALL)
+
+
+@pytest.mark.parametrize("values", [{}, {"one": "1"}, {"one": "1", "two": "2", "three": "3"}])
+def test_what_does_not_fit_a_template_is_refused(values: dict[str, str]) -> None:
+    with pytest.raises(ValueError, match="placeholders without one value: "):
+        page.render("{{one}} and {{two}}", values)
+
+
+def test_a_page_is_written_with_its_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page, "REPORTS", tmp_path)
+    monkeypatch.setattr(page, "template_of", lambda name: f"# {name}\n\n{{{{table}}}}\n")
+    text = page.write_page("errors", {"table": SHEET}, {"curves": Figure(figsize=(1, 1))})
+    assert text == f"# errors\n\n{SHEET.markdown()}\n"
+    assert (tmp_path / "errors.md").read_text(encoding="utf-8") == text
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["curves.png", "errors.md"]
+
+
+# --- rendering of small studies
+
+
+def test_facing_counts_by_angle() -> None:
+    near, far = (
+        facing.Row(angle=angle, candidates=2, share=0.75, complete=True, apart=50.0, first=False)
+        for angle in (10.0, 80.0)
+    )
+    rows = [near, near._replace(share=0.25, first=True), far, far._replace(complete=False)]
+    lines = facing.table(rows).texts()
+    assert lines[0] == ["0–15", "2", "2", "50°", "1 of 2 (50%)", "1 of 2 (50%)"]
+    assert lines[1] == ["75–90", "1", "1", "50°", "1 of 1 (100%)", "0 of 1 (0%)"]
+    assert lines[2][:2] == ["all", "3"]
+
+
+def test_costs_are_shown_by_quartiles() -> None:
+    costs = [speed.Cost(0.02, second, 0.1, 0.2, 30.0, 2e-3, 1e-3) for second in (0.5, 1.0, 2.0)]
+    rows = {row[0]: row[1:] for row in speed.costs_table(costs, floor=1e-6).texts()}
+    assert rows["whole bodies a second"][::2] == ["50,000", "100,000", "200,000"]
+    assert rows["set-up, ms"] == ["20"] * 5
+    assert rows["acceptance of legs, %"] == ["20"] * 5
+    assert rows["times faster than naive groups (JAX)"][2] == "200"
+    assert rows["times the floor (23 random numbers)"][2] == "10"
+
+
+def test_naive_proposals_are_the_priors() -> None:
+    """Means against those of the JAX program, to five standard errors: a false alarm in two million
+    for each of 24 numbers."""
+    model = PoseModel()
+    frame = prior_scene(model, 1)
+    group = build_groups(model, frame.observation(frame.candidates[0]))["arms"]
+    ours = naive.propose(group, 4000, np.random.default_rng(0))
+    theirs = group_prior(jax.random.key(0), group, 4000)
+    for one, other in zip(ours, theirs, strict=True):
+        one, other = np.asarray(one), np.asarray(other)
+        assert one.shape == other.shape
+        error = np.sqrt((one.var(axis=0) + other.var(axis=0)) / 4000)
+        assert (np.abs(one.mean(axis=0) - other.mean(axis=0)) < 5 * error + 1e-12).all()
+
+
+def comparison(label: str, **changes: float) -> xr.Dataset:
+    line = {"ess_per_second": 10.0, "settled_per_second": 20.0, "seconds_to_distance": 2.0}
+    line |= {"time_known": 0.0, "log_evidence": -12.0, "log_evidence_se": 0.1, "seconds": 4.0}
+    words = {"verdict": ("sampler", ["differs"])}
+    numbers = {name: ("sampler", [value]) for name, value in (line | changes).items()}
+    return xr.Dataset(words | numbers, coords={"sampler": [label]})
+
+
+def contest() -> xr.DataTree:
+    lines = [
+        comparison("rejection"),
+        comparison("emcee (dispersed)", seconds_to_distance=np.inf),
+        comparison("smc", log_evidence=-11.0, ess_per_second=40.0, time_known=1.0),
+        comparison("nss", settled_per_second=500.0, log_evidence=np.nan),
+    ]
+    tree = xr.DataTree.from_dict({"summary": xr.concat(lines, "sampler")})
+    tree.attrs = {"dim": 16, "exact_log_evidence": -12.0, "exact_log_evidence_se": 0.01}
+    tree.attrs["exact_seconds"] = np.array([[0.1, 0.5], [0.2, 1.0], [0.3, 2.0]])
+    return tree
+
+
+def test_the_best_lines_of_a_frame() -> None:
+    row = samplers.summary({"two missing": contest()}).texts()[0]
+    assert row[:5] == ["two missing", "16", "-12.0", "50,000", "100,000"]
+    assert row[5:7] == ["40 (smc)", "2,500"]
+    assert row[7:9] == ["≤ 20 (emcee (dispersed))", "≥ 5,000"], "nss has no path"
+    assert row[9:] == ["2 s", "2 s", "3 of 3"]
+
+
+def test_evidence_that_is_off_is_flagged() -> None:
+    row = samplers.evidences({"two missing": contest()}).texts()[0]
+    assert row[:2] == ["two missing", "-12.00 ± 0.01"]
+    assert row[2:] == ["-11.00 ± 0.10, **off by +10.0 errors**", "none in 4 s", "–"]
+    assert samplers.absent({"one": contest()}).startswith("Not run yet: on *one* emcee-de")
+
+
+def verdict(whole: float) -> Verdict:
+    """Of one person whom the reading with everything exchanged explains better by so many nats."""
+    names = (*(reading.name for reading in READINGS), "whole")
+    gains = np.append(np.full(len(READINGS), -10.0), whole)[None]
+    return Verdict(names, gains, np.zeros(1), np.full(1, 15.0), np.ones(1), ())
+
+
+def test_doubted_files_are_counted() -> None:
+    people = [verdict(50.0), verdict(-10.0), verdict(-10.0)]
+    found = Study({"right": people, "whole": people[:1]}, [10.0, 40.0, 80.0], [])
+    rows = readings.table(found).texts()
+    assert rows[0] == ["right", "33.3% (1 of 3)", "100.0%", "0.0%", "0.0%", "–"]
+    assert rows[1] == ["everything exchanged", "100.0% (1 of 1)", "100.0%", "0.0%", "0.0%", "–"]
+    assert readings.share(people * 10, 10) == (3, 3), "evidence adds up over a file"
+
+
+def test_estimators_recover_poses_in_their_span() -> None:
+    whole, rng = PoseDictionary.default(), np.random.default_rng(0)
+    pose = estimators._in_the_span(whole, "zhou", 2, 3, rng)
+    assert pose.shape == (15, 3)
+    assert estimators._seen(pose).seen.all()
+
+
+def test_rejections_of_the_toy() -> None:
+    table = coverage.toy_table({"ranks": [0.005, 0.04, 0.1, 0.9]})
+    assert table.texts() == [["ranks", "25.0%", "50.0%", "75.0%", "4"]]

@@ -139,8 +139,8 @@ class Network:
             crop = self.crop(box, padding=1.0 if whole else PADDING)
             if not _lies_in(crop, width, height):
                 raise BadInput(
-                    f"the person's box {list(box)} does not fit {source}, which has {width}x{height}"
-                    " pixels; give x, y, width and height in its pixels"
+                    f"the person's box {list(box)} does not fit {source}, which has"
+                    f" {width}x{height} pixels; give x, y, width and height in its pixels"
                 )
             heatmaps = self.heatmaps(image, crop)
             where = f"{self.name} on {source}"

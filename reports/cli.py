@@ -3,10 +3,9 @@ commands have a file each in `commands`, imported when they are called."""
 
 import copy
 import dataclasses
-import importlib
-import importlib.metadata
 import inspect
 from collections.abc import Iterator
+from importlib import import_module, metadata
 from typing import Annotated, Any, get_type_hints
 
 import typer
@@ -45,7 +44,7 @@ def main() -> None:
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        console.say(f"poseterior {importlib.metadata.version('poseterior')}")
+        console.say(f"poseterior {metadata.version('poseterior')}")
         raise typer.Exit
 
 
@@ -108,7 +107,7 @@ def _register(name: str, kind: Any) -> None:
         wanted: Any = built(kind, values)
         if isinstance(wanted, settings.CoverageSettings):
             wanted.require_one_way({word for word in values if _typed(context, word)})
-        importlib.import_module(f"reports.commands.{name}").run(wanted, built(Screen, values))
+        import_module(f"reports.commands.{name}").run(wanted, built(Screen, values))
 
     parameters = [*declared(kind), *declared(Screen)]
     command.__name__ = name

@@ -4,6 +4,7 @@ exit code.
 Exit codes: 2 bad input, 3 a sampler that could not make what was asked for, 1 a bug.
 """
 
+import errno
 import io
 import json
 import os
@@ -58,6 +59,18 @@ RAREST = 60.0
 """Most seconds between two lines of progress in a log; the first ones are closer, and every pause
 is twice the last."""
 Step = Callable[[int, int], None]
+_SYSTEM = (
+    errno.EACCES,
+    errno.EFBIG,
+    errno.EIO,
+    errno.ELOOP,
+    errno.EMFILE,
+    errno.ENAMETOOLONG,
+    errno.ENOSPC,
+    errno.EPERM,
+    errno.EROFS,
+)
+"""What the system may say of any file at any time; that one does not exist is known before."""
 _USAGE: type[Exception] = typer.BadParameter.__mro__[1]
 """What typer raises on a wrong command line, under one name in all its versions."""
 
@@ -224,14 +237,14 @@ def guarded(app: typer.Typer) -> None:
             _let_go_of_stdout()  # whoever read it has gone; nothing is left to say
             raise SystemExit(1) from None
         except (KeyboardInterrupt, typer.Abort):
-            refuse(*signals.ending)
+            signals.leave()
         except Exception as error:
             sentence, code = _verdict(error)
             if not sentence:
                 raise  # a bug: Python shows where, and leaves with 1
             refuse(sentence, code)
         if code == 130:  # how typer reports a KeyboardInterrupt
-            refuse(*signals.ending)
+            signals.leave()
         raise SystemExit(code or 0)
 
 
@@ -261,6 +274,8 @@ def _verdict(error: Exception) -> tuple[str, int]:
         return str(error), 3
     if isinstance(error, MemoryError):
         return "the memory does not suffice; ask for fewer samples with --num-samples", 2
+    if isinstance(error, OSError) and error.filename is not None and error.errno in _SYSTEM:
+        return f"{error.filename}: {error.strerror}; choose another name or place", 2
     if isinstance(error, OSError) and error.filename is None and error.strerror:
         _let_go_of_stdout()
         return f"cannot write the output ({error.strerror}); make room, or send it elsewhere", 2

@@ -1,19 +1,21 @@
 """SIGINT and SIGTERM end a command within a second, with a sentence and an exit code of their
 own."""
 
+import contextlib
 import os
 import signal
 import sys
 import threading
 from pathlib import Path
 from types import FrameType
+from typing import NoReturn
 
 ENDINGS: dict[int, tuple[str, int]] = {
     signal.SIGINT: ("interrupted", 130),
     signal.SIGTERM: ("terminated", 143),
 }
 """What is said, and the exit code."""
-GRACE = 0.7
+GRACE = 0.5
 """Seconds in which a command may end by itself: it removes what is half written, and its workers
 stop."""
 
@@ -23,14 +25,8 @@ class Signals:
     come through: compiled loops do not listen, and a pool waits for its threads."""
 
     def __init__(self) -> None:
-        self._caught: int = signal.SIGINT
-        self._asked = threading.Event()
+        self._caught: int | None = None
         self._over = threading.Event()
-
-    @property
-    def ending(self) -> tuple[str, int]:
-        """The sentence and the exit code of the signal that came."""
-        return ENDINGS[self._caught]
 
     def __enter__(self) -> "Signals":
         # Where a signal is ignored from the start, as in the background of a shell, it stays so.
@@ -53,9 +49,18 @@ class Signals:
             signal.signal(number, handler)
         os.close(self._write)
 
+    def leave(self) -> NoReturn:
+        """Ends the process, once what was begun is put in order. Python's own way out would take
+        seconds, in which it frees what the system takes back anyway."""
+        if self._caught is None:  # a `KeyboardInterrupt` without a signal
+            print("poseterior: interrupted", file=sys.stderr)
+            raise SystemExit(130)
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+        _leave(self._caught)
+
     def _answer(self, number: int, frame: FrameType | None) -> None:
-        if not self._asked.is_set():
-            self._asked.set()
+        if self._caught is None:
             self._caught = number
             raise KeyboardInterrupt
 
@@ -64,12 +69,13 @@ class Signals:
         that it writes their numbers to is read here at once."""
         while number := os.read(self._read, 1):
             if number[0] in self._before and not self._over.wait(GRACE):
-                _leave(*ENDINGS[number[0]])
+                _leave(number[0])
         os.close(self._read)
 
 
-def _leave(sentence: str, code: int) -> None:
+def _leave(number: int) -> NoReturn:
     """Ends the process without waiting for anybody."""
+    sentence, code = ENDINGS[number]
     files = sys.modules.get("probmodel.files")
     unfinished: set[Path] = getattr(files, "UNFINISHED", set())
     for path in list(unfinished):

@@ -134,8 +134,8 @@ def test_what_cannot_be_compared_is_refused_before_any_work(
         compare.run(asked(detection, tmp_path / "a", "emcee,magic"), JSON)
     with pytest.raises(BadInput, match="--seconds must be more than 0"):
         compare.run(asked(detection, tmp_path / "b", "emcee", seconds=0), JSON)
+    few = dataclasses.replace(asked(detection, tmp_path / "c", "emcee"), num_samples=99)
     with pytest.raises(BadInput, match="--num-samples must be at least 100, not 99"):
-        few = dataclasses.replace(asked(detection, tmp_path / "c", "emcee"), num_samples=99)
         compare.run(few, JSON)
     assert not list(tmp_path.iterdir())
 

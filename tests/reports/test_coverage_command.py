@@ -17,8 +17,7 @@ from reports import coverage_figures, coverage_tables
 from reports.commands import coverage
 from reports.options import Sampling, Screen
 from reports.settings import CoverageSettings
-from tests.reports.test_cli import Cli, poseterior  # noqa: F401 — a fixture
-
+from tests.conftest import Cli
 
 JSON, TABLES = Screen(quiet=True, json=True), Screen(quiet=True)
 
@@ -169,7 +168,7 @@ def test_bad_real_poses(data: Path, tmp_path: Path, change: dict, match: str) ->
 def test_an_option_of_another_way_is_refused(
     words: str,
     said: str,
-    poseterior: Cli,  # noqa: F811
+    poseterior: Cli,
     tmp_path: Path,
 ) -> None:
     """Also where its value is the default."""

@@ -17,8 +17,8 @@ from reports import figures
 from reports.commands.show import about_the_image
 from reports.options import Detected
 from reports.overlay import _spread, overlay_figure
+from tests.conftest import Cli
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, landmarks, points, table
-from tests.reports.test_cli import Cli, poseterior  # noqa: F401 — a fixture
 
 
 def person(**missing: bool) -> Detection:
@@ -68,7 +68,7 @@ def test_names_do_not_lie_on_each_other() -> None:
 
 def test_a_file_that_is_read_rightly_is_shown_without_a_word(
     tmp_path: Path, poseterior: Cli
-) -> None:  # noqa: F811
+) -> None:
     write_detections(tmp_path / "a.json", [person()])
     done = poseterior("show", tmp_path / "a.json", "--out", tmp_path / "a.png", "--quiet")
     assert (done.code, done.err) == (0, "")
@@ -78,7 +78,7 @@ def test_a_file_that_is_read_rightly_is_shown_without_a_word(
 
 def test_a_doubted_reading_is_one_sentence_and_a_field_of_the_json(
     tmp_path: Path, poseterior: Cli
-) -> None:  # noqa: F811
+) -> None:
     write_detections(tmp_path / "a.json", [exchanged(person(), *BODY)])
     done = poseterior("show", tmp_path / "a.json", "--out", tmp_path / "a.png", "--quiet", "--json")
     assert done.code == 0
@@ -135,7 +135,7 @@ def test_a_map_of_names_and_the_correction(tmp_path: Path) -> None:
 )
 def test_what_show_refuses(
     tmp_path: Path,
-    poseterior: Cli,  # noqa: F811
+    poseterior: Cli,
     words: tuple[str, ...],
     match: str,
 ) -> None:
@@ -177,7 +177,7 @@ REAL_FILES = {
 def test_every_real_file_runs_through_hypotheses(
     shared_data: Path,
     tmp_path: Path,
-    poseterior: Cli,  # noqa: F811
+    poseterior: Cli,
     file: str,
 ) -> None:
     words = ("--num-samples", "50", "--k", "2", "--out", tmp_path, "--quiet", *REAL_FILES[file])

@@ -33,6 +33,8 @@ PADDING = 1.25
 trained."""
 LARGEST_SIDE = 2048
 """Pixels; no network takes larger images than this here."""
+LARGEST_CROP = 10
+"""What is cut out is at most so many times larger than the image."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,11 @@ class Network:
         found = []
         for person, box in enumerate(people, start=first_person):
             crop = self.crop(box, padding=1.0 if whole else PADDING)
+            if not _lies_in(crop, width, height):
+                raise BadInput(
+                    f"the person's box {list(box)} does not fit {source}, which has"
+                    f" {width}x{height} pixels; give x, y, width and height in its pixels"
+                )
             heatmaps = self.heatmaps(image, crop)
             where = f"{self.name} on {source}"
             found.append(
@@ -179,6 +186,12 @@ class Network:
                 f" of {self.layout.name}; choose the layout that it was trained on"
             )
         return np.asarray(maps[-1][0], dtype=float)
+
+
+def _lies_in(crop: Crop, width: int, height: int) -> bool:
+    """Whether a crop shows some of the image, and is of its order of size."""
+    inside = (crop.corner < (width, height)) & (crop.corner + crop.size > 0)
+    return bool(inside.all() and crop.size.max() <= LARGEST_CROP * max(width, height))
 
 
 def cut_out(image: np.ndarray, crop: Crop, size: tuple[int, int]) -> np.ndarray:

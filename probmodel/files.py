@@ -7,6 +7,9 @@ from pathlib import Path
 
 from probmodel.failures import BadInput
 
+UNFINISHED: set[Path] = set()
+"""What is being written, for whoever ends the process at once to remove."""
+
 
 @contextlib.contextmanager
 def replacing(
@@ -23,11 +26,17 @@ def replacing(
         partial = target.with_name(target.name + ".partial")
     except ValueError as error:
         raise BadInput(f"cannot write {path} ({error}); {advice}") from None
+    UNFINISHED.add(partial)
     try:
         yield partial
         os.replace(partial, target)
-    except OSError as error:
-        raise BadInput(f"cannot write {path} ({error.strerror or error}); {advice}") from None
+    except (OSError, RuntimeError) as error:
+        # netCDF says no more than that, whatever the system said.
+        if isinstance(error, RuntimeError) and "NetCDF: " not in str(error):
+            raise
+        reason = getattr(error, "strerror", None) or f"{error}: is the disk full?"
+        raise BadInput(f"cannot write {path} ({reason}); {advice}") from None
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
+        UNFINISHED.discard(partial)

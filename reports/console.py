@@ -4,8 +4,11 @@ exit code.
 Exit codes: 2 bad input, 3 a sampler that could not make what was asked for, 1 a bug.
 """
 
+import errno
+import io
 import json
 import os
+import re
 import sys
 import tempfile
 import threading
@@ -18,16 +21,56 @@ from typing import Any, NoReturn
 import rich.console
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
-# Neither markup nor emoji codes: names of files and recordings are printed as they are.
-OUT = rich.console.Console(highlight=False, markup=False, emoji=False)
-ERR = rich.console.Console(stderr=True, highlight=False, markup=False, emoji=False)
+from reports.signals import Signals
+
+LONGEST = 600
+"""Most characters of a sentence; the middle of a longer one is left out."""
+_UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+"""What would steer a terminal, or turn the direction of writing."""
+
+
+def printable(text: str, keep: str = "") -> str:
+    """A text of which nothing reaches a terminal but what can be read: escape sequences are spelt
+    out."""
+    return _UNPRINTABLE.sub(
+        lambda found: found[0] if found[0] in keep else ascii(found[0])[1:-1], text
+    )
+
+
+class _Console(rich.console.Console):
+    """Tables on a terminal. Neither markup nor emoji codes: names of files and recordings are
+    printed as they are."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Every text in a table or a title comes by here."""
+        return super().render_str(printable(text, keep="\n"), **options)
+
+
+OUT = _Console()
+ERR = _Console(stderr=True)
 PATIENCE = 2.0
 """Seconds after which anything shows its progress."""
 RAREST = 60.0
 """Most seconds between two lines of progress in a log; the first ones are closer, and every pause
 is twice the last."""
 Step = Callable[[int, int], None]
+_SYSTEM = (
+    errno.EACCES,
+    errno.EFBIG,
+    errno.EIO,
+    errno.ELOOP,
+    errno.EMFILE,
+    errno.ENAMETOOLONG,
+    errno.ENOSPC,
+    errno.EPERM,
+    errno.EROFS,
+)
+"""What the system may say of any file at any time; that one does not exist is known before."""
 _USAGE: type[Exception] = typer.BadParameter.__mro__[1]
 """What typer raises on a wrong command line, under one name in all its versions."""
 
@@ -36,6 +79,7 @@ _USAGE: type[Exception] = typer.BadParameter.__mro__[1]
 def progress(what: str, quiet: bool) -> Iterator[Step]:
     """A function (done, wanted) that shows progress: a bar on a terminal, lines in a log, nothing
     when quiet."""
+    what = printable(what)
     if quiet:
         yield lambda done, wanted: None
     elif ERR.is_terminal:
@@ -49,7 +93,7 @@ def progress(what: str, quiet: bool) -> Iterator[Step]:
 
 def _bar() -> Progress:
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -87,13 +131,21 @@ class _Log:
 
 
 def say(line: str) -> None:
-    """Prints a line on stdout as it is, however long."""
-    print(line)
+    """Prints a line on stdout, however long."""
+    print(printable(line))
 
 
 def warn(sentence: str) -> None:
     """Prints a sentence on stderr: something is not as it should be, and the work goes on."""
-    print("poseterior:", sentence, file=sys.stderr, flush=True)
+    print(_spoken(sentence), file=sys.stderr, flush=True)
+
+
+def _spoken(sentence: str) -> str:
+    """One line of at most `LONGEST` characters; what is wrong stands at its beginning, what to do
+    at its end."""
+    said = printable("poseterior: " + " ".join(sentence.splitlines()))
+    half = LONGEST // 2 - 2
+    return said if len(said) <= LONGEST else f"{said[:half]} … {said[-half:]}"
 
 
 def show_json(value: Any) -> None:
@@ -126,12 +178,17 @@ def output_folder(path: Path) -> Path:
 def output_file(path: Path) -> Path:
     """Checks, before any work is done, that a file can be written. Raises `BadInput` where it
     cannot."""
-    if path.is_dir():
+    if os.path.isdir(path):
         raise _bad_input(f"{path} is a folder; --out needs the name of a file")
-    if not path.parent.is_dir():
+    if not os.path.isdir(path.parent):
         raise _bad_input(
             f"the folder {path.parent} does not exist; make it, or choose another --out"
         )
+    try:
+        # Results are first written beside their place, under a longer name.
+        (path.parent / f"{path.name}.partial").exists()
+    except OSError as error:
+        raise _bad_input(f"cannot write {path} ({_reason(error)}); choose another --out") from None
     if path.exists() and not path.is_file():
         # A device, say: results are renamed into place, which would put a file where it was.
         raise _bad_input(f"{path} is not a regular file; choose another --out")
@@ -164,35 +221,45 @@ def _reason(error: Exception) -> str:
 
 def refuse(sentence: str, code: int) -> NoReturn:
     """Prints one sentence on stderr and leaves with an exit code."""
-    print("poseterior:", " ".join(sentence.splitlines()), file=sys.stderr)
+    print(_spoken(sentence), file=sys.stderr)
     raise SystemExit(code)
 
 
 def guarded(app: typer.Typer) -> None:
     """Runs the application; failures that have a sentence become that sentence and their exit
     code."""
+    _prepare_streams()
+    with Signals() as signals:
+        try:
+            code = app(sys.argv[1:] or ["--help"], prog_name="poseterior", standalone_mode=False)
+            sys.stdout.flush()
+        except BrokenPipeError:
+            _let_go_of_stdout()  # whoever read it has gone; nothing is left to say
+            raise SystemExit(1) from None
+        except (KeyboardInterrupt, typer.Abort):
+            signals.leave()
+        except Exception as error:
+            sentence, code = _verdict(error)
+            if not sentence:
+                raise  # a bug: Python shows where, and leaves with 1
+            refuse(sentence, code)
+        if code == 130:  # how typer reports a KeyboardInterrupt
+            signals.leave()
+        raise SystemExit(code or 0)
+
+
+def _prepare_streams() -> None:
+    """Refuses what could be neither said nor recorded."""
+    if sys.stderr is None:  # closed; `print` would take stdout instead
+        sys.stderr = io.StringIO()
+    if sys.stdout is None:
+        refuse("stdout is closed; send it to a file, or to /dev/null", 2)
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError):  # what a test or a notebook puts there may not be able to
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     for word in sys.argv:
         if any("\ud800" <= letter <= "\udfff" for letter in word):
             refuse(f"{word} is not UTF-8, and could not be recorded in the results; rename it", 2)
-    try:
-        code = app(sys.argv[1:] or ["--help"], prog_name="poseterior", standalone_mode=False)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        _let_go_of_stdout()  # whoever read it has gone; nothing is left to say
-        raise SystemExit(1) from None
-    except (KeyboardInterrupt, typer.Abort):
-        refuse("interrupted", 130)
-    except Exception as error:
-        sentence, code = _verdict(error)
-        if not sentence:
-            raise  # a bug: Python shows where, and leaves with 1
-        refuse(sentence, code)
-    if code == 130:  # how typer reports an interrupt
-        refuse("interrupted", 130)
-    raise SystemExit(code or 0)
 
 
 def _verdict(error: Exception) -> tuple[str, int]:
@@ -207,6 +274,8 @@ def _verdict(error: Exception) -> tuple[str, int]:
         return str(error), 3
     if isinstance(error, MemoryError):
         return "the memory does not suffice; ask for fewer samples with --num-samples", 2
+    if isinstance(error, OSError) and error.filename is not None and error.errno in _SYSTEM:
+        return f"{error.filename}: {error.strerror}; choose another name or place", 2
     if isinstance(error, OSError) and error.filename is None and error.strerror:
         _let_go_of_stdout()
         return f"cannot write the output ({error.strerror}); make room, or send it elsewhere", 2

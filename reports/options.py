@@ -1,81 +1,51 @@
-"""The options that several commands share, and how they become a model and a frame."""
+"""The options that several commands share, each declared once, and what they become.
+
+A group is a frozen class whose fields are options; a command's settings (`settings`) hold groups
+and options of its own, and `cli` makes one command line of them all. Nothing here imports JAX
+before it is needed, so that `--help` is quick."""
 
 import enum
+import functools
+import json
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-import typer
+from typer import Argument, Option
 
 from reports import console
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    import numpy as np
 
     from inference import Frame
     from probmodel import Anatomy, DetectedFrame, Detection, PoseModel
 
-File = Annotated[
-    Path,
-    typer.Argument(help="Detections, of any detector (reports/detectors.md).", show_default=False),
+SAMPLERS = (
+    "rejection",
+    "rejection-strata",
+    "rejection-patches",
+    "rejection-group",
+    "rejection-prior",
+)
+"""Those of `inference.SAMPLERS`, as a test makes sure: `--help` names them without importing
+JAX."""
+LARGEST_SIDE = 10**6
+"""Pixels; no image is larger."""
+SMALLEST_FACTOR = 1e-6
+"""Areas of discs smaller than this, or larger than its inverse, would in the end overflow."""
+
+Factor = Annotated[
+    float, Option(help="The factor in the radius τ of a detection's disc (the paper: 0.25).")
 ]
 Limits = Annotated[
-    str, typer.Option(help="'default', a .npz from `poseterior learn`, or the published .mat.")
+    str, Option(help="'default', a .npz from `poseterior learn`, or the published .mat.")
 ]
-Estimator = Annotated[
-    str,
-    typer.Option(
-        help=(
-            "How torso and camera are estimated: dictionary, akhter-black, zhou, or FILE.npz with"
-            " `joints` (people, 15, 3), the poses of another estimator in camera axes."
-        )
-    ),
-]
-Poses = Annotated[
-    str,
-    typer.Option(help="Pose dictionaries: 'default', or a .npz from `poseterior learn --poses`."),
-]
-Format = Annotated[str, typer.Option(help="The file's format; 'auto' looks at its content.")]
-Person = Annotated[int, typer.Option(help="Which person in the file, counted from 0.")]
-Seed = Annotated[
-    int, typer.Option(min=0, max=2**32 - 1, help="The same seed gives the same draws.")
-]
-NumSamples = Annotated[int, typer.Option(min=1, max=10_000_000, help="How many poses to draw.")]
-Candidates = Annotated[
-    int, typer.Option(min=1, help="Most torso-and-camera candidates kept; 1 is the paper's method.")
-]
-Factor = Annotated[
-    float, typer.Option(help="The factor in the radius τ of a detection's disc (the paper: 0.25).")
-]
-Threshold = Annotated[
-    float | None, typer.Option(help="Joints with a score up to this are missing.", show_default="0")
-]
-Head = Annotated[
-    bool, typer.Option(help="Whether a detected head counts in the likelihood (the paper: no).")
-]
-Image = Annotated[Path | None, typer.Option(help="The image, drawn behind the detections.")]
-ImageSize = Annotated[
-    str | None,
-    typer.Option(
-        metavar="WIDTHxHEIGHT", help="For coordinates that are fractions; --image says it too."
-    ),
-]
-Names = Annotated[
-    Path | None,
-    typer.Option(
-        help="JSON object of a detector's own joint names → ours, or list in the file's order."
-    ),
-]
-Correct = Annotated[
-    bool,
-    typer.Option("--correct", help="Move midpoints to where the skeleton's thorax and pelvis are."),
-]
-MaxProposals = Annotated[
-    int, typer.Option(min=1, help="Most proposals of rejection before it gives up (exit code 3).")
-]
-Quiet = Annotated[bool, typer.Option("--quiet", help="No progress.")]
-Json = Annotated[bool, typer.Option("--json", help="Results on stdout as JSON instead of a table.")]
+NumSamples = Annotated[int, Option(min=1, max=10_000_000, help="How many poses to draw.")]
+Seed = Annotated[int, Option(min=0, max=2**32 - 1, help="The same seed gives the same draws.")]
+Hypotheses = Annotated[int, Option(help="How many diverse hypotheses of each person.")]
 
 
 class UpperMeasure(enum.StrEnum):
@@ -92,21 +62,28 @@ class LowerMeasure(enum.StrEnum):
     box = "box"
 
 
-Upper = Annotated[
-    UpperMeasure, typer.Option(help="Measure in which upper bones are uniform; angle is eq. 7.")
-]
-Lower = Annotated[
-    LowerMeasure, typer.Option(help="Measure in which lower bones are uniform; area is eq. 8.")
-]
+@dataclass(frozen=True, kw_only=True)
+class Screen:
+    """How a command speaks: with progress or without, in tables or JSON."""
+
+    quiet: Annotated[bool, Option("--quiet", help="No progress.")] = False
+    json: Annotated[
+        bool, Option("--json", help="Results on stdout as JSON instead of a table.")
+    ] = False
 
 
-@dataclass(frozen=True)
-class Belief:
-    """What is believed, as the command line says it: limits and measures."""
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """What anatomy allows: limits, and the measures in which directions are uniform."""
 
-    limits: str = "default"
-    upper: str = "angle"
-    lower: str = "area"
+    PANEL: ClassVar = "The prior"
+    limits: Limits = "default"
+    upper: Annotated[
+        UpperMeasure, Option(help="Measure in which upper bones are uniform; angle is eq. 7.")
+    ] = UpperMeasure.angle
+    lower: Annotated[
+        LowerMeasure, Option(help="Measure in which lower bones are uniform; area is eq. 8.")
+    ] = LowerMeasure.area
 
     def anatomy(self) -> "Anatomy":
         """The tables. Raises `BadInput` on a limits file that is not one."""
@@ -121,65 +98,71 @@ class Belief:
         return PoseModel.from_anatomy(self.anatomy(), upper=self.upper, lower=self.lower)
 
 
-SMALLEST_FACTOR = 1e-6
-"""Areas of discs smaller than this, or larger than its inverse, would in the end overflow."""
+@dataclass(frozen=True, kw_only=True)
+class Detected:
+    """Detections in a file, and what the user knows of it that it does not say itself."""
 
+    PANEL: ClassVar = "How detections are read"
+    format: Annotated[str, Option(help="The file's format; 'auto' looks at its content.")] = "auto"
+    threshold: Annotated[
+        float | None, Option(help="Joints with a score up to this are missing.", show_default="0")
+    ] = None
+    image: Annotated[
+        Path | None, Option(help="The image: it says its size, and lies behind pictures.")
+    ] = None
+    image_size: Annotated[
+        str | None,
+        Option(
+            metavar="WIDTHxHEIGHT", help="For coordinates that are fractions; --image says it too."
+        ),
+    ] = None
+    names: Annotated[
+        Path | None,
+        Option(
+            help="JSON object of a detector's own joint names → ours, or list in the file's order."
+        ),
+    ] = None
+    correct: Annotated[
+        bool,
+        Option("--correct", help="Move midpoints to where the skeleton's thorax and pelvis are."),
+    ] = False
 
-@dataclass(frozen=True)
-class Known:
-    """What the user knows of a file of detections that it does not say itself."""
+    @functools.cached_property
+    def photo(self) -> "np.ndarray | None":
+        """`(H, W, 3)` bytes of the image, decoded once. Raises `BadInput` where it is none."""
+        from reports.figures import read_image
 
-    image_size: str | None = None
-    names: Path | None = None
-    correct: bool = False
-    image: Path | None = None
+        return None if self.image is None else read_image(self.image)
 
-    def frames(self, path: Path, format: str, threshold: float | None) -> "Iterator[DetectedFrame]":
-        """The frames of a folder or file, lazily. Raises `BadInput` as `read` does."""
+    def frames(self, path: Path) -> "Iterator[DetectedFrame]":
+        """The frames of a folder or file, lazily. Raises `BadInput` as `read_frames` does."""
         from probmodel import read_frames
-        from probmodel.layouts import corrected
 
         for frame in read_frames(
-            path, format, threshold, image_size=self._size(), names=self._names()
+            path, self.format, self.threshold, image_size=self._size(), names=self._names()
         ):
-            yield (
-                frame._replace(people=[corrected(person) for person in frame.people])
-                if self.correct
-                else frame
-            )
+            yield frame._replace(people=self._corrected(frame.people))
 
-    def read(self, file: Path, format: str, threshold: float | None) -> "list[Detection]":
+    def people(self, file: Path) -> "list[Detection]":
         """The people of a file. Raises `BadInput` on a bad file, size, image or map of names."""
         from probmodel import read_detections
-        from probmodel.layouts import corrected
 
         size, names = self._size(), self._names()
-        people = read_detections(file, format, threshold, image_size=size, names=names)
+        return self._corrected(
+            read_detections(file, self.format, self.threshold, image_size=size, names=names)
+        )
+
+    def _corrected(self, people: "list[Detection]") -> "list[Detection]":
+        from probmodel.layouts import corrected
+
         return [corrected(person) for person in people] if self.correct else people
 
     def _size(self) -> tuple[int, int] | None:
-        from probmodel import BadInput
-
         if self.image_size is not None:
-            width, _, height = self.image_size.partition("x")
-            if not (
-                width.isdecimal()
-                and height.isdecimal()
-                and 0 < int(width) < 10**6
-                and 0 < int(height) < 10**6
-            ):
-                raise BadInput(f"--image-size must look like 640x480, not {self.image_size!r}")
-            return int(width), int(height)
-        if self.image is None:
-            return None
-        from reports.figures import read_image
-
-        height_width = read_image(self.image).shape
-        return height_width[1], height_width[0]
+            return parse_size(self.image_size, "--image-size", "640x480")
+        return None if self.photo is None else (self.photo.shape[1], self.photo.shape[0])
 
     def _names(self) -> dict[str, str] | list[str] | None:
-        import json
-
         from probmodel import BadInput
 
         if self.names is None:
@@ -191,38 +174,29 @@ class Known:
                 f"{self.names} is no JSON that can be read ({type(error).__name__}); give a map of"
                 " names"
             ) from None
-        texts = (
-            [*names, *names.values()]
-            if isinstance(names, dict)
-            else names
-            if isinstance(names, list)
-            else [None]
-        )
-        if not all(isinstance(text, str) for text in texts):
+        texts = [*names, *names.values()] if isinstance(names, dict) else names
+        if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
             raise BadInput(
                 f"{self.names} must hold an object of names, or a list of them; write texts only"
             )
         return names
 
 
-@dataclass(frozen=True)
-class Sight:
-    """Which person of which file, and how torso, camera and discs come out of it."""
+@dataclass(frozen=True, kw_only=True)
+class Person:
+    """One person of a file of detections."""
 
-    file: Path
-    format: str = "auto"
-    person: int = 0
-    estimator: str = "dictionary"
-    candidates: int = 2
-    factor: float = 0.25
-    threshold: float | None = None
-    head: bool = True
-    poses: str = "default"
-    known: Known = Known()
+    PANEL: ClassVar = Detected.PANEL
+    file: Annotated[
+        Path,
+        Argument(help="Detections, of any detector (reports/detectors.md).", show_default=False),
+    ]
+    person: Annotated[int, Option(help="Which person in the file, counted from 0.")] = 0
+    detected: Detected = Detected()
 
     def people(self) -> "list[Detection]":
         """Everyone in the file. Raises `BadInput` on a bad file."""
-        return self.known.read(self.file, self.format, self.threshold)
+        return self.detected.people(self.file)
 
     def detection(self) -> "Detection":
         """The person. Raises `BadInput` on a bad file, or where there is no such person."""
@@ -230,12 +204,43 @@ class Sight:
 
         return pick_person(self.people(), self.person)
 
+
+@dataclass(frozen=True, kw_only=True)
+class Estimation:
+    """How torso, camera and discs come out of a detection."""
+
+    PANEL: ClassVar = "Torso, camera and discs"
+    estimator: Annotated[
+        str,
+        Option(
+            help=(
+                "How torso and camera are estimated: dictionary, akhter-black, zhou, or FILE.npz"
+                " with `joints` (people, 15, 3), the poses of another estimator in camera axes."
+            )
+        ),
+    ] = "dictionary"
+    poses: Annotated[
+        str, Option(help="Pose dictionaries: 'default', or a .npz from `poseterior learn --poses`.")
+    ] = "default"
+    candidates: Annotated[
+        int, Option(min=1, help="Most torso-and-camera candidates kept; 1 is the paper's method.")
+    ] = 2
+    factor: Factor = 0.25
+    head: Annotated[
+        bool, Option(help="Whether a detected head counts in the likelihood (the paper: no).")
+    ] = True
+
+    def joints(self) -> tuple[int, ...]:
+        """The joints that count in the likelihood."""
+        from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
+
+        return tuple(LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS)
+
     def settings(self, model: "PoseModel") -> dict[str, Any]:
         """How `inference.estimate_torso` is to be called. Raises `BadInput` on a bad factor or a
         bad file of poses."""
         import numpy as np
 
-        from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
         from probmodel.failures import BadInput
         from probmodel.learning.dictionaries import PoseDictionary
 
@@ -250,22 +255,44 @@ class Sight:
             "poses": None if self.poses == "default" else PoseDictionary.load(self.poses),
             "num_candidates": self.candidates,
             "factor": self.factor,
-            "joints": LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS,
+            "joints": self.joints(),
         }
 
-    def frame(self, model: "PoseModel") -> "Frame":
-        """The person with torso and camera candidates; says so where the estimator did not
-        converge. Raises `BadInput` where the torso is not seen well enough."""
+    def estimate(self, detection: "Detection", model: "PoseModel") -> "Frame":
+        """Torso and camera candidates of a person; warns where the estimator did not converge.
+        Raises `BadInput` where the torso is not seen well enough."""
         from inference import estimate_torso
 
-        settings = self.settings(model)
-        frame = estimate_torso(self.detection(), self.estimator, **settings)
+        frame = estimate_torso(detection, self.estimator, **self.settings(model))
         if not frame.converged:
-            where = frame.detection.where
             console.warn(
-                f"the estimator {self.estimator} did not converge for {where}; its best fit is used"
+                f"the estimator {self.estimator} did not converge for {detection.where}; its best"
+                " fit is used"
             )
         return frame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampling:
+    """How many draws, from which seed, within which budget."""
+
+    PANEL: ClassVar = "Sampling"
+    num_samples: NumSamples = 10_000
+    seed: Seed = 0
+    max_proposals: Annotated[
+        int, Option(min=1, help="Most proposals for a person before the sampler gives up.")
+    ] = 1_000_000_000
+
+
+def parse_size(text: str, option: str, example: str) -> tuple[int, int]:
+    """Width and height from such as "640x480". Raises `BadInput` otherwise."""
+    from probmodel import BadInput
+
+    width, _, height = text.partition("x")
+    sides = [int(side) for side in (width, height) if side.isdecimal() and len(side) < 8]
+    if len(sides) != 2 or not all(0 < side < LARGEST_SIDE for side in sides):
+        raise BadInput(f"{option} must look like {example}, not {text!r}")
+    return sides[0], sides[1]
 
 
 def prepare_jax() -> None:

@@ -1,7 +1,10 @@
 """A strict session: 64-bit floats, no implicit promotion of ranks, warnings are errors (see
 pyproject)."""
 
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import numpyro.distributions  # noqa: F401 — whole, before a test that breaks off a command can break off this import
@@ -10,6 +13,16 @@ import pytest
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
+
+class Run(NamedTuple):
+    """How a command ended: exit code, stdout, stderr."""
+
+    code: int
+    out: str
+    err: str
+
+
+Cli = Callable[..., Run]
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 
 
@@ -23,3 +36,31 @@ def shared_data() -> Path:
             " checkout"
         )
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Code that commands compile goes to a folder of the session, not to the user's."""
+    before = jax.config.jax_compilation_cache_dir
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+@pytest.fixture
+def poseterior(
+    cache: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Cli:
+    """Runs the command in this process."""
+    from reports import cli
+
+    def run(*arguments: object) -> Run:
+        monkeypatch.setattr(sys, "argv", ["poseterior", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        said = capsys.readouterr()
+        return Run(int(ended.value.code or 0), said.out, said.err)
+
+    return run

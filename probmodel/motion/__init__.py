@@ -8,6 +8,7 @@ Glitches are dropped by a stated rule (`Motion.without_jumps`). The usual way in
 
 import os
 from pathlib import Path
+from typing import NoReturn
 
 from probmodel.failures import BadInput
 from probmodel.motion.archive import read_archive
@@ -45,7 +46,10 @@ def read_motion(path: str | os.PathLike) -> list[Motion]:
 
 def _read_folder(folder: Path) -> list[Motion]:
     files = sorted(
-        entry for entry in folder.rglob("*") if entry.suffix.lower() in (".amc", ".bvh", ".npz")
+        place / name
+        for place, _, names in folder.walk(on_error=_refuse_folder)
+        for name in names
+        if Path(name).suffix.lower() in (".amc", ".bvh", ".npz")
     )
     if not files:
         raise BadInput(
@@ -62,3 +66,10 @@ def _read_folder(folder: Path) -> list[Motion]:
         else:
             motions += read_motion(file)
     return motions
+
+
+def _refuse_folder(error: OSError) -> NoReturn:
+    raise BadInput(
+        f"cannot look into the folder {error.filename} ({error.strerror}); give a folder of motion"
+        " capture alone"
+    ) from None

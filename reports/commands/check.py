@@ -12,7 +12,8 @@ from probmodel.failures import BadInput
 from probmodel.motion import read_motion
 from probmodel.skeleton import BONE_NAMES, BONES, JOINTS, NUM_JOINTS
 from reports import console, tables
-from reports.options import Belief
+from reports.options import Prior, Screen
+from reports.settings import CheckSettings
 
 FEW = 20
 """Up to so many impossible poses are listed one by one, more are counted by bone."""
@@ -27,13 +28,14 @@ class Poses(NamedTuple):
     names: list[str]
 
 
-def run(path: Path, belief: Belief, *, quiet: bool, as_json: bool) -> None:
+def run(settings: CheckSettings, screen: Screen) -> None:
     """Checks every pose of a file: results of ours, motion capture, or arrays of joints."""
-    with console.progress("reading and checking", quiet):
+    path = settings.file
+    with console.progress("reading and checking", screen.quiet):
         poses = read_poses(path)
         _require_poses(poses, path)
-        check = belief.anatomy().limits.check(poses.joints)
-    if as_json:
+        check = Prior(limits=settings.limits).anatomy().limits.check(poses.joints)
+    if screen.json:
         console.show_json(tables.check_json(check, poses.names))
         return
     broken = np.flatnonzero(~check.pose_valid)

@@ -2,7 +2,6 @@
 not, why?"""
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -12,7 +11,7 @@ from inference.studies.calibration import run as calibration
 from inference.studies.calibration.coverage import summary
 from inference.studies.calibration.exclusions import as_text, exclusions
 from inference.studies.calibration.posteriors import sampler_of
-from inference.studies.calibration.real import TRUE, by_the_likelihood, instances, stand_real
+from inference.studies.calibration.real import by_the_likelihood, instances, stand_real
 from inference.studies.calibration.record import instances_tree, standings_tree
 from inference.studies.calibration.simulations import simulate
 from inference.studies.calibration.verdict import FEWEST, judge
@@ -21,7 +20,8 @@ from probmodel.datasets import Noise, read_data_set
 from reports import console
 from reports.figures import save_figure
 from reports.figures.coverage import coverage_figure, ranks_figure
-from reports.options import Belief
+from reports.options import Screen
+from reports.settings import CoverageSettings
 from reports.tables.coverage import (
     brief_table,
     calibration_json,
@@ -34,56 +34,42 @@ from reports.tables.coverage import (
 LIKELIHOOD = "likelihood"
 
 
-class Request(NamedTuple):
-    """Which sampler, with how many draws of each instance, from which seed, where to; τ's
-    factor."""
-
-    sampler: str
-    num_samples: int
-    seed: int
-    out: Path
-    factor: float
-    max_proposals: int
+def run(settings: CoverageSettings, screen: Screen) -> None:
+    """One of the three: simulations judged, simulations written, real poses."""
+    if settings.dataset is not None:
+        real(settings, screen)
+    elif settings.simulate_only:
+        write_simulations(settings, screen)
+    else:
+        simulated(settings, screen)
 
 
-class Real(NamedTuple):
-    """Which poses: a data set, how many frames of it, by what 2D errors, how many joints missing,
-    and whose torso and camera."""
-
-    data: Path
-    frames: int
-    noise: str
-    missing: int
-    estimator: str
-
-
-def simulated(
-    belief: Belief, request: Request, num_simulations: int, *, quiet: bool, as_json: bool
-) -> None:
+def simulated(settings: CoverageSettings, screen: Screen) -> None:
     """Calibration under the model: coverage.nc and coverage.png. A run that was stopped goes on.
     Raises `BadInput` on fewer simulations than the tests need, before any work is done."""
+    num_simulations, sampling = settings.num_simulations, settings.sampling
     if num_simulations < FEWEST:
         raise BadInput(
             f"{num_simulations} simulations are too few: the tests need at least {FEWEST}"
         )
-    out = console.output_folder(request.out)
-    model = belief.model()
-    with console.progress(f"simulations by {request.sampler}", quiet) as step:
+    out = console.output_folder(settings.out)
+    model = settings.prior.model()
+    with console.progress(f"simulations by {settings.sampler}", screen.quiet) as step:
         tree = calibration.calibrate(
             model,
-            request.sampler,
-            seed=request.seed,
+            settings.sampler,
+            seed=sampling.seed,
             num_simulations=num_simulations,
-            num_samples=request.num_samples,
-            factor=request.factor,
-            max_proposals=request.max_proposals,
+            num_samples=sampling.num_samples,
+            factor=settings.factor,
+            max_proposals=sampling.max_proposals,
             out=out / "coverage.nc",
             progress=step,
         )
     simulation = tree["simulation"].to_dataset()
     found = judge(simulation)
     save_figure(ranks_figure(simulation, found.sentence), out / "coverage.png")
-    if as_json:
+    if screen.json:
         console.show_json(calibration_json(found) | {"out": str(out)})
         return
     console.OUT.print(uniformity_table(found))
@@ -91,19 +77,17 @@ def simulated(
     console.say(f"Written to {out}: coverage.nc, coverage.png")
 
 
-def write_simulations(
-    belief: Belief, request: Request, num_simulations: int, *, quiet: bool, as_json: bool
-) -> None:
+def write_simulations(settings: CoverageSettings, screen: Screen) -> None:
     """Only the simulations, for samplers that run elsewhere: simulations.nc."""
+    num_simulations = settings.num_simulations
     if num_simulations < 1:
         raise BadInput(f"the number of simulations must be at least 1, not {num_simulations}")
-    out = console.output_folder(request.out)
-    with console.progress("simulations", quiet):
-        tree = instances_tree(
-            simulate(belief.model(), request.seed, 0, num_simulations, factor=request.factor)
-        )
+    out = console.output_folder(settings.out)
+    with console.progress("simulations", screen.quiet):
+        model, seed = settings.prior.model(), settings.sampling.seed
+        tree = instances_tree(simulate(model, seed, 0, num_simulations, factor=settings.factor))
     save_tree(tree, out / "simulations.nc")
-    if as_json:
+    if screen.json:
         console.show_json({"num_simulations": num_simulations, "out": str(out)})
     else:
         path = out / "simulations.nc"
@@ -113,27 +97,31 @@ def write_simulations(
         )
 
 
-def real(belief: Belief, request: Request, real: Real, *, quiet: bool, as_json: bool) -> None:
+def real(settings: CoverageSettings, screen: Screen) -> None:
     """Coverage of real poses: coverage.nc and coverage.png. Raises `BadInput` on a bad data set,
     noise or estimator."""
-    out = console.output_folder(request.out)
-    model = belief.model()
-    with console.progress("poses, torsos and cameras", quiet):
-        noise = Noise() if real.noise == LIKELIHOOD else Noise.parse(real.noise)
-        data = read_data_set(real.data, frames=real.frames, noise=noise, seed=request.seed)
-        cases = [case.hiding(real.missing, request.seed) for case in data]
-        if real.noise == LIKELIHOOD:
-            cases = [by_the_likelihood(case, request.factor, request.seed) for case in cases]
-        known = instances(cases, model, real.estimator, factor=request.factor)
-    sampler_of(request.sampler, model, request.num_samples)
-    with console.progress(f"posteriors by {request.sampler}", quiet) as step:
+    assert settings.dataset is not None
+    sampling = settings.sampling
+    out = console.output_folder(settings.out)
+    model = settings.prior.model()
+    with console.progress("poses, torsos and cameras", screen.quiet):
+        noise = Noise() if settings.noise == LIKELIHOOD else Noise.parse(settings.noise)
+        data = read_data_set(
+            settings.dataset, frames=settings.frames, noise=noise, seed=sampling.seed
+        )
+        cases = [case.hiding(settings.missing, sampling.seed) for case in data]
+        if settings.noise == LIKELIHOOD:
+            cases = [by_the_likelihood(case, settings.factor, sampling.seed) for case in cases]
+        known = instances(cases, model, settings.estimator, factor=settings.factor)
+    sampler_of(settings.sampler, model, sampling.num_samples)
+    with console.progress(f"posteriors by {settings.sampler}", screen.quiet) as step:
         standings = stand_real(
             model,
             known,
-            sampler=request.sampler,
-            seed=request.seed,
-            num_samples=request.num_samples,
-            max_proposals=request.max_proposals,
+            sampler=settings.sampler,
+            seed=sampling.seed,
+            num_samples=sampling.num_samples,
+            max_proposals=sampling.max_proposals,
             progress=step,
         )
     columns = {
@@ -141,28 +129,28 @@ def real(belief: Belief, request: Request, real: Real, *, quiet: bool, as_json: 
         "unit_mm": np.array([case.unit for case in cases]),
         "reasons": np.array([as_text(one) for one in exclusions(model, cases, known)]),
     }
-    tree = standings_tree(standings, _about(model, request, real, data.sha256), columns)
+    about = _about(model, settings) | {"data": f"{settings.dataset.name} {data.sha256}"}
+    tree = standings_tree(standings, about, columns)
     save_tree(tree, out / "coverage.nc")
     found = summary(tree)
     simulation = tree["simulation"].to_dataset()
-    curves = coverage_figure({f"torso and camera: {real.estimator}": simulation})
+    curves = coverage_figure({f"torso and camera: {settings.estimator}": simulation})
     save_figure(curves, out / "coverage.png")
-    if as_json:
+    if screen.json:
         console.show_json(summary_json(found) | {"out": str(out)})
     else:
         _say(tree, out)
 
 
-def _about(model: PoseModel, request: Request, real: Real, sha256: str) -> dict:
+def _about(model: PoseModel, settings: CoverageSettings) -> dict:
     return {
-        "sampler": request.sampler,
-        "seed": request.seed,
-        "num_samples": request.num_samples,
-        "factor": request.factor,
-        "data": f"{real.data.name} {sha256}",
-        "noise": real.noise,
-        "missing": real.missing,
-        "estimator": real.estimator,
+        "sampler": settings.sampler,
+        "seed": settings.sampling.seed,
+        "num_samples": settings.sampling.num_samples,
+        "factor": settings.factor,
+        "noise": settings.noise,
+        "missing": settings.missing,
+        "estimator": settings.estimator,
         "limits": f"{model.limits.name} {model.limits.sha256}",
         "measures": f"upper {model.upper}, lower {model.lower}",
         "versions": versions(),
@@ -185,6 +173,3 @@ def _say(tree: xr.DataTree, out: Path) -> None:
         f" {found.evidence:.1f} (medians)"
     )
     console.say(f"Written to {out}: coverage.nc, coverage.png")
-
-
-__all__ = ["LIKELIHOOD", "TRUE", "Real", "Request", "real", "simulated", "write_simulations"]

@@ -2,71 +2,63 @@
 reads."""
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
 from inference.detector import Network
 from probmodel import BadInput, Detection, write_detections
 from probmodel.layouts import LAYOUTS
 from reports import console, figures, tables
+from reports.options import Screen, parse_size
+from reports.settings import DetectSettings
 
 Box = tuple[float, ...]
 
 
-@dataclass(frozen=True)
-class Request:
-    """Which network on which people: `boxes` names a COCO file of person boxes, `person_box` is one
-    for all images."""
-
-    model: Path
-    layout: str
-    input_size: tuple[int, int] | None
-    pixels: str
-    method: str
-    threshold: float
-    person_box: Box | None = None
-    boxes: Path | None = None
-    least_score: float = 0.5
-
-
-def run(images: Sequence[Path], request: Request, out: Path, *, quiet: bool, as_json: bool) -> None:
+def run(settings: DetectSettings, screen: Screen) -> None:
     """Writes the detections of all images. Raises `BadInput` on a bad image, network, layout or
     box."""
-    console.output_file(out)
-    if request.layout not in LAYOUTS:
-        raise BadInput(f"there is no layout {request.layout!r}; choose one of {', '.join(LAYOUTS)}")
-    boxes = None if request.boxes is None else read_boxes(request.boxes, request.least_score)
+    out = console.output_file(settings.out)
+    if settings.layout not in LAYOUTS:
+        raise BadInput(
+            f"there is no layout {settings.layout!r}; choose one of {', '.join(LAYOUTS)}"
+        )
+    boxes_of, size = _finder(settings), settings.input_size
     network = Network.load(
-        request.model, LAYOUTS[request.layout], size=request.input_size, pixels=request.pixels
+        settings.model,
+        LAYOUTS[settings.layout],
+        size=None if size is None else parse_size(size, "--input-size", "192x256"),
+        pixels=settings.pixels,
     )
     people: list[Detection] = []
-    with console.progress("detecting", quiet) as step:
-        for number, path in enumerate(images):
+    with console.progress("detecting", screen.quiet) as step:
+        for number, path in enumerate(settings.images):
             people += network.detect(
                 figures.read_image(path),
-                _boxes_of(path, boxes, request),
-                threshold=request.threshold,
-                method=request.method,
+                boxes_of(path),
+                threshold=settings.threshold,
+                method=settings.method,
                 source=str(path),
                 image_id=path.name,
                 first_person=len(people),
             )
-            step(number + 1, len(images))
+            step(number + 1, len(settings.images))
     if not people:
         raise BadInput(
-            f"{request.boxes} has no person's box for any of the images; check its image ids"
+            f"{settings.boxes} has no person's box for any of the images; check its image ids"
         )
     write_detections(out, people)
-    if as_json:
+    if screen.json:
         rows = [
             {"image": person.image_id, "person": person.person, "joints": int(person.seen.sum())}
             for person in people
         ]
-        console.show_json({"people": rows, "layout": request.layout, "out": str(out)})
+        console.show_json({"people": rows, "layout": settings.layout, "out": str(out)})
     else:
         console.OUT.print(tables.people_table(people))
-        console.say(f"Written to {out}; look at it with: poseterior show {out} --image {images[0]}")
+        console.say(
+            f"Written to {out}; look at it with: poseterior show {out} --image {settings.images[0]}"
+        )
 
 
 def read_boxes(path: Path, least_score: float) -> dict[str, list[Box]]:
@@ -87,15 +79,19 @@ def read_boxes(path: Path, least_score: float) -> dict[str, list[Box]]:
     return found
 
 
-def _boxes_of(
-    path: Path, boxes: Mapping[str, list[Box]] | None, request: Request
-) -> list[Box] | None:
+def _finder(settings: DetectSettings) -> Callable[[Path], list[Box] | None]:
     """The boxes of an image, by its name, or by its number as COCO numbers images; None for the
     whole of it."""
-    if boxes is None:
-        return None if request.person_box is None else [request.person_box]
-    names = (path.name, path.stem, path.stem.lstrip("0"))
-    return next((boxes[name] for name in names if name in boxes), [])
+    one = None if settings.box is None else [parse_box(settings.box)]
+    if settings.boxes is None:
+        return lambda path: one
+    boxes = read_boxes(settings.boxes, settings.least_score)
+
+    def find(path: Path) -> list[Box]:
+        names = (path.name, path.stem, path.stem.lstrip("0"))
+        return next((boxes[name] for name in names if name in boxes), [])
+
+    return find
 
 
 def parse_box(text: str) -> Box:
@@ -107,9 +103,3 @@ def parse_box(text: str) -> Box:
     return x, y, width, height
 
 
-def parse_size(text: str) -> tuple[int, int]:
-    """Two whole numbers from "192x256". Raises `BadInput` otherwise."""
-    width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal() and len(text) < 12):
-        raise BadInput(f"--input-size must look like 192x256, not {text!r}")
-    return int(width), int(height)

@@ -3,7 +3,7 @@ or many."""
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,14 +18,14 @@ from inference.studies.evaluation.outcome import Protocol
 from inference.studies.evaluation.relations import Relation, relations
 from inference.studies.evaluation.run import Results, evaluate
 from probmodel.datasets import DataSet, Noise, brings_detections, read_data_set
-from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
 from probmodel.failures import BadInput
 from probmodel.learning.dictionaries import PoseDictionary
 from reports import console
 from reports.figures import save_figure
 from reports.figures.bias import bias_figure
 from reports.figures.evaluation import errors_figure, pck_curves, pck_figure
-from reports.options import Belief
+from reports.options import Screen
+from reports.settings import EvaluateSettings
 from reports.tables import Sheet
 from reports.tables.bias import actions_table, visits_table
 from reports.tables.evaluation import (
@@ -44,77 +44,6 @@ from reports.tables.words import duration
 MANY_FRAMES = 1_000_000
 
 
-class Source(NamedTuple):
-    """Which frames of which data set, and what is done to their 2D joints."""
-
-    path: Path
-    frames: int | None
-    noise: str
-    detections: str
-
-    def read(self, seed: int) -> DataSet:
-        """The data set. Raises `BadInput` as `read_data_set` does."""
-        return read_data_set(
-            self.path,
-            frames=self.frames,
-            noise=Noise.parse(self.noise),
-            seed=seed,
-            detections=self.detections,
-        )
-
-    def whole(self, seed: int) -> DataSet:
-        """All its frames, in the proportions in which they were recorded."""
-        return read_data_set(self.path, seed=seed, detections=self.detections)
-
-
-class Request(NamedTuple):
-    """What is evaluated, how, by whom, and where it goes."""
-
-    out: Path
-    estimators: str
-    missing: str
-    rotate: str
-    ks: str
-    num_samples: int
-    candidates: int
-    factor: float
-    head: bool
-    poses: str
-    max_proposals: int
-    predictions: Sequence[Path]
-    bias: bool
-    workers: int
-    scheduler: str | None
-    seed: int
-
-    def conditions(self) -> list[Condition]:
-        """Raises `BadInput` where a list holds what it must not."""
-        names = [name.strip() for name in self.estimators.split(",") if name.strip()]
-        return conditions(
-            names, _listed(self.missing, int, "--missing"), _listed(self.rotate, float, "--rotate")
-        )
-
-    def protocol(self, belief: Belief) -> Protocol:
-        """Raises `BadInput` on bad limits, pose dictionaries or numbers."""
-        dictionary = (
-            PoseDictionary.default() if self.poses == "default" else PoseDictionary.load(self.poses)
-        )
-        joints = LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS
-        return Protocol(
-            belief.anatomy(),
-            dictionary,
-            str(belief.upper),
-            str(belief.lower),
-            self.candidates,
-            self.factor,
-            joints,
-            self.num_samples,
-            tuple(_listed(self.ks, int, "--k")),
-            self.max_proposals,
-            self.seed,
-        )
-
-
 class Findings(NamedTuple):
     """All that an evaluation says: tables and pictures, and the relations among them."""
 
@@ -123,16 +52,22 @@ class Findings(NamedTuple):
     relations: list[Relation]
 
 
-def run(source: Source, belief: Belief, request: Request, *, quiet: bool, as_json: bool) -> None:
+def run(settings: EvaluateSettings, screen: Screen) -> None:
     """Evaluates, and writes tables (.md, .csv), pictures (.png) and frames.zarr. What is there of
     the same run is kept; raises `BadInput` on bad input, and where the folder holds another run."""
-    wanted, protocol = request.conditions(), request.protocol(belief)
-    with console.progress("reading", quiet):
-        data = source.read(request.seed)
-        external = {path.stem: external_errors(path, data) for path in request.predictions}
-    out = console.output_folder(request.out)
+    wanted, protocol, seed = _conditions(settings), _protocol(settings), settings.sampling.seed
+    with console.progress("reading", screen.quiet):
+        data = read_data_set(
+            settings.dataset,
+            frames=settings.frames,
+            noise=Noise.parse(settings.noise),
+            seed=seed,
+            detections=settings.detections,
+        )
+        external = {path.stem: external_errors(path, data) for path in settings.predictions or ()}
+    out = console.output_folder(settings.out)
     started, begun = time.monotonic(), -1
-    with console.progress("frames", quiet) as step:
+    with console.progress("frames", screen.quiet) as step:
 
         def report(done: int, all_of_them: int) -> None:
             nonlocal begun
@@ -144,21 +79,29 @@ def run(source: Source, belief: Belief, request: Request, *, quiet: bool, as_jso
             wanted,
             protocol,
             out,
-            workers=request.workers,
-            scheduler=request.scheduler,
+            workers=settings.workers,
+            scheduler=settings.scheduler,
             cache=_cache(),
             progress=report,
         )
     fresh, seconds = len(wanted) * len(data) - begun, time.monotonic() - started
     bias = None
-    with console.progress("bias of motion capture, tables, pictures", quiet):
-        if request.bias and len(data) >= LEAST_POSES:
-            bias = bias_study(source.whole(request.seed), protocol.anatomy, seed=request.seed)
+    with console.progress("bias of motion capture, tables, pictures", screen.quiet):
+        if settings.bias and len(data) >= LEAST_POSES:
+            # All its frames, in the proportions in which they were recorded.
+            whole = read_data_set(settings.dataset, seed=seed, detections=settings.detections)
+            bias = bias_study(whole, protocol.anatomy, seed=seed)
         found = findings(
-            results, data, wanted[0], protocol, external, bias, described(source, data, protocol)
+            results,
+            data,
+            base=wanted[0],
+            protocol=protocol,
+            external=external,
+            bias=bias,
+            caption=described(settings, data, protocol),
         )
         write(found, out)
-    if as_json:
+    if screen.json:
         console.show_json(_json(found, out))
         return
     for sheet in found.sheets:
@@ -166,9 +109,34 @@ def run(source: Source, belief: Belief, request: Request, *, quiet: bool, as_jso
             console.OUT.print(narrow(sheet))
     if fresh:
         console.say(
-            throughput(fresh, seconds, request.workers if request.scheduler is None else None)
+            throughput(fresh, seconds, settings.workers if settings.scheduler is None else None)
         )
     console.say(f"Written to {out}: evaluation.md, tables as .csv, pictures, frames.zarr")
+
+
+def _conditions(settings: EvaluateSettings) -> list[Condition]:
+    """Raises `BadInput` where a list holds what it must not."""
+    names = [name.strip() for name in settings.estimation.estimator.split(",") if name.strip()]
+    missing = _listed(settings.missing, int, "--missing")
+    return conditions(names, missing, _listed(settings.rotate, float, "--rotate"))
+
+
+def _protocol(settings: EvaluateSettings) -> Protocol:
+    """Raises `BadInput` on bad limits, pose dictionaries or numbers."""
+    prior, estimation, poses = settings.prior, settings.estimation, settings.estimation.poses
+    return Protocol(
+        anatomy=prior.anatomy(),
+        dictionary=PoseDictionary.default() if poses == "default" else PoseDictionary.load(poses),
+        upper=str(prior.upper),
+        lower=str(prior.lower),
+        candidates=estimation.candidates,
+        factor=estimation.factor,
+        joints=estimation.joints(),
+        num_samples=settings.sampling.num_samples,
+        ks=tuple(_listed(settings.k, int, "--k")),
+        max_proposals=settings.sampling.max_proposals,
+        seed=settings.sampling.seed,
+    )
 
 
 def findings(
@@ -214,15 +182,15 @@ def write(found: Findings, out: Path) -> None:
     console.write_text(out / "evaluation.md", "\n".join(["# Evaluation\n", pictures, *shown]))
 
 
-def described(source: Source, data: DataSet, protocol: Protocol) -> str:
+def described(settings: EvaluateSettings, data: DataSet, protocol: Protocol) -> str:
     """What the numbers are of, in words for a caption."""
-    if brings_detections(source.path):
+    if brings_detections(settings.dataset):
         given = "the 2D joints that it brings"
     else:
         given = (
             "true 2D joints"
-            if source.noise == "none"
-            else f"2D joints with noise {source.noise} of body height"
+            if settings.noise == "none"
+            else f"2D joints with noise {settings.noise} of body height"
         )
     return (
         f"{data.name}: {len(data):,} frames of {len(data.actions)} actions, {given};"

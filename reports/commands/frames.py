@@ -1,65 +1,52 @@
 """`poseterior frames`: draws and hypotheses of everyone in many frames, a stream that goes on where
 it was stopped."""
 
-import functools
-from pathlib import Path
-from typing import NamedTuple
-
 from inference.roots import estimate_torso
 from inference.stream import estimated, open_stream, sample_frames
 from probmodel import BadInput
 from reports import console, tables
-from reports.options import Belief, Sight
+from reports.options import Screen
+from reports.settings import FramesSettings
 
 
-class Request(NamedTuple):
-    """What is asked for, and where it goes."""
-
-    out: Path
-    k: int
-    num_samples: int
-    keep: int | None
-    seed: int
-    max_proposals: int
-
-
-def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json: bool) -> None:
+def run(settings: FramesSettings, screen: Screen) -> None:
     """Writes the stream. Raises `BadInput` on a bad file, or where the folder holds another run;
     frames that cannot be estimated are counted, and their reasons written."""
     import jax
 
-    console.output_folder(request.out)
-    with console.progress("limits and torsos", quiet):
-        model = belief.model()
-    settings = sight.settings(model)
+    out, sampling, estimation = settings.out, settings.sampling, settings.estimation
+    console.output_folder(out)
+    with console.progress("limits and torsos", screen.quiet):
+        model = settings.prior.model()
+    known = estimation.settings(model)
     # Read twice: what cannot be read is better found now than after hours, and then the number of
     # people is known.
-    read = functools.partial(sight.known.frames, sight.file, sight.format, sight.threshold)
-    people = sum(len(frame.people) for frame in read())
+    people = sum(len(frame.people) for frame in settings.detected.frames(settings.path))
     if not people:
         raise BadInput(
-            f"{sight.file} has no person in it; choose one in which the detector found some"
+            f"{settings.path} has no person in it; choose one in which the detector found some"
         )
     items = estimated(
-        read(), lambda detection: estimate_torso(detection, sight.estimator, **settings)
+        settings.detected.frames(settings.path),
+        lambda detection: estimate_torso(detection, estimation.estimator, **known),
     )
-    with console.progress("people", quiet) as step:
+    with console.progress("people", screen.quiet) as step:
         sample_frames(
             model,
             items,
-            key=jax.random.key(request.seed),
-            out=request.out,
-            num_samples=request.num_samples,
-            k=request.k,
-            keep=request.keep,
-            max_proposals=request.max_proposals,
+            key=jax.random.key(sampling.seed),
+            out=out,
+            num_samples=sampling.num_samples,
+            k=settings.k,
+            keep=settings.keep,
+            max_proposals=sampling.max_proposals,
             progress=lambda done: step(done, people),
         )
-    summary = open_stream(request.out)["summary"].to_dataset()
-    if as_json:
-        console.show_json(tables.stream_json(summary) | {"out": str(request.out)})
+    summary = open_stream(out)["summary"].to_dataset()
+    if screen.json:
+        console.show_json(tables.stream_json(summary) | {"out": str(out)})
         return
     console.OUT.print(tables.stream_table(summary))
     for line in tables.stream_lines(summary):
         console.say(line)
-    console.say(f"Written to {request.out}: open it with inference.open_stream")
+    console.say(f"Written to {out}: open it with inference.open_stream")

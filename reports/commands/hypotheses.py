@@ -2,7 +2,6 @@
 picture and a table."""
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,65 +12,41 @@ from inference.results import COMPLETE
 from inference.sampler import sample
 from probmodel.failures import BadInput, OutOfBudget
 from reports import console, figures, tables
-from reports.options import Belief, Sight
+from reports.options import Screen
+from reports.settings import HypothesesSettings
 
 
-@dataclass(frozen=True)
-class Request:
-    """What is asked for: how many draws and hypotheses, from which seed, within which budget,
-    written where."""
-
-    out: Path
-    k: int
-    num_samples: int
-    seed: int
-    max_proposals: int
-    image: Path | None = None
-
-
-def run(
-    sight: Sight,
-    belief: Belief,
-    request: Request,
-    *,
-    truth: np.ndarray | None,
-    quiet: bool,
-    as_json: bool,
-) -> None:
+def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | None = None) -> None:
     """The main job. Raises `BadInput`, or `OutOfBudget` after saving what was drawn."""
     import jax
 
-    if request.k < 1:
-        raise BadInput(
-            f"the number of hypotheses must be at least 1, not {request.k}; give another --k"
-        )
-    if request.k > request.num_samples:
-        raise BadInput(
-            f"--k {request.k} hypotheses need at least as many draws; raise --num-samples"
-        )
-    image = None if request.image is None else figures.read_image(request.image)
-    with console.progress("torso and camera", quiet):
-        model = belief.model()
-        frame = sight.frame(model)
-    out = console.output_folder(request.out)
-    with console.progress("exact draws", quiet) as step:
+    k, sampling, photo = settings.k, settings.sampling, settings.person.detected.photo
+    if k < 1:
+        raise BadInput(f"the number of hypotheses must be at least 1, not {k}; give another --k")
+    if k > sampling.num_samples:
+        raise BadInput(f"--k {k} hypotheses need at least as many draws; raise --num-samples")
+    with console.progress("torso and camera", screen.quiet):
+        model = settings.prior.model()
+        frame = settings.estimation.estimate(settings.person.detection(), model)
+    out = console.output_folder(settings.out)
+    with console.progress("exact draws", screen.quiet) as step:
         result = sample(
             model,
             frame,
-            key=jax.random.key(request.seed),
-            num_samples=request.num_samples,
-            max_proposals=request.max_proposals,
+            key=jax.random.key(sampling.seed),
+            num_samples=sampling.num_samples,
+            max_proposals=sampling.max_proposals,
             progress=step,
         )
     if not result.num_draws:
         raise OutOfBudget(result.sentence)
-    with console.progress("hypotheses and their picture", quiet):
+    with console.progress("hypotheses and their picture", screen.quiet):
         result.save(out / "posterior.nc")
-        chosen = hypotheses(result, min(request.k, result.num_draws), seed=request.seed)
-        console.write_text(out / "hypotheses.json", _as_text(chosen, result, request))
-        picture = figures.hypotheses_figure(result.tree, chosen, image=image, truth=truth)
+        chosen = hypotheses(result, min(k, result.num_draws), seed=sampling.seed)
+        console.write_text(out / "hypotheses.json", _as_text(chosen, result, sampling.seed))
+        picture = figures.hypotheses_figure(result.tree, chosen, image=photo, truth=truth)
         figures.save_figure(picture, out / "hypotheses.png")
-    if as_json:
+    if screen.json:
         console.show_json(summary(chosen, result, out))
     else:
         show(chosen, result, out)
@@ -79,12 +54,12 @@ def run(
         raise OutOfBudget(f"{result.sentence} (what there is, is saved in {out})")
 
 
-def _as_text(chosen: list[Hypothesis], result: Result, request: Request) -> str:
+def _as_text(chosen: list[Hypothesis], result: Result, seed: int) -> str:
     attrs = result.tree.attrs
     about = {key: attrs[key] for key in ("source", "limits", "measures", "versions")}
     whole = {
         "hypotheses": [hypothesis.as_json() for hypothesis in chosen],
-        "seed": request.seed,
+        "seed": seed,
         "person": int(attrs["person"]),
         **about,
     }

@@ -1,28 +1,26 @@
 """`poseterior learn`: limits, bone lengths and torsos from motion capture in one file, pose
 dictionaries in another."""
 
-from pathlib import Path
-
 import numpy as np
 
 from probmodel.learning.dictionaries import learn_dictionary
 from probmodel.learning.learner import learn
 from probmodel.learning.poses import read_all
 from reports import console
+from reports.options import Screen
+from reports.settings import LearnSettings
 
 
-def run(
-    paths: list[Path], out: Path, poses: Path | None, *, mirror: bool, quiet: bool, as_json: bool
-) -> None:
+def run(settings: LearnSettings, screen: Screen) -> None:
     """Learns from files and folders of ASF/AMC, BVH and .npz; writes tables, and dictionaries where
     `poses` says."""
-    console.output_file(out)
+    out, poses = console.output_file(settings.out), settings.poses
     if poses is not None:
         console.output_file(poses)
-    with console.progress("learning", quiet) as step:
-        motions = read_all(paths, lambda what, done, wanted: step(done, wanted))
+    with console.progress("learning", screen.quiet) as step:
+        motions = read_all(settings.mocap, lambda what, done, wanted: step(done, wanted))
         anatomy = learn(
-            motions, mirror=mirror, progress=lambda what, done, wanted: step(done, wanted)
+            motions, mirror=settings.mirror, progress=lambda what, done, wanted: step(done, wanted)
         )
         dictionary = None if poses is None else learn_dictionary(motions)
     anatomy.save(out)
@@ -41,7 +39,7 @@ def run(
             "directions": len(dictionary.bases),
             "atoms": len(dictionary.atoms),
         }
-    if as_json:
+    if screen.json:
         console.show_json(found)
         return
     console.say(

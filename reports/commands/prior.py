@@ -1,30 +1,28 @@
 """`poseterior prior`: poses from the prior, as netCDF."""
 
-from pathlib import Path
-
 from inference.prior import sample_prior
 from inference.results import save_tree
 from reports import console
-from reports.options import Belief
+from reports.options import Screen
+from reports.settings import PriorSettings
 
 
-def run(
-    belief: Belief, out: Path, num_samples: int, seed: int, *, quiet: bool, as_json: bool
-) -> None:
+def run(settings: PriorSettings, screen: Screen) -> None:
     """Writes prior.nc."""
     import jax
 
-    console.output_file(out)
-    model = belief.model()
-    with console.progress("draws of the prior", quiet) as step:
-        tree = sample_prior(model, key=jax.random.key(seed), num_samples=num_samples, progress=step)
+    out = console.output_file(settings.out)
+    model, number = settings.prior.model(), settings.num_samples
+    with console.progress("draws of the prior", screen.quiet) as step:
+        key = jax.random.key(settings.seed)
+        tree = sample_prior(model, key=key, num_samples=number, progress=step)
     save_tree(tree, out)
     about = {key: tree.attrs[key] for key in ("limits", "measures")}
-    found = {"num_samples": num_samples, **about, "out": str(out)}
-    if as_json:
+    found = {"num_samples": number, **about, "out": str(out)}
+    if screen.json:
         console.show_json(found)
     else:
         console.say(
-            f"{num_samples} poses from the prior ({found['measures']}; limits {model.limits.name})."
+            f"{number} poses from the prior ({found['measures']}; limits {model.limits.name})."
         )
         console.say(f"Written to {out}")

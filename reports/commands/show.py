@@ -5,41 +5,40 @@ from pathlib import Path
 
 import numpy as np
 
-from inference import estimate_torso
+from inference import estimate_torsos
 from inference.readings import Judge, Verdict, together
-from probmodel import BadInput, Detection
+from probmodel import BadInput, Detection, PoseModel
+from probmodel.detections import pick_person
 from probmodel.layouts import MEDIAPIPE_33
 from probmodel.skeleton import JOINTS
 from reports import console, figures, tables
-from reports.options import Belief, Sight
+from reports.options import Estimation, Screen
+from reports.settings import ShowSettings
 
 MOST_PEOPLE = 8
 """People of a file by whom its reading is judged, evenly spread, the one that is shown among
 them."""
 
 
-def run(
-    sight: Sight, belief: Belief, out: Path, image: Path | None, *, quiet: bool, as_json: bool
-) -> None:
+def run(settings: ShowSettings, screen: Screen) -> None:
     """Writes the picture and says what was read and what is doubted. Raises `BadInput` on a bad
     file or image."""
-    console.output_file(out)
-    shown = None if image is None else figures.read_image(image)
-    with console.progress("reading", quiet):
-        people = sight.people()
-        person = sight.detection()
-        model = belief.model()
-    with console.progress("weighing other readings", quiet):
+    out, shown = console.output_file(settings.out), settings.person.detected.photo
+    with console.progress("reading", screen.quiet):
+        people = settings.person.people()
+        person = pick_person(people, settings.person.person)
+        model = settings.prior.model()
+    with console.progress("weighing other readings", screen.quiet):
         judge, sizes = Judge(model), person.layout == MEDIAPIPE_33.name
         alone = judge.file([person], sizes=sizes)
         verdict = together([alone, judge.file(_others(people, person), sizes=sizes)])
     warnings = [*about_the_image(person, shown), *verdict.warnings]
     own = [sentence for sentence in alone.warnings if sentence not in warnings]
     warnings += [f"{sentence} (person {person.person} alone)" for sentence in own]
-    radius = _radius(person, sight, np.asarray(model.torsos))
+    radius = _radius(person, settings.estimation, model)
     picture = figures.overlay_figure(person, radius, image=shown, warned=bool(warnings))
     figures.save_figure(picture, out)
-    if as_json:
+    if screen.json:
         console.show_json(_json(person, radius, verdict, warnings, out))
     else:
         console.OUT.print(tables.reading_table(person, radius))
@@ -78,14 +77,16 @@ def about_the_image(person: Detection, image: np.ndarray | None) -> list[str]:
     return []
 
 
-def _radius(person: Detection, sight: Sight, torsos: np.ndarray) -> np.ndarray | None:
+def _radius(person: Detection, estimation: Estimation, model: PoseModel) -> np.ndarray | None:
     """`(15,)` pixels; None where the torso is not seen well enough for a scale."""
+    # Without anybody, so that only settings are refused.
+    estimate_torsos([], estimation.estimator, **estimation.settings(model))
     try:
-        frame = estimate_torso(person, torsos=torsos, factor=sight.factor)
+        frame = estimation.estimate(person, model)
     except BadInput:
         return None
     return person.radius(
-        float(frame.candidates[0].camera.scale), factor=sight.factor, joints=frame.joints
+        float(frame.candidates[0].camera.scale), factor=frame.factor, joints=frame.joints
     )
 
 

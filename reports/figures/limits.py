@@ -6,9 +6,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from probmodel.learning.learning import cells_of
 
 from probmodel.anatomy.limits import GRID, AnatomicalLimits
-from probmodel.learning.learning import cells_of
 from probmodel.learning.overlap import fibonacci
 from probmodel.skeleton import BONE_NAMES, UPPER_BONES
 from reports.figures.style import page

@@ -15,11 +15,11 @@ from pathlib import Path
 import jax
 import numpy as np
 import xarray as xr
+from inference.candidates import Frame
 
 from inference.baselines.catalogue import BASELINES
 from inference.baselines.run import Allowance
 from inference.baselines.target import Target
-from inference.candidates import Frame
 from inference.results import save_tree
 from inference.sampler import draw_mixture
 from inference.studies.comparison import comparison_tree, contest

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from probmodel.learning.learning import learn
 from scipy.spatial.transform import Rotation
 
 import inference
@@ -17,7 +18,6 @@ from inference.studies.errors import best_of, mean_joint_error
 from probmodel import Anatomy, Detection, PoseModel
 from probmodel.datasets import VIEWS, body_height
 from probmodel.learning.dictionaries import PoseDictionary, learn_dictionary
-from probmodel.learning.learning import learn
 from probmodel.motion import Motion
 from probmodel.skeleton import LIMB_JOINTS, NUM_JOINTS
 from reports.pages.people import without

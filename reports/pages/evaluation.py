@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from probmodel.learning.learning import learn, read_all
 
 from inference.studies.evaluation.bias import bias_study
 from inference.studies.evaluation.conditions import Condition, conditions
@@ -24,7 +25,6 @@ from inference.studies.evaluation.run import Results, evaluate
 from inference.studies.evaluation.scores import Estimate, clustered, common, pose_errors, usable
 from probmodel.datasets import EXACT, DataSet, Noise, read_data_set
 from probmodel.learning.dictionaries import learn_dictionary
-from probmodel.learning.learning import learn, read_all
 from reports.figures.bias import bias_figure
 from reports.figures.evaluation import errors_figure, pck_curves, pck_figure
 from reports.pages.page import Values, in_doubles, write_page

@@ -12,11 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-
-from probmodel.anatomy.limits import GRID, AnatomicalLimits
-from probmodel.anatomy.population import Anatomy
-from probmodel.anatomy.published import read_published
-from probmodel.kinematics import articulation
 from probmodel.learning.learning import (
     Poses,
     Tolerance,
@@ -26,6 +21,11 @@ from probmodel.learning.learning import (
     mirror_pose,
     occupancy,
 )
+
+from probmodel.anatomy.limits import GRID, AnatomicalLimits
+from probmodel.anatomy.population import Anatomy
+from probmodel.anatomy.published import read_published
+from probmodel.kinematics import articulation
 from probmodel.learning.overlap import Overlap, cell_areas, overlap
 from probmodel.motion import Motion, read_motion
 from probmodel.skeleton import BONE_NAMES, UPPER_BONES

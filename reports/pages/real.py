@@ -13,6 +13,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 import xarray as xr
+from probmodel.learning.learning import learn, read_all
 
 from inference.hypothesis import grid_poses
 from inference.results import save_tree
@@ -27,7 +28,6 @@ from probmodel.anatomy.population import Anatomy
 from probmodel.anatomy.published import read_published
 from probmodel.datasets import Case, Noise, from_motions
 from probmodel.learning.dictionaries import PoseDictionary, learn_dictionary
-from probmodel.learning.learning import learn, read_all
 from probmodel.motion import Motion
 from reports.pages.people import without
 

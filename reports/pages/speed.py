@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from inference.candidates import Frame
 from matplotlib.figure import Figure
 
-from inference.candidates import Frame
 from inference.exact.groups import StratifiedGroup
 from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
 from inference.exact.naive import BATCH, group_prior

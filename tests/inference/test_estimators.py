@@ -19,7 +19,7 @@ from probmodel.detections import LIMB_JOINTS
 from probmodel.example import example
 from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX, TORSO_JOINTS
-from reports.options import Sight
+from reports.options import Estimation
 from tests.scenes import camera, key
 
 TORSOS = Anatomy.default().torsos
@@ -163,11 +163,11 @@ def test_what_did_not_converge_is_said(monkeypatch, capsys):
     monkeypatch.setitem(
         ESTIMATORS, "zhou", lambda many, known: fit_zhou(many, known.poses, max_iterations=5)
     )
-    frame = Sight(EXAMPLE.path, estimator="zhou").frame(MODEL)
+    frame = Estimation(estimator="zhou").estimate(EXAMPLE.detection, MODEL)
     assert not frame.converged
     assert np.isfinite(frame.pose).all()
     assert "zhou did not converge for person 0 of" in capsys.readouterr().err
-    assert Sight(EXAMPLE.path, estimator="akhter-black").frame(MODEL).converged
+    assert Estimation(estimator="akhter-black").estimate(EXAMPLE.detection, MODEL).converged
     assert capsys.readouterr().err == ""
 
 
@@ -178,14 +178,16 @@ def test_a_dictionary_for_another_skeleton_is_refused(tmp_path):
         **dataclasses.asdict(PoseDictionary.default()),
     )
     with pytest.raises(BadInput, match="another skeleton, of 2 joints"):
-        Sight(EXAMPLE.path, estimator="zhou", poses=str(tmp_path / "other.npz")).frame(MODEL)
+        Estimation(estimator="zhou", poses=str(tmp_path / "other.npz")).estimate(
+            EXAMPLE.detection, MODEL
+        )
 
 
 def test_another_dictionary_gives_another_pose(tmp_path):
     default = PoseDictionary.default()
     dataclasses.replace(default, atoms=default.atoms[:20]).save(tmp_path / "few.npz")
     one, other = (
-        Sight(EXAMPLE.path, estimator="zhou", poses=poses).frame(MODEL)
+        Estimation(estimator="zhou", poses=poses).estimate(EXAMPLE.detection, MODEL)
         for poses in ("default", str(tmp_path / "few.npz"))
     )
     assert np.abs(one.pose - other.pose).max() > 0.01

@@ -23,6 +23,8 @@ from probmodel.learning.poses import LEARNING_RATE, read_all
 from probmodel.motion import Motion
 from probmodel.skeleton import JOINTS, MIRROR, TORSO_INDEX
 from reports.commands import learn
+from reports.options import Screen
+from reports.settings import LearnSettings
 
 DICTIONARY = PoseDictionary.default()
 
@@ -159,17 +161,17 @@ def test_learn_writes_dictionaries_that_estimators_use(shared_data, tmp_path, ca
         tmp_path / "l.npz",
         tmp_path / "p.npz",
     )
-    learn.run([walk], out, None, mirror=True, quiet=True, as_json=True)
+    learn.run(LearnSettings(mocap=[walk], out=out), Screen(quiet=True, json=True))
     assert not poses.exists()
     before = out.read_bytes()
-    learn.run([walk], out, poses, mirror=True, quiet=True, as_json=False)
+    learn.run(LearnSettings(mocap=[walk], out=out, poses=poses), Screen(quiet=True))
     assert out.read_bytes() == before
     assert f"and {poses}" in capsys.readouterr().out
     learned = PoseDictionary.load(poses)
     frame = inference.estimate_torso(example().detection, "zhou", poses=learned)
     assert np.isfinite(frame.pose).all()
     with pytest.raises(BadInput, match="is a folder"):
-        learn.run([walk], out, tmp_path, mirror=True, quiet=True, as_json=True)
+        learn.run(LearnSettings(mocap=[walk], out=out, poses=tmp_path), Screen(quiet=True))
 
 
 def test_saved_and_loaded_it_is_the_same(tmp_path):

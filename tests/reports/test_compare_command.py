@@ -2,6 +2,7 @@
 lost."""
 
 import contextlib
+import dataclasses
 import io
 import json
 import shutil
@@ -15,10 +16,12 @@ import xarray as xr
 from probmodel import BadInput, PoseModel, write_detections
 from reports.commands import compare
 from reports.figures.comparison import comparison_figure
-from reports.options import Belief, Sight
+from reports.options import Person, Screen
+from reports.settings import CompareSettings
 from reports.tables.comparison import COLUMNS, NARROW, comparison_table
 from tests.scenes import prior_scene
 
+JSON = Screen(quiet=True, json=True)
 SEEN_ARM = (
     "head",
     "left_elbow",
@@ -37,10 +40,17 @@ def detection(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def request(
-    out: Path, *samplers: str, evaluations: int = 20_000, seconds: float = 60.0
-) -> compare.Request:
-    return compare.Request(samplers, out, seconds, evaluations, 500, 0)
+def asked(
+    detection: Path, out: Path, samplers: str, evaluations: int = 20_000, seconds: float = 60.0
+) -> CompareSettings:
+    return CompareSettings(
+        person=Person(file=detection),
+        samplers=samplers,
+        out=out,
+        seconds=seconds,
+        max_evaluations=evaluations,
+        num_samples=500,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -49,9 +59,7 @@ def done(detection: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
     out = tmp_path_factory.mktemp("out") / "comparison"
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
-        compare.run(
-            Sight(detection), Belief(), request(out, "rejection", "emcee"), quiet=True, as_json=True
-        )
+        compare.run(asked(detection, out, "rejection, emcee"), JSON)
     return out, said.getvalue()
 
 
@@ -87,9 +95,7 @@ def test_another_call_goes_on_whoever_else_is_asked(
     out, said = done
     before = json.loads(said)["samplers"][1]
     shutil.copytree(out, tmp_path / "again")
-    compare.run(
-        Sight(detection), Belief(), request(tmp_path / "again", "emcee"), quiet=True, as_json=True
-    )
+    compare.run(asked(detection, tmp_path / "again", "emcee"), JSON)
     after = json.loads(capsys.readouterr().out)["samplers"][0]
     assert after["num_evaluations"] == before["num_evaluations"]
     assert after["ess_worst"] == before["ess_worst"]
@@ -122,21 +128,12 @@ def test_what_cannot_be_compared_is_refused_before_any_work(
     detection: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(BadInput, match="no sampler 'magic'; choose from rejection"):
-        compare.run(
-            Sight(detection),
-            Belief(),
-            request(tmp_path / "a", "emcee", "magic"),
-            quiet=True,
-            as_json=False,
-        )
+        compare.run(asked(detection, tmp_path / "a", "emcee,magic"), JSON)
     with pytest.raises(BadInput, match="--seconds must be more than 0"):
-        compare.run(
-            Sight(detection),
-            Belief(),
-            request(tmp_path / "b", "emcee", seconds=0),
-            quiet=True,
-            as_json=False,
-        )
+        compare.run(asked(detection, tmp_path / "b", "emcee", seconds=0), JSON)
+    few = dataclasses.replace(asked(detection, tmp_path / "c", "emcee"), num_samples=99)
+    with pytest.raises(BadInput, match="--num-samples must be at least 100, not 99"):
+        compare.run(few, JSON)
     assert not list(tmp_path.iterdir())
 
 
@@ -146,13 +143,7 @@ def test_a_broken_file_loses_nothing_else(done: tuple[Path, str], detection: Pat
     kept = (out / "runs" / "emcee-one-flip.npz").read_bytes()
     (out / "runs" / "emcee-one-flip.npz").write_bytes(kept[:1000])
     with pytest.raises(BadInput, match=r"emcee-one-flip.npz is not a saved run, or was cut off"):
-        compare.run(
-            Sight(detection),
-            Belief(),
-            request(out, "rejection", "emcee"),
-            quiet=True,
-            as_json=False,
-        )
+        compare.run(asked(detection, out, "rejection,emcee"), JSON)
     (out / "runs" / "emcee-one-flip.npz").write_bytes(kept)
     tree = xr.open_datatree(out / "comparison.nc")
     assert "emcee (dispersed)" in tree["summary"].sampler.values
@@ -162,13 +153,7 @@ def test_a_broken_file_loses_nothing_else(done: tuple[Path, str], detection: Pat
 def test_no_draws_is_a_line_of_its_own(
     detection: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    compare.run(
-        Sight(detection),
-        Belief(),
-        request(tmp_path, "random-walk", evaluations=1),
-        quiet=True,
-        as_json=True,
-    )
+    compare.run(asked(detection, tmp_path, "random-walk", evaluations=1), JSON)
     lines = json.loads(capsys.readouterr().out)["samplers"]
     assert all(line["verdict"] == "no draws" for line in lines)
     assert all("not one draw" in line["sentence"] for line in lines)

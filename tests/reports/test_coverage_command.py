@@ -3,6 +3,7 @@ refusals."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +15,17 @@ from probmodel import BadInput, PoseModel
 from probmodel.datasets import DataSet, write_plain
 from reports.commands import coverage
 from reports.figures.coverage import controls_figure, ranks_figure
-from reports.options import Belief
+from reports.options import Sampling, Screen
+from reports.settings import CoverageSettings
 from reports.tables.coverage import WORST, families_table, p_text, uniformity_table
+from tests.conftest import Cli
+
+JSON, TABLES = Screen(quiet=True, json=True), Screen(quiet=True)
 
 
-def request(out: Path, sampler: str = "rejection", num_samples: int = 20) -> coverage.Request:
-    return coverage.Request(sampler, num_samples, 0, out, 0.25, 1_000_000)
+def asked(out: Path, num_samples: int = 20, **others: Any) -> CoverageSettings:
+    sampling = Sampling(num_samples=num_samples, max_proposals=1_000_000)
+    return CoverageSettings(out=out, sampling=sampling, **({"num_simulations": 100} | others))
 
 
 def read(path: Path) -> xr.DataTree:
@@ -36,7 +42,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     out = tmp_path_factory.mktemp("out") / "coverage"
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
-        coverage.simulated(Belief(), request(out), 100, quiet=True, as_json=True)
+        coverage.run(asked(out), JSON)
     return out, json.loads(said.getvalue())
 
 
@@ -62,24 +68,24 @@ def test_arviz_plots_it_as_it_is(done: tuple[Path, dict]) -> None:
 
 def test_another_call_goes_on(done: tuple[Path, dict], capsys: pytest.CaptureFixture) -> None:
     out = done[0]
-    coverage.simulated(Belief(), request(out), 100, quiet=True, as_json=False)
+    coverage.run(asked(out), TABLES)
     words = capsys.readouterr().out
     assert "calibrated: no test of 48 rejects at 0.01 with 100 simulations" in words
     assert "highest density" in words
     with pytest.raises(BadInput, match="holds another run"):
-        coverage.simulated(Belief(), request(out, num_samples=21), 100, quiet=True, as_json=False)
+        coverage.run(asked(out, num_samples=21), TABLES)
 
 
 def test_too_few_simulations_are_refused_before_any_work(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="99 simulations are too few: the tests need at least 100"):
-        coverage.simulated(Belief(), request(tmp_path / "out"), 99, quiet=True, as_json=False)
+        coverage.run(asked(tmp_path / "out", num_simulations=99), TABLES)
     assert not list(tmp_path.iterdir())
 
 
 def test_draws_from_elsewhere(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """Simulations are written, somebody draws (here: always the truth of the next one), and is
     found out."""
-    coverage.write_simulations(Belief(), request(tmp_path), 100, quiet=True, as_json=False)
+    coverage.run(asked(tmp_path, simulate_only=True), TABLES)
     tree = read(tmp_path / "simulations.nc")
     some = simulate(PoseModel(), 0, 0, 100)
     np.testing.assert_array_equal(tree["truth"].joints[3], some[3].joints)
@@ -93,13 +99,7 @@ def test_draws_from_elsewhere(tmp_path: Path, capsys: pytest.CaptureFixture) -> 
     ).normal(size=(100, 10, 15, 3))
     np.savez(tmp_path / "draws.npz", joints=draws)
     capsys.readouterr()
-    coverage.simulated(
-        Belief(),
-        request(tmp_path / "judged", str(tmp_path / "draws.npz"), 10),
-        100,
-        quiet=True,
-        as_json=True,
-    )
+    coverage.run(asked(tmp_path / "judged", 10, sampler=str(tmp_path / "draws.npz")), JSON)
     assert json.loads(capsys.readouterr().out)["verdict"] == "miscalibrated"
 
 
@@ -119,8 +119,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_real_poses(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    real = coverage.Real(data, 8, "none", 0, "true")
-    coverage.real(Belief(), request(tmp_path), real, quiet=True, as_json=False)
+    coverage.run(asked(tmp_path, dataset=data, frames=8, noise="none"), TABLES)
     words = capsys.readouterr().out
     assert "true poses are excluded" in words
     assert "right ankle" in words
@@ -132,8 +131,8 @@ def test_real_poses(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -
 
 @pytest.mark.slow
 def test_estimated_torsos(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    real = coverage.Real(data, 8, "none", 1, "zhou")
-    coverage.real(Belief(), request(tmp_path), real, quiet=True, as_json=True)
+    real = asked(tmp_path, dataset=data, frames=8, noise="none", missing=1, estimator="zhou")
+    coverage.run(real, JSON)
     said = json.loads(capsys.readouterr().out)
     assert said["poses"] == 8
     assert 0 <= said["excluded"] <= 1
@@ -151,9 +150,32 @@ def test_estimated_torsos(data: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     ],
 )
 def test_bad_real_poses(data: Path, tmp_path: Path, change: dict, match: str) -> None:
-    real = coverage.Real(data, 8, "none", 0, "true")._replace(**change)
+    real = asked(tmp_path, **({"dataset": data, "frames": 8, "noise": "none"} | change))
     with pytest.raises(BadInput, match=match):
-        coverage.real(Belief(), request(tmp_path), real, quiet=True, as_json=False)
+        coverage.run(real, TABLES)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--missing 1", "--missing means nothing without --dataset"),
+        ("--frames 100", "--frames means nothing without --dataset"),
+        ("--simulate-only --sampler rejection", "--sampler means nothing with --simulate-only"),
+        ("--simulate-only --noise none", "--noise means nothing with --simulate-only"),
+        ("--dataset x.npz --num-simulations 9", "--num-simulations means nothing with --dataset"),
+        ("--poses x.npz --simulate-only", "--simulate-only means nothing with --dataset"),
+    ],
+)
+def test_an_option_of_another_way_is_refused(
+    words: str,
+    said: str,
+    poseterior: Cli,
+    tmp_path: Path,
+) -> None:
+    """Also where its value is the default."""
+    run = poseterior("coverage", *words.split(), "--out", tmp_path / "out", "--quiet")
+    assert (run.code, list(tmp_path.iterdir())) == (2, [])
+    assert run.err.startswith(f"poseterior: {said}; leave it out")
 
 
 def test_tables_and_figures_show_every_quantity(done: tuple[Path, dict]) -> None:

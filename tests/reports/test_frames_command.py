@@ -9,7 +9,7 @@ import pytest
 
 from inference import draws_of, open_stream
 from probmodel import PoseModel, write_detections
-from tests.reports.test_cli import Cli, poseterior  # noqa: F401 — a fixture
+from tests.conftest import Cli
 from tests.scenes import prior_scene
 
 OPTIONS = ("--num-samples", 50, "--k", 3, "--quiet")
@@ -29,7 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_folder_becomes_a_stream_and_a_second_call_goes_on(
     poseterior: Cli, folder: Path, tmp_path: Path
-) -> None:  # noqa: F811
+) -> None:
     out = tmp_path / "out"
     run = poseterior("frames", folder, "--out", out, *OPTIONS, "--json")
     assert run.code == 0, run
@@ -50,7 +50,7 @@ def test_a_folder_becomes_a_stream_and_a_second_call_goes_on(
     assert "frame_1/0: " in again.out
 
 
-def test_refusals(poseterior: Cli, folder: Path, tmp_path: Path) -> None:  # noqa: F811
+def test_refusals(poseterior: Cli, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert poseterior("frames", folder, "--out", out, *OPTIONS).code == 0
     for arguments, said in [

@@ -18,9 +18,9 @@ from reports.commands.show import about_the_image
 from reports.figures import read_image
 from reports.figures.overlay import _spread, overlay_figure
 from reports.figures.style import LIMB_COLOURS
-from reports.options import Known
+from reports.options import Detected
+from tests.conftest import Cli
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, landmarks, points, table
-from tests.reports.test_cli import Cli, poseterior  # noqa: F401 — a fixture
 
 
 def person(**missing: bool) -> Detection:
@@ -69,8 +69,7 @@ def test_names_do_not_lie_on_each_other() -> None:
 
 
 def test_a_file_that_is_read_rightly_is_shown_without_a_word(
-    tmp_path: Path,
-    poseterior: Cli,  # noqa: F811
+    tmp_path: Path, poseterior: Cli
 ) -> None:
     write_detections(tmp_path / "a.json", [person()])
     done = poseterior("show", tmp_path / "a.json", "--out", tmp_path / "a.png", "--quiet")
@@ -80,8 +79,7 @@ def test_a_file_that_is_read_rightly_is_shown_without_a_word(
 
 
 def test_a_doubted_reading_is_one_sentence_and_a_field_of_the_json(
-    tmp_path: Path,
-    poseterior: Cli,  # noqa: F811
+    tmp_path: Path, poseterior: Cli
 ) -> None:
     write_detections(tmp_path / "a.json", [exchanged(person(), *BODY)])
     done = poseterior("show", tmp_path / "a.json", "--out", tmp_path / "a.png", "--quiet", "--json")
@@ -100,7 +98,7 @@ def test_the_image_says_its_size(tmp_path: Path) -> None:
     is spoken of."""
     (tmp_path / "a.json").write_text(json.dumps(landmarks()))
     Image.new("RGB", (200, 200)).save(tmp_path / "a.png")
-    (found,) = Known(image=tmp_path / "a.png").read(tmp_path / "a.json", "auto", None)
+    (found,) = Detected(image=tmp_path / "a.png").people(tmp_path / "a.json")
     assert found.keypoints[JOINTS.index("right_wrist")] == pytest.approx([26, 80])
     assert about_the_image(found, np.zeros((200, 200, 3), np.uint8)) == []
     (said,) = about_the_image(found, np.zeros((400, 300, 3), np.uint8))
@@ -113,11 +111,11 @@ def test_a_map_of_names_and_the_correction(tmp_path: Path) -> None:
     odd = {"a": "right_hip", "b": "left_hip", "c": "right_shoulder", "d": "left_shoulder"}
     (tmp_path / "a.csv").write_text(table(deeplabcut_rows(parts=odd)))
     (tmp_path / "names.json").write_text(json.dumps(odd))
-    mapped = Known(names=tmp_path / "names.json").read(tmp_path / "a.csv", "auto", None)[0]
+    mapped = Detected(names=tmp_path / "names.json").people(tmp_path / "a.csv")[0]
     assert mapped.seen.sum() == 6  # thorax and pelvis are their midpoints
     (tmp_path / "b.json").write_text(json.dumps(landmarks()))
     usual, moved = (
-        Known("200x200", correct=correct).read(tmp_path / "b.json", "auto", None)[0]
+        Detected(image_size="200x200", correct=correct).people(tmp_path / "b.json")[0]
         for correct in (False, True)
     )
     assert usual.keypoints[0] == pytest.approx([50, 80])
@@ -128,6 +126,9 @@ def test_a_map_of_names_and_the_correction(tmp_path: Path) -> None:
     ("words", "match"),
     [
         (("--image-size", "640"), "--image-size must look like 640x480"),
+        (("--image-size", "0x480"), "--image-size must look like 640x480"),
+        (("--estimator", "magic"), "no estimator 'magic'; choose one of"),
+        (("--factor", "0"), "--factor must lie between"),
         (("--names", "{tmp}/a.json"), "must hold an object of names, or a list of them"),
         (("--names", "{tmp}/none.json"), "is no JSON that can be read"),
         (("--person", "3"), "--person 3 is not among them"),
@@ -136,7 +137,7 @@ def test_a_map_of_names_and_the_correction(tmp_path: Path) -> None:
 )
 def test_what_show_refuses(
     tmp_path: Path,
-    poseterior: Cli,  # noqa: F811
+    poseterior: Cli,
     words: tuple[str, ...],
     match: str,
 ) -> None:
@@ -178,7 +179,7 @@ REAL_FILES = {
 def test_every_real_file_runs_through_hypotheses(
     shared_data: Path,
     tmp_path: Path,
-    poseterior: Cli,  # noqa: F811
+    poseterior: Cli,
     file: str,
 ) -> None:
     words = ("--num-samples", "50", "--k", "2", "--out", tmp_path, "--quiet", *REAL_FILES[file])

@@ -1,0 +1,362 @@
+"""What each command can be asked for: one frozen class a command, its docstring the command's
+help."""
+
+from collections.abc import Set
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from typer import Argument, Option
+
+from reports.options import (
+    SAMPLERS,
+    Detected,
+    Estimation,
+    Factor,
+    Hypotheses,
+    Limits,
+    NumSamples,
+    Person,
+    Prior,
+    Sampling,
+    Seed,
+)
+
+REAL = "Real poses (with --dataset)"
+"""The part of the help for options of `coverage` that mean nothing without a data set."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoSettings:
+    """Run the embedded example, end to end: one pose, one wrist missing, the truth drawn beside the
+    hypotheses."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = ("demo", "demo --out my-demo --seed 1")
+    out: Annotated[Path, Option(help="Folder for the results.")] = Path("demo")
+    seed: Seed = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class HypothesesSettings:
+    """Exact posterior draws and diverse hypotheses for one detected person: a picture, a table, two
+    files."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "hypotheses frame_keypoints.json --out result",
+        "hypotheses people.json --person 3 --image photo.jpg --k 8",
+        "hypotheses frame.json --limits limits.npz --candidates 1",
+        "hypotheses frame.json --estimator zhou",
+    )
+    person: Person
+    out: Annotated[
+        Path, Option(help="Folder for posterior.nc, hypotheses.json, hypotheses.png.")
+    ] = Path("out")
+    k: Hypotheses = 5
+    sampling: Sampling = Sampling()
+    estimation: Estimation = Estimation()
+    prior: Prior = Prior()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleSettings:
+    """Posterior draws of one detected person, as netCDF."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "sample frame.json --out posterior.nc --num-samples 100000",
+        "sample frame.json --sampler rejection-strata --num-samples 100",
+    )
+    person: Person
+    out: Annotated[Path, Option(help="File to write.")] = Path("posterior.nc")
+    sampler: Annotated[str, Option(help=f"One of {', '.join(SAMPLERS)}.")] = SAMPLERS[0]
+    sampling: Sampling = Sampling()
+    estimation: Estimation = Estimation()
+    prior: Prior = Prior()
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramesSettings:
+    """Exact draws and hypotheses of everyone in many frames, written as they come; goes on where it
+    was stopped."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "frames walk/ --out walk-posterior",
+        "frames video.json --out result --num-samples 1000 --keep 100",
+    )
+    path: Annotated[
+        Path,
+        Argument(help="A folder of detections, or one file of many frames.", show_default=False),
+    ]
+    out: Annotated[
+        Path, Option(help="Folder for the stream; a run that was stopped goes on there.")
+    ] = Path("out")
+    k: Hypotheses = 5
+    keep: Annotated[
+        int | None, Option(help="How many draws of each person are written.", show_default="all")
+    ] = None
+    sampling: Sampling = Sampling()
+    detected: Detected = Detected()
+    estimation: Estimation = Estimation()
+    prior: Prior = Prior()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShowSettings:
+    """Draw how a file was read, joint by joint, and warn where another reading explains its people
+    better."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "show frame_keypoints.json --out overlay.png",
+        "show landmarks.json --image photo.jpg --person 1",
+        "show video.csv --names names.json",
+    )
+    person: Person
+    out: Annotated[Path, Option(help="The picture: .png, .pdf or .svg.")] = Path("overlay.png")
+    estimation: Estimation = Estimation()
+    prior: Prior = Prior()
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectSettings:
+    """Find people's joints in images with a heatmap network of one's own, through onnxruntime."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "detect photo.jpg --model hourglass.onnx --layout mpii_16",
+        "detect *.jpg --model rtmpose.onnx --layout coco_17 --boxes people.json --out found.json",
+        "detect photo.jpg --model net.onnx --layout coco_17 --box 280,44,218,346",
+    )
+    images: Annotated[list[Path], Argument(help="Images: PNG, JPEG, ….", show_default=False)]
+    model: Annotated[Path, Option(help="A top-down heatmap network, ONNX.", show_default=False)]
+    layout: Annotated[
+        str, Option(help="Its joints: mpii_16, coco_17, halpe_26, ….", show_default=False)
+    ]
+    out: Annotated[Path, Option(help="File to write.")] = Path("detections.json")
+    box: Annotated[
+        str | None, Option(metavar="X,Y,WIDTH,HEIGHT", help="The person; else the image.")
+    ] = None
+    boxes: Annotated[
+        Path | None, Option(help="COCO detection results: the people of all images.")
+    ] = None
+    least_score: Annotated[float, Option(help="Boxes with a lower score are left out.")] = 0.5
+    input_size: Annotated[
+        str | None, Option(metavar="WIDTHxHEIGHT", help="Where the network has none.")
+    ] = None
+    pixels: Annotated[str, Option(help="How pixels are normalised: imagenet, unit or bytes.")] = (
+        "imagenet"
+    )
+    method: Annotated[str, Option(help="Where a joint is in its heatmap: soft or quarter.")] = (
+        "soft"
+    )
+    threshold: Annotated[
+        float, Option(help="Joints with a score, their heatmap's mean, up to this are missing.")
+    ] = 0.002
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorSettings:
+    """Poses from the prior: what anatomy allows before anything was seen."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = ("prior --num-samples 1000 --out prior.nc",)
+    out: Annotated[Path, Option(help="File to write.")] = Path("prior.nc")
+    num_samples: NumSamples = 10_000
+    seed: Seed = 0
+    prior: Prior = Prior()
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckSettings:
+    """Say which bones of 3D poses break which limit, and by how many degrees."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "check posterior.nc",
+        "check 01_01.amc --limits limits.npz",
+    )
+    file: Annotated[
+        Path, Argument(help="3D poses: .nc, .json, .amc, .bvh, .npy, .npz.", show_default=False)
+    ]
+    limits: Limits = "default"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareSettings:
+    """Judge samplers by exact draws: which of them would have misled you on this detection?"""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "compare frame.json --samplers rejection,emcee,random-walk --out comparison",
+        "compare frame.json --samplers smc,nss --seconds 120",
+    )
+    person: Person
+    samplers: Annotated[
+        str, Option(help="Names with commas between them; a wrong one lists them all.")
+    ] = "rejection,emcee,aies,random-walk"
+    out: Annotated[Path, Option(help="Folder for comparison.nc, comparison.png and the runs.")] = (
+        Path("comparison")
+    )
+    seconds: Annotated[
+        float, Option(help="Seconds for each baseline, from each of its two starts.")
+    ] = 30.0
+    max_evaluations: Annotated[
+        int | None,
+        Option(
+            min=1, help="Most evaluations of the density for each of them.", show_default="no limit"
+        ),
+    ] = None
+    num_samples: NumSamples = 10_000
+    seed: Seed = 0
+    estimation: Estimation = Estimation()
+    prior: Prior = Prior()
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateSettings:
+    """The paper's evaluation on a data set whose truth is known: tables, curves, which of its
+    relations hold.
+
+    Of --estimator, --missing and --rotate it takes several with commas between them."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "evaluate actions_train.npz --frames 500 --missing 0,1,2 --rotate 0,30,60 --workers 2",
+        "evaluate h36m/ --detections gt --frames 26385 --scheduler tcp://host:8786",
+        "evaluate mocap/ --noise gaussian:0.02 --limits limits.npz --poses poses.npz"
+        " --predictions chen.npz",
+    )
+    dataset: Annotated[
+        Path,
+        Argument(
+            help="Motion capture, VideoPose3D's Human3.6M, or a plain .npz with truth.",
+            show_default=False,
+        ),
+    ]
+    missing: Annotated[str, Option(help="Numbers of limb joints made missing, at random.")] = "0"
+    rotate: Annotated[str, Option(help="Degrees by which the image is turned.")] = "0"
+    k: Annotated[str, Option(help="Numbers of hypotheses of which the best counts.")] = "5,20"
+    out: Annotated[
+        Path, Option(help="Folder for the results; a run that was stopped goes on there.")
+    ] = Path("evaluation")
+    frames: Annotated[
+        int | None, Option(help="How many frames, as many of each action.", show_default="all")
+    ] = None
+    noise: Annotated[
+        str,
+        Option(
+            help="Of synthetic cameras: none, gaussian:SIZE, heavy-tailed:SIZE (of body height)."
+        ),
+    ] = "none"
+    detections: Annotated[str, Option(help="Human3.6M's 2D file, data_2d_h36m_NAME.npz.")] = "gt"
+    predictions: Annotated[
+        list[Path] | None,
+        Option(help="Poses of another method, a row of Table 1; may be given again."),
+    ] = None
+    bias: Annotated[bool, Option(help="Whether the bias of its motion capture is studied too.")] = (
+        True
+    )
+    workers: Annotated[
+        int, Option(min=1, help="Processes of this machine that share the frames.")
+    ] = 1
+    scheduler: Annotated[
+        str | None, Option(help="Address of a dask scheduler, whose workers do it.")
+    ] = None
+    sampling: Sampling = Sampling(num_samples=1000, max_proposals=20_000_000)
+    estimation: Estimation = Estimation(estimator="akhter-black,zhou,dictionary", candidates=1)
+    prior: Prior = Prior()
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoverageSettings:
+    """Test whether a sampler's posterior means what it says, under the model or on real poses, and
+    why it misses.
+
+    Poses of the prior are simulated and seen, and the sampler's draws judged by them. With
+    --simulate-only they are only written, for samplers that run elsewhere. With --dataset the
+    poses are real."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "coverage --sampler rejection --num-simulations 1000 --out coverage",
+        "coverage --simulate-only --num-simulations 200",
+        "coverage --sampler draws.npz --num-simulations 200",
+        "coverage --dataset recordings.npz --estimator zhou --noise gaussian:0.02 --missing 1"
+        " --out real",
+    )
+    sampler: Annotated[
+        str, Option(help="A name, or a file: `joints` (simulations, draws, 15, 3).")
+    ] = SAMPLERS[0]
+    out: Annotated[
+        Path, Option(help="Folder for coverage.nc and coverage.png; a run goes on there.")
+    ] = Path("coverage")
+    num_simulations: Annotated[int, Option(help="Poses of the prior, each seen once.")] = 1000
+    simulate_only: Annotated[
+        bool,
+        Option("--simulate-only", help="Write simulations.nc, for samplers that run elsewhere."),
+    ] = False
+    dataset: Annotated[
+        Path | None,
+        Option(
+            "--dataset",
+            "--poses",
+            help="Real poses: motion capture, Human3.6M or a plain .npz.",
+            rich_help_panel=REAL,
+        ),
+    ] = None
+    frames: Annotated[int, Option(help="How many of them.", rich_help_panel=REAL)] = 100
+    estimator: Annotated[
+        str,
+        Option(
+            help="Their torso and camera: true, dictionary, akhter-black or zhou.",
+            rich_help_panel=REAL,
+        ),
+    ] = "true"
+    noise: Annotated[
+        str,
+        Option(
+            help="Their 2D errors: likelihood, none, gaussian:SIZE, heavy-tailed:SIZE (of body"
+            " height).",
+            rich_help_panel=REAL,
+        ),
+    ] = "likelihood"
+    missing: Annotated[
+        int, Option(min=0, help="Limb joints that are not seen.", rich_help_panel=REAL)
+    ] = 0
+    factor: Factor = 0.25
+    sampling: Sampling = Sampling(num_samples=1000, max_proposals=3_000_000)
+    prior: Prior = Prior()
+
+    def require_one_way(self, given: Set[str]) -> None:
+        """Raises `BadInput` where an option was given that the chosen way does not know."""
+        from probmodel import BadInput
+
+        real = ["frames", "estimator", "noise", "missing"]
+        draws = ["sampler", "num_samples", "max_proposals"]
+        if self.dataset is not None:
+            way, unknown = "with --dataset", ["simulate_only", "num_simulations"]
+        elif self.simulate_only:
+            way, unknown = "with --simulate-only", [*draws, *real]
+        else:
+            way, unknown = "without --dataset", real
+        for name in unknown:
+            if name in given:
+                option = "--" + name.replace("_", "-")
+                raise BadInput(
+                    f"{option} means nothing {way}; leave it out, or choose another of the three"
+                    " ways in `poseterior coverage --help`"
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnSettings:
+    """Learn limits, bone lengths and torsos, and if asked for pose dictionaries, from motion
+    capture."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "learn cmu/01 cmu/02 walk.bvh --out limits.npz",
+        "learn cmu/01 cmu/02 --out limits.npz --poses poses.npz",
+    )
+    mocap: Annotated[
+        list[Path],
+        Argument(help="Motion capture: ASF/AMC folder, .bvh, .npz.", show_default=False),
+    ]
+    out: Annotated[Path, Option(help="File to write.")] = Path("limits.npz")
+    poses: Annotated[
+        Path | None, Option(help="File for pose dictionaries, of which estimators build.")
+    ] = None
+    mirror: Annotated[bool, Option(help="Whether what one side did is possible for the other.")] = (
+        True
+    )

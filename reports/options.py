@@ -20,15 +20,12 @@ from reports import console
 if TYPE_CHECKING:
     import numpy as np
 
-    from inference import Frame
-    from probmodel import Anatomy, DetectedFrame, Detection, PoseModel
+    from probmodel import Anatomy, DetectedFrame, Detection, Estimate, Likelihood, PoseModel
 
 SAMPLERS = (
-    "rejection",
-    "rejection-strata",
-    "rejection-patches",
-    "rejection-group",
-    "rejection-prior",
+    *("rejection", "rejection-group", "rejection-prior"),
+    *("emcee", "emcee-de", "aies", "ess", "nuts", "hmc"),
+    *("random-walk", "sa", "smc", "nss", "nautilus"),
 )
 """Those of `inference.SAMPLERS`, as a test makes sure: `--help` names them without importing
 JAX."""
@@ -230,35 +227,36 @@ class Estimation:
         bool, Option(help="Whether a detected head counts in the likelihood (the paper: no).")
     ] = True
 
-    def joints(self) -> tuple[int, ...]:
-        """The joints that count in the likelihood."""
+    def likelihood(self) -> "Likelihood":
+        """How detections err. Raises `BadInput` on a bad factor."""
+        from probmodel import BadInput, Likelihood
         from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
-
-        return tuple(LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS)
-
-    def settings(self, model: "PoseModel") -> dict[str, Any]:
-        """How `inference.estimate_torso` is to be called. Raises `BadInput` on a bad factor or a
-        bad file of poses."""
-        import numpy as np
-
-        from probmodel.failures import BadInput
-        from probmodel.learning.dictionaries import PoseDictionary
 
         if not SMALLEST_FACTOR <= self.factor <= 1 / SMALLEST_FACTOR:  # false for NaN too
             limits = f"{SMALLEST_FACTOR:g} and {1 / SMALLEST_FACTOR:g}"
             raise BadInput(
                 f"--factor must lie between {limits}, not {self.factor:g}; the paper has 0.25"
             )
+        return Likelihood(
+            factor=self.factor, joints=LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS
+        )
+
+    def settings(self, model: "PoseModel") -> dict[str, Any]:
+        """How `inference.estimate_torso` is to be called. Raises `BadInput` on a bad factor or a
+        bad file of poses."""
+        import numpy as np
+
+        from probmodel.learning.dictionaries import PoseDictionary
+
         return {
             "torsos": np.asarray(model.torsos),
             "limits": model.limits,
             "poses": None if self.poses == "default" else PoseDictionary.load(self.poses),
             "num_candidates": self.candidates,
-            "factor": self.factor,
-            "joints": self.joints(),
+            "likelihood": self.likelihood(),
         }
 
-    def estimate(self, detection: "Detection", model: "PoseModel") -> "Frame":
+    def estimate(self, detection: "Detection", model: "PoseModel") -> "Estimate":
         """Torso and camera candidates of a person; warns where the estimator did not converge.
         Raises `BadInput` where the torso is not seen well enough."""
         from inference import estimate_torso

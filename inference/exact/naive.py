@@ -52,7 +52,7 @@ class PriorBodies:
             if not budget.spend(BATCH):
                 return False
             key = jax.random.fold_in(self._key, self._batches)
-            poses, kept = _propose(key, self._model, self._observation, self.wholes)
+            poses, kept = propose(key, self._model, self._observation, self.wholes)
             self._batches += 1
             for index, pile in enumerate(self._piles):
                 chosen = np.flatnonzero(np.asarray(kept[index]))
@@ -78,7 +78,7 @@ class PriorBodies:
 
 
 @functools.partial(jax.jit, static_argnames="wholes")
-def _propose(
+def propose(
     key: jax.Array,
     model: PoseModel,
     observation: Observation,

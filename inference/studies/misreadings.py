@@ -26,9 +26,9 @@ from inference.readings import (
     weigh,
 )
 from inference.studies.scenes import camera
+from probmodel.body import body_unit
 from probmodel.detections import FACE, Detection
 from probmodel.layouts import COCO_17, H36M_17, Layout
-from probmodel.learning.learning import body_unit
 from probmodel.motion import read_motion
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 

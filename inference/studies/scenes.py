@@ -12,9 +12,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from probmodel.body import body_unit
 from probmodel.camera import WeakPerspective
 from probmodel.datasets import View
-from probmodel.body import body_unit
 from probmodel.detections import Detection
 from probmodel.likelihood import Likelihood
 from probmodel.model import PoseModel
@@ -105,7 +105,9 @@ def prior_scene(model: PoseModel, seed: int, **options: Any) -> Estimate:
     return scene(torso, view, joints, rng=rng, **options)
 
 
-def motion_scene(joints: np.ndarray, yaw: float, tilt: float, seed: int, **options: Any) -> Estimate:
+def motion_scene(
+    joints: np.ndarray, yaw: float, tilt: float, seed: int, **options: Any
+) -> Estimate:
     """A scene with a pose of motion capture `(15, 3)` (y up), its own torso and the true camera;
     `options` are those of `scene`."""
     body = (joints - joints[0]) / body_unit(joints[None])

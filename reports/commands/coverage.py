@@ -15,7 +15,7 @@ from inference.studies.calibration.real import by_the_likelihood, instances, sta
 from inference.studies.calibration.record import instances_tree, standings_tree
 from inference.studies.calibration.simulations import simulate
 from inference.studies.calibration.verdict import FEWEST, judge
-from probmodel import BadInput, PoseModel
+from probmodel import BadInput, Likelihood, PoseModel
 from probmodel.datasets import Noise, read_data_set
 from reports import console
 from reports.figures import save_figure
@@ -112,7 +112,8 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
         cases = [case.hiding(settings.missing, sampling.seed) for case in data]
         if settings.noise == LIKELIHOOD:
             cases = [by_the_likelihood(case, settings.factor, sampling.seed) for case in cases]
-        known = instances(cases, model, settings.estimator, factor=settings.factor)
+        likelihood = Likelihood(factor=settings.factor)
+        known = instances(cases, model, settings.estimator, likelihood=likelihood)
     sampler_of(settings.sampler, model, sampling.num_samples)
     with console.progress(f"posteriors by {settings.sampler}", screen.quiet) as step:
         standings = stand_real(

@@ -101,5 +101,3 @@ def parse_box(text: str) -> Box:
     except ValueError:
         raise BadInput(f"--box must be x,y,width,height in pixels, not {text!r}") from None
     return x, y, width, height
-
-

@@ -85,9 +85,8 @@ def _radius(person: Detection, estimation: Estimation, model: PoseModel) -> np.n
         frame = estimation.estimate(person, model)
     except BadInput:
         return None
-    return person.radius(
-        float(frame.candidates[0].camera.scale), factor=frame.factor, joints=frame.joints
-    )
+    spread = frame.likelihood.spread(person, float(frame.candidates[0].camera.scale))
+    return np.where(np.isfinite(spread), frame.likelihood.law.reach * spread, np.nan)
 
 
 def _json(

@@ -6,10 +6,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
-from probmodel.learning.learning import cells_of
 
 from probmodel.anatomy.limits import GRID, AnatomicalLimits
-from probmodel.learning.overlap import fibonacci
+from probmodel.learning.sphere import cells_of, fibonacci
 from probmodel.skeleton import BONE_NAMES, UPPER_BONES
 from reports.figures.style import page
 from reports.tables.words import spoken

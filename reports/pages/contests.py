@@ -15,17 +15,16 @@ from pathlib import Path
 import jax
 import numpy as np
 import xarray as xr
-from inference.candidates import Frame
 
 from inference.baselines.catalogue import BASELINES
 from inference.baselines.run import Allowance
 from inference.baselines.target import Target
+from inference.exact.mixture import draw_mixture
 from inference.results import save_tree
-from inference.sampler import draw_mixture
 from inference.studies.comparison import comparison_tree, contest
 from inference.studies.comparison.record import Entry
 from inference.studies.scenes import prior_scene
-from probmodel import PoseModel
+from probmodel import Estimate, PoseModel
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from reports.pages.page import in_doubles
 
@@ -61,7 +60,7 @@ def low_scores() -> np.ndarray:
     return score
 
 
-def foreshortened(model: PoseModel) -> Frame:
+def foreshortened(model: PoseModel) -> Estimate:
     """Of forty scenes, the one whose seen limbs point most along the camera's axis."""
 
     pairs = [("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")]
@@ -70,14 +69,14 @@ def foreshortened(model: PoseModel) -> Frame:
         for end in (0, 1)
     )
 
-    def flatness(frame: Frame) -> float:
+    def flatness(frame: Estimate) -> float:
         keypoints = frame.detection.keypoints
         return float(np.linalg.norm(keypoints[ends] - keypoints[starts], axis=1).sum())
 
     return min((prior_scene(model, seed) for seed in range(100, 140)), key=flatness)
 
 
-SUITE: dict[str, Callable[[PoseModel], Frame]] = {
+SUITE: dict[str, Callable[[PoseModel], Estimate]] = {
     "4 joints missing": lambda model: prior_scene(
         model, 2, missing=("head", "left_wrist", "right_elbow", "left_knee", "right_ankle")
     ),
@@ -98,13 +97,13 @@ SUITE: dict[str, Callable[[PoseModel], Frame]] = {
 seen."""
 
 
-def clock(model: PoseModel, frame: Frame, number: int) -> list[float]:
+def clock(model: PoseModel, frame: Estimate, number: int) -> list[float]:
     """Processor seconds of exact rejection for each of `CLOCKED`, everything compiled, short of
     naming the draws."""
     found = []
     for draws in CLOCKED:
         started = CLOCK()
-        draw_mixture(model, frame, jax.random.key(number), num_samples=draws)
+        draw_mixture(frame.posterior(model), key=jax.random.key(number), num_samples=draws)
         found.append(CLOCK() - started)
     return found
 

@@ -154,7 +154,7 @@ def _miss(title: str, case: Case, instance: Instance, why: list[Reason], label: 
     joints = hung(case, candidate) * float(candidate.camera.scale)
     pixels = joints + np.append(np.asarray(candidate.camera.translation), 0.0)
     first = sorted(why, key=lambda reason: reason.label != label)
-    radius = np.asarray(instance.frame.observation(candidate).radius)
+    radius = instance.frame.observation.reach * candidate.camera.scale
     return Miss(title, case.detection.keypoints, radius, case.pixels, pixels, first)
 
 

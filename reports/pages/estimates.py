@@ -10,14 +10,14 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from probmodel.learning.learning import learn
 from scipy.spatial.transform import Rotation
 
 import inference
 from inference.studies.errors import best_of, mean_joint_error
-from probmodel import Anatomy, Detection, PoseModel
+from probmodel import Anatomy, Detection, Estimate, PoseModel
 from probmodel.datasets import VIEWS, body_height
 from probmodel.learning.dictionaries import PoseDictionary, learn_dictionary
+from probmodel.learning.learner import learn
 from probmodel.motion import Motion
 from probmodel.skeleton import LIMB_JOINTS, NUM_JOINTS
 from reports.pages.people import without
@@ -101,7 +101,7 @@ def cases(
     return found
 
 
-def estimates(held: Held, some: Sequence[Case], method: str) -> list[inference.Frame]:
+def estimates(held: Held, some: Sequence[Case], method: str) -> list[Estimate]:
     """With what was learned from others."""
     return inference.estimate_torsos(
         [case.detection for case in some],

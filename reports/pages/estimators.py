@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from probmodel.learning.learning import read_all
 
 import inference
 from inference.roots.akhter_black import fit_akhter_black
@@ -27,6 +26,7 @@ from probmodel import Anatomy, Detection
 from probmodel.camera import WeakPerspective
 from probmodel.datasets import VIEWS
 from probmodel.learning.dictionaries import PoseDictionary
+from probmodel.learning.poses import read_all
 from probmodel.skeleton import NUM_JOINTS
 from reports.figures.estimators import estimators_figure
 from reports.pages.estimates import (

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from probmodel.learning.learning import learn, read_all
 
 from inference.studies.evaluation.bias import bias_study
 from inference.studies.evaluation.conditions import Condition, conditions
@@ -25,6 +24,9 @@ from inference.studies.evaluation.run import Results, evaluate
 from inference.studies.evaluation.scores import Estimate, clustered, common, pose_errors, usable
 from probmodel.datasets import EXACT, DataSet, Noise, read_data_set
 from probmodel.learning.dictionaries import learn_dictionary
+from probmodel.learning.learner import learn
+from probmodel.learning.poses import read_all
+from probmodel.likelihood import Likelihood
 from reports.figures.bias import bias_figure
 from reports.figures.evaluation import errors_figure, pck_curves, pck_figure
 from reports.pages.page import Values, in_doubles, write_page
@@ -125,7 +127,10 @@ def by_noise_and_discs(data: Path, protocol: Protocol, work: Path) -> Sheet:
     ):
         cases = read_data_set(data / CLASSES, frames=TRIED_FRAMES, noise=noise)
         tried = Protocol(
-            protocol.anatomy, protocol.dictionary, factor=factor, max_proposals=4_000_000
+            protocol.anatomy,
+            protocol.dictionary,
+            likelihood=Likelihood(factor=factor),
+            max_proposals=4_000_000,
         )
         out = work / f"tried-{noise.size:g}-{factor:g}"
         out.mkdir(parents=True, exist_ok=True)

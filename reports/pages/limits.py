@@ -12,21 +12,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from probmodel.learning.learning import (
-    Poses,
-    Tolerance,
-    cells_of,
-    gather,
-    learn_limits,
-    mirror_pose,
-    occupancy,
-)
 
 from probmodel.anatomy.limits import GRID, AnatomicalLimits
 from probmodel.anatomy.population import Anatomy
 from probmodel.anatomy.published import read_published
+from probmodel.body import mirror_pose
 from probmodel.kinematics import articulation
-from probmodel.learning.overlap import Overlap, cell_areas, overlap
+from probmodel.learning.limits import learn_limits
+from probmodel.learning.occupancy import occupancy
+from probmodel.learning.overlap import Overlap, overlap
+from probmodel.learning.poses import Poses, gather
+from probmodel.learning.sphere import cell_areas, cells_of
+from probmodel.learning.tolerance import Tolerance
 from probmodel.motion import Motion, read_motion
 from probmodel.skeleton import BONE_NAMES, UPPER_BONES
 from reports.figures.limits import limits_figure

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import jax
 import numpy as np
 import xarray as xr
-from probmodel.learning.learning import learn, read_all
 
 from inference.hypothesis import grid_poses
 from inference.results import save_tree
@@ -23,11 +22,13 @@ from inference.studies.calibration.exclusions import as_text, exclusions
 from inference.studies.calibration.posteriors import sampler_of
 from inference.studies.calibration.real import TRUE, by_the_likelihood, instances, stand_real
 from inference.studies.calibration.record import standings_tree
-from probmodel import PoseModel
+from probmodel import Likelihood, PoseModel
 from probmodel.anatomy.population import Anatomy
 from probmodel.anatomy.published import read_published
 from probmodel.datasets import Case, Noise, from_motions
 from probmodel.learning.dictionaries import PoseDictionary, learn_dictionary
+from probmodel.learning.learner import learn
+from probmodel.learning.poses import read_all
 from probmodel.motion import Motion
 from reports.pages.people import without
 
@@ -108,7 +109,8 @@ def _stand(
     factor: float = 0.25,
 ) -> xr.DataTree:
     settings = {} if estimator == TRUE else {"poses": dictionary}
-    known = instances(some, model, estimator, factor=factor, **settings)
+    likelihood = Likelihood(factor=factor)
+    known = instances(some, model, estimator, likelihood=likelihood, **settings)
     columns = {
         "recording": np.array([case.recording for case in some]),
         "unit_mm": np.array([case.unit for case in some]),
@@ -133,7 +135,7 @@ def choices(work: Path, data: Path) -> None:
         if len(drawn) < CHOSEN_DRAWS + STAND_INS:
             print("no draws for", some[number].recording, flush=True)
             continue
-        observation = instance.frame.observation(instance.frame.candidates[0])
+        observation = instance.frame.observation
         chosen = _chosen(drawn[STAND_INS:], grid_poses(held.model, observation, most=CHOSEN_DRAWS))
         mm, truth, held_out = some[number].unit, instance.joints, drawn[:STAND_INS]
         rows["error"].append([[mm * _best(picked, truth) for picked in way] for way in chosen])

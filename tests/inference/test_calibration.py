@@ -24,8 +24,6 @@ from inference.studies.calibration.controls import (
     ignoring,
 )
 from inference.studies.calibration.levels import (
-    distance_level,
-    energy_level,
     median_levels,
     rank_level,
     stand_in_levels,

@@ -23,7 +23,7 @@ import rich.console
 import typer
 import xarray as xr
 
-from inference import SAMPLERS
+from inference.exact.mixture import PROPOSALS
 from probmodel import Anatomy, PoseModel
 from probmodel.anatomy.limits import CELL, LIMITS
 from probmodel.detections import Detection
@@ -1002,7 +1002,7 @@ def test_a_person_of_a_coco_or_openpose_file(poseterior: Cli, tmp_path: Path) ->
     assert strict_json(run.out)["person"] == 1
 
 
-@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("sampler", PROPOSALS)
 def test_every_sampler_draws(sampler: str, poseterior: Cli, tmp_path: Path) -> None:
     (tmp_path / "f.json").write_text(native(**FEW))
     out = tmp_path / "posterior.nc"
@@ -1019,7 +1019,7 @@ def test_samplers_say_the_same(poseterior: Cli, tmp_path: Path) -> None:
     difference."""
     (tmp_path / "f.json").write_text(native(**FEW))
     found = []
-    for seed, sampler in enumerate(SAMPLERS):
+    for seed, sampler in enumerate(PROPOSALS):
         options = (
             "--num-samples",
             1000,

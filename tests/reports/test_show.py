@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from inference.readings import BODY, exchanged
-from probmodel import Detection, write_detections
+from probmodel import Detection, Likelihood, write_detections
 from probmodel.layouts import COCO_17
 from probmodel.skeleton import BONES, JOINTS
 from reports.commands.show import about_the_image
@@ -36,7 +36,8 @@ def gids(figure: Figure) -> dict[str, object]:
 
 def test_every_joint_is_drawn_where_it_is_with_name_score_and_disc() -> None:
     detection = person(right_wrist=True)
-    radius = detection.radius(30.0)
+    spread = Likelihood().spread(detection, 30.0)
+    radius = np.where(np.isfinite(spread), spread, np.nan)
     drawn = gids(overlay_figure(detection, radius))
     for joint, name in enumerate(JOINTS):
         seen = bool(detection.seen[joint])

@@ -1,0 +1,66 @@
+"""Numbers with intervals, whole recordings being drawn anew: frames of one recording are alike."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+RESAMPLES = 1000
+TAIL = 0.025
+
+
+class Interval(NamedTuple):
+    """A number and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def half(self) -> float:
+        """Half the interval's width."""
+        return (self.high - self.low) / 2
+
+
+def of_share(held: np.ndarray, cluster: np.ndarray, seed: int = 0) -> Interval:
+    """How often something holds, of `held` `(n,)` or `(n, j)` bool, clusters `(n,)` being drawn
+    anew (percentiles).
+
+    Where all clusters have the same share, none of them, say, drawing them anew says nothing: then
+    the interval is that of so many independent trials (Clopper & Pearson 1934).
+    """
+    found = resampled(cluster, np.random.default_rng(seed), lambda rows: held[rows].mean())
+    value = float(held.mean())
+    if np.ptp(found) > 0:
+        low, high = np.quantile(found, [TAIL, 1 - TAIL])
+        return Interval(value, float(low), float(high))
+    trials = len(np.unique(cluster))
+    hits = value * trials
+    low = stats.beta.ppf(TAIL, hits, trials - hits + 1) if value > 0 else 0.0
+    high = stats.beta.isf(TAIL, hits + 1, trials - hits) if value < 1 else 1.0
+    return Interval(value, float(low), float(high))
+
+
+def of_biased(
+    statistic: Callable[[np.ndarray], float], cluster: np.ndarray, rng: np.random.Generator
+) -> Interval:
+    """A statistic of rows that noise makes larger, as it does a mean of absolute differences: drawn
+    anew it is larger still, by as much, which the basic bootstrap takes off on the other side
+    (Davison & Hinkley 1997, § 5.2). Not below zero."""
+    value = float(statistic(np.arange(len(cluster))))
+    low, high = np.quantile(resampled(cluster, rng, statistic), [TAIL, 1 - TAIL])
+    return Interval(value, max(0.0, float(2 * value - high)), max(0.0, float(2 * value - low)))
+
+
+def resampled(
+    cluster: np.ndarray,
+    rng: np.random.Generator,
+    statistic: Callable[[np.ndarray], float],
+    number: int = RESAMPLES,
+) -> np.ndarray:
+    """`(number,)`: a statistic of rows, whole clusters `(n,)` being drawn anew with replacement."""
+    names = np.unique(cluster)
+    members = [np.flatnonzero(cluster == name) for name in names]
+    picks = rng.integers(0, len(names), (number, len(names)))
+    return np.array([statistic(np.concatenate([members[pick] for pick in row])) for row in picks])

@@ -100,14 +100,7 @@ class Store:
             raise BadInput(f"{folder} is not {what} (it has no {SETTINGS}); give the folder of one")
         found = _read_settings(path)
         store = cls(folder, found["settings"])
-        there = store.numbers()
-        wanted = max([found["blocks"] or 0, *(number + 1 for number in there)])
-        missing = sorted(set(range(wanted)) - set(there))
-        if missing:
-            raise Damaged(
-                f"{folder} lacks {len(missing)} of {wanted} blocks, the first of them"
-                f" {store.path(missing[0]).name}; run again to make them"
-            )
+        store.whole(found["blocks"] or 0)
         return store
 
     def part(self, name: str) -> "Store":
@@ -122,6 +115,18 @@ class Store:
         """The numbers of the blocks that are there, whole or not."""
         names = (_BLOCK.fullmatch(path.name) for path in self.folder.glob("block-*.nc"))
         return sorted(int(name[1]) for name in names if name)
+
+    def whole(self, least: int) -> list[int]:
+        """The numbers of the blocks. Raises `Damaged` where one is missing, of the first `least` or
+        before another."""
+        there = self.numbers()
+        missing = sorted(set(range(max([least - 1, *there]) + 1)) - set(there))
+        if missing:
+            raise Damaged(
+                f"{self.folder} lacks {len(missing)} blocks, the first of them"
+                f" {self.path(missing[0]).name}; run again to make them"
+            )
+        return there
 
     def find(self, block: Block) -> Groups | None:
         """What a block holds; None where it is not there, damaged (which is said in the log), or
@@ -243,6 +248,8 @@ def fill(
     task: Callable[[Any], Groups],
     blocks: Iterable[Block],
     take: Callable[[Block, Groups], None],
+    *,
+    apart: bool = False,
 ) -> None:
     """Takes every block: from the store where it is there, else made of its payload by `task`, on
     any machine and in any order, and written to the store (None: kept nowhere).
@@ -253,6 +260,8 @@ def fill(
         Read as they are needed, however many there are.
     take
         Called with every block and its groups, kept and made ones alike.
+    apart
+        As in `Machines.each`.
 
     Raises
     ------
@@ -268,7 +277,7 @@ def fill(
             else:
                 take(block, kept)
 
-    for block, groups in machines.each(task, to_be_made()):
+    for block, groups in machines.each(task, to_be_made(), apart=apart):
         if store:
             store.part(block.part).write(block, groups)
         take(block, groups)

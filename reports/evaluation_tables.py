@@ -18,7 +18,7 @@ from inference.studies.evaluation.conditions import Condition
 from inference.studies.evaluation.metrics import THRESHOLD
 from inference.studies.evaluation.relations import Relation
 from inference.studies.evaluation.scores import (
-    Estimate,
+    Interval,
     Values,
     clustered,
     common,
@@ -28,7 +28,7 @@ from inference.studies.evaluation.scores import (
     usable,
 )
 
-Cell = str | int | float | Estimate | None
+Cell = str | int | float | Interval | None
 NOTHING = "–"
 MOST_COLUMNS = 6
 """Of a table on a terminal."""
@@ -84,7 +84,7 @@ class Sheet(NamedTuple):
     def csv(self) -> str:
         """As CSV: numbers as they are, an estimate in three columns."""
         wide = [
-            any(isinstance(row[column], Estimate) for row in self.rows)
+            any(isinstance(row[column], Interval) for row in self.rows)
             for column in range(len(self.head))
         ]
         out = io.StringIO()
@@ -134,7 +134,7 @@ class Sheet(NamedTuple):
 
 def shown(cell: Cell) -> str:
     """A cell as people read it: one decimal place, an interval as ± half its width."""
-    if isinstance(cell, Estimate):
+    if isinstance(cell, Interval):
         if not np.isfinite(cell.value):
             return NOTHING
         return (
@@ -148,7 +148,7 @@ def shown(cell: Cell) -> str:
 
 
 def _plain(cell: Cell, columns: int) -> list[str]:
-    values: list[Cell] = [*cell] if isinstance(cell, Estimate) else [cell, *[None] * (columns - 1)]
+    values: list[Cell] = [*cell] if isinstance(cell, Interval) else [cell, *[None] * (columns - 1)]
     return [
         "" if v is None or (isinstance(v, float) and not np.isfinite(v)) else _number(v)
         for v in values
@@ -161,7 +161,7 @@ def _number(value: Cell) -> str:
 
 def plain(cell: Cell) -> object:
     """A cell for JSON, which has no word for NaN."""
-    if isinstance(cell, Estimate):
+    if isinstance(cell, Interval):
         return {name: plain(value) for name, value in cell._asdict().items()}
     return None if isinstance(cell, float) and not np.isfinite(cell) else cell
 

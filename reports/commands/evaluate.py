@@ -1,7 +1,6 @@
 """`poseterior evaluate`: the paper's tables, curves and relations on any data set, on one machine
 or many."""
 
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from inference.machines import Machines
 from inference.roots.external import read_poses
 from inference.studies.errors import mean_joint_error
 from inference.studies.evaluation.bias import LEAST_POSES, Bias, bias_study
@@ -109,8 +109,9 @@ class Findings(NamedTuple):
 
 
 def run(source: Source, belief: Belief, request: Request, *, quiet: bool, as_json: bool) -> None:
-    """Evaluates, and writes tables (.md, .csv), pictures (.png) and frames.zarr. What is there of
-    the same run is kept; raises `BadInput` on bad input, and where the folder holds another run."""
+    """Evaluates, and writes tables (.md, .csv), pictures (.png) and the folder `frames`. What is
+    there of the same run is kept; raises `BadInput` on bad input, and where the folder holds
+    another run."""
     wanted, protocol = request.conditions(), request.protocol(belief)
     with console.progress("reading", quiet):
         data = source.read(request.seed)
@@ -129,9 +130,7 @@ def run(source: Source, belief: Belief, request: Request, *, quiet: bool, as_jso
             wanted,
             protocol,
             out,
-            workers=request.workers,
-            scheduler=request.scheduler,
-            cache=_cache(),
+            machines=Machines(request.workers, request.scheduler),
             progress=report,
         )
     fresh, seconds = len(wanted) * len(data) - begun, time.monotonic() - started
@@ -153,7 +152,7 @@ def run(source: Source, belief: Belief, request: Request, *, quiet: bool, as_jso
         console.say(
             throughput(fresh, seconds, request.workers if request.scheduler is None else None)
         )
-    console.say(f"Written to {out}: evaluation.md, tables as .csv, pictures, frames.zarr")
+    console.say(f"Written to {out}: evaluation.md, tables as .csv, pictures, frames")
 
 
 def findings(
@@ -260,13 +259,6 @@ def _listed[T](text: str, kind: Callable[[str], T], option: str) -> list[T]:
         raise BadInput(
             f"{option} must be numbers with commas between them, such as 0,1,2, not {text!r}"
         ) from None
-
-
-def _cache() -> str | None:
-    """Where this process keeps compiled code, for its workers to find."""
-    import jax
-
-    return jax.config.jax_compilation_cache_dir or os.environ.get("JAX_COMPILATION_CACHE_DIR")
 
 
 def _json(found: Findings, out: Path) -> dict:

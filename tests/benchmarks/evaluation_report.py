@@ -16,6 +16,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from inference.machines import Machines
 from inference.studies.evaluation.bias import bias_study
 from inference.studies.evaluation.conditions import Condition, conditions
 from inference.studies.evaluation.outcome import Protocol
@@ -65,7 +66,7 @@ def run(data: Path, protocol: Protocol, work: Path) -> Runs:
             wanted,
             protocol,
             work / name,
-            workers=WORKERS,
+            machines=Machines(WORKERS),
             progress=lambda done, all_: print(name, done, "of", all_, flush=True),
         )
 
@@ -135,7 +136,7 @@ def by_noise_and_discs(data: Path, protocol: Protocol, work: Path) -> Sheet:
         out = work / f"tried-{noise.size:g}-{factor:g}"
         out.mkdir(parents=True, exist_ok=True)
         one = Condition("akhter-black")
-        values = evaluate(cases, [one], tried, out, workers=1)[one]
+        values = evaluate(cases, [one], tried, out, machines=Machines())[one]
         own = usable(values)
         table = np.stack([pose_errors(values, row) for row in ("single", 5, 20, "all")], axis=1)[
             own
@@ -168,7 +169,7 @@ def measured(data: Path, protocol: Protocol, work: Path) -> dict[int, float]:
                 [Condition("zhou")],
                 protocol,
                 Path(out),
-                workers=workers,
+                machines=Machines(workers),
                 progress=lambda done, _, came=came: came.append((time.perf_counter(), done)),
             )
         seconds, frames = np.array(came[1 + workers :]).T

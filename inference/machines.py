@@ -171,8 +171,8 @@ def _spread(client: Any, task: Any, first: Any, rest: Iterator[Any]) -> Iterator
 
 def _preparing(task: Any) -> Any:
     """A plugin that makes every process that joins a worker for `task`."""
-    import cloudpickle
     from distributed import WorkerPlugin
+    from distributed.protocol.pickle import dumps
 
     class Prepare(WorkerPlugin):
         """Carries the task in bytes: its arrays must not be made before 64-bit floats are set."""
@@ -185,17 +185,17 @@ def _preparing(task: Any) -> Any:
 
             machines.prepare(self.data)
 
-    return Prepare(cloudpickle.dumps(task))
+    return Prepare(dumps(task))
 
 
 def prepare(data: bytes) -> None:
     """Makes this process a worker for a pickled task: 64-bit floats before anything is compiled."""
-    import cloudpickle
+    from distributed.protocol.pickle import loads
 
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
-    _TASK[:] = [cloudpickle.loads(data)]
+    _TASK[:] = [loads(data)]
 
 
 def _do(payload: Any) -> Any:

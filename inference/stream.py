@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
@@ -231,7 +232,7 @@ class _Drawing:
         name, frame = item
         if isinstance(frame, str):
             return self._nothing(name, BAD_INPUT, frame)
-        key = jax.random.fold_in(jax.random.wrap_key_data(self.words), index)
+        key = jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(self.words)), index)
         mixture = draw_mixture(
             self.model, frame, key, self.sampler, self.num_samples, self.max_proposals
         )

@@ -8,7 +8,7 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from inference.studies.calibration.coverage import NOMINAL, Summary
+from inference.studies.calibration.coverage import NOMINAL, CoverageSummary
 from inference.studies.calibration.ece import Interval
 from inference.studies.calibration.exclusions import LENGTH, LIMIT, TAU, Rank
 from inference.studies.calibration.quantities import MOVING_NAMES
@@ -109,7 +109,7 @@ def percent(interval: Interval) -> str:
     return f"{interval.value:.0%} ({interval.low:.0%}–{interval.high:.0%})"
 
 
-def by_joint(found: Summary) -> Rows:
+def by_joint(found: CoverageSummary) -> Rows:
     """Nominal against empirical coverage of each joint, to the side and in depth, with the field's
     ECE."""
     head = (
@@ -134,7 +134,7 @@ def by_joint(found: Summary) -> Rows:
     return Rows(head, rows)
 
 
-def briefly(found: Summary) -> Rows:
+def briefly(found: CoverageSummary) -> Rows:
     """As `by_joint`, narrow enough for a terminal: intervals over all joints together only."""
     columns = [(kind, nominal) for kind in ("lateral", "depth") for nominal in NOMINAL]
     rows = [
@@ -147,7 +147,7 @@ def briefly(found: Summary) -> Rows:
     return Rows(("joint", *(f"{kind} {nominal:.0%}" for kind, nominal in columns)), rows)
 
 
-def grid(found: Mapping[tuple[str, ...], Summary], head: Sequence[str]) -> Rows:
+def grid(found: Mapping[tuple[str, ...], CoverageSummary], head: Sequence[str]) -> Rows:
     """One row for each setting, named by its key: coverage of 50 % and 95 % regions, exclusions,
     ECE and its floor, sharpness."""
     columns = (
@@ -199,7 +199,7 @@ def reasons(found: Sequence[Rank], size: int) -> Rows:
     return Rows(("reason", "excludes", "it alone", "by, in the median"), rows)
 
 
-def summary_json(found: Summary) -> dict[str, Any]:
+def summary_json(found: CoverageSummary) -> dict[str, Any]:
     """The summary as plain values."""
 
     def number(value: float) -> float | None:

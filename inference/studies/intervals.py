@@ -1,7 +1,7 @@
 """Numbers with intervals, whole recordings being drawn anew: frames of one recording are alike."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -43,24 +43,31 @@ def of_share(held: np.ndarray, cluster: np.ndarray, seed: int = 0) -> Interval:
     return Interval(value, float(low), float(high))
 
 
-def of_biased(
-    statistic: Callable[[np.ndarray], float], cluster: np.ndarray, rng: np.random.Generator
+def of_mean_size(
+    curve: Callable[[np.ndarray], np.ndarray], cluster: np.ndarray, rng: np.random.Generator
 ) -> Interval:
-    """A statistic of rows that noise makes larger, as it does a mean of absolute differences: drawn
-    anew it is larger still, by as much, which the basic bootstrap takes off on the other side
-    (Davison & Hinkley 1997, § 5.2). Not below zero."""
-    value = float(statistic(np.arange(len(cluster))))
-    low, high = np.quantile(resampled(cluster, rng, statistic), [TAIL, 1 - TAIL])
-    return Interval(value, max(0.0, float(2 * value - high)), max(0.0, float(2 * value - low)))
+    """The mean absolute value of a curve `(m,)` of rows, clusters `(n,)` being drawn anew.
+
+    Noise makes it larger, so that percentiles lie too high and never reach zero. The lower end is
+    therefore what is left of the curve outside a band that holds 95 % of the curves drawn anew; the
+    upper end is the percentile.
+    """
+    found = curve(np.arange(len(cluster)))
+    many = resampled(cluster, rng, curve)
+    width = np.quantile(np.abs(many - found).max(axis=1), 1 - 2 * TAIL)
+    low = np.maximum(np.abs(found) - width, 0.0).mean()
+    high = np.quantile(np.abs(many).mean(axis=1), 1 - TAIL)
+    return Interval(float(np.abs(found).mean()), float(low), float(high))
 
 
 def resampled(
     cluster: np.ndarray,
     rng: np.random.Generator,
-    statistic: Callable[[np.ndarray], float],
+    statistic: Callable[[np.ndarray], Any],
     number: int = RESAMPLES,
 ) -> np.ndarray:
-    """`(number,)`: a statistic of rows, whole clusters `(n,)` being drawn anew with replacement."""
+    """`(number, …)`: a statistic of rows, whole clusters `(n,)` being drawn anew with
+    replacement."""
     names = np.unique(cluster)
     members = [np.flatnonzero(cluster == name) for name in names]
     picks = rng.integers(0, len(names), (number, len(names)))

@@ -2,32 +2,23 @@
 not, why?"""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import numpy as np
-import xarray as xr
-
-from inference.results import save_tree, versions
-from inference.studies.calibration import run as calibration
-from inference.studies.calibration.coverage import summary
-from inference.studies.calibration.exclusions import as_text, exclusions
-from inference.studies.calibration.posteriors import sampler_of
-from inference.studies.calibration.real import TRUE, by_the_likelihood, instances, stand_real
-from inference.studies.calibration.record import instances_tree, standings_tree
-from inference.studies.calibration.simulations import simulate
-from inference.studies.calibration.verdict import FEWEST, judge
-from probmodel import BadInput, PoseModel
-from probmodel.datasets import Noise, read_data_set
+from inference.machines import HERE, Machines
+from inference.results import save_tree
+from inference.studies import calibration
+from inference.studies.calibration.coverage import CoverageSummary
+from inference.studies.calibration.record import instances_tree
+from inference.studies.calibration.verdict import FEWEST
+from probmodel import BadInput
 from reports import console, coverage_figures, coverage_tables
 from reports.figures import save_figure
 from reports.options import Belief
 
-LIKELIHOOD = "likelihood"
-
 
 class Request(NamedTuple):
     """Which sampler, with how many draws of each instance, from which seed, where to; τ's
-    factor."""
+    factor; who does the work."""
 
     sampler: str
     num_samples: int
@@ -35,6 +26,19 @@ class Request(NamedTuple):
     out: Path
     factor: float
     max_proposals: int
+    machines: Machines = HERE
+
+    def settings(self, out: Path) -> dict[str, Any]:
+        """What both studies take of it, written to the file `out`."""
+        return {
+            "sampler": self.sampler,
+            "seed": self.seed,
+            "num_samples": self.num_samples,
+            "factor": self.factor,
+            "max_proposals": self.max_proposals,
+            "machines": self.machines,
+            "out": out,
+        }
 
 
 class Real(NamedTuple):
@@ -62,17 +66,12 @@ def simulated(
     with console.progress(f"simulations by {request.sampler}", quiet) as step:
         tree = calibration.calibrate(
             model,
-            request.sampler,
-            seed=request.seed,
             num_simulations=num_simulations,
-            num_samples=request.num_samples,
-            factor=request.factor,
-            max_proposals=request.max_proposals,
-            out=out / "coverage.nc",
+            **request.settings(out / "coverage.nc"),
             progress=step,
         )
     simulation = tree["simulation"].to_dataset()
-    found = judge(simulation)
+    found = calibration.judge(simulation)
     save_figure(coverage_figures.ranks_figure(simulation, found.sentence), out / "coverage.png")
     if as_json:
         console.show_json(coverage_tables.tests_json(found) | {"out": str(out)})
@@ -93,7 +92,9 @@ def write_simulations(
     out = console.output_folder(request.out)
     with console.progress("simulations", quiet):
         tree = instances_tree(
-            simulate(belief.model(), request.seed, 0, num_simulations, factor=request.factor)
+            calibration.simulate(
+                belief.model(), request.seed, 0, num_simulations, factor=request.factor
+            )
         )
     save_tree(tree, out / "simulations.nc")
     if as_json:
@@ -107,63 +108,39 @@ def write_simulations(
 
 
 def real(belief: Belief, request: Request, real: Real, *, quiet: bool, as_json: bool) -> None:
-    """Coverage of real poses: coverage.nc and coverage.png. Raises `BadInput` on a bad data set,
-    noise or estimator."""
+    """Coverage of real poses: coverage.nc and coverage.png. A run that was stopped is resumed.
+    Raises `BadInput` on a bad data set, noise or estimator."""
     out = console.output_folder(request.out)
     model = belief.model()
-    with console.progress("poses, torsos and cameras", quiet):
-        noise = Noise() if real.noise == LIKELIHOOD else Noise.parse(real.noise)
-        data = read_data_set(real.data, frames=real.frames, noise=noise, seed=request.seed)
-        cases = [case.hiding(real.missing, request.seed) for case in data]
-        if real.noise == LIKELIHOOD:
-            cases = [by_the_likelihood(case, request.factor, request.seed) for case in cases]
-        known = instances(cases, model, real.estimator, factor=request.factor)
-    sampler_of(request.sampler, model, request.num_samples)
-    with console.progress(f"posteriors by {request.sampler}", quiet) as step:
-        standings = stand_real(
-            model,
-            known,
-            sampler=request.sampler,
+    with console.progress("poses", quiet):
+        cases, source = calibration.read_cases(
+            real.data,
+            frames=real.frames,
+            noise=real.noise,
+            missing=real.missing,
+            factor=request.factor,
             seed=request.seed,
-            num_samples=request.num_samples,
-            max_proposals=request.max_proposals,
+        )
+    with console.progress(f"posteriors by {request.sampler}", quiet) as step:
+        tree = calibration.cover(
+            model,
+            cases,
+            estimator=real.estimator,
+            source=source,
+            **request.settings(out / "coverage.nc"),
             progress=step,
         )
-    columns = {
-        "recording": np.array([case.recording for case in cases]),
-        "unit_mm": np.array([case.unit for case in cases]),
-        "reasons": np.array([as_text(one) for one in exclusions(model, cases, known)]),
-    }
-    tree = standings_tree(standings, _about(model, request, real, data.sha256), columns)
-    save_tree(tree, out / "coverage.nc")
-    found = summary(tree)
+    found = calibration.summary(tree)
     simulation = tree["simulation"].to_dataset()
     curves = coverage_figures.coverage_figure({f"torso and camera: {real.estimator}": simulation})
     save_figure(curves, out / "coverage.png")
     if as_json:
         console.show_json(coverage_tables.summary_json(found) | {"out": str(out)})
     else:
-        _say(tree, out)
+        _say(found, out)
 
 
-def _about(model: PoseModel, request: Request, real: Real, sha256: str) -> dict:
-    return {
-        "sampler": request.sampler,
-        "seed": request.seed,
-        "num_samples": request.num_samples,
-        "factor": request.factor,
-        "data": f"{real.data.name} {sha256}",
-        "noise": real.noise,
-        "missing": real.missing,
-        "estimator": real.estimator,
-        "limits": f"{model.limits.name} {model.limits.sha256}",
-        "measures": f"upper {model.upper}, lower {model.lower}",
-        "versions": versions(),
-    }
-
-
-def _say(tree: xr.DataTree, out: Path) -> None:
-    found = summary(tree)
+def _say(found: CoverageSummary, out: Path) -> None:
     console.OUT.print(
         coverage_tables.terminal(coverage_tables.briefly(found), "Covered, nominally and in truth")
     )
@@ -182,6 +159,3 @@ def _say(tree: xr.DataTree, out: Path) -> None:
         f" {found.evidence:.1f} (medians)"
     )
     console.say(f"Written to {out}: coverage.nc, coverage.png")
-
-
-__all__ = ["LIKELIHOOD", "TRUE", "Real", "Request", "real", "simulated", "write_simulations"]

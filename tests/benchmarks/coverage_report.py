@@ -45,8 +45,9 @@ from inference.studies.calibration.exclusions import (
 )
 from inference.studies.calibration.posteriors import Sampler, sampler_of
 from inference.studies.calibration.quantities import ENERGY_BALL, LOG_DENSITY, TARP
-from inference.studies.calibration.real import TRUE, by_the_likelihood, instances, stand_real
+from inference.studies.calibration.real import TRUE, by_the_likelihood, instances
 from inference.studies.calibration.record import standings_tree
+from inference.studies.calibration.run import stand
 from probmodel import PoseModel
 from probmodel.anatomy.population import Anatomy
 from probmodel.anatomy.published import read_published
@@ -222,7 +223,9 @@ def _stand(
         "unit_mm": np.array([case.unit for case in some]),
         "reasons": np.array([as_text(one) for one in exclusions(model, some, known)]),
     }
-    standings = stand_real(model, known, num_samples=REAL_DRAWS, max_proposals=BUDGET)
+    standings = stand(
+        sampler_of("rejection", model, REAL_DRAWS, max_proposals=BUDGET), known, seed=0
+    )
     return standings_tree(standings, {}, columns)
 
 

@@ -29,7 +29,6 @@ ERRORS = RNG.gamma(2.0, 40.0, size=(50, 6, 15))
 
 
 # --- metrics
-# ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_three_bests_are_three_things():
@@ -95,7 +94,6 @@ def test_depth_flips_are_counted():
 
 
 # --- conditions
-# ------------------------------------------------------------------------------------------------------
 
 
 def test_missing_joints_and_turns_are_not_crossed():
@@ -120,7 +118,6 @@ def test_conditions_that_are_none_are_refused(arguments, words):
 
 
 # --- frames
-# ----------------------------------------------------------------------------------------------------------
 
 
 def waving(seed: int, frames: int = 30) -> np.ndarray:
@@ -204,7 +201,6 @@ def test_k_beyond_the_draws_is_refused(ks):
 
 
 # --- scores
-# ----------------------------------------------------------------------------------------------------------
 
 
 def test_the_interval_of_a_mean_covers_it():
@@ -296,7 +292,6 @@ def test_a_row_of_k_is_its_best_hypothesis():
 
 
 # --- tables
-# ----------------------------------------------------------------------------------------------------------
 
 
 def test_tables_say_what_came_out(judged, tmp_path):
@@ -333,7 +328,6 @@ def test_predictions_for_other_frames_are_refused(tmp_path):
 
 
 # --- bias
-# ------------------------------------------------------------------------------------------------------------
 
 
 def test_how_much_is_visited_is_the_cap_of_a_sphere():

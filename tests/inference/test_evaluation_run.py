@@ -159,7 +159,6 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 # --- the command
-# -----------------------------------------------------------------------------------------------------
 
 
 def arguments(data: Path, out: Path, *more: str) -> list[str]:

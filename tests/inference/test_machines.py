@@ -1,4 +1,4 @@
-"""Worker processes: who listens where, what they are told, and what happens where there are none."""
+"""Worker processes: who listens where, what they are told, and what if there are none."""
 
 import os
 from pathlib import Path

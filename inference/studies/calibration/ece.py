@@ -2,14 +2,14 @@
 number.
 
 ECE after Pierzchlewicz et al. (2022): the mean over 21 levels of |median over joints of share
-covered - level|. It has a floor, since a right posterior's shares scatter too, and an interval, by
-drawing whole recordings anew. It is blind where ranks are not: see reports/coverage.md."""
+covered - level|. It has a floor, since a right posterior's shares scatter too, and an interval,
+whole recordings being drawn anew. It is blind where ranks are not: see reports/coverage.md."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from inference.studies.intervals import Interval, of_biased, of_share
+from inference.studies.intervals import Interval, of_mean_size, of_share
 
 LEVELS = np.linspace(0, 1, 21)
 
@@ -34,7 +34,11 @@ def shares(levels: np.ndarray, nominal: np.ndarray = LEVELS) -> np.ndarray:
 
 def calibration_error(levels: np.ndarray) -> float:
     """The field's ECE of levels `(n, j)`."""
-    return float(np.mean(np.abs(np.median(shares(levels), axis=1) - LEVELS)))
+    return float(np.mean(np.abs(_deviation(levels))))
+
+
+def _deviation(levels: np.ndarray) -> np.ndarray:
+    return np.median(shares(levels), axis=1) - LEVELS
 
 
 def ece(levels: np.ndarray, stand_in: np.ndarray, cluster: np.ndarray, seed: int = 0) -> Ece:
@@ -42,7 +46,7 @@ def ece(levels: np.ndarray, stand_in: np.ndarray, cluster: np.ndarray, seed: int
     there are none; `cluster` `(n,)` names what is drawn anew together for the interval, two at
     least."""
     rng = np.random.default_rng(seed)
-    whole = of_biased(lambda rows: calibration_error(levels[rows]), cluster, rng)
+    whole = of_mean_size(lambda rows: _deviation(levels[rows]), cluster, rng)
     right = stand_in[np.isfinite(stand_in).all(axis=(1, 2))]
     floors = np.array(
         [calibration_error(right[:, row]) for row in range(right.shape[1])]

@@ -1,10 +1,11 @@
 """Whose posterior is judged: exact rejection, a baseline thinned until its draws are independent,
 or draws in a file.
 
-Each is a `Sampler`: an instance and its key → `Posterior`. Failures are part of the answer, never
+Each is a `Sampler`: an instance and its key → `Answer`. Failures are part of the answer, never
 left out."""
 
 import functools
+import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from inference.baselines.run import Allowance, check_packages, run
 from inference.baselines.target import Target
 from inference.results import COMPLETE, pose_columns
 from inference.sampler import MAX_PROPOSALS, SAMPLERS, draw_mixture
-from inference.studies.calibration.assess import FAILED, Posterior
+from inference.studies.calibration.assess import FAILED, Answer
 from inference.studies.calibration.quantities import of_pose
 from inference.studies.calibration.simulations import Instance
 from inference.studies.comparison.mixing import mean_ess, mixing
@@ -34,7 +35,7 @@ from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.skeleton import NUM_JOINTS
 
-Sampler = Callable[[int, Instance, jax.Array], Posterior]
+Sampler = Callable[[int, Instance, jax.Array], Answer]
 """The number of the instance, the instance, a key of its own."""
 SUFFIXES = (".nc", ".npz", ".npy")
 
@@ -73,14 +74,14 @@ def _exact(
     index: int,
     instance: Instance,
     key: jax.Array,
-) -> Posterior:
+) -> Answer:
     mixture = draw_mixture(model, instance.frame, key, name, number, budget)
     columns = pose_columns(model, instance.frame, mixture.parts, mixture.rng)
     scale = np.array([float(candidate.camera.scale) for candidate in instance.frame.candidates])
     joints = (
         columns["joints"] * (scale / scale[0])[columns["candidate"]][:, None, None]
     )  # the first one's body units
-    return Posterior(joints, mixture.attributes["log_evidence"], mixture.status, mixture.sentence)
+    return Answer(joints, mixture.attributes["log_evidence"], mixture.status, mixture.sentence)
 
 
 def _baseline(
@@ -92,7 +93,7 @@ def _baseline(
     index: int,
     instance: Instance,
     key: jax.Array,
-) -> Posterior:
+) -> Answer:
     target, baseline = Target.of(model, instance.frame), BASELINES[name]
     places = None
     if baseline.starts:
@@ -108,14 +109,12 @@ def _baseline(
         allowance=Allowance(evaluations=budget),
     )
     if not done.num_draws:
-        return Posterior(
-            np.empty((0, NUM_JOINTS, 3)), done.log_evidence, done.status, done.sentence
-        )
+        return Answer(np.empty((0, NUM_JOINTS, 3)), done.log_evidence, done.status, done.sentence)
     chains = np.asarray(baseline_tree(model, instance.frame, done, key)["posterior"].joints)
     joints = independent(chains)
     if not len(joints):
-        return Posterior(joints, done.log_evidence, FAILED, f"the chains of {name} did not move")
-    return Posterior(joints, done.log_evidence, COMPLETE, done.sentence)
+        return Answer(joints, done.log_evidence, FAILED, f"the chains of {name} did not move")
+    return Answer(joints, done.log_evidence, COMPLETE, done.sentence)
 
 
 def _exact_tree(model: PoseModel, instance: Instance, key: jax.Array) -> xr.DataTree:
@@ -148,6 +147,11 @@ class FromFile:
     path: Path
     joints: np.ndarray
 
+    @property
+    def sha256(self) -> str:
+        """Of the draws."""
+        return hashlib.sha256(np.ascontiguousarray(self.joints, "<f8").data).hexdigest()
+
     @classmethod
     def read(cls, path: Path) -> "FromFile":
         """Raises `BadInput` on a file without such joints."""
@@ -163,7 +167,7 @@ class FromFile:
             )
         return cls(path, joints.astype(float))
 
-    def __call__(self, index: int, instance: Instance, key: jax.Array) -> Posterior:
+    def __call__(self, index: int, instance: Instance, key: jax.Array) -> Answer:
         if index >= len(self.joints):
             raise BadInput(
                 f"{self.path} has draws for {len(self.joints)} simulations; ask for as many, not"
@@ -172,9 +176,9 @@ class FromFile:
         draws = self.joints[index]
         given = np.isfinite(draws).all(axis=(1, 2))
         if given.all():
-            return Posterior(draws)
+            return Answer(draws)
         said = f"{int((~given).sum())} of {len(draws)} draws in {self.path.name} are not finite"
-        return Posterior(draws[:0], np.nan, FAILED, said)
+        return Answer(draws[:0], np.nan, FAILED, said)
 
 
 def _read(path: Path) -> np.ndarray:

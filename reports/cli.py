@@ -173,17 +173,22 @@ def frames(
     upper: options.Upper = UpperMeasure.angle,
     lower: options.Lower = LowerMeasure.area,
     max_proposals: options.MaxProposals = _BUDGET,
+    workers: options.Workers = 1,
+    scheduler: options.Scheduler = None,
     quiet: options.Quiet = False,
     json: options.Json = False,
 ) -> None:
     """Exact draws and hypotheses of everyone in many frames, written as they come; goes on where it
     was stopped."""
     options.prepare_jax()
+    from inference.machines import Machines
     from reports.commands import frames as command
 
     known = Known(image_size, names, correct)
     sight = Sight(path, format, 0, estimator, candidates, factor, threshold, head, poses, known)
-    request = command.Request(out, k, num_samples, keep, seed, max_proposals)
+    request = command.Request(
+        out, k, num_samples, keep, seed, max_proposals, Machines(workers, scheduler)
+    )
     command.run(sight, Belief(limits, upper, lower), request, quiet=quiet, as_json=json)
 
 
@@ -424,12 +429,8 @@ def evaluate(
         bool, typer.Option(help="Whether the bias of its motion capture is studied too.")
     ] = True,
     max_proposals: options.MaxProposals = 20_000_000,
-    workers: Annotated[
-        int, typer.Option(min=1, help="Processes of this machine that share the frames.")
-    ] = 1,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Address of a dask scheduler, whose workers do it.")
-    ] = None,
+    workers: options.Workers = 1,
+    scheduler: options.Scheduler = None,
     quiet: options.Quiet = False,
     json: options.Json = False,
 ) -> None:
@@ -517,16 +518,21 @@ def coverage(
             min=1, help="Most proposals (or evaluations) for each pose before it counts as failed."
         ),
     ] = 3_000_000,
+    workers: options.Workers = 1,
+    scheduler: options.Scheduler = None,
     quiet: options.Quiet = False,
     json: options.Json = False,
 ) -> None:
     """Test whether a sampler's posterior means what it says, under the model or on real poses, and
     why it misses."""
     options.prepare_jax()
+    from inference.machines import Machines
     from reports.commands import coverage as command
 
     belief = Belief(limits, upper, lower)
-    request = command.Request(sampler, num_samples, seed, out, factor, max_proposals)
+    request = command.Request(
+        sampler, num_samples, seed, out, factor, max_proposals, Machines(workers, scheduler)
+    )
     if poses is not None:
         real = command.Real(poses, frames, noise, missing, estimator)
         command.real(belief, request, real, quiet=quiet, as_json=json)

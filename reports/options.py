@@ -74,6 +74,10 @@ Correct = Annotated[
 MaxProposals = Annotated[
     int, typer.Option(min=1, help="Most proposals of rejection before it gives up (exit code 3).")
 ]
+Workers = Annotated[int, typer.Option(min=1, help="Processes of this machine that share the work.")]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Address of a dask scheduler, whose workers do it.")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress.")]
 Json = Annotated[bool, typer.Option("--json", help="Results on stdout as JSON instead of a table.")]
 

@@ -24,67 +24,35 @@ class Request:
 
 def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json: bool) -> None:
     """Writes comparison.nc and comparison.png. What samplers have done is kept in `runs`: the next
-    call goes on there. Raises `BadInput`, or `OutOfBudget` where there are no exact draws."""
-    import jax
-
-    from inference.baselines.run import Allowance
-    from inference.results import save_tree
+    call takes it up. Raises `BadInput`, or `OutOfBudget` where there are no exact draws."""
     from inference.studies.comparison import contest
-    from inference.studies.comparison.record import Entry, comparison_tree
     from reports import comparison_figures, comparison_tables
 
     if not request.seconds > 0:
         raise BadInput(f"--seconds must be more than 0, not {request.seconds:g}")
     contest.check_names(list(request.samplers))
     out = console.output_folder(request.out)
-    runs = console.output_folder(out / "runs")
     with console.progress("torso and camera", quiet):
         model = belief.model()
         frame = sight.frame(model)
-    key = jax.random.key(request.seed)
-    with console.progress("exact draws", quiet):
-        known = contest.truth(model, frame, key=jax.random.fold_in(key, 0))
-    allowance = Allowance(request.max_evaluations, request.seconds)
-    entries: list[Entry] = []
-    attributes = {
-        "source": frame.detection.source,
-        "person": frame.detection.person,
-        "seed": request.seed,
-        "seconds": request.seconds,
-        "exact_draws": known.sample.num_draws,
-    }
-    everyone = [*contest.SAMPLERS, *contest.BASELINES]
-    for name in request.samplers:
-        own = jax.random.fold_in(
-            key, 1 + everyone.index(name)
-        )  # whoever else is asked, so that runs go on
-        for start in contest.starts_of(name):
-            with console.progress(f"{name} {start}".strip(), quiet):
-                if name in contest.BASELINES:
-                    save_to = runs / f"{name}-{start}.npz".replace(" ", "-").replace("-.", ".")
-                    entry = contest.enter_baseline(
-                        model,
-                        known,
-                        name,
-                        start,
-                        key=own,
-                        allowance=allowance,
-                        num_samples=contest.ENDLESS,
-                        save_to=save_to,
-                    )[0]
-                else:
-                    entry = contest.enter_exact(
-                        model, known, name, key=own, num_samples=request.num_samples
-                    )
-            entries.append(entry)
-            save_tree(comparison_tree(entries, known.sample, attributes), out / "comparison.nc")
-    tree = comparison_tree(entries, known.sample, attributes)
+    found = contest.compare(
+        model,
+        frame,
+        request.samplers,
+        seed=request.seed,
+        seconds=request.seconds,
+        max_evaluations=request.max_evaluations,
+        num_samples=request.num_samples,
+        out=out,
+        stage=lambda words: console.progress(words, quiet),
+    )
     with console.progress("picture", quiet):
-        comparison_figures.save(tree, out / "comparison.png")
+        comparison_figures.save(found.tree, out / "comparison.png")
     if as_json:
-        console.show_json({"samplers": comparison_tables.comparison_json(tree), "out": str(out)})
-    else:
-        console.OUT.print(comparison_tables.comparison_table(tree, console.OUT.width))
-        for entry in entries:
-            console.say(f"{entry.label}: {entry.sentence}")
-        console.say(f"Written to {out}: comparison.nc, comparison.png, runs")
+        lines = comparison_tables.comparison_json(found.tree)
+        console.show_json({"samplers": lines, "out": str(out)})
+        return
+    console.OUT.print(comparison_tables.comparison_table(found.tree, console.OUT.width))
+    for entry in found.entries:
+        console.say(f"{entry.label}: {entry.sentence}")
+    console.say(f"Written to {out}: comparison.nc, comparison.png, runs")

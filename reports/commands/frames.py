@@ -1,10 +1,11 @@
-"""`poseterior frames`: draws and hypotheses of everyone in many frames, a stream that goes on where
-it was stopped."""
+"""`poseterior frames`: draws and hypotheses of everyone in many frames, a stream that is resumed
+where it was stopped."""
 
 import functools
 from pathlib import Path
 from typing import NamedTuple
 
+from inference.machines import HERE, Machines
 from inference.roots import estimate_torso
 from inference.stream import estimated, open_stream, sample_frames
 from probmodel import BadInput
@@ -13,7 +14,7 @@ from reports.options import Belief, Sight
 
 
 class Request(NamedTuple):
-    """What is asked for, and where it goes."""
+    """What is asked for, where it goes, and who does it."""
 
     out: Path
     k: int
@@ -21,6 +22,7 @@ class Request(NamedTuple):
     keep: int | None
     seed: int
     max_proposals: int
+    machines: Machines = HERE
 
 
 def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json: bool) -> None:
@@ -53,6 +55,7 @@ def run(sight: Sight, belief: Belief, request: Request, *, quiet: bool, as_json:
             k=request.k,
             keep=request.keep,
             max_proposals=request.max_proposals,
+            machines=request.machines,
             progress=lambda done: step(done, people),
         )
     summary = open_stream(request.out)["summary"].to_dataset()

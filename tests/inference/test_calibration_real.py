@@ -355,12 +355,12 @@ def test_where_all_agree_the_interval_is_that_of_so_many_trials(
 
 @pytest.mark.parametrize("power", [1.0, 1.2, 2.0])
 def test_the_interval_of_the_ece_holds_the_truth(power: float) -> None:
-    """Levels uniform to a power, so that the truth is known, 60 times: 95 % intervals hold it at
-    least 50 times (false alarm 1e-4 for each power). Percentiles, the negative control, never hold
+    """Levels uniform to a power, so that the truth is known, 20 times: 95 % intervals hold it at
+    least 14 times (false alarm 5e-5 for each power). Percentiles, the negative control, never hold
     an ECE of zero: that of a sample is larger than that of the law."""
     truth = float(np.mean(np.abs(LEVELS ** (1 / power) - LEVELS)))
     held = by_percentiles = 0
-    for seed in range(60):
+    for seed in range(20):
         levels, cluster = RNG(seed).uniform(size=(40, 1)) ** power, np.arange(40)
         whole = ece(levels, levels[:, None], cluster, seed).whole
         held += whole.low <= truth <= whole.high
@@ -368,10 +368,10 @@ def test_the_interval_of_the_ece_holds_the_truth(power: float) -> None:
             cluster,
             RNG(seed),
             lambda rows, levels=levels: calibration_error(levels[rows]),
-            number=200,
+            number=50,
         )
         by_percentiles += np.quantile(again, 0.025) <= truth <= np.quantile(again, 0.975)
-    assert held >= 50, held
+    assert held >= 14, held
     assert by_percentiles == 0 or power > 1, by_percentiles
 
 

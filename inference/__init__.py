@@ -6,6 +6,7 @@ result = inference.sample(model, frame, key=jax.random.key(0), num_samples=10_00
 
 from inference.evidences import Evidence, evidence
 from inference.hypothesis import Hypothesis, diverse, grid_poses, hypotheses
+from inference.machines import Machines
 from inference.results import Result
 from inference.roots import ESTIMATORS, estimate_torso, estimate_torsos
 from inference.sampler import SAMPLERS, sample
@@ -17,6 +18,7 @@ __all__ = [
     "Evidence",
     "Hypothesis",
     "Item",
+    "Machines",
     "Result",
     "diverse",
     "draws_of",

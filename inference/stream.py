@@ -1,10 +1,9 @@
 """Many frames as one stream: draws and hypotheses of each, written as they come, resumed where they
 stopped.
 
-A stream is a folder: `stream.json` says what was asked for, `block-000000.nc` and so on hold some
-frames each, written at once or not at all. Every frame has a key of its own, so that a run that was
-stopped and goes on ends with the same bits, and so do blocks made elsewhere. Memory holds one
-block, however many frames there are.
+A stream is a folder, an `inference.store.Store` of blocks of frames. Every frame has a key of its
+own, so that a run that was stopped and resumed ends with the same bits, whatever machines its
+blocks are made on. Memory holds a few blocks, however many frames there are.
 
     sample_frames(model, frames, key=jax.random.key(0), out="walk", num_samples=10_000, k=5)
     tree = open_stream("walk")          # summaries and hypotheses of all frames
@@ -12,23 +11,24 @@ block, however many frames there are.
 
 import hashlib
 import itertools
-import json
 import os
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 from inference.exact.mixture import MAX_PROPOSALS, draw_mixture
 from inference.hypothesis import diverse
-from inference.results import joint_columns, key_words, save_tree, versions
+from inference.machines import HERE, Machines, in_threads
+from inference.results import joint_columns, key_words, versions
+from inference.store import Block, Groups, Store, fill, locked
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
-from probmodel.files import replacing
 from probmodel.formats.frames import DetectedFrame
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
@@ -39,6 +39,7 @@ BLOCK_BYTES = 64_000_000
 MOST_FRAMES = 64
 """Frames of a block at most: what is lost when a run is killed."""
 BAD_INPUT = "bad input"
+_STREAM = "a stream of frames"
 Progress = Callable[[int], None]
 
 
@@ -50,7 +51,7 @@ class Item(NamedTuple):
     frame: Estimate | str
 
 
-class Drawn(NamedTuple):
+class FrameDraws(NamedTuple):
     """What is kept of a frame: see `open_stream`."""
 
     name: str
@@ -79,16 +80,36 @@ def sample_frames(
     k: int = 5,
     keep: int | None = None,
     max_proposals: int = MAX_PROPOSALS,
+    machines: Machines = HERE,
     progress: Progress | None = None,
 ) -> Path:
     """Draws `num_samples` poses of every frame and chooses `k` hypotheses among them; writes them
-    to the folder `out`.
+    to the folder `out`, where a run that was stopped is resumed.
 
-    `keep` is how many draws of each frame are written (default: all). `frames` is read as it is
-    needed; a frame that is a sentence, or whose budget of `max_proposals` ends, is recorded with
-    its reason, and the others go on. Blocks that are there already are kept. `progress(done)` is
-    called for each block. Raises `BadInput` where `out` holds another run, or where the frames
-    differ from those that it began with."""
+    A frame that is a sentence, or whose budget of `max_proposals` ends, is recorded with its
+    reason, and the others go on. Damaged blocks are made anew.
+
+    Parameters
+    ----------
+    frames
+        Read as they are needed, in this process.
+    keep
+        How many draws of each frame are written (default: all).
+    machines
+        Who draws; blocks are written by this process.
+    progress
+        Called with the number of frames done, block by block.
+
+    Returns
+    -------
+    The folder.
+
+    Raises
+    ------
+    BadInput
+        Where `out` holds another run, a longer one, or one made of other frames; where another
+        process is writing to it; and where the numbers do not go together.
+    """
     keep = num_samples if keep is None else min(keep, num_samples)
     if num_samples < 1 or not 1 <= k <= num_samples or keep < 0:
         raise BadInput(
@@ -96,88 +117,80 @@ def sample_frames(
             " least one sample, at most as many hypotheses, and no negative number to keep"
         )
     folder = Path(out)
+    size = max(
+        1, min(MOST_FRAMES, BLOCK_BYTES // (4 * (3 * NUM_JOINTS + NUM_LENGTHS) * max(keep, 1)))
+    )
     settings = {
+        "study": "stream of frames",
         "seed": key_words(key),
         "sampler": sampler,
         "num_samples": num_samples,
         "k": k,
         "keep": keep,
         "max_proposals": max_proposals,
+        "block": size,
         "limits": f"{model.limits.name} {model.limits.sha256}",
         "measures": f"upper {model.upper}, lower {model.lower}",
         "versions": versions(),
     }
-    _begin(folder, settings)
-    size = max(
-        1, min(MOST_FRAMES, BLOCK_BYTES // (4 * (3 * NUM_JOINTS + NUM_LENGTHS) * max(keep, 1)))
-    )
-    done = 0
-    with ThreadPoolExecutor(os.cpu_count()) as workers:
+    words = np.asarray(jax.random.key_data(key))
+    task = _Drawing(model, words, sampler, num_samples, k, keep, max_proposals)
+    done = blocks = 0
 
-        def draw(index: int, item: Item) -> Drawn:
-            return _draw(
-                model,
-                item,
-                jax.random.fold_in(key, index),
-                sampler,
-                num_samples,
-                k,
-                keep,
-                max_proposals,
-            )
+    def take(block: Block, groups: Groups) -> None:
+        nonlocal done, blocks
+        done, blocks = done + block.size, blocks + 1
+        if progress:
+            progress(done)
 
-        for number, items in enumerate(_blocks(frames, size)):
-            path = folder / f"block-{number:06d}.nc"
-            fingerprint = _fingerprint(items)
-            if path.exists():
-                _same_frames(path, fingerprint)
-            else:
-                indices = range(number * size, number * size + len(items))
-                rows = list(workers.map(draw, indices, items))
-                save_tree(
-                    _block_tree(
-                        rows, k, {**settings, "frames": fingerprint, "first": number * size}
-                    ),
-                    path,
-                )
-            done += len(items)
-            if progress:
-                progress(done)
+    with locked(folder):
+        store = Store.begin(folder, settings)
+        fill(store, machines, task, _blocks(frames, size), take)
+        store.finish(blocks)
     return folder
 
 
 def open_stream(folder: str | os.PathLike) -> xr.DataTree:
-    """Summaries and hypotheses of all frames of a stream, opened in parts only as needed.
+    """Summaries and hypotheses of all frames of a stream; the draws stay in their blocks, see
+    `draws_of`.
 
+    Returns
+    -------
     `/summary` by frame: status, sentence, num_draws, log_evidence with its standard error, `mean`
-    and `sd` of the joints `(frame, joint, axis)`. `/hypotheses`: `joints` `(frame, hypothesis,
-    joint, axis)`, `weight`, `draw`. The draws stay in their blocks: `draws_of(folder, name)`.
-    Raises `BadInput` where there is no stream."""
-    folder = Path(folder)
-    settings = _settings(folder)
-    parts: dict[str, list[xr.Dataset]] = {"summary": [], "hypotheses": []}
-    for path in _paths(folder):
-        with xr.open_datatree(path, engine="netcdf4") as tree:
-            for name, rows in parts.items():
-                rows.append(tree[name].to_dataset().load())
+    and `sd` of the joints `(frame, joint, axis)`; `/hypotheses`: `joints` `(frame, hypothesis,
+    joint, axis)`, `weight`, `draw`. The settings of the run are attributes.
+
+    Raises
+    ------
+    BadInput
+        Where there is no stream, or a block of it is missing, damaged or of another run.
+    """
+    store = Store.open(Path(folder), _STREAM)
+    numbers = store.numbers()
+    if not numbers:
+        raise BadInput(f"{folder} is a stream without any frame yet; run again to fill it")
     found = xr.DataTree.from_dict(
-        {name: xr.concat(rows, dim="frame") for name, rows in parts.items()}
+        {
+            group: xr.concat([store.read(number, group) for number in numbers], dim="frame")
+            for group in ("summary", "hypotheses")
+        }
     )
-    found.attrs.update(settings)
+    found.attrs.update(store.settings)
     return found
 
 
 def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
     """The draws kept of the frame `name`: `joints` `(chain, draw, joint, axis)` and `bone_length`,
-    as ArviZ takes them. Raises `BadInput` where the stream has no such frame."""
-    for path in _paths(Path(folder)):
-        with xr.open_datatree(path, engine="netcdf4") as tree:
-            names = tree["summary"].frame.values
-            if name in names:
-                index = int(np.flatnonzero(names == name)[0])
-                rows = tree["posterior"].to_dataset().isel(frame=index).load()
-                held = int(tree["summary"].num_draws[index])
-                return rows.isel(draw=slice(min(held, rows.sizes["draw"]))).expand_dims("chain")
+    as ArviZ takes them. Raises `BadInput` as `open_stream` does, and where there is no such
+    frame."""
+    store = Store.open(Path(folder), _STREAM)
+    for number in store.numbers():
+        summary = store.read(number, "summary")
+        index = np.flatnonzero(summary.frame.values == name)
+        if len(index):
+            rows = store.read(number, "posterior").isel(frame=int(index[0]))
+            held = int(summary.num_draws[index[0]])
+            return rows.isel(draw=slice(min(held, rows.sizes["draw"]))).expand_dims("chain")
     raise BadInput(
         f"{folder} has no frame {name!r}; its names are in the summary that `open_stream` gives"
     )
@@ -197,122 +210,116 @@ def estimated(
                 yield Item(name, str(error))
 
 
-def _draw(
-    model: PoseModel,
-    item: Item,
-    key: jax.Array,
-    sampler: str,
-    num_samples: int,
-    k: int,
-    keep: int,
-    max_proposals: int,
-) -> Drawn:
-    name, frame = item
-    if isinstance(frame, str):
-        return _nothing(name, BAD_INPUT, frame, k, keep)
-    posterior = frame.posterior(model)
-    mixture = draw_mixture(
-        posterior,
-        key=key,
-        sampler=sampler,
-        num_samples=num_samples,
-        max_proposals=max_proposals,
-    )
-    columns = joint_columns(posterior, mixture.parts, mixture.rng)
-    joints, number = columns["joints"], len(columns["joints"])
-    drawn = _nothing(name, mixture.status, mixture.sentence, k, keep)
-    if number == 0:
-        return drawn
-    for row, (pose, weight, chosen) in enumerate(
-        diverse(joints.astype(np.float32), min(k, number))
-    ):
-        drawn.hypotheses[row], drawn.weight[row], drawn.chosen[row] = pose, weight, chosen
-    kept = min(keep, number)
-    drawn.joints[:kept], drawn.bone_length[:kept] = joints[:kept], columns["bone_length"][:kept]
-    return drawn._replace(
-        num_draws=number,
-        log_evidence=mixture.attributes["log_evidence"],
-        log_evidence_se=mixture.attributes["log_evidence_se"],
-        mean=joints.mean(axis=0),
-        sd=joints.std(axis=0),
-    )
+@dataclass(frozen=True)
+class _Drawing:
+    """The task of a block: draws and hypotheses of its frames, of which it is told the number of
+    the first; `words` are those of the run's key."""
+
+    model: PoseModel
+    words: np.ndarray
+    sampler: str
+    num_samples: int
+    k: int
+    keep: int
+    max_proposals: int
+
+    def __call__(self, block: tuple[int, list[Item]]) -> Groups:
+        first, items = block
+        rows = in_threads(self._draw, range(first, first + len(items)), items)
+        return _groups(rows, self.k)
+
+    def _draw(self, index: int, item: Item) -> FrameDraws:
+        name, frame = item
+        if isinstance(frame, str):
+            return self._nothing(name, BAD_INPUT, frame)
+        key = jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(self.words)), index)
+        posterior = frame.posterior(self.model)
+        mixture = draw_mixture(
+            posterior,
+            key=key,
+            sampler=self.sampler,
+            num_samples=self.num_samples,
+            max_proposals=self.max_proposals,
+        )
+        columns = joint_columns(posterior, mixture.parts, mixture.rng)
+        joints, number = columns["joints"], len(columns["joints"])
+        drawn = self._nothing(name, mixture.status, mixture.sentence)
+        if number == 0:
+            return drawn
+        chosen = diverse(joints.astype(np.float32), min(self.k, number))
+        for row, (pose, weight, draw) in enumerate(chosen):
+            drawn.hypotheses[row], drawn.weight[row], drawn.chosen[row] = pose, weight, draw
+        kept = min(self.keep, number)
+        drawn.joints[:kept], drawn.bone_length[:kept] = joints[:kept], columns["bone_length"][:kept]
+        return drawn._replace(
+            num_draws=number,
+            log_evidence=mixture.attributes["log_evidence"],
+            log_evidence_se=mixture.attributes["log_evidence_se"],
+            mean=joints.mean(axis=0),
+            sd=joints.std(axis=0),
+        )
+
+    def _nothing(self, name: str, status: str, sentence: str) -> FrameDraws:
+        blank = np.full((NUM_JOINTS, 3), np.nan)
+        return FrameDraws(
+            name,
+            status,
+            sentence,
+            num_draws=0,
+            log_evidence=-np.inf,
+            log_evidence_se=np.inf,
+            mean=blank,
+            sd=blank,
+            hypotheses=np.full((self.k, NUM_JOINTS, 3), np.nan),
+            weight=np.zeros(self.k),
+            chosen=np.full(self.k, -1),
+            joints=np.full((self.keep, NUM_JOINTS, 3), np.nan, np.float32),
+            bone_length=np.full((self.keep, NUM_LENGTHS), np.nan, np.float32),
+        )
 
 
-def _nothing(name: str, status: str, sentence: str, k: int, keep: int) -> Drawn:
-    blank = np.full((NUM_JOINTS, 3), np.nan)
-    poses, joints = (
-        np.full((k, NUM_JOINTS, 3), np.nan),
-        np.full((keep, NUM_JOINTS, 3), np.nan, np.float32),
-    )
-    lengths = np.full((keep, NUM_LENGTHS), np.nan, np.float32)
-    return Drawn(
-        name,
-        status,
-        sentence,
-        0,
-        -np.inf,
-        np.inf,
-        blank,
-        blank,
-        poses,
-        np.zeros(k),
-        np.full(k, -1),
-        joints,
-        lengths,
-    )
-
-
-def _block_tree(rows: list[Drawn], k: int, attributes: dict[str, Any]) -> xr.DataTree:
-    fields = {name: [getattr(row, name) for row in rows] for name in Drawn._fields}
+def _groups(rows: list[FrameDraws], k: int) -> Groups:
+    fields = {name: [getattr(row, name) for row in rows] for name in FrameDraws._fields}
     names = {"frame": fields["name"], "joint": list(JOINTS), "axis": list("xyz")}
     by_frame = ("status", "sentence", "num_draws", "log_evidence", "log_evidence_se")
-    summary: dict[str, Any] = {name: (("frame",), np.array(fields[name])) for name in by_frame}
-    summary |= {
-        name: (("frame", "joint", "axis"), np.stack(fields[name])) for name in ("mean", "sd")
+    units = {"units": "body units"}
+
+    def column(field: str, *dims: str, **attributes: str) -> tuple[Any, ...]:
+        return ("frame", *dims), np.stack(fields[field]), attributes
+
+    summary = {name: column(name) for name in by_frame} | {
+        name: column(name, "joint", "axis") for name in ("mean", "sd")
     }
     hypotheses = {
-        "joints": (("frame", "hypothesis", "joint", "axis"), np.stack(fields["hypotheses"])),
-        "weight": (("frame", "hypothesis"), np.stack(fields["weight"])),
-        "draw": (("frame", "hypothesis"), np.stack(fields["chosen"])),
+        "joints": column("hypotheses", "hypothesis", "joint", "axis"),
+        "weight": column("weight", "hypothesis"),
+        "draw": column("chosen", "hypothesis"),
     }
     posterior = {
-        "joints": (
-            ("frame", "draw", "joint", "axis"),
-            np.stack(fields["joints"]),
-            {"units": "body units"},
-        ),
-        "bone_length": (
-            ("frame", "draw", "length_group"),
-            np.stack(fields["bone_length"]),
-            {"units": "body units"},
-        ),
+        "joints": column("joints", "draw", "joint", "axis", **units),
+        "bone_length": column("bone_length", "draw", "length_group", **units),
     }
-    tree = xr.DataTree.from_dict(
-        {
-            "summary": xr.Dataset(summary, coords=names),
-            "hypotheses": xr.Dataset(hypotheses, coords=names | {"hypothesis": np.arange(k)}),
-            "posterior": xr.Dataset(
-                posterior, coords=names | {"length_group": list(LENGTH_GROUPS)}
-            ),
-        }
-    )
-    tree.attrs.update(attributes)
-    return tree
+    return {
+        "summary": xr.Dataset(summary, coords=names),
+        "hypotheses": xr.Dataset(hypotheses, coords=names | {"hypothesis": np.arange(k)}),
+        "posterior": xr.Dataset(posterior, coords=names | {"length_group": list(LENGTH_GROUPS)}),
+    }
 
 
-def _blocks(frames: Iterable[Item], size: int) -> Iterator[list[Item]]:
-    iterator = iter(frames)
-    while items := list(itertools.islice(iterator, size)):
-        yield items
+def _blocks(frames: Iterable[Item], size: int) -> Iterator[Block]:
+    for number, some in enumerate(itertools.batched(frames, size)):
+        items, first = list(some), number * size
+        words = f"frames {first} to {first + len(items) - 1}"
+        yield Block(number, words, {"frames": _fingerprint(items)}, len(items), (first, items))
 
 
 def _fingerprint(items: list[Item]) -> str:
     """What the frames of a block are, in short: names, detections, candidates."""
     digest = hashlib.sha256()
     for name, frame in items:
-        digest.update(name.encode())
+        digest.update(name.encode("utf-8", "backslashreplace"))
         if isinstance(frame, str):
-            digest.update(frame.encode())
+            digest.update(frame.encode("utf-8", "backslashreplace"))
             continue
         digest.update(repr(frame.likelihood).encode())
         arrays: list[Any] = [frame.detection.keypoints, frame.detection.score]
@@ -322,51 +329,3 @@ def _fingerprint(items: list[Item]) -> str:
         for array in arrays:
             digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
     return digest.hexdigest()
-
-
-def _begin(folder: Path, settings: dict[str, Any]) -> None:
-    path = folder / "stream.json"
-    if path.exists():
-        old = _settings(folder)
-        changed = [name for name in settings if old.get(name) != settings[name]]
-        if changed:
-            raise BadInput(
-                f"{folder} holds another run (its {changed[0]} is {old.get(changed[0])!r}, not "
-                f"{settings[changed[0]]!r}); choose another folder, or delete that one"
-            )
-        return
-    with replacing(path) as partial:
-        folder.mkdir(parents=True, exist_ok=True)
-        partial.write_text(json.dumps(settings, indent=1), encoding="utf-8")
-
-
-def _settings(folder: Path) -> dict[str, Any]:
-    try:
-        found = json.loads((folder / "stream.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        found = None
-    if not isinstance(found, dict):
-        raise BadInput(
-            f"{folder} is not a stream of frames (it has no readable stream.json); give the folder"
-            " of a run"
-        )
-    return found
-
-
-def _same_frames(path: Path, fingerprint: str) -> None:
-    try:
-        with xr.open_datatree(path, engine="netcdf4") as tree:
-            found = tree.attrs.get("frames")
-    except (OSError, ValueError) as error:
-        raise BadInput(
-            f"{path} cannot be read ({error}); delete it, and run again to make it anew"
-        ) from None
-    if found != fingerprint:
-        raise BadInput(
-            f"{path} was made of other frames than those given now; choose another folder, or"
-            " delete that block"
-        )
-
-
-def _paths(folder: Path) -> list[Path]:
-    return sorted(folder.glob("block-*.nc"))

@@ -51,8 +51,15 @@ class ErrorLaw(abc.ABC):
         """`(...)`: log f(e)/f(0) at squared distances |e|² `(...)`; -inf beyond the reach."""
 
     @abc.abstractmethod
+    def distance(self, uniform: ArrayLike) -> jax.Array:
+        """`(...)`: the quantiles of |e| at numbers `(...)` in [0, 1)."""
+
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
         """Errors `(*shape, 2)`."""
+        for_distance, for_angle = jax.random.split(key)
+        distance = self.distance(jax.random.uniform(for_distance, shape))
+        angle = jax.random.uniform(for_angle, shape, maxval=2 * jnp.pi)
+        return distance[..., None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
 
 
 @jax.tree_util.register_static
@@ -68,12 +75,9 @@ class Disc(ErrorLaw):
         """0 in the disc, -inf outside."""
         return jnp.where(jnp.asarray(square) <= 1.0, 0.0, -jnp.inf)
 
-    def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        """Errors `(*shape, 2)`."""
-        for_distance, for_angle = jax.random.split(key)
-        distance = jnp.sqrt(jax.random.uniform(for_distance, shape))
-        angle = jax.random.uniform(for_angle, shape, maxval=2 * jnp.pi)
-        return distance[..., None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+    def distance(self, uniform: ArrayLike) -> jax.Array:
+        """The square root."""
+        return jnp.sqrt(jnp.asarray(uniform))
 
 
 class Detected(Distribution):
@@ -193,3 +197,7 @@ class Likelihood:
         joints = np.zeros((NUM_JOINTS, 3))
         joints[list(TORSO_INDEX)] = np.asarray(root.view)
         return float(self.observe(detection, root, TORSO_INDEX).log_density(joints))
+
+
+PAPER = Likelihood()
+"""Uniform discs of a quarter of a limb: the paper's."""

@@ -6,7 +6,7 @@ which is what an estimator makes of a detection. See `docs/model.md`, § 7.
 """
 
 import functools
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ import numpyro
 from numpyro.distributions import CategoricalLogits
 
 from probmodel.detections import Detection
-from probmodel.likelihood import Likelihood
+from probmodel.likelihood import PAPER, Likelihood
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
 from probmodel.roots import Candidate
@@ -95,7 +95,7 @@ class Estimate:
 
     detection: Detection
     candidates: tuple[Candidate, ...]
-    likelihood: Likelihood = field(default_factory=Likelihood)
+    likelihood: Likelihood = PAPER
     estimator: str = ""
 
     def posterior(self, model: PoseModel) -> Posterior:

@@ -20,6 +20,7 @@ from reports import console
 if TYPE_CHECKING:
     import numpy as np
 
+    from inference.machines import Machines
     from probmodel import Anatomy, DetectedFrame, Detection, Estimate, Likelihood, PoseModel
 
 SAMPLERS = (
@@ -280,6 +281,25 @@ class Sampling:
     max_proposals: Annotated[
         int, Option(min=1, help="Most proposals for a person before the sampler gives up.")
     ] = 1_000_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workforce:
+    """Who does the work."""
+
+    PANEL: ClassVar = "Many machines"
+    workers: Annotated[
+        int, Option(min=1, help="Processes of this machine that share the work.")
+    ] = 1
+    scheduler: Annotated[
+        str | None, Option(help="Address of a dask scheduler, whose workers do it.")
+    ] = None
+
+    def machines(self) -> "Machines":
+        """The same, as `inference` takes it."""
+        from inference.machines import Machines
+
+        return Machines(self.workers, self.scheduler)
 
 
 def parse_size(text: str, option: str, example: str) -> tuple[int, int]:

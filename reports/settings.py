@@ -20,6 +20,7 @@ from reports.options import (
     Prior,
     Sampling,
     Seed,
+    Workforce,
 )
 
 REAL = "Real poses (with --dataset)"
@@ -93,6 +94,7 @@ class FramesSettings:
     keep: Annotated[
         int | None, Option(help="How many draws of each person are written.", show_default="all")
     ] = None
+    workforce: Workforce = Workforce()
     sampling: Sampling = Sampling()
     detected: Detected = Detected()
     estimation: Estimation = Estimation()
@@ -249,12 +251,7 @@ class EvaluateSettings:
     bias: Annotated[bool, Option(help="Whether the bias of its motion capture is studied too.")] = (
         True
     )
-    workers: Annotated[
-        int, Option(min=1, help="Processes of this machine that share the frames.")
-    ] = 1
-    scheduler: Annotated[
-        str | None, Option(help="Address of a dask scheduler, whose workers do it.")
-    ] = None
+    workforce: Workforce = Workforce()
     sampling: Sampling = Sampling(num_samples=1000, max_proposals=20_000_000)
     estimation: Estimation = Estimation(estimator="akhter-black,zhou,dictionary", candidates=1)
     prior: Prior = Prior()
@@ -316,6 +313,7 @@ class CoverageSettings:
         int, Option(min=0, help="Limb joints that are not seen.", rich_help_panel=REAL)
     ] = 0
     factor: Factor = 0.25
+    workforce: Workforce = Workforce()
     sampling: Sampling = Sampling(num_samples=1000, max_proposals=3_000_000)
     prior: Prior = Prior()
 

@@ -19,7 +19,7 @@ from probmodel.anatomy.population import Anatomy
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.likelihood import Likelihood
+from probmodel.likelihood import PAPER, Likelihood
 from probmodel.posterior import Estimate
 from probmodel.roots import Candidate
 
@@ -43,7 +43,6 @@ ESTIMATORS: dict[str, Estimator] = {
     ),
     "zhou": lambda detections, learned: fit_zhou(detections, learned.poses),
 }
-PAPER = Likelihood()
 BATCH = 64
 """Detections that are fitted at once; more do not get faster, and need more memory."""
 

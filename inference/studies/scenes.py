@@ -82,7 +82,7 @@ def scene(
     likelihood = Likelihood(factor=factor)
     radius = likelihood.spread(_detected(exact, score), float(view.scale))
     radius = np.where(np.isfinite(radius), radius, 0.0)
-    distance = radius * np.sqrt(rng.uniform(size=NUM_JOINTS))
+    distance = radius * np.asarray(likelihood.law.distance(rng.uniform(size=NUM_JOINTS)))
     angle = rng.uniform(0, 2 * np.pi, NUM_JOINTS)
     shift = distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     detection = _detected(exact + shift, score)

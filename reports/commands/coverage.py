@@ -2,21 +2,14 @@
 not, why?"""
 
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-import xarray as xr
-
-from inference.results import save_tree, versions
-from inference.studies.calibration import run as calibration
-from inference.studies.calibration.coverage import summary
-from inference.studies.calibration.exclusions import as_text, exclusions
-from inference.studies.calibration.posteriors import sampler_of
-from inference.studies.calibration.real import by_the_likelihood, instances, stand_real
-from inference.studies.calibration.record import instances_tree, standings_tree
-from inference.studies.calibration.simulations import simulate
-from inference.studies.calibration.verdict import FEWEST, judge
-from probmodel import BadInput, Likelihood, PoseModel
-from probmodel.datasets import Noise, read_data_set
+from inference.results import save_tree
+from inference.studies import calibration
+from inference.studies.calibration.coverage import CoverageSummary
+from inference.studies.calibration.record import instances_tree
+from inference.studies.calibration.verdict import FEWEST
+from probmodel import BadInput, Likelihood
 from reports import console
 from reports.figures import save_figure
 from reports.figures.coverage import coverage_figure, ranks_figure
@@ -30,8 +23,6 @@ from reports.tables.coverage import (
     summary_json,
     uniformity_table,
 )
-
-LIKELIHOOD = "likelihood"
 
 
 def run(settings: CoverageSettings, screen: Screen) -> None:
@@ -47,7 +38,7 @@ def run(settings: CoverageSettings, screen: Screen) -> None:
 def simulated(settings: CoverageSettings, screen: Screen) -> None:
     """Calibration under the model: coverage.nc and coverage.png. A run that was stopped goes on.
     Raises `BadInput` on fewer simulations than the tests need, before any work is done."""
-    num_simulations, sampling = settings.num_simulations, settings.sampling
+    num_simulations = settings.num_simulations
     if num_simulations < FEWEST:
         raise BadInput(
             f"{num_simulations} simulations are too few: the tests need at least {FEWEST}"
@@ -57,17 +48,12 @@ def simulated(settings: CoverageSettings, screen: Screen) -> None:
     with console.progress(f"simulations by {settings.sampler}", screen.quiet) as step:
         tree = calibration.calibrate(
             model,
-            settings.sampler,
-            seed=sampling.seed,
             num_simulations=num_simulations,
-            num_samples=sampling.num_samples,
-            factor=settings.factor,
-            max_proposals=sampling.max_proposals,
-            out=out / "coverage.nc",
+            **_asked(settings, out / "coverage.nc"),
             progress=step,
         )
     simulation = tree["simulation"].to_dataset()
-    found = judge(simulation)
+    found = calibration.judge(simulation)
     save_figure(ranks_figure(simulation, found.sentence), out / "coverage.png")
     if screen.json:
         console.show_json(calibration_json(found) | {"out": str(out)})
@@ -85,7 +71,9 @@ def write_simulations(settings: CoverageSettings, screen: Screen) -> None:
     out = console.output_folder(settings.out)
     with console.progress("simulations", screen.quiet):
         model, seed = settings.prior.model(), settings.sampling.seed
-        tree = instances_tree(simulate(model, seed, 0, num_simulations, factor=settings.factor))
+        likelihood = Likelihood(factor=settings.factor)
+        some = calibration.simulate(model, seed, 0, num_simulations, likelihood=likelihood)
+        tree = instances_tree(some)
     save_tree(tree, out / "simulations.nc")
     if screen.json:
         console.show_json({"num_simulations": num_simulations, "out": str(out)})
@@ -98,68 +86,53 @@ def write_simulations(settings: CoverageSettings, screen: Screen) -> None:
 
 
 def real(settings: CoverageSettings, screen: Screen) -> None:
-    """Coverage of real poses: coverage.nc and coverage.png. Raises `BadInput` on a bad data set,
-    noise or estimator."""
+    """Coverage of real poses: coverage.nc and coverage.png. A run that was stopped is resumed.
+    Raises `BadInput` on a bad data set, noise or estimator."""
     assert settings.dataset is not None
-    sampling = settings.sampling
     out = console.output_folder(settings.out)
     model = settings.prior.model()
-    with console.progress("poses, torsos and cameras", screen.quiet):
-        noise = Noise() if settings.noise == LIKELIHOOD else Noise.parse(settings.noise)
-        data = read_data_set(
-            settings.dataset, frames=settings.frames, noise=noise, seed=sampling.seed
+    with console.progress("poses", screen.quiet):
+        cases, source = calibration.read_cases(
+            settings.dataset,
+            frames=settings.frames,
+            noise=settings.noise,
+            missing=settings.missing,
+            likelihood=Likelihood(factor=settings.factor),
+            seed=settings.sampling.seed,
         )
-        cases = [case.hiding(settings.missing, sampling.seed) for case in data]
-        if settings.noise == LIKELIHOOD:
-            cases = [by_the_likelihood(case, settings.factor, sampling.seed) for case in cases]
-        likelihood = Likelihood(factor=settings.factor)
-        known = instances(cases, model, settings.estimator, likelihood=likelihood)
-    sampler_of(settings.sampler, model, sampling.num_samples)
     with console.progress(f"posteriors by {settings.sampler}", screen.quiet) as step:
-        standings = stand_real(
+        tree = calibration.cover(
             model,
-            known,
-            sampler=settings.sampler,
-            seed=sampling.seed,
-            num_samples=sampling.num_samples,
-            max_proposals=sampling.max_proposals,
+            cases,
+            estimator=settings.estimator,
+            source=source,
+            **_asked(settings, out / "coverage.nc"),
             progress=step,
         )
-    columns = {
-        "recording": np.array([case.recording for case in cases]),
-        "unit_mm": np.array([case.unit for case in cases]),
-        "reasons": np.array([as_text(one) for one in exclusions(model, cases, known)]),
-    }
-    about = _about(model, settings) | {"data": f"{settings.dataset.name} {data.sha256}"}
-    tree = standings_tree(standings, about, columns)
-    save_tree(tree, out / "coverage.nc")
-    found = summary(tree)
+    found = calibration.summary(tree)
     simulation = tree["simulation"].to_dataset()
     curves = coverage_figure({f"torso and camera: {settings.estimator}": simulation})
     save_figure(curves, out / "coverage.png")
     if screen.json:
         console.show_json(summary_json(found) | {"out": str(out)})
     else:
-        _say(tree, out)
+        _say(found, out)
 
 
-def _about(model: PoseModel, settings: CoverageSettings) -> dict:
+def _asked(settings: CoverageSettings, out: Path) -> dict[str, Any]:
+    """What both studies take of the settings, written to the file `out`."""
     return {
         "sampler": settings.sampler,
         "seed": settings.sampling.seed,
         "num_samples": settings.sampling.num_samples,
-        "factor": settings.factor,
-        "noise": settings.noise,
-        "missing": settings.missing,
-        "estimator": settings.estimator,
-        "limits": f"{model.limits.name} {model.limits.sha256}",
-        "measures": f"upper {model.upper}, lower {model.lower}",
-        "versions": versions(),
+        "likelihood": Likelihood(factor=settings.factor),
+        "max_proposals": settings.sampling.max_proposals,
+        "machines": settings.workforce.machines(),
+        "out": out,
     }
 
 
-def _say(tree: xr.DataTree, out: Path) -> None:
-    found = summary(tree)
+def _say(found: CoverageSummary, out: Path) -> None:
     console.OUT.print(brief_table(found))
     excluded = share(found.excluded)
     console.say(

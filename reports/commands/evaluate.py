@@ -1,7 +1,6 @@
 """`poseterior evaluate`: the paper's tables, curves and relations on any data set, on one machine
 or many."""
 
-import os
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -53,8 +52,8 @@ class Findings(NamedTuple):
 
 
 def run(settings: EvaluateSettings, screen: Screen) -> None:
-    """Evaluates, and writes tables (.md, .csv), pictures (.png) and frames.zarr. What is there of
-    the same run is kept; raises `BadInput` on bad input, and where the folder holds another run."""
+    """Evaluates, and writes tables (.md, .csv), pictures (.png) and the folder `frames`. What
+    is there of the same run is kept; raises `BadInput` on bad input, and where the folder holds another run."""
     wanted, protocol, seed = _conditions(settings), _protocol(settings), settings.sampling.seed
     with console.progress("reading", screen.quiet):
         data = read_data_set(
@@ -79,9 +78,7 @@ def run(settings: EvaluateSettings, screen: Screen) -> None:
             wanted,
             protocol,
             out,
-            workers=settings.workers,
-            scheduler=settings.scheduler,
-            cache=_cache(),
+            machines=settings.workforce.machines(),
             progress=report,
         )
     fresh, seconds = len(wanted) * len(data) - begun, time.monotonic() - started
@@ -108,10 +105,9 @@ def run(settings: EvaluateSettings, screen: Screen) -> None:
         if sheet.name in ("table1", "table2", "relations"):
             console.OUT.print(narrow(sheet))
     if fresh:
-        console.say(
-            throughput(fresh, seconds, settings.workers if settings.scheduler is None else None)
-        )
-    console.say(f"Written to {out}: evaluation.md, tables as .csv, pictures, frames.zarr")
+        crew = settings.workforce
+        console.say(throughput(fresh, seconds, None if crew.scheduler else crew.workers))
+    console.say(f"Written to {out}: evaluation.md, tables as .csv, pictures, frames")
 
 
 def _conditions(settings: EvaluateSettings) -> list[Condition]:
@@ -234,13 +230,6 @@ def _listed[T](text: str, kind: Callable[[str], T], option: str) -> list[T]:
         raise BadInput(
             f"{option} must be numbers with commas between them, such as 0,1,2, not {text!r}"
         ) from None
-
-
-def _cache() -> str | None:
-    """Where this process keeps compiled code, for its workers to find."""
-    import jax
-
-    return jax.config.jax_compilation_cache_dir or os.environ.get("JAX_COMPILATION_CACHE_DIR")
 
 
 def _json(found: Findings, out: Path) -> dict:

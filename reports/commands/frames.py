@@ -1,5 +1,5 @@
-"""`poseterior frames`: draws and hypotheses of everyone in many frames, a stream that goes on where
-it was stopped."""
+"""`poseterior frames`: draws and hypotheses of everyone in many frames, a stream that is resumed
+where it was stopped."""
 
 from inference.roots import estimate_torso
 from inference.stream import estimated, open_stream, sample_frames
@@ -40,6 +40,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
             k=settings.k,
             keep=settings.keep,
             max_proposals=sampling.max_proposals,
+            machines=settings.workforce.machines(),
             progress=lambda done: step(done, people),
         )
     summary = open_stream(out)["summary"].to_dataset()

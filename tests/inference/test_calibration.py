@@ -14,9 +14,10 @@ import xarray as xr
 from scipy import stats
 
 from inference.exact.mixture import draw_mixture
+from inference.machines import Machines
 from inference.results import pose_columns
 from inference.studies.calibration import assess, band, calibrate, judge, simulate, uniformity
-from inference.studies.calibration.assess import FAILED, Posterior, check_draws
+from inference.studies.calibration.assess import FAILED, Answer, check_draws
 from inference.studies.calibration.controls import (
     DISTORTIONS,
     distorted,
@@ -38,7 +39,6 @@ from inference.studies.calibration.quantities import (
     of_both,
     of_pose,
 )
-from inference.studies.calibration.record import read_standings
 from inference.studies.calibration.simulations import HIDDEN, Instance
 from inference.studies.calibration.toy import Toy, sizes
 from inference.studies.calibration.uniformity import LEVELS, difference
@@ -55,7 +55,6 @@ def model() -> PoseModel:
 
 
 # --- uniformity
-# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("size", [1, 20, 300])
@@ -112,7 +111,6 @@ def test_what_cannot_be_levels_is_refused(values: list) -> None:
 
 
 # --- levels on a toy
-# -------------------------------------------------------------------------------------------------
 
 
 def test_every_test_has_its_size_on_a_posterior_in_closed_form() -> None:
@@ -185,7 +183,6 @@ def test_median_levels_by_hand() -> None:
 
 
 # --- verdicts
-# --------------------------------------------------------------------------------------------------------
 
 
 def test_holm() -> None:
@@ -220,6 +217,33 @@ def test_verdicts() -> None:
     assert "failed on 10 of 150" in found.sentence
 
 
+def test_failed_simulations_come_before_miscalibration() -> None:
+    """A sampler that fails where the truth is large looks miscalibrated on the rest, which proves
+    nothing; one that is wrong whatever the failed ones would have said is."""
+    right = RNG(2).uniform(size=(400, 5))
+    selective = np.where(right > 0.85, np.nan, right)
+    selective[:, 1:] = np.where(np.isnan(selective[:, :1]), np.nan, right[:, 1:])
+    found = judge(table(selective))
+    assert float(found.tests.adjusted.min()) < 1e-3
+    assert found.verdict == CANNOT_TELL, found.sentence
+    assert "of 400 simulations; that alone may be why" in found.sentence
+    wrong = RNG(3).beta(3, 3, size=(400, 5))
+    wrong[:20] = np.nan
+    found = judge(table(wrong))
+    assert found.verdict == MISCALIBRATED
+    assert "failed on 20 of 400 simulations, whatever these would have said" in found.sentence
+
+
+@pytest.mark.parametrize("lost", [1, 10])
+def test_no_value_that_was_lost_leads_to_a_larger_p_value(lost: int) -> None:
+    """Whatever is put in for what was lost: ends, middle, evenly."""
+    values = RNG(lost).beta(1.5, 1.5, size=200)
+    bound = uniformity(values, lost).p_value
+    assert bound > uniformity(values).p_value
+    for more in (np.zeros(lost), np.ones(lost), np.linspace(0, 1, lost), np.repeat([0, 1], lost)):
+        assert uniformity(np.append(values, more[:lost])).p_value <= bound
+
+
 def test_too_few_simulations_are_refused() -> None:
     with pytest.raises(BadInput, match="99 simulations; the tests need at least 100"):
         judge(table(RNG(0).uniform(size=(99, 5))))
@@ -232,7 +256,6 @@ def test_too_few_simulations_are_refused() -> None:
 
 
 # --- poses
-# -----------------------------------------------------------------------------------------------------------
 
 
 def test_quantities_of_draws_are_the_samplers_own(model: PoseModel) -> None:
@@ -371,7 +394,6 @@ def test_the_recipes_draws_explain_the_detection(model: PoseModel) -> None:
 
 
 # --- chains, files, failures
-# -----------------------------------------------------------------------------------------
 
 
 def chains(rho: float, rng: np.random.Generator, number: int = 4, draws: int = 500) -> np.ndarray:
@@ -396,9 +418,9 @@ def test_chains_are_thinned_to_their_effective_number() -> None:
 def test_failures_are_counted_and_said(model: PoseModel) -> None:
     right = sampler_of("rejection", model, 20)
 
-    def sometimes(index: int, instance: Instance, key: jax.Array) -> Posterior:
+    def sometimes(index: int, instance: Instance, key: jax.Array) -> Answer:
         return (
-            Posterior(np.empty((0, 15, 3)), sentence="gave up")
+            Answer(np.empty((0, 15, 3)), sentence="gave up")
             if index % 10 == 0
             else right(index, instance, key)
         )
@@ -426,10 +448,10 @@ def test_draws_of_a_file(model: PoseModel, tmp_path: Path) -> None:
     np.savez(tmp_path / "draws.npz", joints=joints)
     by_file = calibrate(model, str(tmp_path / "draws.npz"), num_simulations=6, num_samples=20)
     by_name = calibrate(model, "rejection", num_simulations=6, num_samples=20)
-    one, other = read_standings(by_file), read_standings(by_name)
-    np.testing.assert_array_equal(one[2].level, other[2].level)
-    assert one[4].status == FAILED
-    assert "20 of 20 draws" in one[4].sentence
+    one, other = (tree["simulation"].to_dataset() for tree in (by_file, by_name))
+    np.testing.assert_array_equal(one.level[2], other.level[2])
+    assert one.status[4] == FAILED
+    assert "20 of 20 draws" in str(one.sentence[4].item())
     with pytest.raises(BadInput, match="draws for 6 simulations; ask for as many"):
         calibrate(model, str(tmp_path / "draws.npz"), num_simulations=7)
 
@@ -482,21 +504,44 @@ def test_a_run_goes_on_to_the_same_bits(model: PoseModel, tmp_path: Path) -> Non
         progress=lambda now, all: done.append(now),
         **settings,
     )  # type: ignore[arg-type]
-    assert done == [100, 110]  # the first block was there
+    assert done == [50, 100, 110]
     for name in ("level", "depth", "stand_in", "log_evidence"):
         np.testing.assert_array_equal(resumed["simulation"][name], whole["simulation"][name])
     with xr.open_datatree(path) as stored:
         np.testing.assert_array_equal(stored["prior_sbc"].joints, whole["prior_sbc"].joints)
     with pytest.raises(BadInput, match="another run \\(its seed"):
         calibrate(model, "rejection", num_simulations=110, out=path, num_samples=12, seed=3)
-    path.write_bytes(b"not a file of ours")
-    with pytest.raises(BadInput, match="no run that can be taken up"):
-        calibrate(model, "rejection", num_simulations=110, out=path, **settings)  # type: ignore[arg-type]
+    kept = {one: one.stat().st_mtime_ns for one in (tmp_path / "coverage.blocks").iterdir()}
+    shorter = calibrate(model, "rejection", num_simulations=55, out=path, **settings)  # type: ignore[arg-type]
+    first = resumed["simulation"].to_dataset().isel(simulation=slice(55))
+    assert shorter["simulation"].to_dataset().identical(first)
+    assert {one: one.stat().st_mtime_ns for one in kept} == kept
+
+
+def test_draws_of_another_file_of_that_name_are_another_run(
+    model: PoseModel, tmp_path: Path
+) -> None:
+    path = tmp_path / "draws.npy"
+    for scale in (1.0, 2.0):
+        np.save(path, scale * RNG(0).normal(size=(6, 12, 15, 3)))
+        if scale == 1.0:
+            calibrate(model, str(path), num_simulations=6, out=tmp_path / "coverage.nc")
+    with pytest.raises(BadInput, match="another run \\(its draws"):
+        calibrate(model, str(path), num_simulations=6, out=tmp_path / "coverage.nc")
+
+
+@pytest.mark.slow
+def test_workers_calibrate_to_the_same_bits(model: PoseModel) -> None:
+    pytest.importorskip("distributed")
+    settings = {"num_simulations": 55, "num_samples": 12}
+    here = calibrate(model, "rejection", **settings)  # type: ignore[arg-type]
+    there = calibrate(model, "rejection", machines=Machines(2), **settings)  # type: ignore[arg-type]
+    assert there.identical(here)
 
 
 def test_too_few_draws_are_a_failure(model: PoseModel) -> None:
     instance = simulate(model, 0, 0, 1)[0]
-    found = assess(instance, Posterior(np.repeat(instance.joints[None], 3, axis=0)), RNG(0))
+    found = assess(instance, Answer(np.repeat(instance.joints[None], 3, axis=0)), RNG(0))
     assert found.status == FAILED
     assert "3 independent draws, at least 9" in found.sentence
 

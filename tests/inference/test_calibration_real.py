@@ -2,13 +2,15 @@
 ways to choose k."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from inference.hypothesis import diverse
 from inference.studies.calibration import assess, simulate
-from inference.studies.calibration.assess import Posterior
+from inference.studies.calibration.assess import Answer
 from inference.studies.calibration.choices import (
     CHOOSE,
     GRID,
@@ -32,17 +34,19 @@ from inference.studies.calibration.exclusions import (
     hung,
     ranking,
 )
+from inference.studies.calibration.posteriors import sampler_of
 from inference.studies.calibration.quantities import MOVING, of_both
 from inference.studies.calibration.real import (
     TRUE,
     by_the_likelihood,
     instances,
-    stand_real,
     true_candidate,
 )
 from inference.studies.calibration.record import standings_tree
+from inference.studies.calibration.run import cover, stand
 from inference.studies.calibration.simulations import Instance
-from probmodel import PoseModel
+from inference.studies.intervals import resampled
+from probmodel import BadInput, PoseModel
 from probmodel.camera import WeakPerspective
 from probmodel.datasets import Case
 from probmodel.likelihood import Likelihood
@@ -87,7 +91,6 @@ def possible(model: PoseModel, cases: list[Case]) -> list[Case]:
 
 
 # --- instances and reasons
-# -------------------------------------------------------------------------------------------
 
 
 def test_true_torso_and_camera_show_what_was_seen(model: PoseModel, cases: list[Case]) -> None:
@@ -240,7 +243,6 @@ def test_reasons_survive_a_file_and_are_ranked(model: PoseModel) -> None:
 
 
 # --- ECE and coverage
-# ------------------------------------------------------------------------------------------------
 
 
 def test_shares_and_ece_by_hand() -> None:
@@ -291,7 +293,7 @@ def test_poses_of_the_model_are_covered(model: PoseModel, cases: list[Case]) -> 
     some = possible(model, [by_the_likelihood(case) for case in cases])
     assert len(some) > 8
     known = instances(some, model, TRUE)
-    standings = stand_real(model, known, num_samples=100)
+    standings = stand(sampler_of("rejection", model, 100), known, seed=0)
     columns = {
         "recording": np.array([case.recording for case in some]),
         "unit_mm": np.array([case.unit for case in some]),
@@ -304,6 +306,67 @@ def test_poses_of_the_model_are_covered(model: PoseModel, cases: list[Case]) -> 
     assert found.lateral > 10
     assert found.depth > 10
     assert found.ece.floor > 0
+
+
+def test_the_coverage_of_real_poses_is_resumed_to_the_same_bits(
+    model: PoseModel, cases: list[Case], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("inference.studies.calibration.run.BLOCK", 10)
+    out, settings = tmp_path / "coverage.nc", {"num_samples": 20, "source": {"data": "made"}}
+    whole = cover(model, cases, out=out, **settings)  # type: ignore[arg-type]
+    assert summary(whole).size == len(cases)
+    (tmp_path / "coverage.blocks" / "block-000001.nc").unlink()
+    done: list[int] = []
+    again = cover(
+        model,
+        cases,
+        out=out,
+        progress=lambda now, _: done.append(now),
+        **settings,  # type: ignore[arg-type]
+    )
+    assert done == [10, 20, 24]
+    assert again.identical(whole)
+    with xr.open_datatree(out) as stored:
+        np.testing.assert_array_equal(stored["simulation"].whole, whole["simulation"].whole)
+        assert stored.attrs["data"] == "made"
+    with pytest.raises(BadInput, match="was made of other poses"):
+        cover(model, cases[::-1], out=out, **settings)  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="its data is 'made', not None"):
+        cover(model, cases, out=out, num_samples=20)
+
+
+@pytest.mark.parametrize(
+    ("held", "low", "high"),
+    [(True, 0.025 ** (1 / 24), 1.0), (False, 0.0, 1 - 0.025 ** (1 / 24))],
+)
+def test_where_all_agree_the_interval_is_that_of_so_many_trials(
+    held: bool, low: float, high: float
+) -> None:
+    """ "100 % (100 %–100 %)" of 24 poses says too much: 100 % (86 %–100 %)."""
+    found = coverage(np.full((24, 9), 0.1 if held else 0.9), 0.5, np.arange(24))
+    assert found == pytest.approx((float(held), low, high))
+
+
+@pytest.mark.parametrize("power", [1.0, 1.2, 2.0])
+def test_the_interval_of_the_ece_holds_the_truth(power: float) -> None:
+    """Levels uniform to a power, so that the truth is known, 20 times: 95 % intervals hold it at
+    least 14 times (false alarm 5e-5 for each power). Percentiles, the negative control, never hold
+    an ECE of zero: that of a sample is larger than that of the law."""
+    truth = float(np.mean(np.abs(LEVELS ** (1 / power) - LEVELS)))
+    held = by_percentiles = 0
+    for seed in range(20):
+        levels, cluster = RNG(seed).uniform(size=(40, 1)) ** power, np.arange(40)
+        whole = ece(levels, levels[:, None], cluster, seed).whole
+        held += whole.low <= truth <= whole.high
+        again = resampled(
+            cluster,
+            RNG(seed),
+            lambda rows, levels=levels: calibration_error(levels[rows]),
+            number=50,
+        )
+        by_percentiles += np.quantile(again, 0.025) <= truth <= np.quantile(again, 0.975)
+    assert held >= 14, held
+    assert by_percentiles == 0 or power > 1, by_percentiles
 
 
 def test_a_posterior_without_draws_is_a_miss() -> None:
@@ -338,7 +401,6 @@ def test_estimates_bring_the_truth_into_their_own_units(
 
 
 # --- k hypotheses
-# ----------------------------------------------------------------------------------------------------
 
 
 def cloud(number: int = 60) -> np.ndarray:
@@ -385,7 +447,6 @@ def test_modes_represented() -> None:
 
 
 # --- shared data
-# -----------------------------------------------------------------------------------------------------
 
 
 def test_true_candidates_of_real_poses(model: PoseModel, shared_data: object) -> None:
@@ -401,6 +462,6 @@ def test_true_candidates_of_real_poses(model: PoseModel, shared_data: object) ->
             atol=1e-9,
         )
     known = instances(list(data), model)
-    found = assess(known[0], Posterior(np.repeat(known[0].joints[None], 20, axis=0)), RNG(0))
+    found = assess(known[0], Answer(np.repeat(known[0].joints[None], 20, axis=0)), RNG(0))
     assert np.isfinite(found.whole).all()
     assert len(BONES) == found.whole.size

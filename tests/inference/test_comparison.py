@@ -32,10 +32,11 @@ from inference.studies.comparison.distances import (
     sliced_wasserstein,
     wasserstein,
 )
-from inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
+from inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS, _verdict
+from inference.studies.comparison.judge import Test as OneTest
 from inference.studies.comparison.mixing import mean_ess, mixing
 from inference.studies.comparison.modes import modes, same_shares
-from inference.studies.comparison.pace import autocorrelation_times, pace
+from inference.studies.comparison.pace import autocorrelation_times, pace, uncrossed
 from inference.studies.comparison.permutation import classifier_test, permutation_tests
 from inference.studies.comparison.ranks import all_together, each_coordinate, scores
 from inference.studies.comparison.record import Entry
@@ -141,6 +142,61 @@ def test_rank_tests_of_autocorrelated_chains_keep_their_size():
         without += each_coordinate(shuffled, exact)[0][0, 0] < 0.05
     assert with_ess <= binom.ppf(0.9995, REPETITIONS, 0.1), with_ess
     assert without > REPETITIONS / 2, without
+
+
+def test_a_permutation_test_counts_the_draws_themselves():
+    """However far apart two samples are, no p-value is below one in as many orders as were
+    tried, the given one among them."""
+    rng = np.random.default_rng(0)
+    found = permutation_tests(
+        rng.normal(size=(40, 2)), rng.normal(size=(40, 2)) + 50, rng, permutations=19
+    )
+    assert {p_value for _, p_value in found.values()} == {1 / 20}
+
+
+def test_rank_tests_know_that_the_exact_draws_are_few():
+    """2,000 draws against 150 exact ones of the same normal law, 5 % in 100 repetitions (0.1 % that
+    more than 13 reject); without 1/N some three quarters would."""
+    alone = together = 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        draws, exact = rng.normal(size=(4, 500, 2)), rng.normal(size=(150, 2))
+        alone += each_coordinate(draws, exact)[0][0, 0] < 0.05
+        together += all_together(draws.reshape(-1, 2), exact)[1] < 0.05
+    assert max(alone, together) <= binom.ppf(0.9995, 100, 0.05), (alone, together)
+
+
+def test_draws_that_are_not_independent_are_thinned_by_twice_their_time():
+    """Every exact draw ten times over, in a row: an autocorrelation time of ten. (Wherever the
+    effective size is measured, it is noisy: within a factor of 1.5.)"""
+    one, other = exact_pair(DRAWS, 15_000, 2)
+    repeated = Sample(
+        np.repeat(one.values, 10, axis=1).reshape(4, 5000, -1),
+        np.repeat(one.away, 10, axis=1).reshape(4, 5000, -1),
+    )
+    found = judge(repeated, other, permutations=FEW)
+    sizes = {test.size for test in found.tests if "thinned" in test.assumption}
+    assert len(sizes) == 1
+    assert DRAWS / 2 / 1.5 < sizes.pop() < DRAWS / 2 * 1.5
+    assert found.verdict == AGREES, found.sentence
+
+
+@pytest.mark.parametrize(("smallest", "verdict"), [(0.0015, DIFFERS), (0.0025, AGREES)])
+def test_the_level_is_shared_by_all_tests(smallest, verdict):
+    """Five tests at 1 %: the smallest p-value has to be below 0.2 %."""
+    one, other = exact_pair(200, 400, 3)
+    tests = [OneTest("a test", 0.0, p_value, 200, "") for p_value in (0.5, smallest, 0.3, 0.9, 0.2)]
+    moved = mixing(one.values, other.flat.std(axis=0))
+    found = modes(one.away[0], other.away[0], 200.0)
+    assert _verdict(tests, moved, 200.0, found, 0.01)[0] == verdict
+
+
+def test_what_was_missed_stands_beside_what_must_be():
+    one, other = exact_pair(120, 15_000, 4)
+    found = judge(one, other, permutations=FEW)
+    assert found.modes.missed > 0
+    assert f"{found.modes.missed:.1%} of the mass in modes never visited" in found.sentence
+    assert f"would miss {found.modes.expected_missed:.1%}" in found.sentence
 
 
 def test_exact_draws_agree():
@@ -252,6 +308,37 @@ def test_walkers_that_stay_earn_nothing():
     moving = pace(other, other, effective=5000.0, given=0, steps=5000)
     assert moving.known
     assert moving.settled > 3000
+
+
+def switching(walkers: int, steps: int, rate: float, seed: int) -> np.ndarray:
+    """`(walkers, steps)` bool: chains that cross either way at this rate, started in balance."""
+    rng = np.random.default_rng(seed)
+    crossed = rng.uniform(size=(walkers, steps)) < rate
+    crossed[:, 0] = rng.uniform(size=walkers) < 0.5
+    return np.cumsum(crossed, axis=1) % 2 > 0
+
+
+def test_a_flip_that_nobody_crossed_is_bounded_by_the_rule_of_three():
+    """128 walkers × 40 steps that cross once in 10,000 steps: the draws are worth 0.51, and what is
+    said is a bound of that, not 7.8e-14, which divides by rounding error. In 200 runs, those where
+    somebody crosses among them, it is below the truth hardly ever (5 %, false alarm 1e-4)."""
+    exact = np.random.default_rng(0).uniform(size=(1, 10_000, 1)) < 0.5
+    rate, wrong, silent = 3e-4, 0, 0  # about 1.5 crossings in 128 walkers × 39 steps
+    for seed in range(200):
+        (bound,) = uncrossed(switching(128, 40, rate, seed)[..., None], exact, 40)
+        wrong += bound > 1 / rate
+        silent += bound > 0
+    assert silent > 20
+    assert wrong <= binom.ppf(0.9999, 200, 0.05)
+    all_in_one = np.zeros((4, 40 * 32, 1), bool)
+    assert uncrossed(all_in_one, exact, 40)[0] == pytest.approx(2 * 128 * 39 / 2 / 3, rel=0.05)
+    one, other = exact_pair(128 * 40, 10_000, 9)
+    away = np.array(one.away.reshape(128, 40, -1))
+    away[..., SEEN[0]] = switching(128, 40, 0.0, 0)
+    still = Sample(one.values.reshape(4, -1, one.values.shape[-1]), away.reshape(4, 32 * 40, -1))
+    found = pace(still, other, effective=100.0, given=0, steps=40)
+    assert 0.51 < found.settled < 10
+    assert not found.known
 
 
 @pytest.fixture(scope="module")

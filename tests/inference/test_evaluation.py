@@ -13,7 +13,7 @@ from scipy.stats import special_ortho_group
 from inference.prior import sample_prior
 from inference.studies.evaluation import bias, metrics
 from inference.studies.evaluation.conditions import Condition, conditions
-from inference.studies.evaluation.outcome import Protocol, judge_block, texts
+from inference.studies.evaluation.outcome import Protocol, judge_block
 from inference.studies.evaluation.relations import FAILS, HOLDS, OPEN, relations
 from inference.studies.evaluation.scores import clustered, errors_of, lost, summary, unscaled_errors
 from probmodel import Anatomy, BadInput, PoseModel
@@ -29,7 +29,6 @@ ERRORS = RNG.gamma(2.0, 40.0, size=(50, 6, 15))
 
 
 # --- metrics
-# ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_three_bests_are_three_things():
@@ -95,7 +94,6 @@ def test_depth_flips_are_counted():
 
 
 # --- conditions
-# ------------------------------------------------------------------------------------------------------
 
 
 def test_missing_joints_and_turns_are_not_crossed():
@@ -120,7 +118,6 @@ def test_conditions_that_are_none_are_refused(arguments, words):
 
 
 # --- frames
-# ----------------------------------------------------------------------------------------------------------
 
 
 def waving(seed: int, frames: int = 30) -> np.ndarray:
@@ -163,7 +160,7 @@ def test_a_frame_comes_out_as_it_does_by_hand(judged):
     )
     chosen = [hypothesis.draw for hypothesis in inference.diverse(draws.astype(np.float32), 3)]
     assert judged["hypotheses_3"][2] == pytest.approx(errors[chosen], abs=1e-3)
-    assert texts(judged["status"]).tolist() == ["complete"] * 6
+    assert judged["status"].tolist() == ["complete"] * 6
 
 
 def test_a_frame_alone_is_the_frame_in_its_block(judged):
@@ -181,7 +178,7 @@ def test_a_bad_frame_is_recorded_and_the_others_go_on(judged):
     score[3, 4] = -1.0
     spoilt = dataclasses.replace(DATA, keypoints=keypoints, score=score)
     found = judge_block(PROTOCOL, Condition("zhou"), spoilt, 0)
-    status, sentence = texts(found["status"]), texts(found["sentence"])
+    status, sentence = found["status"], found["sentence"]
     assert status.tolist() == [
         "complete",
         "bad input",
@@ -204,7 +201,6 @@ def test_k_beyond_the_draws_is_refused(ks):
 
 
 # --- scores
-# ----------------------------------------------------------------------------------------------------------
 
 
 def test_the_interval_of_a_mean_covers_it():
@@ -296,7 +292,6 @@ def test_a_row_of_k_is_its_best_hypothesis():
 
 
 # --- tables
-# ----------------------------------------------------------------------------------------------------------
 
 
 def test_tables_say_what_came_out(judged, tmp_path):
@@ -333,7 +328,6 @@ def test_predictions_for_other_frames_are_refused(tmp_path):
 
 
 # --- bias
-# ------------------------------------------------------------------------------------------------------------
 
 
 def test_how_much_is_visited_is_the_cap_of_a_sphere():

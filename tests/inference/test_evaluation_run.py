@@ -1,22 +1,26 @@
-"""Evaluations as they run: stores that are gone on with, workers and runs that are killed, what is
-refused."""
+"""Evaluations as they run: blocks that are lost or damaged, workers and runs that are killed, what
+is refused."""
 
+import dataclasses
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pytest
+import xarray as xr
 
+from inference.machines import Machines
 from inference.studies.evaluation.conditions import Condition
 from inference.studies.evaluation.outcome import Protocol
-from inference.studies.evaluation.run import STORE
-from inference.studies.evaluation.store import BLOCK, Store
+from inference.studies.evaluation.run import BLOCK, STORE, Results, evaluate, open_evaluation
 from probmodel import Anatomy, BadInput
 from probmodel.datasets import DataSet, from_motions, write_plain
 from probmodel.learning.dictionaries import PoseDictionary
@@ -54,65 +58,96 @@ def made(frames: int) -> DataSet:
     return from_motions(many, "made", frames=frames)
 
 
-def block(frames: int, value: float) -> dict[str, np.ndarray]:
-    return {
-        name: np.full((frames, *shape), value, kind)
-        for name, (shape, kind) in PROTOCOL.fields().items()
-    }
+class Here(Machines):
+    """Worker processes take their time to start: here this process does what they would."""
+
+    def each(self, task, work, *, apart=False):
+        assert apart
+        return super().each(task, work)
 
 
-def opened(path: Path, frames: int = 70, **settings: object) -> Store:
-    return Store.open(path / STORE, {"seed": 0, "k": [2, 5], **settings}, frames, PROTOCOL.fields())
+DATA = made(BLOCK + 5)
 
 
-def test_a_store_is_gone_on_with(tmp_path):
-    store = opened(tmp_path)
-    assert store.missing(ONE) == [0, 1, 2]
-    store.write(ONE, 1, block(BLOCK, 3.0))
-    again = opened(tmp_path)
-    assert again.missing(ONE) == [0, 2]
-    assert again.missing(TWO) == [0, 1, 2]
-    values = again.read(ONE)["single"]
-    assert np.isnan(values[:BLOCK]).all()
-    assert (values[BLOCK : 2 * BLOCK] == 3.0).all()
-    again.write(ONE, 2, block(70 - 2 * BLOCK, 4.0))
-    assert (again.read(ONE)["num_draws"][2 * BLOCK :] == 4).all()
+def run_here(
+    out: Path, conditions=(ONE,), protocol: Protocol = PROTOCOL, **more: object
+) -> Results:
+    return evaluate(DATA, conditions, protocol, out, machines=Here(), **more)
 
 
-def test_a_block_without_its_mark_is_done_again(tmp_path):
-    """As if the power had gone between a block's arrays and its mark."""
-    store = opened(tmp_path)
-    store.write(ONE, 0, block(BLOCK, 3.0))
-    (tmp_path / STORE / ONE.name / "done" / "c" / "0").unlink()
-    assert opened(tmp_path).missing(ONE) == [0, 1, 2]
-    store.write(ONE, 0, block(BLOCK, 5.0))
-    assert (opened(tmp_path).read(ONE)["all"][:BLOCK] == 5.0).all()
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> tuple[Path, Results]:
+    out = tmp_path_factory.mktemp("whole")
+    return out, run_here(out)
 
 
-def test_a_store_half_made_is_made_anew(tmp_path):
-    (tmp_path / f"{STORE}.partial").mkdir()
-    (tmp_path / f"{STORE}.partial" / "zarr.json").write_text("{")
-    assert opened(tmp_path).missing(ONE) == [0, 1, 2]
+def same(one: Results, other: Results) -> bool:
+    """Whether two evaluations have the same bits, times aside."""
+    return one.keys() == other.keys() and all(
+        np.array_equal(one[key][name], other[key][name], equal_nan=one[key][name].dtype.kind == "f")
+        for key in one
+        for name in PROTOCOL.fields
+        if name != "seconds"
+    )
+
+
+def test_an_evaluation_is_opened_by_xarray(whole):
+    out, results = whole
+    tree = open_evaluation(out)
+    assert list(tree.children) == [ONE.name]
+    np.testing.assert_array_equal(tree[ONE.name]["single"], results[ONE]["single"])
+    assert tree[ONE.name]["hypotheses_5"].dims == ("frame", "hypothesis_5", "joint")
+    assert tree.attrs["num_samples"] == 25
+    with xr.open_datatree(out / STORE / ONE.name / "block-000000.nc") as block:
+        assert block["frames"].sizes["frame"] == BLOCK
+
+
+def zeroed(path: Path) -> None:
+    with netCDF4.Dataset(path, "a") as file:
+        file["frames"]["single"][3:] = 0.0
+
+
+def cut_off(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-500])
+
+
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("spoil", [zeroed, cut_off, Path.unlink])
+def test_lost_and_damaged_blocks_are_named_and_made_anew(spoil, number, whole, tmp_path, caplog):
+    out, results = whole
+    shutil.copytree(out, tmp_path, dirs_exist_ok=True)
+    path = tmp_path / STORE / ONE.name / f"block-00000{number}.nc"
+    other = path.with_name(f"block-00000{1 - number}.nc")
+    before = other.stat().st_mtime_ns
+    spoil(path)
+    with pytest.raises(BadInput, match=path.name):
+        open_evaluation(tmp_path)
+    assert same(run_here(tmp_path), results)
+    assert (f"{path} is damaged" in caplog.text) == (spoil is not Path.unlink)
+    assert other.stat().st_mtime_ns == before
+
+
+def test_progress_counts_what_was_there(whole, tmp_path):
+    out, _ = whole
+    shutil.copytree(out, tmp_path, dirs_exist_ok=True)
+    (tmp_path / STORE / ONE.name / "block-000001.nc").unlink()
+    done: list[tuple[int, int]] = []
+    run_here(tmp_path, progress=lambda *counts: done.append(counts))
+    assert done == [(BLOCK, BLOCK + 5), (BLOCK + 5, BLOCK + 5)]
 
 
 @pytest.mark.parametrize(
-    ("settings", "words"),
-    [({"seed": 1}, r"its seed is 0, not 1"), ({"k": [5]}, r"its k is \[2, 5\], not \[5\]")],
+    ("other", "words"),
+    [({"seed": 1}, r"its seed is 0, not 1"), ({"ks": (5,)}, r"its k is \[2, 5\], not \[5\]")],
 )
-def test_another_runs_store_is_left_alone(settings, words, tmp_path):
-    opened(tmp_path).write(ONE, 0, block(BLOCK, 3.0))
-    before = contents(tmp_path)
-    with pytest.raises(BadInput, match=f"holds another run .{words}"):
-        opened(tmp_path, **settings)
-    assert contents(tmp_path) == before
-
-
-def test_what_is_no_store_is_left_alone(tmp_path):
-    (tmp_path / STORE).mkdir()
-    (tmp_path / STORE / "thesis.txt").write_text("important")
-    with pytest.raises(BadInput, match="is not the folder of a finished or stopped evaluation"):
-        opened(tmp_path)
-    assert contents(tmp_path) == {f"{STORE}/thesis.txt": b"important"}
+def test_another_runs_store_is_left_alone(other, words, whole):
+    out, _ = whole
+    before = contents(out)
+    protocol = dataclasses.replace(PROTOCOL, **other)
+    for conditions in ((ONE,), (TWO,)):
+        with pytest.raises(BadInput, match=f"holds another run .{words}"):
+            run_here(out, conditions, protocol)
+    assert contents(out) == before
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -124,7 +159,6 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 # --- the command
-# -----------------------------------------------------------------------------------------------------
 
 
 def arguments(data: Path, out: Path, *more: str) -> list[str]:
@@ -153,7 +187,7 @@ def evaluated(data: Path, out: Path, *more: str) -> subprocess.CompletedProcess:
 @pytest.fixture(scope="module")
 def data(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("data") / "made.npz"
-    write_plain(made(BLOCK + 5), path)
+    write_plain(DATA, path)
     return path
 
 
@@ -224,7 +258,7 @@ def test_bad_input_is_a_sentence_and_nothing_is_overwritten(
     case, data, undisturbed, monkeypatch, capsys
 ):
     words, *more = REFUSED[case]
-    monkeypatch.setattr("inference.studies.evaluation.workers.PATIENCE", "1s")
+    monkeypatch.setattr("inference.machines.PATIENCE", "1s")
     before = contents(undisturbed)
     code, out, sentence = said(monkeypatch, capsys, *arguments(data, undisturbed, *more))
     assert (code, out) == (2, "")
@@ -296,7 +330,7 @@ def test_killed_at_random_moments_it_ends_with_the_same_bits(data, undisturbed, 
     assert killed["worker"] > 0
     for name in TABLES:
         assert (tmp_path / name).read_bytes() == (undisturbed / name).read_bytes(), name
-    fields = [name for name in PROTOCOL.fields() if name != "seconds"]
+    fields = [name for name in PROTOCOL.fields if name != "seconds"]
     for condition in (ONE, TWO):
         for name in fields:
             mine, theirs = (stored(folder, condition, name) for folder in (tmp_path, undisturbed))
@@ -304,9 +338,7 @@ def test_killed_at_random_moments_it_ends_with_the_same_bits(data, undisturbed, 
 
 
 def stored(folder: Path, condition: Condition, field: str) -> np.ndarray:
-    import zarr
-
-    return np.asarray(zarr.open_group(folder / STORE, mode="r")[condition.name][field][:])
+    return open_evaluation(folder)[condition.name][field].values
 
 
 def wait_for_progress(run: subprocess.Popen, folder: Path, files: int) -> None:

@@ -1,13 +1,17 @@
 """Many frames as one stream: resumed to the same bits, bad frames recorded, other runs refused."""
 
 import dataclasses
+import os
+import shutil
+from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
 
 import inference
-from inference import Item, draws_of, open_stream, sample_frames, stream
+from inference import Item, draws_of, open_stream, sample_frames, store, stream
 from probmodel import BadInput, Likelihood, PoseModel
 from tests.scenes import key, prior_scene
 
@@ -124,12 +128,111 @@ def test_other_runs_and_other_frames_are_refused_and_nothing_is_overwritten(mode
     assert content(tmp_path) == before
 
 
-def test_a_broken_block_is_named(model, items, tmp_path):
-    sample_frames(model, items[:2], key=key(0), out=tmp_path, **SETTINGS)
-    block = tmp_path / "block-000000.nc"
+@pytest.fixture(scope="module")
+def written(model, items, tmp_path_factory) -> Path:
+    """A stream of three blocks."""
+    folder = tmp_path_factory.mktemp("written") / "stream"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stream, "MOST_FRAMES", 2)
+        sample_frames(model, items, key=key(0), out=folder, **SETTINGS)
+    return folder
+
+
+@pytest.fixture
+def copy(written, tmp_path) -> Path:
+    return Path(shutil.copytree(written, tmp_path / "copy"))
+
+
+def cut_off(block: Path) -> None:
     block.write_bytes(block.read_bytes()[:1000])
-    with pytest.raises(BadInput, match=r"block-000000.nc cannot be read"):
-        sample_frames(model, items[:2], key=key(0), out=tmp_path, **SETTINGS)
+
+
+def zeroed(block: Path) -> None:
+    """Values set to zero by somebody who knows netCDF."""
+    with netCDF4.Dataset(block, "a") as file:
+        for group in ("hypotheses", "posterior"):
+            file[group]["joints"][:] = 0.0
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+@pytest.mark.parametrize("spoil", [cut_off, zeroed, Path.unlink])
+def test_missing_and_damaged_blocks_are_named_and_made_anew(
+    spoil, number, model, items, written, copy, caplog
+):
+    block = copy / f"block-00000{number}.nc"
+    spoil(block)
+    with pytest.raises(BadInput, match=block.name):
+        open_stream(copy)
+    with pytest.raises(BadInput, match=block.name):
+        draws_of(copy, items[2 * number].name)
+    sample_frames(model, items, key=key(0), out=copy, **SETTINGS)
+    assert content(copy) == content(written)
+    assert (f"{block.name} is damaged" in caplog.text) == (spoil is not Path.unlink)
+
+
+def test_blocks_of_a_longer_run_are_refused(model, items, copy):
+    """Seventy people, then sixty-four, with the same folder."""
+    before = content(copy)
+    with pytest.raises(BadInput, match=r"of a longer one, block-000001.nc and after"):
+        sample_frames(model, items[:2], key=key(0), out=copy, **SETTINGS)
+    assert content(copy) == before
+    with pytest.raises(BadInput, match=r"block-000002.nc was made of other frames"):
+        sample_frames(model, items[:5], key=key(0), out=copy, **SETTINGS)
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ({"key": key(1)}, "its seed is"),
+        ({"num_samples": 41}, "its num_samples is 40, not 41"),
+        ({"k": 2}, "its k is 3, not 2"),
+        ({"keep": 5}, "its keep is 40, not 5"),
+    ],
+)
+def test_a_run_that_lost_its_settings_is_not_mixed_with_another(
+    other, said, model, items, written, copy
+):
+    (copy / "run.json").unlink()
+    (copy / "block-000000.nc").unlink()
+    with pytest.raises(BadInput, match=said):
+        sample_frames(model, items, out=copy, **({"key": key(0)} | SETTINGS | other))
+    assert not (copy / "block-000000.nc").exists()
+    sample_frames(model, items, key=key(0), out=copy, **SETTINGS)
+    assert content(copy) == content(written)
+
+
+def test_a_block_under_another_number_is_refused(model, items, copy):
+    shutil.copy(copy / "block-000000.nc", copy / "block-000001.nc")
+    with pytest.raises(BadInput, match="is block 0 of its run under another name"):
+        open_stream(copy)
+
+
+def test_a_stream_grows(model, items, written, tmp_path):
+    sample_frames(model, items[:4], key=key(0), out=tmp_path, **SETTINGS)
+    sample_frames(model, items, key=key(0), out=tmp_path, **SETTINGS)
+    assert content(tmp_path) == content(written)
+    assert open_stream(tmp_path)["summary"].sizes["frame"] == 6
+
+
+@pytest.mark.slow
+def test_workers_draw_the_same_bits(model, items, written, tmp_path):
+    pytest.importorskip("distributed")
+    sample_frames(
+        model, items, key=key(0), out=tmp_path, machines=inference.Machines(2), **SETTINGS
+    )
+    assert content(tmp_path) == content(written)
+
+
+def test_two_processes_do_not_write_to_one_folder(model, items, tmp_path):
+    with store.locked(tmp_path), pytest.raises(BadInput, match=f"by process {os.getpid()} on "):
+        sample_frames(model, items, key=key(0), out=tmp_path, **SETTINGS)
+    assert not list(tmp_path.iterdir())
+
+
+def test_names_that_no_file_can_hold_are_written_in_others(model, tmp_path):
+    sample_frames(model, [Item("a\ud800\0b", "bad \ud800")], key=key(0), out=tmp_path, **SETTINGS)
+    summary = open_stream(tmp_path)["summary"]
+    assert summary.frame.values.tolist() == ["a\\ud800\\0b"]
 
 
 @pytest.mark.parametrize(
@@ -148,5 +251,10 @@ def test_numbers_that_do_not_go_together_are_refused(model, tmp_path, arguments,
 def test_what_is_not_a_stream_is_named(tmp_path):
     with pytest.raises(BadInput, match="is not a stream of frames"):
         open_stream(tmp_path)
-    with pytest.raises(BadInput, match="has no frame"):
+    with pytest.raises(BadInput, match="is not a stream of frames"):
         draws_of(tmp_path, "x")
+
+
+def test_who_is_not_in_a_stream_is_named(written):
+    with pytest.raises(BadInput, match="has no frame 'x'"):
+        draws_of(written, "x")

@@ -39,7 +39,7 @@ STAND_INS = 10
 like."""
 
 
-class Posterior(NamedTuple):
+class Answer(NamedTuple):
     """What a sampler says of an instance: independent draws `joints` `(n, 15, 3)` in camera axes
     and body units, the log evidence or NaN; `status` as in `inference.results`, and where it is not
     complete a `sentence` that says why."""
@@ -96,7 +96,7 @@ def failure(
 
 def assess(
     instance: Instance,
-    posterior: Posterior,
+    posterior: Answer,
     rng: np.random.Generator,
     *,
     model: PoseModel | None = None,

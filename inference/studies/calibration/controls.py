@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from inference.exact.mixture import draw_mixture
-from inference.studies.calibration.assess import Posterior
+from inference.studies.calibration.assess import Answer
 from inference.studies.calibration.posteriors import Sampler
 from inference.studies.calibration.quantities import MOVING
 from inference.studies.calibration.recipe import RecipeDirection
@@ -68,7 +68,7 @@ IGNORING, RECIPE = "ignores the image", "the paper's literal recipe"
 def distorted(sampler: Sampler, distortion: Distortion) -> Sampler:
     """The sampler's draws, spoilt."""
 
-    def draw(index: int, instance: Instance, key: jax.Array) -> Posterior:
+    def draw(index: int, instance: Instance, key: jax.Array) -> Answer:
         posterior = sampler(index, instance, key)
         rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
         return posterior._replace(joints=distortion(posterior.joints, rng))
@@ -79,10 +79,10 @@ def distorted(sampler: Sampler, distortion: Distortion) -> Sampler:
 def ignoring(model: PoseModel, number: int) -> Sampler:
     """Draws of the prior, given torso and camera, whatever was detected."""
 
-    def draw(index: int, instance: Instance, key: jax.Array) -> Posterior:
+    def draw(index: int, instance: Instance, key: jax.Array) -> Answer:
         cube = np.asarray(jax.random.uniform(key, (number, CUBE_DIM)))
         view = np.asarray(instance.frame.observation.view)
-        return Posterior(in_chunks(functools.partial(_prior, model, view), cube, size=512))
+        return Answer(in_chunks(functools.partial(_prior, model, view), cube, size=512))
 
     return draw
 
@@ -105,7 +105,7 @@ def following_the_recipe(model: PoseModel, number: int) -> Sampler:
     alone are given lower bones by the recipe, and kept, arms and legs apart, where those explain
     theirs."""
 
-    def draw(index: int, instance: Instance, key: jax.Array) -> Posterior:
+    def draw(index: int, instance: Instance, key: jax.Array) -> Answer:
         observation = instance.frame.observation
         upper_only = _without_lower(instance.frame)
         kept: dict[str, list[np.ndarray]] = {name: [] for name in GROUPS}
@@ -119,7 +119,7 @@ def following_the_recipe(model: PoseModel, number: int) -> Sampler:
                 kept[name].append(joints[right])
             tried += TRIES
         held = min(number, *_held(kept).values())
-        return Posterior(_joined(kept, held, np.asarray(observation.view)))
+        return Answer(_joined(kept, held, np.asarray(observation.view)))
 
     return draw
 

@@ -17,7 +17,7 @@ NOMINAL = (0.5, 0.8, 0.95)
 KINDS = ("lateral", "depth", "whole")
 
 
-class Summary(NamedTuple):
+class CoverageSummary(NamedTuple):
     """`covered`: by (kind, nominal level) over all joints; `by_joint`: by (kind, nominal) of each
     of the nine; `ece`; medians over instances of the root-mean-square `lateral` and `depth` spread
     (mm) and of the log `evidence`; `without_draws`, `excluded` and `reasons` of all `size`
@@ -35,7 +35,7 @@ class Summary(NamedTuple):
     reasons: list[Rank]
 
 
-def summary(tree: xr.DataTree) -> Summary:
+def summary(tree: xr.DataTree) -> CoverageSummary:
     """Of a tree with columns `recording`, `unit_mm` and `reasons` (`coverage.nc` of real poses).
     Intervals draw whole recordings anew."""
     found = tree["simulation"].to_dataset()
@@ -50,7 +50,7 @@ def summary(tree: xr.DataTree) -> Summary:
     reasons = [from_text(text) for text in found.reasons.values.tolist()]
     held = np.array([0.0 if one else 1.0 for one in reasons])
     inside = coverage(np.where(held > 0, 0.0, np.nan), 0.5, recording)
-    return Summary(
+    return CoverageSummary(
         len(recording),
         covered,
         by_joint,

@@ -2,24 +2,16 @@
 number.
 
 ECE after Pierzchlewicz et al. (2022): the mean over 21 levels of |median over joints of share
-covered - level|. It has a floor, since a right posterior's shares scatter too, and an interval, by
-drawing whole recordings anew. It is blind where ranks are not: see reports/coverage.md."""
+covered - level|. It has a floor, since a right posterior's shares scatter too, and an interval,
+whole recordings being drawn anew. It is blind where ranks are not: see reports/coverage.md."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from inference.studies.intervals import Interval, of_mean_size, of_share
+
 LEVELS = np.linspace(0, 1, 21)
-RESAMPLES = 1000
-
-
-class Interval(NamedTuple):
-    """A number and its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
 
 
 class Ece(NamedTuple):
@@ -42,7 +34,11 @@ def shares(levels: np.ndarray, nominal: np.ndarray = LEVELS) -> np.ndarray:
 
 def calibration_error(levels: np.ndarray) -> float:
     """The field's ECE of levels `(n, j)`."""
-    return float(np.mean(np.abs(np.median(shares(levels), axis=1) - LEVELS)))
+    return float(np.mean(np.abs(_deviation(levels))))
+
+
+def _deviation(levels: np.ndarray) -> np.ndarray:
+    return np.median(shares(levels), axis=1) - LEVELS
 
 
 def ece(levels: np.ndarray, stand_in: np.ndarray, cluster: np.ndarray, seed: int = 0) -> Ece:
@@ -50,9 +46,7 @@ def ece(levels: np.ndarray, stand_in: np.ndarray, cluster: np.ndarray, seed: int
     there are none; `cluster` `(n,)` names what is drawn anew together for the interval, two at
     least."""
     rng = np.random.default_rng(seed)
-    found = resampled(cluster, rng, lambda rows: calibration_error(levels[rows]))
-    low, high = np.quantile(found, [0.025, 0.975])
-    whole = Interval(calibration_error(levels), float(low), float(high))
+    whole = of_mean_size(lambda rows: _deviation(levels[rows]), cluster, rng)
     right = stand_in[np.isfinite(stand_in).all(axis=(1, 2))]
     floors = np.array(
         [calibration_error(right[:, row]) for row in range(right.shape[1])]
@@ -66,20 +60,4 @@ def ece(levels: np.ndarray, stand_in: np.ndarray, cluster: np.ndarray, seed: int
 def coverage(levels: np.ndarray, nominal: float, cluster: np.ndarray, seed: int = 0) -> Interval:
     """How often regions of one nominal level hold the truth, of levels `(n,)` or `(n, j)` (then
     over all joints), with its interval, clusters being drawn anew."""
-    held = np.where(np.isnan(levels), np.inf, levels) < nominal
-    found = resampled(cluster, np.random.default_rng(seed), lambda rows: held[rows].mean())
-    low, high = np.quantile(found, [0.025, 0.975])
-    return Interval(float(held.mean()), float(low), float(high))
-
-
-def resampled(
-    cluster: np.ndarray,
-    rng: np.random.Generator,
-    statistic: Callable[[np.ndarray], float],
-    number: int = RESAMPLES,
-) -> np.ndarray:
-    """`(number,)`: a statistic of rows, whole clusters being drawn anew with replacement."""
-    names = np.unique(cluster)
-    members = [np.flatnonzero(cluster == name) for name in names]
-    picks = rng.integers(0, len(names), (number, len(names)))
-    return np.array([statistic(np.concatenate([members[pick] for pick in row])) for row in picks])
+    return of_share(np.where(np.isnan(levels), np.inf, levels) < nominal, cluster, seed)

@@ -1,10 +1,11 @@
 """Whose posterior is judged: exact rejection, a baseline thinned until its draws are independent,
 or draws in a file.
 
-Each is a `Sampler`: an instance and its key → `Posterior`. Failures are part of the answer, never
+Each is a `Sampler`: an instance and its key → `Answer`. Failures are part of the answer, never
 left out."""
 
 import functools
+import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ from inference.baselines.target import Target
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, draw_mixture
 from inference.results import COMPLETE, pose_columns
 from inference.sampler import SAMPLERS
-from inference.studies.calibration.assess import FAILED, Posterior
+from inference.studies.calibration.assess import FAILED, Answer
 from inference.studies.calibration.quantities import of_pose
 from inference.studies.calibration.simulations import Instance
 from inference.studies.comparison.mixing import mean_ess, mixing
@@ -35,7 +36,7 @@ from probmodel.model import PoseModel
 from probmodel.skeleton import NUM_JOINTS
 from probmodel.tables import read_tables
 
-Sampler = Callable[[int, Instance, jax.Array], Posterior]
+Sampler = Callable[[int, Instance, jax.Array], Answer]
 """The number of the instance, the instance, a key of its own."""
 SUFFIXES = (".nc", ".npz", ".npy")
 
@@ -74,7 +75,7 @@ def _exact(
     index: int,
     instance: Instance,
     key: jax.Array,
-) -> Posterior:
+) -> Answer:
     posterior = instance.frame.posterior(model)
     mixture = draw_mixture(
         posterior, key=key, sampler=name, num_samples=number, max_proposals=budget
@@ -84,7 +85,7 @@ def _exact(
     joints = (
         columns["joints"] * (scale / scale[0])[columns["candidate"]][:, None, None]
     )  # the first one's body units
-    return Posterior(joints, mixture.attributes["log_evidence"], mixture.status, mixture.sentence)
+    return Answer(joints, mixture.attributes["log_evidence"], mixture.status, mixture.sentence)
 
 
 def _baseline(
@@ -96,7 +97,7 @@ def _baseline(
     index: int,
     instance: Instance,
     key: jax.Array,
-) -> Posterior:
+) -> Answer:
     given = instance.frame.posterior(model)
     target, baseline = Target.of(given), BASELINES[name]
     places = None
@@ -113,14 +114,12 @@ def _baseline(
         allowance=Allowance(evaluations=budget),
     )
     if not done.num_draws:
-        return Posterior(
-            np.empty((0, NUM_JOINTS, 3)), done.log_evidence, done.status, done.sentence
-        )
+        return Answer(np.empty((0, NUM_JOINTS, 3)), done.log_evidence, done.status, done.sentence)
     chains = np.asarray(baseline_tree(given, done, key)["posterior"].joints)
     joints = independent(chains)
     if not len(joints):
-        return Posterior(joints, done.log_evidence, FAILED, f"the chains of {name} did not move")
-    return Posterior(joints, done.log_evidence, COMPLETE, done.sentence)
+        return Answer(joints, done.log_evidence, FAILED, f"the chains of {name} did not move")
+    return Answer(joints, done.log_evidence, COMPLETE, done.sentence)
 
 
 def _exact_tree(model: PoseModel, instance: Instance, key: jax.Array) -> xr.DataTree:
@@ -153,6 +152,11 @@ class FromFile:
     path: Path
     joints: np.ndarray
 
+    @property
+    def sha256(self) -> str:
+        """Of the draws."""
+        return hashlib.sha256(np.ascontiguousarray(self.joints, "<f8").data).hexdigest()
+
     @classmethod
     def read(cls, path: Path) -> "FromFile":
         """Raises `BadInput` on a file without such joints."""
@@ -168,7 +172,7 @@ class FromFile:
             )
         return cls(path, joints.astype(float))
 
-    def __call__(self, index: int, instance: Instance, key: jax.Array) -> Posterior:
+    def __call__(self, index: int, instance: Instance, key: jax.Array) -> Answer:
         if index >= len(self.joints):
             raise BadInput(
                 f"{self.path} has draws for {len(self.joints)} simulations; ask for as many, not"
@@ -177,9 +181,9 @@ class FromFile:
         draws = self.joints[index]
         given = np.isfinite(draws).all(axis=(1, 2))
         if given.all():
-            return Posterior(draws)
+            return Answer(draws)
         said = f"{int((~given).sum())} of {len(draws)} draws in {self.path.name} are not finite"
-        return Posterior(draws[:0], np.nan, FAILED, said)
+        return Answer(draws[:0], np.nan, FAILED, said)
 
 
 def _read(path: Path) -> np.ndarray:

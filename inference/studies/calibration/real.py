@@ -5,20 +5,18 @@ A pose of a data set (`probmodel.datasets`) becomes an `Instance` whose truth is
 of the estimate: what the image shows is the same, so pixels are what both have in common."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from inference.roots import estimate_torsos
-from inference.studies.calibration.assess import Standing, assess
-from inference.studies.calibration.posteriors import sampler_of
 from inference.studies.calibration.simulations import Instance, detected
 from probmodel.body import align_torsos
 from probmodel.camera import WeakPerspective
-from probmodel.datasets import Case
-from probmodel.likelihood import Likelihood
+from probmodel.datasets import Case, Noise, read_data_set
+from probmodel.likelihood import PAPER, Likelihood
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
 from probmodel.roots import Candidate
@@ -30,15 +28,50 @@ NUM_SAMPLES = 500
 MAX_PROPOSALS = 3_000_000
 """Where no draw comes in so many proposals, none is waited for: some truths are far outside what is
 possible."""
-Progress = Callable[[int, int], None]
+LIKELIHOOD = "likelihood"
+"""In place of a kind of noise: detections drawn from the likelihood itself."""
 
 
-def by_the_likelihood(case: Case, factor: float = 0.25, seed: int = 0) -> Case:
+def read_cases(
+    path: Path,
+    *,
+    frames: int | None = None,
+    noise: str = LIKELIHOOD,
+    missing: int = 0,
+    likelihood: Likelihood = PAPER,
+    seed: int = 0,
+) -> tuple[list[Case], dict[str, Any]]:
+    """Poses of a data set as they are seen, and what `run.cover` records of where they come from.
+
+    Parameters
+    ----------
+    frames
+        How many, as many of each action (default: all).
+    noise
+        Of the 2D joints: `LIKELIHOOD`, or as `Noise.parse` reads it.
+    missing
+        Limb joints of each that are not seen, at random.
+
+    Raises
+    ------
+    BadInput
+        On a bad data set, noise or number.
+    """
+    drawn = noise == LIKELIHOOD
+    kind = Noise() if drawn else Noise.parse(noise)
+    data = read_data_set(path, frames=frames, noise=kind, seed=seed)
+    cases = [case.hiding(missing, seed) for case in data]
+    if drawn:
+        cases = [by_the_likelihood(case, likelihood, seed) for case in cases]
+    return cases, {"data": f"{path.name} {data.sha256}", "noise": noise, "missing": missing}
+
+
+def by_the_likelihood(case: Case, likelihood: Likelihood = PAPER, seed: int = 0) -> Case:
     """The case with its detection drawn from the likelihood instead, scores and missing joints as
     they are."""
     rng = np.random.default_rng([seed, 2, case.number])
     exact, score = case.pixels[:, :2], case.detection.score
-    found = detected(exact, score, case.scale * case.unit, factor, rng, source="likelihood")
+    found = detected(exact, score, case.scale * case.unit, likelihood, rng, source="likelihood")
     return dataclasses.replace(
         case, detection=dataclasses.replace(case.detection, keypoints=found.keypoints)
     )
@@ -63,7 +96,7 @@ def instances(
             Estimate(
                 case.detection,
                 (true_candidate(case, model),),
-                settings.get("likelihood", Likelihood()),
+                settings.get("likelihood", PAPER),
                 estimator=TRUE,
             )
             for case in cases
@@ -80,27 +113,3 @@ def instances(
         Instance(frame, (case.pixels - case.pixels[0]) / float(frame.candidates[0].camera.scale))
         for case, frame in zip(cases, frames, strict=True)
     ]
-
-
-def stand_real(
-    model: PoseModel,
-    known: Sequence[Instance],
-    *,
-    sampler: str = "rejection",
-    seed: int = 0,
-    num_samples: int = NUM_SAMPLES,
-    max_proposals: int = MAX_PROPOSALS,
-    progress: Progress | None = None,
-) -> list[Standing]:
-    """The standings of real instances. Without log density and misfit, which a torso that is not
-    the true one does not have. Of several candidates each has a body unit of its own; all draws are
-    brought to the first one's."""
-    draw = sampler_of(sampler, model, num_samples, max_proposals=max_proposals)
-    found = []
-    for index, instance in enumerate(known):
-        key = jax.random.fold_in(jax.random.key(seed), index)
-        posterior = draw(index, instance, key)
-        found.append(assess(instance, posterior, np.random.default_rng([seed, index, 1])))
-        if progress:
-            progress(index + 1, len(known))
-    return found

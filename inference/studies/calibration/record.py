@@ -1,23 +1,19 @@
-"""Standings as a DataTree, and back: `coverage.nc`, laid out as ArviZ looks for it, and where a run
-goes on.
+"""Standings as a DataTree: `coverage.nc`, laid out as ArviZ looks for it.
 
 `/simulation` has everything by instance, failures too; `/prior_sbc` the levels of those that were
 judged, with `chain` and `draw` as ArviZ's plots of calibration want them (a draw is a simulation).
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from inference.results import save_tree
 from inference.studies.calibration.assess import Standing
 from inference.studies.calibration.quantities import MOVING_NAMES, OF_BOTH, OF_POSE, QUANTITIES
 from inference.studies.calibration.simulations import Instance
 from inference.studies.flips import FLIPPING
-from probmodel.failures import BadInput
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS, TORSO_JOINTS
 
 JOINTWISE = ("whole", "lateral", "depth", "spread_lateral", "spread_depth")
@@ -30,15 +26,20 @@ def standings_tree(
     columns: dict[str, np.ndarray] | None = None,
 ) -> xr.DataTree:
     """The tree of `standings`; `columns` `(n,)` are further variables by simulation."""
-    simulation = _simulation(standings)
-    for name, column in (columns or {}).items():
-        simulation[name] = ("simulation", column)
+    return coverage_tree(standings_table(standings, columns=columns), attributes)
+
+
+def coverage_tree(simulation: xr.Dataset, attributes: dict[str, Any]) -> xr.DataTree:
+    """The tree of a table of standings."""
     tree = xr.DataTree.from_dict({"simulation": simulation, "prior_sbc": levels(simulation)})
     tree.attrs.update(attributes)
     return tree
 
 
-def _simulation(standings: list[Standing]) -> xr.Dataset:
+def standings_table(
+    standings: list[Standing], first: int = 0, columns: dict[str, np.ndarray] | None = None
+) -> xr.Dataset:
+    """Standings by simulation, numbered from `first`; `columns` `(n,)` are further variables."""
     data: dict[str, Any] = {
         name: (("simulation",), np.array([getattr(one, name) for one in standings]))
         for name in SCALARS
@@ -53,10 +54,11 @@ def _simulation(standings: list[Standing]) -> xr.Dataset:
         np.stack([one.stand_in for one in standings]),
     )
     coords = {
-        "simulation": np.arange(len(standings)),
+        "simulation": np.arange(first, first + len(standings)),
         "quantity": list(QUANTITIES),
         "joint": list(MOVING_NAMES),
     }
+    data |= {name: (("simulation",), column) for name, column in (columns or {}).items()}
     return xr.Dataset(data, coords=coords)
 
 
@@ -89,63 +91,6 @@ def levels(simulation: xr.Dataset) -> xr.Dataset:
         "bone": [bone.name for bone in FLIPPING],
     }
     return xr.Dataset(data, coords=coords)
-
-
-def read_standings(tree: xr.DataTree) -> list[Standing]:
-    """The standings of a tree."""
-    simulation = tree["simulation"].to_dataset()
-    rows = []
-    for number in range(simulation.sizes["simulation"]):
-        row = simulation.isel(simulation=number)
-        whole, lateral, depth, spread_lateral, spread_depth = (
-            row[name].values for name in JOINTWISE
-        )
-        rows.append(
-            Standing(
-                str(row.status.item()),
-                str(row.sentence.item()),
-                int(row.num_draws),
-                float(row.log_evidence),
-                row.level.values,
-                whole,
-                lateral,
-                depth,
-                row.stand_in.values,
-                spread_lateral,
-                spread_depth,
-            )
-        )
-    return rows
-
-
-def resume(path: Path, settings: dict[str, Any]) -> list[Standing]:
-    """What an earlier run of the same settings left at `path`; none where there is no file. Raises
-    `BadInput` where it is another run's, or cannot be read."""
-    if not path.exists():
-        return []
-    try:
-        with xr.open_datatree(path, engine="netcdf4") as tree:
-            found = {name: tree.attrs.get(name) for name in settings}
-            standings = read_standings(tree.load())
-    except (
-        Exception
-    ) as error:  # netCDF meets foreign and damaged files with errors of many unrelated kinds.
-        raise BadInput(
-            f"{path} is no run that can be taken up ({type(error).__name__}); delete it, or choose"
-            " another folder"
-        ) from None
-    for name, value in settings.items():
-        if str(found[name]) != str(value):
-            raise BadInput(
-                f"{path} holds another run (its {name} is {found[name]!r}, not {value!r}); choose"
-                " another folder, or delete that file"
-            )
-    return standings
-
-
-def save(tree: xr.DataTree, path: Path) -> None:
-    """Writes the tree, atomically. Raises `BadInput` where it cannot."""
-    save_tree(tree, path)
 
 
 def instances_tree(instances: Sequence[Instance]) -> xr.DataTree:

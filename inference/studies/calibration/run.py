@@ -1,36 +1,48 @@
-"""Calibration under the model: simulate, draw, line up, again and again; what `poseterior coverage`
-runs.
+"""Calibration under the model (`calibrate`) and coverage of real poses (`cover`): simulate or look,
+draw, line up, again and again.
 
-tree = calibrate(model, "rejection", seed=0, num_simulations=1000, out=Path("coverage.nc"))
-judge(tree["simulation"].to_dataset())          # verdict and p-values
-arviz_plots.plot_ecdf_pit(tree)                 # the ranks
+    tree = calibrate(model, "rejection", num_simulations=1000, out=Path("coverage.nc"))
+    judge(tree["simulation"].to_dataset())          # verdict and p-values
+    arviz_plots.plot_ecdf_pit(tree)                 # the ranks
 
-Every simulation has a seed of its own: a run that was stopped goes on to the same bits, and so does
-a longer one. Memory holds one block of simulations."""
+    cases, source = read_cases(Path("recordings.npz"), frames=100)
+    summary(cover(model, cases, estimator="zhou", source=source))
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+Every simulation has a seed of its own: a run that was stopped is resumed with the same bits, and so
+is a longer one. With `out`, what was done is kept in blocks beside that file
+(`inference.store.Store`)."""
+
+import hashlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 import xarray as xr
 
-from inference.exact.mixture import MAX_PROPOSALS
-from inference.results import versions
+from inference.machines import HERE, Machines, in_threads
+from inference.results import save_tree, versions
 from inference.roots import estimate_torsos
+from inference.sampler import MAX_PROPOSALS
+from inference.store import Block, Groups, Store, fill, locked
+from inference.studies.calibration import real
 from inference.studies.calibration.assess import Standing, assess
-from inference.studies.calibration.posteriors import Sampler, sampler_of
+from inference.studies.calibration.exclusions import as_text, exclusions
+from inference.studies.calibration.posteriors import FromFile, Sampler, sampler_of
 from inference.studies.calibration.quantities import QUANTITIES
-from inference.studies.calibration.record import resume, save, standings_tree
+from inference.studies.calibration.record import coverage_tree, standings_table
 from inference.studies.calibration.simulations import BLOCK, Instance, simulate
+from probmodel.datasets import Case
 from probmodel.failures import BadInput
+from probmodel.likelihood import PAPER, Likelihood
 from probmodel.model import PoseModel
 
 NUM_SAMPLES = 1000
 REFERENCE = "zhou"
 """The estimator whose pose is TARP's reference: it looks at every joint."""
+GROUP = "simulation"
 Progress = Callable[[int, int], None]
 
 
@@ -42,84 +54,173 @@ def calibrate(
     num_simulations: int = 1000,
     num_samples: int = NUM_SAMPLES,
     reference: str = REFERENCE,
-    factor: float = 0.25,
+    likelihood: Likelihood = PAPER,
     max_proposals: int = MAX_PROPOSALS,
     out: Path | None = None,
+    machines: Machines = HERE,
     progress: Progress | None = None,
 ) -> xr.DataTree:
     """`num_simulations` poses of the prior, each seen once, and `num_samples` draws of a sampler's
     posterior for each.
 
-    `sampler`: a name, a file of draws (`posteriors.sampler_of`), or a function. `reference` names
-    the estimator of TARP's reference poses. With `out`, the tree is written after every block, and
-    an earlier run of the same settings there is continued. Raises `BadInput` where the sampler is
-    not one, its draws have other dimensions, or `out` holds another run."""
+    Parameters
+    ----------
+    sampler
+        A name, a file of draws (`posteriors.sampler_of`), or a function.
+    reference
+        The estimator of TARP's reference poses.
+    out
+        The file to write; an earlier run of the same settings there is resumed.
+    progress
+        Called with the number of simulations done, and of all of them.
+
+    Raises
+    ------
+    BadInput
+        Where the sampler is not one, its draws have other dimensions, `out` holds another run, or
+        another process is writing to it.
+    """
     if num_simulations < 1:
         raise BadInput(f"the number of simulations must be at least 1, not {num_simulations}")
-    draw = (
-        sampler_of(sampler, model, num_samples, max_proposals=max_proposals)
-        if isinstance(sampler, str)
-        else sampler
-    )
-    settings = {
-        "sampler": (
-            sampler if isinstance(sampler, str) else getattr(sampler, "__name__", "a function")
-        ),
-        "seed": seed,
-        "num_samples": num_samples,
+    draw = _sampler(sampler, model, num_samples, max_proposals)
+    settings = _settings(model, sampler, draw, seed, num_samples, likelihood, max_proposals) | {
+        "study": "calibration",
         "reference": reference,
-        "factor": factor,
-        "max_proposals": max_proposals,
         "quantities": len(QUANTITIES),
-        "limits": f"{model.limits.name} {model.limits.sha256}",
-        "measures": f"upper {model.upper}, lower {model.lower}",
-        "versions": versions(),
     }
-    standings = [] if out is None else resume(out, settings)[:num_simulations]
-    standings = (
-        standings[: len(standings) // BLOCK * BLOCK]
-        if len(standings) < num_simulations
-        else standings
-    )
-    tree = standings_tree(standings, settings) if standings else None
-    while len(standings) < num_simulations:
-        first = len(standings)
-        some = simulate(model, seed, first, min(BLOCK, num_simulations - first), factor=factor)
-        standings = standings + stand(model, draw, some, seed, first, reference)
-        tree = standings_tree(standings, settings)
-        if out is not None:
-            save(tree, out)
-        if progress:
-            progress(len(standings), num_simulations)
-    assert tree is not None
-    return tree
+    blocks = [
+        Block(
+            number,
+            f"simulations {first} to {min(first + BLOCK, num_simulations) - 1}",
+            {},
+            min(BLOCK, num_simulations - first),
+            range(first, min(first + BLOCK, num_simulations)),
+        )
+        for number, first in enumerate(range(0, num_simulations, BLOCK))
+    ]
+    task = _Simulated(model, draw, seed, reference, likelihood)
+    return _run(task, blocks, settings, out, machines, progress)
+
+
+def cover(
+    model: PoseModel,
+    cases: Sequence[Case],
+    *,
+    estimator: str = real.TRUE,
+    sampler: str | Sampler = "rejection",
+    seed: int = 0,
+    num_samples: int = real.NUM_SAMPLES,
+    likelihood: Likelihood = PAPER,
+    max_proposals: int = real.MAX_PROPOSALS,
+    source: Mapping[str, Any] | None = None,
+    out: Path | None = None,
+    machines: Machines = HERE,
+    progress: Progress | None = None,
+) -> xr.DataTree:
+    """How the posteriors of real poses stand to the truth, and why some exclude it; `summary` of
+    `calibration.coverage` reads the tree.
+
+    Parameters
+    ----------
+    cases
+        Poses whose truth is known, with their detections (`real.read_cases`).
+    estimator
+        Whose torso and camera are given: an estimator's, or the true ones.
+    source
+        What the tree shall say of where the cases come from.
+    out, machines, progress
+        As in `calibrate`.
+
+    Raises
+    ------
+    BadInput
+        As `calibrate`, and on an unknown estimator.
+    """
+    if not cases:
+        raise BadInput("there are no poses to cover; give at least one")
+    draw = _sampler(sampler, model, num_samples, max_proposals)
+    settings = _settings(model, sampler, draw, seed, num_samples, likelihood, max_proposals) | {
+        "study": "coverage of real poses",
+        "estimator": estimator,
+        "poses": len(cases),
+        **(source or {}),
+    }
+    blocks = []
+    for number, first in enumerate(range(0, len(cases), BLOCK)):
+        some = cases[first : first + BLOCK]
+        words = f"poses {first} to {first + len(some) - 1}"
+        made_of = {"poses": _fingerprint(some)}
+        blocks.append(Block(number, words, made_of, len(some), (first, some)))
+    task = _Covered(model, draw, seed, estimator, likelihood)
+    return _run(task, blocks, settings, out, machines, progress)
+
+
+@dataclass(frozen=True)
+class _Simulated:
+    """The task of a block of simulations, of which it is told the numbers."""
+
+    model: PoseModel
+    draw: Sampler
+    seed: int
+    reference: str
+    likelihood: Likelihood
+
+    def __call__(self, numbers: range) -> Groups:
+        some = simulate(
+            self.model, self.seed, numbers.start, len(numbers), likelihood=self.likelihood
+        )
+        poses = references(some, self.reference)
+        found = stand(self.draw, some, self.seed, numbers.start, model=self.model, poses=poses)
+        return {GROUP: standings_table(found, numbers.start)}
+
+
+@dataclass(frozen=True)
+class _Covered:
+    """The task of a block of real poses, of which it is told the number of the first."""
+
+    model: PoseModel
+    draw: Sampler
+    seed: int
+    estimator: str
+    likelihood: Likelihood
+
+    def __call__(self, block: tuple[int, Sequence[Case]]) -> Groups:
+        first, cases = block
+        known = real.instances(cases, self.model, self.estimator, likelihood=self.likelihood)
+        found = stand(self.draw, known, self.seed, first)
+        reasons = exclusions(self.model, cases, known)
+        columns = {
+            "recording": np.array([case.recording for case in cases]),
+            "unit_mm": np.array([case.unit for case in cases]),
+            "reasons": np.array([as_text(one) for one in reasons]),
+        }
+        return {GROUP: standings_table(found, first, columns)}
 
 
 def stand(
-    model: PoseModel,
     draw: Sampler,
     instances: Sequence[Instance],
     seed: int,
-    first: int,
-    reference: str = REFERENCE,
+    first: int = 0,
+    *,
+    model: PoseModel | None = None,
+    poses: Iterable[np.ndarray | None] | None = None,
 ) -> list[Standing]:
-    """The standings of simulations in a row, numbered from `first`."""
-    poses = references(instances, reference)
+    """The standings of instances in a row, numbered from `first`; `model` and reference `poses` as
+    in `assess`."""
 
-    def one(row: int) -> Standing:
-        index = first + row
-        key = jax.random.fold_in(jax.random.key(seed), index)
-        posterior = draw(index, instances[row], key)
+    def one(index: int, instance: Instance, pose: np.ndarray | None) -> Standing:
+        answer = draw(index, instance, jax.random.fold_in(jax.random.key(seed), index))
         rng = np.random.default_rng([seed, index, 1])
-        return assess(instances[row], posterior, rng, model=model, reference=poses[row])
+        return assess(instance, answer, rng, model=model, reference=pose)
 
-    with ThreadPoolExecutor(os.cpu_count()) as workers:
-        return list(workers.map(one, range(len(instances))))
+    numbers = range(first, first + len(instances))
+    return in_threads(one, numbers, instances, poses or [None] * len(instances))
 
 
-def references(instances: Sequence[Instance], estimator: str) -> np.ndarray:
-    """`(n, 15, 3)`: the estimator's poses in the body units of each instance; they depend on what
-    was seen alone."""
+def references(instances: Sequence[Instance], estimator: str) -> list[np.ndarray]:
+    """The estimator's poses `(15, 3)` in the body units of each instance; they depend on what was
+    seen alone."""
     frames = estimate_torsos(
         [instance.frame.detection for instance in instances], estimator, num_candidates=1
     )
@@ -130,4 +231,82 @@ def references(instances: Sequence[Instance], estimator: str) -> np.ndarray:
             instance.frame.candidates[0].camera.scale
         )
         found.append(frame.pose * unit)
-    return np.stack(found)
+    return found
+
+
+def _run(
+    task: Callable[[Any], Groups],
+    blocks: Sequence[Block],
+    settings: Mapping[str, Any],
+    out: Path | None,
+    machines: Machines,
+    progress: Progress | None,
+) -> xr.DataTree:
+    """The tree of all blocks, kept beside `out` where that is given, and written to it."""
+    found: dict[int, xr.Dataset] = {}
+    done, wanted = 0, sum(block.size for block in blocks)
+
+    def take(block: Block, groups: Groups) -> None:
+        nonlocal done
+        found[block.number] = groups[GROUP].isel(simulation=slice(block.size))
+        done += block.size
+        if progress:
+            progress(done, wanted)
+
+    def tree() -> xr.DataTree:
+        table = xr.concat([found[block.number] for block in blocks], dim="simulation")
+        return coverage_tree(table, dict(settings))
+
+    if out is None:
+        fill(None, machines, task, blocks, take)
+        return tree()
+    folder = out.with_suffix(".blocks")
+    with locked(folder):
+        fill(Store.begin(folder, settings), machines, task, blocks, take)
+        save_tree(tree(), out)
+    return tree()
+
+
+def _sampler(sampler: str | Sampler, model: PoseModel, number: int, budget: int) -> Sampler:
+    if isinstance(sampler, str):
+        return sampler_of(sampler, model, number, max_proposals=budget)
+    return sampler
+
+
+def _settings(
+    model: PoseModel,
+    sampler: str | Sampler,
+    draw: Sampler,
+    seed: int,
+    num_samples: int,
+    likelihood: Likelihood,
+    max_proposals: int,
+) -> dict[str, Any]:
+    """What both studies are asked for; draws of a file are known by their content."""
+    name = sampler if isinstance(sampler, str) else getattr(sampler, "__name__", "a function")
+    return {
+        "sampler": name,
+        **({"draws": draw.sha256} if isinstance(draw, FromFile) else {}),
+        "seed": seed,
+        "num_samples": num_samples,
+        "likelihood": repr(likelihood),
+        "max_proposals": max_proposals,
+        "limits": f"{model.limits.name} {model.limits.sha256}",
+        "measures": f"upper {model.upper}, lower {model.lower}",
+        "versions": versions(),
+    }
+
+
+def _fingerprint(cases: Sequence[Case]) -> str:
+    digest = hashlib.sha256()
+    for case in cases:
+        digest.update(f"{case.number} {case.recording}".encode("utf-8", "backslashreplace"))
+        for array in (
+            case.pose,
+            case.detection.keypoints,
+            case.detection.score,
+            case.scale,
+            case.translation,
+        ):
+            digest.update(np.ascontiguousarray(array, "<f8").data)
+    return digest.hexdigest()

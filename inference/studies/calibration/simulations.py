@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from probmodel.camera import WeakPerspective
 from probmodel.chunks import in_chunks
 from probmodel.detections import Detection
-from probmodel.likelihood import Likelihood
+from probmodel.likelihood import PAPER, Likelihood
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
 from probmodel.roots import Candidate
@@ -43,7 +43,7 @@ class Instance(NamedTuple):
 
 
 def simulate(
-    model: PoseModel, seed: int, first: int, number: int, *, factor: float = 0.25
+    model: PoseModel, seed: int, first: int, number: int, *, likelihood: Likelihood = PAPER
 ) -> list[Instance]:
     """Simulations `first`, …, `first + number - 1` of a seed: each is the same whichever others are
     made with it."""
@@ -52,7 +52,7 @@ def simulate(
     torsos = np.asarray(model.torsos)[[rng.integers(len(model.torsos)) for rng in rngs]]
     joints = in_chunks(functools.partial(_poses, model), cubes, torsos, size=BLOCK)
     return [
-        _instance(pose, torso, HIDDEN[index % len(HIDDEN)], factor, rng)
+        _instance(pose, torso, HIDDEN[index % len(HIDDEN)], likelihood, rng)
         for index, pose, torso, rng in zip(
             range(first, first + number), joints, torsos, rngs, strict=True
         )
@@ -68,17 +68,17 @@ def _instance(
     pose: np.ndarray,
     torso: np.ndarray,
     missing: tuple[str, ...],
-    factor: float,
+    likelihood: Likelihood,
     rng: np.random.Generator,
 ) -> Instance:
     turn = Rotation.from_euler("yx", [rng.uniform(0, 360), rng.uniform(-TILT, TILT)], degrees=True)
     camera = WeakPerspective(SCALE, UPRIGHT @ turn.as_matrix(), MIDDLE)
     score = rng.uniform(LEAST_SCORE, 1.0, NUM_JOINTS)
     score[[JOINT_INDEX[name] for name in missing]] = 0.0
-    detection = detected(np.asarray(camera.project(pose)), score, SCALE, factor, rng)
+    detection = detected(np.asarray(camera.project(pose)), score, SCALE, likelihood, rng)
     candidate = Candidate(0, torso, camera, 0.0)
     return Instance(
-        Estimate(detection, (candidate,), Likelihood(factor=factor), estimator="truth"),
+        Estimate(detection, (candidate,), likelihood, estimator="truth"),
         np.asarray(camera.view(pose)),
     )
 
@@ -87,7 +87,7 @@ def detected(
     exact: np.ndarray,
     score: np.ndarray,
     scale: float,
-    factor: float,
+    likelihood: Likelihood,
     rng: np.random.Generator,
     *,
     source: str = "simulation",
@@ -98,10 +98,10 @@ def detected(
     seen = score > 0
     where = "a pose"
     blank = Detection(np.where(seen[:, None], exact, np.nan), score, source, where, 0)
-    radius = Likelihood(factor=factor).spread(blank, scale)
-    radius = np.where(np.isfinite(radius), radius, factor * scale / 2)
+    spread = likelihood.spread(blank, scale)
+    spread = np.where(np.isfinite(spread), spread, likelihood.factor * scale / 2)
     far, angle = (
-        radius * np.sqrt(rng.uniform(size=NUM_JOINTS)),
+        spread * np.asarray(likelihood.law.distance(rng.uniform(size=NUM_JOINTS))),
         rng.uniform(0, 2 * np.pi, NUM_JOINTS),
     )
     shifted = exact + far[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)

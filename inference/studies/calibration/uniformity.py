@@ -29,16 +29,30 @@ class Uniformity(NamedTuple):
     size: int
 
 
-def uniformity(values: np.ndarray) -> Uniformity:
-    """Tests independent values `(n,)`, uniform on [0, 1] under the hypothesis (ranks have to be
-    spread over their steps first, `levels.rank_level`). Raises `ValueError` where there are none,
-    or one lies outside."""
+def uniformity(values: np.ndarray, lost: int = 0) -> Uniformity:
+    """Tests independent values, uniform on [0, 1] under the hypothesis (ranks have to be spread
+    over their steps first, `levels.rank_level`).
+
+    Parameters
+    ----------
+    values
+        `(n,)`, at least one.
+    lost
+        So many more values are not known: the p-value is then the largest that they could have led
+        to, or more.
+
+    Raises
+    ------
+    ValueError
+        Where there are no values, or one lies outside.
+    """
     values = np.asarray(values, float)
     if not values.size or not ((values >= 0) & (values <= 1)).all():
         raise ValueError("the test of uniformity needs values from 0 to 1, at least one")
     counts = np.searchsorted(np.sort(values), LEVELS, side="right")
-    tail = float(min(1.0, 2 * _tails(counts, len(values)).min()))
-    return Uniformity(tail, _probability_of(tail, len(values)), len(values))
+    size = len(values) + lost
+    tail = float(min(1.0, 2 * _tails(counts, size, lost).min()))
+    return Uniformity(tail, _probability_of(tail, size), len(values))
 
 
 def band(size: int, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
@@ -54,10 +68,11 @@ def difference(values: np.ndarray) -> np.ndarray:
     return np.searchsorted(np.sort(values), LEVELS, side="right") / len(values) - LEVELS
 
 
-def _tails(counts: np.ndarray, size: int) -> np.ndarray:
-    """`(99,)`: the smaller of P(count ≤ observed) and P(count ≥ observed)."""
+def _tails(counts: np.ndarray, size: int, lost: int) -> np.ndarray:
+    """`(99,)`: the smaller of P(count ≤ observed) and P(count ≥ observed), of which `lost` values
+    may or may not be part."""
     return np.minimum(
-        stats.binom.cdf(counts, size, LEVELS), stats.binom.sf(counts - 1, size, LEVELS)
+        stats.binom.cdf(counts + lost, size, LEVELS), stats.binom.sf(counts - 1, size, LEVELS)
     )
 
 

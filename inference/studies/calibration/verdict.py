@@ -56,8 +56,11 @@ class Calibration(NamedTuple):
 def judge(
     simulation: xr.Dataset, *, false_alarm: float = FALSE_ALARM, fewest: int = FEWEST
 ) -> Calibration:
-    """The verdict on levels by (simulation, quantity), NaN where an instance failed. Raises
-    `BadInput` where there are fewer than `fewest` judged simulations."""
+    """The verdict on levels by (simulation, quantity), NaN where an instance failed.
+
+    Where more than `FEW_FAILURES` of them failed, which ones may depend on the truth: then a
+    quantity counts against the sampler only if it did so whatever the levels of the failed ones.
+    Raises `BadInput` where there are fewer than `fewest` judged simulations."""
     table = simulation["level"]
     total, failed = len(table), int((~np.isfinite(table.values).any(axis=1)).sum())
     if total - failed < fewest:
@@ -67,15 +70,14 @@ def judge(
             " fail"
         )
     known = set(table.quantity.values)
-    looked_at = [
-        name
+    columns = {
+        name: column[np.isfinite(column)]
         for name in QUANTITIES
-        if name in known and np.isfinite(table.sel(quantity=name).values).any()
-    ]
-    found = []
-    for name in looked_at:
-        column = table.sel(quantity=name).values
-        found.append(uniformity(column[np.isfinite(column)]))
+        if name in known
+        for column in [table.sel(quantity=name).values]
+        if np.isfinite(column).any()
+    }
+    found = [uniformity(column) for column in columns.values()]
     p_values = np.array([test.p_value for test in found])
     tests = xr.Dataset(
         {
@@ -84,13 +86,21 @@ def judge(
             "adjusted": ("quantity", holm(p_values)),
             "size": ("quantity", [test.size for test in found]),
         },
-        coords={"quantity": looked_at},
+        coords={"quantity": list(columns)},
         attrs={"false_alarm": false_alarm, "multiplicity": "Holm", "num_failed": failed},
     )
-    return Calibration(tests, *_verdict(tests, failed, total, false_alarm))
+    rejects = float(tests.adjusted.min()) < false_alarm
+    proven = rejects and (
+        failed <= FEW_FAILURES * total
+        or min(uniformity(one, failed).p_value for one in columns.values()) * len(columns)
+        < false_alarm
+    )
+    return Calibration(tests, *_verdict(tests, failed, total, rejects, proven))
 
 
-def _verdict(tests: xr.Dataset, failed: int, total: int, false_alarm: float) -> tuple[str, str]:
+def _verdict(
+    tests: xr.Dataset, failed: int, total: int, rejects: bool, proven: bool
+) -> tuple[str, str]:
     worst = tests.isel(quantity=int(np.argmin(tests.adjusted.values)))
     number = tests.sizes["quantity"]
     said = (
@@ -98,18 +108,18 @@ def _verdict(tests: xr.Dataset, failed: int, total: int, false_alarm: float) -> 
         f" {number} tests"
     )
     missing = f"; the sampler failed on {failed} of {total} simulations" if failed else ""
-    if float(worst.adjusted) < false_alarm:
-        return MISCALIBRATED, f"{said}, with {int(worst['size'])} simulations{missing}"
-    if failed > FEW_FAILURES * total:
-        return (
-            CANNOT_TELL,
-            f"the sampler failed on {failed} of {total} simulations; no test rejects on the others",
-        )
+    many = failed > FEW_FAILURES * total
+    if proven:
+        whatever = ", whatever these would have said" if many else ""
+        return MISCALIBRATED, f"{said}, with {int(worst['size'])} simulations{missing}{whatever}"
+    if many:
+        others = f"that alone may be why {said}" if rejects else "no test rejects on the others"
+        return CANNOT_TELL, f"the sampler failed on {failed} of {total} simulations; {others}"
     return (
         CALIBRATED,
         (
-            f"no test of {number} rejects at {false_alarm:g} with {total - failed}"
-            f" simulations{missing}"
+            f"no test of {number} rejects at {tests.attrs['false_alarm']:g} with"
+            f" {total - failed} simulations{missing}"
         ),
     )
 

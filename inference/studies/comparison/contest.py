@@ -1,13 +1,18 @@
-"""Several samplers on one frame, each from two starts, judged by exact draws: what `poseterior
-compare` runs."""
+"""Several samplers on one frame, each from two starts, judged by exact draws.
 
+found = compare(model, frame, ["rejection", "emcee"], seconds=30)
+found.tree["summary"].to_dataframe()
+"""
+
+import contextlib
 import dataclasses
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -17,12 +22,13 @@ from inference.baselines.catalogue import BASELINES, STARTS, baseline_tree, star
 from inference.baselines.run import Allowance, Clock, Run, check_packages, run
 from inference.baselines.target import Target
 from inference.exact.mixture import draw_mixture
-from inference.results import COMPLETE
+from inference.results import COMPLETE, save_tree
 from inference.sampler import SAMPLERS, sample
+from inference.store import locked
 from inference.studies.comparison.cost import course
 from inference.studies.comparison.judge import judge
 from inference.studies.comparison.pace import pace
-from inference.studies.comparison.record import SHOWN, Entry
+from inference.studies.comparison.record import SHOWN, Entry, comparison_tree
 from inference.studies.comparison.sample import Sample, read_sample
 from probmodel.failures import BadInput, OutOfBudget
 from probmodel.model import PoseModel
@@ -37,6 +43,96 @@ MOST = 20_000
 ENDLESS = 1 << 40
 """More draws than any budget brings."""
 Progress = Callable[[int, int], None]
+Stage = Callable[[str], AbstractContextManager[Any]]
+"""What is shown while something, said in words, is at work."""
+
+
+class Comparison(NamedTuple):
+    """A line for every sampler and start, and all of it as one tree (`record.comparison_tree`)."""
+
+    entries: list[Entry]
+    tree: xr.DataTree
+
+
+def compare(
+    model: PoseModel,
+    frame: Estimate,
+    samplers: Sequence[str],
+    *,
+    seed: int = 0,
+    seconds: float | None = 30.0,
+    max_evaluations: int | None = None,
+    num_samples: int = 10_000,
+    exact_draws: int = REFERENCE,
+    out: Path | None = None,
+    stage: Stage = contextlib.nullcontext,
+) -> Comparison:
+    """Lets samplers draw from a frame's posterior, under the candidate with the largest weight, and
+    judges each by exact draws.
+
+    Parameters
+    ----------
+    samplers
+        Names of `SAMPLERS`.
+    seconds, max_evaluations
+        What each baseline may spend from each of its starts; None: no limit.
+    num_samples
+        Draws of exact rejection as a contestant.
+    exact_draws
+        Draws that all are judged by.
+    out
+        A folder: `comparison.nc` is written there after every sampler, and what baselines have done
+        is kept in `runs`, where the next call takes it up.
+
+    Raises
+    ------
+    BadInput
+        On a sampler that does not exist or whose package is missing, before any work is done; where
+        `runs` holds another run, or another process is writing to `out`.
+    OutOfBudget
+        Where there are no exact draws.
+    """
+    check_names([*samplers])
+    allowance = Allowance(max_evaluations, seconds)
+    key = jax.random.key(seed)
+    with locked(out) if out else contextlib.nullcontext():
+        if out:
+            (out / "runs").mkdir(exist_ok=True)
+        with stage("exact draws"):
+            known = truth(model, frame, key=jax.random.fold_in(key, 0), number=exact_draws)
+        attributes = {
+            "source": frame.detection.source,
+            "person": frame.detection.person,
+            "seed": seed,
+            "seconds": math.inf if seconds is None else seconds,
+            "exact_draws": known.sample.num_draws,
+        }
+        found = Comparison([], xr.DataTree())
+        for name, start in [(one, start) for one in samplers for start in starts_of(one)]:
+            # Its own key, whoever else is asked, so that runs can be taken up.
+            own = jax.random.fold_in(key, 1 + SAMPLERS.index(name))
+            with stage(f"{name} {start}".strip()):
+                if name in BASELINES:
+                    settings: dict[str, Any] = {
+                        "key": own,
+                        "allowance": allowance,
+                        "num_samples": ENDLESS,
+                    }
+                    place = _place(out, name, start)
+                    entry, _ = enter_baseline(model, known, name, start, save_to=place, **settings)
+                else:
+                    entry = enter_exact(model, known, name, key=own, num_samples=num_samples)
+            entries = [*found.entries, entry]
+            found = Comparison(entries, comparison_tree(entries, known.sample, attributes))
+            if out:
+                save_tree(found.tree, out / "comparison.nc")
+    return found
+
+
+def _place(out: Path | None, name: str, start: str) -> Path | None:
+    """Where a baseline's run is kept."""
+    label = f"{name} {start}".strip().replace(" ", "-")
+    return out / "runs" / f"{label}.npz" if out else None
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ mean and variance of the exact draws (Sokal 1997): a walker that stays where it 
 and so has one that walks about in the wrong place. For a mean, draws are worth their number over
 that time. From a path that is short beside it, it can only be bounded from below. And a path does
 not show what keeps walkers apart for good, draws from clouds of their own, say: where ArviZ, which
-compares walkers with each other, finds far fewer effective draws, that is the bound."""
+compares walkers with each other, finds far fewer effective draws, that is the bound. A depth flip
+that no path crossed has no slope to be bounded by; there the rule of three does it."""
 
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ documentation)."""
 APART = 2.0
 """How many times as many effective draws paths may promise as ArviZ finds, whose figure is of tails
 too."""
+ROUNDING = 1e-9
 GROUPS = 16
 """Groups of walkers, from whose differences standard errors come."""
 
@@ -49,12 +51,34 @@ def pace(sample: Sample, exact: Sample, *, effective: float, given: int, steps: 
         -1, steps, int(varies.sum())
     )
     times, closed = autocorrelation_times(paths)
+    if steps > 1:
+        bounds = np.zeros(len(varies))
+        bounds[-sample.away.shape[-1] :] = uncrossed(sample.away, exact.away, steps)
+        never = bounds[varies] > 0
+        times, closed = np.where(never, bounds[varies], times), closed & ~never
     time = max(1.0, float(times.max()))
     settled = sample.num_draws / time
     known = bool(closed.all()) and steps >= ENOUGH * time
     if settled > APART * effective:
         settled, known = effective, False
     return Pace(max(0.0, effective - given), time, settled, known)
+
+
+def uncrossed(away: np.ndarray, exact: np.ndarray, steps: int) -> np.ndarray:
+    """`(bones,)`: what the autocorrelation time of a depth flip is at least, at 95 %, where no path
+    of `steps` draws ever crossed it; 0 where one did, or there is nothing to cross.
+
+    A chain in balance, with shares p away and q towards the camera, crosses either way with the
+    frequency f, and leaves "away" at the rate f/p, "towards" at f/q: no crossing in m steps away
+    and n towards has probability exp(-f (m/p + n/q)), below 5 % unless f (m/p + n/q) < 3 (the rule
+    of three). The time is 2/(f/p + f/q) = 2pq/f. Shares are those of the `exact` draws.
+    """
+    paths = away.reshape(-1, steps, away.shape[-1])
+    crossed = (paths != paths[:, :1]).any(axis=(0, 1))
+    p = exact.reshape(-1, exact.shape[-1]).mean(axis=0)
+    m = (steps - 1) * paths[:, 0].sum(axis=0)
+    n = (steps - 1) * len(paths) - m
+    return np.where(crossed | (p == 0) | (p == 1), 0.0, 2 * (m * (1 - p) + n * p) / 3)
 
 
 def _series(sample: Sample) -> np.ndarray:
@@ -104,4 +128,5 @@ def _rest(found: np.ndarray) -> float:
     falls = np.log(left_out[0] / left_out[1])
     error = np.sqrt((len(falls) - 1) * falls.var())
     fall = (max(falls.mean(), 0.0) + 2 * error) / (end - half)
-    return float(late.mean() / fall) if fall > 0 else 0.0
+    # A slope of nothing but rounding says nothing: the sum so far is a bound as well.
+    return float(late.mean() / fall) if fall * (end - half) > ROUNDING else 0.0

@@ -131,6 +131,7 @@ def _summary(entries: list[Entry]) -> xr.Dataset:
     judged = {
         "distance": _each(entries, lambda found: found.distance),
         "missed_mass": _each(entries, lambda found: found.modes.missed),
+        "expected_missed_mass": _each(entries, lambda found: found.modes.expected_missed),
         "unique": _each(entries, lambda found: found.mixing.unique),
     }
     return xr.Dataset(

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from inference.prior import sample_prior
-from inference.studies.evaluation.scores import Estimate, clustered
+from inference.studies.evaluation.scores import Interval, clustered
 from probmodel.anatomy.population import Anatomy
 from probmodel.body import aligned
 from probmodel.chunks import in_chunks
@@ -51,8 +51,8 @@ class ActionBias(NamedTuple):
 
     action: str
     poses: int
-    mixture: Estimate
-    uniform: Estimate
+    mixture: Interval
+    uniform: Interval
     possible: float
 
 

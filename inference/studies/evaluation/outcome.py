@@ -6,12 +6,13 @@ number. The same block gives the same bits wherever and whenever it is done."""
 
 import functools
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
 import numpy as np
+import xarray as xr
 
 from inference.exact.mixture import draw_mixture
 from inference.hypothesis import diverse
@@ -24,13 +25,23 @@ from probmodel.anatomy.population import Anatomy
 from probmodel.datasets import Case, DataSet
 from probmodel.failures import BadInput
 from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.likelihood import Likelihood
+from probmodel.likelihood import PAPER, Likelihood
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
 from probmodel.skeleton import BONES, NUM_JOINTS
 
 BAD_INPUT, FAILED = "bad input", "failed"
-STATUS_BYTES, SENTENCE_BYTES = 16, 400
+LONGEST = 400
+"""Letters of a reason that are kept."""
+BLANK = {"O": "", "f": np.nan, "i": 0, "u": 0}
+"""What stands where nothing is known, by kind of number."""
+
+
+class Field:
+    """What is kept of a frame under one name: its type and, by dimension, its sizes."""
+
+    def __init__(self, kind: str, **sizes: int) -> None:
+        self.kind, self.sizes = kind, sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +56,7 @@ class Protocol:
     upper: str = "angle"
     lower: str = "area"
     candidates: int = 1
-    likelihood: Likelihood = field(default_factory=Likelihood)
+    likelihood: Likelihood = PAPER
     num_samples: int = 1000
     ks: tuple[int, ...] = (5, 20)
     max_proposals: int = 20_000_000
@@ -67,40 +78,47 @@ class Protocol:
         """The model of it."""
         return PoseModel.from_anatomy(self.anatomy, upper=self.upper, lower=self.lower)
 
-    def fields(self) -> dict[str, tuple[tuple[int, ...], str]]:
-        """Shape and type of what is kept of a frame, by name. Errors in mm; `hypotheses_k` are
-        heaviest cluster first; `_unscaled`: by similarity alone, mean over joints."""
-        joints = (NUM_JOINTS,)
-        found: dict[str, tuple[tuple[int, ...], str]] = {
-            "status": ((STATUS_BYTES,), "u1"),
-            "sentence": ((SENTENCE_BYTES,), "u1"),
-            "num_draws": ((), "i4"),
-            "log_evidence": ((), "f8"),
-            "single": (joints, "f4"),
-            "single_unscaled": ((), "f4"),
-            "single_valid": ((len(BONES),), "u1"),
-            "all": (joints, "f4"),
-            "all_unscaled": ((), "f4"),
-            "all_by_joint": (joints, "f4"),
-            "mean_draw": ((), "f4"),
-            "spread": ((), "f4"),
-            "flips": ((), "i4"),
-            "seconds": ((), "f4"),
+    @functools.cached_property
+    def fields(self) -> dict[str, Field]:
+        """What is kept of a frame, by name. Errors in mm; `hypotheses_k` are heaviest cluster
+        first; `_unscaled`: by similarity alone, mean over joints."""
+        by_joint = Field("f4", joint=NUM_JOINTS)
+        found = {
+            "status": Field("O"),
+            "sentence": Field("O"),
+            "num_draws": Field("i4"),
+            "log_evidence": Field("f8"),
+            "single": by_joint,
+            "single_unscaled": Field("f4"),
+            "single_valid": Field("u1", bone=len(BONES)),
+            "all": by_joint,
+            "all_unscaled": Field("f4"),
+            "all_by_joint": by_joint,
+            "mean_draw": Field("f4"),
+            "spread": Field("f4"),
+            "flips": Field("i4"),
+            "seconds": Field("f4"),
         }
         for k in self.ks:
             found |= {
-                f"hypotheses_{k}": ((k, NUM_JOINTS), "f4"),
-                f"hypotheses_{k}_unscaled": ((k,), "f4"),
-                f"flips_{k}": ((), "i4"),
+                f"hypotheses_{k}": Field("f4", **{f"hypothesis_{k}": k, "joint": NUM_JOINTS}),
+                f"hypotheses_{k}_unscaled": Field("f4", **{f"hypothesis_{k}": k}),
+                f"flips_{k}": Field("i4"),
             }
         return found
 
     def blank(self, number: int) -> dict[str, np.ndarray]:
         """`number` frames of which nothing is known."""
         return {
-            name: np.full((number, *shape), np.nan if kind[0] == "f" else 0, kind)
-            for name, (shape, kind) in self.fields().items()
+            name: np.full((number, *one.sizes.values()), BLANK[one.kind[0]], one.kind)
+            for name, one in self.fields.items()
         }
+
+    def dataset(self, values: Mapping[str, np.ndarray]) -> xr.Dataset:
+        """What is kept of frames, with names."""
+        return xr.Dataset(
+            {name: (("frame", *self.fields[name].sizes), value) for name, value in values.items()}
+        )
 
 
 def judge_block(
@@ -118,10 +136,7 @@ def judge_block(
         started = time.perf_counter()
         status, sentence, values = _judged(protocol, case, frame)
         values["seconds"] = time.perf_counter() - started
-        values |= {
-            "status": _text(status, STATUS_BYTES),
-            "sentence": _text(sentence, SENTENCE_BYTES),
-        }
+        values |= {"status": status, "sentence": sentence[:LONGEST]}
         for name, value in values.items():
             found[name][row] = value
     return found
@@ -230,16 +245,3 @@ def _drawn(protocol: Protocol, case: Case, frame: Estimate) -> tuple[str, str, d
             f"flips_{k}": distinct_flips(joints[rows]),
         }
     return mixture.status, mixture.sentence, values
-
-
-def _text(words: str, size: int) -> np.ndarray:
-    """Text as `size` bytes."""
-    data = words.encode("utf-8")[:size].decode("utf-8", "ignore").encode("utf-8")
-    return np.frombuffer(data.ljust(size, b"\0"), np.uint8)
-
-
-def texts(values: np.ndarray) -> np.ndarray:
-    """`(N,)` texts from bytes `(N, size)`."""
-    return np.array(
-        [row.tobytes().rstrip(b"\0").decode("utf-8", "replace") for row in values], dtype=str
-    )

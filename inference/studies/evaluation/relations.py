@@ -12,7 +12,7 @@ import numpy as np
 
 from inference.studies.evaluation.conditions import Condition
 from inference.studies.evaluation.scores import (
-    Estimate,
+    Interval,
     Values,
     clustered,
     common,
@@ -34,7 +34,7 @@ class Relation(NamedTuple):
 
     words: str
     paper: str
-    found: Estimate
+    found: Interval
     low: float
     high: float
     unit: str

@@ -1,27 +1,35 @@
 """An evaluation from end to end: every frame of a data set under every condition, written as it
 comes.
 
-A run that was stopped, or whose workers died, goes on where it was and ends with the same bits.
+A run that was stopped, or whose workers died, is resumed and ends with the same bits.
 
-    results = evaluate(data, conditions(("zhou",), (0, 1, 2), (0,)), protocol, Path("out"), workers=2)
+    results = evaluate(data, conditions(("zhou",), (0, 1, 2), (0,)), protocol, Path("out"),
+                       machines=Machines(workers=2))
+    tree = open_evaluation("out")       # the same, for xarray
 """
 
 import hashlib
+import os
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
+from inference.machines import HERE, Machines
 from inference.results import versions
+from inference.store import Block, Groups, Store, fill, locked
 from inference.studies.evaluation.conditions import Condition
-from inference.studies.evaluation.outcome import Protocol
-from inference.studies.evaluation.store import BLOCK, Store
-from inference.studies.evaluation.workers import Work, client, judge
+from inference.studies.evaluation.outcome import Protocol, judge_block
 from probmodel.datasets import DataSet
 from probmodel.learning.dictionaries import PoseDictionary
 
-STORE = "frames.zarr"
+STORE, GROUP = "frames", "frames"
+"""The store's folder, with a folder in it for each condition, and what a block of it holds."""
+BLOCK = 32
+"""Frames that are estimated together, sent to a worker together, and lost together when it dies."""
 Progress = Callable[[int, int], None]
 Results = dict[Condition, dict[str, np.ndarray]]
 """What came out of every frame, by condition and field (`Protocol.fields`)."""
@@ -33,48 +41,115 @@ def evaluate(
     protocol: Protocol,
     out: Path,
     *,
-    workers: int = 1,
-    scheduler: str | None = None,
-    cache: str | None = None,
+    machines: Machines = HERE,
     progress: Progress | None = None,
 ) -> Results:
     """Judges every frame under every condition, and writes it to `out`; what is there already is
-    kept.
+    kept, what is damaged made anew.
 
-    `workers` processes of this machine do it, or the cluster at the address `scheduler`; `cache` is
-    a folder for compiled code. `progress(done, wanted)` counts frames. Raises `BadInput` where
-    `out` holds another run, or there is no scheduler."""
-    store = Store.open(out / STORE, settings(data, protocol), len(data), protocol.fields())
-    gaps = {condition: store.missing(condition) for condition in conditions}
+    Parameters
+    ----------
+    machines
+        Who does it: always worker processes, if only one, for the same bits everywhere.
+    progress
+        Called with the number of frames done, and of all of them.
+
+    Raises
+    ------
+    BadInput
+        Where `out` holds another run, or another process is writing to it; and as `Machines.each`
+        does.
+    """
+    found: dict[tuple[str, int], xr.Dataset] = {}
+    said = progress or (lambda done, wanted: None)
     wanted = len(conditions) * len(data)
-    done = wanted - sum(_frames(store, block) for blocks in gaps.values() for block in blocks)
-    if progress:
-        progress(done, wanted)
-    if any(gaps.values()):
-        with client(workers, scheduler, cache) as found:
-            for condition, block, values in judge(found, protocol, _work(data, store, gaps)):
-                store.write(condition, block, values)
-                done += _frames(store, block)
-                if progress:
-                    progress(done, wanted)
-    return {condition: store.read(condition) for condition in conditions}
+
+    with locked(out):
+        store = Store.begin(out / STORE, settings(data, protocol))
+        there = {
+            (one.name, number) for one in conditions for number in store.part(one.name).numbers()
+        }
+        done = sum(min(BLOCK, len(data) - BLOCK * number) for _, number in there)
+        said(done, wanted)
+
+        def take(block: Block, groups: Groups) -> None:
+            nonlocal done
+            found[block.part, block.number] = groups[GROUP]
+            if (block.part, block.number) not in there:
+                done += block.size
+                said(done, wanted)
+
+        fill(store, machines, _Judging(protocol), _blocks(data, conditions), take, apart=True)
+    return {
+        condition: {
+            name: np.concatenate([one[name].values for one in _in_order(found, condition)])
+            for name in protocol.fields
+        }
+        for condition in conditions
+    }
 
 
-def _frames(store: Store, block: int) -> int:
-    rows = store.rows(block)
-    return rows.stop - rows.start
+def open_evaluation(folder: str | os.PathLike) -> xr.DataTree:
+    """What came out of every frame, a group for each condition, in the order of the data set; the
+    settings are attributes.
+
+    Raises
+    ------
+    BadInput
+        Where there is no evaluation, or a block of it is missing, damaged or of another run.
+    """
+    root = Path(folder) / STORE
+    store = Store.open(root, "an evaluation")
+    blocks = -(-store.settings["frames"] // store.settings["block"])
+    parts = [store.part(path.name) for path in sorted(root.iterdir()) if path.is_dir()]
+    tree = xr.DataTree.from_dict(
+        {
+            part.folder.name: xr.concat(
+                [part.read(number, GROUP) for number in part.whole(blocks)], dim="frame"
+            )
+            for part in parts
+        }
+    )
+    tree.attrs.update(store.settings)
+    return tree
 
 
-def _work(data: DataSet, store: Store, gaps: dict[Condition, list[int]]) -> Iterator[Work]:
-    for condition, blocks in gaps.items():
-        for block in blocks:
-            rows = store.rows(block)
-            yield Work(condition, block, rows.start, data.take(np.arange(rows.start, rows.stop)))
+def _in_order(found: dict[tuple[str, int], xr.Dataset], condition: Condition) -> list[xr.Dataset]:
+    return [found[key] for key in sorted(found) if key[0] == condition.name]
+
+
+class _Work(NamedTuple):
+    """Frames under a condition; `data` are its cases alone, `first` the number of the first."""
+
+    condition: Condition
+    first: int
+    data: DataSet
+
+
+@dataclass(frozen=True)
+class _Judging:
+    """The task of a block."""
+
+    protocol: Protocol
+
+    def __call__(self, work: _Work) -> Groups:
+        values = judge_block(self.protocol, work.condition, work.data, work.first)
+        return {GROUP: self.protocol.dataset(values)}
+
+
+def _blocks(data: DataSet, conditions: Sequence[Condition]) -> Iterator[Block]:
+    for condition in conditions:
+        for number, first in enumerate(range(0, len(data), BLOCK)):
+            rows = np.arange(first, min(first + BLOCK, len(data)))
+            words = f"frames {first} to {rows[-1]} ({condition.name})"
+            work = _Work(condition, first, data.take(rows))
+            yield Block(number, words, {}, len(rows), work, condition.name)
 
 
 def settings(data: DataSet, protocol: Protocol) -> dict[str, Any]:
     """What makes one run's numbers comparable with another's."""
     return {
+        "study": "evaluation",
         "data set": f"{data.name} {data.sha256}",
         "frames": len(data),
         "block": BLOCK,

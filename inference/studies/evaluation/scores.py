@@ -12,33 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from inference.studies.evaluation import metrics
-from inference.studies.evaluation.outcome import texts
+from inference.studies.intervals import TAIL, Interval
 
 SAMPLES = 2000
 """Bootstrap samples."""
-LEVEL = 0.95
 Values = Mapping[str, np.ndarray]
 """What came out of every frame, by field (`outcome.Protocol.fields`)."""
-
-
-class Estimate(NamedTuple):
-    """A number and its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    @property
-    def half(self) -> float:
-        """Half the interval's width."""
-        return (self.high - self.low) / 2
 
 
 def clustered(
     columns: ArrayLike,
     cluster: np.ndarray,
     statistic: Callable[[np.ndarray], np.ndarray] = lambda means: means[..., 0],
-) -> Estimate:
+) -> Interval:
     """A statistic of the means of columns `(n,)` or `(n, c)`, with its interval (bootstrap,
     percentiles) when whole clusters, the recordings `(n,)`, are drawn anew. `statistic` maps means
     `(..., c)` to `(...)`.
@@ -46,19 +32,18 @@ def clustered(
     NaN where there is nothing; the interval is NaN where there is one recording, which says nothing
     about others."""
     if not len(cluster):
-        return Estimate(np.nan, np.nan, np.nan)
+        return Interval(np.nan, np.nan, np.nan)
     table = np.asarray(columns, float).reshape(len(cluster), -1)
     _, owner = np.unique(cluster, return_inverse=True)
     sizes = np.bincount(owner).astype(float)
     sums = np.stack([np.bincount(owner, weights=column) for column in table.T], axis=1)
     value = float(statistic(table.mean(axis=0)))
     if len(sizes) < 2:
-        return Estimate(value, np.nan, np.nan)
+        return Interval(value, np.nan, np.nan)
     picks = np.random.default_rng(0).integers(0, len(sizes), (SAMPLES, len(sizes)))
     means = sums[picks].sum(axis=1) / sizes[picks].sum(axis=1, keepdims=True)
-    tail = (1 - LEVEL) / 2
-    low, high = np.quantile(statistic(means), [tail, 1 - tail])
-    return Estimate(value, float(low), float(high))
+    low, high = np.quantile(statistic(means), [TAIL, 1 - TAIL])
+    return Interval(value, float(low), float(high))
 
 
 def usable(values: Values) -> np.ndarray:
@@ -89,7 +74,7 @@ def unscaled_errors(values: Values, row: str | int) -> np.ndarray:
     return values[f"hypotheses_{row}_unscaled"].astype(float).min(axis=-1)
 
 
-class Summary(NamedTuple):
+class Metrics(NamedTuple):
     """Metrics of one row of a condition, over its usable frames; None where the row has no such
     thing."""
 
@@ -105,7 +90,7 @@ class Summary(NamedTuple):
     valid: float
 
 
-def summary(values: Values, row: str | int) -> Summary:
+def summary(values: Values, row: str | int) -> Metrics:
     """All metrics of a row. Draws, and hypotheses, which are draws, are possible by
     construction."""
     rows = usable(values)
@@ -125,7 +110,7 @@ def summary(values: Values, row: str | int) -> Summary:
         )
         flips = float(values[f"flips_{row}"][rows].mean())
     pck = float(metrics.pck(errors, [metrics.THRESHOLD])[0])
-    return Summary(
+    return Metrics(
         float(errors.mean()),
         float(unscaled_errors(values, row)[rows].mean()),
         per_batch,
@@ -150,10 +135,9 @@ class Lost(NamedTuple):
 def lost(values: Values, most: int = 3) -> Lost:
     """What was lost of a condition."""
     rows = np.flatnonzero(~usable(values))
-    status = Counter(name or "not done" for name in texts(values["status"][rows]).tolist())
-    return Lost(
-        len(rows), dict(sorted(status.items())), texts(values["sentence"][rows[:most]]).tolist()
-    )
+    status = Counter(values["status"][rows].tolist())
+    reasons = values["sentence"][rows[:most]].tolist()
+    return Lost(len(rows), dict(sorted(status.items())), reasons)
 
 
 def common(many: Sequence[Values]) -> np.ndarray:

@@ -1,0 +1,97 @@
+"""Worker processes: who listens where, what they are told, and what if there are none."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from inference.machines import HERE, Machines, in_threads
+from probmodel import BadInput
+
+
+def what_it_is(payload: int) -> tuple[int, int, str]:
+    import jax.numpy as jnp
+
+    return payload, os.getpid(), str(jnp.zeros(1).dtype)
+
+
+WORK = [(number, f"block {number}", 10 * number) for number in range(4)]
+
+
+def test_work_is_done_here_in_order_unless_asked():
+    assert list(HERE.each(lambda payload: payload + 1, WORK)) == [(0, 1), (1, 11), (2, 21), (3, 31)]
+    assert in_threads(pow, [2, 3], [3, 2]) == [8, 9]
+
+
+def listening(pid: int) -> set[str]:
+    """The addresses at which a process and its children listen, as /proc has them."""
+    pids, sockets = {pid}, set()
+    for path in sorted(Path("/proc").glob("[0-9]*/stat"), key=lambda path: int(path.parent.name)):
+        try:
+            parent = int(path.read_text().rsplit(")", 1)[1].split()[1])
+        except OSError:
+            continue
+        if parent in pids:
+            pids.add(int(path.parent.name))
+    for one in pids:
+        for link in Path(f"/proc/{one}/fd").iterdir():
+            try:
+                sockets.add(os.readlink(link))
+            except OSError:
+                continue
+    found = set()
+    for table in ("tcp", "tcp6"):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == "0A" and f"socket:[{fields[9]}]" in sockets:
+                found.add(fields[1].split(":")[0])
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="sockets are found through /proc")
+def test_workers_are_listened_to_by_this_machine_alone():
+    """Dask's pages ask nobody who they are: none is to be reached from elsewhere."""
+    pytest.importorskip("distributed")
+    found, addresses = [], set()
+    for label, (payload, process, kind) in Machines(2).each(what_it_is, WORK):
+        found.append((label, payload, kind))
+        assert process != os.getpid()
+        addresses |= listening(os.getpid())
+    assert sorted(found) == [(number, 10 * number, "float64") for number in range(4)]
+    assert addresses == {"0100007F"}
+
+
+def fails(payload: int) -> int:
+    raise BadInput(f"{payload} is no good; choose another")
+
+
+@pytest.mark.slow
+def test_what_workers_refuse_is_refused_here():
+    pytest.importorskip("distributed")
+    with pytest.raises(BadInput, match="0 is no good; choose another"):
+        list(Machines(2).each(fails, WORK))
+
+
+@pytest.mark.slow
+def test_a_block_that_kills_its_workers_is_named(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("inference.machines.DEATHS", 0)
+    with pytest.raises(BadInput, match="workers died over block 0"):
+        list(Machines(1).each(lambda payload: os._exit(1), WORK[:1], apart=True))
+
+
+def test_nobody_is_asked_where_there_is_nothing_to_do(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("inference.machines.PATIENCE", "1s")
+    nobody = Machines(scheduler="tcp://127.0.0.1:9")
+    assert list(nobody.each(what_it_is, [])) == []
+    with pytest.raises(BadInput, match=r"no scheduler answers at 'tcp://127.0.0.1:9'"):
+        list(nobody.each(what_it_is, WORK))
+    with pytest.raises(BadInput, match=r"workers must be at least 1, not 0"):
+        list(Machines(0).each(what_it_is, WORK))
+
+
+def test_without_dask_it_is_said_what_to_install(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    with pytest.raises(BadInput, match=r"pip install 'poseterior\[evaluate\]'"):
+        list(Machines(2).each(what_it_is, WORK))

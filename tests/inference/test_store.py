@@ -1,0 +1,199 @@
+"""The store of all long runs: what it keeps, finds damaged, refuses, and who may write to it."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from inference.machines import HERE, Machines
+from inference.store import Block, Damaged, Groups, Store, fill, locked
+from probmodel import BadInput
+
+SETTINGS = {"seed": 0, "k": (2, 5)}
+
+
+def doubled(payload: list[float]) -> Groups:
+    return {"numbers": xr.Dataset({"twice": ("row", 2.0 * np.array(payload))})}
+
+
+def blocks(*sizes: int, made_of: str = "rows") -> list[Block]:
+    return [
+        Block(number, f"block {number}", {"rows": made_of}, size, [float(number)] * size)
+        for number, size in enumerate(sizes)
+    ]
+
+
+def run(
+    folder: Path, wanted: list[Block], settings: dict = SETTINGS, machines: Machines = HERE
+) -> list:
+    """The numbers of the blocks that were made; all are taken, and hold what they should."""
+    made: list[list[float]] = []
+    taken: dict[int, xr.Dataset] = {}
+
+    def task(payload: list[float]) -> Groups:
+        made.append(payload)
+        return doubled(payload)
+
+    with locked(folder):
+        store = Store.begin(folder, settings)
+        fill(
+            store,
+            machines,
+            task,
+            wanted,
+            lambda block, groups: taken.update({block.number: groups["numbers"]}),
+        )
+        store.finish(len(wanted))
+    for block in wanted:
+        some = taken[block.number].twice.values[: block.size]
+        assert some.tolist() == [2.0 * block.number] * block.size
+    return [int(payload[0]) for payload in made]
+
+
+def test_what_is_there_is_not_made_again(tmp_path):
+    assert run(tmp_path, blocks(3, 3)) == [0, 1]
+    assert run(tmp_path, blocks(3, 3)) == []
+    assert run(tmp_path, blocks(3, 3, 1)) == [2]
+    assert run(tmp_path, blocks(3, 3, 2)) == [2]  # a block that is too short grows
+    assert run(tmp_path, blocks(3, 3, 1)) == []
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        *(f"block-00000{number}.nc" for number in range(3)),
+        "run.json",
+    ]
+
+
+@pytest.mark.parametrize("at", range(0, 10_000, 811))
+def test_no_byte_changes_unnoticed(at, tmp_path):
+    """Whatever byte of a block is another one: made anew, or it was one that says nothing."""
+    run(tmp_path, blocks(3))
+    path = tmp_path / "block-000000.nc"
+    data = bytearray(path.read_bytes())
+    data[at % len(data)] ^= 0xFF
+    path.write_bytes(bytes(data))
+    assert run(tmp_path, blocks(3)) in ([0], [])  # `run` sees to it that the numbers are right
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"seed": 1, "k": (2, 5)}, "its seed is 0, not 1"),
+        ({"seed": 0, "k": (5,)}, r"its k is \[2, 5\], not \[5\]"),
+        ({"seed": 0}, r"its k is \[2, 5\], not None"),
+    ],
+)
+@pytest.mark.parametrize("lost", [False, True])
+def test_another_run_is_refused_even_where_its_settings_were_lost(lost, settings, words, tmp_path):
+    run(tmp_path, blocks(3, 3))
+    if lost:
+        (tmp_path / "run.json").unlink()
+        (tmp_path / "block-000000.nc").unlink()
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(BadInput, match=f"holds another run .{words}"):
+        run(tmp_path, blocks(3, 3), settings)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert run(tmp_path, blocks(3, 3)) == ([0] if lost else [])
+
+
+def test_a_damaged_block_of_an_unknown_run_is_left_alone(tmp_path):
+    """It may be anybody's."""
+    (tmp_path / "block-000000.nc").write_text("important")
+    with pytest.raises(BadInput, match=r"block-000000.nc is damaged, or no block of a run"):
+        run(tmp_path, blocks(3))
+    assert (tmp_path / "block-000000.nc").read_text() == "important"
+
+
+def test_other_contents_and_longer_runs_are_refused(tmp_path):
+    run(tmp_path, blocks(3, 3, 3))
+    with pytest.raises(BadInput, match=r"block-000000.nc was made of other rows"):
+        run(tmp_path, blocks(3, 3, 3, made_of="others"))
+    with pytest.raises(BadInput, match=r"holds 1 more blocks .* of a longer one, block-000002.nc"):
+        run(tmp_path, blocks(3, 3))
+
+
+@pytest.mark.parametrize("lost", [0, 1, 2])
+def test_a_block_that_is_lost_is_named_on_opening(lost, tmp_path):
+    run(tmp_path, blocks(3, 3, 3))
+    (tmp_path / f"block-00000{lost}.nc").unlink()
+    with pytest.raises(Damaged, match=rf"lacks 1 blocks, the first of them block-00000{lost}.nc"):
+        Store.open(tmp_path, "a run")
+
+
+def test_settings_that_are_none_are_refused(tmp_path):
+    (tmp_path / "run.json").write_text("[1, 2")
+    for call in (lambda: Store.open(tmp_path, "a run"), lambda: run(tmp_path, blocks(3))):
+        with pytest.raises(BadInput, match=r"run.json cannot be read"):
+            call()
+    assert (tmp_path / "run.json").read_text() == "[1, 2"
+
+
+def test_every_kind_of_number_comes_back(tmp_path):
+    """Types that files change on the way do not count as damage."""
+    every = xr.Dataset(
+        {
+            "float": ("row", np.array([-np.nan, np.nan, -0.0], np.float32)),
+            "double": (("row", "column"), np.full((3, 2), -np.inf)),
+            "whole": ("row", np.arange(3, dtype=np.int32)),
+            "byte": ("row", np.arange(3, dtype=np.uint8)),
+            "truth": ("row", np.array([True, False, True])),
+            "text": ("row", np.array(["", "τ", "a\0b"], dtype=object)),
+            "nothing": (("row", "none"), np.empty((3, 0))),
+        },
+        coords={"row": ["x", "y", "\ud800"]},
+    )
+    store = Store.begin(tmp_path, {})
+    block = Block(0, "a block", {}, 3, None)
+    store.write(block, {"one": every, "two": every})
+    found = store.find(block)
+    assert found is not None
+    for name in ("float", "double", "whole", "byte", "truth"):
+        np.testing.assert_array_equal(found["two"][name], every[name])
+    assert found["one"].text.values.tolist() == ["", "τ", "a\\0b"]
+    assert found["one"].row.values.tolist() == ["x", "y", "\\ud800"]
+
+
+def test_a_full_disk_is_said(tmp_path, monkeypatch):
+    def full(*_: object) -> None:
+        raise RuntimeError("NetCDF: HDF error")
+
+    monkeypatch.setattr("inference.store.save_tree", full)
+    with pytest.raises(BadInput, match="make room, and run again"):
+        run(tmp_path, blocks(1))
+
+
+HOLDING = """
+import sys, time
+from pathlib import Path
+from inference.store import locked
+with locked(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_the_second_process_is_told_who_holds_the_folder_and_a_dead_one_lets_go(tmp_path):
+    folder = tmp_path / "new"
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDING, str(folder)], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(BadInput, match=rf"written to by process {holder.pid} on .* since 20"):
+            run(folder, blocks(1))
+    finally:
+        os.kill(holder.pid, signal.SIGKILL)
+        holder.wait()
+        holder.stdout.close()  # type: ignore[union-attr]
+    assert run(folder, blocks(1)) == [0]
+    assert not (folder / "run.lock").exists()
+
+
+def test_a_folder_that_cannot_be_one_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInput, match="cannot write to"):
+        run(tmp_path / "file", blocks(1))

@@ -1,8 +1,7 @@
 """A pose as the prior has it: bone lengths and local directions, without the torso it hangs on."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from probmodel.skeleton import NUM_LENGTHS, NUM_LOWER, NUM_UPPER, Limb
@@ -13,14 +12,15 @@ class Pose(NamedTuple):
 
     Attributes
     ----------
-    length : `(..., 5)`, the length groups' bone lengths in body units.
+    length : `(..., 5)`, the length groups' bone lengths in body units; arrays of NumPy or JAX, as
+        are all three.
     upper : `(..., 5, 3)`, unit vectors of the upper bones in the torso's local axes.
     lower : `(..., 4, 3)`, unit vectors of the lower bones in their parents' local axes.
     """
 
-    length: jax.Array | np.ndarray
-    upper: jax.Array | np.ndarray
-    lower: jax.Array | np.ndarray
+    length: Any
+    upper: Any
+    lower: Any
 
     @classmethod
     def blank(cls, *batch: int) -> "Pose":

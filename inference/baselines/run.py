@@ -249,7 +249,7 @@ def _poses(target: Target, key: jax.Array, points: np.ndarray) -> Pose:
         length, upper, lower = (
             np.empty((chains, draws, *shape)) for shape in ((5,), (5, 3), (4, 3))
         )
-        return Pose(length, upper, lower)  # type: ignore[arg-type]
+        return Pose(length, upper, lower)
     return target.poses(key, points)
 
 

@@ -17,9 +17,9 @@ from inference.readings import (
     ASPECTS,
     BODY,
     READINGS,
-    Evidence,
     Judge,
     Reading,
+    ReadingEvidence,
     Verdict,
     exchanged,
     stretched,
@@ -123,7 +123,11 @@ def _read_as(points: np.ndarray, layout: Layout) -> Detection:
 
 
 def seen_as(
-    kind: str, person: Detection, usual: Evidence, opposed: Evidence, whole: Evidence
+    kind: str,
+    person: Detection,
+    usual: ReadingEvidence,
+    opposed: ReadingEvidence,
+    whole: ReadingEvidence,
 ) -> Verdict:
     """The verdict on `person` read with the exchange `kind`, from the evidences of the right
     reading: whatever is exchanged, a body and its mirror image fit equally well (a test shows it),
@@ -135,7 +139,7 @@ def seen_as(
     return weigh(person, _turned(here, reading), _turned(there, reading), _turned(here, reading))
 
 
-def _turned(evidence: Evidence, reading: Reading) -> Evidence:
+def _turned(evidence: ReadingEvidence, reading: Reading) -> ReadingEvidence:
     arms = evidence.arms[:, :: 1 - 2 * reading.arms]
     legs = evidence.legs[:, :: 1 - 2 * reading.legs]
     return evidence._replace(arms=arms, legs=legs)
@@ -144,9 +148,9 @@ def _turned(evidence: Evidence, reading: Reading) -> Evidence:
 class Evidences(NamedTuple):
     """Of a person as read, with shoulders exchanged, and with everything exchanged."""
 
-    usual: Evidence
-    opposed: Evidence
-    whole: Evidence
+    usual: ReadingEvidence
+    opposed: ReadingEvidence
+    whole: ReadingEvidence
 
 
 def evidences(judge: Judge, person: Detection) -> Evidences:

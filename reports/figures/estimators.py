@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from inference.studies.evaluation.scores import Estimate
+from inference.studies.evaluation.scores import Interval
 from reports.figures.style import FAINT, INK, PALETTE, Style, page, tidy
 
 COLOURS = {
@@ -21,9 +21,9 @@ BARS: Style = {"marker": "o", "ms": 4, "capsize": 2, "elinewidth": 0.8}
 
 def estimators_figure(
     noise: Sequence[float],
-    by_noise: Mapping[str, Sequence[Estimate]],
+    by_noise: Mapping[str, Sequence[Interval]],
     missing: Sequence[int],
-    by_missing: Mapping[tuple[str, str], Sequence[Estimate]],
+    by_missing: Mapping[tuple[str, str], Sequence[Interval]],
 ) -> Figure:
     """Two panels of errors with their intervals.
 
@@ -71,5 +71,5 @@ def estimators_figure(
     return figure
 
 
-def _means(found: Sequence[Estimate]) -> tuple[list[float], list[float]]:
+def _means(found: Sequence[Interval]) -> tuple[list[float], list[float]]:
     return [one.value for one in found], [one.half for one in found]

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from inference.studies.evaluation.conditions import Condition
 from inference.studies.evaluation.metrics import pck
 from inference.studies.evaluation.scores import (
-    Estimate,
+    Interval,
     Values,
     clustered,
     common,
@@ -102,7 +102,7 @@ def _missing_panel(
     _finish(axes, 2)
 
 
-def whiskers(found: Sequence[Estimate]) -> np.ndarray:
+def whiskers(found: Sequence[Interval]) -> np.ndarray:
     """`(2, n)`: how far intervals reach below and above their values."""
     return np.array([[one.value - one.low, one.high - one.value] for one in found]).T
 

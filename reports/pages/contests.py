@@ -135,7 +135,7 @@ def compare(
     frame = list(SUITE.values())[number](model)
     known = contest.truth(model, frame, key=jax.random.key(1000 + number), number=EXACT_DRAWS)
     attributes: dict[str, object] = {
-        "dim": Target.of(model, known.frame).dim,
+        "dim": Target.of(known.frame.posterior(model)).dim,
         "exact_log_evidence": known.evidence[0],
         "exact_log_evidence_se": known.evidence[1],
     }

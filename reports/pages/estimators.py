@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-import inference
 from inference.roots.akhter_black import fit_akhter_black
 from inference.roots.zhou import fit_zhou
 from inference.studies.errors import mean_joint_error
-from inference.studies.evaluation.scores import Estimate, clustered
-from probmodel import Anatomy, Detection
+from inference.studies.evaluation.scores import Interval, clustered
+from probmodel import Anatomy, Candidate, Detection
 from probmodel.camera import WeakPerspective
 from probmodel.datasets import VIEWS
 from probmodel.learning.dictionaries import PoseDictionary
@@ -116,7 +115,7 @@ def draws_table(drawn: Drawn) -> Sheet:
     return sheet_of(head, rows)
 
 
-Fits = list[tuple[inference.Candidate, ...]]
+Fits = list[tuple[Candidate, ...]]
 
 
 def _akhter_black(held: Held, seen: list[Detection], **options: Any) -> Fits:
@@ -146,7 +145,7 @@ def ablation_table(people: Mapping[str, Held]) -> Sheet:
 
 def _ablated(
     people: Mapping[str, Held], fit: Callable[[Held, list[Detection]], Fits], noise: float
-) -> Estimate:
+) -> Interval:
     errors, trial = [], []
     for held in people.values():
         some = cases(held, noise, 0, four_views)
@@ -249,7 +248,7 @@ def _seen(truth: np.ndarray) -> Detection:
     return Detection(points, score, "synthetic", "a pose", 0)
 
 
-def recovered(candidate: inference.Candidate, truth: np.ndarray) -> bool:
+def recovered(candidate: Candidate, truth: np.ndarray) -> bool:
     """Whether pose and scale are found to 1e-3."""
     found = np.asarray(candidate.pose, float) * float(candidate.camera.scale)
     true = 100 * (truth - truth[0])

@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from inference.machines import Machines
 from inference.studies.evaluation.bias import bias_study
 from inference.studies.evaluation.conditions import Condition, conditions
 from inference.studies.evaluation.outcome import Protocol
 from inference.studies.evaluation.relations import relations
 from inference.studies.evaluation.run import Results, evaluate
-from inference.studies.evaluation.scores import Estimate, clustered, common, pose_errors, usable
+from inference.studies.evaluation.scores import Interval, clustered, common, pose_errors, usable
 from probmodel.datasets import EXACT, DataSet, Noise, read_data_set
 from probmodel.learning.dictionaries import learn_dictionary
 from probmodel.learning.learner import learn
@@ -78,7 +79,7 @@ def run(data: Path, protocol: Protocol, work: Path) -> Runs:
 
         out = work / name
         out.mkdir(parents=True, exist_ok=True)
-        return evaluate(cases, wanted, protocol, out, workers=WORKERS, progress=say)
+        return evaluate(cases, wanted, protocol, out, machines=Machines(WORKERS), progress=say)
 
     noisy = read_data_set(data / CLASSES, frames=NOISY_FRAMES, noise=NOISE)
     true = read_data_set(data / CLASSES, frames=TRUE_FRAMES, noise=EXACT)
@@ -90,7 +91,7 @@ def run(data: Path, protocol: Protocol, work: Path) -> Runs:
     )
 
 
-def gain(errors: np.ndarray, recording: np.ndarray) -> Estimate:
+def gain(errors: np.ndarray, recording: np.ndarray) -> Interval:
     """By how many percent the second column of errors `(n, …)` is nearer than the first."""
     return clustered(errors, recording, lambda m: 100 * (1 - m[..., 1] / m[..., 0]))
 
@@ -134,7 +135,7 @@ def by_noise_and_discs(data: Path, protocol: Protocol, work: Path) -> Sheet:
         )
         out = work / f"tried-{noise.size:g}-{factor:g}"
         out.mkdir(parents=True, exist_ok=True)
-        values = evaluate(cases, [BASE], tried, out, workers=1)[BASE]
+        values = evaluate(cases, [BASE], tried, out, machines=Machines())[BASE]
         own = usable(values)
         columns = [pose_errors(values, row)[own] for row in ("single", 5, 20, "all")]
         recording = cases.recording[own]
@@ -161,7 +162,7 @@ def measured(data: Path, protocol: Protocol, work: Path) -> dict[int, float]:
 
         with tempfile.TemporaryDirectory(dir=work) as out:
             one, folder = [Condition("zhou")], Path(out)
-            evaluate(cases, one, protocol, folder, workers=workers, progress=note)
+            evaluate(cases, one, protocol, folder, machines=Machines(workers), progress=note)
         seconds, frames = np.array(came[1 + workers :]).T
         rates[workers] = float(np.polyfit(seconds - seconds[0], frames, 1)[0])
     kept.write_text(json.dumps(rates))

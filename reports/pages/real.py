@@ -20,8 +20,9 @@ from inference.roots import ESTIMATORS
 from inference.studies.calibration.choices import CHOOSE, GRID, WAYS, best_error, modes_represented
 from inference.studies.calibration.exclusions import as_text, exclusions
 from inference.studies.calibration.posteriors import sampler_of
-from inference.studies.calibration.real import TRUE, by_the_likelihood, instances, stand_real
+from inference.studies.calibration.real import TRUE, by_the_likelihood, instances
 from inference.studies.calibration.record import standings_tree
+from inference.studies.calibration.run import stand
 from probmodel import Likelihood, PoseModel
 from probmodel.anatomy.population import Anatomy
 from probmodel.anatomy.published import read_published
@@ -81,7 +82,11 @@ def cases(held: Held, error: str, missing: int = 0, factor: float = 0.25) -> lis
     """Poses evenly over people and recordings, by one kind of 2D error."""
     poses = from_motions(held.motions, "CMU", frames=POSES, noise=ERRORS[error])
     some = [case.hiding(missing) for case in poses]
-    return [by_the_likelihood(case, factor) for case in some] if error == LIKELIHOOD else some
+    return (
+        [by_the_likelihood(case, Likelihood(factor=factor)) for case in some]
+        if error == LIKELIHOOD
+        else some
+    )
 
 
 def real(work: Path, data: Path) -> None:
@@ -116,7 +121,8 @@ def _stand(
         "unit_mm": np.array([case.unit for case in some]),
         "reasons": np.array([as_text(one) for one in exclusions(model, some, known)]),
     }
-    standings = stand_real(model, known, num_samples=REAL_DRAWS, max_proposals=BUDGET)
+    draw = sampler_of("rejection", model, REAL_DRAWS, max_proposals=BUDGET)
+    standings = stand(draw, known, seed=0)
     return standings_tree(standings, {}, columns)
 
 

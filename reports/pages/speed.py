@@ -65,7 +65,6 @@ class Cost(NamedTuple):
     legs: float
     proposals: float
     naive: float
-    numpy: float
 
     @property
     def rate(self) -> float:

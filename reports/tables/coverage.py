@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from inference.studies.calibration.coverage import NOMINAL, Summary
+from inference.studies.calibration.coverage import NOMINAL, CoverageSummary
 from inference.studies.calibration.ece import Ece, Interval
 from inference.studies.calibration.exclusions import LENGTH, LIMIT, TAU, Rank
 from inference.studies.calibration.quantities import MOVING_NAMES
@@ -85,7 +85,7 @@ def calibration_json(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def joints_table(found: Summary) -> Sheet:
+def joints_table(found: CoverageSummary) -> Sheet:
     """Nominal against empirical coverage of each joint, to the side and in depth, with the field's
     ECE."""
     rows = [
@@ -101,7 +101,7 @@ def joints_table(found: Summary) -> Sheet:
     return sheet_of(["joint", *regions, Column("ECE", form="{:.3f}".format)], rows)
 
 
-def brief_table(found: Summary) -> Sheet:
+def brief_table(found: CoverageSummary) -> Sheet:
     """As `joints_table`, narrow enough for a terminal: intervals over all joints together only."""
     rows: list[tuple] = [
         (spoken(joint), *(found.by_joint[region][index].value for region in COVERED))
@@ -118,7 +118,9 @@ def _heads() -> list[str]:
     return [f"{kind} {nominal:.0%}" for kind, nominal in COVERED]
 
 
-def settings_table(found: Iterable[tuple[Sequence[str], Summary]], head: Sequence[str]) -> Sheet:
+def settings_table(
+    found: Iterable[tuple[Sequence[str], CoverageSummary]], head: Sequence[str]
+) -> Sheet:
     """Each setting, named by its key under `head`: coverage of 50 % and 95 % regions, ECE and its
     floor, exclusions, sharpness."""
     regions = [(kind, nominal) for kind in ("lateral", "depth") for nominal in (0.5, 0.95)]
@@ -168,7 +170,7 @@ def _amounts(rank: Rank) -> str:
     return ", ".join(parts) or NOTHING
 
 
-def summary_json(found: Summary) -> dict[str, Any]:
+def summary_json(found: CoverageSummary) -> dict[str, Any]:
     """The summary as plain values."""
     return {
         "poses": found.size,

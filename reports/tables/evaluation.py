@@ -9,7 +9,7 @@ from inference.studies.evaluation.conditions import Condition
 from inference.studies.evaluation.metrics import THRESHOLD
 from inference.studies.evaluation.relations import Relation
 from inference.studies.evaluation.scores import (
-    Estimate,
+    Interval,
     Values,
     clustered,
     common,
@@ -122,7 +122,7 @@ def table_1(
 
 def _by_action(
     errors: np.ndarray, labels: Labels, actions: Sequence[str]
-) -> list[float | Estimate | None]:
+) -> list[float | Interval | None]:
     """The mean of each action, and their mean with its interval."""
     there = np.isfinite(errors)
     own = {action: there & (labels.action == action) for action in actions}

@@ -38,12 +38,8 @@ class CutGaussian(ErrorLaw):
         square = jnp.asarray(square)
         return jnp.where(square <= self.reach**2, -square / 2, -jnp.inf)
 
-    def sample(self, key, shape):
-        for_distance, for_angle = jax.random.split(key)
-        mass = 1 - np.exp(-(self.reach**2) / 2)
-        distance = jnp.sqrt(-2 * jnp.log1p(-mass * jax.random.uniform(for_distance, shape)))
-        angle = jax.random.uniform(for_angle, shape, maxval=2 * jnp.pi)
-        return distance[..., None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+    def distance(self, uniform):
+        return jnp.sqrt(-2 * jnp.log1p(-(1 - np.exp(-(self.reach**2) / 2)) * jnp.asarray(uniform)))
 
 
 @pytest.mark.parametrize("law", [Disc(), CutGaussian()])

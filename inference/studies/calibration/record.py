@@ -14,6 +14,7 @@ from inference.studies.calibration.assess import Standing
 from inference.studies.calibration.quantities import MOVING_NAMES, OF_BOTH, OF_POSE, QUANTITIES
 from inference.studies.calibration.simulations import Instance
 from inference.studies.flips import FLIPPING
+from probmodel.observation import Observation
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS, TORSO_JOINTS
 
 JOINTWISE = ("whole", "lateral", "depth", "spread_lateral", "spread_depth")
@@ -123,9 +124,9 @@ def instances_tree(instances: Sequence[Instance]) -> xr.DataTree:
             "constant_data": xr.Dataset(
                 {
                     "torso": rows(("torso_joint", "axis"), [view.view for view in views]),
-                    "scale": rows((), [float(view.camera.scale) for view in views]),
-                    "translation": rows(("uv",), [view.camera.translation for view in views]),
-                    "radius": rows(("joint",), [view.radius for view in views]),
+                    "scale": rows((), [float(view.root.camera.scale) for view in views]),
+                    "translation": rows(("uv",), [view.root.camera.translation for view in views]),
+                    "radius": rows(("joint",), [_radius(view) for view in views]),
                 },
                 coords=names | {"torso_joint": list(TORSO_JOINTS)},
             ),
@@ -135,3 +136,9 @@ def instances_tree(instances: Sequence[Instance]) -> xr.DataTree:
             ),
         }
     )
+
+
+def _radius(view: Observation) -> np.ndarray:
+    """`(15,)` pixels, NaN where a joint does not count, as files have it."""
+    reach = view.reach * np.asarray(view.root.camera.scale)
+    return np.where(np.isfinite(reach), reach, np.nan)

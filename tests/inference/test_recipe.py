@@ -1,4 +1,4 @@
-"""The paper's recipe for lower bones, to the letter, against eq. 8 and against the measure "box"."""
+"""The paper's recipe for lower bones, to the letter, against eq. 8 and the measure "box"."""
 
 import jax
 import numpy as np

@@ -46,6 +46,21 @@ Stage = Callable[[str], AbstractContextManager[Any]]
 """What is shown while something, said in words, is at work."""
 
 
+@dataclass(frozen=True)
+class Truth:
+    """Exact draws under one candidate: the frame with that candidate, their tree and sample, and
+    what they cost."""
+
+    frame: Frame
+    tree: xr.DataTree
+    sample: Sample
+
+    @property
+    def evidence(self) -> tuple[float, float]:
+        """Log evidence and its standard error."""
+        return self.tree.attrs["log_evidence"], self.tree.attrs["log_evidence_se"]
+
+
 class Comparison(NamedTuple):
     """A line for every sampler and start, and all of it as one tree (`record.comparison_tree`)."""
 
@@ -141,21 +156,6 @@ def _place(out: Path | None, name: str, start: str) -> Path | None:
     (out / "runs").mkdir(exist_ok=True)
     label = f"{name} {start}".strip().replace(" ", "-")
     return out / "runs" / f"{label}.npz"
-
-
-@dataclass(frozen=True)
-class Truth:
-    """Exact draws under one candidate: the frame with that candidate, their tree and sample, and
-    what they cost."""
-
-    frame: Frame
-    tree: xr.DataTree
-    sample: Sample
-
-    @property
-    def evidence(self) -> tuple[float, float]:
-        """Log evidence and its standard error."""
-        return self.tree.attrs["log_evidence"], self.tree.attrs["log_evidence_se"]
 
 
 def truth(model: PoseModel, frame: Frame, *, key: jax.Array, number: int = REFERENCE) -> Truth:

@@ -84,10 +84,10 @@ def sample_frames(
     progress: Progress | None = None,
 ) -> Path:
     """Draws `num_samples` poses of every frame and chooses `k` hypotheses among them; writes them
-    to the folder `out`, where a run that was stopped is resumed.
+    to the folder `out`, which it returns, and where a run that was stopped is resumed.
 
     A frame that is a sentence, or whose budget of `max_proposals` ends, is recorded with its
-    reason, and the others go on. Damaged blocks are made anew.
+    reason. Damaged blocks are made anew.
 
     Parameters
     ----------
@@ -100,15 +100,11 @@ def sample_frames(
     progress
         Called with the number of frames done, block by block.
 
-    Returns
-    -------
-    The folder.
-
     Raises
     ------
     BadInput
-        Where `out` holds another run, a longer one, or one made of other frames; where another
-        process is writing to it; and where the numbers do not go together.
+        Where `out` holds another run, or another process is writing to it, and where the numbers
+        do not go together.
     """
     keep = num_samples if keep is None else min(keep, num_samples)
     if num_samples < 1 or not 1 <= k <= num_samples or keep < 0:
@@ -117,36 +113,22 @@ def sample_frames(
             " least one sample, at most as many hypotheses, and no negative number to keep"
         )
     folder = Path(out)
-    size = max(
-        1, min(MOST_FRAMES, BLOCK_BYTES // (4 * (3 * NUM_JOINTS + NUM_LENGTHS) * max(keep, 1)))
-    )
-    settings = {
-        "study": "stream of frames",
-        "seed": key_words(key),
-        "sampler": sampler,
-        "num_samples": num_samples,
-        "k": k,
-        "keep": keep,
-        "max_proposals": max_proposals,
-        "block": size,
-        "limits": f"{model.limits.name} {model.limits.sha256}",
-        "measures": f"upper {model.upper}, lower {model.lower}",
-        "versions": versions(),
-    }
+    size = BLOCK_BYTES // (4 * (3 * NUM_JOINTS + NUM_LENGTHS) * max(keep, 1))
+    size = max(1, min(MOST_FRAMES, size))
     words = np.asarray(jax.random.key_data(key))
     task = _Drawing(model, words, sampler, num_samples, k, keep, max_proposals)
-    done = blocks = 0
+    settings = {"study": "stream of frames", "seed": key_words(key), "block": size}
+    taken: list[int] = []
 
     def take(block: Block, groups: Groups) -> None:
-        nonlocal done, blocks
-        done, blocks = done + block.size, blocks + 1
+        taken.append(block.size)
         if progress:
-            progress(done)
+            progress(sum(taken))
 
     with locked(folder):
-        store = Store.begin(folder, settings)
+        store = Store.begin(folder, settings | task.settings)
         fill(store, machines, task, _blocks(frames, size), take)
-        store.finish(blocks)
+        store.finish(len(taken))
     return folder
 
 
@@ -222,6 +204,16 @@ class _Drawing:
     k: int
     keep: int
     max_proposals: int
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the draws depend on, beside the key."""
+        names = ("sampler", "num_samples", "k", "keep", "max_proposals")
+        return {name: getattr(self, name) for name in names} | {
+            "limits": f"{self.model.limits.name} {self.model.limits.sha256}",
+            "measures": f"upper {self.model.upper}, lower {self.model.lower}",
+            "versions": versions(),
+        }
 
     def __call__(self, block: tuple[int, list[Item]]) -> Groups:
         first, items = block

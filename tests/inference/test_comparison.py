@@ -167,8 +167,8 @@ def test_rank_tests_know_that_the_exact_draws_are_few():
 
 
 def test_draws_that_are_not_independent_are_thinned_by_twice_their_time():
-    """Every exact draw ten times over, in a row: an autocorrelation time of ten. (Wherever the
-    effective size is measured, it is noisy: within a factor of 1.5.)"""
+    """Every exact draw ten times over, in a row: an autocorrelation time of ten. The worst of
+    forty estimates of it decides, which is up to five times as large."""
     one, other = exact_pair(DRAWS, 15_000, 2)
     repeated = Sample(
         np.repeat(one.values, 10, axis=1).reshape(4, 5000, -1),
@@ -177,7 +177,7 @@ def test_draws_that_are_not_independent_are_thinned_by_twice_their_time():
     found = judge(repeated, other, permutations=FEW)
     sizes = {test.size for test in found.tests if "thinned" in test.assumption}
     assert len(sizes) == 1
-    assert DRAWS / 2 / 1.5 < sizes.pop() < DRAWS / 2 * 1.5
+    assert DRAWS / 10 < sizes.pop() < DRAWS / 3
     assert found.verdict == AGREES, found.sentence
 
 
@@ -192,7 +192,7 @@ def test_the_level_is_shared_by_all_tests(smallest, verdict):
 
 
 def test_what_was_missed_stands_beside_what_must_be():
-    one, other = exact_pair(120, 15_000, 4)
+    one, other = exact_pair(500, 15_000, 4)
     found = judge(one, other, permutations=FEW)
     assert found.modes.missed > 0
     assert f"{found.modes.missed:.1%} of the mass in modes never visited" in found.sentence

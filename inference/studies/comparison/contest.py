@@ -47,6 +47,21 @@ Stage = Callable[[str], AbstractContextManager[Any]]
 """What is shown while something, said in words, is at work."""
 
 
+@dataclass(frozen=True)
+class Truth:
+    """Exact draws under one candidate: the frame with that candidate, their tree and sample, and
+    what they cost."""
+
+    frame: Estimate
+    tree: xr.DataTree
+    sample: Sample
+
+    @property
+    def evidence(self) -> tuple[float, float]:
+        """Log evidence and its standard error."""
+        return self.tree.attrs["log_evidence"], self.tree.attrs["log_evidence_se"]
+
+
 class Comparison(NamedTuple):
     """A line for every sampler and start, and all of it as one tree (`record.comparison_tree`)."""
 
@@ -96,8 +111,6 @@ def compare(
     allowance = Allowance(max_evaluations, seconds)
     key = jax.random.key(seed)
     with locked(out) if out else contextlib.nullcontext():
-        if out:
-            (out / "runs").mkdir(exist_ok=True)
         with stage("exact draws"):
             known = truth(model, frame, key=jax.random.fold_in(key, 0), number=exact_draws)
         attributes = {
@@ -111,17 +124,9 @@ def compare(
         for name, start in [(one, start) for one in samplers for start in starts_of(one)]:
             # Its own key, whoever else is asked, so that runs can be taken up.
             own = jax.random.fold_in(key, 1 + SAMPLERS.index(name))
+            place = _place(out, name, start)
             with stage(f"{name} {start}".strip()):
-                if name in BASELINES:
-                    settings: dict[str, Any] = {
-                        "key": own,
-                        "allowance": allowance,
-                        "num_samples": ENDLESS,
-                    }
-                    place = _place(out, name, start)
-                    entry, _ = enter_baseline(model, known, name, start, save_to=place, **settings)
-                else:
-                    entry = enter_exact(model, known, name, key=own, num_samples=num_samples)
+                entry = _enter(model, known, name, start, own, allowance, num_samples, place)
             entries = [*found.entries, entry]
             found = Comparison(entries, comparison_tree(entries, known.sample, attributes))
             if out:
@@ -129,25 +134,29 @@ def compare(
     return found
 
 
+def _enter(
+    model: PoseModel,
+    known: Truth,
+    name: str,
+    start: str,
+    key: jax.Array,
+    allowance: Allowance,
+    num_samples: int,
+    place: Path | None,
+) -> Entry:
+    if name not in BASELINES:
+        return enter_exact(model, known, name, key=key, num_samples=num_samples)
+    settings: dict[str, Any] = {"allowance": allowance, "num_samples": ENDLESS, "save_to": place}
+    return enter_baseline(model, known, name, start, key=key, **settings)[0]
+
+
 def _place(out: Path | None, name: str, start: str) -> Path | None:
-    """Where a baseline's run is kept."""
+    """Where a baseline's run is kept; its folder is made."""
+    if out is None:
+        return None
+    (out / "runs").mkdir(exist_ok=True)
     label = f"{name} {start}".strip().replace(" ", "-")
-    return out / "runs" / f"{label}.npz" if out else None
-
-
-@dataclass(frozen=True)
-class Truth:
-    """Exact draws under one candidate: the frame with that candidate, their tree and sample, and
-    what they cost."""
-
-    frame: Estimate
-    tree: xr.DataTree
-    sample: Sample
-
-    @property
-    def evidence(self) -> tuple[float, float]:
-        """Log evidence and its standard error."""
-        return self.tree.attrs["log_evidence"], self.tree.attrs["log_evidence_se"]
+    return out / "runs" / f"{label}.npz"
 
 
 def truth(model: PoseModel, frame: Estimate, *, key: jax.Array, number: int = REFERENCE) -> Truth:

@@ -25,7 +25,7 @@ WINDOW = 2.0
 ALTERNATIVE = 0.5
 """Another maximum at least so high, as a share of the highest, is kept as an alternative."""
 MOST_ALTERNATIVES = 4
-LARGEST_SIDE = 4096
+LARGEST_SIDE = 1024
 """Pixels; no heatmap is larger."""
 _APART = 5
 """Two maxima of one heatmap are at least half of this many pixels apart."""
@@ -179,7 +179,6 @@ def _height(heatmap: FloatArray, top: tuple[int, int], highest: tuple[int, int])
 
 
 def _checked(heatmaps: FloatArray, layout: Layout, source: str) -> FloatArray:
-    heatmaps = np.asarray(heatmaps, dtype=float)
     if (
         heatmaps.ndim != 3
         or heatmaps.shape[0] != layout.count
@@ -189,6 +188,7 @@ def _checked(heatmaps: FloatArray, layout: Layout, source: str) -> FloatArray:
             f"{source} has heatmaps of shape {heatmaps.shape}, but {layout.name} needs"
             f" ({layout.count}, height, width) with sides from 2 to {LARGEST_SIDE} pixels."
         )
+    heatmaps = np.asarray(heatmaps, dtype=float)
     if not np.isfinite(heatmaps).all():
         raise BadInput(
             f"{source} has heatmaps with numbers that are not finite; run the network again."

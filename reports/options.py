@@ -178,19 +178,12 @@ class Known:
         return height_width[1], height_width[0]
 
     def _names(self) -> dict[str, str] | list[str] | None:
-        import json
-
         from probmodel import BadInput
+        from probmodel.documents import read_json
 
         if self.names is None:
             return None
-        try:
-            names = json.loads(self.names.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
-            raise BadInput(
-                f"{self.names} is no JSON that can be read ({type(error).__name__}); give a map of"
-                " names"
-            ) from None
+        names = read_json(self.names, "map of names", "give a JSON object of names")
         texts = (
             [*names, *names.values()]
             if isinstance(names, dict)

@@ -16,7 +16,7 @@ from inference.candidates import Candidate, candidate_from_pose
 from inference.roots.adjustment import adjust
 from inference.roots.points import Points
 from inference.roots.twins import Outcome, candidates_both_ways, mirrored
-from probmodel.anatomy.limits import read_tables
+from probmodel.arrays import read_array, read_tables
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from probmodel.skeleton import JOINTS, NUM_JOINTS
@@ -36,7 +36,7 @@ def read_poses(path: str | os.PathLike) -> np.ndarray:
         f"give an .npz with `joints` of shape {SHAPES}, or an .npy of that shape",
     )
     if path.suffix.lower() == ".npy":
-        joints, names = _read_array(path, what, advice), None
+        joints, names = read_array(path, what, advice), None
     else:
         arrays = read_tables(path, what, advice)
         if "joints" not in arrays:
@@ -57,17 +57,6 @@ def read_poses(path: str | os.PathLike) -> np.ndarray:
             " them"
         )
     return joints.reshape(1 if joints.ndim == 2 else len(joints), -1, NUM_JOINTS, 3)
-
-
-def _read_array(path: Path, what: str, advice: str) -> np.ndarray:
-    try:
-        return np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise BadInput(f"there is no {what} at {path}; {advice}") from None
-    except Exception as error:  # numpy meets damaged files with errors of many unrelated kinds
-        raise BadInput(
-            f"{path} is no {what}, or is truncated ({' '.join(str(error).split())}); {advice}"
-        ) from None
 
 
 def _in_order(joints: np.ndarray, names: np.ndarray, path: Path) -> np.ndarray:

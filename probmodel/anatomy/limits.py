@@ -22,9 +22,9 @@ import numpy as np
 from jax.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from probmodel.arrays import read_tables, write_tables
 from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
-from probmodel.files import replacing
 from probmodel.kinematics import Articulation, articulation, azimuth_elevation, direction
 from probmodel.skeleton import BONE_NAMES, NUM_JOINTS, NUM_LOWER, NUM_UPPER
 
@@ -46,6 +46,8 @@ _PLANES = ("normal", "tangent", "offset", "bounds")
 _BITS = {"occupied": "occupied", "has_plane": "offset"}
 """Arrays stored as packed bits, and the table whose shape each has."""
 WRITER = "`poseterior learn`"
+FILE = ("limits file", f"write one with {WRITER}")
+"""What a file of limits is called, and what to do where there is none."""
 LIMITS = ("none", "occupancy", "parent", "plane", "box")
 """What a bone can break. `parent`: its parent bone is where no lower bone was ever seen, so it has
 no plane."""
@@ -116,7 +118,7 @@ class AnatomicalLimits:
     def load(cls, path: str | os.PathLike) -> "AnatomicalLimits":
         """Reads a file that `save` wrote. Raises `BadInput` where it is not one, is truncated or
         has other shapes."""
-        return cls.unpack(read_tables(path), Path(path))
+        return cls.unpack(read_tables(path, *FILE), Path(path))
 
     @classmethod
     def unpack(cls, arrays: Mapping[str, np.ndarray], path: Path) -> "AnatomicalLimits":
@@ -297,27 +299,6 @@ class AnatomicalLimits:
     @cached_property
     def _host_triples(self) -> np.ndarray:
         return np.asarray(self.triples())
-
-
-def read_tables(
-    path: str | os.PathLike, what: str = "limits file", advice: str = f"write one with {WRITER}"
-) -> dict[str, np.ndarray]:
-    """All arrays of an .npz. Raises `BadInput` where it is not one, or is damaged; `what` and
-    `advice` go into it."""
-    try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
-            return {key: stored[key] for key in stored.files}
-    except FileNotFoundError:
-        raise BadInput(f"there is no {what} at {path}; {advice}") from None
-    except Exception as error:  # numpy meets damaged files with errors of many unrelated kinds.
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise BadInput(f"{path} is no {what}, or is truncated ({reason}); {advice}") from None
-
-
-def write_tables(path: str | os.PathLike, arrays: Mapping[str, np.ndarray]) -> None:
-    """Writes an .npz, whole or not at all."""
-    with replacing(path) as partial, open(partial, "wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def _unpack_bits(bits: np.ndarray, key: str, path: Path) -> np.ndarray:

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from probmodel.anatomy.lengths import LengthPrior
-from probmodel.anatomy.limits import AnatomicalLimits, compact, read_tables, write_tables
+from probmodel.anatomy.limits import FILE, AnatomicalLimits, compact
 from probmodel.anatomy.published import read_published
+from probmodel.arrays import read_tables, write_tables
 from probmodel.failures import BadInput
 from probmodel.skeleton import NUM_LENGTHS, TORSO_JOINTS
 
@@ -51,7 +52,7 @@ class Anatomy:
         path = Path(path)
         if path.suffix.lower() == ".mat":
             return dataclasses.replace(cls.default(), limits=read_published(path))
-        arrays = read_tables(path)
+        arrays = read_tables(path, *FILE)
         limits = AnatomicalLimits.unpack(arrays, path)
         present = [key for key in _KEYS if key in arrays]
         if not present:

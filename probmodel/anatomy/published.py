@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.io
 
 from probmodel.anatomy.limits import GRID, AnatomicalLimits
+from probmodel.arrays import read_mat
 from probmodel.failures import BadInput
 from probmodel.skeleton import LOWER_BONES, UPPER_BONES
 
@@ -88,18 +88,8 @@ def read_published(
 
 
 def _read_mat(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise BadInput(f"{path} {what}; give the path of the published jointAngleModel_v2.mat")
-    try:
-        return scipy.io.loadmat(path, appendmat=False)
-    except (
-        Exception
-    ) as error:  # The reader meets damaged files with errors of many unrelated kinds.
-        raise BadInput(
-            f"{path} is not a MATLAB file, or is truncated ({str(error) or type(error).__name__}); "
-            "give the published jointAngleModel_v2.mat"
-        ) from None
+    advice = "give the path of the published jointAngleModel_v2.mat"
+    return read_mat(path, (*_MODEL_VARIABLES, *_POSE_VARIABLES), "MATLAB file", advice)
 
 
 def _require(variables: Mapping[str, Any], names: tuple[str, ...], path: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probmodel.detections import LARGEST_NUMBER, Detection
-from probmodel.failures import BadInput
+from probmodel.failures import BadInput, shown
 from probmodel.learning.learning import body_unit
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS, PARENTS
 
@@ -147,7 +147,7 @@ class DataSet:
             height = float(np.median(body_height(self.poses[self.subject == who])))
             if not SMALLEST <= height <= TALLEST:
                 raise BadInput(
-                    f"{self.name}: subject {who} would be {_metres(height)} m tall; poses must be"
+                    f"{self.name}: subject {shown(str(who))} would be {_metres(height)} m tall; poses must be"
                     " in millimetres, so multiply them by what makes them so"
                 )
         bones = np.linalg.norm(self.poses[:, 1:] - self.poses[:, PARENTS[1:]], axis=-1)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
-from probmodel.files import replacing
+from probmodel.files import LARGEST_FILE, read_bytes, replacing
 from probmodel.formats import (
     alphapose,
     coco,
@@ -39,9 +39,6 @@ __all__ = [
     "read_detections",
     "write_detections",
 ]
-
-LARGEST_FILE = 1_000_000_000
-"""Bytes; larger files would fill the memory before anything could be said about them."""
 
 
 class Format(NamedTuple):
@@ -181,20 +178,9 @@ def content_of(
 ) -> Content:
     """The content of a file, with what the user knows of it beside. Raises `BadInput` where it
     cannot be read."""
-    try:
-        if not path.exists():
-            raise BadInput(f"{path} does not exist; give the path of a file of 2D joints.")
-        if not path.is_file():
-            raise BadInput(f"{path} is not a file; give the path of a file of 2D joints.")
-        if (size := path.stat().st_size) > LARGEST_FILE:
-            raise BadInput(
-                f"{path} has {size} bytes, more than {LARGEST_FILE}; split it into smaller files."
-            )
-        return Content(path.read_bytes(), str(path), image_size, {} if names is None else names)
-    except OSError as error:
-        raise BadInput(
-            f"{path} cannot be read ({error.strerror}); give the path of a file of 2D joints."
-        ) from None
+    advice = "give the path of a file of 2D joints."
+    data = read_bytes(path, "file of 2D joints", advice, largest=LARGEST_FILE)
+    return Content(data, str(path), image_size, {} if names is None else names)
 
 
 def format_of(content: Content, name: str = "auto") -> Format:

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from probmodel.detections import Detection
-from probmodel.failures import BadInput
-from probmodel.formats.common import Content, mapping, scored_points, sequence, shown
+from probmodel.failures import BadInput, shown
+from probmodel.formats.common import Content, mapping, scored_points, sequence
 from probmodel.layouts import COCO_18
 
 KEYS = {"people": "pose_keypoints_2d", "bodies": "joints"}

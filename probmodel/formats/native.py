@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from probmodel.detections import FACE, Detection, FloatArray
-from probmodel.failures import BadInput
+from probmodel.failures import BadInput, shown
 from probmodel.formats.common import (
     Content,
     image_name,
@@ -22,7 +22,6 @@ from probmodel.formats.common import (
     mapping,
     scored_point,
     sequence,
-    shown,
     skeleton_arrays,
 )
 from probmodel.skeleton import JOINTS

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.anatomy.limits import read_tables, write_tables
+from probmodel.arrays import read_tables, write_tables
 from probmodel.failures import BadInput
 from probmodel.learning.learning import (
     LEARNING_RATE,

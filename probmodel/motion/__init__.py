@@ -7,6 +7,7 @@ Glitches are dropped by a stated rule (`Motion.without_jumps`). The usual way in
 `read_motion(path)`."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from probmodel.failures import BadInput
@@ -14,6 +15,9 @@ from probmodel.motion.archive import read_archive
 from probmodel.motion.asf import Asf, asf_beside, parse_asf, read_amc, read_amc_alone
 from probmodel.motion.bvh import read_bvh
 from probmodel.motion.recording import CMU_UNIT, FROM_SEVENTEEN, Motion
+
+MOST_ENTRIES = 100_000
+"""Files and folders that are looked through."""
 
 __all__ = ["CMU_UNIT", "FROM_SEVENTEEN", "Motion", "read_motion"]
 
@@ -43,10 +47,23 @@ def read_motion(path: str | os.PathLike) -> list[Motion]:
     return reader(path)
 
 
+def _files_in(folder: Path) -> Iterator[Path]:
+    """Files of motion capture in a folder and its folders; closed ones are passed over."""
+    entries = 0
+    for place, _, names in os.walk(folder):
+        entries += 1 + len(names)
+        if entries > MOST_ENTRIES:
+            raise BadInput(
+                f"{folder} holds more than {MOST_ENTRIES:,} files and folders; give the folder of"
+                " motion capture itself"
+            )
+        for name in names:
+            if Path(name).suffix.lower() in (".amc", ".bvh", ".npz"):
+                yield Path(place, name)
+
+
 def _read_folder(folder: Path) -> list[Motion]:
-    files = sorted(
-        entry for entry in folder.rglob("*") if entry.suffix.lower() in (".amc", ".bvh", ".npz")
-    )
+    files = sorted(_files_in(folder))
     if not files:
         raise BadInput(
             f"{folder} holds no .amc, .bvh or .npz file; give a folder of motion capture"

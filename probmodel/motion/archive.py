@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.anatomy.limits import read_tables
+from probmodel.arrays import read_tables
 from probmodel.failures import BadInput
 from probmodel.motion.recording import FROM_SEVENTEEN, NPZ_RATE, Motion
 from probmodel.skeleton import NUM_JOINTS

@@ -146,7 +146,7 @@ def test_a_turned_case_is_seen_by_a_rolled_camera(data):
 def test_height_does_not_depend_on_the_pose_and_units_are_checked(data):
     assert body_height(BODY[None]) == pytest.approx(body_height(data.case(0).pose), rel=0.1)
     for factor, words in ((0.001, r"0\.00\d+"), (1000.0, r"1,\d\d\d")):
-        with pytest.raises(BadInput, match=f"subject a would be {words} m tall"):
+        with pytest.raises(BadInput, match=f"subject 'a' would be {words} m tall"):
             dataclasses.replace(data, poses=data.poses * factor, subject=np.full(len(data), "a"))
 
 
@@ -391,7 +391,7 @@ HUMAN_REFUSED = {
     ),
     "a text": (
         lambda f: (f / "data_3d_h36m.npz").write_text("hello"),
-        "holds no readable positions_3d",
+        "is no file of positions_3d, or is truncated",
     ),
     "seventeen joints": (
         lambda f: human36m(f, waving(1, 3), three={"S1": {"Eating": np.zeros((3, 17, 3))}}),

@@ -74,6 +74,8 @@ class _Process:
     def run(self, pixels: np.ndarray) -> list[np.ndarray]:
         """The network's outputs for one image. Raises `BadInput` where it fails, or takes too
         long."""
+        if not self.close.alive:
+            raise BadInput(f"{self.name} was stopped before; load it anew")
         with contextlib.suppress(OSError):  # it ended before, which the answer tells
             network_process.send(cast(BinaryIO, self._process.stdin), {}, [pixels])
         answer, outputs = self._answer()

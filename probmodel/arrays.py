@@ -9,7 +9,7 @@ its content, never by its name."""
 import io
 import math
 import os
-import struct
+import sys
 import warnings
 import zipfile
 import zlib
@@ -21,6 +21,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from probmodel import matlab
 from probmodel.detections import LARGEST_NUMBER
 from probmodel.failures import BadInput, shown
 from probmodel.files import opened, read_bytes, replacing
@@ -36,14 +37,11 @@ FREE, BEST_RATIO = 256_000_000, 50
 numbers of poses do not pack so well, and what claims to is a bomb, or damaged."""
 MOST_NUMBERS = 150_000_000
 """Numbers that may be brought to double precision at once."""
-LARGEST_MAT = 150_000_000
-"""Bytes, unpacked; the published model has 58 million in a file of 1.6."""
 LONGEST_NAME = 200
 _CHUNK = 1 << 20
 _DEFLATE, _FLETCHER32 = 1, 3
 _FILTERS = {_DEFLATE, 2, _FLETCHER32, 32000}
 """The filters of HDF5 that are read: deflate, shuffle, Fletcher's sums, and h5py's own LZF."""
-_MAT_HEADER, _MAT_COMPRESSED = 128, 15
 
 
 @dataclass(frozen=True)
@@ -185,6 +183,8 @@ class ArrayFile:
         """The array of an .npy of `size` bytes, headers included."""
         with self._damage(where):
             shape, fortran, dtype = _header(file)
+            if dtype.kind == "V":
+                raise BadInput(f"{where} is a table of several columns; save each as an array.")
             if dtype.hasobject:
                 raise BadInput(
                     f"{where} holds pickled Python objects, which could run any code and are not"
@@ -202,6 +202,8 @@ class ArrayFile:
             while len(data) < needed and (chunk := file.read(min(_CHUNK, needed - len(data)))):
                 data += chunk
             flat = np.frombuffer(data, dtype) if needed else np.zeros(count, dtype)
+            if dtype.kind == "U" and flat.view(dtype.str[0] + "u4").max(initial=0) > sys.maxunicode:
+                raise ValueError
             return flat.reshape(shape, order="F" if fortran else "C")
 
     @contextmanager
@@ -258,7 +260,8 @@ def _require_own(item: Any, where: str) -> None:
     """Raises `BadInput` unless an HDF5 dataset is one of plain entries of this very file."""
     if item.dtype.kind not in "fiuSVb" or item.dtype.hasobject:
         raise BadInput(
-            f"{where} holds {shown(str(item.dtype))}, not plain numbers; save it as an array of numbers."
+            f"{where} holds {shown(str(item.dtype))}, not plain numbers; save it as an array of"
+            " numbers."
         )
     if item.external or item.is_virtual:
         raise BadInput(f"{where} lies in another file; copy it into this one.")
@@ -297,6 +300,17 @@ def _attribute(item: Any, key: str) -> str | None:
     return value if isinstance(value, str) else None
 
 
+def doubles(array: np.ndarray) -> np.ndarray:
+    """Numbers as float64, without a warning: what damaged bytes become, the caller looks at."""
+    with np.errstate(all="ignore"):
+        return array.astype(np.float64)
+
+
+def possible(numbers: np.ndarray) -> bool:
+    """Whether all are finite and so small that their squares keep their meaning."""
+    return bool((np.abs(numbers) <= LARGEST_NUMBER).all())  # false for NaN too
+
+
 def plain(array: np.ndarray, where: str) -> np.ndarray:
     """Numbers as float64, all finite or NaN and within ±`LARGEST_NUMBER`. Raises `BadInput`
     otherwise."""
@@ -304,8 +318,8 @@ def plain(array: np.ndarray, where: str) -> np.ndarray:
         raise BadInput(f"{where} holds {shown(str(array.dtype))} where numbers are needed.")
     if array.size > MOST_NUMBERS:
         raise BadInput(f"{where} holds more than {MOST_NUMBERS:,} numbers; split it into parts.")
-    with np.errstate(all="ignore"):  # of damaged bytes; what cannot be told is refused, or is NaN
-        values = np.asarray(array, dtype=np.float64)
+    values = doubles(array)
+    with np.errstate(all="ignore"):
         highest = max(
             float(np.fmax.reduce(values, axis=None, initial=0.0)),
             -float(np.fmin.reduce(values, axis=None, initial=0.0)),
@@ -369,40 +383,15 @@ def read_netcdf(
 
 def read_mat(
     path: str | os.PathLike, wanted: Sequence[str], what: str, advice: str
-) -> dict[str, Any]:
-    """Those of the `wanted` variables that a MATLAB file (version 5 to 7.2) has, as SciPy reads
-    them. Raises `BadInput` as `read_tables`."""
-    import scipy.io
-
-    data = read_bytes(path, what, advice, largest=LARGEST_MAT)
+) -> dict[str, np.ndarray]:
+    """Those of the `wanted` variables that a MATLAB file (version 5 to 7.2) has. Raises `BadInput`
+    as `read_tables`."""
+    data = read_bytes(path, what, advice, largest=matlab.LARGEST)
     try:
-        unpacked = io.BytesIO(_inflated_mat(data))
-        return scipy.io.loadmat(unpacked, variable_names=list(wanted))
-    except Exception as error:  # SciPy meets damaged files with errors of many unrelated kinds
-        reason = f"{' '.join(str(error).split()):.200}" or type(error).__name__
+        return matlab.variables(data, wanted)
+    except Exception as error:  # damaged bytes, in many ways
+        reason = str(error) or type(error).__name__
         raise BadInput(f"{path} is not a {what}, or is truncated ({reason}); {advice}") from None
-
-
-def _inflated_mat(data: bytes) -> bytes:
-    """The same file with nothing packed in it. Raises `ValueError` where it is none, or unpacks to
-    more than `LARGEST_MAT`."""
-    order = {b"IM": "<", b"MI": ">"}.get(data[_MAT_HEADER - 2 : _MAT_HEADER])
-    if order is None:
-        raise ValueError("it does not begin as a MATLAB file of version 5")
-    parts, place, total = [data[:_MAT_HEADER]], _MAT_HEADER, _MAT_HEADER
-    while place + 8 <= len(data):
-        kind, length = struct.unpack(f"{order}II", data[place : place + 8])
-        content = data[place + 8 : place + 8 + length]
-        if kind == _MAT_COMPRESSED:
-            part = zlib.decompressobj().decompress(content, LARGEST_MAT + 1)
-        else:
-            part = data[place : place + 8 + length]
-        parts.append(part)
-        total += len(part)
-        if total > LARGEST_MAT:
-            raise ValueError(f"it unpacks to more than {LARGEST_MAT:,} bytes")
-        place += 8 + length
-    return b"".join(parts)
 
 
 def write_tables(path: str | os.PathLike, arrays: Mapping[str, np.ndarray]) -> None:

@@ -16,7 +16,11 @@ class OutOfBudget(RuntimeError):
     3)."""
 
 
+LONGEST_SHOWN = 120
+
+
 def shown(value: object) -> str:
     """A short form of any value for a message: never long, never recursing deeply, no control
     character as it is."""
-    return reprlib.repr(value)
+    text = reprlib.repr(value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"

@@ -16,15 +16,13 @@ from inference.candidates import Candidate, candidate_from_pose
 from inference.roots.adjustment import adjust
 from inference.roots.points import Points
 from inference.roots.twins import Outcome, candidates_both_ways, mirrored
-from probmodel.arrays import read_array, read_tables
-from probmodel.detections import Detection
+from probmodel.arrays import doubles, possible, read_array, read_tables
+from probmodel.detections import LARGEST_NUMBER, Detection
 from probmodel.failures import BadInput
 from probmodel.skeleton import JOINTS, NUM_JOINTS
 
 SUFFIXES = (".npz", ".npy")
 SHAPES = f"({NUM_JOINTS}, 3), (people, {NUM_JOINTS}, 3) or (people, alternatives, {NUM_JOINTS}, 3)"
-LARGEST = 1e9
-"""No coordinate may be larger: the squares of larger numbers lose their meaning."""
 
 
 def read_poses(path: str | os.PathLike) -> np.ndarray:
@@ -50,11 +48,11 @@ def read_poses(path: str | os.PathLike) -> np.ndarray:
         or joints.shape[-2:] != (NUM_JOINTS, 3)
     ):
         raise BadInput(f"{path}: joints have shape {joints.shape}; {advice}")
-    joints = joints.astype(np.float64)
-    if not joints.size or not (np.abs(joints) <= LARGEST).all():  # false for NaN too
+    joints = doubles(joints)
+    if not joints.size or not possible(joints):
         raise BadInput(
-            f"{path}: joints must be finite, at most {LARGEST:g} in size, and at least one pose of"
-            " them"
+            f"{path}: joints must be finite, at most {LARGEST_NUMBER:g} in size, and at least one"
+            " pose of them"
         )
     return joints.reshape(1 if joints.ndim == 2 else len(joints), -1, NUM_JOINTS, 3)
 

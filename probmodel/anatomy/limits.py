@@ -22,7 +22,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from probmodel.arrays import read_tables, write_tables
+from probmodel.arrays import doubles, possible, read_tables, write_tables
 from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
 from probmodel.kinematics import Articulation, articulation, azimuth_elevation, direction
@@ -142,7 +142,7 @@ class AnatomicalLimits:
                     f"{path}: {key} has shape {arrays[key].shape}, not {_SHAPES[key]}; is it"
                     " another model?"
                 )
-            tables[key] = arrays[key]
+            tables[key] = doubles(arrays[key])
         for key in _PLANES:
             expected = (int(has_plane.sum()), *_SHAPES[key][3:])
             if arrays[key].shape != expected or arrays[key].dtype.kind != "f":
@@ -151,7 +151,7 @@ class AnatomicalLimits:
                     " model?"
                 )
             tables[key] = np.full(_SHAPES[key], np.nan)
-            tables[key][has_plane] = arrays[key]
+            tables[key][has_plane] = doubles(arrays[key])
         name = str(arrays["name"]) if "name" in arrays else path.stem
         limits = cls(**tables, occupied=occupied, name=name)
         limits.verify(str(path))
@@ -173,7 +173,7 @@ class AnatomicalLimits:
             )
         values = [np.asarray(getattr(self, key))[has_plane] for key in _PLANES]
         if not all(
-            np.isfinite(value).all()
+            possible(value)
             for value in [*values, np.asarray(self.reference), np.asarray(self.fallback)]
         ):
             raise BadInput(f"{source}: a plane or box holds a number that is not finite")

@@ -16,7 +16,7 @@ import numpy as np
 from probmodel.anatomy.lengths import LengthPrior
 from probmodel.anatomy.limits import FILE, AnatomicalLimits, compact
 from probmodel.anatomy.published import read_published
-from probmodel.arrays import read_tables, write_tables
+from probmodel.arrays import doubles, possible, read_tables, write_tables
 from probmodel.failures import BadInput
 from probmodel.skeleton import NUM_LENGTHS, TORSO_JOINTS
 
@@ -79,9 +79,10 @@ def _finite(value: np.ndarray, key: str, shape: tuple[int, ...], path: Path) -> 
         raise BadInput(
             f"{path}: {key} has shape {value.shape}, an anatomy has {shape}; is it another model?"
         )
-    if not np.isfinite(value).all():
+    numbers = doubles(value)
+    if not possible(numbers):
         raise BadInput(f"{path}: {key} holds a number that is not finite; write the file anew")
-    return value.astype(np.float64)
+    return numbers
 
 
 def _lengths(arrays: Mapping[str, np.ndarray], path: Path) -> LengthPrior:

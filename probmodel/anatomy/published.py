@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from probmodel.anatomy.limits import GRID, AnatomicalLimits
-from probmodel.arrays import read_mat
+from probmodel.arrays import doubles, read_mat
+from probmodel.detections import LARGEST_NUMBER
 from probmodel.failures import BadInput
 from probmodel.skeleton import LOWER_BONES, UPPER_BONES
 
@@ -73,6 +74,9 @@ def read_published(
             f" {_NUM_BONES})"
         )
     fallback = static[:, parents[lower] - 1].T
+    size = np.linalg.norm(fallback, axis=-1, keepdims=True)
+    if not ((size > 0) & (size <= LARGEST_NUMBER)).all():
+        raise BadInput(f"{pose_path}: a bone of the static pose di has no length")
     limits = AnatomicalLimits(
         occupied=occupied,
         normal=planes[..., :3],
@@ -80,7 +84,7 @@ def read_published(
         offset=planes[..., 3],
         bounds=bounds,
         reference=_numbers(pose["a"], "a", pose_path).ravel(),
-        fallback=fallback / np.linalg.norm(fallback, axis=-1, keepdims=True),
+        fallback=fallback / size,
         name="akhter-black",
     )
     limits.verify(str(path))
@@ -107,7 +111,7 @@ def _numbers(value: Any, key: str, path: Path) -> np.ndarray:
         raise BadInput(
             f"{path}: {key} holds no real numbers, so this is not the published joint-limit model"
         )
-    return value.astype(np.float64)
+    return doubles(value)
 
 
 def _indices(model: Mapping[str, Any], key: str, path: Path) -> np.ndarray:

@@ -4,7 +4,7 @@ Motion capture (ASF/AMC, BVH, .npz of recordings) is seen by synthetic cameras, 
 2D; Human3.6M comes with its own (VideoPose3D's two files); and a plain .npz holds anything else.
 
     data = read_data_set("actions_train.npz", frames=2000, noise=Noise("gaussian", 0.02))
-    case = data.case(7).hiding(2).turned(30)       # a pose, its detection with two joints missing, both turned
+    case = data.case(7).hiding(2).turned(30)       # a pose, its detection without two joints, turned
 """
 
 import os

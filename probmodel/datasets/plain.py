@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.arrays import ZIP, ArrayFile, read_tables, write_tables
+from probmodel.arrays import ZIP, ArrayFile, doubles, possible, read_tables, write_tables
 from probmodel.datasets.cases import DataSet
 from probmodel.datasets.views import resection
 from probmodel.detections import LARGEST_NUMBER, is_label
@@ -95,19 +95,17 @@ def _numbers(value: np.ndarray, name: str, row: tuple[int, ...], path: Path) -> 
             f"{path}: {name} has shape {shown(value.shape)} and type {shown(str(value.dtype))},"
             f" where numbers ({wanted}) are needed; bring other skeletons to these fifteen joints"
         )
-    with np.errstate(all="ignore"):  # of damaged numbers, which are refused below or are NaN
-        numbers = value.astype(np.float64)
-        if (np.abs(numbers) > LARGEST_NUMBER).any():
-            raise BadInput(
-                f"{path}: {name} holds a number beyond ±{LARGEST_NUMBER:g}; leave it out"
-            )
+    numbers = doubles(value)
+    if not possible(np.nan_to_num(numbers, nan=0.0, posinf=np.inf, neginf=-np.inf)):
+        raise BadInput(f"{path}: {name} holds a number beyond ±{LARGEST_NUMBER:g}; leave it out")
     return numbers
 
 
 def _texts(value: np.ndarray, name: str, number: int, path: Path) -> np.ndarray:
     if value.shape != (number,) or value.dtype.kind not in "US":
         raise BadInput(
-            f"{path}: {name} must be {number} texts, one a frame, but has shape {shown(value.shape)}"
+            f"{path}: {name} must be {number} texts, one a frame, but has shape"
+            f" {shown(value.shape)}"
         )
     texts = np.char.decode(value, "utf-8", "replace") if value.dtype.kind == "S" else value
     for text in np.unique(texts):

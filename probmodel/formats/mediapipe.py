@@ -2,10 +2,11 @@
 
 MediaPipe has no file of its own; people write one of these, and all are read:
 
-    [{"x": …, "y": …, "z": …, "visibility": …} × 33]           one person; or a list of such lists
-    {"landmarks": …}, {"pose_landmarks": …}, {"poseLandmarks": …}      the same, one level down, for one frame
-    landmarks { landmark { x: … visibility: … } … }            the text form of its protobuf, one `landmarks` a person
-    a table (CSV) with 33 rows of x, y, z, visibility, or with a row for each frame and columns in the landmarks' order
+    [{"x": …, "y": …, "z": …, "visibility": …} × 33]      one person; or a list of such lists
+    {"landmarks": …}, {"pose_landmarks": …}, {"poseLandmarks": …}      the same, one level down
+    landmarks { landmark { x: … visibility: … } … }       its protobuf as text, a block a person
+    x, y, z, visibility                                   a table (CSV): 33 rows a person, or a row
+                                                          a frame, in the landmarks' order
 
 Pixels are fractions × image size, so the size must be known. A visibility outside [0, 1] is a
 logit; the file's are then all turned into probabilities. One up to 1/2 counts as not seen, unless

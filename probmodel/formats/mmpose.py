@@ -1,8 +1,10 @@
 """MMPose 1.x (RTMPose, ViTPose, …): instances with lists of [x, y] and of scores.
 
-    [{"keypoints": [[x, y], …], "keypoint_scores": […], "bbox": [[x0, y0, x1, y1]]}, …]          an image (inferencer)
+    instance: {"keypoints": [[x, y], …], "keypoint_scores": […], "bbox": [[x0, y0, x1, y1]]}
+    [instance, …]                                                     an image (inferencer)
     {"meta_info": {"dataset_name": "coco", "keypoint_id2name": {"0": "nose", …}},
-     "instance_info": [instance, …]  or  [{"frame_id": 0, "instances": [instance, …]}, …]}       demo scripts
+     "instance_info": [instance, …]                                   an image (demo scripts)
+                   or [{"frame_id": 0, "instances": [instance, …]}, …]}     a video
 
 The layout stands in `meta_info`: by the name of the data set or by the names of the points. A file
 without it is told by its number of points, where only one layout has that many. Scores of SimCC

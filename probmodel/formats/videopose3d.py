@@ -4,7 +4,8 @@ Its own data_2d_*.npz pickle a dictionary, and pickles are not read. Whoever mad
 file saves it anew:
 
     z = numpy.load(file, allow_pickle=True)["positions_2d"].item()
-    numpy.savez(new, **{f"{s}/{a}/{c}": xy for s in z for a in z[s] for c, xy in enumerate(z[s][a])})
+    cameras = ((f"{s}/{a}/{c}", xy) for s in z for a in z[s] for c, xy in enumerate(z[s][a]))
+    numpy.savez(new, **dict(cameras))
 
 Human3.6M's 17 joints; other layouts are named by an array `layout`. Without a third column all
 scores are 1."""
@@ -36,7 +37,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
         raise BadInput(
             f"{content.source} pickles its arrays in a dictionary, and pickles, which could run any"
             " code, are not read; save each camera as an array of its own (see the reader's"
-            " documentation for two lines that do)."
+            " documentation for the lines that do)."
         )
     layout = H36M_17
     if "layout" in found:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.arrays import read_tables, write_tables
+from probmodel.arrays import doubles, possible, read_tables, write_tables
 from probmodel.failures import BadInput
 from probmodel.learning.learning import (
     LEARNING_RATE,
@@ -109,11 +109,12 @@ def _checked(value: np.ndarray, name: str, path: Path) -> np.ndarray:
             f"{path}: {name} has shape {value.shape}, where each is {wanted}; is it for another"
             " skeleton?"
         )
-    if not np.isfinite(value).all() or (name == "lengths" and not (value > 0).all()):
+    numbers = doubles(value)
+    if not possible(numbers) or (name == "lengths" and not (numbers > 0).all()):
         raise BadInput(
             f"{path}: {name} holds a number that is not finite or a length that is not positive"
         )
-    return value.astype(np.float64)
+    return numbers
 
 
 # --- learning

@@ -110,8 +110,8 @@ def parse_asf(path: Path) -> Asf:
     )
     if sorted(token.upper() for token in order) != sorted(_ROOT_ORDER):
         raise BadInput(
-            f"{path}: the root's order is {shown(' '.join(order))}, which is not TX TY TZ RX RY RZ in"
-            " some order"
+            f"{path}: the root's order is {shown(' '.join(order))}, which is not TX TY TZ RX RY RZ"
+            " in some order"
         )
     bones = _parse_bones(sections["bonedata"], path)
     parents = _parse_hierarchy(sections["hierarchy"], bones, path)

@@ -266,8 +266,8 @@ class Network:
         if not maps or maps[-1].shape[:2] != (1, self.layout.count):
             shapes = [output.shape for output in outputs]
             raise BadInput(
-                f"{self.name} gives {shown(shapes)}, not heatmaps (1, {self.layout.count}, height, width)"
-                f" of {self.layout.name}; choose the layout that it was trained on"
+                f"{self.name} gives {shown(shapes)}, not heatmaps (1, {self.layout.count}, height,"
+                f" width) of {self.layout.name}; choose the layout that it was trained on"
             )
         return np.asarray(maps[-1][0], dtype=float)
 
@@ -280,8 +280,9 @@ def cut_out(image: np.ndarray, crop: Crop, size: tuple[int, int]) -> np.ndarray:
     high = np.maximum(np.ceil(corner + crop.size), image.shape[1::-1]).astype(int)
     if np.prod((high - low).astype(float)) > MOST_PIXELS:
         raise BadInput(
-            f"a person's box goes from {shown(crop.corner.tolist())} for {shown(crop.size.tolist())}"
-            f" pixels, but the image has {image.shape[1]}x{image.shape[0]}; give boxes in its pixels"
+            f"a person's box begins at {shown(crop.corner.tolist())} and spans"
+            f" {shown(crop.size.tolist())} pixels, but the image has {image.shape[1]}x"
+            f"{image.shape[0]}; give boxes in its pixels"
         )
     inside = Image.fromarray(np.ascontiguousarray(image[..., :3], dtype=np.uint8))
     padded = inside.crop((int(low[0]), int(low[1]), int(high[0]), int(high[1])))

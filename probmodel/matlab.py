@@ -19,7 +19,8 @@ _MATRIX, _COMPRESSED, _CELL = 14, 15, 1
 _NUMBERS = range(6, 16)
 """Classes of arrays of numbers, from double to uint64."""
 _COMPLEX = 0x800
-_STORED = dict(enumerate("i1 u1 i2 u2 i4 u4 f4".split(), 1)) | {9: "f8", 12: "i8", 13: "u8"}
+_STORED = dict(enumerate(["i1", "u1", "i2", "u2", "i4", "u4", "f4"], start=1))
+_STORED |= {9: "f8", 12: "i8", 13: "u8"}
 """How numbers are stored, by the type of an element."""
 
 

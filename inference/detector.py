@@ -191,9 +191,25 @@ class Network:
         image_id: str | None = None,
         first_person: int = 0,
     ) -> list[Detection]:
-        """One detection for each of the `boxes` (x, y, width, height in pixels; by default the
-        whole image) of an `image` `(H, W, 3)` of bytes. Raises `BadInput` on a box without a size,
-        or an output that is no heatmaps."""
+        """One detection for each person's box.
+
+        Parameters
+        ----------
+        image
+            `(H, W, 3)` bytes.
+        boxes
+            x, y, width, height in pixels of each person; by default the whole image is one.
+        threshold, method
+            As in `heatmaps.decode`.
+        source, image_id, first_person
+            What the image is called, and the number of its first person.
+
+        Raises
+        ------
+        BadInput
+            Where a box has no size or lies far from the image, or the network's output is no
+            heatmaps, or it takes too long.
+        """
         return [
             found.detection
             for found in self.decode(

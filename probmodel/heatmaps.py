@@ -75,11 +75,29 @@ def decode(
     image_id: str | None = None,
     image_size: tuple[int, int] | None = None,
 ) -> Decoded:
-    """The detection in `heatmaps` `(J, H, W)`, in the order of `layout`.
+    """The detection in heatmaps, and the other maxima of each.
 
-    `method`: "soft", the mean in a window around the maximum, or "quarter", the maximum moved by a
-    quarter of a pixel towards its higher neighbour. Raises `BadInput` where the array is not one of
-    heatmaps."""
+    Parameters
+    ----------
+    heatmaps
+        `(J, H, W)`, in the order of `layout`.
+    layout
+        The network's joints.
+    crop
+        The box of the image that the network saw; by default coordinates are the heatmaps' pixels.
+    threshold
+        A joint whose heatmap has a mean up to this is missing.
+    method
+        "soft": the mean in a window around the maximum. "quarter": the maximum moved by a quarter
+        of a pixel towards its higher neighbour.
+    source, person, image_id, image_size
+        As in `Detection`.
+
+    Raises
+    ------
+    BadInput
+        Where the array is not one of this layout's heatmaps, or not finite.
+    """
     heatmaps = _checked(heatmaps, layout, source)
     shape = (heatmaps.shape[1], heatmaps.shape[2])
     crop = Crop.whole(heatmaps) if crop is None else crop

@@ -42,12 +42,23 @@ def is_human36m(path: Path) -> bool:
 
 
 def read_human36m(path: Path, detections: str = "gt", frames: int | None = None) -> DataSet:
-    """All subjects, cameras and actions, `Walking 1` and `Walking 2` being one action; `frames` of
-    them, as many of each action as of any other, evenly over its takes (default: all; every 80th,
-    26,380, is about what the paper has).
+    """All subjects, cameras and actions; `Walking 1` and `Walking 2` are one action.
 
-    2D joints have no scores: they are 1. Raises `BadInput` where a file is missing, is not
-    VideoPose3D's, or the two do not go together."""
+    Parameters
+    ----------
+    path
+        VideoPose3D's 3D file, or the folder that has it.
+    detections
+        Which 2D file, as in `read_data_set`. Its joints have no scores: they are 1.
+    frames
+        How many, as many of each action as of any other, evenly over its takes. By default all;
+        the paper has about every 80th, 26,380.
+
+    Raises
+    ------
+    BadInput
+        Where a file is missing or is not VideoPose3D's, or the two do not go together.
+    """
     file = path / FILE_3D if path.is_dir() else path
     beside = file.with_name(
         file.name.replace("data_3d_", "data_2d_").replace(".npz", f"_{detections}.npz")

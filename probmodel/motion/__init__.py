@@ -23,12 +23,20 @@ __all__ = ["CMU_UNIT", "FROM_SEVENTEEN", "Motion", "read_motion"]
 
 
 def read_motion(path: str | os.PathLike) -> list[Motion]:
-    """Recordings at `path`, glitches included (see `Motion.without_jumps`), in a fixed order.
+    """Recordings at a path, glitches included (see `Motion.without_jumps`), in a fixed order.
 
-    `path` is an .amc file with its subject's .asf beside it, a folder of them or of such folders, a
-    .bvh file or a folder of them, or an .npz whose keys hold `(T, 15, 3)` or `(T, 17, 3)`
-    millimetres at 30 Hz (`<action>/<sequence>`; one subject a file). Raises `BadInput` where a file
-    is none of these or is damaged."""
+    Parameters
+    ----------
+    path
+        An .amc file with its subject's .asf beside it; a .bvh file; an .npz of one subject, whose
+        keys (`<action>/<sequence>`) hold `(T, 15, 3)` or `(T, 17, 3)` millimetres at 30 Hz; or a
+        folder of any of these, with its folders.
+
+    Raises
+    ------
+    BadInput
+        Where a file is none of these, or is damaged.
+    """
     path = Path(path)
     if path.is_dir():
         return _read_folder(path)

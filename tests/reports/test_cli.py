@@ -427,7 +427,7 @@ REFUSALS = [
         GOOD,
         "f.json is no image that can be read .*; give a PNG",
     ),
-    Refusal("folder as image", HYPOTHESES + "--image @.", GOOD, "is no image that can be read"),
+    Refusal("folder as image", HYPOTHESES + "--image @.", GOOD, "is a folder, not a file"),
     Refusal(
         "out is a file",
         "hypotheses @f.json --out @f.json",
@@ -558,7 +558,7 @@ REFUSALS += [
     check("not an array", "p.npy", "hello", "p.npy is no NumPy array of numbers"),
     check("empty array file", "p.npy", b"", "p.npy is no NumPy array of numbers"),
     check("cut array", "p.npy", npy(standing())[:-20], "p.npy is no NumPy array of numbers"),
-    check("objects", "p.npy", npy(np.array([None])), "p.npy is no NumPy array of numbers"),
+    check("objects", "p.npy", npy(np.array([None])), "p.npy holds pickled Python objects"),
     check(
         "an archive by another name",
         "p.npy",
@@ -598,7 +598,7 @@ REFUSALS += [
         "the bone head of pose 0 in .*p.npy has length zero",
     ),
     check("no hypotheses", "p.json", native(), "p.json is not a hypotheses.json of poseterior"),
-    check("text as .nc", "p.nc", "hello", "p.nc holds no poses of poseterior"),
+    check("text as .nc", "p.nc", "hello", "p.nc is no file of poses of poseterior"),
     check(
         "wrong shape in .npz",
         "p.npz",

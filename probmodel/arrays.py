@@ -39,8 +39,8 @@ MOST_NUMBERS = 150_000_000
 """Numbers that may be brought to double precision at once."""
 LONGEST_NAME = 200
 _CHUNK = 1 << 20
-_DEFLATE, _FLETCHER32 = 1, 3
-_FILTERS = {_DEFLATE, 2, _FLETCHER32, 32000}
+_DEFLATE, _SUMS = 1, 3
+_FILTERS = {_DEFLATE, 2, _SUMS, 32000}
 """The filters of HDF5 that are read: deflate, shuffle, Fletcher's sums, and h5py's own LZF."""
 
 
@@ -272,19 +272,20 @@ def _require_honest(item: Any, where: str) -> None:
     unpacks to more than it says: the library would unpack it whole."""
     creation = item.id.get_create_plist()
     codes = [creation.get_filter(place)[0] for place in range(creation.get_nfilters())]
-    while codes and codes[-1] == _FLETCHER32:
-        codes.pop()
-    if not set(codes) <= _FILTERS or _DEFLATE in codes[:-1]:
+    packing = [place for place, code in enumerate(codes) if code == _DEFLATE]
+    if not set(codes) <= _FILTERS or any(set(codes[place + 1 :]) - {_SUMS} for place in packing):
         raise BadInput(f"{where} is packed in a way that is not read; save it with gzip, or plain.")
-    if codes[-1:] != [_DEFLATE]:
+    if not packing:
         return
     most = math.prod(item.chunks) * item.dtype.itemsize + 64
-    for number in range(item.id.get_num_chunks()):
-        offset = item.id.get_chunk_info(number).chunk_offset
-        mask, packed = item.id.read_direct_chunk(offset)
+    chunks: list[Any] = []
+    item.id.chunk_iter(chunks.append)
+    for chunk in chunks:
+        if chunk.filter_mask & 1 << packing[0]:  # it did not pack well, and stands as it is
+            continue
         unpacking = zlib.decompressobj()
-        unpacking.decompress(packed, most)
-        if not mask and not unpacking.eof and unpacking.unconsumed_tail:
+        unpacking.decompress(item.id.read_direct_chunk(chunk.chunk_offset)[1], most)
+        if not unpacking.eof and unpacking.unconsumed_tail:
             raise BadInput(f"{where} unpacks to more than it says; check that it is complete.")
 
 
@@ -371,10 +372,10 @@ def read_array(path: str | os.PathLike, what: str, advice: str) -> np.ndarray:
 
 
 def read_netcdf(
-    path: str | os.PathLike, wanted: Sequence[str], what: str, advice: str
+    path: str | os.PathLike, wanted: Sequence[str] | None, what: str, advice: str
 ) -> dict[str, np.ndarray]:
-    """Those of the `wanted` variables (`group/variable`) that a netCDF4 file has. Raises `BadInput`
-    as `read_tables`, and where one lies in another file."""
+    """Those of the `wanted` variables (`group/variable`; None for all) that a netCDF4 file has.
+    Raises `BadInput` as `read_tables`, and where one lies in another file."""
     with opened(path, what, advice) as file:
         found = ArrayFile(file, str(path), what, advice)
         found.require(HDF5)

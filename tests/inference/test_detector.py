@@ -304,7 +304,7 @@ def test_the_command_from_images_to_detections(tmp_path: Path, poseterior: Cli) 
         (("--layout", "mpii"), "there is no layout 'mpii'; choose one of coco_17"),
         (("--layout", "mpii_16", "--box", "1,2,3"), "--box must be x,y,width,height"),
         (("--layout", "mpii_16", "--input-size", "64"), "--input-size must look like 192x256"),
-        (("--layout", "mpii_16", "--boxes", "{tmp}/dots.onnx"), "dots.onnx is not (UTF-8 text|valid JSON)"),
+        (("--layout", "mpii_16", "--boxes", "{tmp}/dots.onnx"), "is not (UTF-8 text|valid JSON)"),
         (("--layout", "mpii_16", "--method", "mean"), "there is no way 'mean'"),
     ],
 )

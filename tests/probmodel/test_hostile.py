@@ -264,6 +264,22 @@ def test_a_chunk_that_unpacks_to_more_than_it_says_is_refused(tmp_path: Path) ->
         read_netcdf(path, ["a"], "file", "give another")
 
 
+GZIP = {"compression": "gzip"}
+
+
+def test_two_packings_on_each_other_are_refused(tmp_path: Path) -> None:
+    """Each can make a thousand times more of what it is given."""
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        creation.set_chunk((100,))
+        creation.set_deflate(9)
+        creation.set_deflate(9)
+        space = h5py.h5s.create_simple((100,))
+        h5py.h5d.create(file.id, b"a", h5py.h5t.NATIVE_DOUBLE, space, creation)
+    with pytest.raises(BadInput, match="packed in a way that is not read"):
+        read_netcdf(tmp_path / "a.nc", ["a"], "file", "give another")
+
+
 def test_packed_hdf5_is_read(tmp_path: Path) -> None:
     values = np.random.default_rng(0).normal(size=(70, 30))
     with h5py.File(tmp_path / "a.nc", "w") as file:
@@ -273,8 +289,11 @@ def test_packed_hdf5_is_read(tmp_path: Path) -> None:
             "plain": {},
         }.items():
             file.create_dataset(name, data=values, **ways)
-    found = read_netcdf(tmp_path / "a.nc", ["gzip", "lzf", "plain"], "file", "")
-    assert len(found) == 3
+        skipped = file.create_dataset("as it is", values.shape, "f8", chunks=(70, 30), **GZIP)
+        skipped.id.write_direct_chunk((0, 0), values.tobytes(), filter_mask=1)
+        file.create_dataset("many", data=values, chunks=(1, 1), **GZIP)
+    found = read_netcdf(tmp_path / "a.nc", None, "file", "")
+    assert len(found) == 5
     for array in found.values():
         np.testing.assert_array_equal(array, values)
 

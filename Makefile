@@ -6,7 +6,7 @@ PYTHON := $(shell for p in python3.12 python3.13 python3.14 python3; do \
 # One BLAS thread a process: the tests already run one process a core.
 PYTEST := $(BIN)/python -m pytest -n 2
 
-.PHONY: demo test test-all lint bench lock clean
+.PHONY: demo test test-all lint bench fuzz lock clean
 
 demo: $(VENV)/.done
 	$(BIN)/poseterior demo
@@ -33,6 +33,10 @@ $(VENV)/.done: pyproject.toml requirements.lock
 	@echo "compiling the loops, once"
 	@$(BIN)/poseterior demo --quiet --out $(VENV)/demo > /dev/null
 	@touch $@
+
+# FUZZ_CASES or FUZZ_SECONDS says how much, FUZZ_SEED which.
+fuzz: $(VENV)/.done
+	$(BIN)/python -m tests.fuzzing
 
 lock: $(VENV)/.done
 	$(BIN)/python -m pip freeze --exclude-editable > requirements.lock

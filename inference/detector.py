@@ -5,20 +5,28 @@ to detections.
     detections = network.detect(image, boxes)
 
 Top-down: each person's box is cut out, brought to the network's size, and comes back as a heatmap
-for each joint. The weights are the user's. onnxruntime is an extra, imported when a network is
-loaded."""
+for each joint. The weights are the user's. onnxruntime is an extra; the network runs in a process
+of its own, which is ended where it takes too long: an ONNX file is a program."""
 
+import contextlib
+import importlib.util
 import os
+import subprocess
+import sys
+import threading
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from PIL import Image
 
-from probmodel.detections import Detection
-from probmodel.failures import BadInput
+from inference import network_process
+from probmodel.detections import LARGEST_NUMBER, Detection
+from probmodel.failures import BadInput, shown
+from probmodel.files import opened
 from probmodel.heatmaps import THRESHOLD, Crop, Decoded, decode
 from probmodel.layouts import Layout
 
@@ -35,17 +43,87 @@ LARGEST_SIDE = 2048
 """Pixels; no network takes larger images than this here."""
 LARGEST_CROP = 10
 """What is cut out is at most so many times larger than the image."""
+MOST_PIXELS = 200_000_000
+"""Of an image together with what a box takes in beyond it."""
+TIME_LIMIT = 120.0
+"""Seconds that a network may take to load, and again for each person."""
+MEMORY_LIMIT = 16_000_000_000
+"""Bytes of address space that it may use."""
+
+
+class _Process:
+    """A network in a process of its own. `inputs` lists name, shape and type of what it takes.
+
+    Raises `BadInput` where the file is no network, or takes longer than `limit` seconds."""
+
+    def __init__(self, path: Path, limit: float) -> None:
+        self.name, self.limit = path.name, limit
+        script = str(Path(network_process.__file__))
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", script, str(path), str(MEMORY_LIMIT)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        self.close = weakref.finalize(self, _end, self._process)
+        answer, _ = self._answer()
+        if "error" in answer:
+            raise BadInput(
+                f"{path} is no ONNX network that can be run ({answer['error']}); export it anew"
+            )
+        self.inputs = [(name, shape, kind) for name, shape, kind in answer["inputs"]]
+
+    def run(self, pixels: np.ndarray) -> list[np.ndarray]:
+        """The network's outputs for one image. Raises `BadInput` where it fails, or takes too
+        long."""
+        if not self.close.alive:
+            raise BadInput(f"{self.name} was stopped before; load it anew")
+        with contextlib.suppress(OSError):  # it ended before, which the answer tells
+            network_process.send(cast(BinaryIO, self._process.stdin), {}, [pixels])
+        answer, outputs = self._answer()
+        if "error" in answer:
+            raise BadInput(
+                f"{self.name} could not be run on an image ({answer['error']}); try another"
+                " --input-size"
+            )
+        return outputs
+
+    def _answer(self) -> tuple[dict[str, Any], list[np.ndarray]]:
+        timer = threading.Timer(self.limit, self._process.kill)
+        timer.start()
+        try:
+            return network_process.receive(cast(BinaryIO, self._process.stdout))
+        except (EOFError, OSError):
+            late = not timer.is_alive()
+            self.close()
+            reason = (
+                f"took more than {self.limit:g} seconds"
+                if late
+                else f"ended its process (exit status {self._process.returncode})"
+            )
+            raise BadInput(
+                f"{self.name} {reason}, so it was stopped; give a network of a pose detector"
+            ) from None
+        finally:
+            timer.cancel()
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    for pipe in (process.stdin, process.stdout):
+        with contextlib.suppress(OSError):  # it still held what nobody will read
+            cast(BinaryIO, pipe).close()
+    process.wait()
 
 
 @dataclass(frozen=True)
 class Network:
-    """A loaded network: `session`, its `layout`, its input's name and `size` (width, height), and
-    its kind of `pixels`."""
+    """A loaded network: its `process`, its `layout`, the `size` (width, height) of what it takes,
+    and its kind of `pixels`."""
 
-    session: Any
+    process: _Process
     layout: Layout
     name: str
-    input_name: str
     size: tuple[int, int]
     pixels: str = "imagenet"
 
@@ -57,27 +135,39 @@ class Network:
         *,
         size: tuple[int, int] | None = None,
         pixels: str = "imagenet",
+        time_limit: float = TIME_LIMIT,
     ) -> "Network":
-        """Reads an ONNX file. `size` (width, height) is needed where the network takes images of
-        any size.
+        """Starts the network of an ONNX file.
 
-        Raises `BadInput` where onnxruntime is not installed, the file is no network, or its input
-        is not one image of three colours."""
+        Parameters
+        ----------
+        path, layout
+            The file, and the order of its heatmaps.
+        size
+            (width, height) of the images it takes, where it takes any.
+        pixels
+            One of `PIXELS`: how pixels are normalised.
+        time_limit
+            Seconds after which it is ended, while it loads and for each person.
+
+        Raises
+        ------
+        BadInput
+            Where onnxruntime is not installed, the file is no network, its input is not one image
+            of three colours, or it takes too long.
+        """
         if pixels not in PIXELS:
             raise BadInput(f"there are no pixels {pixels!r}; choose one of {', '.join(PIXELS)}")
-        session = _session(Path(path))
-        inputs = session.get_inputs()
-        shape = inputs[0].shape if inputs else []
+        process = _start(Path(path), time_limit)
+        shapes = [(shape, kind) for _, shape, kind in process.inputs]
+        shape = shapes[0][0] if shapes else []
         if (
-            len(inputs) != 1
+            len(shapes) != 1
             or len(shape) != 4
             or shape[1] not in (3, "3")
-            or inputs[0].type != "tensor(float)"
+            or shapes[0][1] != "tensor(float)"
         ):
-            raise BadInput(
-                f"{path} takes {[(i.shape, i.type) for i in inputs]}, not one image (n, 3, height,"
-                " width)"
-            )
+            raise BadInput(f"{path} takes {shown(shapes)}, not one image (n, 3, height, width)")
         own = tuple(side for side in (shape[3], shape[2]) if isinstance(side, int))
         if len(own) == 2 and size not in (None, own):
             raise BadInput(
@@ -90,7 +180,7 @@ class Network:
                 f"{path} takes images of any size; say which it was trained on, such as"
                 " --input-size 192x256"
             )
-        return cls(session, layout, Path(path).name, inputs[0].name, (chosen[0], chosen[1]), pixels)
+        return cls(process, layout, Path(path).name, (chosen[0], chosen[1]), pixels)
 
     def detect(
         self,
@@ -103,9 +193,25 @@ class Network:
         image_id: str | None = None,
         first_person: int = 0,
     ) -> list[Detection]:
-        """One detection for each of the `boxes` (x, y, width, height in pixels; by default the
-        whole image) of an `image` `(H, W, 3)` of bytes. Raises `BadInput` on a box without a size,
-        or an output that is no heatmaps."""
+        """One detection for each person's box.
+
+        Parameters
+        ----------
+        image
+            `(H, W, 3)` bytes.
+        boxes
+            x, y, width, height in pixels of each person; by default the whole image is one.
+        threshold, method
+            As in `heatmaps.decode`.
+        source, image_id, first_person
+            What the image is called, and the number of its first person.
+
+        Raises
+        ------
+        BadInput
+            Where a box has no size or lies far from the image, or the network's output is no
+            heatmaps, or it takes too long.
+        """
         return [
             found.detection
             for found in self.decode(
@@ -163,7 +269,8 @@ class Network:
         """What is cut out for a box (x, y, width, height): padded, and widened to the network's
         proportions."""
         x, y, width, height = (float(value) for value in box)
-        if not (np.isfinite([x, y, width, height]).all() and width > 0 and height > 0):
+        possible = (np.abs([x, y, width, height]) <= LARGEST_NUMBER).all()  # false for NaN too
+        if not (possible and width > 0 and height > 0):
             raise BadInput(
                 f"a person's box must be x, y, width, height with a size, not {list(box)}"
             )
@@ -177,13 +284,13 @@ class Network:
         """`(J, H, W)`: the network's last output, on the pixels of `crop`."""
         mean, deviation = (np.array(values, np.float32) for values in PIXELS[self.pixels])
         pixels = (cut_out(image, crop, self.size).astype(np.float32) - mean) / deviation
-        outputs = _run(self.session, {self.input_name: pixels.transpose(2, 0, 1)[None]}, self.name)
-        maps = [output for output in outputs if isinstance(output, np.ndarray) and output.ndim == 4]
+        outputs = self.process.run(pixels.transpose(2, 0, 1)[None])
+        maps = [output for output in outputs if output.ndim == 4]
         if not maps or maps[-1].shape[:2] != (1, self.layout.count):
-            shapes = [getattr(output, "shape", "?") for output in outputs]
+            shapes = [output.shape for output in outputs]
             raise BadInput(
-                f"{self.name} gives {shapes}, not heatmaps (1, {self.layout.count}, height, width)"
-                f" of {self.layout.name}; choose the layout that it was trained on"
+                f"{self.name} gives {shown(shapes)}, not heatmaps (1, {self.layout.count}, height,"
+                f" width) of {self.layout.name}; choose the layout that it was trained on"
             )
         return np.asarray(maps[-1][0], dtype=float)
 
@@ -196,10 +303,16 @@ def _lies_in(crop: Crop, width: int, height: int) -> bool:
 
 def cut_out(image: np.ndarray, crop: Crop, size: tuple[int, int]) -> np.ndarray:
     """`(height, width, 3)` bytes of `size` (width, height): the crop, black where it reaches beyond
-    the image."""
+    the image. Raises `BadInput` where it reaches too far beyond it."""
     corner = crop.corner + 0.5  # from pixels' centres to their edges
     low = np.minimum(np.floor(corner), 0).astype(int)
     high = np.maximum(np.ceil(corner + crop.size), image.shape[1::-1]).astype(int)
+    if np.prod((high - low).astype(float)) > MOST_PIXELS:
+        raise BadInput(
+            f"a person's box begins at {shown(crop.corner.tolist())} and spans"
+            f" {shown(crop.size.tolist())} pixels, but the image has {image.shape[1]}x"
+            f"{image.shape[0]}; give boxes in its pixels"
+        )
     inside = Image.fromarray(np.ascontiguousarray(image[..., :3], dtype=np.uint8))
     padded = inside.crop((int(low[0]), int(low[1]), int(high[0]), int(high[1])))
     start = corner - low
@@ -207,35 +320,11 @@ def cut_out(image: np.ndarray, crop: Crop, size: tuple[int, int]) -> np.ndarray:
     return np.asarray(padded.resize(size, Image.Resampling.BILINEAR, box=box))
 
 
-def _session(path: Path) -> Any:
-    try:
-        import onnxruntime
-    except ImportError:
+def _start(path: Path, time_limit: float) -> _Process:
+    if importlib.util.find_spec("onnxruntime") is None:
         raise BadInput(
             "running a network needs onnxruntime, which is not installed; install it with: "
             "pip install 'poseterior[detect]'"
-        ) from None
-    if not path.is_file():
-        raise BadInput(f"there is no network at {path}; give an ONNX file")
-    settings = onnxruntime.SessionOptions()
-    settings.log_severity_level = 4  # what goes wrong is said in a sentence, below
-    try:
-        return onnxruntime.InferenceSession(str(path), settings, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's own errors share no class but this
-        raise BadInput(
-            f"{path} is no ONNX network that can be run ({_words(error)}); export it anew"
-        ) from None
-
-
-def _run(session: Any, feed: dict[str, np.ndarray], name: str) -> list[Any]:
-    try:
-        outputs: list[Any] = session.run(None, feed)
-        return outputs
-    except Exception as error:  # see above
-        raise BadInput(
-            f"{name} could not be run on an image ({_words(error)}); try another --input-size"
-        ) from None
-
-
-def _words(error: Exception) -> str:
-    return (" ".join(str(error).split()) or type(error).__name__)[:200]
+        )
+    opened(path, "network", "give an ONNX file").close()
+    return _Process(path, time_limit)

@@ -4,13 +4,14 @@ or missing.
 The usual way in is `read_detections` of `probmodel.formats`; `Detection` is what every reader
 returns. What the scores mean for the likelihood: `probmodel.likelihood`."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from probmodel.failures import BadInput
+from probmodel.failures import BadInput, shown
 from probmodel.skeleton import BONES, JOINTS, LIMB_JOINTS, NUM_JOINTS
 
 __all__ = ["FACE", "LARGEST_NUMBER", "LIKELIHOOD_JOINTS", "LIMB_JOINTS", "Detection", "pick_person"]
@@ -30,6 +31,22 @@ sees."""
 LARGEST_NUMBER = 1e9
 """No coordinate (pixels), score or scale may be larger: squares of larger numbers lose their
 meaning, or overflow."""
+
+
+LONGEST_LABEL = 400
+"""Characters of the name of an image, a subject, an action."""
+_NOT_IN_LABELS = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
+"""Control characters, with which a terminal can be told things, and surrogates, which no file can
+hold."""
+
+
+def is_label(value: object) -> bool:
+    """Whether it is a text that can be shown and written anywhere."""
+    return (
+        isinstance(value, str)
+        and len(value) <= LONGEST_LABEL
+        and _NOT_IN_LABELS.search(value) is None
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +165,11 @@ def _check_labels(
         raise BadInput(
             f"the number of a person must be 0 or a positive whole number, not {person!r}."
         )
-    if image_id is not None and not isinstance(image_id, str):
-        raise BadInput(f"the image_id of {where} must be a text or None, not {image_id!r}.")
+    if image_id is not None and not is_label(image_id):
+        raise BadInput(
+            f"the image_id of {where} must be a text of at most {LONGEST_LABEL} characters without"
+            f" control characters, or None, not {shown(image_id)}."
+        )
     if image_size is not None and not (
         isinstance(image_size, tuple)
         and len(image_size) == 2

@@ -3,6 +3,8 @@
 Raised anywhere below the command line; the command line prints the sentence and turns it into an
 exit code."""
 
+import reprlib
+
 
 class BadInput(ValueError):
     """What was given cannot be used. The message is one sentence for the person who gave it (exit
@@ -12,3 +14,13 @@ class BadInput(ValueError):
 class OutOfBudget(RuntimeError):
     """A sampler's budget ended, or can never suffice, before it had what was asked for (exit code
     3)."""
+
+
+LONGEST_SHOWN = 120
+
+
+def shown(value: object) -> str:
+    """A short form of any value for a message: never long, never recursing deeply, no control
+    character as it is."""
+    text = reprlib.repr(value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"

@@ -1,14 +1,93 @@
-"""Files that are written whole or not at all."""
+"""Files: read only where they are regular files of a credible size, written whole or not at all."""
 
 import contextlib
 import os
+import stat
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from probmodel.failures import BadInput
 
 UNFINISHED: set[Path] = set()
 """What is being written, for whoever ends the process at once to remove."""
+LARGEST_FILE = 1_000_000_000
+"""Bytes; larger files would fill the memory before anything could be said about them."""
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def opened(
+    path: str | os.PathLike, what: str, advice: str, *, largest: int | None = None
+) -> BinaryIO:
+    """A regular file, open for reading bytes.
+
+    Pipes, devices, sockets and folders are refused before they are opened: opening them can block
+    for ever or change something.
+
+    Parameters
+    ----------
+    path
+        The file; links are followed.
+    what, advice
+        What the file should be, and what to do where it is not: both go into the sentence.
+    largest
+        Bytes that it may have; any number by default.
+
+    Raises
+    ------
+    BadInput
+        Where there is no such file, it is not a regular one, is too large, or cannot be opened.
+    """
+    try:
+        _require_regular(os.stat(path), path, advice)
+        # Should the file be swapped for a pipe meanwhile, this does not wait for its other end.
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    except FileNotFoundError:
+        raise BadInput(f"there is no {what} at {path}; {advice}") from None
+    except (OSError, ValueError) as error:
+        if isinstance(error, BadInput):
+            raise
+        reason = getattr(error, "strerror", None) or error
+        raise BadInput(f"{path} cannot be read ({reason}); {advice}") from None
+    file = os.fdopen(descriptor, "rb")
+    try:
+        found = os.fstat(descriptor)
+        _require_regular(found, path, advice)
+        if largest is not None and found.st_size > largest:
+            raise BadInput(
+                f"{path} has {found.st_size:,} bytes, more than {largest:,}; split it into smaller"
+                " files"
+            )
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def read_bytes(
+    path: str | os.PathLike, what: str, advice: str, *, largest: int = LARGEST_FILE
+) -> bytes:
+    """The content of a regular file of at most `largest` bytes. Raises `BadInput` as `opened`."""
+    with opened(path, what, advice, largest=largest) as file:
+        try:
+            data = file.read(largest + 1) or b""
+        except OSError as error:
+            raise BadInput(f"{path} cannot be read ({error.strerror}); {advice}") from None
+    if len(data) > largest:
+        raise BadInput(f"{path} has more than {largest:,} bytes; split it into smaller files")
+    return data
+
+
+def _require_regular(found: os.stat_result, path: str | os.PathLike, advice: str) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+        raise BadInput(f"{path} is {kind}, not a file; {advice}")
 
 
 @contextlib.contextmanager

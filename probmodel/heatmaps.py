@@ -25,7 +25,7 @@ WINDOW = 2.0
 ALTERNATIVE = 0.5
 """Another maximum at least so high, as a share of the highest, is kept as an alternative."""
 MOST_ALTERNATIVES = 4
-LARGEST_SIDE = 4096
+LARGEST_SIDE = 1024
 """Pixels; no heatmap is larger."""
 _APART = 5
 """Two maxima of one heatmap are at least half of this many pixels apart."""
@@ -75,11 +75,29 @@ def decode(
     image_id: str | None = None,
     image_size: tuple[int, int] | None = None,
 ) -> Decoded:
-    """The detection in `heatmaps` `(J, H, W)`, in the order of `layout`.
+    """The detection in heatmaps, and the other maxima of each.
 
-    `method`: "soft", the mean in a window around the maximum, or "quarter", the maximum moved by a
-    quarter of a pixel towards its higher neighbour. Raises `BadInput` where the array is not one of
-    heatmaps."""
+    Parameters
+    ----------
+    heatmaps
+        `(J, H, W)`, in the order of `layout`.
+    layout
+        The network's joints.
+    crop
+        The box of the image that the network saw; by default coordinates are the heatmaps' pixels.
+    threshold
+        A joint whose heatmap has a mean up to this is missing.
+    method
+        "soft": the mean in a window around the maximum. "quarter": the maximum moved by a quarter
+        of a pixel towards its higher neighbour.
+    source, person, image_id, image_size
+        As in `Detection`.
+
+    Raises
+    ------
+    BadInput
+        Where the array is not one of this layout's heatmaps, or not finite.
+    """
     heatmaps = _checked(heatmaps, layout, source)
     shape = (heatmaps.shape[1], heatmaps.shape[2])
     crop = Crop.whole(heatmaps) if crop is None else crop
@@ -179,7 +197,6 @@ def _height(heatmap: FloatArray, top: tuple[int, int], highest: tuple[int, int])
 
 
 def _checked(heatmaps: FloatArray, layout: Layout, source: str) -> FloatArray:
-    heatmaps = np.asarray(heatmaps, dtype=float)
     if (
         heatmaps.ndim != 3
         or heatmaps.shape[0] != layout.count
@@ -189,6 +206,7 @@ def _checked(heatmaps: FloatArray, layout: Layout, source: str) -> FloatArray:
             f"{source} has heatmaps of shape {heatmaps.shape}, but {layout.name} needs"
             f" ({layout.count}, height, width) with sides from 2 to {LARGEST_SIDE} pixels."
         )
+    heatmaps = np.asarray(heatmaps, dtype=float)
     if not np.isfinite(heatmaps).all():
         raise BadInput(
             f"{source} has heatmaps with numbers that are not finite; run the network again."

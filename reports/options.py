@@ -6,7 +6,6 @@ before it is needed, so that `--help` is quick."""
 
 import enum
 import functools
-import json
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -162,16 +161,11 @@ class Detected:
 
     def _names(self) -> dict[str, str] | list[str] | None:
         from probmodel import BadInput
+        from probmodel.documents import read_json
 
         if self.names is None:
             return None
-        try:
-            names = json.loads(self.names.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
-            raise BadInput(
-                f"{self.names} is no JSON that can be read ({type(error).__name__}); give a map of"
-                " names"
-            ) from None
+        names = read_json(self.names, "map of names", "give a JSON object of names")
         texts = [*names, *names.values()] if isinstance(names, dict) else names
         if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
             raise BadInput(

@@ -16,16 +16,14 @@ from inference.roots.adjustment import adjust
 from inference.roots.points import Points
 from inference.roots.twins import Outcome, candidates_both_ways, mirrored
 from inference.roots.whole_pose import candidate_from_pose
-from probmodel.detections import Detection
+from probmodel.arrays import doubles, possible, read_array, read_tables
+from probmodel.detections import LARGEST_NUMBER, Detection
 from probmodel.failures import BadInput
 from probmodel.roots import Candidate
 from probmodel.skeleton import JOINTS, NUM_JOINTS
-from probmodel.tables import read_tables
 
 SUFFIXES = (".npz", ".npy")
 SHAPES = f"({NUM_JOINTS}, 3), (people, {NUM_JOINTS}, 3) or (people, alternatives, {NUM_JOINTS}, 3)"
-LARGEST = 1e9
-"""No coordinate may be larger: the squares of larger numbers lose their meaning."""
 
 
 def read_poses(path: str | os.PathLike) -> np.ndarray:
@@ -37,7 +35,7 @@ def read_poses(path: str | os.PathLike) -> np.ndarray:
         f"give an .npz with `joints` of shape {SHAPES}, or an .npy of that shape",
     )
     if path.suffix.lower() == ".npy":
-        joints, names = _read_array(path, what, advice), None
+        joints, names = read_array(path, what, advice), None
     else:
         arrays = read_tables(path, what, advice)
         if "joints" not in arrays:
@@ -51,24 +49,13 @@ def read_poses(path: str | os.PathLike) -> np.ndarray:
         or joints.shape[-2:] != (NUM_JOINTS, 3)
     ):
         raise BadInput(f"{path}: joints have shape {joints.shape}; {advice}")
-    joints = joints.astype(np.float64)
-    if not joints.size or not (np.abs(joints) <= LARGEST).all():  # false for NaN too
+    joints = doubles(joints)
+    if not joints.size or not possible(joints):
         raise BadInput(
-            f"{path}: joints must be finite, at most {LARGEST:g} in size, and at least one pose of"
-            " them"
+            f"{path}: joints must be finite, at most {LARGEST_NUMBER:g} in size, and at least one"
+            " pose of them"
         )
     return joints.reshape(1 if joints.ndim == 2 else len(joints), -1, NUM_JOINTS, 3)
-
-
-def _read_array(path: Path, what: str, advice: str) -> np.ndarray:
-    try:
-        return np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise BadInput(f"there is no {what} at {path}; {advice}") from None
-    except Exception as error:  # numpy meets damaged files with errors of many unrelated kinds
-        raise BadInput(
-            f"{path} is no {what}, or is truncated ({' '.join(str(error).split())}); {advice}"
-        ) from None
 
 
 def _in_order(joints: np.ndarray, names: np.ndarray, path: Path) -> np.ndarray:

@@ -23,11 +23,11 @@ import numpy as np
 from jax.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from probmodel.arrays import compact, doubles, possible, read_tables, write_tables
 from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
 from probmodel.kinematics import Articulation, articulation, azimuth_elevation, direction
 from probmodel.skeleton import BONE_NAMES, NUM_JOINTS, NUM_LOWER, NUM_UPPER
-from probmodel.tables import WRITER, compact, read_tables, write_tables
 
 CELL = np.pi / 60
 """Side of a cell: 3° in azimuth and in elevation."""
@@ -46,6 +46,9 @@ _SHAPES = {
 _PLANES = ("normal", "tangent", "offset", "bounds")
 _BITS = {"occupied": "occupied", "has_plane": "offset"}
 """Arrays stored as packed bits, and the table whose shape each has."""
+WRITER = "`poseterior learn`"
+FILE = ("limits file", f"write one with {WRITER}")
+"""What a file of limits is called, and what to do where there is none."""
 LIMITS = ("none", "occupancy", "parent", "plane", "box")
 """What a bone can break. `parent`: its parent bone points into a cell without a plane, where no
 lower bone was ever seen."""
@@ -134,8 +137,9 @@ class AnatomicalLimits:
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "AnatomicalLimits":
-        """Reads a file that `save` wrote. Raises `BadInput` on anything else."""
-        return cls.unpack(read_tables(path), Path(path))
+        """Reads a file that `save` wrote. Raises `BadInput` where it is not one, is truncated or
+        has other shapes."""
+        return cls.unpack(read_tables(path, *FILE), Path(path))
 
     @classmethod
     def unpack(cls, arrays: Mapping[str, np.ndarray], path: Path) -> "AnatomicalLimits":
@@ -159,7 +163,7 @@ class AnatomicalLimits:
                     f"{path}: {key} has shape {arrays[key].shape}, not {_SHAPES[key]}; is it"
                     " another model?"
                 )
-            tables[key] = arrays[key]
+            tables[key] = doubles(arrays[key])
         for key in _PLANES:
             expected = (int(has_plane.sum()), *_SHAPES[key][3:])
             if arrays[key].shape != expected or arrays[key].dtype.kind != "f":
@@ -168,7 +172,7 @@ class AnatomicalLimits:
                     " model?"
                 )
             tables[key] = np.full(_SHAPES[key], np.nan)
-            tables[key][has_plane] = arrays[key]
+            tables[key][has_plane] = doubles(arrays[key])
         name = str(arrays["name"]) if "name" in arrays else path.stem
         limits = cls(**tables, occupied=occupied, name=name)
         limits.verify(str(path))
@@ -190,7 +194,7 @@ class AnatomicalLimits:
             )
         values = [np.asarray(getattr(self, key))[has_plane] for key in _PLANES]
         if not all(
-            np.isfinite(value).all()
+            possible(value)
             for value in [*values, np.asarray(self.reference), np.asarray(self.fallback)]
         ):
             raise BadInput(f"{source}: a plane or box holds a number that is not finite")

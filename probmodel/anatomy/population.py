@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from probmodel.anatomy.lengths import LengthPrior
-from probmodel.anatomy.limits import AnatomicalLimits
+from probmodel.anatomy.limits import FILE, AnatomicalLimits
 from probmodel.anatomy.published import read_published
+from probmodel.arrays import compact, doubles, possible, read_tables, write_tables
 from probmodel.failures import BadInput
 from probmodel.skeleton import NUM_LENGTHS, TORSO_JOINTS
-from probmodel.tables import compact, read_tables, write_tables
 
 _LENGTH_KEYS = tuple(f"length_{field}" for field in LengthPrior._fields)
 _KEYS = (*_LENGTH_KEYS, "torsos")
@@ -59,7 +59,7 @@ class Anatomy:
         path = Path(path)
         if path.suffix.lower() == ".mat":
             return dataclasses.replace(cls.default(), limits=read_published(path))
-        arrays = read_tables(path)
+        arrays = read_tables(path, *FILE)
         limits = AnatomicalLimits.unpack(arrays, path)
         present = [key for key in _KEYS if key in arrays]
         if not present:
@@ -86,9 +86,10 @@ def _finite(value: np.ndarray, key: str, shape: tuple[int, ...], path: Path) -> 
         raise BadInput(
             f"{path}: {key} has shape {value.shape}, an anatomy has {shape}; is it another model?"
         )
-    if not np.isfinite(value).all():
+    numbers = doubles(value)
+    if not possible(numbers):
         raise BadInput(f"{path}: {key} holds a number that is not finite; write the file anew")
-    return value.astype(np.float64)
+    return numbers
 
 
 def _lengths(arrays: Mapping[str, np.ndarray], path: Path) -> LengthPrior:

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.io
 
 from probmodel.anatomy.limits import GRID, AnatomicalLimits
+from probmodel.arrays import doubles, read_mat
+from probmodel.detections import LARGEST_NUMBER
 from probmodel.failures import BadInput
 from probmodel.skeleton import LOWER_BONES, UPPER_BONES
 
@@ -85,6 +86,9 @@ def read_published(
             f" {_NUM_BONES})"
         )
     fallback = static[:, parents[lower] - 1].T
+    size = np.linalg.norm(fallback, axis=-1, keepdims=True)
+    if not ((size > 0) & (size <= LARGEST_NUMBER)).all():
+        raise BadInput(f"{pose_path}: a bone of the static pose di has no length")
     limits = AnatomicalLimits(
         occupied=occupied,
         normal=planes[..., :3],
@@ -92,7 +96,7 @@ def read_published(
         offset=planes[..., 3],
         bounds=bounds,
         reference=_numbers(pose["a"], "a", pose_path).ravel(),
-        fallback=fallback / np.linalg.norm(fallback, axis=-1, keepdims=True),
+        fallback=fallback / size,
         name="akhter-black",
     )
     limits.verify(str(path))
@@ -100,16 +104,8 @@ def read_published(
 
 
 def _read_mat(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise BadInput(f"{path} {what}; give the path of the published jointAngleModel_v2.mat")
-    try:
-        return scipy.io.loadmat(path, appendmat=False)
-    except Exception as error:  # the reader meets damaged files with errors of unrelated kinds
-        raise BadInput(
-            f"{path} is not a MATLAB file, or is truncated ({str(error) or type(error).__name__}); "
-            "give the published jointAngleModel_v2.mat"
-        ) from None
+    advice = "give the path of the published jointAngleModel_v2.mat"
+    return read_mat(path, (*_MODEL_VARIABLES, *_POSE_VARIABLES), "MATLAB file", advice)
 
 
 def _require(variables: Mapping[str, Any], names: tuple[str, ...], path: Path) -> None:
@@ -127,7 +123,7 @@ def _numbers(value: Any, key: str, path: Path) -> np.ndarray:
         raise BadInput(
             f"{path}: {key} holds no real numbers, so this is not the published joint-limit model"
         )
-    return value.astype(np.float64)
+    return doubles(value)
 
 
 def _indices(model: Mapping[str, Any], key: str, path: Path) -> np.ndarray:

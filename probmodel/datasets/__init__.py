@@ -4,7 +4,7 @@ Motion capture (ASF/AMC, BVH, .npz of recordings) is seen by synthetic cameras, 
 2D; Human3.6M comes with its own (VideoPose3D's two files); and a plain .npz holds anything else.
 
     data = read_data_set("actions_train.npz", frames=2000, noise=Noise("gaussian", 0.02))
-    case = data.case(7).hiding(2).turned(30)       # a pose, its detection with two joints missing, both turned
+    case = data.case(7).hiding(2).turned(30)     # a pose, its detection without two joints, turned
 """
 
 import os
@@ -48,14 +48,27 @@ def read_data_set(
     seed: int = 0,
     detections: str = "gt",
 ) -> DataSet:
-    """The data set at `path`: motion capture, Human3.6M (the folder of VideoPose3D's files, or its
-    3D file), or a plain .npz.
+    """The data set at a path, whatever its kind.
 
-    `frames` is how many are taken, as many of each action as of any other (default: all; of motion
-    capture each is seen once, by the views in turn). `noise` and `seed` belong to synthetic
-    cameras; `detections` names Human3.6M's 2D file, `data_2d_h36m_<detections>.npz`. Raises
-    `BadInput` where it is no data set of this skeleton in millimetres, frames are not finite or
-    have no action, or noise is asked for where the detections are given."""
+    Parameters
+    ----------
+    path
+        Motion capture, Human3.6M (the folder of VideoPose3D's files, or its 3D file), or a plain
+        .npz.
+    frames
+        How many are taken, as many of each action as of any other. By default all; of motion
+        capture each frame is then seen once, by the views in turn.
+    noise, seed
+        The error of synthetic detections, and its seed.
+    detections
+        Which of Human3.6M's 2D files: `data_2d_h36m_<detections>.npz`.
+
+    Raises
+    ------
+    BadInput
+        Where it is no data set of this skeleton in millimetres, a frame is not finite or has no
+        action, or noise is asked for where the file has detections of its own.
+    """
     path = Path(path)
     if frames is not None and frames < 1:
         raise BadInput(f"the number of frames must be at least 1, not {frames}")

@@ -30,11 +30,26 @@ def from_motions(
     noise: Noise = EXACT,
     seed: int = 0,
 ) -> DataSet:
-    """Poses of recordings without their glitches, each seen by one of `views`, in turn.
+    """Poses of recordings without their glitches, each seen by one of `views`, in turn; scores
+    are 1.
 
-    `frames` in all, the same number of each action, evenly over its frames (default: every frame
-    once); an action with fewer frames gives some of them twice, seen from elsewhere. Scores are 1.
-    Raises `BadInput` where no frame is left."""
+    Parameters
+    ----------
+    motions, name
+        The recordings, and what the data set is called.
+    frames
+        How many in all, the same number of each action, evenly over its frames; an action with
+        fewer gives some of them twice, seen from elsewhere. By default every frame once.
+    views
+        The synthetic cameras.
+    noise, seed
+        The error of the detections, and its seed.
+
+    Raises
+    ------
+    BadInput
+        Where no frame is left.
+    """
     clean = [motion.without_jumps().at_rate(RATE) for motion in motions]
     by_action: dict[str, list[Motion]] = {}
     for motion in clean:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from probmodel.body import body_unit
 from probmodel.detections import LARGEST_NUMBER, Detection
-from probmodel.failures import BadInput
+from probmodel.failures import BadInput, shown
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS, PARENTS
 
 _TALL = (
@@ -147,8 +147,8 @@ class DataSet:
             height = float(np.median(body_height(self.poses[self.subject == who])))
             if not SMALLEST <= height <= TALLEST:
                 raise BadInput(
-                    f"{self.name}: subject {who} would be {_metres(height)} m tall; poses must be"
-                    " in millimetres, so multiply them by what makes them so"
+                    f"{self.name}: subject {shown(str(who))} would be {_metres(height)} m tall;"
+                    " poses must be in millimetres, so multiply them by what makes them so"
                 )
         bones = np.linalg.norm(self.poses[:, 1:] - self.poses[:, PARENTS[1:]], axis=-1)
         for frame in np.flatnonzero(~(bones > 0).all(axis=1)):

@@ -14,7 +14,8 @@ import numpy as np
 from probmodel.datasets.cases import DataSet, shares
 from probmodel.datasets.pickles import read_object
 from probmodel.datasets.views import resection
-from probmodel.failures import BadInput
+from probmodel.detections import LARGEST_NUMBER
+from probmodel.failures import BadInput, shown
 from probmodel.layouts import H36M_17
 from probmodel.skeleton import JOINTS
 
@@ -41,18 +42,29 @@ def is_human36m(path: Path) -> bool:
 
 
 def read_human36m(path: Path, detections: str = "gt", frames: int | None = None) -> DataSet:
-    """All subjects, cameras and actions, `Walking 1` and `Walking 2` being one action; `frames` of
-    them, as many of each action as of any other, evenly over its takes (default: all; every 80th,
-    26,380, is about what the paper has).
+    """All subjects, cameras and actions; `Walking 1` and `Walking 2` are one action.
 
-    2D joints have no scores: they are 1. Raises `BadInput` where a file is missing, is not
-    VideoPose3D's, or the two do not go together."""
+    Parameters
+    ----------
+    path
+        VideoPose3D's 3D file, or the folder that has it.
+    detections
+        Which 2D file, as in `read_data_set`. Its joints have no scores: they are 1.
+    frames
+        How many, as many of each action as of any other, evenly over its takes. By default all;
+        the paper has about every 80th, 26,380.
+
+    Raises
+    ------
+    BadInput
+        Where a file is missing or is not VideoPose3D's, or the two do not go together.
+    """
     file = path / FILE_3D if path.is_dir() else path
     beside = file.with_name(
         file.name.replace("data_3d_", "data_2d_").replace(".npz", f"_{detections}.npz")
     )
     for needed in (file, beside):
-        if not needed.is_file():
+        if not needed.exists():
             raise BadInput(
                 f"there is no {needed.name} in {needed.parent}; VideoPose3D's two files belong"
                 " together"
@@ -81,10 +93,10 @@ def _takes(three: Any, two: Any, file: Path, beside: Path) -> list[_Take]:
     takes = []
     for subject in sorted(three, key=lambda name: (len(name), name)):
         for action in sorted(three[subject]):
-            poses = np.asarray(three[subject][action])
-            if poses.ndim != 3 or poses.shape[1:] != (32, 3) or poses.dtype.kind != "f":
+            poses = three[subject][action]
+            if not _is_array(poses, (32, 3)):
                 raise BadInput(
-                    f"{file}: {subject} {action} has shape {poses.shape}, Human3.6M has (T, 32, 3)"
+                    f"{file}: {subject} {action} has {_form(poses)}, Human3.6M has (T, 32, 3)"
                 )
             cameras = two.get(subject, {}).get(action)
             if not isinstance(cameras, list) or not cameras:
@@ -92,21 +104,28 @@ def _takes(three: Any, two: Any, file: Path, beside: Path) -> list[_Take]:
                     f"{beside} lacks {subject} {action}, which {file.name} has; the two must go"
                     " together"
                 )
-            for number, keypoints in enumerate(cameras):
-                points = np.asarray(keypoints)
-                if (
-                    points.ndim != 3
-                    or points.shape[1:] != (H36M_17.count, 2)
-                    or points.dtype.kind != "f"
-                ):
+            for number, points in enumerate(cameras):
+                if not _is_array(points, (H36M_17.count, 2)):
                     raise BadInput(
-                        f"{beside}: {subject} {action} has shape {points.shape}, which must be (T,"
-                        " 17, 2)"
+                        f"{beside}: {subject} {action} has {_form(points)}, which must be (T, 17,"
+                        " 2)"
                     )
                 # Videos run on for some frames after the motion capture ends.
                 length = min(len(poses), len(points))
-                takes.append(_Take(subject, action, number, poses[:length], points[:length]))
+                if length:
+                    takes.append(_Take(subject, action, number, poses[:length], points[:length]))
+    if not takes:
+        raise BadInput(f"{file} and {beside.name} hold no frame; give VideoPose3D's own files")
     return takes
+
+
+def _is_array(value: Any, row: tuple[int, ...]) -> bool:
+    """Whether it is an array `(T, *row)` of numbers."""
+    return isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape[1:] == row
+
+
+def _form(value: Any) -> str:
+    return f"shape {shown(value.shape)}" if isinstance(value, np.ndarray) else shown(value)
 
 
 def _is_tree(value: Any) -> bool:
@@ -130,14 +149,22 @@ def _thinned(takes: list[_Take], number: int | None) -> list[_Take]:
     ]
 
 
+def _possible(keypoints: np.ndarray) -> bool:
+    """Whether all pixels that are given can be some."""
+    return bool((np.isnan(keypoints) | (np.abs(keypoints) <= LARGEST_NUMBER)).all())
+
+
 def _data_set(takes: list[_Take], file: Path) -> DataSet:
     joints = [H36M_17.points.index(name) for name in JOINTS]
     poses = np.concatenate(
         [1000 * take.poses[:, SEVENTEEN][:, joints].astype(np.float64) for take in takes]
     )
     keypoints = np.concatenate([take.keypoints[:, joints].astype(np.float64) for take in takes])
-    if not np.isfinite(poses).all():
-        raise BadInput(f"{file} has a coordinate that is not finite; leave that action out")
+    if not ((np.abs(poses) <= LARGEST_NUMBER).all() and _possible(keypoints)):
+        raise BadInput(
+            f"{file} or its 2D joints hold a coordinate that is not finite, or beyond"
+            f" ±{LARGEST_NUMBER:g}; leave that action out"
+        )
     rotation, scale, translation = resection(poses, keypoints)
     poses = (poses - poses[:, :1]) @ np.swapaxes(rotation, -1, -2)
 

@@ -10,14 +10,15 @@ import pickletools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
-from probmodel.failures import BadInput
+from probmodel.arrays import LONGEST_NAME, ArrayFile
+from probmodel.failures import BadInput, shown
+from probmodel.files import opened
 
-LARGEST = 8_000_000_000
-"""Bytes; a file that unpacks to more is refused."""
+MOST_STEPS = 1_000_000
+"""Opcodes of a pickle; VideoPose3D's files have some ten thousand. Each may make an object."""
 _MARK = object()
 
 
@@ -40,38 +41,25 @@ def read_object(path: Path, name: str) -> Any:
 
     Raises `BadInput` where there is no such array, it is damaged, or it holds anything else.
     """
-    try:
-        with ZipFile(path) as archive:
-            info = archive.getinfo(f"{name}.npy")
-            if info.file_size > LARGEST:
-                raise BadInput(
-                    f"{name} of {path} claims {info.file_size:,} bytes, more than can be; check the"
-                    " file"
-                )
-            with archive.open(info) as file:
-                version = np.lib.format.read_magic(file)
-                header = {
-                    (1, 0): np.lib.format.read_array_header_1_0,
-                    (2, 0): np.lib.format.read_array_header_2_0,
-                }
-                shape, _, dtype = header[version](file)
-                data = file.read()
-    except (OSError, KeyError, ValueError, BadZipFile, EOFError) as error:
+    what, advice = f"file of {name}", "check that it is complete, as VideoPose3D wrote it"
+    with opened(path, what, advice) as file:
+        data = ArrayFile(file, str(path), what, advice).pickled(name)
+    if data is None:
         raise BadInput(
-            f"{path} holds no readable {name} ({type(error).__name__}); check that it is complete"
-        ) from None
-    if not dtype.hasobject or shape != ():
-        raise BadInput(
-            f"{name} of {path} is an array of {dtype}, not the dictionary that VideoPose3D writes"
+            f"{name} of {path} is an array of numbers, not the dictionary that VideoPose3D writes"
         )
     return follow(data, f"{name} of {path}")
 
 
 def follow(data: bytes, where: str) -> Any:
     """Plain data out of a pickle. Raises `BadInput` where it holds anything else, or is damaged."""
-    machine = _Machine()
+    machine = _Machine(len(data))
     try:
-        for opcode, argument, _ in pickletools.genops(data):
+        for number, (opcode, argument, _) in enumerate(pickletools.genops(data)):
+            if number > MOST_STEPS:
+                raise BadInput(
+                    f"{where} has more than {MOST_STEPS:,} parts; keep arrays as arrays, not lists"
+                )
             if opcode.name == "STOP":
                 return _settled(machine.stack[-1], {})
             step = _STEPS.get(opcode.name)
@@ -113,11 +101,13 @@ def _settle(value: Any, known: dict[int, tuple[Any, Any]]) -> Any:
 
 
 class _Machine:
-    """The stack and the memory of a pickle."""
+    """The stack and the memory of a pickle of `size` bytes."""
 
-    def __init__(self) -> None:
+    def __init__(self, size: int) -> None:
         self.stack: list[Any] = []
         self.memory: dict[int, Any] = {}
+        self.budget = size
+        """Bytes of texts that may still be turned into bytes: each stands in the file itself."""
 
     def push(self, value: Any) -> None:
         self.stack.append(value)
@@ -141,7 +131,8 @@ class _Machine:
         known = _KNOWN.get((module.replace("numpy._core", "numpy.core"), name))
         if known is None:
             raise BadInput(
-                f"a pickle asks for {module}.{name}, which plain data does not need; it is not read"
+                f"a pickle asks for {shown(f'{module}.{name}')}, which plain data does not need; it"
+                " is not read"
             )
         self.push(known)
 
@@ -150,11 +141,20 @@ class _Machine:
 
     def update(self, items: list[Any]) -> None:
         target = _expected(self.stack[-1], dict)
+        for key in items[::2]:
+            if not _is_label(key):
+                raise BadInput(
+                    f"a name in a dictionary is {shown(key)}, not a short printable text"
+                )
         target.update(zip(items[::2], items[1::2], strict=True))
 
     def reduce(self) -> None:
         maker, arguments = self.take(2)
-        self.push(_MAKERS[maker](*_expected(arguments, tuple)))
+        made = _MAKERS[maker](*_expected(arguments, tuple))
+        self.budget -= len(made) if isinstance(made, bytes) else 0
+        if self.budget < 0:
+            raise BadInput("a pickle builds more bytes than it has; it is not read")
+        self.push(made)
 
     def build(self) -> None:
         target, state = self.take(2)
@@ -163,6 +163,10 @@ class _Machine:
         else:
             _fill(_expected(target, _Array), state)
         self.push(target)
+
+
+def _is_label(key: Any) -> bool:
+    return isinstance(key, str) and key.isprintable() and 0 < len(key) <= LONGEST_NAME
 
 
 def _expected(value: Any, kind: type) -> Any:
@@ -188,7 +192,9 @@ def _fill(array: _Array, state: tuple) -> None:
 
 def _plain_type(code: str, *_: object) -> _Type:
     if code[:1] not in "fiubUSO":
-        raise BadInput(f"a pickle holds an array of {code!r}; arrays must hold numbers or texts")
+        raise BadInput(
+            f"a pickle holds an array of {shown(code)}; arrays must hold numbers or texts"
+        )
     return _Type(code)
 
 

@@ -7,16 +7,17 @@ pixels a mm and `translation` (N, 2) of the true camera, then the poses must be 
 right, y down, z away), else the camera is fitted."""
 
 import dataclasses
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
+from probmodel.arrays import ZIP, ArrayFile, doubles, possible, read_tables, write_tables
 from probmodel.datasets.cases import DataSet
 from probmodel.datasets.views import resection
-from probmodel.failures import BadInput
+from probmodel.detections import LARGEST_NUMBER, is_label
+from probmodel.failures import BadInput, shown
+from probmodel.files import opened
 from probmodel.skeleton import NUM_JOINTS
-from probmodel.tables import read_tables, write_tables
 
 NEEDED = ("poses", "keypoints", "action", "subject")
 _WHAT, _ADVICE = "data set", f"give an .npz with {', '.join(NEEDED)}"
@@ -25,9 +26,10 @@ _WHAT, _ADVICE = "data set", f"give an .npz with {', '.join(NEEDED)}"
 def is_plain(path: Path) -> bool:
     """Whether it is an .npz with `poses` or `keypoints`."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            return bool({"poses.npy", "keypoints.npy"} & set(archive.namelist()))
-    except (OSError, zipfile.BadZipFile):
+        with opened(path, _WHAT, _ADVICE) as file:
+            found = ArrayFile(file, str(path))
+            return found.magic == ZIP and bool({"poses", "keypoints"} & set(found.names()))
+    except BadInput:
         return False
 
 
@@ -39,7 +41,8 @@ def read_plain(path: Path) -> DataSet:
     if missing:
         raise BadInput(f"{path} lacks {', '.join(missing)}; {_ADVICE}")
     poses, keypoints = (
-        _numbers(arrays[name], name, size, path) for name, size in (("poses", 3), ("keypoints", 2))
+        _numbers(arrays[name], name, (NUM_JOINTS, size), path)
+        for name, size in (("poses", 3), ("keypoints", 2))
     )
     number = len(poses)
     if len(keypoints) != number:
@@ -55,14 +58,15 @@ def read_plain(path: Path) -> DataSet:
         else together
     )
     seen = np.isfinite(keypoints).all(axis=-1)
-    score = np.asarray(arrays.get("score", np.ones(seen.shape)), float)
+    score = _numbers(arrays.get("score", np.ones(seen.shape)), "score", (NUM_JOINTS,), path)
     if score.shape != seen.shape:
         raise BadInput(
             f"{path}: score has shape {score.shape}, which must be {seen.shape}; one for each joint"
         )
     poses = poses - poses[:, :1]
     if "scale" in arrays and "translation" in arrays:
-        scale, translation = (np.asarray(arrays[name], float) for name in ("scale", "translation"))
+        scale = _numbers(arrays["scale"], "scale", (), path)
+        translation = _numbers(arrays["translation"], "translation", (2,), path)
     else:
         rotation, scale, translation = resection(poses, keypoints)
         fitted = np.isfinite(rotation).all(axis=(1, 2))
@@ -82,18 +86,29 @@ def write_plain(data: DataSet, path: Path) -> None:
     )
 
 
-def _numbers(value: np.ndarray, name: str, size: int, path: Path) -> np.ndarray:
-    if value.dtype.kind not in "fiu" or value.shape[1:] != (NUM_JOINTS, size):
+def _numbers(value: np.ndarray, name: str, row: tuple[int, ...], path: Path) -> np.ndarray:
+    """`(N, *row)` as float64, NaN where missing. Raises `BadInput` on text, on another shape, and
+    on numbers that cannot be places or scores."""
+    wanted = ", ".join(map(str, ("N", *row)))
+    if value.dtype.kind not in "fiu" or not value.ndim or value.shape[1:] != row:
         raise BadInput(
-            f"{path}: {name} has shape {value.shape}, which must be (N, {NUM_JOINTS}, {size});"
-            " other skeletons' joints must be brought to the fifteen of this one first"
+            f"{path}: {name} has shape {shown(value.shape)} and type {shown(str(value.dtype))},"
+            f" where numbers ({wanted}) are needed; bring other skeletons to these fifteen joints"
         )
-    return value.astype(np.float64)
+    numbers = doubles(value)
+    if not possible(np.nan_to_num(numbers, nan=0.0, posinf=np.inf, neginf=-np.inf)):
+        raise BadInput(f"{path}: {name} holds a number beyond ±{LARGEST_NUMBER:g}; leave it out")
+    return numbers
 
 
 def _texts(value: np.ndarray, name: str, number: int, path: Path) -> np.ndarray:
     if value.shape != (number,) or value.dtype.kind not in "US":
         raise BadInput(
-            f"{path}: {name} must be {number} texts, one a frame, but has shape {value.shape}"
+            f"{path}: {name} must be {number} texts, one a frame, but has shape"
+            f" {shown(value.shape)}"
         )
-    return np.char.decode(value, "utf-8", "replace") if value.dtype.kind == "S" else value
+    texts = np.char.decode(value, "utf-8", "replace") if value.dtype.kind == "S" else value
+    for text in np.unique(texts):
+        if not is_label(str(text)):
+            raise BadInput(f"{path}: {name} holds {shown(str(text))}, which is no name")
+    return texts

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
-from probmodel.files import replacing
+from probmodel.files import LARGEST_FILE, read_bytes, replacing
 from probmodel.formats import (
     alphapose,
     coco,
@@ -39,9 +39,6 @@ __all__ = [
     "read_detections",
     "write_detections",
 ]
-
-LARGEST_FILE = 1_000_000_000
-"""Bytes; larger files would fill the memory before anything could be said about them."""
 
 
 class Format(NamedTuple):
@@ -133,11 +130,27 @@ def read_detections(
 ) -> list[Detection]:
     """Every person in a file of 2D joints, in the order of the file.
 
-    `format` is "auto" or a name of `FORMATS`. Joints with score <= `threshold` (the format's own,
-    usually 0, where it is None) are missing; a person of whom nothing is seen stays in the list, so
-    that the numbers of the others do not change. `image_size` (width, height) in pixels is needed
-    for coordinates that are fractions of it; `names` maps the names of a detector that names its
-    points freely to ours. Raises `BadInput`, one sentence, for whatever is wrong with the file."""
+    A person of whom nothing is seen stays in the list, so that the numbers of the others do not
+    change.
+
+    Parameters
+    ----------
+    path
+        A regular file.
+    format
+        "auto", or a name of `FORMATS`.
+    threshold
+        Joints with a score up to this are missing; None for the format's own, usually 0.
+    image_size
+        (width, height) in pixels, needed where coordinates are fractions of the image.
+    names
+        A detector's names of points → ours, where it names them freely; or ours in its order.
+
+    Raises
+    ------
+    BadInput
+        One sentence, for whatever is wrong with the file.
+    """
     return read_content(content_of(Path(path), image_size, names), format, threshold)
 
 
@@ -164,11 +177,8 @@ def _threshold(row: Format, threshold: float | None) -> float:
 
 
 def write_detections(path: str | os.PathLike[str], detections: Sequence[Detection]) -> None:
-    """Write this project's JSON; a file that was there is replaced as a whole or, on any failure,
-    not at all.
-
-    Raises `BadInput` where there is nothing to write or the place cannot be written to.
-    """
+    """Writes this project's JSON; a file that was there is replaced as a whole or, on any failure,
+    not at all. Raises `BadInput` where there is nothing to write, or it cannot be written there."""
     text = native.write(detections)
     with replacing(path, "choose another place") as partial:
         partial.write_text(text, encoding="utf-8")
@@ -181,20 +191,9 @@ def content_of(
 ) -> Content:
     """The content of a file, with what the user knows of it beside. Raises `BadInput` where it
     cannot be read."""
-    try:
-        if not path.exists():
-            raise BadInput(f"{path} does not exist; give the path of a file of 2D joints.")
-        if not path.is_file():
-            raise BadInput(f"{path} is not a file; give the path of a file of 2D joints.")
-        if (size := path.stat().st_size) > LARGEST_FILE:
-            raise BadInput(
-                f"{path} has {size} bytes, more than {LARGEST_FILE}; split it into smaller files."
-            )
-        return Content(path.read_bytes(), str(path), image_size, {} if names is None else names)
-    except OSError as error:
-        raise BadInput(
-            f"{path} cannot be read ({error.strerror}); give the path of a file of 2D joints."
-        ) from None
+    advice = "give the path of a file of 2D joints."
+    data = read_bytes(path, "file of 2D joints", advice, largest=LARGEST_FILE)
+    return Content(data, str(path), image_size, {} if names is None else names)
 
 
 def format_of(content: Content, name: str = "auto") -> Format:

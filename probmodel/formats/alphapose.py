@@ -1,8 +1,8 @@
 """AlphaPose's other two files: all images in one object, by name, each with its people in
 OpenPose's COCO-18 order.
 
-    {"1.jpg": {"version": …, "people": [{"pose_keypoints_2d": [x, y, score, …]}]}}     its "open" form
-    {"1.jpg": {"version": …, "bodies": [{"joints": [x, y, score, …]}]}}                its "cmu" form
+    its "open" form: {"1.jpg": {"version": …, "people": [{"pose_keypoints_2d": [x, y, score, …]}]}}
+    its "cmu" form:  {"1.jpg": {"version": …, "bodies": [{"joints": [x, y, score, …]}]}}
 
 Its usual form is a list of COCO results (`coco`), in COCO-17, Halpe-26 or Halpe-136.
 """
@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from probmodel.detections import Detection
-from probmodel.failures import BadInput
-from probmodel.formats.common import Content, mapping, scored_points, sequence, shown
+from probmodel.failures import BadInput, shown
+from probmodel.formats.common import Content, mapping, scored_points, sequence
 from probmodel.layouts import COCO_18
 
 KEYS = {"people": "pose_keypoints_2d", "bodies": "joints"}

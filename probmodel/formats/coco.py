@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput
+from probmodel.failures import BadInput, shown
 from probmodel.formats.common import (
     Content,
     image_name,
@@ -17,7 +17,6 @@ from probmodel.formats.common import (
     mapping,
     scored_points,
     sequence,
-    shown,
 )
 from probmodel.layouts import COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133, Layout
 

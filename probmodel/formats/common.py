@@ -3,24 +3,25 @@
 A reader takes a `Content` and a threshold and yields `Detection`s one by one; whatever it does not
 like it refuses with `BadInput`, one sentence that names the file, the place and the remedy."""
 
+import csv
+import io
 import json
 import math
 import re
-import reprlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from probmodel.arrays import ArrayFile
 from probmodel.detections import LARGEST_NUMBER, Detection, FloatArray
-from probmodel.failures import BadInput
+from probmodel.documents import decoded, json_failures, parsed, require_modest
+from probmodel.failures import BadInput, shown
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
-ARRAY_MAGIC = (b"\x93NUMPY", b"PK\x03\x04", b"\x89HDF\r\n\x1a\n")
-"""How .npy, .npz and HDF5 begin."""
 _SPACE = re.compile(r"[ \t\n\r]*")
 
 
@@ -38,23 +39,26 @@ class Content:
     names: Mapping[str, str] | Sequence[str] = field(default_factory=dict)
 
     @cached_property
+    def arrays(self) -> ArrayFile:
+        """The same bytes as a file of arrays, whether it is one or not."""
+        return ArrayFile(io.BytesIO(self.data), self.source)
+
+    @cached_property
     def text(self) -> str:
         """The text. Raises `BadInput` where it is not UTF-8."""
-        try:
-            return self.data.decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise BadInput(
-                f"{self.source} is not UTF-8 text (byte {error.start} is not), nor HDF5 or NumPy's;"
-                " give a file of 2D joints."
-            ) from None
+        return decoded(self.data, self.source, ", nor HDF5 or NumPy's; give a file of 2D joints.")
+
+    @cached_property
+    def _document(self) -> str:
+        """The text of a document whose objects fit into memory."""
+        require_modest(self.text, self.source)
+        return self.text
 
     @cached_property
     def json(self) -> Any:
-        """The document, parsed once. Raises `BadInput` where it is not UTF-8, not JSON, or nested
-        too deeply."""
-        text = self.text
-        with self._json_failures():
-            return json.loads(text)
+        """The document, parsed once. Raises `BadInput` where it is not UTF-8, not JSON, nested too
+        deeply, or would fill the memory."""
+        return parsed(self.text, self.source)
 
     @cached_property
     def first(self) -> Any:
@@ -63,13 +67,13 @@ class Content:
 
         None for a file of arrays, which is no text.
         """
-        if self.data.startswith(ARRAY_MAGIC):
+        if self.arrays.magic:
             return None
-        text = self.text
+        text = self._document
         start = _skip(text, 0)
         if text[start : start + 1] != "[":
             return self.json
-        with self._json_failures():
+        with json_failures(self.source):
             start = _skip(text, start + 1)
             return (
                 []
@@ -83,51 +87,50 @@ class Content:
         found out."""
         if not isinstance(self.first, list):
             raise BadInput(f"{self.source} is {shown(self.first)} where a JSON array is needed.")
-        text, decoder = self.text, json.JSONDecoder()
+        text, decoder = self._document, json.JSONDecoder()
         place = _skip(text, _skip(text, 0) + 1)
         if text[place : place + 1] == "]":
             self._require_end(text, place + 1)
             return
         while True:
-            with self._json_failures():
+            with json_failures(self.source):
                 value, place = decoder.raw_decode(text, place)
             yield value
             place = _skip(text, place)
             if text[place : place + 1] == "]":
                 return self._require_end(text, place + 1)
-            with self._json_failures():
+            with json_failures(self.source):
                 if text[place : place + 1] != ",":
                     raise json.JSONDecodeError("Expecting ',' delimiter", text, place)
             place = _skip(text, place + 1)
 
     def _require_end(self, text: str, place: int) -> None:
-        with self._json_failures():
+        with json_failures(self.source):
             if _skip(text, place) != len(text):
                 raise json.JSONDecodeError("Extra data", text, place)
-
-    @contextmanager
-    def _json_failures(self) -> Iterator[None]:
-        try:
-            yield
-        except json.JSONDecodeError as error:
-            raise BadInput(
-                f"{self.source} is not valid JSON: {error.msg} at line {error.lineno}, column"
-                f" {error.colno}; check that the file is complete."
-            ) from None
-        except RecursionError:
-            raise BadInput(
-                f"{self.source} is nested too deeply for a file of 2D joints; check what wrote it."
-            ) from None
-        except ValueError:  # an integer of more digits than Python converts
-            raise BadInput(
-                f"{self.source} holds a whole number of thousands of digits; check what wrote it."
-            ) from None
 
 
 def _skip(text: str, place: int) -> int:
     """The place of the next character that is no white space."""
     space = _SPACE.match(text, place)
     return space.end() if space else place
+
+
+MOST_CELLS = 30_000_000
+"""Cells of a table: five hours of video at 30 frames a second, of eighteen points each."""
+
+
+def table_rows(content: Content) -> Iterator[list[str]]:
+    """The rows of a CSV that are not empty, one by one. Raises `BadInput` where it is no table, or
+    has more cells than can be."""
+    if content.text.count(",") + content.text.count("\n") > MOST_CELLS:
+        raise BadInput(
+            f"{content.source} has more than {MOST_CELLS:,} cells; split it into smaller files."
+        )
+    try:
+        yield from filter(None, csv.reader(io.StringIO(content.text, newline="")))
+    except csv.Error as error:
+        raise BadInput(f"{content.source} is no table ({error}); check what wrote it.") from None
 
 
 def skeleton_arrays(rows: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -153,11 +156,6 @@ def at_least_one_joint(
             " lower the threshold or choose another frame."
         )
     return detections
-
-
-def shown(value: object) -> str:
-    """A short form of any JSON value for a message (never long, never recursing deeply)."""
-    return reprlib.repr(value)
 
 
 def number(value: object, where: str) -> float:

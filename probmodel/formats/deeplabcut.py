@@ -6,19 +6,16 @@ as people write them (`layouts.spoken_name`); others need a map of names. The HD
 of pandas, read with h5py alone: nothing is unpickled. The labels of its "table" form are pickled
 text of a kind that is plain to read; any other is refused."""
 
-import csv
-import io
 import re
 from collections.abc import Iterator, Mapping
-from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
 
+from probmodel import arrays
 from probmodel.detections import FACE, Detection, FloatArray
-from probmodel.failures import BadInput
-from probmodel.formats import arrays
-from probmodel.formats.common import Content, shown
+from probmodel.failures import BadInput, shown
+from probmodel.formats.common import Content, table_rows
 from probmodel.layouts import Layout, layout_of_names
 from probmodel.skeleton import JOINTS
 
@@ -46,46 +43,52 @@ def recognises_csv(content: Content) -> bool:
 
 def recognises_hdf5(content: Content) -> bool:
     """An HDF5 file with a table of pandas."""
-    if not arrays.is_hdf5(content):
+    if content.arrays.magic != arrays.HDF5:
         return False
-    return any("pandas_type" in attributes for attributes in arrays.attributes(content).values())
+    return any("pandas_type" in attributes for attributes in content.arrays.attributes().values())
 
 
 def read_csv(content: Content, threshold: float) -> Iterator[Detection]:
     """Every individual of every frame, frame after frame."""
     source = content.source
-    try:
-        rows = [row for row in csv.reader(io.StringIO(content.text, newline="")) if row]
-    except csv.Error as error:
-        raise BadInput(f"{source} is no table ({error}); check what wrote it.") from None
-    header = {row[0]: row for row in takewhile(lambda row: row[0] in HEADERS, rows)}
+    rows = table_rows(content)
+    header: dict[str, list[str]] = {}
+    body: list[tuple[str, FloatArray]] = []
+    width = skip = 0
+    for number, row in enumerate(rows, start=1):
+        if not body and row[0] in HEADERS and row[0] not in header:
+            header[row[0]] = row
+            width = len(header.get("bodyparts", row))
+        elif not body:
+            skip = _checked_header(header, source)
+        if len(row) != width:
+            raise BadInput(
+                f"row {number} of {source} has {len(row)} cells, but the header {width}; check"
+                " that it is complete."
+            )
+        if row is not header.get(row[0]):
+            name = next((cell for cell in reversed(row[:skip]) if cell), str(len(body)))
+            where = f"row {number} of {source}"
+            body.append((name, np.array([_cell(cell, where) for cell in row[skip:]])))
+    skip = _checked_header(header, source)
+    labels = {name: row[skip:] for name, row in header.items()}
+    values = np.array([numbers for _, numbers in body]).reshape(len(body), width - skip)
+    table = _table(labels, [name for name, _ in body], values, source)
+    return _people(table, content, threshold)
+
+
+def _checked_header(header: Mapping[str, list[str]], source: str) -> int:
+    """The first column of numbers. Raises `BadInput` where the header does not say what stands in
+    the columns."""
     if not {"bodyparts", "coords"} <= set(header):
         raise BadInput(
             f"{source} has no rows 'bodyparts' and 'coords' under its first; give DeepLabCut's own"
             " CSV."
         )
-    body = rows[len(header) :]
-    width = len(header["bodyparts"])
-    for number, row in enumerate([*header.values(), *body]):
-        if len(row) != width:
-            raise BadInput(
-                f"row {number + 1} of {source} has {len(row)} cells, but the header {width}; check"
-                " that it is complete."
-            )
-    skip = _first_value_column(header["coords"], source)
-    labels = {name: row[skip:] for name, row in header.items()}
-    frames = [
-        next((cell for cell in reversed(row[:skip]) if cell), str(index))
-        for index, row in enumerate(body)
-    ]
-    values = np.array(
-        [
-            [_cell(cell, f"row {number} of {source}") for cell in row[skip:]]
-            for number, row in enumerate(body, start=len(header) + 1)
-        ]
-    )
-    table = _table(labels, frames, values.reshape(len(body), width - skip), source)
-    return _people(table, content, threshold)
+    widths = {name: len(row) for name, row in header.items()}
+    if len(set(widths.values())) > 1:
+        raise BadInput(f"the header rows of {source} differ in length; check that it is complete.")
+    return _first_value_column(header["coords"], source)
 
 
 def _first_value_column(coords: list[str], source: str) -> int:
@@ -105,7 +108,7 @@ def _cell(text: str, where: str) -> float:
 def read_hdf5(content: Content, threshold: float) -> Iterator[Detection]:
     """Every individual of every frame, frame after frame."""
     source = content.source
-    attributes = arrays.attributes(content)
+    attributes = content.arrays.attributes()
     group = next((name for name, values in attributes.items() if "pandas_type" in values), None)
     if group is None:
         raise BadInput(
@@ -114,7 +117,7 @@ def read_hdf5(content: Content, threshold: float) -> Iterator[Detection]:
     table = f"{group}/table"
     kind = "values_block_0_kind"
     if kind in attributes.get(table, {}):
-        rows = arrays.arrays(content, [table])[table]
+        rows = content.arrays.read([table])[table]
         if not {"index", "values_block_0"} <= set(rows.dtype.names or ()):
             raise BadInput(f"{table} of {source} has no columns of numbers; write the CSV instead.")
         labels = _by_level(text_labels(attributes[table][kind], source), source)
@@ -123,7 +126,7 @@ def read_hdf5(content: Content, threshold: float) -> Iterator[Detection]:
             content,
             threshold,
         )
-    found = arrays.arrays(content)
+    found = content.arrays.read()
     levels = [
         name for name in (f"{group}/block0_items_level{i}" for i in range(4)) if name in found
     ]
@@ -186,7 +189,7 @@ def text_labels(text: str, source: str) -> list[tuple[str, ...]]:
             stack, last = [], None
         elif match["tuple"]:
             tuples.append(tuple(stack))
-            last = None
+            stack, last = [], None
     return tuples
 
 

@@ -40,12 +40,22 @@ def read_frames(
     image_size: tuple[int, int] | None = None,
     names: Mapping[str, str] | Sequence[str] | None = None,
 ) -> Iterator[DetectedFrame]:
-    """The frames of a folder (sorted by name, numbers by value) or of a file, lazily; arguments as
-    in `read_detections`.
+    """The frames of a folder (sorted by name, numbers by value) or of a file, one after another.
 
-    A folder has one format, told from a few of its files: one frame alone may show too little for
-    that. Raises `BadInput` where there is no file, and, on the way, at the first that cannot be
-    read."""
+    A folder has one format, told from a few of its files, since one frame may show too little.
+
+    Parameters
+    ----------
+    path
+        The folder, with one file for each frame, or the file.
+    format, threshold, image_size, names
+        As in `read_detections`.
+
+    Raises
+    ------
+    BadInput
+        Where there is no file; and, once it is reached, at the first that cannot be read.
+    """
     path = Path(path)
     if not path.is_dir():
         return _frames_of_file(content_of(path, image_size, names), format, threshold)

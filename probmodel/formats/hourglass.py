@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from probmodel import arrays
 from probmodel.detections import Detection, FloatArray
 from probmodel.failures import BadInput
-from probmodel.formats import arrays
 from probmodel.formats.common import Content
 from probmodel.heatmaps import Crop, Decoded, decode
 from probmodel.layouts import COCO_17, HALPE_26, HALPE_136, LAYOUTS, MPII_16, WHOLEBODY_133, Layout
@@ -28,12 +28,12 @@ _BESIDE = ["center", "scale", "box", "layout"]
 
 def recognises_heatmaps(content: Content) -> bool:
     """A .npy, or `heatmaps` in a .npz or HDF5 file."""
-    return bool({"", "heatmaps"} & set(arrays.names(content)))
+    return bool({"", "heatmaps"} & set(content.arrays.names()))
 
 
 def recognises_points(content: Content) -> bool:
     """`preds` in a .npz or HDF5 file."""
-    return "preds" in arrays.names(content)
+    return "preds" in content.arrays.names()
 
 
 def read_heatmaps(content: Content, threshold: float) -> Iterator[Detection]:
@@ -43,7 +43,7 @@ def read_heatmaps(content: Content, threshold: float) -> Iterator[Detection]:
 
 def decoded_heatmaps(content: Content, threshold: float) -> Iterator[Decoded]:
     """The same with the alternatives of each joint."""
-    found = arrays.arrays(content, ["", "heatmaps", *_BESIDE])
+    found = content.arrays.read(["", "heatmaps", *_BESIDE])
     maps = found.get("heatmaps", found.get(""))
     if maps is None or maps.ndim not in (3, 4):
         shape = "none" if maps is None else str(maps.shape)
@@ -65,7 +65,7 @@ def decoded_heatmaps(content: Content, threshold: float) -> Iterator[Decoded]:
 
 def read_points(content: Content, threshold: float) -> Iterator[Detection]:
     """One person for each row of `preds`; without scores, all are 1."""
-    found = arrays.arrays(content, ["preds", *_BESIDE])
+    found = content.arrays.read(["preds", *_BESIDE])
     if "preds" not in found:
         raise BadInput(f"{content.source} has no array 'preds'; give a file of predictions.")
     points = arrays.plain(found["preds"], f"'preds' of {content.source}")

@@ -2,17 +2,16 @@
 
 MediaPipe has no file of its own; people write one of these, and all are read:
 
-    [{"x": …, "y": …, "z": …, "visibility": …} × 33]           one person; or a list of such lists
-    {"landmarks": …}, {"pose_landmarks": …}, {"poseLandmarks": …}      the same, one level down, for one frame
-    landmarks { landmark { x: … visibility: … } … }            the text form of its protobuf, one `landmarks` a person
-    a table (CSV) with 33 rows of x, y, z, visibility, or with a row for each frame and columns in the landmarks' order
+    [{"x": …, "y": …, "z": …, "visibility": …} × 33]      one person; or a list of such lists
+    {"landmarks": …}, {"pose_landmarks": …}, {"poseLandmarks": …}      the same, one level down
+    landmarks { landmark { x: … visibility: … } … }       its protobuf as text, a block a person
+    x, y, z, visibility                                   a table (CSV): 33 rows a person, or a row
+                                                          a frame, in the landmarks' order
 
 Pixels are fractions × image size, so the size must be known. A visibility outside [0, 1] is a
 logit; the file's are then all turned into probabilities. One up to 1/2 counts as not seen, unless
 another threshold is given."""
 
-import csv
-import io
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -21,8 +20,15 @@ import numpy as np
 from scipy.special import expit
 
 from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput
-from probmodel.formats.common import Content, mapping, number, sequence, shown
+from probmodel.documents import require_modest
+from probmodel.failures import BadInput, shown
+from probmodel.formats.common import (
+    Content,
+    mapping,
+    number,
+    sequence,
+    table_rows,
+)
 from probmodel.layouts import MEDIAPIPE_33
 
 THRESHOLD = 0.5
@@ -82,6 +88,7 @@ def read_json(content: Content, threshold: float) -> Iterator[Detection]:
 
 def read_text(content: Content, threshold: float) -> Iterator[Detection]:
     """Every `landmarks` block."""
+    require_modest(content.text, content.source)
     people: list[list[dict[str, Any]]] = []
     path: list[str] = []
     for match in _BLOCK.finditer(re.sub(r"#[^\n]*", "", content.text)):
@@ -119,10 +126,7 @@ def read_text(content: Content, threshold: float) -> Iterator[Detection]:
 def read_table(content: Content, threshold: float) -> Iterator[Detection]:
     """One person of 33 rows, or one person for each row."""
     header = _header(content)
-    try:
-        lines = [row for row in csv.reader(io.StringIO(content.text, newline="")) if row][1:]
-    except csv.Error as error:
-        raise BadInput(f"{content.source} is no table ({error}); check what wrote it.") from None
+    lines = list(table_rows(content))[1:]
     wide = _wide_columns(header)
     people: list[tuple[str | None, FloatArray]] = []
     if len(wide) == MEDIAPIPE_33.count:

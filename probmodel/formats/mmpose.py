@@ -1,8 +1,10 @@
 """MMPose 1.x (RTMPose, ViTPose, …): instances with lists of [x, y] and of scores.
 
-    [{"keypoints": [[x, y], …], "keypoint_scores": […], "bbox": [[x0, y0, x1, y1]]}, …]          an image (inferencer)
+    instance: {"keypoints": [[x, y], …], "keypoint_scores": […], "bbox": [[x0, y0, x1, y1]]}
+    [instance, …]                                                     an image (inferencer)
     {"meta_info": {"dataset_name": "coco", "keypoint_id2name": {"0": "nose", …}},
-     "instance_info": [instance, …]  or  [{"frame_id": 0, "instances": [instance, …]}, …]}       demo scripts
+     "instance_info": [instance, …]                                   an image (demo scripts)
+                   or [{"frame_id": 0, "instances": [instance, …]}, …]}     a video
 
 The layout stands in `meta_info`: by the name of the data set or by the names of the points. A file
 without it is told by its number of points, where only one layout has that many. Scores of SimCC
@@ -14,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput
+from probmodel.failures import BadInput, shown
 from probmodel.formats.common import (
     Content,
     image_name,
@@ -22,7 +24,6 @@ from probmodel.formats.common import (
     number,
     scored_point,
     sequence,
-    shown,
 )
 from probmodel.layouts import (
     AIC_14,

@@ -1,8 +1,8 @@
 """This project's own JSON of 2D joints: joints by name, so that no order can be mistaken.
 
     {"format": "poseterior-detections", "version": 1,
-     "people": [{"keypoints": {"right_knee": [x, y, score], …}, "image_id": "785", "image_size": [640, 425],
-                 "face": {"nose": [x, y, score], …}}]}
+     "people": [{"keypoints": {"right_knee": [x, y, score], …}, "image_id": "785",
+                 "image_size": [640, 425], "face": {"nose": [x, y, score], …}}]}
 
 A joint that is not there was not seen; without a "face", the detector has no points of it. Other
 keys (a `truth`, say) are left alone."""
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from probmodel.detections import FACE, Detection, FloatArray
-from probmodel.failures import BadInput
+from probmodel.failures import BadInput, shown
 from probmodel.formats.common import (
     Content,
     image_name,
@@ -22,7 +22,6 @@ from probmodel.formats.common import (
     mapping,
     scored_point,
     sequence,
-    shown,
     skeleton_arrays,
 )
 from probmodel.skeleton import JOINTS

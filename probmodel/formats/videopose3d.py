@@ -4,16 +4,17 @@ Its own data_2d_*.npz pickle a dictionary, and pickles are not read. Whoever mad
 file saves it anew:
 
     z = numpy.load(file, allow_pickle=True)["positions_2d"].item()
-    numpy.savez(new, **{f"{s}/{a}/{c}": xy for s in z for a in z[s] for c, xy in enumerate(z[s][a])})
+    cameras = ((f"{s}/{a}/{c}", xy) for s in z for a in z[s] for c, xy in enumerate(z[s][a]))
+    numpy.savez(new, **dict(cameras))
 
 Human3.6M's 17 joints; other layouts are named by an array `layout`. Without a third column all
 scores are 1."""
 
 from collections.abc import Iterator
 
+from probmodel import arrays
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
-from probmodel.formats import arrays
 from probmodel.formats.common import Content
 from probmodel.formats.hourglass import scored
 from probmodel.layouts import H36M_17, LAYOUTS
@@ -21,22 +22,26 @@ from probmodel.layouts import H36M_17, LAYOUTS
 
 def recognises(content: Content) -> bool:
     """A .npz that holds neither heatmaps nor predictions."""
-    found = set(arrays.names(content))
-    return arrays.is_numpy(content) and bool(found) and not found & {"", "heatmaps", "preds"}
+    found = set(content.arrays.names())
+    return (
+        content.arrays.magic in (arrays.NPY, arrays.ZIP)
+        and bool(found)
+        and not found & {"", "heatmaps", "preds"}
+    )
 
 
 def read(content: Content, threshold: float) -> Iterator[Detection]:
     """Every frame of every camera, camera after camera; frames are named `<array>/<index>`."""
-    found = arrays.names(content)
+    found = content.arrays.names()
     if "positions_2d" in found or "metadata" in found:
         raise BadInput(
             f"{content.source} pickles its arrays in a dictionary, and pickles, which could run any"
             " code, are not read; save each camera as an array of its own (see the reader's"
-            " documentation for two lines that do)."
+            " documentation for the lines that do)."
         )
     layout = H36M_17
     if "layout" in found:
-        name = arrays.first_text(arrays.arrays(content, ["layout"])["layout"])
+        name = arrays.first_text(content.arrays.read(["layout"])["layout"])
         if name not in LAYOUTS:
             raise BadInput(
                 f"'layout' of {content.source} is {name!r}, which is none of {', '.join(LAYOUTS)}."
@@ -45,7 +50,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
     person = 0
     for name in (name for name in found if name != "layout"):
         where = f"{name} of {content.source}"
-        points = arrays.plain(arrays.arrays(content, [name])[name], where)
+        points = arrays.plain(content.arrays.read([name])[name], where)
         if points.ndim != 3 or points.shape[1] != layout.count or points.shape[2] not in (2, 3):
             raise BadInput(
                 f"{where} has the shape {points.shape}, not (frames, {layout.count}, 2 or 3) of"

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
+from probmodel.arrays import doubles, possible, read_tables, single, write_tables
 from probmodel.body import aligned, bone_vectors, mean_torso, mirror_pose, with_lengths
 from probmodel.failures import BadInput
 from probmodel.learning.poses import in_body_units, usable
 from probmodel.motion import Motion
 from probmodel.skeleton import JOINTS, MIRROR, NUM_JOINTS, TORSO_INDEX
-from probmodel.tables import read_tables, single, write_tables
 
 EXPLAINED = 0.99
 """Share of a class's variance that its principal directions keep, `MOST` of them at most."""
@@ -108,11 +108,12 @@ def _checked(value: np.ndarray, name: str, path: Path) -> np.ndarray:
             f"{path}: {name} has shape {value.shape}, where each is {wanted}; is it for another"
             " skeleton?"
         )
-    if not np.isfinite(value).all() or (name == "lengths" and not (value > 0).all()):
+    numbers = doubles(value)
+    if not possible(numbers) or (name == "lengths" and not (numbers > 0).all()):
         raise BadInput(
             f"{path}: {name} holds a number that is not finite or a length that is not positive"
         )
-    return value.astype(np.float64)
+    return numbers
 
 
 def learn_dictionary(motions: Sequence[Motion], *, num_atoms: int = NUM_ATOMS) -> PoseDictionary:

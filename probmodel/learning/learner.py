@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from probmodel.anatomy.lengths import LengthPrior
 from probmodel.anatomy.population import Anatomy
+from probmodel.arrays import single
 from probmodel.learning.lengths import learn_lengths
 from probmodel.learning.limits import learn_limits
 from probmodel.learning.poses import Progress, gather
 from probmodel.learning.tolerance import DEFAULT, Tolerance
 from probmodel.learning.torsos import learn_torsos
 from probmodel.motion import Motion
-from probmodel.tables import single
 
 
 def learn(

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from probmodel.anatomy.limits import GRID, NUM_AZIMUTH, AnatomicalLimits
+from probmodel.arrays import single
 from probmodel.body import mirror_pose
 from probmodel.kinematics import articulation
 from probmodel.learning.hinges import FALLBACK, REFERENCE, Observations, fit_cell
@@ -15,7 +16,6 @@ from probmodel.learning.occupancy import occupancy
 from probmodel.learning.poses import Progress
 from probmodel.learning.tolerance import Tolerance
 from probmodel.skeleton import LOWER_BONES, NUM_LOWER, NUM_UPPER
-from probmodel.tables import single
 
 _TABLES: dict[str, tuple[int, ...]] = {
     "normal": (3,),

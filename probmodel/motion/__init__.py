@@ -7,6 +7,7 @@ Glitches are dropped by a stated rule (`Motion.without_jumps`). The usual way in
 `read_motion(path)`."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
 
@@ -16,16 +17,27 @@ from probmodel.motion.asf import Asf, asf_beside, parse_asf, read_amc, read_amc_
 from probmodel.motion.bvh import read_bvh
 from probmodel.motion.recording import CMU_UNIT, FROM_SEVENTEEN, Motion
 
+MOST_ENTRIES = 100_000
+"""Files and folders that are looked through."""
+
 __all__ = ["CMU_UNIT", "FROM_SEVENTEEN", "Motion", "read_motion"]
 
 
 def read_motion(path: str | os.PathLike) -> list[Motion]:
-    """Recordings at `path`, glitches included (see `Motion.without_jumps`), in a fixed order.
+    """Recordings at a path, glitches included (see `Motion.without_jumps`), in a fixed order.
 
-    `path` is an .amc file with its subject's .asf beside it, a folder of them or of such folders, a
-    .bvh file or a folder of them, or an .npz whose keys hold `(T, 15, 3)` or `(T, 17, 3)`
-    millimetres at 30 Hz (`<action>/<sequence>`; one subject a file). Raises `BadInput` where a file
-    is none of these or is damaged."""
+    Parameters
+    ----------
+    path
+        An .amc file with its subject's .asf beside it; a .bvh file; an .npz of one subject, whose
+        keys (`<action>/<sequence>`) hold `(T, 15, 3)` or `(T, 17, 3)` millimetres at 30 Hz; or a
+        folder of any of these, with its folders.
+
+    Raises
+    ------
+    BadInput
+        Where a file is none of these, or is damaged.
+    """
     path = Path(path)
     if path.is_dir():
         return _read_folder(path)
@@ -44,13 +56,23 @@ def read_motion(path: str | os.PathLike) -> list[Motion]:
     return reader(path)
 
 
+def _files_in(folder: Path) -> Iterator[Path]:
+    """Files of motion capture in a folder and its folders; closed ones are refused."""
+    entries = 0
+    for place, _, names in os.walk(folder, onerror=_refuse_folder):
+        entries += 1 + len(names)
+        if entries > MOST_ENTRIES:
+            raise BadInput(
+                f"{folder} holds more than {MOST_ENTRIES:,} files and folders; give the folder of"
+                " motion capture itself"
+            )
+        for name in names:
+            if Path(name).suffix.lower() in (".amc", ".bvh", ".npz"):
+                yield Path(place, name)
+
+
 def _read_folder(folder: Path) -> list[Motion]:
-    files = sorted(
-        place / name
-        for place, _, names in folder.walk(on_error=_refuse_folder)
-        for name in names
-        if Path(name).suffix.lower() in (".amc", ".bvh", ".npz")
-    )
+    files = sorted(_files_in(folder))
     if not files:
         raise BadInput(
             f"{folder} holds no .amc, .bvh or .npz file; give a folder of motion capture"

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from probmodel.arrays import doubles, possible, read_tables
+from probmodel.detections import LARGEST_NUMBER
 from probmodel.failures import BadInput
 from probmodel.motion.recording import FROM_SEVENTEEN, NPZ_RATE, Motion
 from probmodel.skeleton import NUM_JOINTS
-from probmodel.tables import read_tables
 
 
 def read_archive(path: Path) -> list[Motion]:
@@ -34,10 +35,11 @@ def _npz_motion(path: Path, key: str, value: np.ndarray) -> Motion:
             f"{path}: '{key}' has shape {value.shape}, a recording has (T, {NUM_JOINTS}, 3) or (T,"
             " 17, 3)"
         )
-    joints = value.astype(np.float64)
-    if not np.isfinite(joints).all():
+    joints = doubles(value)
+    if not possible(joints):
         raise BadInput(
-            f"{path}: '{key}' has a coordinate that is not finite; leave such frames out"
+            f"{path}: '{key}' has a coordinate that is not finite, or beyond"
+            f" ±{LARGEST_NUMBER:g} mm; leave such frames out"
         )
     if len(joints) == 0:
         raise BadInput(f"{path}: '{key}' has no frames; leave it out")

@@ -9,15 +9,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probmodel.failures import BadInput
+from probmodel.detections import LARGEST_NUMBER
+from probmodel.failures import BadInput, shown
 from probmodel.motion.recording import (
     CMU_RATE,
     INCH,
+    MOST_FRAMES,
+    MOST_JOINTS,
     NUMBER,
     Motion,
     Rig,
     floats,
     forward,
+    positions,
     read_text,
 )
 from probmodel.skeleton import JOINT_INDEX, JOINTS
@@ -52,6 +56,8 @@ class Asf(NamedTuple):
     millimetres: float
 
 
+LONGEST = 1e6
+"""No bone is longer, in units of its file, and no axis is turned by more degrees."""
 _ROOT_ORDER = ("TX", "TY", "TZ", "RX", "RY", "RZ")
 
 
@@ -91,19 +97,21 @@ def parse_asf(path: Path) -> Asf:
     units = dict(line.split(None, 1) for _, line in sections["units"] if " " in line)
     try:
         millimetres = INCH / float(units.get("length", "1"))
+        if not 1 / LONGEST <= millimetres <= LONGEST:
+            raise ValueError
     except (ValueError, ZeroDivisionError):
         raise BadInput(
-            f"{path}: 'length {units['length']}' in :units is not a number to divide by"
+            f"{path}: 'length' in :units is {shown(units['length'])}, not a number to divide by"
         ) from None
     if not units.get("angle", "deg").lower().startswith("deg"):
-        raise BadInput(f"{path}: angles in {units['angle']} are not supported, only degrees")
+        raise BadInput(f"{path}: angles in {shown(units['angle'])} are not supported, only degrees")
     order = next(
         (line.split()[1:] for _, line in sections["root"] if line.lower().startswith("order")), []
     )
     if sorted(token.upper() for token in order) != sorted(_ROOT_ORDER):
         raise BadInput(
-            f"{path}: the root's order is '{' '.join(order)}', which is not TX TY TZ RX RY RZ in"
-            " some order"
+            f"{path}: the root's order is {shown(' '.join(order))}, which is not TX TY TZ RX RY RZ"
+            " in some order"
         )
     bones = _parse_bones(sections["bonedata"], path)
     parents = _parse_hierarchy(sections["hierarchy"], bones, path)
@@ -150,19 +158,22 @@ def _parse_bones(lines: list[tuple[int, str]], path: Path) -> dict[str, _AsfBone
 def _asf_bone(fields: Mapping[str, list[str]], line: int, path: Path) -> _AsfBone:
     try:
         direction = np.array([float(value) for value in fields["direction"]])
-        if direction.shape != (3,) or not fields["name"]:
-            raise ValueError
-        offset = direction * float(fields["length"][0])
+        length = float(fields["length"][0])
         *angles, order = fields["axis"]
-        axis = Rotation.from_euler(order.lower(), [float(value) for value in angles], degrees=True)
+        turns = [float(value) for value in angles]
+        numbers = np.array([*direction, length, *turns])
+        if direction.shape != (3,) or not fields["name"] or not (np.abs(numbers) <= LONGEST).all():
+            raise ValueError
+        offset = direction * length
+        axis = Rotation.from_euler(order.lower(), turns, degrees=True)
         dof = "".join(
             token.lower().removeprefix("r")
             for token in fields.get("dof", [])
             if token.lower() != "l"
         )
-        if not set(dof) <= set("xyz"):
+        if not set(dof) <= set("xyz") or len(dof) != len(set(dof)):
             raise ValueError
-    except (KeyError, ValueError, IndexError):
+    except (KeyError, ValueError, IndexError, TypeError):
         raise BadInput(
             f"{path}, line {line}: the bone that ends here lacks a readable name, direction,"
             " length, axis or dof"
@@ -180,14 +191,16 @@ def _parse_hierarchy(
             continue
         if parent not in parents:
             raise BadInput(
-                f"{path}, line {number}: '{parent}' has children before it is a child itself"
+                f"{path}, line {number}: {shown(parent)} has children before it is a child itself"
             )
         for child in children:
             if child not in bones or child in parents:
                 raise BadInput(
-                    f"{path}, line {number}: '{child}' is not in :bonedata, or has two parents"
+                    f"{path}, line {number}: {shown(child)} is not in :bonedata, or has two parents"
                 )
             parents[child] = parent
+    if len(parents) > MOST_JOINTS:
+        raise BadInput(f"{path} has more than {MOST_JOINTS} bones; check what wrote it")
     return parents
 
 
@@ -220,7 +233,7 @@ def read_amc(path: Path, asf: Asf) -> Motion:
             rotations.append(None)
     wanted = [asf.rig.names.index(_ASF_ENDS[joint]) for joint in JOINTS]
     joints = forward(asf.rig, wanted, position, rotations) * asf.millimetres
-    return Motion(joints, CMU_RATE, path.stem, asf.path.stem)
+    return Motion(positions(joints, path), CMU_RATE, path.stem, asf.path.stem)
 
 
 def _parse_amc(path: Path, asf: Asf) -> dict[str, np.ndarray]:
@@ -244,6 +257,8 @@ def _parse_amc(path: Path, asf: Asf) -> dict[str, np.ndarray]:
             f"{path}: the recording is truncated, its last frame is not complete; cut that"
             " frame off"
         )
+    if len(lines) // block > MOST_FRAMES:
+        raise BadInput(f"{path} has more than {MOST_FRAMES:,} frames; split it into smaller files")
     body = np.array(lines, dtype=object).reshape(-1, block)
     expected = sum(widths) + 1
     stripped = [
@@ -260,7 +275,7 @@ def _parse_amc(path: Path, asf: Asf) -> dict[str, np.ndarray]:
         raise BadInput(
             f"{path}, line {start + row * block + 1}: frame number {row + 1} was expected here"
         )
-    if not np.isfinite(values).all():
+    if not (np.abs(values) <= LARGEST_NUMBER).all():
         raise BadInput(f"{path}: a channel holds a number that is not finite")
     edges = np.cumsum([1, *widths])
     return {
@@ -276,14 +291,14 @@ def _amc_widths(path: Path, names: list[str], first: list[str], asf: Asf, start:
         number = start + i + 2
         if name not in asf.rig.names:
             raise BadInput(
-                f"{path}, line {number}: '{name}' is no bone of {asf.path.name}; is it another"
+                f"{path}, line {number}: {shown(name)} is no bone of {asf.path.name}; is it another"
                 " subject's?"
             )
         dof = asf.dofs[asf.rig.names.index(name)]
         widths.append(6 if name == "root" else len(dof))
         if len(line.split()) - 1 != widths[-1]:
             raise BadInput(
-                f"{path}, line {number}: '{name}' has {len(line.split()) - 1} numbers, not"
+                f"{path}, line {number}: {shown(name)} has {len(line.split()) - 1} numbers, not"
                 f" {widths[-1]}"
             )
     if "root" not in names:
@@ -303,7 +318,9 @@ def _amc_fault(
             if not good or not all(
                 re.fullmatch(NUMBER, token) for token in tokens[name is not None :]
             ):
-                expected = "a frame number" if name is None else f"'{name}' and {width} numbers"
+                expected = (
+                    "a frame number" if name is None else f"{shown(name)} and {width} numbers"
+                )
                 return BadInput(
                     f"{path}, line {start + row * len(frame) + i + 1}: {expected} expected here"
                 )

@@ -7,8 +7,20 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probmodel.failures import BadInput
-from probmodel.motion.recording import CMU_UNIT, NUMBER, Motion, Rig, floats, forward, read_text
+from probmodel.detections import LARGEST_NUMBER
+from probmodel.failures import BadInput, shown
+from probmodel.motion.recording import (
+    CMU_UNIT,
+    MOST_FRAMES,
+    MOST_JOINTS,
+    NUMBER,
+    Motion,
+    Rig,
+    floats,
+    forward,
+    positions,
+    read_text,
+)
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 
 _BVH_NAMES = (
@@ -59,6 +71,8 @@ class _BvhJoint(NamedTuple):
     channels: list[str]
 
 
+SHORTEST_FRAME, LONGEST_FRAME = 1e-5, 100.0
+"""Seconds from one frame to the next."""
 _CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
 
 
@@ -93,7 +107,7 @@ def read_bvh(path: Path) -> list[Motion]:
     # belong to the parent.
     rig = Rig(names, [joint.parent for joint in joints], np.zeros((len(joints), 3)))
     ends = _bvh_forward(rig, [joint.offset for joint in joints], wanted, position, rotations)
-    return [Motion(ends * CMU_UNIT, rate, path.stem, path.stem)]
+    return [Motion(positions(ends * CMU_UNIT, path), rate, path.stem, path.stem)]
 
 
 def _bvh_forward(
@@ -129,27 +143,45 @@ def _parse_bvh_hierarchy(text: str, path: Path) -> list[_BvhJoint]:
             case ["End", "Site"] if stack:
                 pending = f"{joints[stack[-1]].name} end"
             case ["{"] if pending is not None:
+                if len(joints) == MOST_JOINTS:
+                    raise BadInput(
+                        f"{path} has more than {MOST_JOINTS} joints; check what wrote it"
+                    )
                 joints.append(_BvhJoint(pending, stack[-1] if stack else -1, np.zeros(3), []))
                 stack.append(len(joints) - 1)
                 pending = None
             case ["}"] if stack:
                 stack.pop()
             case ["OFFSET", *numbers] if (
-                stack and len(numbers) == 3 and floats(" ".join(numbers)) is not None
+                stack and len(numbers) == 3 and (offset := _offset(numbers)) is not None
             ):
-                joints[stack[-1]].offset[:] = floats(" ".join(numbers))
+                joints[stack[-1]].offset[:] = offset
             case ["CHANNELS", count, *channels] if (
-                stack and count == str(len(channels)) and set(channels) <= set(_CHANNELS)
+                stack
+                and count == str(len(channels))
+                and _are_channels([*joints[stack[-1]].channels, *channels])
             ):
                 joints[stack[-1]].channels.extend(channels)
             case _:
                 raise BadInput(
-                    f"{path}, line {number}: '{line.strip()}' cannot be read as part of a BVH"
+                    f"{path}, line {number}: {shown(line.strip())} cannot be read as part of a BVH"
                     " hierarchy"
                 )
     if stack or not joints:
         raise BadInput(f"{path}: the hierarchy is not closed, so the file is truncated or damaged")
     return joints
+
+
+def _offset(numbers: list[str]) -> np.ndarray | None:
+    """Three numbers that can be a place, or None."""
+    offset = floats(" ".join(numbers))
+    possible = offset is not None and (np.abs(offset) <= LARGEST_NUMBER).all()
+    return offset if possible else None
+
+
+def _are_channels(channels: list[str]) -> bool:
+    """Whether a joint can have them: each of the six at most once."""
+    return set(channels) <= set(_CHANNELS) and len(channels) == len(set(channels))
 
 
 def _bvh_wanted(names: list[str], path: Path) -> list[int]:
@@ -166,15 +198,18 @@ def _bvh_wanted(names: list[str], path: Path) -> list[int]:
 
 def _parse_bvh_motion(text: str, num_channels: int, path: Path) -> tuple[float, np.ndarray]:
     """Frame rate and channel values `(T, num_channels)`."""
-    header = re.match(rf"\s*Frames:\s*(\d+)\s*Frame Time:\s*({NUMBER})\s", text)
-    if header is None or not float(header[2]) > 0:
+    header = re.match(rf"\s*Frames:\s*(\d{{1,9}})\s+Frame Time:\s*({NUMBER})\s", text)
+    if header is None or not SHORTEST_FRAME <= float(header[2]) <= LONGEST_FRAME:
         raise BadInput(
-            f"{path}: MOTION does not start with 'Frames: <count>' and 'Frame Time: <seconds>'"
+            f"{path}: MOTION does not start with 'Frames: <count>' and 'Frame Time: <seconds>',"
+            f" from {SHORTEST_FRAME:g} to {LONGEST_FRAME:g} seconds"
         )
     count, rate = int(header[1]), 1 / float(header[2])
     values = floats(text[header.end() :])
-    if values is None or not np.isfinite(values).all():
+    if values is None or not (np.abs(values) <= LARGEST_NUMBER).all():
         raise BadInput(f"{path}: a channel of the MOTION section is not a finite number")
+    if count > MOST_FRAMES:
+        raise BadInput(f"{path} has more than {MOST_FRAMES:,} frames; split it into smaller files")
     if count == 0 or values.size != count * num_channels:
         raise BadInput(
             f"{path}: {count} frames of {num_channels} channels are announced, but {values.size}"

@@ -2,6 +2,7 @@
 share."""
 
 import dataclasses
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -9,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probmodel.detections import LARGEST_NUMBER
 from probmodel.failures import BadInput
+from probmodel.files import read_bytes
 from probmodel.skeleton import PARENTS
 
 INCH = 25.4
@@ -23,6 +26,11 @@ MAX_TURN = 1500.0
 is faster there are swapped or lost markers, at 1,700 to 12,000."""
 GUARD = 0.05
 """Seconds before and after a jump that are not trusted."""
+MOST_JOINTS, MOST_FRAMES = 2000, 500_000
+"""Of a skeleton, and of a recording in a text format: more than an hour at 120 Hz."""
+LARGEST_TEXT, MOST_LINES = 200_000_000, 5_000_000
+"""Bytes and lines of a text file of motion capture; the longest of the CMU originals has 25 million
+and 700,000."""
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 """A number in the text formats, as a regular expression."""
 FROM_SEVENTEEN = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15)
@@ -66,13 +74,12 @@ class Motion:
 
 
 def read_text(path: Path) -> str:
-    """A text file, whatever its bytes. Raises `BadInput` where it cannot be read."""
-    try:
-        return path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise BadInput(
-            f"cannot read {path} ({error.strerror}); check the path and its permissions"
-        ) from None
+    """A text file, whatever its bytes. Raises `BadInput` where it cannot be read, or is too
+    long."""
+    data = read_bytes(path, "motion capture", "check the path", largest=LARGEST_TEXT)
+    if data.count(b"\n") > MOST_LINES:
+        raise BadInput(f"{path} has more than {MOST_LINES:,} lines; split it into smaller files")
+    return data.decode("utf-8", errors="replace")
 
 
 class Rig(NamedTuple):
@@ -111,7 +118,19 @@ def forward(
 
 def floats(text: str) -> np.ndarray | None:
     """All numbers of a text, or None where a token is not one."""
+    blocks = re.findall(r"[\s\S]{1,1000000}\S*", text)  # the texts of all numbers fill the memory
     try:
-        return np.array(text.split(), dtype=np.float64)
+        return np.concatenate([[], *(np.array(block.split(), np.float64) for block in blocks)])
     except ValueError:
         return None
+
+
+def positions(joints: np.ndarray, path: Path) -> np.ndarray:
+    """Joints of a recording as they are. Raises `BadInput` where one is not finite, or so far away
+    that its square loses its meaning."""
+    if not (np.abs(joints) <= LARGEST_NUMBER).all():  # false for NaN too
+        raise BadInput(
+            f"{path}: a joint lies at no place that can be (its coordinates are not finite, or"
+            f" beyond ±{LARGEST_NUMBER:g} mm); check offsets, lengths and channels"
+        )
+    return joints

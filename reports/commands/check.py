@@ -1,13 +1,13 @@
 """`poseterior check`: which bones of 3D poses break which limit, and by how many degrees."""
 
-import json
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import xarray as xr
 
 from probmodel.anatomy.limits import Check
+from probmodel.arrays import read_array, read_netcdf
+from probmodel.documents import read_json
 from probmodel.failures import BadInput
 from probmodel.motion import read_motion
 from probmodel.skeleton import BONE_NAMES, BONES, JOINTS, NUM_JOINTS
@@ -17,6 +17,7 @@ from reports.settings import CheckSettings
 
 FEW = 20
 """Up to so many impossible poses are listed one by one, more are counted by bone."""
+_VARIABLES = ("posterior/joints", "prior/joints")
 LARGEST = 1e9
 """No coordinate may be larger: the squares of larger numbers overflow."""
 
@@ -74,26 +75,20 @@ def _from_motion(path: Path) -> Poses:
 
 
 def _from_tree(path: Path) -> Poses:
-    try:
-        with xr.open_datatree(path, engine="netcdf4") as tree:
-            group = next(name for name in ("posterior", "prior") if name in tree.children)
-            joints = np.asarray(tree[group]["joints"].values)
-    except (
-        Exception
-    ) as error:  # netCDF meets foreign and damaged files with errors of many unrelated kinds.
-        raise BadInput(
-            f"{path} holds no poses of poseterior ({type(error).__name__}); write one with"
-            " `poseterior sample`"
-        ) from None
-    return _numbered(joints, "draw", path)
+    what, advice = "file of poses of poseterior", "write one with `poseterior sample`"
+    found = read_netcdf(path, _VARIABLES, what, advice)
+    if not found:
+        raise BadInput(f"{path} holds no poses of poseterior; {advice}")
+    return _numbered(next(found[name] for name in _VARIABLES if name in found), "draw", path)
 
 
 def _from_json(path: Path) -> Poses:
+    advice = "give a hypotheses.json of poseterior, or a .nc"
+    content = read_json(path, "hypotheses.json of poseterior", advice)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
         poses = [[pose["joints"][name] for name in JOINTS] for pose in content["hypotheses"]]
         joints = np.array(poses, float)
-    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise BadInput(
             f"{path} is not a hypotheses.json of poseterior ({type(error).__name__}); give one, or"
             " a .nc"
@@ -102,24 +97,8 @@ def _from_json(path: Path) -> Poses:
 
 
 def _from_array(path: Path) -> Poses:
-    try:
-        with open(
-            path, "rb"
-        ) as file:  # numpy would leave a file open that turns out to be an archive
-            joints = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError, MemoryError) as error:
-        raise BadInput(
-            f"{path} is no NumPy array of numbers ({_words(error)}); save joints with numpy.save"
-        ) from None
-    if not isinstance(joints, np.ndarray):
-        raise BadInput(
-            f"{path} is an archive of arrays; name it .npz, or save joints with numpy.save"
-        )
+    joints = read_array(path, "NumPy array of numbers", "save joints with numpy.save")
     return _numbered(joints, "pose", path)
-
-
-def _words(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _numbered(joints: np.ndarray, kind: str, path: Path, *, first: int = 0) -> Poses:

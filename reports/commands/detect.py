@@ -1,12 +1,12 @@
 """`poseterior detect`: images and a heatmap network → a file of detections that every other command
 reads."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
 from inference.detector import Network
 from probmodel import BadInput, Detection, write_detections
+from probmodel.documents import read_json
 from probmodel.layouts import LAYOUTS
 from reports import console, figures, tables
 from reports.options import Screen, parse_size
@@ -64,14 +64,14 @@ def run(settings: DetectSettings, screen: Screen) -> None:
 def read_boxes(path: Path, least_score: float) -> dict[str, list[Box]]:
     """Person boxes by image id, from a list of COCO's detection results. Raises `BadInput` where it
     is none."""
+    records = read_json(path, "list of boxes", "give COCO's results with image_id and bbox")
     try:
-        records = json.loads(path.read_text(encoding="utf-8"))
         found: dict[str, list[Box]] = {}
         for record in records:
             if record.get("category_id", 1) == 1 and record.get("score", 1.0) >= least_score:
                 x, y, width, height = (float(value) for value in record["bbox"])
                 found.setdefault(str(record["image_id"]), []).append((x, y, width, height))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise BadInput(
             f"{path} is no list of boxes ({type(error).__name__}); give COCO's results with"
             " image_id and bbox"

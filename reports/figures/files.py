@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageOps
 
 from probmodel.failures import BadInput
-from probmodel.files import replacing
+from probmodel.files import opened, replacing
 
 MAX_PIXELS = 60_000_000
 """Images above this are refused before they are decoded: a small file can claim any size."""
@@ -47,14 +47,12 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(path) as image:
+            with opened(path, "image", "check its name.") as file, Image.open(file) as image:
                 if image.width * image.height > MAX_PIXELS:
                     raise BadInput(too_large)
                 return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
     except (Image.DecompressionBombWarning, Image.DecompressionBombError):
         raise BadInput(too_large) from None
-    except FileNotFoundError:
-        raise BadInput(f"there is no image at {path}; check its name.") from None
     except BadInput:
         raise
     except Exception as error:  # Pillow meets damaged files with errors of many kinds.

@@ -1,6 +1,7 @@
 """A network end to end: built here, so small that its heatmaps can be told by hand. It finds
 coloured dots."""
 
+import gc
 import json
 import re
 import sys
@@ -181,6 +182,61 @@ REFUSALS = {
 }
 
 
+def endless_network(path: Path, turns: int = 2**62) -> Path:
+    """The dots, after so many turns of a loop that adds nothing."""
+    dot_network(path)
+    model = onnx.load(str(path))
+    body = helper.make_graph(
+        [
+            helper.make_node("Identity", ["on"], ["on_out"]),
+            helper.make_node("Mul", ["value", "value"], ["value_out"]),
+        ],
+        "turn",
+        [
+            helper.make_tensor_value_info("turn", TensorProto.INT64, []),
+            helper.make_tensor_value_info("on", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("value", TensorProto.FLOAT, None),
+        ],
+        [
+            helper.make_tensor_value_info("on_out", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("value_out", TensorProto.FLOAT, None),
+        ],
+    )
+    graph = model.graph
+    graph.initializer.append(numpy_helper.from_array(np.array(turns, np.int64), "turns"))
+    graph.initializer.append(numpy_helper.from_array(np.array(True), "go"))
+    graph.node[-1].output[0] = "before"
+    graph.node.append(helper.make_node("Loop", ["turns", "go", "before"], ["heatmaps"], body=body))
+    onnx.save(model, str(path))
+    return path
+
+
+def test_a_network_that_does_not_end_is_ended(tmp_path: Path) -> None:
+    short = Network.load(endless_network(tmp_path / "a.onnx", 3), MPII_16)
+    assert len(short.detect(np.zeros((9, 9, 3), np.uint8), threshold=0.0)) == 1
+    endless = Network.load(endless_network(tmp_path / "b.onnx"), MPII_16, time_limit=20.0)
+    object.__setattr__(endless.process, "limit", 1.0)
+    with pytest.raises(BadInput, match=r"b\.onnx took more than 1 seconds, so it was stopped"):
+        endless.detect(np.zeros((9, 9, 3), np.uint8))
+    assert endless.process._process.returncode is not None
+    with pytest.raises(BadInput, match="was stopped before"):
+        endless.detect(np.zeros((9, 9, 3), np.uint8))
+
+
+def test_the_process_ends_with_the_network(tmp_path: Path) -> None:
+    network = Network.load(dot_network(tmp_path / "a.onnx"), MPII_16)
+    process = network.process._process
+    del network
+    gc.collect()
+    assert process.returncode is not None
+
+
+@pytest.mark.parametrize("box", [(0, 0, 1e9, 1e9), (1e300, 0, 1, 1), (-1e8, 0, 1, 1)])
+def test_a_box_far_beyond_the_image_is_refused(network: Network, box: tuple[float, ...]) -> None:
+    with pytest.raises(BadInput, match="a person's box"):
+        network.detect(np.zeros((9, 9, 3), np.uint8), [box])
+
+
 @pytest.mark.parametrize("name", REFUSALS)
 def test_refusals(tmp_path: Path, name: str) -> None:
     call, match = REFUSALS[name]
@@ -251,7 +307,7 @@ def test_the_command_from_images_to_detections(tmp_path: Path, poseterior: Cli) 
         (("--layout", "mpii_16", "--box", "1e300,0,1,1"), "does not fit .*a.png, which has 40x40"),
         (("--layout", "mpii_16", "--box", "0,-1e300,1,1"), "does not fit .*a.png, which has 40"),
         (("--layout", "mpii_16", "--input-size", "64"), "--input-size must look like 192x256"),
-        (("--layout", "mpii_16", "--boxes", "{tmp}/dots.onnx"), "is no list of boxes"),
+        (("--layout", "mpii_16", "--boxes", "{tmp}/dots.onnx"), "is not (UTF-8 text|valid JSON)"),
         (("--layout", "mpii_16", "--method", "mean"), "there is no way 'mean'"),
     ],
 )

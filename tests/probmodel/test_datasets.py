@@ -58,7 +58,7 @@ def data() -> DataSet:
 
 
 # --- motion capture
-# --------------------------------------------------------------------------------------------------
+# --------------------------------------------------
 
 
 def test_every_action_gets_as_many_frames_and_none_the_same_twice(data):
@@ -146,7 +146,7 @@ def test_a_turned_case_is_seen_by_a_rolled_camera(data):
 def test_height_does_not_depend_on_the_pose_and_units_are_checked(data):
     assert body_height(BODY[None]) == pytest.approx(body_height(data.case(0).pose), rel=0.1)
     for factor, words in ((0.001, r"0\.00\d+"), (1000.0, r"1,\d\d\d")):
-        with pytest.raises(BadInput, match=f"subject a would be {words} m tall"):
+        with pytest.raises(BadInput, match=f"subject 'a' would be {words} m tall"):
             dataclasses.replace(data, poses=data.poses * factor, subject=np.full(len(data), "a"))
 
 
@@ -160,7 +160,7 @@ def test_real_motion_capture_is_read(shared_data):
 
 
 # --- a plain file
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------
 
 
 def test_a_plain_file_gives_back_what_was_written(data, tmp_path):
@@ -217,6 +217,20 @@ REFUSED = {
     "a frame of NaN": (lambda d: plain(d, poses=at(4, d.poses, np.nan)), "frame 4 has a coord"),
     "too few keypoints": (lambda d: plain(d, keypoints=d.keypoints[:9]), "60 poses, but 9 sets"),
     "scores of another shape": (lambda d: plain(d, score=np.ones(60)), r"score has shape \(60,\)"),
+    "scores as text": (lambda d: plain(d, score=np.full((60, 15), "1")), "score has shape"),
+    "a scale as text": (
+        lambda d: plain(d, scale=np.full(60, "1"), translation=np.zeros((60, 2))),
+        "scale has shape",
+    ),
+    "a translation as text": (
+        lambda d: plain(d, scale=np.ones(60), translation=np.full((60, 2), "1")),
+        "translation has shape",
+    ),
+    "an infinite score": (lambda d: plain(d, score=np.full((60, 15), np.inf)), "number beyond"),
+    "a subject that no terminal should see": (
+        lambda d: plain(d, subject=np.full(60, "a\x1b[31m")),
+        "which is no name",
+    ),
     "no frames": (lambda d: {k: v[:0] for k, v in plain(d).items()}, "no frames"),
 }
 
@@ -253,7 +267,7 @@ def test_noise_is_read():
 
 
 # --- Human3.6M
-# -------------------------------------------------------------------------------------------------------
+# --------------------------------------------------
 
 
 def human36m(folder: Path, poses: np.ndarray, protocol: int = 4, **changes: object) -> Path:
@@ -383,6 +397,20 @@ def test_repetition_costs_nothing_and_damage_is_a_sentence():
         follow(pickle.dumps(loop), "a file")
 
 
+def _spoil(path: Path, place: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[place : place + 20] = bytes(20)
+    path.write_bytes(data)
+
+
+def _repack(path: Path, method: int) -> None:
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w", method) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+
+
 SLEEPER = np.zeros((3, 32, 3))
 HUMAN_REFUSED = {
     "one file alone": (
@@ -391,7 +419,7 @@ HUMAN_REFUSED = {
     ),
     "a text": (
         lambda f: (f / "data_3d_h36m.npz").write_text("hello"),
-        "holds no readable positions_3d",
+        "is no file of positions_3d, or is truncated",
     ),
     "seventeen joints": (
         lambda f: human36m(f, waving(1, 3), three={"S1": {"Eating": np.zeros((3, 17, 3))}}),
@@ -402,6 +430,24 @@ HUMAN_REFUSED = {
         "lacks S1 Sl",
     ),
     "a list": (lambda f: human36m(f, waving(1, 3), three=[1, 2]), "not the dictionary"),
+    "ragged lists": (
+        lambda f: human36m(f, waving(1, 3), three={"S1": {"Eating": [[1.0, 2.0], [3.0]]}}),
+        r"S1 Eating has \[\[1.0, 2.0\], \[3.0\]\], Human3.6M has",
+    ),
+    "numbers as names": (
+        lambda f: human36m(f, waving(1, 3), three={1: {"Eating": np.zeros((3, 32, 3))}}),
+        "a name in a dictionary is 1, not",
+    ),
+    "an empty subject": (lambda f: human36m(f, waving(1, 3), three={"S1": {}}), "hold no frame"),
+    "takes without frames": (
+        lambda f: human36m(f, waving(1, 3), three={"S1": {"Walking": np.zeros((0, 32, 3))}}),
+        "hold no frame",
+    ),
+    "damaged deflate": (lambda f: _spoil(f / "data_3d_h36m.npz", 200), "or is truncated"),
+    "another way of packing": (
+        lambda f: _repack(f / "data_3d_h36m.npz", zipfile.ZIP_BZIP2),
+        "packed in a way",
+    ),
     "NaN": (lambda f: human36m(f, waving(1, 3) * np.nan), "coordinate that is not finite"),
 }
 

@@ -256,13 +256,13 @@ REFUSALS = [
         "missing file",
         "hypotheses @nope.json --out @out",
         {},
-        "nope.json does not exist; give the path",
+        "there is no file of 2D joints at .*nope.json; give the path",
     ),
     Refusal(
         "folder as file",
         "hypotheses @d --out @out",
         {"d/x.json": "{}"},
-        "d is not a file; give the path",
+        "d is a folder, not a file; give the path",
     ),
     Refusal(
         "missing argument",
@@ -388,7 +388,7 @@ REFUSALS = [
         GOOD,
         "f.json is no image that can be read .*; give a PNG",
     ),
-    Refusal("folder as image", HYPOTHESES + "--image @.", GOOD, "is no image that can be read"),
+    Refusal("folder as image", HYPOTHESES + "--image @.", GOOD, "is a folder, not a file"),
     Refusal(
         "out is a file",
         "hypotheses @f.json --out @f.json",
@@ -472,7 +472,7 @@ REFUSALS += [
         "limits: missing .mat",
         LIMITED + ".mat",
         GOOD,
-        "l.mat does not exist; give the path of the published",
+        "there is no MATLAB file at .*l.mat; give the path of the published",
     ),
     limits("text", b"hello", "l.npz is no limits file, or is truncated"),
     limits("truncated", default_limits()[:5000], "l.npz is no limits file, or is truncated"),
@@ -519,7 +519,7 @@ REFUSALS += [
     check("not an array", "p.npy", "hello", "p.npy is no NumPy array of numbers"),
     check("empty array file", "p.npy", b"", "p.npy is no NumPy array of numbers"),
     check("cut array", "p.npy", npy(standing())[:-20], "p.npy is no NumPy array of numbers"),
-    check("objects", "p.npy", npy(np.array([None])), "p.npy is no NumPy array of numbers"),
+    check("objects", "p.npy", npy(np.array([None])), "p.npy holds pickled Python objects"),
     check(
         "an archive by another name",
         "p.npy",
@@ -559,7 +559,7 @@ REFUSALS += [
         "the bone head of pose 0 in .*p.npy has length zero",
     ),
     check("no hypotheses", "p.json", native(), "p.json is not a hypotheses.json of poseterior"),
-    check("text as .nc", "p.nc", "hello", "p.nc holds no poses of poseterior"),
+    check("text as .nc", "p.nc", "hello", "p.nc is no file of poses of poseterior"),
     check(
         "wrong shape in .npz",
         "p.npz",

@@ -31,10 +31,10 @@ from inference.studies.calibration.assess import FAILED, Answer
 from inference.studies.calibration.quantities import of_pose
 from inference.studies.calibration.simulations import Instance
 from inference.studies.comparison.mixing import mean_ess, mixing
+from probmodel.arrays import read_array, read_netcdf, read_tables
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.skeleton import NUM_JOINTS
-from probmodel.tables import read_tables
 
 Sampler = Callable[[int, Instance, jax.Array], Answer]
 """The number of the instance, the instance, a key of its own."""
@@ -188,24 +188,15 @@ class FromFile:
 
 def _read(path: Path) -> np.ndarray:
     advice = "write one with numpy.savez(path, joints=joints)"
-    if path.suffix.lower() == ".nc":
-        try:
-            with xr.open_datatree(path, engine="netcdf4") as tree:
-                return np.asarray(tree["posterior"]["joints"])
-        except (
-            Exception
-        ) as error:  # netCDF meets foreign and damaged files with errors of many unrelated kinds.
-            raise BadInput(
-                f"{path} holds no draws (posterior/joints) that can be read"
-                f" ({type(error).__name__}); {advice}"
-            ) from None
-    if path.suffix.lower() == ".npz":
-        tables = read_tables(path, "file of draws", advice)
-        if "joints" not in tables:
-            raise BadInput(f"{path} has no array `joints`; {advice}")
-        return tables["joints"]
-    try:
-        with open(path, "rb") as file:
-            return np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise BadInput(f"{path} is no array of draws ({type(error).__name__}); {advice}") from None
+    what, suffix = "file of draws", path.suffix.lower()
+    if suffix not in (".nc", ".npz"):
+        return read_array(path, what, advice)
+    name = "joints" if suffix == ".npz" else "posterior/joints"
+    found = (
+        read_tables(path, what, advice)
+        if suffix == ".npz"
+        else read_netcdf(path, [name], what, advice)
+    )
+    if name not in found:
+        raise BadInput(f"{path} has no array `{name}`; {advice}")
+    return found[name]

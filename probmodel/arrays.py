@@ -1,0 +1,414 @@
+"""Arrays in files: NumPy's .npy and .npz, HDF5 (netCDF4 too) and MATLAB's .mat, read as plain
+numbers and text: nothing is unpickled, no other file is followed, and nothing is unpacked beyond a
+budget.
+
+The usual ways in: `read_tables(path, what, advice)` for an .npz, `read_array` for an .npy,
+`read_netcdf` and `read_mat`; `ArrayFile` for whoever must look before reading. A file is known by
+its content, never by its name."""
+
+import io
+import math
+import os
+import sys
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from probmodel import matlab
+from probmodel.detections import LARGEST_NUMBER
+from probmodel.failures import BadInput, shown
+from probmodel.files import opened, read_bytes, replacing
+
+NPY, ZIP, HDF5 = b"\x93NUMPY", b"PK\x03\x04", b"\x89HDF\r\n\x1a\n"
+_EMPTY_ZIP = b"PK\x05\x06"
+MAGIC = {NPY: NPY, ZIP: ZIP, _EMPTY_ZIP: ZIP, HDF5: HDF5}
+"""How .npy, .npz and HDF5 begin, and what each beginning stands for."""
+LARGEST = 4_000_000_000
+"""Bytes; the arrays that are read from one file may not be larger, all together."""
+FREE, BEST_RATIO = 256_000_000, 50
+"""Arrays of more than `FREE` bytes must not be more than `BEST_RATIO` times larger than their file:
+numbers of poses do not pack so well, and what claims to is a bomb, or damaged."""
+MOST_NUMBERS = 150_000_000
+"""Numbers that may be brought to double precision at once."""
+LONGEST_NAME = 200
+_CHUNK = 1 << 20
+_DEFLATE, _SUMS = 1, 3
+_FILTERS = {_DEFLATE, 2, _SUMS, 32000}
+"""The filters of HDF5 that are read: deflate, shuffle, Fletcher's sums, and h5py's own LZF."""
+
+
+@dataclass(frozen=True)
+class ArrayFile:
+    """An open file that may hold arrays; `source` names it in messages, `what` and `advice` say
+    what it should be and what to do where it is not."""
+
+    file: BinaryIO
+    source: str
+    what: str = "file of arrays"
+    advice: str = "check that the file is complete."
+
+    @cached_property
+    def magic(self) -> bytes:
+        """The one of `MAGIC` with which it begins; empty where it is another kind of file."""
+        self.file.seek(0)
+        head = self.file.read(8)
+        return next((kind for start, kind in MAGIC.items() if head.startswith(start)), b"")
+
+    @cached_property
+    def size(self) -> int:
+        """Bytes of the file."""
+        return self.file.seek(0, io.SEEK_END)
+
+    def require(self, magic: bytes) -> None:
+        """Raises `BadInput` unless the file begins so."""
+        if self.magic != magic:
+            raise BadInput(f"{self.source} is no {self.what}, or is truncated; {self.advice}")
+
+    def names(self) -> list[str]:
+        """The names of the arrays of an .npz (without .npy) or HDF5 file (paths); of an .npy one
+        empty name. Empty for other files, and for damaged ones, which `read` refuses."""
+        try:
+            if self.magic == ZIP:
+                return list(self._members())
+            if self.magic == HDF5:
+                return self._datasets()
+        except BadInput:
+            return []
+        return [""] if self.magic == NPY else []
+
+    def read(self, wanted: Sequence[str] | None = None) -> dict[str, np.ndarray]:
+        """Arrays by name, all or those of `wanted` that are there; an .npy's is named "".
+
+        Raises `BadInput` where the file is damaged or is none of arrays, where they are larger than
+        can be, or one is of objects, which only unpickling could read."""
+        if self.magic == NPY:
+            size = self.size
+            self.file.seek(0)
+            return {"": self._npy(self.file, size, self.source)}
+        if self.magic == HDF5:
+            return self._hdf5(wanted)
+        members = self._members()
+        chosen = {name: members[name] for name in members if wanted is None or name in wanted}
+        self._require_budget(sum(info.file_size for info in chosen.values()), "its arrays")
+        return {name: self._member(name, info) for name, info in chosen.items()}
+
+    def pickled(self, name: str) -> bytes | None:
+        """The pickle of an .npz's array of one object, as bytes; None where the array is there but
+        is not of that kind. Raises `BadInput` where there is no such array, or it is damaged."""
+        info = self._members().get(name)
+        if info is None:
+            raise BadInput(f"{self.source} has no array {name}; {self.advice}")
+        self._require_budget(info.file_size, name)
+        with self._unzipped(name, info) as member:
+            shape, _, dtype = _header(member)
+            if not dtype.hasobject or shape != ():
+                return None
+            return member.read(info.file_size)
+
+    def attributes(self) -> Mapping[str, Mapping[str, str]]:
+        """The attributes of an HDF5 file's groups and datasets that are one text, by path and
+        name."""
+        found: dict[str, dict[str, str]] = {}
+        with self._hdf5_file() as file:
+
+            def visit(name: str, item: Any) -> None:
+                values = {key: _attribute(item, key) for key in item.attrs}
+                found[name] = {key: value for key, value in values.items() if value is not None}
+
+            file.visititems(visit)
+        return found
+
+    @contextmanager
+    def _damage(self, where: str) -> Iterator[None]:
+        """Turns what damaged bytes make zipfile, zlib, NumPy, h5py and SciPy raise into
+        `BadInput`: errors of many unrelated kinds, and warnings of headers that NumPy mends."""
+        try:
+            yield
+        except BadInput:
+            raise
+        except Exception as error:
+            raise BadInput(
+                f"{where} is no {self.what}, or is truncated ({type(error).__name__});"
+                f" {self.advice}"
+            ) from None
+
+    def _require_budget(self, size: int, name: str) -> None:
+        if size > min(LARGEST, max(FREE, BEST_RATIO * self.size)):
+            raise BadInput(
+                f"{name} of {self.source} would take {size:,} bytes, more than can be in a file of"
+                f" {self.size:,}; {self.advice}"
+            )
+
+    def _members(self) -> dict[str, zipfile.ZipInfo]:
+        with self._damage(self.source):
+            self.require(ZIP)
+            with zipfile.ZipFile(self.file) as archive:
+                infos = [info for info in archive.infolist() if not info.is_dir()]
+        return {self._printable(info.filename.removesuffix(".npy")): info for info in infos}
+
+    def _printable(self, name: str | bytes) -> str:
+        """A name that may stand in a message. Raises `BadInput` where it cannot."""
+        if not isinstance(name, str) or not name.isprintable() or len(name) > LONGEST_NAME:
+            raise BadInput(f"{self.source} has an array named {shown(name)}; name it in letters.")
+        return name
+
+    @contextmanager
+    def _unzipped(self, name: str, info: zipfile.ZipInfo) -> Iterator[BinaryIO]:
+        where = f"{name} of {self.source}"
+        if info.flag_bits & 1:
+            raise BadInput(f"{where} is encrypted; save it without a password.")
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise BadInput(
+                f"{where} is packed in a way that NumPy does not write; save it with numpy.savez."
+            )
+        with (
+            self._damage(where),
+            zipfile.ZipFile(self.file) as archive,
+            archive.open(info) as member,
+        ):
+            yield member  # type: ignore[misc]
+
+    def _member(self, name: str, info: zipfile.ZipInfo) -> np.ndarray:
+        with self._unzipped(name, info) as member:
+            return self._npy(member, info.file_size, f"{name} of {self.source}")
+
+    def _npy(self, file: BinaryIO, size: int, where: str) -> np.ndarray:
+        """The array of an .npy of `size` bytes, headers included."""
+        with self._damage(where):
+            shape, fortran, dtype = _header(file)
+            if dtype.kind == "V":
+                raise BadInput(f"{where} is a table of several columns; save each as an array.")
+            if dtype.hasobject:
+                raise BadInput(
+                    f"{where} holds pickled Python objects, which could run any code and are not"
+                    " read; save it as plain arrays, one for each name."
+                )
+            count = math.prod(shape)
+            needed = count * dtype.itemsize
+            if min(shape, default=0) < 0 or max(count, needed) > size:
+                raise BadInput(
+                    f"{where} is cut short: its header speaks of an array of shape {shown(shape)};"
+                    f" {self.advice}"
+                )
+            self._require_budget(_weight(dtype, count), where)
+            data = bytearray()
+            while len(data) < needed and (chunk := file.read(min(_CHUNK, needed - len(data)))):
+                data += chunk
+            flat = np.frombuffer(data, dtype) if needed else np.zeros(count, dtype)
+            if dtype.kind == "U" and flat.view(dtype.str[0] + "u4").max(initial=0) > sys.maxunicode:
+                raise ValueError
+            return flat.reshape(shape, order="F" if fortran else "C")
+
+    @contextmanager
+    def _hdf5_file(self) -> Iterator[Any]:
+        import h5py
+
+        self.file.seek(0)
+        with self._damage(self.source), h5py.File(self.file, "r") as file:
+            yield file
+
+    def _datasets(self) -> list[str]:
+        """The datasets of the file itself: soft and external links are not followed."""
+        found: list[str] = []
+
+        def visit(name: str, item: Any) -> None:
+            if hasattr(item, "dtype"):
+                found.append(name)
+
+        with self._hdf5_file() as file:
+            file.visititems(visit)
+        return [self._printable(name) for name in found]
+
+    def _hdf5(self, wanted: Sequence[str] | None) -> dict[str, np.ndarray]:
+        chosen = [name for name in self._datasets() if wanted is None or name in wanted]
+        with self._hdf5_file() as file:
+            items = {name: file[name] for name in chosen}
+            for name, item in items.items():
+                _require_own(item, f"{name} of {self.source}")
+            weights = [
+                _weight(item.dtype, max(item.size, math.prod(item.chunks or ())))
+                for item in items.values()
+            ]
+            self._require_budget(sum(weights), "its arrays")
+            for name, item in items.items():
+                _require_honest(item, f"{name} of {self.source}")
+            return {name: np.asarray(item[()]) for name, item in items.items()}
+
+
+def _header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether in Fortran's order, and type of an .npy."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of headers that Python 2 wrote
+        if np.lib.format.read_magic(file) == (1, 0):
+            return np.lib.format.read_array_header_1_0(file)
+        return np.lib.format.read_array_header_2_0(file)
+
+
+def _weight(dtype: np.dtype, count: int) -> int:
+    """Bytes of so many entries; small whole numbers count as the doubles that they will become."""
+    return count * (max(8, dtype.itemsize) if dtype.kind in "iub" else dtype.itemsize)
+
+
+def _require_own(item: Any, where: str) -> None:
+    """Raises `BadInput` unless an HDF5 dataset is one of plain entries of this very file."""
+    if item.dtype.kind not in "fiuSVb" or item.dtype.hasobject:
+        raise BadInput(
+            f"{where} holds {shown(str(item.dtype))}, not plain numbers; save it as an array of"
+            " numbers."
+        )
+    if item.external or item.is_virtual:
+        raise BadInput(f"{where} lies in another file; copy it into this one.")
+
+
+def _require_honest(item: Any, where: str) -> None:
+    """Raises `BadInput` where a chunk of an HDF5 dataset is packed in a way that is not known, or
+    unpacks to more than it says: the library would unpack it whole."""
+    creation = item.id.get_create_plist()
+    codes = [creation.get_filter(place)[0] for place in range(creation.get_nfilters())]
+    packing = [place for place, code in enumerate(codes) if code == _DEFLATE]
+    if not set(codes) <= _FILTERS or any(set(codes[place + 1 :]) - {_SUMS} for place in packing):
+        raise BadInput(f"{where} is packed in a way that is not read; save it with gzip, or plain.")
+    if not packing:
+        return
+    most = math.prod(item.chunks) * item.dtype.itemsize + 64
+    chunks: list[Any] = []
+    item.id.chunk_iter(chunks.append)
+    for chunk in chunks:
+        if chunk.filter_mask & 1 << packing[0]:  # it did not pack well, and stands as it is
+            continue
+        unpacking = zlib.decompressobj()
+        unpacking.decompress(item.id.read_direct_chunk(chunk.chunk_offset)[1], most)
+        if not unpacking.eof and unpacking.unconsumed_tail:
+            raise BadInput(f"{where} unpacks to more than it says; check that it is complete.")
+
+
+def _attribute(item: Any, key: str) -> str | None:
+    try:
+        if item.attrs.get_id(key).shape:  # an array of texts, of any size
+            return None
+        value = item.attrs[key]
+    except (OSError, TypeError, ValueError, KeyError, RuntimeError):  # what h5py does not read
+        return None
+    if isinstance(value, bytes):
+        return value.decode("utf-8", errors="replace")
+    return value if isinstance(value, str) else None
+
+
+def doubles(array: np.ndarray) -> np.ndarray:
+    """Numbers as float64, without a warning: what damaged bytes become, the caller looks at."""
+    with np.errstate(all="ignore"):
+        return array.astype(np.float64)
+
+
+def possible(numbers: np.ndarray) -> bool:
+    """Whether all are finite and so small that their squares keep their meaning."""
+    return bool((np.abs(numbers) <= LARGEST_NUMBER).all())  # false for NaN too
+
+
+def plain(array: np.ndarray, where: str) -> np.ndarray:
+    """Numbers as float64, all finite or NaN and within ±`LARGEST_NUMBER`. Raises `BadInput`
+    otherwise."""
+    if array.dtype.kind not in "fiu":
+        raise BadInput(f"{where} holds {shown(str(array.dtype))} where numbers are needed.")
+    if array.size > MOST_NUMBERS:
+        raise BadInput(f"{where} holds more than {MOST_NUMBERS:,} numbers; split it into parts.")
+    values = doubles(array)
+    with np.errstate(all="ignore"):
+        highest = max(
+            float(np.fmax.reduce(values, axis=None, initial=0.0)),
+            -float(np.fmin.reduce(values, axis=None, initial=0.0)),
+        )
+    if highest > LARGEST_NUMBER:
+        raise BadInput(
+            f"{where} holds a number beyond ±{LARGEST_NUMBER:g}; give finite pixels and scores."
+        )
+    return values
+
+
+def first_text(array: np.ndarray) -> str:
+    """The first entry of an array of texts; empty where it has none."""
+    first = next(iter(array.ravel()[:1].tolist()), "")
+    return first.decode("utf-8", errors="replace") if isinstance(first, bytes) else str(first)
+
+
+def read_tables(path: str | os.PathLike, what: str, advice: str) -> dict[str, np.ndarray]:
+    """All arrays of an .npz.
+
+    Parameters
+    ----------
+    path
+        The file, whatever its name.
+    what, advice
+        What it should be, and what to do where it is not: both go into the sentence.
+
+    Raises
+    ------
+    BadInput
+        Where there is no such file, it is not an .npz, is damaged, or holds more than can be.
+    """
+    with opened(path, what, advice) as file:
+        found = ArrayFile(file, str(path), what, advice)
+        if found.magic == NPY:
+            raise BadInput(f"{path} is a single array, not an .npz of named ones; {advice}")
+        found.require(ZIP)
+        return found.read()
+
+
+def read_array(path: str | os.PathLike, what: str, advice: str) -> np.ndarray:
+    """The array of an .npy. Raises `BadInput` as `read_tables`."""
+    with opened(path, what, advice) as file:
+        found = ArrayFile(file, str(path), what, advice)
+        if found.magic == ZIP:
+            raise BadInput(f"{path} is an archive of arrays; name it .npz, or {advice}")
+        found.require(NPY)
+        return found.read()[""]
+
+
+def read_netcdf(
+    path: str | os.PathLike, wanted: Sequence[str] | None, what: str, advice: str
+) -> dict[str, np.ndarray]:
+    """Those of the `wanted` variables (`group/variable`; None for all) that a netCDF4 file has.
+    Raises `BadInput` as `read_tables`, and where one lies in another file."""
+    with opened(path, what, advice) as file:
+        found = ArrayFile(file, str(path), what, advice)
+        found.require(HDF5)
+        return found.read(wanted)
+
+
+def read_mat(
+    path: str | os.PathLike, wanted: Sequence[str], what: str, advice: str
+) -> dict[str, np.ndarray]:
+    """Those of the `wanted` variables that a MATLAB file (version 5 to 7.2) has. Raises `BadInput`
+    as `read_tables`."""
+    data = read_bytes(path, what, advice, largest=matlab.LARGEST)
+    try:
+        return matlab.variables(data, wanted)
+    except Exception as error:  # damaged bytes, in many ways
+        reason = str(error) or type(error).__name__
+        raise BadInput(f"{path} is not a {what}, or is truncated ({reason}); {advice}") from None
+
+
+def write_tables(path: str | os.PathLike, arrays: Mapping[str, np.ndarray]) -> None:
+    """Writes an .npz, whole or not at all. Raises `BadInput` where it cannot be written."""
+    with replacing(path) as partial, open(partial, "wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def compact(values: np.ndarray) -> np.ndarray:
+    """float32 where that loses nothing, float64 otherwise."""
+    short = values.astype(np.float32)
+    exact = np.array_equal(short.astype(np.float64), values)
+    return short if exact else np.asarray(values, np.float64)
+
+
+def single(values: ArrayLike) -> np.ndarray:
+    """Values as float64, rounded to what float32 can hold, so that storing them loses nothing."""
+    return np.asarray(values).astype(np.float32).astype(np.float64)

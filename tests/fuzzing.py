@@ -1,0 +1,475 @@
+"""Damaged files through every reader: `make fuzz`.
+
+    FUZZ_CASES=100000 FUZZ_SEED=1 make fuzz          so many cases
+    FUZZ_SECONDS=600 make fuzz                       or so long
+    python -m tests.fuzzing 1 4711                   one case again: its seed and its number
+
+A case is a file of `targets`, damaged (its inside too, where it is packed). It may be read or
+refused with `BadInput`, one sentence; it must not raise anything else, warn, take longer than
+`SLOWEST` or more memory than `MEMORY`. Case n of a seed is the same for ever. Workers are processes
+of their own, so that what crashes or hangs one is found as well."""
+
+import io
+import json
+import multiprocessing
+import os
+import re
+import resource
+import signal
+import struct
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from inference.roots.external import read_poses
+from inference.studies.calibration.posteriors import _read as read_draws
+from probmodel import Anatomy, BadInput, read_frames
+from probmodel.datasets import from_motions, read_data_set, write_plain
+from probmodel.datasets.cases import DataSet
+from probmodel.formats import read_detections
+from probmodel.learning.dictionaries import PoseDictionary
+from probmodel.motion import read_motion
+from probmodel.skeleton import JOINTS
+from reports.commands import check
+from reports.commands.detect import read_boxes
+from reports.figures import read_image
+from reports.options import Known
+from tests.probmodel import test_motion
+from tests.probmodel.test_datasets import MOTIONS, human36m
+from tests.probmodel.test_formats_fuzz import FILES, SIZE, hdf5, npy, npz
+from tests.probmodel.test_published import write_model
+
+MEMORY = 2 << 30
+"""Bytes of address space beyond what the imports take."""
+SLOWEST, DEAD = 10, 120
+"""Seconds of the processor after which a case has failed, and of the clock after which its process
+is ended."""
+LONGEST = 600
+SHARED = Path(__file__).parents[2] / "shared" / "data"
+LARGEST_SEED = 120_000
+"""Bytes; of larger real files only the beginning is taken, where that is a file."""
+
+
+class Target(NamedTuple):
+    """A reader, undamaged files for it, and what lies beside them unharmed."""
+
+    file: str
+    read: Callable[[Path], object]
+    corpus: list[bytes]
+    beside: dict[str, bytes] = {}  # noqa: RUF012 — never written to
+
+
+def targets() -> dict[str, Target]:
+    """Every reader, by name."""
+    joints = MOTIONS[0].joints[:3]
+    few = from_motions(MOTIONS, "few", frames=6)
+    kept = {
+        f"2D joints: {name}": Target(
+            "a.bin", partial(_detections, format=name), several + _real(name)
+        )
+        for name, several in FILES.items()
+    }
+    return kept | {
+        "frames": Target("a.bin", _frames, [data for files in FILES.values() for data in files]),
+        "limits": Target("a.npz", Anatomy.load, [_written(Anatomy.default().save)]),
+        "limits .mat": Target("a.mat", Anatomy.load, [_mat()]),
+        "dictionary": Target(
+            "a.npz", PoseDictionary.load, [_written(PoseDictionary.default().save)]
+        ),
+        "motion .npz": Target("a.npz", _motion, [npz(**{"a/b": joints})]),
+        "motion .bvh": Target("a.bvh", _motion, _bvh()),
+        "motion .asf": Target("07.asf", _subject, [_asf()], {"07_01.amc": _amc()}),
+        "motion .amc": Target("07_01.amc", _motion, [_amc()], {"07.asf": _asf()}),
+        "data set": Target(
+            "a.npz", _data_set, [_written(partial(write_plain, few), few), _plain(few)]
+        ),
+        **_human36m(),
+        "poses": Target("a.npz", read_poses, [npz(joints=joints, names=np.array(JOINTS))]),
+        "poses .npy": Target("a.npy", read_poses, [npy(joints)]),
+        "draws": Target("a.npz", read_draws, [npz(joints=joints[None])]),
+        "draws .nc": Target("a.nc", read_draws, [_tree()]),
+        "check .nc": Target("a.nc", _checked, [_tree()]),
+        "check .json": Target("a.json", _checked, [_hypotheses()]),
+        "check .npy": Target("a.npy", _checked, [npy(joints)]),
+        "check .npz": Target("a.npz", _checked, [npz(**{"a/b": joints})]),
+        "boxes": Target("a.json", lambda path: read_boxes(path, 0.5), [_boxes()]),
+        "names": Target("a.json", _names, [b'{"LHip": "left_hip", "RHip": "right_hip"}']),
+        "image": Target("a.png", read_image, _images()),
+    }
+
+
+def _detections(path: Path, format: str) -> object:
+    auto = path.stat().st_size % 3 > 0
+    return read_detections(path, "auto" if auto else format, image_size=SIZE)
+
+
+def _frames(path: Path) -> object:
+    return list(read_frames(path, image_size=SIZE))
+
+
+def _motion(path: Path) -> object:
+    return [motion.without_jumps().at_rate(30.0) for motion in read_motion(path)]
+
+
+def _subject(path: Path) -> object:
+    return _motion(path.with_name("07_01.amc"))
+
+
+def _data_set(path: Path) -> object:
+    data = read_data_set(path if path.name == "a.npz" else path.parent)
+    return [data.case(0).hiding(2).turned(30.0), data.spread(3), data.sha256]
+
+
+def _checked(path: Path) -> object:
+    poses = check.read_poses(path)
+    check._require_poses(poses, path)
+    return poses
+
+
+def _names(path: Path) -> object:
+    return Known(names=path)._names()
+
+
+def _written(save: Callable[[Path], None], *_: object) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        save(Path(folder, "a.npz"))
+        return Path(folder, "a.npz").read_bytes()
+
+
+def _plain(data: DataSet) -> bytes:
+    return npz(
+        poses=data.poses.astype("f4"),
+        keypoints=data.keypoints,
+        action=data.action,
+        subject=data.subject.astype("S"),
+    )
+
+
+def _mat() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        return write_model(Path(folder, "a.mat")).read_bytes()
+
+
+def _human36m() -> dict[str, Target]:
+    with tempfile.TemporaryDirectory() as folder:
+        human36m(Path(folder), MOTIONS[0].joints[:2], 2)
+        names = ("data_3d_h36m.npz", "data_2d_h36m_gt.npz")
+        files = {name: Path(folder, name).read_bytes() for name in names}
+    three, two = names
+    return {
+        "Human3.6M, 3D": Target(three, _data_set, [files[three]], {two: files[two]}),
+        "Human3.6M, 2D": Target(two, _data_set, [files[two]], {three: files[three]}),
+    }
+
+
+def _tree() -> bytes:
+    rng = np.random.default_rng(0)
+    draws = rng.normal(size=(1, 4, 15, 3))
+    return hdf5(
+        lambda file: file.create_dataset(
+            "posterior/joints", data=draws, compression="gzip", shuffle=True, chunks=(1, 2, 15, 3)
+        )
+    )
+
+
+def _hypotheses() -> bytes:
+    poses = [dict(zip(JOINTS, pose.tolist(), strict=True)) for pose in MOTIONS[0].joints[:2]]
+    return json.dumps({"hypotheses": [{"joints": pose, "weight": 0.5} for pose in poses]}).encode()
+
+
+def _boxes() -> bytes:
+    box = {"image_id": 7, "category_id": 1, "bbox": [25, 5, 100.5, 185], "score": 0.9}
+    return json.dumps([box, box | {"image_id": "a.png"}]).encode()
+
+
+def _images() -> list[bytes]:
+    from PIL import Image
+
+    kept = []
+    for kind in ("PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP"):
+        file = io.BytesIO()
+        Image.new("RGB", (20, 30), (200, 10, 30)).save(file, kind)
+        kept.append(file.getvalue())
+    return kept
+
+
+def _asf() -> bytes:
+    return test_motion.asf_text().encode()
+
+
+def _amc() -> bytes:
+    return test_motion.amc_text([{}, {}, {}]).encode()
+
+
+def _bvh() -> list[bytes]:
+    with tempfile.TemporaryDirectory() as folder:
+        found = [test_motion.write_bvh(Path(folder, "a.bvh"), [{}, {}]).read_bytes()]
+    for path in sorted(SHARED.glob("bvh/*.bvh")):
+        head, rows = path.read_text().split("Frame Time:")
+        rows = "\n".join(rows.splitlines()[:4])
+        found.append((re.sub(r"Frames:\s*\d+", "Frames: 3", head) + "Frame Time:" + rows).encode())
+    return found
+
+
+def _real(name: str) -> list[bytes]:
+    """Real files of a format, from the data pack, where it is there."""
+    folder = {"coco-annotations": "coco", "coco-results": "alphapose"}.get(name, name)
+    paths = sorted((SHARED / "detections" / folder).glob("*")) if folder else []
+    return [
+        path.read_bytes()
+        for path in paths
+        if path.suffix in (".json", ".pbtxt", ".csv", ".h5") and path.stat().st_size < LARGEST_SEED
+    ]
+
+
+# Damage.
+
+_HURTING = (
+    *(b"NaN", b"-1e999", b"null", b"{}", b"[]", b'"', b"\xff" * 8, b"\x00" * 8, b"9" * 40),
+    *(b"1e-320", b"1e308", b"-1", b"0", b"9" * 5000, b"\\ud800", b"\x1b[31m", b"nan", b"1e9"),
+)
+_NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+
+
+def damaged(data: bytes, rng: np.random.Generator) -> bytes:
+    """The file with a few damages; where it is packed, mostly to what is inside."""
+    if rng.random() < 0.75:
+        if data.startswith(b"PK\x03\x04"):
+            return _rezipped(data, rng)
+        if data.startswith(b"MATLAB"):
+            return _repacked_mat(data, rng)
+    for _ in range(int(rng.integers(1, 5))):
+        data = _hurt(data, rng)
+    return data
+
+
+def _hurt(data: bytes, rng: np.random.Generator) -> bytes:
+    if not data:
+        return data
+    place = int(rng.integers(len(data)))
+    if rng.random() < 0.3:  # at the head, where the lengths stand
+        place = int(rng.integers(min(len(data), 200)))
+    length = int(rng.integers(1, 64))
+    piece = _HURTING[int(rng.integers(len(_HURTING)))]
+    match int(rng.integers(9)):
+        case 0:
+            return data[:place] + bytes([int(rng.integers(256))]) + data[place + 1 :]
+        case 1:
+            return (
+                data[:place] + bytes([data[place] ^ 1 << int(rng.integers(8))]) + data[place + 1 :]
+            )
+        case 2:
+            return data[:place] if rng.random() < 0.3 else data[:place] + data[place + length :]
+        case 3:
+            return data[:place] + data[place : place + length] + data[place:]
+        case 4:
+            return data[:place] + piece + data[place + int(rng.integers(8)) :]
+        case 5:
+            return _lines_changed(data, rng)
+        case 6:
+            value = int(rng.choice([0, 1, 2**31 - 1, 2**31, 2**32 - 1, int(rng.integers(2**32))]))
+            return data[:place] + struct.pack("<I", value) + data[place + 4 :]
+        case _:
+            return _number_changed(data, piece, rng)
+
+
+def _number_changed(data: bytes, piece: bytes, rng: np.random.Generator) -> bytes:
+    start = int(rng.integers(max(1, len(data) - 10_000)))
+    found = [match.span() for match in _NUMBER.finditer(data, start, start + 20_000)]
+    if not found:
+        return data
+    low, high = found[int(rng.integers(len(found)))]
+    other = piece if rng.random() < 0.4 else b"%d" % int(rng.integers(100))
+    return data[:low] + other + data[high:]
+
+
+def _lines_changed(data: bytes, rng: np.random.Generator) -> bytes:
+    lines = data.split(b"\n")
+    one, two = (int(rng.integers(len(lines))) for _ in range(2))
+    match int(rng.integers(3)):
+        case 0:
+            lines.insert(two, lines[one])
+        case 1:
+            del lines[one]
+        case _:
+            lines[one], lines[two] = lines[two], lines[one]
+    return b"\n".join(lines)
+
+
+def _rezipped(data: bytes, rng: np.random.Generator) -> bytes:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    names = list(members)
+    name = names[int(rng.integers(len(names)))]
+    match int(rng.integers(8)):
+        case 0:
+            del members[name]
+        case 1:
+            members[name] = members[names[int(rng.integers(len(names)))]]
+        case 2:
+            members[f"{name}x"] = members.pop(name)
+        case _:
+            for _ in range(int(rng.integers(1, 4))):
+                members[name] = _hurt(members[name], rng)
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return file.getvalue()
+
+
+def _repacked_mat(data: bytes, rng: np.random.Generator) -> bytes:
+    """With one variable damaged, and packed or not."""
+    place, parts = 128, []
+    while place + 8 <= len(data):
+        end = place + 8 + struct.unpack("<I", data[place + 4 : place + 8])[0]
+        parts.append(data[place:end])
+        place = end
+    chosen = int(rng.integers(len(parts)))
+    part = parts[chosen]
+    if part[0] == 15:
+        part = zlib.decompress(part[8:])
+    for _ in range(int(rng.integers(1, 4))):
+        head, tail = part[:300], part[300:]
+        part = _hurt(head, rng) + tail if rng.random() < 0.7 else head + _hurt(tail, rng)
+    if rng.random() < 0.5:
+        part = zlib.compress(part, 1)
+        part = struct.pack("<II", 15, len(part)) + part
+    parts[chosen] = part
+    return data[:128] + b"".join(parts)
+
+
+# Cases.
+
+
+class Slow(BaseException):
+    """A case that took too long."""
+
+
+def run_case(seed: int, number: int, kinds: dict[str, Target], folder: Path) -> str:
+    """Reads one damaged file: "read" or "refused". Raises whatever else happens."""
+    rng = np.random.default_rng([seed, number])
+    target = list(kinds.values())[number % len(kinds)]
+    original = target.corpus[int(rng.integers(len(target.corpus)))]
+    path = folder / target.file
+    for name, content in target.beside.items():
+        (folder / name).write_bytes(content)
+    path.write_bytes(damaged(original, rng))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            target.read(path)
+    except BadInput as error:
+        message = str(error).replace(str(folder), "")
+        assert "\n" not in message, message
+        assert len(message) <= LONGEST, message
+        assert message.isprintable(), message
+        return "refused"
+    finally:
+        for name in (target.file, *target.beside):
+            (folder / name).unlink(missing_ok=True)
+    return "read"
+
+
+def worker(seed: int, numbers: range, at: Any, said: Any) -> None:
+    """Runs cases one after another; `at` says which, `said` is told of failures and of the end."""
+    kinds = targets()
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * resource.getpagesize() + MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    signal.signal(signal.SIGPROF, _too_slow)
+    with tempfile.TemporaryDirectory() as folder:
+        counts = {"read": 0, "refused": 0}
+        for number in numbers:
+            at.value = number
+            signal.setitimer(signal.ITIMER_PROF, SLOWEST)
+            try:
+                counts[run_case(seed, number, kinds, Path(folder))] += 1
+            except (Exception, Slow):
+                said.put((number, traceback.format_exc()))
+            finally:
+                signal.setitimer(signal.ITIMER_PROF, 0)
+        said.put((None, counts))
+
+
+def _too_slow(*_: object) -> None:
+    raise Slow
+
+
+def campaign(seed: int, cases: int, seconds: float, out: Callable[[str], None]) -> int:
+    """Runs cases in worker processes until they are done or the time is up, and says what failed;
+    the number of failures."""
+    context, names = multiprocessing.get_context("spawn"), list(targets())
+    ends, failures, number, block = time.monotonic() + seconds, 0, 0, 20_000
+    total = {"read": 0, "refused": 0}
+    while number < cases and time.monotonic() < ends:
+        numbers = range(number, min(number + block, cases))
+        at, said = context.Value("q", -1), context.Queue()
+        process = context.Process(target=worker, args=(seed, numbers, at, said))
+        process.start()
+        number = numbers.stop
+        for found, words in _heard(process, at, said):
+            if found is None:
+                total = {key: total[key] + words[key] for key in total}
+                continue
+            failures += 1
+            out(f"case {seed} {found}, {names[found % len(names)]}:\n{words}")
+            if process.exitcode is not None:
+                number = found + 1  # the rest of the block is still to be done
+        process.join()
+        out(
+            f"{number:,} cases: {total['read']:,} read, {total['refused']:,} refused,"
+            f" {failures} failures"
+        )
+    return failures
+
+
+def _heard(process: Any, at: Any, said: Any) -> Iterator[tuple[int | None, Any]]:
+    """What a worker says, and where it died or hung."""
+    from queue import Empty
+
+    last, since = -1, time.monotonic()  # -1: the worker still imports
+    while True:
+        try:
+            found = said.get(timeout=1.0)
+            yield found
+            if found[0] is None:
+                return
+        except Empty:
+            if at.value != last:
+                last, since = at.value, time.monotonic()
+            elif not process.is_alive():
+                yield last, f"the process died (exit code {process.exitcode})"
+                return
+            elif time.monotonic() - since > DEAD + 600 * (last == -1):
+                process.kill()
+                process.join()
+                yield last, f"nothing was heard for {DEAD} seconds"
+                return
+
+
+def main() -> int:
+    """One case of the command line, or a campaign by the environment; 1 where something failed."""
+    if len(sys.argv) == 3:
+        seed, number = map(int, sys.argv[1:])
+        with tempfile.TemporaryDirectory() as folder:
+            print(run_case(seed, number, targets(), Path(folder)))
+        return 0
+    seconds = float(os.environ.get("FUZZ_SECONDS", "inf"))
+    cases = int(os.environ.get("FUZZ_CASES", "100000" if seconds == float("inf") else 10**9))
+    seed = int(os.environ.get("FUZZ_SEED", "0"))
+    return int(campaign(seed, cases, seconds, partial(print, flush=True)) > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,4 +1,5 @@
-"""The one face of all samplers: `sample(model, frame, sampler=…, key=…, num_samples=…)` → `Result`."""
+"""The one face of all samplers: `sample(model, frame, sampler=…, key=…, num_samples=…)` →
+`Result`."""
 
 import functools
 import time

@@ -44,8 +44,8 @@ Progress = Callable[[int], None]
 
 
 class Item(NamedTuple):
-    """A frame of a stream: its `name`, and the `Estimate` or, where there is none, the sentence that
-    says why."""
+    """A frame of a stream: its `name`, and the `Estimate` or, where there is none, the sentence
+    that says why."""
 
     name: str
     frame: Estimate | str

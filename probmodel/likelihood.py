@@ -1,8 +1,8 @@
 """The likelihood: how far, and in what way, a detected joint may lie from where the pose projects.
 
-An `ErrorLaw` is the isotropic law of one joint's error in units of its spread; the paper's is `Disc`.
-A `Likelihood` gives every joint its spread (τ, from the detector's scores) and says which joints
-count. `Observation` is what a detection then says under one root; see `docs/model.md`, § 3.
+An `ErrorLaw` is the isotropic law of one joint's error in units of its spread; the paper's is
+`Disc`. A `Likelihood` gives every joint its spread (τ, from the detector's scores) and says which
+joints count. `Observation` is what a detection then says under one root; see `docs/model.md`, § 3.
 
 To add a law, write one subclass of `ErrorLaw`: samplers propose within its `reach` and keep a draw
 with probability exp(`log_ratio`), so nothing else has to know it.
@@ -145,8 +145,8 @@ class Likelihood:
         self, detection: Detection, scale: float, joints: Sequence[int] | None = None
     ) -> np.ndarray:
         """How far joints may lie from their projections: the paper's τ = `factor` · `scale` · (mean
-        limb length) / α, where the mean limb length is one body unit and α is the joint's score over
-        the mean score.
+        limb length) / α, where the mean limb length is one body unit and α is the joint's score
+        over the mean score.
 
         Parameters
         ----------
@@ -161,8 +161,8 @@ class Likelihood:
         Raises
         ------
         BadInput
-            Where `scale` or `factor` is not positive, or a score is so far below the others that its
-            spread is not a finite number.
+            Where `scale` or `factor` is not positive, or a score is so far below the others that
+            its spread is not a finite number.
         """
         for name, value in (("scale", scale), ("factor", self.factor)):
             if not 0 < value <= LARGEST_NUMBER:  # false for NaN too

@@ -42,7 +42,8 @@ class Candidate:
     camera : the camera.
     reprojection_error : root mean square distance in pixels, weighted by score, between the seen
         torso joints and their projections.
-    pose : `(15, 3)`, the estimator's single 3D pose (camera axes, body units, pelvis at the origin).
+    pose : `(15, 3)`, the estimator's single 3D pose: camera axes, body units, pelvis at the
+        origin.
     objective : what the estimator minimised, in its own units.
     iterations : how many steps that took.
     converged : whether it came to an end; if not, this is the best estimate found.

@@ -101,8 +101,8 @@ def _thinned(done: Run, number: int) -> Run:
 
 
 def baseline_tree(posterior: Posterior, run: Run, key: jax.Array) -> xr.DataTree:
-    """The DataTree of the contract, with a baseline's chains; the posterior has the one root that it
-    drew under."""
+    """The DataTree of the contract, with a baseline's chains; the posterior has the one root that
+    it drew under."""
     chains, draws = run.poses.length.shape[:2]
     flat = Pose(*(np.asarray(part).reshape(chains * draws, *part.shape[2:]) for part in run.poses))
     part = RootDraws(flat, run.log_evidence, run.log_evidence_se, 1.0)

@@ -83,8 +83,8 @@ class Target:
 
     @jax.jit
     def log_smooth(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
-        """`(...)`: as `log_density`, with a soft wall Π σ(sharpness · (1 - d²/reach²)) in place of each
-        disc's rim."""
+        """`(...)`: as `log_density`, with a soft wall Π σ(sharpness · (1 - d²/reach²)) in place of
+        each disc's rim."""
         points = jnp.asarray(points)
         return self.log_base(points) + self.log_walls(points, sharpness)
 

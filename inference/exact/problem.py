@@ -1,4 +1,5 @@
-"""What one root leaves of each limb: where its joints have to fall, seen from where the limb starts.
+"""What one root leaves of each limb: where its joints have to fall, seen from where the limb
+starts.
 
 Given the root, head, arms and legs are independent of each other, and the limbs of a group share
 nothing but bone lengths. Everything here is in body units and 64 bits, whatever JAX computes in.

@@ -1,8 +1,7 @@
 """Why a detection has no explanation: which joint is out of reach, and by how much.
 
-Bounds, not estimates: a joint reported here as out of reach is so for every pose that the limits and
-lengths allow.
-"""
+Bounds, not estimates: a joint reported here as out of reach is so for every pose that the limits
+and lengths allow."""
 
 from typing import NamedTuple
 
@@ -52,8 +51,8 @@ def out_of_reach(model: PoseModel, observation: Observation) -> list[OutOfReach]
 
 
 def _excess(model: PoseModel, limb: Limb, row: int, problem: NamedTuple) -> float:
-    """At least how far the limb's joint `row` stays from its disc, body units; negative where it may
-    reach it."""
+    """At least how far the limb's joint `row` stays from its disc, body units; negative where it
+    may reach it."""
     axes, target, reach = problem
     low, high = (
         np.asarray(ends)[[bone.length_group for bone in limb.bones]]

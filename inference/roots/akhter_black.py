@@ -1,7 +1,8 @@
 """Akhter & Black (2015): 3D pose from 2D joints by matching pursuit over an overcomplete dictionary
 of poses.
 
-    min over ω, s, R, t of  C_r + C_p + β C_l,      C_r = Σ α_i |x̂_i − s R₂ X_i − t|²,   X = μ + Σ ω_k B_k
+    min over ω, s, R, t of  C_r + C_p + β C_l
+    C_r = Σ α_i |x̂_i − s R₂ X_i − t|²,   X = μ + Σ ω_k B_k
 
 C_r weighs with the scores α, zero where a joint is missing (eqs. 1 and 4 of Jahangiri & Yuille
 2017). C_p counts the bones that break a joint limit; C_l = Σ (|bone|² − l²)², with the bone lengths

@@ -248,9 +248,9 @@ def relax(
         if iteration % 10 == 0 and iteration <= ADAPTED:
             up, down = primal[keep] > 5 * dual[keep], dual[keep] > 5 * primal[keep]
             state = splitting.rescale(state, np.where(up, 2.0, np.where(down, 0.5, 1.0)))
-    if len(
-        left
-    ):  # out of iterations: blocks that do project to the points, even where all are still shrunk to nothing
+    # Out of iterations: blocks that do project to the points, even where all are still shrunk to
+    # nothing.
+    if len(left):
         found[left] = splitting.project(before[0], before[1])[0]
     return Relaxed(
         _apart(found), translation, whole.objective(found, translation), iterations, converged

@@ -52,8 +52,9 @@ class Findings(NamedTuple):
 
 
 def run(settings: EvaluateSettings, screen: Screen) -> None:
-    """Evaluates, and writes tables (.md, .csv), pictures (.png) and the folder `frames`. What
-    is there of the same run is kept; raises `BadInput` on bad input, and where the folder holds another run."""
+    """Evaluates, and writes tables (.md, .csv), pictures (.png) and the folder `frames`. What is
+    there of the same run is kept; raises `BadInput` on bad input, and where the folder holds
+    another run."""
     wanted, protocol, seed = _conditions(settings), _protocol(settings), settings.sampling.seed
     with console.progress("reading", screen.quiet):
         data = read_data_set(

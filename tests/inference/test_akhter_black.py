@@ -45,7 +45,6 @@ def noisy(number: int = 8, noise: float = 0.05, seed: int = 0) -> list[np.ndarra
 
 
 # --- the adjustment
-# --------------------------------------------------------------------------------------------------
 
 
 def test_the_adjustment_is_the_least_squares_fit():
@@ -102,7 +101,6 @@ def test_a_mirror_twin_shows_a_flat_body_alike():
 
 
 # --- the pursuit
-# -----------------------------------------------------------------------------------------------------
 
 
 def test_the_objective_never_rises(monkeypatch):

@@ -29,7 +29,8 @@ ARM_JOINTS = [bone.end for limb in GROUPS["arms"] for bone in limb.bones]
 @jax.tree_util.register_static
 @dataclasses.dataclass(frozen=True)
 class CutGaussian(ErrorLaw):
-    """A Gaussian of standard deviation one, cut at three: its square is exponential, cut at nine."""
+    """A Gaussian of standard deviation one, cut at three: its square is exponential, cut at
+    nine."""
 
     reach = 3.0
     log_peak = float(-np.log(2 * np.pi * (1 - np.exp(-4.5))))

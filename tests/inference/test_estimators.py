@@ -49,7 +49,6 @@ def whole(pose: np.ndarray, missing: Sequence[str] = (), person: int = 0) -> Det
 
 
 # --- the one face
-# ----------------------------------------------------------------------------------------------------
 
 
 @every_method
@@ -194,7 +193,6 @@ def test_another_dictionary_gives_another_pose(tmp_path):
 
 
 # --- poses of others
-# -------------------------------------------------------------------------------------------------
 
 
 def stored(tmp_path: Path, **arrays: np.ndarray) -> str:
@@ -283,7 +281,6 @@ def test_files_that_are_not_there_or_hold_too_few_are_refused(tmp_path):
 
 
 # --- the dictionary of torsos
-# ----------------------------------------------------------------------------------------
 
 
 def detection(torso, view, missing=(), noise=0.0, seed=0) -> Detection:

@@ -53,7 +53,6 @@ def problems(number: int, *, missing: int, seed: int) -> tuple[np.ndarray, np.nd
 
 
 # --- the proximal map
-# ------------------------------------------------------------------------------------------------
 
 
 def shrunk_by_svd(blocks: np.ndarray, amount: float) -> np.ndarray:
@@ -100,7 +99,6 @@ def test_what_was_shrunk_is_least():
 
 
 # --- the optimum
-# -----------------------------------------------------------------------------------------------------
 
 FEW = DICTIONARY.atoms[::8]
 PENALTY = 0.2
@@ -177,7 +175,6 @@ def test_frames_do_not_depend_on_their_batch():
 
 
 # --- iterations
-# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("threshold", [np.inf, 0.15])
@@ -227,7 +224,6 @@ def test_rounding_finds_a_product():
 
 
 # --- poses
-# -----------------------------------------------------------------------------------------------------------
 
 
 def relative_error(candidate: object, pose: np.ndarray) -> float:

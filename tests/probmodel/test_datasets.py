@@ -58,7 +58,6 @@ def data() -> DataSet:
 
 
 # --- motion capture
-# --------------------------------------------------
 
 
 def test_every_action_gets_as_many_frames_and_none_the_same_twice(data):
@@ -160,7 +159,6 @@ def test_real_motion_capture_is_read(shared_data):
 
 
 # --- a plain file
-# --------------------------------------------------
 
 
 def test_a_plain_file_gives_back_what_was_written(data, tmp_path):
@@ -267,7 +265,6 @@ def test_noise_is_read():
 
 
 # --- Human3.6M
-# --------------------------------------------------
 
 
 def human36m(folder: Path, poses: np.ndarray, protocol: int = 4, **changes: object) -> Path:

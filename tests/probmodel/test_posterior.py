@@ -61,8 +61,8 @@ def test_weights_are_root_weights_times_the_discs(posterior) -> None:
 
 
 def test_the_program_is_the_mixture(posterior) -> None:
-    """Density of the program at each root = weight of the root × joint density under it, and NumPyro
-    draws roots by their weights."""
+    """Density of the program at each root = weight of the root × joint density under it, and
+    NumPyro draws roots by their weights."""
     drawn = Predictive(posterior.model.prior, num_samples=1)(jax.random.key(0))
     pose = {name: drawn[name][0] for name in SITES}
     wide = dataclasses.replace(posterior, likelihood=Likelihood(factor=30.0))

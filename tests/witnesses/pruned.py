@@ -1,5 +1,5 @@
-"""A second route to the same draws, in JAX: limbs pruned one by one where some lengths explain them,
-then put together, their lengths drawn once; and groups of limbs straight from the prior.
+"""A second route to the same draws, in JAX: limbs pruned one by one where some lengths explain
+them, then put together, their lengths drawn once; and groups of limbs straight from the prior.
 
 It shares neither bounds nor loops with the product's strata. Nothing is redrawn after acceptance,
 so every draw is independent and exact.

@@ -75,12 +75,13 @@ def read_bytes(
 ) -> bytes:
     """The content of a regular file of at most `largest` bytes. Raises `BadInput` as `opened`."""
     with opened(path, what, advice, largest=largest) as file:
+        size = os.fstat(file.fileno()).st_size
         try:
-            data = file.read(largest + 1) or b""
+            data = file.read(size + 1) or b""
         except OSError as error:
             raise BadInput(f"{path} cannot be read ({error.strerror}); {advice}") from None
-    if len(data) > largest:
-        raise BadInput(f"{path} has more than {largest:,} bytes; split it into smaller files")
+    if len(data) != size:
+        raise BadInput(f"{path} changed while it was read; {advice}")
     return data
 
 

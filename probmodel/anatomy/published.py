@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from probmodel.anatomy.limits import GRID, AnatomicalLimits
-from probmodel.arrays import doubles, read_mat
-from probmodel.detections import LARGEST_NUMBER
+from probmodel.arrays import doubles, possible, read_mat
 from probmodel.failures import BadInput
 from probmodel.skeleton import LOWER_BONES, UPPER_BONES
 
@@ -87,7 +86,7 @@ def read_published(
         )
     fallback = static[:, parents[lower] - 1].T
     size = np.linalg.norm(fallback, axis=-1, keepdims=True)
-    if not ((size > 0) & (size <= LARGEST_NUMBER)).all():
+    if not (size > 0).all():
         raise BadInput(f"{pose_path}: a bone of the static pose di has no length")
     limits = AnatomicalLimits(
         occupied=occupied,
@@ -123,7 +122,10 @@ def _numbers(value: Any, key: str, path: Path) -> np.ndarray:
         raise BadInput(
             f"{path}: {key} holds no real numbers, so this is not the published joint-limit model"
         )
-    return doubles(value)
+    numbers = doubles(value)
+    if not possible(np.nan_to_num(numbers, nan=0.0, posinf=np.inf, neginf=-np.inf)):
+        raise BadInput(f"{path}: {key} holds a number that is not finite, or beyond reason")
+    return numbers
 
 
 def _indices(model: Mapping[str, Any], key: str, path: Path) -> np.ndarray:

@@ -110,10 +110,13 @@ def test_a_file_that_becomes_a_pipe_does_not_block(
         opened(tmp_path / "pipe", "file", "give another")
 
 
-def test_a_file_that_grows_is_cut_off(tmp_path: Path) -> None:
+def test_a_file_is_no_larger_than_it_said(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(bytes(20))
     with pytest.raises(BadInput, match="20 bytes, more than 10"):
         read_bytes(tmp_path / "a", "file", "give another", largest=10)
+    with pytest.raises(BadInput, match="changed while it was read"):  # its size is said to be 0
+        read_bytes("/proc/self/status", "file", "give another")
+    assert taken(lambda: read_bytes(tmp_path / "a", "file", "give another")) < 1_000_000
 
 
 # Archives.

@@ -55,7 +55,7 @@ class Real(NamedTuple):
 def simulated(
     belief: Belief, request: Request, num_simulations: int, *, quiet: bool, as_json: bool
 ) -> None:
-    """Calibration under the model: coverage.nc and coverage.png. A run that was stopped goes on.
+    """Calibration under the model: coverage.nc and coverage.png. A run that was stopped is resumed.
     Raises `BadInput` on fewer simulations than the tests need, before any work is done."""
     if num_simulations < FEWEST:
         raise BadInput(

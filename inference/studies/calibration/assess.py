@@ -102,11 +102,20 @@ def assess(
     model: PoseModel | None = None,
     reference: np.ndarray | None = None,
 ) -> Standing:
-    """Lines truth and draws up in every way.
+    """Ranks the truth among the draws in every way.
 
-    With `model` (where the frame has one candidate, the true one) also by log density and misfit;
-    with a `reference` pose `(15, 3)` also by the distance from it. Raises `BadInput` on draws of
-    other dimensions, or not finite."""
+    Parameters
+    ----------
+    model
+        Where the frame has one candidate, the true one: to rank by log density and misfit too.
+    reference
+        A pose `(15, 3)` that depends on what was seen alone: to rank by the distance from it too.
+
+    Raises
+    ------
+    BadInput
+        On draws of other dimensions, or not finite.
+    """
     draws = check_draws(posterior.joints, instance.frame.detection.where)
     if len(draws) < FEWEST_DRAWS:
         status = FAILED if posterior.status == COMPLETE else posterior.status

@@ -45,8 +45,8 @@ class Instance(NamedTuple):
 def simulate(
     model: PoseModel, seed: int, first: int, number: int, *, likelihood: Likelihood = PAPER
 ) -> list[Instance]:
-    """Simulations `first`, …, `first + number - 1` of a seed: each is the same whichever others are
-    made with it."""
+    """Simulations `first`, …, `first + number - 1` of a seed, each the same whichever others are
+    made with it; `factor` is that of the radius τ."""
     rngs = [np.random.default_rng([seed, index]) for index in range(first, first + number)]
     cubes = np.stack([rng.uniform(size=CUBE_DIM) for rng in rngs])
     torsos = np.asarray(model.torsos)[[rng.integers(len(model.torsos)) for rng in rngs]]

@@ -77,8 +77,17 @@ def judge(
     level: float = LEVEL,
     permutations: int = PERMUTATIONS,
 ) -> Judgement:
-    """Judges draws against exact, independent ones of the same posterior. `evidence` and
-    `exact_evidence`: log evidence and its standard error, NaN where there is none."""
+    """Judges draws against exact, independent ones of the same posterior.
+
+    Parameters
+    ----------
+    evidence, exact_evidence
+        Log evidence and its standard error, NaN where there is none.
+    level
+        Chance that a sampler without fault is said to differ.
+    permutations
+        Of the tests by energy distance and MMD.
+    """
     rng = np.random.default_rng(seed)
     mixed = mixing(sample.values, exact.flat.std(axis=0))
     worst = _worst(sample, mixed)

@@ -42,8 +42,17 @@ class Pace(NamedTuple):
 
 
 def pace(sample: Sample, exact: Sample, *, effective: float, given: int, steps: int) -> Pace:
-    """Of draws whose effective size in the worst coordinate is said to be `effective`, started with
-    `given` exact draws, every `steps` draws being the path of one walker."""
+    """The pace of a run.
+
+    Parameters
+    ----------
+    effective
+        The effective size of its draws in the worst coordinate, by ArviZ.
+    given
+        How many exact draws it was started with.
+    steps
+        How many draws in a row are the path of one walker.
+    """
     series, truth = _series(sample), _series(exact)
     centre, spread = truth.mean(axis=0), truth.std(axis=0)
     varies = spread > CONSTANT

@@ -25,11 +25,15 @@ class Condition(NamedTuple):
 def conditions(
     estimators: Sequence[str], missing: Sequence[int], rotate: Sequence[float]
 ) -> list[Condition]:
-    """Every estimator with every number of missing joints, and turned by every angle; the first of
-    `missing` and of `rotate` are those that go with all of the other.
+    """Every estimator with every number of missing joints (the image turned by the first angle),
+    and turned by every angle (with the first number missing).
 
-    Raises `BadInput` on an unknown estimator, a number of joints that cannot be missing, or where
-    something is named twice or not at all."""
+    Raises
+    ------
+    BadInput
+        On an unknown estimator, a number of joints that cannot be missing, an angle beyond a full
+        turn, or where something is named twice or not at all.
+    """
     for name, listed in (("estimators", estimators), ("missing", missing), ("rotate", rotate)):
         if not listed or len(set(listed)) != len(listed):
             raise BadInput(

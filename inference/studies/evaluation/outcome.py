@@ -46,10 +46,21 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
-    """What is done with every frame: what is believed (`anatomy`, its measures `upper` and `lower`,
-    pose `dictionary`), how many torso-and-camera `candidates` are kept (1: the paper's method), the
-    `likelihood`, `num_samples` draws within
-    `max_proposals`, and among them `ks` hypotheses; `seed` of it all."""
+    """What is done with every frame.
+
+    Parameters
+    ----------
+    anatomy, upper, lower
+        What is believed, and the measures of upper and lower bones.
+    dictionary
+        The poses that estimators build of.
+    candidates
+        How many torsos and cameras are kept; 1 is the paper's method.
+    likelihood
+        How detections err, and which joints count.
+    num_samples, max_proposals, ks
+        Draws, the budget for them, and how many hypotheses are chosen among them.
+    """
 
     anatomy: Anatomy
     dictionary: PoseDictionary
@@ -124,8 +135,8 @@ class Protocol:
 def judge_block(
     protocol: Protocol, condition: Condition, data: DataSet, first: int
 ) -> dict[str, np.ndarray]:
-    """What comes out of the frames of `data`, the first of which has the number `first` in its data
-    set, by name.
+    """What comes out of the frames of `data`, by name (`Protocol.fields`); `first` is the number
+    of the first one in its data set.
 
     A frame that cannot be read, estimated or drawn from is recorded with its reason.
     """

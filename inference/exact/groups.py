@@ -16,21 +16,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.exact.loops.attempts import Desk, attempt_bodies, desk
-from inference.exact.loops.bins import LengthBins, length_bins
+from inference.exact.loops.attempts import attempt_bodies
+from inference.exact.loops.bins import length_bins
 from inference.exact.loops.numbers import seeded, words_of
-from inference.exact.loops.strata import (
-    AREA,
-    BOUNDS,
-    BOX,
-    MASS,
-    NUM_COLUMNS,
-    OFFSET,
-    Build,
-    Resolution,
-    Sight,
+from inference.exact.loops.strata import Resolution, stratify
+from inference.exact.loops.tables import (
+    Bodies,
+    CutLimb,
+    Desk,
+    LengthBins,
+    LimbProblem,
+    LimbTables,
     Strata,
-    stratify,
+    cell_table,
+    desk,
 )
 from inference.exact.problem import Draws
 from inference.exact.rates import HOPELESS, Budget, Pile, Pooled, Rate
@@ -58,10 +57,10 @@ FIRST = 1 << 11
 
 
 class Anatomy(NamedTuple):
-    """What the model says of a group of limbs: a `Build` each, and the parameters `(bones, 4)` of
+    """What the model says of a group of limbs: `LimbTables` each, and the parameters `(bones, 4)` of
     their lengths."""
 
-    builds: tuple[Build, ...]
+    builds: tuple[LimbTables, ...]
     lengths: np.ndarray
 
 
@@ -87,27 +86,15 @@ def _anatomy(model: PoseModel, limbs: Sequence) -> Anatomy:
     )
 
 
-def _build(model: PoseModel, upper: int, lower: int | None) -> Build:
-    cells = np.zeros((model.cells.occupied[0].size, NUM_COLUMNS))
-    cells[:, MASS] = (
-        np.diff(model.cells.rows[upper], axis=-1) / np.asarray(model.cells.total)[upper]
-    ).ravel()
-    axes = np.zeros(6)
+def _build(model: PoseModel, upper: int, lower: int | None) -> LimbTables:
+    mass = np.diff(model.cells.rows[upper], axis=-1) / np.asarray(model.cells.total)[upper]
+    hinge, axes = None, np.zeros(6)
     if lower is not None:
-        hinges = model.hinges
-        cells[:, AREA] = np.asarray(hinges.total)[lower].ravel()
-        cells[cells[:, AREA] <= 0, MASS] = 0.0  # nothing is possible below such a cell
-        for start, width, leaf in (
-            (0, 9, hinges.triple),
-            (OFFSET, 1, hinges.offset),
-            (BOUNDS, 4, hinges.bounds),
-            (BOX, 4, hinges.box),
-        ):
-            cells[:, start : start + width] = np.asarray(leaf)[lower].reshape(len(cells), width)
+        hinge = jax.tree.map(lambda leaf: np.asarray(leaf)[lower], model.hinges)
         axes = np.concatenate([model.limits.reference, np.asarray(model.limits.fallback)[lower]])
     a0, a1, a2, f0, f1, f2 = axes.tolist()
-    return Build(
-        cells,
+    return LimbTables(
+        cell_table(mass, hinge),
         (a0, a1, a2, f0, f1, f2),
         model.upper == "area",
         model.lower == "box",
@@ -132,7 +119,7 @@ def _workers() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count())
 
 
-def sights(observation: Observation) -> dict[str, tuple[Sight, ...]]:
+def sights(observation: Observation) -> dict[str, tuple[LimbProblem, ...]]:
     """Every limb in front of the camera, by group; what each has to explain, measured from where it
     starts. The loops compute in 64 bits, whatever JAX does."""
     frames, image = (
@@ -150,7 +137,7 @@ def sights(observation: Observation) -> dict[str, tuple[Sight, ...]]:
                 if seen[bone.end]:
                     target[row] = (keypoints[bone.end] - start[limb.bones[0].start]) / scale
                     reach[row] = radius[bone.end] / scale
-            rows.append(Sight(np.ascontiguousarray(frames[limb.upper]), target, reach))
+            rows.append(LimbProblem(np.ascontiguousarray(frames[limb.upper]), target, reach))
         found[name] = tuple(rows)
     return found
 
@@ -174,10 +161,10 @@ class Plan(NamedTuple):
     @property
     def size(self) -> int:
         """How many strata there are."""
-        return sum(len(strata.pieces) for strata in self.strata)
+        return sum(len(strata.entries) for strata in self.strata)
 
 
-def plan_group(anatomy: Anatomy, limbs: tuple[Sight, ...], resolution: Resolution) -> Plan:
+def plan_group(anatomy: Anatomy, limbs: tuple[LimbProblem, ...], resolution: Resolution) -> Plan:
     """Cuts a group at a resolution. Attempts × `mass` × acceptance rate = the prior probability of
     what is accepted."""
     two = anatomy.builds[0].bones == 2
@@ -186,8 +173,8 @@ def plan_group(anatomy: Anatomy, limbs: tuple[Sight, ...], resolution: Resolutio
     low, high, alpha, beta = anatomy.lengths[-1]
     second = length_bins(low, high, alpha, beta, resolution.second if two else 1)
 
-    def one(sight: Sight, build: Build) -> Strata:
-        return stratify(sight, build, first.edges, second.edges, resolution.sub)
+    def one(limb: LimbProblem, tables: LimbTables) -> Strata:
+        return stratify(limb, tables, first.edges, second.edges, resolution.sub)
 
     strata = tuple(_workers().map(one, limbs, anatomy.builds))
     prior = np.outer(first.mass, second.mass).ravel() if two else first.mass
@@ -201,7 +188,7 @@ class StratifiedGroup:
     see the module."""
 
     def __init__(
-        self, key: jax.Array, name: str, anatomy: Anatomy, limbs: tuple[Sight, ...]
+        self, key: jax.Array, name: str, anatomy: Anatomy, limbs: tuple[LimbProblem, ...]
     ) -> None:
         self.name, self._anatomy, self._limbs = name, anatomy, limbs
         self._words = words_of(key)
@@ -276,44 +263,37 @@ class StratifiedGroup:
     def _run(self, sizes: list[int]) -> None:
         numbers = range(self._batches, self._batches + len(sizes))
         tried = through = found = 0
-        for size, (rows, passed) in zip(
+        for size, (bodies, passed) in zip(
             sizes, _workers().map(self._batch, numbers, sizes), strict=True
         ):
             rate, tried, through = self._rates[-1], tried + size, through + passed
-            self._rates[-1] = Rate(rate.proposed + size, rate.accepted + len(rows), rate.mass)
-            self._pile.add(rows)
-            found += len(rows)
+            self._rates[-1] = Rate(
+                rate.proposed + size, rate.accepted + len(bodies.length), rate.mass
+            )
+            self._pile.add(*bodies)
+            found += len(bodies.length)
         self._batches += len(sizes)
         # The limb that fails more often goes first: then the other is seldom tried in vain.
         if len(self._limbs) == 2 and through**2 > found * tried:
             self._order = self._order[::-1]
 
-    def _batch(self, number: int, attempts: int) -> tuple[np.ndarray, int]:
-        """The draws `(n, 2 + 6 · limbs)` of batch `number`, in random order, and how many passed
-        their first limb."""
+    def _batch(self, number: int, attempts: int) -> tuple[Bodies, int]:
+        """The draws of batch `number`, in random order, and how many passed their first limb."""
         plan, rng = (
             self._plan,
             np.random.default_rng(np.random.SeedSequence(self._words, spawn_key=(number, 0))),
         )
         counts = rng.multinomial(attempts, plan.share)
-        rows = np.empty((attempts, 2 + 6 * len(self._limbs)))
         limbs = [
-            (self._limbs[row], self._anatomy.builds[row], plan.strata[row]) for row in self._order
+            CutLimb(self._limbs[row], self._anatomy.builds[row], plan.strata[row])
+            for row in self._order
         ]
-        state, pair = seeded(self._words, number, 1), (limbs[0], limbs[-1])
-        found, passed = attempt_bodies(
-            state, counts, *plan.bins, pair, plan.sub, _desk(attempts), rows
-        )
-        rows = rows[rng.permutation(found)]
-        if self._order[0]:
-            rows[:, 2:8], rows[:, 8:] = rows[:, 8:], rows[:, 2:8].copy()
-        return rows, passed
+        state = seeded(self._words, number, 1)
+        found, passed = attempt_bodies(state, counts, plan.bins, limbs, plan.sub, _desk(attempts))
+        shuffled = rng.permutation(len(found.length))
+        length, upper, lower = (part[shuffled] for part in found)
+        return Bodies(length, upper[:, self._order], lower[:, self._order]), passed
 
     def draws(self) -> dict[str, Draws]:
-        rows = self._pile.all()[0]
-        vectors = rows[:, 2:].reshape(len(rows), len(self._limbs), 2, 3)
-        return {
-            self.name: Draws(
-                rows[:, : len(self._anatomy.lengths)], vectors[:, :, 0], vectors[:, :, 1]
-            )
-        }
+        length, upper, lower = self._pile.all()
+        return {self.name: Draws(length[:, : len(self._anatomy.lengths)], upper, lower)}

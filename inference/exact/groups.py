@@ -57,8 +57,8 @@ FIRST = 1 << 11
 
 
 class Anatomy(NamedTuple):
-    """What the model says of a group of limbs: `LimbTables` each, and the parameters `(bones, 4)` of
-    their lengths."""
+    """What the model says of a group of limbs: `LimbTables` each, and the parameters `(bones, 4)`
+    of their lengths."""
 
     builds: tuple[LimbTables, ...]
     lengths: np.ndarray

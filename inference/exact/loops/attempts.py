@@ -52,7 +52,8 @@ def attempt_bodies(
     The draws, and how many attempts passed the first limb.
     """
     number = _attempt_lengths(state, counts, *bins, limbs[0].tables.bones == 2, desk)
-    passed, found = [], []
+    passed: list[int] = []
+    found: list[tuple[np.ndarray, np.ndarray]] = []
     for limb in limbs:
         number = _attempt_limb(state, limb, sub, number, desk)
         kept = desk.kept[:number]

@@ -39,12 +39,17 @@ def _layout(
     names: tuple[str, ...], stride: int, shape: tuple[int, ...], together: dict[str, tuple]
 ) -> np.dtype:
     offsets = {name: 8 * stride * place for place, name in enumerate(names)}
-    formats = [(float, shape)] * len(names)
+    formats: list[Any] = [(float, shape)] * len(names)
     for whole, parts in together.items():
         offsets[whole] = offsets[parts[0]]
         formats.append((float, (len(parts), *shape)))
-    fields = {"names": list(offsets), "formats": formats, "offsets": list(offsets.values())}
-    return np.dtype({**fields, "itemsize": 8 * stride * len(names)}, align=True)
+    fields: Any = {
+        "names": list(offsets),
+        "formats": formats,
+        "offsets": list(offsets.values()),
+        "itemsize": 8 * stride * len(names),
+    }
+    return np.dtype(fields, align=True)
 
 
 TRIPLE = tuple(f"{row}{axis}" for row in ("normal", "second", "third") for axis in range(3))
@@ -65,10 +70,8 @@ ELEVATIONS = _rows(("sine", "cosine", "bottom", "top", "chord", "share"))
 """Elevations of sub-cells, line by line: the middle's sine and cosine, the sines at the edges, how
 far as a chord a corner is from the middle, and the share of a cell's surface."""
 
-SUBS = np.dtype(
-    [("cell", np.uint64), *((name, float) for name in ("sin_azimuth", "cos_azimuth"))]
-    + [("lift", float), ("fall", float)]
-)
+_ANGLES = ("sin_azimuth", "cos_azimuth", "lift", "fall")
+SUBS = np.dtype([("cell", np.uint64), *((name, float) for name in _ANGLES)])
 """Sub-cells: their cell, the middle azimuth, and of elevation sine and cosine of the middle or,
 where the upper measure is "area", the sines at the edges."""
 
@@ -95,7 +98,7 @@ nothing is possible, and the columns of `ENTRIES`."""
 
 BLOCK = 512
 """Attempts in a block: what a core keeps at hand."""
-_RANDOM = ("sin_azimuth", "cos_azimuth", "lift", "fall", "across", "along", "test")
+_RANDOM = (*_ANGLES, "across", "along", "test")
 _UPPER = ("length1", "length2", "u0", "u1", "u2", "end0", "end1", "bound", "passed")
 _LOWER = ("centre0", "centre1", "distance", "radius", "width", "low", "height", "side")
 ATTEMPTS = _columns((*_RANDOM, *_UPPER, *_LOWER, "q0", "q1", "q2", *HINGE), BLOCK, hinge=HINGE)

@@ -15,21 +15,20 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from inference.exact.loops.attempts import Desk, attempt_bodies, desk
-from inference.exact.loops.bins import LengthBins, length_bins
+from inference.exact.loops.attempts import attempt_bodies
+from inference.exact.loops.bins import length_bins
 from inference.exact.loops.numbers import seeded, words_of
-from inference.exact.loops.strata import (
-    AREA,
-    BOUNDS,
-    BOX,
-    MASS,
-    NUM_COLUMNS,
-    OFFSET,
-    Build,
-    Resolution,
-    Sight,
+from inference.exact.loops.strata import Resolution, stratify
+from inference.exact.loops.tables import (
+    Bodies,
+    CutLimb,
+    Desk,
+    LengthBins,
+    LimbProblem,
+    LimbTables,
     Strata,
-    stratify,
+    cell_table,
+    desk,
 )
 from inference.exact.problem import LogRatio
 from inference.exact.rates import HOPELESS, Budget, Pile, Pooled, Rate
@@ -56,10 +55,10 @@ FIRST = 1 << 11
 
 
 class GroupTables(NamedTuple):
-    """What the model says of a group of limbs: a `Build` each, and the parameters `(bones, 4)` of
-    their lengths."""
+    """What the model says of a group of limbs: `LimbTables` each, and the parameters `(bones, 4)`
+    of their lengths."""
 
-    builds: tuple[Build, ...]
+    builds: tuple[LimbTables, ...]
     lengths: np.ndarray
 
 
@@ -85,27 +84,15 @@ def _group(model: PoseModel, limbs: Sequence) -> GroupTables:
     )
 
 
-def _build(model: PoseModel, upper: int, lower: int | None) -> Build:
-    cells = np.zeros((model.cells.occupied[0].size, NUM_COLUMNS))
-    cells[:, MASS] = (
-        np.diff(model.cells.rows[upper], axis=-1) / np.asarray(model.cells.total)[upper]
-    ).ravel()
-    axes = np.zeros(6)
+def _build(model: PoseModel, upper: int, lower: int | None) -> LimbTables:
+    mass = np.diff(model.cells.rows[upper], axis=-1) / np.asarray(model.cells.total)[upper]
+    hinge, axes = None, np.zeros(6)
     if lower is not None:
-        hinges = model.hinges
-        cells[:, AREA] = np.asarray(hinges.total)[lower].ravel()
-        cells[cells[:, AREA] <= 0, MASS] = 0.0  # nothing is possible below such a cell
-        for start, width, leaf in (
-            (0, 9, hinges.triple),
-            (OFFSET, 1, hinges.offset),
-            (BOUNDS, 4, hinges.bounds),
-            (BOX, 4, hinges.box),
-        ):
-            cells[:, start : start + width] = np.asarray(leaf)[lower].reshape(len(cells), width)
+        hinge = jax.tree.map(lambda leaf: np.asarray(leaf)[lower], model.hinges)
         axes = np.concatenate([model.limits.reference, np.asarray(model.limits.fallback)[lower]])
     a0, a1, a2, f0, f1, f2 = axes.tolist()
-    return Build(
-        cells,
+    return LimbTables(
+        cell_table(mass, hinge),
         (a0, a1, a2, f0, f1, f2),
         model.upper == "area",
         model.lower == "box",
@@ -143,10 +130,10 @@ class Plan(NamedTuple):
     @property
     def size(self) -> int:
         """How many strata there are."""
-        return sum(len(strata.pieces) for strata in self.strata)
+        return sum(len(strata.entries) for strata in self.strata)
 
 
-def plan_group(tables: GroupTables, limbs: tuple[Sight, ...], resolution: Resolution) -> Plan:
+def plan_group(tables: GroupTables, limbs: tuple[LimbProblem, ...], resolution: Resolution) -> Plan:
     """Cuts a group at a resolution. Attempts × `mass` × acceptance rate = the prior probability of
     what is accepted."""
     two = tables.builds[0].bones == 2
@@ -155,8 +142,8 @@ def plan_group(tables: GroupTables, limbs: tuple[Sight, ...], resolution: Resolu
     low, high, alpha, beta = tables.lengths[-1]
     second = length_bins(low, high, alpha, beta, resolution.second if two else 1)
 
-    def one(sight: Sight, build: Build) -> Strata:
-        return stratify(sight, build, first.edges, second.edges, resolution.sub)
+    def one(limb: LimbProblem, tables: LimbTables) -> Strata:
+        return stratify(limb, tables, first.edges, second.edges, resolution.sub)
 
     strata = tuple(_workers().map(one, limbs, tables.builds))
     prior = np.outer(first.mass, second.mass).ravel() if two else first.mass
@@ -174,7 +161,7 @@ class StratifiedGroup:
         key: jax.Array,
         name: str,
         tables: GroupTables,
-        limbs: tuple[Sight, ...],
+        limbs: tuple[LimbProblem, ...],
         log_ratio: LogRatio | None = None,
     ) -> None:
         self._log_ratio = log_ratio
@@ -255,44 +242,45 @@ class StratifiedGroup:
     def _run(self, sizes: list[int]) -> None:
         numbers = range(self._batches, self._batches + len(sizes))
         tried = through = found = 0
-        for size, (rows, passed) in zip(
+        for size, (bodies, passed) in zip(
             sizes, _workers().map(self._batch, numbers, sizes), strict=True
         ):
             rate, tried, through = self._rates[-1], tried + size, through + passed
-            self._rates[-1] = Rate(rate.proposed + size, rate.accepted + len(rows), rate.mass)
-            self._pile.add(rows)
-            found += len(rows)
+            self._rates[-1] = Rate(
+                rate.proposed + size, rate.accepted + len(bodies.length), rate.mass
+            )
+            self._pile.add(*bodies)
+            found += len(bodies.length)
         self._batches += len(sizes)
         # The limb that fails more often goes first: then the other is seldom tried in vain.
         if len(self._limbs) == 2 and through**2 > found * tried:
             self._order = self._order[::-1]
 
-    def _batch(self, number: int, attempts: int) -> tuple[np.ndarray, int]:
-        """The draws `(n, 2 + 6 · limbs)` of batch `number`, in random order, and how many passed
-        their first limb."""
+    def _batch(self, number: int, attempts: int) -> tuple[Bodies, int]:
+        """The draws of batch `number`, in random order, and how many passed their first limb."""
         plan, rng = (
             self._plan,
             np.random.default_rng(np.random.SeedSequence(self._words, spawn_key=(number, 0))),
         )
         counts = rng.multinomial(attempts, plan.share)
-        rows = np.empty((attempts, 2 + 6 * len(self._limbs)))
         limbs = [
-            (self._limbs[row], self._tables.builds[row], plan.strata[row]) for row in self._order
+            CutLimb(self._limbs[row], self._tables.builds[row], plan.strata[row])
+            for row in self._order
         ]
-        state, pair = seeded(self._words, number, 1), (limbs[0], limbs[-1])
-        found, passed = attempt_bodies(
-            state, counts, *plan.bins, pair, plan.sub, _desk(attempts), rows
-        )
-        rows = rows[rng.permutation(found)]
-        if self._order[0]:
-            rows[:, 2:8], rows[:, 8:] = rows[:, 8:], rows[:, 2:8].copy()
-        if self._log_ratio is not None and found:
-            rows = rows[np.log1p(-rng.uniform(size=found)) <= self._log_ratio(self._named(rows))]
-        return rows, passed
+        state = seeded(self._words, number, 1)
+        found, passed = attempt_bodies(state, counts, plan.bins, limbs, plan.sub, _desk(attempts))
+        shuffled = rng.permutation(len(found.length))
+        length, upper, lower = (part[shuffled] for part in found)
+        bodies = Bodies(length, upper[:, self._order], lower[:, self._order])
+        if self._log_ratio is not None and len(length):
+            test = np.log1p(-rng.uniform(size=len(length)))
+            kept = test <= self._log_ratio(self._named(bodies))
+            bodies = Bodies(*(part[kept] for part in bodies))
+        return bodies, passed
 
     def draws(self) -> dict[str, GroupDraws]:
-        return {self.name: self._named(self._pile.all()[0])}
+        return {self.name: self._named(Bodies(*self._pile.all()))}
 
-    def _named(self, rows: np.ndarray) -> GroupDraws:
-        vectors = rows[:, 2:].reshape(len(rows), len(self._limbs), 2, 3)
-        return GroupDraws(rows[:, : len(self._tables.lengths)], vectors[:, :, 0], vectors[:, :, 1])
+    def _named(self, bodies: Bodies) -> GroupDraws:
+        length, upper, lower = bodies
+        return GroupDraws(length[:, : len(self._tables.lengths)], upper, lower)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from inference.exact.loops.strata import Sight
+from inference.exact.loops.tables import LimbProblem
 from probmodel.chunks import in_chunks
 from probmodel.kinematics import upper_axes
 from probmodel.model import PoseModel
@@ -22,7 +22,7 @@ LogRatio = Callable[[GroupDraws], np.ndarray]
 """`(n,)`: for draws of a group, the log of the likelihood of its joints over its peak."""
 
 
-def limb_problems(observation: Observation) -> dict[str, tuple[Sight, ...]]:
+def limb_problems(observation: Observation) -> dict[str, tuple[LimbProblem, ...]]:
     """The problem of every limb, by group."""
     axes, plane = (np.array(part, float) for part in _torso(observation))  # copies: one type
     start = dict(zip(TORSO_INDEX, plane, strict=True))
@@ -36,7 +36,7 @@ def limb_problems(observation: Observation) -> dict[str, tuple[Sight, ...]]:
                 if np.isfinite(reach[bone.end]):
                     offset[row] = target[bone.end] - start[limb.bones[0].start]
                     radius[row] = reach[bone.end]
-            rows.append(Sight(np.ascontiguousarray(axes[limb.upper]), offset, radius))
+            rows.append(LimbProblem(np.ascontiguousarray(axes[limb.upper]), offset, radius))
         found[name] = tuple(rows)
     return found
 

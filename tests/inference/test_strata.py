@@ -6,6 +6,7 @@ False alarms: every family of p-values is held to 0.001 altogether (Bonferroni);
 
 import dataclasses
 import re
+import tempfile
 from pathlib import Path
 
 import jax
@@ -17,18 +18,22 @@ from scipy import stats
 import inference
 from inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
 from inference.exact.loops import numbers
-from inference.exact.loops.attempts import attempt_bodies
-from inference.exact.loops.bins import SLICES, alias_table, draw_lengths, length_bins
+from inference.exact.loops.attempts import _attempt_limb as attempt_loop
+from inference.exact.loops.bins import PER_BIN, alias_table, draw_lengths, length_bins
+from inference.exact.loops.bounds import bound_regions
 from inference.exact.loops.numbers import SOURCES, compiled, digest, load, seeded, store, uniform
 from inference.exact.loops.rectangles import COUNT, ROWS, largest_rectangle, rectangle
 from inference.exact.loops.series import arcsine, cosine, sine, small_sine_cosine
-from inference.exact.loops.strata import Resolution, Sight
+from inference.exact.loops.strata import Resolution, frame_turn, lower_axes
 from inference.exact.loops.strata import _stratify as stratify_loop
+from inference.exact.loops.tables import ALIAS, REGIONS, LimbProblem
 from inference.exact.problem import limb_problems
 from inference.exact.rates import Budget, Pooled, Rate
-from probmodel import Anatomy, PoseModel
+from probmodel import Anatomy, PoseModel, kinematics
 from probmodel.anatomy.limits import CELL, NUM_ELEVATION, cell_of
-from probmodel.kinematics import lower_axes
+from probmodel.pose import Pose
+from probmodel.skeleton import GROUPS
+from probmodel.transport import to_cube
 from tests.goodness import energy_p_value
 from tests.scenes import hidden, key, prior_scene
 from tests.witnesses.limbs import build_groups
@@ -73,8 +78,39 @@ def test_compiled_loops_are_kept_by_the_state_of_all_their_sources():
             assert {name.replace(".", "/") + ".py" for name in imported} <= set(SOURCES)
         changed = {**texts, source: texts[source] + b"\n"}
         assert digest(changed.values()) != digest(texts.values())
-    for loop in (attempt_bodies, draw_lengths, rectangle):
+    for loop in (attempt_loop, draw_lengths, rectangle):
         assert f"loops-{digest(texts.values())}" in loop.stats.cache_path
+
+
+def test_without_a_place_to_keep_them_loops_are_kept_among_temporary_files(monkeypatch, tmp_path):
+    """A sealed image: neither the package's folder nor home can be written to. What was compiled
+    before it was sealed is taken along, and one sentence says where."""
+    sealed, temporary = tmp_path / "sealed", tmp_path / "temporary"
+    (sealed / "loops-0" / "deeper").mkdir(parents=True)
+    (sealed / "loops-0" / "deeper" / "kept.nbi").write_text("compiled")
+    temporary.mkdir()
+    usable = numbers._usable
+    monkeypatch.setattr(numbers, "_places", lambda: [sealed, tmp_path / "home"])
+    monkeypatch.setattr(numbers, "_usable", lambda path: temporary in path.parents and usable(path))
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    with pytest.warns(UserWarning, match="NUMBA_CACHE_DIR") as warned:
+        folder = numbers._kept_in("loops-0")
+    assert len(warned) == 1
+    assert folder.parents[1] == temporary
+    assert (folder / "deeper" / "kept.nbi").read_text() == "compiled"
+    folder.parent.chmod(0o777)  # somebody else could put code there
+    with pytest.warns(UserWarning, match="anew"):
+        assert numbers._kept_in("loops-0") is None
+
+
+def test_without_any_place_loops_are_compiled_and_not_kept(monkeypatch, tmp_path):
+    """The folder is a file: nobody can make a folder of it, not even root."""
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(numbers, "_places", lambda: [tmp_path / "file"])
+    monkeypatch.setattr(numbers, "_temporary", lambda: None)
+    with pytest.warns(UserWarning, match="anew"):
+        monkeypatch.setattr(numbers, "_FOLDER", numbers._kept_in("loops-0"))
+    assert compiled(lambda number: number + 1)(1) == 2
 
 
 @pytest.mark.parametrize(
@@ -87,7 +123,7 @@ def test_lengths_follow_the_prior_inside_their_bin(alpha, beta):
     np.testing.assert_allclose(bins.mass, np.diff(law.cdf(cuts)), rtol=1e-9, atol=1e-300)
     for index in np.flatnonzero(bins.mass > 1e-12):
         lengths = np.empty(20_000)
-        draw_lengths(bins.shape, bins.slices, index, seeded([1], index), lengths)
+        draw_lengths(bins, index, seeded([1], index), lengths)
         low, high = law.cdf(cuts[index : index + 2])
         values.append(
             stats.kstest((law.cdf((lengths - 0.8) / 0.4) - low) / (high - low), "uniform").pvalue
@@ -99,10 +135,10 @@ def test_a_wrong_envelope_is_caught():
     """Negative control of the test above: an envelope 10 % too low in half of the slices."""
     bins = length_bins(0.8, 1.2, 5.0, 7.0, 4)
     slices = bins.slices.copy()
-    slices[SLICES : SLICES + SLICES // 2, 4:] *= [0.0, 0.9]
-    slices[SLICES : SLICES + SLICES // 2, 5] *= 0.9
+    half = slices[PER_BIN : PER_BIN + PER_BIN // 2]
+    half["floor"], half["envelope"] = 0.0, 0.9 * half["envelope"]
     law, lengths = stats.beta(5.0, 7.0, loc=0.8, scale=0.4), np.empty(200_000)
-    draw_lengths(bins.shape, slices, 1, seeded([1], 1), lengths)
+    draw_lengths(bins._replace(slices=slices), 1, seeded([1], 1), lengths)
     low, high = law.cdf(bins.edges[1:3])
     assert stats.kstest((law.cdf(lengths) - low) / (high - low), "uniform").pvalue < FAMILY
 
@@ -115,10 +151,10 @@ def test_alias_tables_hold_their_weights():
         weight = rng.exponential(size=size) * (rng.uniform(size=size) < 0.7) + (
             np.arange(size) == 0
         )
-        table = np.zeros((size, 2))
-        alias_table(weight, table)
-        given = np.bincount(np.arange(size), table[:, 0], size)
-        given += np.bincount(table[:, 1].astype(int), 1 - table[:, 0], size)
+        table = np.zeros(size, ALIAS)
+        np.testing.assert_allclose(alias_table(weight, table), weight.sum())
+        given = np.bincount(np.arange(size), table["share"], size)
+        given += np.bincount(table["partner"], 1 - table["share"], size)
         np.testing.assert_allclose(given / size, weight / weight.sum(), atol=1e-12)
 
 
@@ -168,6 +204,76 @@ def test_the_rectangle_is_the_one_of_the_pruned_proposal_and_its_largest_is():
         )
 
 
+def parents_near(reference, sine, rng) -> np.ndarray:
+    """A direction whose angle to the reference has this sine."""
+    across = np.cross(reference, rng.normal(size=3))
+    across /= np.linalg.norm(across)
+    return np.sqrt(1 - sine**2) * reference + sine * across
+
+
+def compiled_frame(parent, reference, fallback) -> np.ndarray:
+    v0, v1, v2, w0, w1, w2, _ = lower_axes(*parent, (*reference, *fallback))
+    return np.stack([parent, (v0, v1, v2), (w0, w1, w2)], axis=-1)
+
+
+def test_the_compiled_lower_frame_is_the_one_of_the_program():
+    """Also beside the reference direction, and where the fallback takes its place."""
+    rng = np.random.default_rng(2)
+    limits = PoseModel().limits
+    reference, fallback = np.asarray(limits.reference), np.asarray(limits.fallback)[0]
+    for sine_ in (1.0, 0.3, 1e-3, 1e-7, 1e-9, 0.0):
+        for parent in (parents_near(sign * reference, sine_, rng) for sign in (1, -1)):
+            ours = compiled_frame(parent, reference, fallback)
+            np.testing.assert_allclose(
+                ours, kinematics.lower_axes(parent, reference, fallback), atol=1e-8
+            )
+            np.testing.assert_allclose(
+                lower_axes(*parent, (*reference, *fallback))[-1], sine_, atol=1e-9
+            )
+
+
+def test_the_lower_frame_turns_as_far_as_its_bound_and_hardly_less():
+    """Parents that move by a chord, around the reference direction above all; the bound is less
+    than half as large again as what is found, and the chord."""
+    rng = np.random.default_rng(3)
+    limits = PoseModel().limits
+    reference, fallback = np.asarray(limits.reference), np.asarray(limits.fallback)[0]
+    for sine_ in (0.02, 0.1, 0.5, 1.0):
+        for chord in (0.01, 0.3 * sine_, 0.9 * sine_):
+            parent = parents_near(reference, sine_, rng)
+            across = np.cross(reference, parent)
+            ways = [across, -across, *rng.normal(size=(20, 3))]
+            found = []
+            for way in (way - way @ parent * parent for way in ways):
+                half = 2 * np.arcsin(chord / 2)
+                moved = np.cos(half) * parent + np.sin(half) * way / np.linalg.norm(way)
+                frames = [compiled_frame(bone, reference, fallback) for bone in (parent, moved)]
+                found.append(np.linalg.norm(frames[1] - frames[0], 2))
+            assert max(found) <= frame_turn(sine_, chord) < 1.5 * max(found) + chord + 0.02
+
+
+@compiled
+def _bound_one(blocks, target, radius, length1, length2):
+    bound_regions(1, target, 0.0, radius, length1, length1, length2, length2, blocks[0])
+
+
+def test_regions_are_as_large_as_the_rectangle_and_no_larger_where_nothing_can_move():
+    """A sub-cell and bins of no width: the bound is the area of one rectangle, to rounding."""
+    rng = np.random.default_rng(4)
+    block = np.zeros(1, REGIONS)
+    block["mass"], block["box_area"] = 1.0, 100.0
+    for name in ("offset", "low2", "low3"):
+        block[name] = -10.0  # a hinge that allows everything
+    block["high2"] = block["high3"] = 10.0
+    for centre, radius in zip(rng.uniform(0, 1, 100), rng.uniform(0.05, 0.9, 100), strict=True):
+        _bound_one(block, 2 * centre, 2 * radius, 1.0, 2.0)
+        width, low, high = rectangle(centre, radius)
+        area, bound = 2 * width * (high - low) / ROWS, float(block["region"][0, 0])
+        assert area <= bound <= area * (1 + 1e-6) + 1e-6
+        assert block["mask"][0, 0] == 2 ** (2 * ROWS) - 1
+        np.testing.assert_allclose(block["weight"][0, 0], 2 * ROWS * bound)
+
+
 def limb_draws(model, seed, number):
     """Every limb of two bones: its name, its place in the group, draws of the prior, and what they
     look like."""
@@ -180,7 +286,7 @@ def limb_draws(model, seed, number):
             yield name, row, groups[name], [np.asarray(part) for part in draws], reach
 
 
-def violation(strata, group, row, sight, resolution, edges, length, upper, lower) -> str:
+def violation(strata, group, row, problem, resolution, edges, length, upper, lower) -> str:
     """What is wrong with the strata for a pose that explains the detection: its own stratum must be
     there, hold its lower bone, and be bounded. Empty where all is well. Angles are taken anew from
     the definitions."""
@@ -194,20 +300,27 @@ def violation(strata, group, row, sight, resolution, edges, length, upper, lower
     )
     index = one * resolution.second + two
     first, last = strata.starts[index], strata.starts[index + 1]
-    subs = strata.subs[strata.entries[first:last, 2].astype(int)]
+    subs = strata.subs[strata.entries["sub"][first:last]]
     height = np.sin((line + (along + 0.5) / resolution.sub) * CELL - np.pi / 2)
-    wanted = np.array([column * NUM_ELEVATION + line, np.sin(middle), np.cos(middle), height])
-    place = np.flatnonzero(np.all(np.abs(subs[:, :4] - wanted) < 1e-9, axis=1))
+    wanted = {
+        "cell": column * NUM_ELEVATION + line,
+        "sin_azimuth": np.sin(middle),
+        "cos_azimuth": np.cos(middle),
+        "lift": height,
+    }
+    near = [np.abs(subs[name] - value) < 1e-9 for name, value in wanted.items()]
+    place = np.flatnonzero(np.all(near, axis=0))
     if not len(place):
         return "dropped"
-    entry = first + place[0]
-    mask, bound = int(strata.pieces[entry]), strata.entries[entry, 3]
+    entry = strata.entries[first + place[0]]
+    mask, bound = int(entry["mask"]), entry["region"]
     frame = np.asarray(group.frame[row])
-    bone = -frame @ np.asarray(lower_axes(upper, group.reference, group.fallback[row])) @ lower
-    centre = (sight.target[1] + length[0] * frame[:2] @ upper) / length[1]
+    axes = kinematics.lower_axes(upper, group.reference, group.fallback[row])
+    bone = -frame @ np.asarray(axes) @ lower
+    centre = (problem.target[1] + length[0] * frame[:2] @ upper) / length[1]
     distance = np.linalg.norm(centre)
     width, low, high = (
-        float(part) for part in patch_rectangle(jnp.asarray(distance), sight.radius[1] / length[1])
+        float(part) for part in patch_rectangle(jnp.asarray(distance), problem.reach[1] / length[1])
     )
     if mask == 0:
         hinge = [
@@ -244,8 +357,8 @@ def violations(model, seed, factor, resolution, tighten=1.0, number=60):
             radius = factor * rng.uniform(0.3, 2, 2)
             turn, way = rng.uniform(0, 2 * np.pi, 2), radius * np.sqrt(rng.uniform(size=2))
             target = reach[n, row] + way[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-            sight = Sight(np.array(group.frame[row]), target, radius)
-            narrow = sight._replace(radius=radius * tighten)
+            problem = LimbProblem(np.array(group.frame[row]), target, radius)
+            narrow = problem._replace(reach=radius * tighten)
             plan = plan_group(anatomy, (narrow,), resolution)
             edges = [bins.edges for bins in plan.bins]
             found.append(
@@ -253,7 +366,7 @@ def violations(model, seed, factor, resolution, tighten=1.0, number=60):
                     plan.strata[0],
                     group,
                     row,
-                    sight,
+                    problem,
                     resolution,
                     edges,
                     length[n],
@@ -311,6 +424,91 @@ def test_same_key_same_draws_and_more_are_added_at_the_end():
     assert not np.array_equal(first, other.draws()["arms"].upper[:500])
     assert one.more(1500, Budget(10**9))
     assert np.array_equal(first, one.draws()["arms"].upper[:500])
+
+
+def unseen(model, name, seed, resolution, pieces) -> StratifiedGroup:
+    """A sampler of a group of which nothing is seen. Where `pieces` are wanted, boxes are made too
+    large to be chosen, and discs so large that nothing is outside."""
+    anatomy, limbs = group_tables(model)[name], []
+    if pieces:
+        tables = [build._replace(cells=build.cells.copy()) for build in anatomy.builds]
+        for build in tables:
+            build.cells["box_high"] += 20.0
+        anatomy = anatomy._replace(builds=tuple(tables))
+    for problem in limb_problems(prior_observation(model))[name]:
+        limbs.append(problem._replace(reach=np.full(2, 4.0 if pieces else np.inf)))
+    sampler = StratifiedGroup(key(seed), name, anatomy, tuple(limbs))
+    sampler._plan = plan_group(anatomy, tuple(limbs), resolution)
+    sampler._rates, sampler.level = [Rate(0, 0, sampler._plan.mass)], len(RESOLUTIONS) - 1
+    return sampler
+
+
+def prior_observation(model):
+    frame = prior_scene(model, 2)
+    return frame.observation
+
+
+def dependence(columns) -> float:
+    """The smallest p-value of all pairs' correlations, times their number."""
+    size = columns.shape[1]
+    correlation = np.corrcoef(columns.T)[np.triu_indices(size, 1)]
+    values = 2 * stats.norm.sf(np.abs(correlation) * np.sqrt(len(columns)))
+    return values.min() * len(values)
+
+
+@pytest.mark.parametrize("pieces", [False, True])
+@pytest.mark.parametrize(("upper", "lower"), [("angle", "area"), ("area", "box")])
+def test_where_nothing_is_seen_draws_are_draws_of_the_prior(upper, lower, pieces):
+    """The evidence is one, within 4 standard errors (6e-5 each); the cube's coordinates of whole
+    bodies are uniform and uncorrelated, and so are the places of upper bones in their sub-cells."""
+    model, number, sub = (
+        PoseModel.from_anatomy(Anatomy.default(), upper=upper, lower=lower),
+        8000,
+        3,
+    )
+    bodies = Pose(*(np.zeros((number, size, 3)) for size in (5, 5, 4)))
+    bodies = bodies._replace(length=np.zeros((number, 5)))
+    for seed, (name, limbs) in enumerate(GROUPS.items()):
+        sampler = unseen(model, name, seed, Resolution(3, 2, sub), pieces and name != "head")
+        assert sampler.more(number, Budget(10**8))
+        (rate,), draws = sampler.rates, sampler.draws()[name]
+        assert abs(rate.log_probability) < 4 * np.sqrt(rate.variance) + 1e-9
+        for row, limb in enumerate(limbs):
+            bodies.length[:, [bone.length_group for bone in limb.bones]] = draws.length[:number]
+            bodies.upper[:, limb.upper] = draws.upper[:number, row]
+            if limb.lower is not None:
+                bodies.lower[:, limb.lower] = draws.lower[:number, row]
+    x, y, z = np.moveaxis(bodies.upper, -1, 0)
+    places = [(np.arctan2(y, x) + np.pi) / CELL, (np.arcsin(z) + np.pi / 2) / CELL]
+    columns = np.hstack(
+        [np.asarray(to_cube(model, bodies)), *(place * sub % 1 for place in places)]
+    )
+    values = [stats.kstest(column, "uniform").pvalue for column in columns.T]
+    assert min(values) * len(values) > FAMILY / 2
+    assert dependence(columns) > FAMILY / 2
+
+
+def test_draws_in_discs_are_the_draws_of_the_prior_that_fall_into_them():
+    """All of them do, by the program's projection. Against draws of the strata where nothing is
+    seen: two-sample Kolmogorov–Smirnov tests of every coordinate, and the evidence within 4 standard
+    errors."""
+    model = PoseModel()
+    frame = prior_scene(model, 2, factor=1.0)
+    whole = unseen(model, "arms", 0, RESOLUTIONS[0], False)
+    assert whole.more(60_000, Budget(10**8))
+    draws = whole.draws()["arms"]
+    group = build_groups(model, frame.observation)["arms"]
+    kept = np.flatnonzero(np.asarray(group.explains(draws)))
+    some = stratified(model, frame, "arms", 1)
+    assert some.more(4000, Budget(10**8))
+    assert np.asarray(group.explains(some.draws()["arms"])).all()
+    ours, theirs = columns_of(some.draws()["arms"]), columns_of(draws)[kept]
+    values = [stats.ks_2samp(*pair).pvalue for pair in zip(ours.T, theirs.T, strict=True)]
+    assert min(values) * len(values) > FAMILY
+    simple = Rate(len(draws.length), len(kept))
+    error = np.sqrt(some.rates[0].variance + simple.variance)
+    assert abs(some.rates[0].log_probability - simple.log_probability) < 4 * error
+    assert len(kept) > 200
 
 
 def test_every_resolution_draws_from_one_law():
@@ -410,7 +608,7 @@ def test_strata_for_discs_too_small_draw_another_law(monkeypatch):
     model = PoseModel()
     frame = prior_scene(model, 0, factor=1.0)
     right, wrong = (stratified(model, frame, "arms", seed) for seed in (1, 2))
-    wrong._limbs = tuple(sight._replace(radius=sight.radius / 2) for sight in right._limbs)
+    wrong._limbs = tuple(problem._replace(reach=problem.reach / 2) for problem in right._limbs)
     wrong._plan = wrong.plan_at(0)
     wrong._limbs = right._limbs
     monkeypatch.setattr(wrong, "_refine", lambda number: None)

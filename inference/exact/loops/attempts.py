@@ -9,311 +9,226 @@ that passes the indicator: no step is made again after a later one has failed.
 A limb's attempts are made in blocks, step by step: look-ups and random numbers here, what is
 computed of them in `blocks`; after each step the attempts that go on are packed together."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
-from inference.exact.loops.bins import LengthBins, draw_lengths
-from inference.exact.loops.blocks import (
-    ACROSS,
-    ALONG,
-    BLOCK,
-    BOUND,
-    CENTRE0,
-    CENTRE1,
-    COS_AZIMUTH,
-    DISTANCE,
-    END0,
-    END1,
-    FALL,
-    HEIGHT,
-    HINGE,
-    HINGE_COLUMNS,
-    LENGTH1,
-    LENGTH2,
-    LIFT,
-    LOW,
-    PASSED,
-    Q0,
-    Q1,
-    Q2,
-    RADIUS,
-    SIDE,
-    SIN_AZIMUTH,
-    SIZE,
-    STRIDE,
-    TEST,
-    U0,
-    U1,
-    U2,
-    WIDTH,
-    lower_in_box,
-    lower_in_piece,
-    raise_upper,
-    see_disc,
-)
+from inference.exact.loops.bins import draw_lengths
+from inference.exact.loops.blocks import lower_in_box, lower_in_piece, raise_upper, see_disc
 from inference.exact.loops.numbers import compiled, inlined, load, rows_of, store, uniform
 from inference.exact.loops.rectangles import COUNT, PICK, ROWS
-from inference.exact.loops.strata import BOX, Build, Sight, Strata
+from inference.exact.loops.tables import (
+    BLOCK,
+    Bodies,
+    CutLimb,
+    Desk,
+    LengthBins,
+    LimbTables,
+    Record,
+    Strata,
+)
 from probmodel.anatomy.limits import CELL
 
-Limb = tuple[Sight, Build, Strata]
 
+def attempt_bodies(
+    state: np.ndarray,
+    counts: np.ndarray,
+    bins: tuple[LengthBins, LengthBins],
+    limbs: Sequence[CutLimb],
+    sub: int,
+    desk: Desk,
+) -> tuple[Bodies, int]:
+    """Attempts at a group of limbs.
 
-class Desk(NamedTuple):
-    """What one thread writes on; made once, since memory that is new to a process is slow. Of each
-    attempt: `length1`, `length2`, `bins`, `rows`, `kept`, and `found` `(n, 6)`; of a block:
-    `pieces`, `boxes`, `entry`, `place`, `left` and `slot`."""
+    Parameters
+    ----------
+    state : of the random numbers, written on
+    counts : `(bins,)` attempts in each bin of the lengths
+    sub : sub-cells along a cell's side
+    desk : with room for all attempts
 
-    length1: np.ndarray
-    length2: np.ndarray
-    bins: np.ndarray
-    rows: np.ndarray
-    kept: np.ndarray
-    found: np.ndarray
-    pieces: np.ndarray
-    boxes: np.ndarray
-    entry: np.ndarray
-    place: np.ndarray
-    left: np.ndarray
-    slot: np.ndarray
-
-
-def desk(most: int) -> Desk:
-    """A desk for batches of up to `most` attempts."""
-
-    def places(size: int) -> np.ndarray:
-        return np.zeros(size, np.int64)
-
-    return Desk(
-        length1=np.ones(most),
-        length2=np.ones(most),
-        bins=places(most),
-        rows=places(most),
-        kept=places(most),
-        found=np.zeros((most, 6)),
-        pieces=np.zeros(SIZE),
-        boxes=np.zeros(SIZE),
-        entry=places(BLOCK),
-        place=places(BLOCK),
-        left=places(BLOCK),
-        slot=places(BLOCK),
-    )
+    Returns
+    -------
+    The draws, and how many attempts passed the first limb.
+    """
+    number = _attempt_lengths(state, counts, *bins, limbs[0].tables.bones == 2, desk)
+    passed: list[int] = []
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    for limb in limbs:
+        number = _attempt_limb(state, limb, sub, number, desk)
+        kept = desk.kept[:number]
+        desk.rows[:number] = desk.rows[kept]
+        found = [(upper[kept], lower[kept]) for upper, lower in found]
+        found.append((desk.upper[:number].copy(), desk.lower[:number].copy()))
+        passed.append(number)
+    rows = desk.rows[:number]
+    length = np.stack([desk.length1[rows], desk.length2[rows]], axis=1)
+    upper, lower = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
+    return Bodies(length, upper, lower), passed[0]
 
 
 @compiled
-def attempt_bodies(
+def _attempt_lengths(
     state: np.ndarray,
     counts: np.ndarray,
     bins1: LengthBins,
     bins2: LengthBins,
-    limbs: tuple[Limb, Limb],
-    sub: int,
+    two: bool,
     desk: Desk,
-    draws: np.ndarray,
-) -> tuple[int, int]:
-    """Attempts at a group of limbs, `counts` `(bins,)` of them in each bin of the lengths; of one
-    limb, given twice, where `draws` has eight columns only.
-
-    Fills rows of `draws` `(counts.sum(), 2 + 6 · limbs)`: the lengths, then each limb's upper and
-    lower direction in their local frames. Returns how many rows it filled, and how many attempts
-    passed the first limb."""
-    length1, length2, bins, rows, kept, found = (
-        desk.length1,
-        desk.length2,
-        desk.bins,
-        desk.rows,
-        desk.kept,
-        desk.found,
-    )
+) -> int:
+    """Draws the lengths of all attempts, bin by bin, to the desk; returns how many there are."""
     number, number2 = 0, bins2.mass.size
     for index in range(counts.size):
         last = number + counts[index]
         if last == number:
             continue
-        draw_lengths(bins1.shape, bins1.slices, index // number2, state, length1[number:last])
-        if limbs[0][1].bones == 2:
-            draw_lengths(bins2.shape, bins2.slices, index % number2, state, length2[number:last])
+        draw_lengths(bins1, index // number2, state, desk.length1[number:last])
+        if two:
+            draw_lengths(bins2, index % number2, state, desk.length2[number:last])
         for n in range(number, last):
-            bins[n], rows[n] = index, n
+            desk.bins[n], desk.rows[n] = index, n
         number = last
-    passed = _attempt_limb(state, limbs[0], sub, rows[:number], desk)
-    for n in range(passed):
-        row = kept[n]
-        rows[n], draws[n, 0], draws[n, 1] = row, length1[row], length2[row]
-        draws[n, 2:8] = found[n]
-    if draws.shape[1] == 8:
-        return passed, passed
-    done = _attempt_limb(state, limbs[1], sub, rows[:passed], desk)
-    for n in range(done):
-        draws[n, :8] = draws[kept[n], :8]
-        draws[n, 8:] = found[n]
-    return done, passed
+    return number
 
 
 @compiled
-def _attempt_limb(state: np.ndarray, limb: Limb, sub: int, rows: np.ndarray, desk: Desk) -> int:
-    """One attempt at a limb for each of `rows`, with the lengths and in the bins there. Writes the
-    places in `rows` of those that pass to `kept`, in order, and their directions to `found`;
-    returns how many."""
-    sight, build, strata = limb
-    frame, two, half = rows_of(sight.frame), build.bones == 2, CELL / sub / 2
-    square1, radius2 = sight.radius[0] ** 2, sight.radius[1]
-    pieces, boxes, entry, place = desk.pieces, desk.boxes, desk.entry, desk.place
-    left, slot = desk.left, desk.slot
-    kept, found, passed = desk.kept, desk.found, 0
-    for start in range(0, rows.size, BLOCK):
-        size = min(BLOCK, rows.size - start)
-        _draw_strata(
-            state, strata, desk.bins, desk.length1, rows[start : start + size], entry, pieces
-        )
-        raise_upper(
-            size,
-            half,
-            build.by_area,
-            frame,
-            sight.target[0, 0],
-            sight.target[0, 1],
-            square1,
-            pieces,
-        )
+def _attempt_limb(state: np.ndarray, limb: CutLimb, sub: int, number: int, desk: Desk) -> int:
+    """One attempt at a limb for each of the first `number` of the desk's `rows`, with the lengths
+    and in the bins there. Writes the places in `rows` of those that pass to `kept`, in order, and
+    their directions to `upper` and `lower`; returns how many."""
+    problem, tables, strata = limb
+    axes, half = rows_of(problem.axes), CELL / sub / 2
+    target, reach, reference = problem.target, problem.reach, tables.reference
+    pieces, boxes = desk.pieces[0], desk.boxes[0]
+    left, slot, kept, passed = desk.left, desk.slot, desk.kept, 0
+    for start in range(0, number, BLOCK):
+        size = min(BLOCK, number - start)
+        _draw_strata(state, strata, desk, start, size, pieces)
+        square = reach[0] ** 2
+        raise_upper(size, half, tables.by_area, axes, target[0, 0], target[0, 1], square, pieces)
         size = _sift(size, pieces, left)
-        if not two:
+        if tables.bones == 1:
             for n in range(size):
                 kept[passed] = start + left[n]
-                _copy(pieces, left[n], found, passed)
-                found[passed, 3:] = 0.0
+                _copy(pieces, left[n], desk, passed)
+                desk.lower[passed, 0] = desk.lower[passed, 1] = desk.lower[passed, 2] = 0.0
                 passed += 1
             continue
-        _pack_upper(state, strata, desk.length2, rows[start:], size, left, entry, place, pieces)
-        see_disc(size, sight.target[1, 0], sight.target[1, 1], radius2, pieces)
+        _pack_upper(state, strata, desk, start, size, pieces)
+        see_disc(size, target[1, 0], target[1, 1], reach[1], pieces)
         size = _sift(size, pieces, left)
-        count = _pack_boxes(state, build, strata, size, left, entry, pieces, boxes, slot)
-        lower_in_box(count, frame, build.axes, boxes)
-        count = _pack_pieces(state, build, strata, size, left, entry, pieces, slot)
-        lower_in_piece(count, frame, build.axes, pieces)
+        count = _pack_boxes(state, tables, strata, desk, size, pieces, boxes)
+        lower_in_box(count, axes, reference, boxes)
+        count = _pack_pieces(state, tables, strata, desk, size, pieces)
+        lower_in_piece(count, axes, reference, pieces)
         for n in range(size):
             i = slot[n]
-            kept[passed] = start + place[left[n]]
+            kept[passed] = start + desk.place[left[n]]
             if i >= 0:
-                _copy(pieces, i, found, passed)
-                passed += int(pieces[PASSED + i] > 0)
+                _copy(pieces, i, desk, passed)
+                passed += int(pieces.passed[i] > 0)
             else:
-                _copy(boxes, ~i, found, passed)
-                passed += int(boxes[PASSED + ~i] > 0)
+                _copy(boxes, ~i, desk, passed)
+                passed += int(boxes.passed[~i] > 0)
     return passed
 
 
 @inlined
-def _copy(block: np.ndarray, i: int, found: np.ndarray, row: int) -> None:
-    found[row, 0], found[row, 1], found[row, 2] = block[U0 + i], block[U1 + i], block[U2 + i]
-    found[row, 3], found[row, 4], found[row, 5] = block[Q0 + i], block[Q1 + i], block[Q2 + i]
+def _copy(block: Record, i: int, desk: Desk, n: int) -> None:
+    upper, lower = desk.upper, desk.lower
+    upper[n, 0], upper[n, 1], upper[n, 2] = block.u0[i], block.u1[i], block.u2[i]
+    lower[n, 0], lower[n, 1], lower[n, 2] = block.q0[i], block.q1[i], block.q2[i]
 
 
 @compiled
 def _draw_strata(
-    state: np.ndarray,
-    strata: Strata,
-    bins: np.ndarray,
-    lengths1: np.ndarray,
-    rows: np.ndarray,
-    entry: np.ndarray,
-    block: np.ndarray,
+    state: np.ndarray, strata: Strata, desk: Desk, start: int, size: int, block: Record
 ) -> None:
-    """A stratum for each row, by the alias table of its bin; the random numbers of the upper
-    direction."""
-    entries, subs, starts = strata.entries, strata.subs, strata.starts
+    """A stratum for each of `size` rows, by the alias table of its bin; the random numbers of the
+    upper direction."""
+    entries, subs, starts, entry = strata.entries, strata.subs, strata.starts, desk.entry
     stream = load(state)
-    for n in range(rows.size):
-        row = rows[n]
-        first = starts[bins[row]]
+    for n in range(size):
+        row = desk.rows[start + n]
+        first = starts[desk.bins[row]]
         at, stream = uniform(stream)
-        at *= starts[bins[row] + 1] - first
+        at *= starts[desk.bins[row] + 1] - first
         column = int(at)
-        own, partner = first + column, first + int(entries[first + column, 1])
+        own = strata.alias[first + column]
         # Without a branch, which would be guessed wrong half of the time.
-        entry[n] = partner + (own - partner) * int(at - column < entries[own, 0])
-        block[LENGTH1 + n] = lengths1[row]
-    for n in range(rows.size):
-        sub = np.uint64(entries[entry[n], 2])
-        block[SIN_AZIMUTH + n], block[COS_AZIMUTH + n] = subs[sub, 1], subs[sub, 2]
-        block[LIFT + n], block[FALL + n] = subs[sub, 3], subs[sub, 4]
+        entry[n] = first + own.partner + (column - own.partner) * int(at - column < own.share)
+        block.length1[n] = desk.length1[row]
+    for n in range(size):
+        sub = subs[entries[entry[n]].sub]
+        block.sin_azimuth[n], block.cos_azimuth[n] = sub.sin_azimuth, sub.cos_azimuth
+        block.lift[n], block.fall[n] = sub.lift, sub.fall
         across, stream = uniform(stream)
         along, stream = uniform(stream)
-        block[ACROSS + n], block[ALONG + n] = across, along
+        block.across[n], block.along[n] = across, along
     store(state, stream)
 
 
 @compiled
-def _sift(size: int, block: np.ndarray, left: np.ndarray) -> int:
+def _sift(size: int, block: Record, left: np.ndarray) -> int:
     """Writes to `left` which attempts have passed; returns how many."""
     found = 0
     for n in range(size):
         left[found] = n
-        found += int(block[PASSED + n] > 0)
+        found += int(block.passed[n] > 0)
     return found
 
 
 @compiled
 def _pack_upper(
-    state: np.ndarray,
-    strata: Strata,
-    lengths2: np.ndarray,
-    rows: np.ndarray,
-    size: int,
-    left: np.ndarray,
-    entry: np.ndarray,
-    place: np.ndarray,
-    block: np.ndarray,
+    state: np.ndarray, strata: Strata, desk: Desk, start: int, size: int, block: Record
 ) -> None:
     """Packs what `see_disc` needs. A box needs no test of its area: its bound is 0 here."""
-    entries, masks = strata.entries, strata.pieces
+    entry = desk.entry
     stream = load(state)
     for n in range(size):
-        i = left[n]
-        entry[n], place[n] = entry[i], i
-        block[U0 + n], block[U1 + n], block[U2 + n] = block[U0 + i], block[U1 + i], block[U2 + i]
-        block[END0 + n], block[END1 + n] = block[END0 + i], block[END1 + i]
-        block[LENGTH2 + n] = lengths2[rows[i]]
-        block[BOUND + n] = entries[entry[n], 3] * int(masks[entry[n]] != 0)
+        i = desk.left[n]
+        entry[n], desk.place[n] = entry[i], i
+        block.u0[n], block.u1[n], block.u2[n] = block.u0[i], block.u1[i], block.u2[i]
+        block.end0[n], block.end1[n] = block.end0[i], block.end1[i]
+        block.length2[n] = desk.length2[desk.rows[start + i]]
+        stratum = strata.entries[entry[n]]
+        block.bound[n] = stratum.region * int(stratum.mask != 0)
         test, stream = uniform(stream)
-        block[TEST + n] = test
+        block.test[n] = test
     store(state, stream)
 
 
 @compiled
 def _pack_boxes(
     state: np.ndarray,
-    build: Build,
+    tables: LimbTables,
     strata: Strata,
+    desk: Desk,
     size: int,
-    left: np.ndarray,
-    entry: np.ndarray,
-    block: np.ndarray,
-    boxes: np.ndarray,
-    slot: np.ndarray,
+    block: Record,
+    boxes: Record,
 ) -> int:
     """Copies the attempts whose stratum is a box to a block of their own, with random numbers for
     the lower bone. Writes to `slot` their places there as ~place, and 0 for the others; returns how
     many there are."""
-    cells, subs, entries, masks = build.cells, strata.subs, strata.entries, strata.pieces
-    stream = load(state)
-    found = 0
+    stream, found = load(state), 0
     for n in range(size):
-        i = left[n]
-        slot[n] = 0
-        if masks[entry[i]] == 0:
-            cell = np.uint64(subs[np.uint64(entries[entry[i], 2]), 0])
+        i = desk.left[n]
+        desk.slot[n] = 0
+        stratum = strata.entries[desk.entry[i]]
+        if stratum.mask == 0:
+            cell = tables.cells[strata.subs[stratum.sub].cell]
             across, stream = uniform(stream)
             along, stream = uniform(stream)
-            low, first = cells[cell, BOX], cells[cell, BOX + 2]
-            boxes[ACROSS + found] = min(1.0, max(-1.0, low + (cells[cell, BOX + 1] - low) * across))
-            boxes[ALONG + found] = first + min(cells[cell, BOX + 3] - first, 2 * np.pi) * along
-            boxes[TEST + found] = 0.0
-            if build.flat:
-                boxes[TEST + found], stream = uniform(stream)
-            _pack_hinge(cells, cell, block, i, boxes, found)
-            slot[n] = ~found
+            u2 = cell.box_low + (cell.box_high - cell.box_low) * across
+            turn = min(cell.box_last - cell.box_first, 2 * np.pi)
+            boxes.across[found] = min(1.0, max(-1.0, u2))
+            boxes.along[found] = cell.box_first + turn * along
+            boxes.test[found] = 0.0
+            if tables.flat:
+                boxes.test[found], stream = uniform(stream)
+            _pack_lower(cell, block, i, boxes, found)
+            desk.slot[n] = ~found
             found += 1
     store(state, stream)
     return found
@@ -321,60 +236,40 @@ def _pack_boxes(
 
 @compiled
 def _pack_pieces(
-    state: np.ndarray,
-    build: Build,
-    strata: Strata,
-    size: int,
-    left: np.ndarray,
-    entry: np.ndarray,
-    block: np.ndarray,
-    slot: np.ndarray,
+    state: np.ndarray, tables: LimbTables, strata: Strata, desk: Desk, size: int, block: Record
 ) -> int:
     """Packs the attempts whose stratum is made of pieces, with random numbers for the lower bone.
     Writes their places to `slot`; returns how many there are."""
-    cells, subs, entries, masks = build.cells, strata.subs, strata.entries, strata.pieces
-    stream = load(state)
-    found = 0
+    stream, found = load(state), 0
     for n in range(size):
-        if slot[n] < 0:
+        if desk.slot[n] < 0:
             continue
-        i = left[n]
-        mask = masks[entry[i]]
+        i = desk.left[n]
+        stratum = strata.entries[desk.entry[i]]
         across, stream = uniform(stream)
         along, stream = uniform(stream)
-        along *= COUNT[mask]
+        along *= COUNT[stratum.mask]
         number = int(along)
-        piece = PICK[mask, number]
-        block[ACROSS + found], block[ALONG + found] = across, along - number + piece % ROWS
-        block[SIDE + found] = 1.0 - 2.0 * int(piece >= ROWS)
-        block[TEST + found] = 0.0
-        if build.flat:
-            block[TEST + found], stream = uniform(stream)
-        block[WIDTH + found], block[LOW + found], block[HEIGHT + found] = (
-            block[WIDTH + i],
-            block[LOW + i],
-            block[HEIGHT + i],
-        )
-        block[DISTANCE + found] = block[DISTANCE + i]
-        _pack_hinge(
-            cells, np.uint64(subs[np.uint64(entries[entry[i], 2]), 0]), block, i, block, found
-        )
-        slot[n] = found
+        piece = PICK[stratum.mask, number]
+        block.across[found], block.along[found] = across, along - number + piece % ROWS
+        block.side[found] = 1.0 - 2.0 * int(piece >= ROWS)
+        block.test[found] = 0.0
+        if tables.flat:
+            block.test[found], stream = uniform(stream)
+        block.width[found], block.low[found] = block.width[i], block.low[i]
+        block.height[found], block.distance[found] = block.height[i], block.distance[i]
+        _pack_lower(tables.cells[strata.subs[stratum.sub].cell], block, i, block, found)
+        desk.slot[n] = found
         found += 1
     store(state, stream)
     return found
 
 
 @inlined
-def _pack_hinge(
-    cells: np.ndarray, cell: np.uint64, block: np.ndarray, i: int, packed: np.ndarray, n: int
-) -> None:
+def _pack_lower(cell: Record, block: Record, i: int, packed: Record, n: int) -> None:
     """What every lower bone needs of attempt `i`: its disc, its parent, its hinge."""
-    packed[CENTRE0 + n], packed[CENTRE1 + n], packed[RADIUS + n] = (
-        block[CENTRE0 + i],
-        block[CENTRE1 + i],
-        block[RADIUS + i],
-    )
-    packed[U0 + n], packed[U1 + n], packed[U2 + n] = block[U0 + i], block[U1 + i], block[U2 + i]
-    for column in range(HINGE_COLUMNS):
-        packed[HINGE + column * STRIDE + n] = cells[cell, column]
+    packed.centre0[n], packed.centre1[n] = block.centre0[i], block.centre1[i]
+    packed.radius[n] = block.radius[i]
+    packed.u0[n], packed.u1[n], packed.u2[n] = block.u0[i], block.u1[i], block.u2[i]
+    for column in range(cell.hinge.size):
+        packed.hinge[column, n] = cell.hinge[column]

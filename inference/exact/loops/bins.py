@@ -6,34 +6,22 @@ probability density / envelope; a lower bound on that decides nearly always. In 
 slices, where a factor may be unbounded, that factor is drawn by its power law instead, exactly."""
 
 import functools
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import betainc
 
 from inference.exact.loops.numbers import compiled, load, store, uniform
+from inference.exact.loops.tables import ALIAS, SLICES, LengthBins, LengthLaw
 
-SLICES = 16
+PER_BIN = 16
 """Slices a bin."""
-
-
-class LengthBins(NamedTuple):
-    """Bins of one length group. `mass` `(bins,)` prior probability; `edges` `(bins + 1,)` body
-    units; `shape` low, width of the range, a, b; `slices` `(bins · SLICES, 6)`: alias probability
-    and partner within the bin, start and width as fractions of the range, lower bound over
-    envelope, envelope."""
-
-    mass: np.ndarray
-    edges: np.ndarray
-    shape: np.ndarray
-    slices: np.ndarray
 
 
 @functools.lru_cache(maxsize=128)  # few priors, few resolutions, the same for every frame
 def length_bins(low: float, high: float, alpha: float, beta: float, number: int) -> LengthBins:
     """Cuts [low, high] (body units) with the prior's low + (high - low)·Beta(alpha, beta) into
     `number` bins."""
-    cuts = np.linspace(0, 1, number * SLICES + 1)
+    cuts = np.linspace(0, 1, number * PER_BIN + 1)
     start, end = cuts[:-1], cuts[1:]
     peak = (alpha - 1) / (alpha + beta - 2) if alpha + beta != 2 else 0.5
     # The density's extremes over a slice are at its ends, or at its one stationary point.
@@ -48,15 +36,15 @@ def length_bins(low: float, high: float, alpha: float, beta: float, number: int)
     weight[0] = envelope[0] * end[0] ** alpha / alpha
     weight[-1] = envelope[-1] * (1 - start[-1]) ** beta / beta
     floor[[0, -1]] = -1.0  # never decided by the bound alone
-    slices = np.stack(
-        [np.empty_like(start), np.empty_like(start), start, end - start, floor, envelope], axis=1
-    )
-    for index in range(number):
-        rows = slice(index * SLICES, (index + 1) * SLICES)
-        alias_table(weight[rows], slices[rows])
-    edges = low + (high - low) * cuts[::SLICES]
-    mass = np.diff(betainc(alpha, beta, cuts[::SLICES]))
-    return LengthBins(mass, edges, np.array([low, high - low, alpha, beta]), slices)
+    slices, alias = np.zeros(start.size, SLICES), np.zeros(start.size, ALIAS)
+    slices["start"], slices["width"] = start, end - start
+    slices["floor"], slices["envelope"] = floor, envelope
+    for first in range(0, start.size, PER_BIN):
+        alias_table(weight[first : first + PER_BIN], alias[first : first + PER_BIN])
+    edges = low + (high - low) * cuts[::PER_BIN]
+    mass = np.diff(betainc(alpha, beta, cuts[::PER_BIN]))
+    law = LengthLaw(float(low), float(high - low), float(alpha), float(beta))
+    return LengthBins(law, mass, edges, alias, slices)
 
 
 def _density(fraction: np.ndarray, alpha: float, beta: float) -> np.ndarray:
@@ -64,32 +52,45 @@ def _density(fraction: np.ndarray, alpha: float, beta: float) -> np.ndarray:
 
 
 @compiled
-def alias_table(weight: np.ndarray, table: np.ndarray) -> None:
-    """Walker's alias table of weights `(n,)`, not all zero: fills the first two columns of `table`
-    `(n, …)` with each entry's own share and its partner."""
-    size = weight.size
+def alias_table(weight: np.ndarray, table: np.ndarray) -> float:
+    """Fills an alias table.
+
+    Parameters
+    ----------
+    weight : `(n,)`, not all zero
+    table : `(n,)` `ALIAS`
+
+    Returns
+    -------
+    The sum of the weights.
+    """
+    size, total = weight.size, 0.0
     waiting = np.empty(size, np.int64)  # poor entries from the front, rich ones from the back
     poor, rich = 0, size
-    scale = size / weight.sum()
     for index in range(size):
-        table[index, 0], table[index, 1] = weight[index] * scale, index
-        if table[index, 0] < 1:
+        total += weight[index]
+    scale = size / total
+    for index in range(size):
+        entry = table[index]
+        entry.share, entry.partner = weight[index] * scale, index
+        if entry.share < 1:
             waiting[poor] = index
             poor += 1
         else:
             rich -= 1
             waiting[rich] = index
     while poor > 0 and rich < size:
-        taker, giver = waiting[poor - 1], waiting[rich]
+        taker, giver = table[waiting[poor - 1]], table[waiting[rich]]
         poor -= 1
-        table[taker, 1] = giver
-        table[giver, 0] -= 1 - table[taker, 0]
-        if table[giver, 0] < 1:
+        taker.partner = waiting[rich]
+        giver.share -= 1 - taker.share
+        if giver.share < 1:
+            waiting[poor] = waiting[rich]
             rich += 1
-            waiting[poor] = giver
             poor += 1
     for index in range(poor):  # what is left is full but for rounding
-        table[waiting[index], 0] = 1.0
+        table[waiting[index]].share = 1.0
+    return total
 
 
 @compiled
@@ -109,30 +110,29 @@ def _exactly(
 
 
 @compiled
-def draw_lengths(
-    shape: np.ndarray, slices: np.ndarray, index: int, state: np.ndarray, lengths: np.ndarray
-) -> None:
+def draw_lengths(bins: LengthBins, index: int, state: np.ndarray, lengths: np.ndarray) -> None:
     """Fills `lengths` `(n,)` with draws from the prior inside bin `index`, body units."""
+    law, alias, slices = bins.law, bins.alias, bins.slices
     stream = load(state)
-    low, span, alpha, beta = shape[0], shape[1], shape[2], shape[3]
-    last, first = slices.shape[0] - 1, index * SLICES
+    last, first = slices.size - 1, index * PER_BIN
     for number in range(lengths.size):
         while True:
             place, stream = uniform(stream)
             across, stream = uniform(stream)
             test, stream = uniform(stream)
-            place *= SLICES
+            place *= PER_BIN
             own = int(place)
-            partner = int(slices[first + own, 1])
+            entry = alias[first + own]
             # Without a branch, which would be guessed wrong half of the time.
-            row = first + partner + (own - partner) * int(place - own < slices[first + own, 0])
-            fraction = slices[row, 2] + slices[row, 3] * across
-            if test < slices[row, 4]:
+            row = first + entry.partner + (own - entry.partner) * int(place - own < entry.share)
+            piece = slices[row]
+            fraction = piece.start + piece.width * across
+            if test < piece.floor:
                 break
             fraction, density = _exactly(
-                row, last, slices[row, 2], slices[row, 3], across, alpha, beta
+                row, last, piece.start, piece.width, across, law.alpha, law.beta
             )
-            if test * slices[row, 5] < density:
+            if test * piece.envelope < density:
                 break
-        lengths[number] = low + span * fraction
+        lengths[number] = law.low + law.span * fraction
     store(state, stream)

@@ -8,28 +8,10 @@ instructions."""
 
 import math
 
-import numpy as np
-
 from inference.exact.loops.numbers import compiled, inlined
 from inference.exact.loops.rectangles import ROWS, SLACK, largest_rectangle, rectangle
 from inference.exact.loops.series import arcsine, cosine, sine, smaller
-
-BLOCK = 256
-STRIDE = BLOCK + 8
-"""From column to column: not a power of two, or all columns would want the same place in the
-nearest cache."""
-IMAGE0, IMAGE1, SPREAD, CHORD, TURN, MASS = (STRIDE * column for column in range(6))
-HINGE = STRIDE * 6
-OFFSET, LOW2, HIGH2, LOW3, HIGH3, BOX_AREA = (STRIDE * column for column in range(15, 21))
-GEOMETRY = 21
-"""Columns of what is known of a sub-cell: the upper bone's image (2), its length, the chord, the
-frame's turn, the prior mass over the hinge's area, the hinge's three rows in camera axes, turned to
-point from the lower bone's start to its end (9), the hinge's offset and bounds (5), the area of its
-box."""
-WEIGHT, REGION, MASK = (STRIDE * column for column in range(GEOMETRY, GEOMETRY + 3))
-"""Columns of what is found: the strata's weight, 0 where nothing is possible; the bound on the area
-of a piece, and which are kept; or the area of the hinge's box, and 0."""
-SIZE = STRIDE * (GEOMETRY + 3)
+from inference.exact.loops.tables import Record
 
 
 @compiled
@@ -42,9 +24,9 @@ def bound_regions(
     high1: float,
     low2: float,
     high2: float,
-    block: np.ndarray,
+    block: Record,
 ) -> None:
-    """Fills the last three columns of a block of `number` sub-cells; the target is the lower
+    """Fills `weight`, `region` and `mask` of a block of `number` sub-cells; the target is the lower
     bone's."""
     length1, spread1, length2, spread2 = (
         (low1 + high1) / 2,
@@ -54,13 +36,13 @@ def bound_regions(
     )
     small, large, shrink, most = radius / high2, radius / low2, 1 / length2, 1 / low2
     for n in range(number):
-        image0, image1, chord = block[IMAGE0 + n], block[IMAGE1 + n], block[CHORD + n]
+        image0, image1, chord = block.image0[n], block.image1[n], block.chord[n]
         centre0, centre1 = (
             (target0 - length1 * image0) * shrink,
             (target1 - length1 * image1) * shrink,
         )
         distance = math.sqrt(centre0 * centre0 + centre1 * centre1)
-        shift = (high1 * chord + spread1 * block[SPREAD + n] + distance * spread2) * most + SLACK
+        shift = (high1 * chord + spread1 * block.spread[n] + distance * spread2) * most + SLACK
         nearest, farthest = distance - shift, distance + shift
         nearest = nearest if nearest > 0 else 0.0
         width, lowest, _ = rectangle(nearest, large)
@@ -74,7 +56,7 @@ def bound_regions(
         scale = 1 / (distance if distance > 1e-300 else 1e-300)
         edge = farthest + large
         loose = (
-            block[TURN + n]
+            block.turn[n]
             + 1.1 * (shift * scale if apart else 2.0) * (edge if edge < 1 else 1.0)
             + SLACK
         )
@@ -103,19 +85,17 @@ def bound_regions(
         )
         count = front0 + front1 + front2 + front3 + behind0 + behind1 + behind2 + behind3
         area = largest_rectangle(nearest, farthest, large) * (1 / ROWS)
-        box = block[BOX_AREA + n]
+        box = block.box_area[n]
         use_box = box < area * count
         possible = count > 0 and nearest - large < 1
-        block[REGION + n] = box if use_box else area
-        block[MASK + n] = 0.0 if use_box else mask
-        block[WEIGHT + n] = (
-            block[MASS + n] * (box if use_box else area * count) if possible else 0.0
-        )
+        block.region[n] = box if use_box else area
+        block.mask[n] = 0.0 if use_box else mask
+        block.weight[n] = block.mass[n] * (box if use_box else area * count) if possible else 0.0
 
 
 @inlined
 def _row(
-    block: np.ndarray,
+    block: Record,
     n: int,
     first: float,
     last: float,
@@ -135,22 +115,14 @@ def _row(
 
 
 @inlined
-def _bends(block: np.ndarray, n: int, d0: float, d1: float, d2: float, reach: float) -> float:
+def _bends(block: Record, n: int, d0: float, d1: float, d2: float, reach: float) -> float:
     """1 where the hinge may allow a direction within `reach` of this one, camera axes; else 0."""
-    u1 = block[HINGE + n] * d0 + block[HINGE + STRIDE + n] * d1 + block[HINGE + 2 * STRIDE + n] * d2
-    u2 = (
-        block[HINGE + 3 * STRIDE + n] * d0
-        + block[HINGE + 4 * STRIDE + n] * d1
-        + block[HINGE + 5 * STRIDE + n] * d2
-    )
-    u3 = (
-        block[HINGE + 6 * STRIDE + n] * d0
-        + block[HINGE + 7 * STRIDE + n] * d1
-        + block[HINGE + 8 * STRIDE + n] * d2
-    )
-    least = reach - u1 - block[OFFSET + n]
-    least = smaller(least, u2 - block[LOW2 + n] + reach)
-    least = smaller(least, block[HIGH2 + n] + reach - u2)
-    least = smaller(least, u3 - block[LOW3 + n] + reach)
-    least = smaller(least, block[HIGH3 + n] + reach - u3)
+    u1 = block.normal0[n] * d0 + block.normal1[n] * d1 + block.normal2[n] * d2
+    u2 = block.second0[n] * d0 + block.second1[n] * d1 + block.second2[n] * d2
+    u3 = block.third0[n] * d0 + block.third1[n] * d1 + block.third2[n] * d2
+    least = reach - u1 - block.offset[n]
+    least = smaller(least, u2 - block.low2[n] + reach)
+    least = smaller(least, block.high2[n] + reach - u2)
+    least = smaller(least, u3 - block.low3[n] + reach)
+    least = smaller(least, block.high3[n] + reach - u3)
     return 1.0 if least >= 0 else 0.0

@@ -62,7 +62,7 @@ def _excess(model: PoseModel, limb: Limb, row: int, problem: NamedTuple) -> floa
     square = np.sum(end**2, axis=-1)
     along = np.clip(end @ target[row] / np.where(square > 0, square, 1.0), low[0], high[0])
     distance = np.linalg.norm(target[row] - along[..., None] * end, axis=-1)
-    chord = grid(1).elevation[:, 4]
+    chord = grid(1).elevation["chord"]
     missing = distance - high[0] * chord - (high[1] if row else 0.0)
     occupied = np.asarray(model.cells.occupied)[limb.upper]
     return float(np.min(np.where(occupied, missing, np.inf)) - reach[row])

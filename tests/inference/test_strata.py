@@ -26,7 +26,7 @@ from inference.exact.loops.rectangles import COUNT, ROWS, largest_rectangle, rec
 from inference.exact.loops.series import arcsine, cosine, sine, small_sine_cosine
 from inference.exact.loops.strata import Resolution, frame_turn, lower_axes
 from inference.exact.loops.strata import _stratify as stratify_loop
-from inference.exact.loops.tables import ALIAS, REGIONS, LimbProblem
+from inference.exact.loops.tables import ALIAS, REGIONS, CutLimb, LimbProblem, desk
 from inference.exact.problem import limb_problems
 from inference.exact.rates import Budget, Pooled, Rate
 from probmodel import Anatomy, PoseModel, kinematics
@@ -488,9 +488,40 @@ def test_where_nothing_is_seen_draws_are_draws_of_the_prior(upper, lower, pieces
     assert dependence(columns) > FAMILY / 2
 
 
+@pytest.mark.parametrize("upper", ["angle", "area"])
+def test_sub_cells_share_their_cells_mass(upper):
+    """What the alias table gives to the head's sub-cells, nothing seen: equal masses in measure
+    "angle", in measure "area" as much as they are high."""
+    model = PoseModel.from_anatomy(Anatomy.default(), upper=upper)
+    (strata,) = unseen(model, "head", 0, Resolution(1, 1, 3), False)._plan.strata
+    given = np.bincount(np.arange(len(strata.alias)), strata.alias["share"])
+    given += np.bincount(strata.alias["partner"], 1 - strata.alias["share"], len(given))
+    subs = strata.subs[strata.entries["sub"]]
+    wanted = subs["fall"] - subs["lift"] if upper == "area" else np.ones(len(subs))
+    np.testing.assert_allclose(given / given.sum(), wanted / wanted.sum(), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "lower", "each"), [("head", "area", 3), ("arms", "area", 6), ("arms", "box", 7)]
+)
+def test_no_random_number_is_used_twice(name, lower, each):
+    """The generator counts them: a stratum, two for the upper bone, one for the area, two for the
+    lower bone, and one where its measure is "box"."""
+    model = PoseModel.from_anatomy(Anatomy.default(), lower=lower)
+    sampler, own, number = unseen(model, name, 0, RESOLUTIONS[0], False), desk(1000), 1000
+    own.rows[:] = np.arange(number)
+    strata = sampler._plan.strata[0]
+    assert not strata.entries["mask"].any()
+    limb = CutLimb(sampler._limbs[0], sampler._anatomy.builds[0], strata)
+    state = seeded([1], 1)
+    before = int(state[3])
+    attempt_loop(state, limb, 1, number, own)
+    assert int(state[3]) - before == each * number
+
+
 def test_draws_in_discs_are_the_draws_of_the_prior_that_fall_into_them():
-    """All of them do, by the program's projection. Against draws of the strata where nothing is
-    seen: two-sample Kolmogorov–Smirnov tests of every coordinate, and the evidence within 4 standard
+    """All of them do, by the program's projection. Against draws made where nothing is seen:
+    two-sample Kolmogorov–Smirnov tests of every coordinate, the evidence within 4 standard
     errors."""
     model = PoseModel()
     frame = prior_scene(model, 2, factor=1.0)

@@ -3,7 +3,7 @@ one array.
 
 Such loops have no branches and call nothing, so that the compiler turns them into vector
 instructions; what needs look-ups or random numbers, and the packing of what is left, is done in
-loops of its own (`attempts`). A step writes to the column `PASSED` a number that is positive where
+loops of its own (`attempts`). A step writes to the column `passed` a number that is positive where
 the attempt goes on."""
 
 import math
@@ -83,8 +83,8 @@ def see_disc(number: int, target0: float, target1: float, radius: float, block: 
 
 @compiled
 def lower_in_piece(number: int, axes: Rows, reference: Reference, block: Record) -> None:
-    """The lower bone in a piece of the rectangle, `ALONG` counting from the lowest row: x across,
-    √(1-x²) sin α towards the disc's centre, in front or behind as `SIDE` says; passed where disc
+    """The lower bone in a piece of the rectangle, `along` counting from the lowest row: x across,
+    √(1-x²) sin α towards the disc's centre, in front or behind as `side` says; passed where disc
     and hinge allow it."""
     f00, f01, f02, f10, f11, f12, f20, f21, f22 = axes
     for n in range(number):
@@ -119,8 +119,8 @@ def lower_in_piece(number: int, axes: Rows, reference: Reference, block: Record)
 
 @compiled
 def lower_in_box(number: int, axes: Rows, reference: Reference, block: Record) -> None:
-    """The lower bone by area in the box around all that the hinge allows: `ACROSS` is its u2,
-    `ALONG` its α; passed as above."""
+    """The lower bone by area in the box around all that the hinge allows: `across` is its u2,
+    `along` its α; passed as above."""
     f00, f01, f02, f10, f11, f12, _, _, _ = axes
     for n in range(number):
         h2, angle = block.across[n], block.along[n]
@@ -160,7 +160,7 @@ def _in_triple(
 @inlined
 def _allowed(block: Record, n: int, d0: float, d1: float, h1: float, h2: float, h3: float) -> float:
     """Positive where the bone's end lies in its disc, the hinge allows it, and the measure keeps it
-    (`TEST` is zero for measure "area")."""
+    (`test` is zero for measure "area")."""
     off0, off1 = d0 - block.centre0[n], d1 - block.centre1[n]
     least = block.radius[n] * block.radius[n] - (off0 * off0 + off1 * off1)
     least = smaller(least, -(h1 + block.offset[n]))

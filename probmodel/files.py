@@ -108,6 +108,8 @@ def replacing(
         raise BadInput(f"cannot write {path} ({error}); {advice}") from None
     UNFINISHED.add(partial)
     try:
+        # What a killed process left, or a link that somebody laid there: never written through.
+        partial.unlink(missing_ok=True)
         yield partial
         os.replace(partial, target)
     except (OSError, RuntimeError) as error:

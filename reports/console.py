@@ -13,6 +13,7 @@ import sys
 import tempfile
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -229,7 +230,8 @@ def guarded(app: typer.Typer) -> None:
     """Runs the application; failures that have a sentence become that sentence and their exit
     code."""
     _prepare_streams()
-    with Signals() as signals:
+    with Signals() as signals, warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_: warn(str(message))
         try:
             code = app(sys.argv[1:] or ["--help"], prog_name="poseterior", standalone_mode=False)
             sys.stdout.flush()

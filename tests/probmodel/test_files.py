@@ -2,6 +2,7 @@
 
 import os
 import stat
+from pathlib import Path
 
 import pytest
 
@@ -62,3 +63,14 @@ def test_a_link_stays_a_link_and_others_may_read(tmp_path):
     assert os.path.samefile(path, link)
     plain.touch()
     assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(plain.stat().st_mode)
+
+
+def test_a_link_laid_where_something_will_be_written_is_not_followed(tmp_path: Path) -> None:
+    victim, place = tmp_path / "victim", tmp_path / "result.txt"
+    victim.write_text("mine")
+    (tmp_path / "result.txt.partial").symlink_to(victim)
+    with replacing(place) as partial:
+        partial.write_text("new")
+    assert victim.read_text() == "mine"
+    assert place.read_text() == "new"
+    assert not place.is_symlink()

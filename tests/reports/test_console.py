@@ -7,6 +7,7 @@ import resource
 import signal
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -191,3 +192,20 @@ def test_handlers_are_put_back() -> None:
         console.guarded(failing(BadInput("no")))
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
     assert signal.set_wakeup_fd(-1) == -1
+
+
+def test_a_warning_of_a_library_is_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not Python's, with the file and the line."""
+
+    def app(*_: object, **__: object) -> int:
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.warn("compiled loops are kept nowhere", stacklevel=1)
+        return 0
+
+    monkeypatch.setattr("sys.argv", ["poseterior", "demo"])
+    with pytest.raises(SystemExit):
+        console.guarded(app)  # type: ignore[arg-type]
+    assert capsys.readouterr().err == "poseterior: compiled loops are kept nowhere\n"

@@ -80,7 +80,7 @@ class Disc(ErrorLaw):
         return jnp.sqrt(jnp.asarray(uniform))
 
 
-class Detected(Distribution):
+class DetectedKeypoint(Distribution):
     """Where a joint is detected: `centre` plus an error of the law, times `spread`.
 
     Parameters

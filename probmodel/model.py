@@ -26,7 +26,7 @@ from probmodel.directions.cells import Cells
 from probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from probmodel.directions.hinges import Hinge
 from probmodel.kinematics import articulation, pose
-from probmodel.likelihood import Detected
+from probmodel.likelihood import DetectedKeypoint
 from probmodel.observation import Observation
 from probmodel.pose import Pose
 from probmodel.skeleton import BONES, NUM_LOWER
@@ -166,7 +166,7 @@ class PoseModel:
         detected = jnp.where(seen[:, None], camera.to_pixels(observation.target), keypoints)
         spread = jnp.where(seen, jnp.asarray(observation.spread) * camera.scale, 1.0)
         with numpyro.plate("joint", len(seen)), mask(mask=seen):
-            law = Detected(observation.law, keypoints, spread, validate_args=False)
+            law = DetectedKeypoint(observation.law, keypoints, spread, validate_args=False)
             numpyro.sample("detection", law, obs=detected)
         return joints
 

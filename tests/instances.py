@@ -12,7 +12,7 @@ from probmodel.anatomy.torsos import TorsoDictionary
 from probmodel.directions.cells import Cells
 from probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from probmodel.directions.hinges import Hinge
-from probmodel.likelihood import Detected, Disc
+from probmodel.likelihood import DetectedKeypoint, Disc
 
 NASTY_HINGES = {
     "published rounding": (1e-6, (-0.5, 0.6, -0.3, 0.4)),
@@ -138,9 +138,13 @@ def distributions() -> dict[str, dist.Distribution]:
         found[f"occupied {measure} {label}".strip()] = OccupiedDirection(
             Cells.build(tables[index], measure)
         )
-    found["disc"] = Detected(Disc(), jnp.array([3.0, -2.0]), jnp.array(0.5))
-    found["disc three"] = Detected(Disc(), rng.normal(size=(3, 2)), np.array([1e-3, 1.0, 300.0]))
-    found["disc two by two"] = Detected(Disc(), jnp.zeros(2), np.array([[1.0, 2.0], [3.0, 4.0]]))
+    found["disc"] = DetectedKeypoint(Disc(), jnp.array([3.0, -2.0]), jnp.array(0.5))
+    found["disc three"] = DetectedKeypoint(
+        Disc(), rng.normal(size=(3, 2)), np.array([1e-3, 1.0, 300.0])
+    )
+    found["disc two by two"] = DetectedKeypoint(
+        Disc(), jnp.zeros(2), np.array([[1.0, 2.0], [3.0, 4.0]])
+    )
     found["length"] = BoneLength(LENGTHS)
     wide = [jnp.broadcast_to(field, (3, 5)) for field in LENGTHS]
     found["length three"] = BoneLength(LengthPrior(*wide))

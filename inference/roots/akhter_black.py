@@ -41,9 +41,9 @@ EXPLAINED = 1e-8
 """Where the objective is below this nothing is left to explain."""
 
 
-class Fit(NamedTuple):
-    """A batch of fits: `terms` `(n, k)` (indices into `Problem.shapes`; 0 is the mean pose, again
-    where a fit has fewer terms), `coefficient` `(n, k)` (zero there), `rotation` `(n, 3, 3)`, and
+class PursuitFit(NamedTuple):
+    """A batch of fits: `terms` `(n, k)` (indices into `PursuitProblem.shapes`; 0 is the mean pose,
+    again where a fit has fewer terms), `coefficient` `(n, k)` (zero there), `rotation` `(n, 3, 3)`, and
     `(n,)` each `objective`, `converged`."""
 
     terms: np.ndarray
@@ -52,26 +52,26 @@ class Fit(NamedTuple):
     objective: np.ndarray
     converged: np.ndarray
 
-    def take(self, rows: np.ndarray) -> "Fit":
+    def take(self, rows: np.ndarray) -> "PursuitFit":
         """Some of the fits."""
-        return Fit(*(part[rows] for part in self))
+        return PursuitFit(*(part[rows] for part in self))
 
-    def padded(self) -> "Fit":
+    def padded(self) -> "PursuitFit":
         """With room for one more term."""
         return self._replace(
             terms=np.pad(self.terms, ((0, 0), (0, 1))),
             coefficient=np.pad(self.coefficient, ((0, 0), (0, 1))),
         )
 
-    def where(self, chosen: np.ndarray, other: "Fit") -> "Fit":
+    def where(self, chosen: np.ndarray, other: "PursuitFit") -> "PursuitFit":
         """These fits where `chosen` `(n,)`, the other ones elsewhere."""
         pairs = zip(self, other, strict=True)
-        return Fit(
+        return PursuitFit(
             *(np.where(chosen.reshape(-1, *[1] * (one.ndim - 1)), one, two) for one, two in pairs)
         )
 
 
-class Problem(NamedTuple):
+class PursuitProblem(NamedTuple):
     """What all fits of a batch share: mean pose and principal directions `(1 + B, 15, 3)`, lengths
     `(14,)`, limits, and the weights of the two terms beside C_r."""
 
@@ -166,13 +166,13 @@ def _positive(rotation: np.ndarray, coefficient: np.ndarray) -> tuple[np.ndarray
 
 def pursue(
     points: Points,
-    problem: Problem,
+    problem: PursuitProblem,
     rotation: np.ndarray,
     scale: np.ndarray,
     *,
     most_terms: int = MOST_TERMS,
     least_gain: float = LEAST_GAIN,
-) -> Fit:
+) -> PursuitFit:
     """Matching pursuit from given cameras, one a row of `points`: `rotation` `(n, 3, 3)`, `scale`
     `(n,)`."""
     fit = _at(points, problem, np.zeros((len(rotation), 1), int), scale[:, None], rotation.copy())
@@ -190,7 +190,7 @@ def pursue(
     return _settled(points, problem, fit)
 
 
-def _settled(points: Points, problem: Problem, fit: Fit) -> Fit:
+def _settled(points: Points, problem: PursuitProblem, fit: PursuitFit) -> PursuitFit:
     """What has not converged is adjusted on, fits of as many terms together; with nothing left to
     explain it has."""
     count = np.count_nonzero(fit.terms, axis=1)
@@ -209,11 +209,11 @@ def _settled(points: Points, problem: Problem, fit: Fit) -> Fit:
 
 def _at(
     points: Points,
-    problem: Problem,
+    problem: PursuitProblem,
     terms: np.ndarray,
     coefficient: np.ndarray,
     rotation: np.ndarray,
-) -> Fit:
+) -> PursuitFit:
     """Fits as given, with their objectives."""
     still = adjust(
         points.xy,
@@ -225,10 +225,12 @@ def _at(
         iterations=0,
     )
     objective = still.objective + problem.limit_cost(terms, coefficient)
-    return Fit(terms, coefficient, rotation, objective, still.converged)
+    return PursuitFit(terms, coefficient, rotation, objective, still.converged)
 
 
-def _adjusted(points: Points, problem: Problem, fit: Fit, iterations: int) -> Fit:
+def _adjusted(
+    points: Points, problem: PursuitProblem, fit: PursuitFit, iterations: int
+) -> PursuitFit:
     """Fits with camera and coefficients adjusted together, where that lowers the objective."""
     found = adjust(
         points.xy,
@@ -242,25 +244,25 @@ def _adjusted(points: Points, problem: Problem, fit: Fit, iterations: int) -> Fi
     )
     rotation, coefficient = _positive(found.rotation, found.coefficient)
     objective = found.objective + problem.limit_cost(fit.terms, coefficient)
-    new = Fit(fit.terms, coefficient, rotation, objective, found.converged)
+    new = PursuitFit(fit.terms, coefficient, rotation, objective, found.converged)
     # Where the end of an adjustment breaks a limit that its start keeps, the start is the better
     # fit, and the last.
     return new.where(new.objective <= fit.objective, fit)._replace(converged=found.converged)
 
 
-def _extended(points: Points, problem: Problem, fit: Fit) -> Fit:
+def _extended(points: Points, problem: PursuitProblem, fit: PursuitFit) -> PursuitFit:
     """Every fit with the one further term, of the `TRIED` most promising ones, that lowers its
     objective most."""
     promising = _promising(points, problem, fit)
     number, tried = promising.shape
-    each = Fit(*(np.repeat(part, tried, axis=0) for part in fit)).padded()
+    each = PursuitFit(*(np.repeat(part, tried, axis=0) for part in fit)).padded()
     each.terms[:, -1] = promising.ravel()
     every = _adjusted(points.repeat(tried), problem, each, 3)
     best = np.arange(number) * tried + every.objective.reshape(number, tried).argmin(axis=1)
     return _adjusted(points, problem, every.take(best), 10)
 
 
-def _promising(points: Points, problem: Problem, fit: Fit) -> np.ndarray:
+def _promising(points: Points, problem: PursuitProblem, fit: PursuitFit) -> np.ndarray:
     """Terms `(n, TRIED)` whose projections correlate best with what a fit leaves unexplained (OMP's
     criterion)."""
     root = np.sqrt(points.weight)[:, :, None]
@@ -297,7 +299,7 @@ def fit_akhter_black(
     for detection in detections:
         require_camera(detection)
     shapes = np.concatenate([dictionary.mean[None], dictionary.bases])
-    problem = Problem(shapes, dictionary.lengths, limits, bones_weight, limit_weight)
+    problem = PursuitProblem(shapes, dictionary.lengths, limits, bones_weight, limit_weight)
     rotation, scale = torso_cameras(points, dictionary.mean)
     fit = pursue(
         points.repeat(2), problem, rotation, scale, most_terms=most_terms, least_gain=least_gain

@@ -22,7 +22,7 @@ from probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
 _DEPTH = np.diag([1.0, 1.0, -1.0])
 
 
-class Fit(NamedTuple):
+class TorsoFit(NamedTuple):
     """Fits of many torsos: `error` `(n,)` weighted mean square, `quaternion` `(n, 4)` scaled,
     scalar last."""
 
@@ -53,7 +53,7 @@ def fit_dictionary(
     )
     # From either start the iteration may fall to either side; every fit is sorted by where it
     # ended.
-    every = Fit(
+    every = TorsoFit(
         np.concatenate([same.error, twins.error]),
         np.concatenate([same.quaternion, twins.quaternion]),
     )
@@ -114,7 +114,7 @@ def _slopes(quaternion: np.ndarray) -> np.ndarray:
     )
 
 
-def _fit(points: np.ndarray, target: np.ndarray, weight: np.ndarray, start: np.ndarray) -> Fit:
+def _fit(points: np.ndarray, target: np.ndarray, weight: np.ndarray, start: np.ndarray) -> TorsoFit:
     """Levenberg–Marquardt for n problems at once: `points` `(n, k, 3)`, `target` `(k, 2)`, `start`
     `(n, 4)`."""
     root = np.sqrt(weight)[:, None]
@@ -144,14 +144,14 @@ def _fit(points: np.ndarray, target: np.ndarray, weight: np.ndarray, start: np.n
         damping = np.clip(np.where(better, damping / 5, damping * 4), 1e-12, 1e8)
         if np.all(done & better):
             break
-    return Fit(error, quaternion)
+    return TorsoFit(error, quaternion)
 
 
 def _residual(points: np.ndarray, target: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     return target - np.einsum("nux,nkx->nku", _rows(quaternion), points)
 
 
-def _best(fit: Fit) -> np.ndarray:
+def _best(fit: TorsoFit) -> np.ndarray:
     return fit.quaternion[np.argmin(fit.error)]
 
 
@@ -167,7 +167,7 @@ def _angle(quaternions: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _candidate(
-    fit: Fit,
+    fit: TorsoFit,
     pick: int,
     torsos: np.ndarray,
     seen: np.ndarray,

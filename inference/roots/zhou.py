@@ -55,7 +55,7 @@ class Relaxed(NamedTuple):
     converged: np.ndarray
 
 
-class Problem(NamedTuple):
+class ConvexProblem(NamedTuple):
     """Points `xy` `(n, 2, 15)` with `weight` `(n, 1, 15)`, atoms side by side `(3K, 15)`, λ and
     κ."""
 
@@ -73,7 +73,7 @@ class Problem(NamedTuple):
         atoms: np.ndarray,
         penalty: float,
         threshold: float = np.inf,
-    ) -> "Problem":
+    ) -> "ConvexProblem":
         """From points `(n, 15, 2)`, weights `(n, 15)` and atoms `(K, 15, 3)`."""
         side_by_side = atoms.swapaxes(1, 2).reshape(3 * len(atoms), -1)
         return cls(xy.swapaxes(1, 2), weight[:, None], side_by_side, penalty, threshold)
@@ -145,7 +145,7 @@ class Splitting:
     """One ADMM iteration for all problems of a batch: shrink, then project onto "points = Σ M_i B_i
     + T"."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: ConvexProblem) -> None:
         self.problem = problem
         self._atoms = problem.atoms - problem.atoms.mean(
             axis=1, keepdims=True
@@ -224,7 +224,7 @@ def relax(
 
     `threshold` is κ of the robust variant. Frames leave the batch as they converge.
     """
-    whole = Problem.build(xy, weight, atoms, penalty, threshold)
+    whole = ConvexProblem.build(xy, weight, atoms, penalty, threshold)
     found, translation = np.zeros((len(xy), 2, 3 * len(atoms))), np.zeros((len(xy), 2))
     iterations, converged = np.full(len(xy), max_iterations), np.zeros(len(xy), bool)
     left = np.arange(len(xy))

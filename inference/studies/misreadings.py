@@ -49,7 +49,7 @@ RIGHT = "right"
 
 
 @dataclasses.dataclass(frozen=True)
-class View:
+class FileView:
     """A projected pose: the `detection`, its points `(17, 3)` in COCO's order, and degrees from a
     frontal view."""
 
@@ -58,7 +58,7 @@ class View:
     angle: float
 
 
-def views(motions: Path, count: int, seed: int, noise: float = NOISE) -> Iterator[View]:
+def views(motions: Path, count: int, seed: int, noise: float = NOISE) -> Iterator[FileView]:
     """Poses of all kinds of action, from random sides."""
     joints = np.concatenate([motion.joints[::7] for motion in read_motion(motions)])
     rng = np.random.default_rng(seed)
@@ -67,7 +67,7 @@ def views(motions: Path, count: int, seed: int, noise: float = NOISE) -> Iterato
         yield view_of(body, rng, noise)
 
 
-def view_of(body: np.ndarray, rng: np.random.Generator, noise: float = NOISE) -> View:
+def view_of(body: np.ndarray, rng: np.random.Generator, noise: float = NOISE) -> FileView:
     """`body` `(15, 3)` (body units) from a random side, tilted by up to 20°."""
     lens = camera(rng.uniform(0, 360), rng.uniform(-20, 20), SCALE)
     axes = _chest(body)
@@ -92,7 +92,7 @@ def view_of(body: np.ndarray, rng: np.random.Generator, noise: float = NOISE) ->
         keypoints[JOINT_INDEX[name]] = exact[name] + rng.normal(size=2) * SCALE * noise
     aside = min(1.0, abs((np.asarray(lens.rotation) @ axes[:, 2])[0]))
     detection = dataclasses.replace(detection, keypoints=keypoints)
-    return View(detection, points, float(np.degrees(np.arcsin(aside))))
+    return FileView(detection, points, float(np.degrees(np.arcsin(aside))))
 
 
 def _chest(body: np.ndarray) -> np.ndarray:
@@ -166,7 +166,7 @@ def exchanges(person: Detection, found: Evidences) -> dict[str, Verdict]:
     return right | {kind: seen_as(kind, person, *found) for kind in kinds}
 
 
-def others(judge: Judge, view: View, found: Evidences) -> dict[str, Verdict]:
+def others(judge: Judge, view: FileView, found: Evidences) -> dict[str, Verdict]:
     """Verdicts on mistakes that are no exchange: mirrored images, other orders, other sizes."""
     mirror, upside = mirrored(view.detection, 0), mirrored(view.detection, 1)
     opposite = judge.evidence(exchanged(mirror, *BODY))
@@ -194,7 +194,7 @@ class Study:
     asymmetry: list[float]
 
 
-def study(judge: Judge, scenes: Iterator[View], first: int) -> Study:
+def study(judge: Judge, scenes: Iterator[FileView], first: int) -> Study:
     """Judges every view; of the `first` ones also the mistakes that are no exchange."""
     result = Study({}, [], [])
     for number, view in enumerate(scenes):

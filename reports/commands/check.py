@@ -22,7 +22,7 @@ LARGEST = 1e9
 """No coordinate may be larger: the squares of larger numbers overflow."""
 
 
-class Poses(NamedTuple):
+class PosesToCheck(NamedTuple):
     """Poses `joints` `(n, 15, 3)` of a file, and what each is called."""
 
     joints: np.ndarray
@@ -48,7 +48,7 @@ def run(settings: CheckSettings, screen: Screen) -> None:
     console.say(f"{check.pose_valid.sum():,} of {len(poses.names):,} poses in {path} are possible.")
 
 
-def read_poses(path: Path) -> Poses:
+def read_poses(path: Path) -> PosesToCheck:
     """The poses of a file: posterior.nc, prior.nc, hypotheses.json, .amc, .bvh, or an array `(…,
     15, 3)` in .npy or .npz (motion capture's `(…, 17, 3)` too). Raises `BadInput` on anything
     else."""
@@ -66,15 +66,15 @@ def read_poses(path: Path) -> Poses:
     return readers[suffix](path)
 
 
-def _from_motion(path: Path) -> Poses:
+def _from_motion(path: Path) -> PosesToCheck:
     motions = read_motion(path)
     names = [
         f"{motion.name}, frame {frame}" for motion in motions for frame in range(len(motion.joints))
     ]
-    return Poses(np.concatenate([motion.joints for motion in motions]), names)
+    return PosesToCheck(np.concatenate([motion.joints for motion in motions]), names)
 
 
-def _from_tree(path: Path) -> Poses:
+def _from_tree(path: Path) -> PosesToCheck:
     what, advice = "file of poses of poseterior", "write one with `poseterior sample`"
     found = read_netcdf(path, _VARIABLES, what, advice)
     if not found:
@@ -82,7 +82,7 @@ def _from_tree(path: Path) -> Poses:
     return _numbered(next(found[name] for name in _VARIABLES if name in found), "draw", path)
 
 
-def _from_json(path: Path) -> Poses:
+def _from_json(path: Path) -> PosesToCheck:
     advice = "give a hypotheses.json of poseterior, or a .nc"
     content = read_json(path, "hypotheses.json of poseterior", advice)
     try:
@@ -96,21 +96,21 @@ def _from_json(path: Path) -> Poses:
     return _numbered(joints, "hypothesis", path, first=1)
 
 
-def _from_array(path: Path) -> Poses:
+def _from_array(path: Path) -> PosesToCheck:
     joints = read_array(path, "NumPy array of numbers", "save joints with numpy.save")
     return _numbered(joints, "pose", path)
 
 
-def _numbered(joints: np.ndarray, kind: str, path: Path, *, first: int = 0) -> Poses:
+def _numbered(joints: np.ndarray, kind: str, path: Path, *, first: int = 0) -> PosesToCheck:
     if joints.ndim < 2 or joints.shape[-2:] != (NUM_JOINTS, 3) or joints.dtype.kind not in "fiu":
         raise BadInput(
             f"{path} has shape {joints.shape} and type {joints.dtype}; it needs numbers (…, 15, 3)"
         )
     joints = joints.reshape(-1, NUM_JOINTS, 3).astype(float)
-    return Poses(joints, [f"{kind} {first + number}" for number in range(len(joints))])
+    return PosesToCheck(joints, [f"{kind} {first + number}" for number in range(len(joints))])
 
 
-def _require_poses(poses: Poses, path: Path) -> None:
+def _require_poses(poses: PosesToCheck, path: Path) -> None:
     """Raises `BadInput`, naming pose and joint or bone, where a pose has no direction to check."""
     joints, names = poses
     if not len(joints):

@@ -53,7 +53,7 @@ WIDTH, HIGHEST = 10.5, 4.2
 """Inches: the width of the page, and the most that its panels are high."""
 
 
-class View(NamedTuple):
+class Pane(NamedTuple):
     """A panel: its title, which camera axis runs across the page and which along it, whether the
     latter points down, and a word on the depth."""
 
@@ -74,9 +74,9 @@ class Pen(NamedTuple):
 
 
 VIEWS = (
-    View("From the camera", 0, 1, True, ""),
-    View("From the side", 2, 1, True, "→ away from the camera"),
-    View("From above", 0, 2, False, "↑ away from the camera"),
+    Pane("From the camera", 0, 1, True, ""),
+    Pane("From the side", 2, 1, True, "→ away from the camera"),
+    Pane("From above", 0, 2, False, "↑ away from the camera"),
 )
 
 
@@ -165,7 +165,7 @@ def _image_size(image: np.ndarray) -> tuple[int, int]:
     return image.shape[1], image.shape[0]
 
 
-def _extent(draws: np.ndarray, named: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
+def _extent(draws: np.ndarray, named: np.ndarray, view: Pane) -> tuple[np.ndarray, np.ndarray]:
     """Corners of a view, body units, that hold all of the `named` poses `(n, 15, 3)` and nearly all
     of the draws."""
     flat = [view.across, view.along]
@@ -230,7 +230,7 @@ def _draw_detections(
 
 def _draw_view(
     axis: Axes,
-    view: View,
+    view: Pane,
     draws: np.ndarray,
     hypotheses: Sequence["Hypothesis"],
     truth: np.ndarray | None,

@@ -17,7 +17,7 @@ HUNG, BROKEN = PALETTE[:2]
 RING = "#BBBBBB"
 
 
-class Miss(NamedTuple):
+class Exclusion(NamedTuple):
     """A true pose that its posterior excludes.
 
     Attributes
@@ -44,7 +44,7 @@ class Miss(NamedTuple):
     reasons: list[Reason]
 
 
-def misses_figure(misses: Sequence[Miss]) -> Figure:
+def misses_figure(misses: Sequence[Exclusion]) -> Figure:
     """Each miss from the camera (with detections and discs) and from the side; what is broken is
     orange."""
     figure = page(3.5 * len(misses), 5.0)
@@ -69,7 +69,7 @@ def misses_figure(misses: Sequence[Miss]) -> Figure:
     return figure
 
 
-def _draw_detections(axes: Axes, miss: Miss, broken: set[int]) -> None:
+def _draw_detections(axes: Axes, miss: Exclusion, broken: set[int]) -> None:
     for joint in np.flatnonzero(np.isfinite(miss.keypoints).all(axis=1)).tolist():
         bad, place = joint in broken, miss.keypoints[joint]
         axes.plot(*place, "+", color=BROKEN if bad else INK, ms=5, mew=1)

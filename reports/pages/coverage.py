@@ -31,7 +31,7 @@ from inference.studies.calibration.quantities import ENERGY_BALL, LOG_DENSITY, T
 from inference.studies.calibration.real import TRUE, instances
 from probmodel.datasets import Case
 from reports.figures.coverage import controls_figure, coverage_figure, ranks_figure
-from reports.figures.misses import Miss, misses_figure
+from reports.figures.misses import Exclusion, misses_figure
 from reports.pages.page import Values, in_doubles, write_page
 from reports.pages.real import (
     CELLS,
@@ -131,11 +131,11 @@ def reasons_of(trees: Trees, *, estimated: bool) -> tuple[list[Rank], int]:
     return ranking([from_text(text) for text in texts]), len(texts)
 
 
-def misses(work: Path, data: Path, labels: Sequence[str]) -> list[Miss]:
+def misses(work: Path, data: Path, labels: Sequence[str]) -> list[Exclusion]:
     """One picture for each reason: of the instances that it excludes, those with the fewest other
     reasons first, the one at a quarter."""
     held = hold_out(work, data)
-    found: dict[str, list[tuple[int, Miss]]] = {label: [] for label in labels}
+    found: dict[str, list[tuple[int, Exclusion]]] = {label: [] for label in labels}
     some = cases(held, "detector")
     for estimator in ESTIMATORS:
         views = instances(some, held.model, estimator, poses=held.dictionary, num_candidates=1)
@@ -149,13 +149,13 @@ def misses(work: Path, data: Path, labels: Sequence[str]) -> list[Miss]:
     return [many[len(many) // 4][1] for many in chosen]
 
 
-def _miss(title: str, case: Case, instance: Instance, why: list[Reason], label: str) -> Miss:
+def _miss(title: str, case: Case, instance: Instance, why: list[Reason], label: str) -> Exclusion:
     candidate = instance.frame.candidates[0]
     joints = hung(case, candidate) * float(candidate.camera.scale)
     pixels = joints + np.append(np.asarray(candidate.camera.translation), 0.0)
     first = sorted(why, key=lambda reason: reason.label != label)
     radius = instance.frame.observation.reach * candidate.camera.scale
-    return Miss(title, case.detection.keypoints, radius, case.pixels, pixels, first)
+    return Exclusion(title, case.detection.keypoints, radius, case.pixels, pixels, first)
 
 
 def choices_table(found: xr.Dataset) -> Sheet:

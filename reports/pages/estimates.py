@@ -36,7 +36,7 @@ PIXELS = 0.2
 """Pixels a millimetre."""
 
 
-class Held(NamedTuple):
+class HeldOut(NamedTuple):
     """One person's poses `(n, 15, 3)` (mm, Y up), the trial of each, and what was learned from
     everybody else."""
 
@@ -46,7 +46,7 @@ class Held(NamedTuple):
     anatomy: Anatomy
 
 
-def hold_out(motions: Sequence[Motion], subject: str) -> Held:
+def hold_out(motions: Sequence[Motion], subject: str) -> HeldOut:
     """Some poses of a person, and what is learned without that person."""
     own = [motion for motion in motions if motion.subject == subject]
     others = without(motions, [subject])
@@ -56,10 +56,10 @@ def hold_out(motions: Sequence[Motion], subject: str) -> Held:
         chosen = np.linspace(0, len(joints) - 1, PER_TRIAL + 2).astype(int)[1:-1]
         poses.append(joints[chosen])
         trial += [motion.name] * PER_TRIAL
-    return Held(np.concatenate(poses), np.array(trial), learn_dictionary(others), learn(others))
+    return HeldOut(np.concatenate(poses), np.array(trial), learn_dictionary(others), learn(others))
 
 
-class Case(NamedTuple):
+class NoisyPose(NamedTuple):
     """A pose in camera axes `truth` `(15, 3)` mm, a detection of it, and the number of its pose."""
 
     truth: np.ndarray
@@ -83,8 +83,8 @@ def one_view_of_some(number: int) -> list[int]:
 
 
 def cases(
-    held: Held, noise: float, missing: int, views: Callable[[int], Iterable[int]], seed: int = 0
-) -> list[Case]:
+    held: HeldOut, noise: float, missing: int, views: Callable[[int], Iterable[int]], seed: int = 0
+) -> list[NoisyPose]:
     """Every pose from some of the `VIEWS`. With more joints missing the same ones are, and others
     besides; the noise of a pose and view is the same at every level, only larger."""
     found = []
@@ -97,11 +97,13 @@ def cases(
             score[rng.permutation(LIMB_JOINTS)[:missing]] = 0
             points = PIXELS * (truth[:, :2] + offset) + MIDDLE
             keypoints = np.where(score[:, None] > 0, points, np.nan)
-            found.append(Case(truth, Detection(keypoints, score, "synthetic", "a pose", 0), number))
+            found.append(
+                NoisyPose(truth, Detection(keypoints, score, "synthetic", "a pose", 0), number)
+            )
     return found
 
 
-def estimates(held: Held, some: Sequence[Case], method: str) -> list[Estimate]:
+def estimates(held: HeldOut, some: Sequence[NoisyPose], method: str) -> list[Estimate]:
     """With what was learned from others."""
     return inference.estimate_torsos(
         [case.detection for case in some],
@@ -112,7 +114,7 @@ def estimates(held: Held, some: Sequence[Case], method: str) -> list[Estimate]:
     )
 
 
-def single_errors(held: Held, some: Sequence[Case], method: str) -> np.ndarray:
+def single_errors(held: HeldOut, some: Sequence[NoisyPose], method: str) -> np.ndarray:
     """Errors `(n,)` of the single estimates."""
     truth = np.stack([case.truth for case in some])
     if method == MEAN:
@@ -130,7 +132,7 @@ class Sampled(NamedTuple):
     any_draw: float
 
 
-def sampled_errors(held: Held, some: Sequence[Case], method: str) -> list[Sampled | None]:
+def sampled_errors(held: HeldOut, some: Sequence[NoisyPose], method: str) -> list[Sampled | None]:
     """None where no pose was possible, or too few within the budget."""
     model = PoseModel.from_anatomy(held.anatomy)
     found: list[Sampled | None] = []
@@ -157,7 +159,7 @@ class Singles(NamedTuple):
     subject: np.ndarray
 
 
-def study_singles(people: Mapping[str, Held]) -> Singles:
+def study_singles(people: Mapping[str, HeldOut]) -> Singles:
     """Four views of every pose, with all noise and missing joints."""
     errors: dict[tuple[str, float, int], np.ndarray] = {}
     for noise in NOISE:
@@ -175,7 +177,7 @@ def study_singles(people: Mapping[str, Held]) -> Singles:
     return Singles(errors, trial, np.array([name[:2] for name in trial]))
 
 
-class Drawn(NamedTuple):
+class Scores(NamedTuple):
     """By (method, missing): `(n, 3)` errors of `Sampled` and the trial of each; counts of cases
     without draws."""
 
@@ -184,9 +186,9 @@ class Drawn(NamedTuple):
     lost: dict[tuple[str, int], int]
 
 
-def study_draws(people: Mapping[str, Held]) -> Drawn:
+def study_draws(people: Mapping[str, HeldOut]) -> Scores:
     """One view of some poses, the views taking turns; true 2D."""
-    drawn = Drawn({}, {}, {})
+    drawn = Scores({}, {}, {})
     for at in [(method, missing) for method in DRAWN_METHODS for missing in MISSING]:
         method, missing = at
         errors, trial, lost = [], [], 0
@@ -203,7 +205,7 @@ def study_draws(people: Mapping[str, Held]) -> Drawn:
     return drawn
 
 
-def turned(case: Case, angle: float) -> Case:
+def turned(case: NoisyPose, angle: float) -> NoisyPose:
     """The detection after a rotation of the image about its middle, degrees."""
     turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()[:2, :2]
     keypoints = (case.detection.keypoints - MIDDLE) @ turn.T + MIDDLE

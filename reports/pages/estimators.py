@@ -33,8 +33,8 @@ from reports.pages.estimates import (
     MISSING,
     NOISE,
     SCORE,
-    Drawn,
-    Held,
+    HeldOut,
+    Scores,
     Singles,
     cases,
     estimates,
@@ -95,7 +95,7 @@ def differences_table(singles: Singles) -> Sheet:
     return sheet_of(("noise", "missing", *(f"{NAMES[a]} − {NAMES[b]}" for a, b in pairs)), rows)
 
 
-def draws_table(drawn: Drawn) -> Sheet:
+def draws_table(drawn: Scores) -> Sheet:
     """Single estimates, the best of five, the best of all draws."""
     rows = []
     for (method, missing), errors in drawn.errors.items():
@@ -118,15 +118,15 @@ def draws_table(drawn: Drawn) -> Sheet:
 Fits = list[tuple[Candidate, ...]]
 
 
-def _akhter_black(held: Held, seen: list[Detection], **options: Any) -> Fits:
+def _akhter_black(held: HeldOut, seen: list[Detection], **options: Any) -> Fits:
     return fit_akhter_black(seen, held.dictionary, held.anatomy.limits, **options)
 
 
-def _zhou(held: Held, seen: list[Detection], **options: Any) -> Fits:
+def _zhou(held: HeldOut, seen: list[Detection], **options: Any) -> Fits:
     return fit_zhou(seen, held.dictionary, **options)
 
 
-VARIANTS: dict[str, Callable[[Held, list[Detection]], Fits]] = {
+VARIANTS: dict[str, Callable[[HeldOut, list[Detection]], Fits]] = {
     "Akhter & Black": _akhter_black,
     "… without limits (C_p)": functools.partial(_akhter_black, limit_weight=0.0),
     "… without bone lengths (C_l)": functools.partial(_akhter_black, bones_weight=0.0),
@@ -135,7 +135,7 @@ VARIANTS: dict[str, Callable[[Held, list[Detection]], Fits]] = {
 }
 
 
-def ablation_table(people: Mapping[str, Held]) -> Sheet:
+def ablation_table(people: Mapping[str, HeldOut]) -> Sheet:
     """What the parts of the two estimators are worth: every joint seen, by noise."""
     rows = [
         (name, *(_ablated(people, fit, noise) for noise in NOISE)) for name, fit in VARIANTS.items()
@@ -144,7 +144,7 @@ def ablation_table(people: Mapping[str, Held]) -> Sheet:
 
 
 def _ablated(
-    people: Mapping[str, Held], fit: Callable[[Held, list[Detection]], Fits], noise: float
+    people: Mapping[str, HeldOut], fit: Callable[[HeldOut, list[Detection]], Fits], noise: float
 ) -> Interval:
     errors, trial = [], []
     for held in people.values():
@@ -158,7 +158,7 @@ def _ablated(
     return clustered(np.concatenate(errors), np.concatenate(trial))
 
 
-def rotation_table(people: Mapping[str, Held]) -> Sheet:
+def rotation_table(people: Mapping[str, HeldOut]) -> Sheet:
     """Mean error with the image turned, 2 % noise, one joint missing; and the largest change of any
     pose's error."""
     rows: list[tuple[Any, ...]] = []
@@ -183,7 +183,7 @@ def rotation_table(people: Mapping[str, Held]) -> Sheet:
     return sheet_of(head, rows)
 
 
-def speed_table(held: Held) -> Sheet:
+def speed_table(held: HeldOut) -> Sheet:
     """Milliseconds a frame, the best of some runs of 64 frames together, and of one frame alone."""
     some = cases(held, 0.02, 1, lambda number: range(len(VIEWS)))[:SEVERAL]
     rows: list[tuple[Any, ...]] = []
@@ -255,7 +255,7 @@ def recovered(candidate: Candidate, truth: np.ndarray) -> bool:
     return bool(np.linalg.norm(found - true) <= 1e-3 * np.linalg.norm(true))
 
 
-def picture(singles: Singles, drawn: Drawn) -> Figure:
+def picture(singles: Singles, drawn: Scores) -> Figure:
     """Single estimates under noise; beside the best of five, with joints missing."""
     errors, trial = singles.errors, singles.trial
     by_noise = {

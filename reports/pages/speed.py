@@ -42,7 +42,7 @@ NUMBERS = 23
 STREAM_FRAMES = 32
 
 
-class Cost(NamedTuple):
+class FrameCost(NamedTuple):
     """Of one frame.
 
     Attributes
@@ -123,7 +123,7 @@ def naive_proposal(model: PoseModel, frame: Estimate) -> float:
     return timed(lambda: run(1)) / BATCH
 
 
-def cost(model: PoseModel, frame: Estimate, naive: float) -> Cost:
+def cost(model: PoseModel, frame: Estimate, naive: float) -> FrameCost:
     """Times one frame, its one candidate known."""
     started, budget = time.perf_counter(), Budget(10**12)
     (candidate,) = root_samplers(frame.posterior(model), jax.random.key(0), "rejection")
@@ -136,7 +136,7 @@ def cost(model: PoseModel, frame: Estimate, naive: float) -> Cost:
     }
     last = {name: sampler.rates[0].rates[-1] for name, sampler in groups.items()}
     evidence = {name: np.exp(sampler.rates[0].log_probability) for name, sampler in groups.items()}
-    return Cost(
+    return FrameCost(
         set_up=timed(lambda: [group.plan_at(group.level) for group in groups.values()], 1),
         seconds=seconds,
         arms=last["arms"].accepted / last["arms"].proposed,
@@ -150,9 +150,11 @@ def _digits(value: float) -> str:
     return f"{value:,.3g}" if value < 1000 else f"{value:,.0f}"
 
 
-def costs_table(costs: Sequence[Cost], floor: float) -> Sheet:
+def costs_table(costs: Sequence[FrameCost], floor: float) -> Sheet:
     """Costs over the frames: smallest, quartiles, largest."""
-    columns = {name: np.array([getattr(item, name) for item in costs]) for name in Cost._fields}
+    columns = {
+        name: np.array([getattr(item, name) for item in costs]) for name in FrameCost._fields
+    }
     rate = np.array([item.rate for item in costs])
     lines = {
         "whole bodies a second": rate,

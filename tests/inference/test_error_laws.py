@@ -16,7 +16,7 @@ from scipy.stats import ks_2samp
 
 import inference
 from probmodel import Disc, ErrorLaw, PoseModel
-from probmodel.likelihood import Detected
+from probmodel.likelihood import DetectedKeypoint
 from probmodel.skeleton import GROUPS
 from tests.brute_force import brute_force
 from tests.scenes import key, prior_scene
@@ -52,7 +52,7 @@ def test_a_law_is_normalised_and_its_draws_follow_it(law):
         return 2 * np.pi * distance * np.exp(law.log_peak) * ratio
 
     assert integrate.quad(ring, 0, law.reach)[0] == pytest.approx(1, abs=1e-9)
-    drawn = Detected(law, jnp.array([3.0, -2.0]), 0.5).sample(key(1), (10_000,))
+    drawn = DetectedKeypoint(law, jnp.array([3.0, -2.0]), 0.5).sample(key(1), (10_000,))
     far = np.linalg.norm(np.asarray(drawn) - [3.0, -2.0], axis=-1) / 0.5
     grid = np.linspace(0, law.reach, 400)
     mass = np.array([integrate.quad(ring, 0, distance)[0] for distance in grid])

@@ -22,7 +22,7 @@ from inference.readings import (
     stretched,
     together,
 )
-from inference.studies.misreadings import View, mirrored, seen_as, views
+from inference.studies.misreadings import FileView, mirrored, seen_as, views
 from probmodel import Anatomy, Detection, PoseModel, read_detections
 from probmodel.detections import FACE
 from probmodel.layouts import COCO_17, H36M_17, MPII_16
@@ -52,7 +52,7 @@ def standing(layout=COCO_17) -> Detection:
 
 
 @functools.cache
-def scenes(data: Path) -> tuple[View, ...]:
+def scenes(data: Path) -> tuple[FileView, ...]:
     return tuple(views(data / "cmu" / "actions_train.npz", EVERYONE, seed=11))
 
 

@@ -182,7 +182,7 @@ def test_the_distance_to_the_fixed_point_never_rises(threshold):
     """ADMM's objective may rise, but with a fixed step its state comes nearer to its limit with
     every iteration."""
     xy, weight = problems(6, missing=1, seed=4)
-    splitting = zhou.Splitting(zhou.Problem.build(xy, weight, FEW, PENALTY, threshold))
+    splitting = zhou.Splitting(zhou.ConvexProblem.build(xy, weight, FEW, PENALTY, threshold))
     state = splitting.start(PENALTY)
     path = [state]
     for _ in range(4000):

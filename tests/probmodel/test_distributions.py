@@ -14,7 +14,7 @@ from probmodel.anatomy.lengths import BoneLength
 from probmodel.anatomy.torsos import TorsoDictionary
 from probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from probmodel.directions.hinges import Hinge
-from probmodel.likelihood import Detected
+from probmodel.likelihood import DetectedKeypoint
 from tests.goodness import chi_square, floor, uniform_each
 from tests.instances import LENGTHS, distributions
 
@@ -286,7 +286,7 @@ def test_sample_and_transport_of_directions_are_one_law() -> None:
 
 
 @pytest.mark.parametrize(
-    "law", [OccupiedDirection, HingedDirection, BoneLength, Detected, TorsoDictionary]
+    "law", [OccupiedDirection, HingedDirection, BoneLength, DetectedKeypoint, TorsoDictionary]
 )
 def test_custom_laws_say_what_they_are(law: type) -> None:
     assert issubclass(law, dist.Distribution)

@@ -113,7 +113,7 @@ def test_facing_counts_by_angle() -> None:
 
 
 def test_costs_are_shown_by_quartiles() -> None:
-    costs = [speed.Cost(0.02, second, 0.1, 0.2, 30.0, 2e-3) for second in (0.5, 1.0, 2.0)]
+    costs = [speed.FrameCost(0.02, second, 0.1, 0.2, 30.0, 2e-3) for second in (0.5, 1.0, 2.0)]
     rows = {row[0]: row[1:] for row in speed.costs_table(costs, floor=1e-6).texts()}
     assert rows["whole bodies a second"][::2] == ["50,000", "100,000", "200,000"]
     assert rows["set-up, ms"] == ["20"] * 5

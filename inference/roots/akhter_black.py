@@ -43,8 +43,8 @@ EXPLAINED = 1e-8
 
 class PursuitFit(NamedTuple):
     """A batch of fits: `terms` `(n, k)` (indices into `PursuitProblem.shapes`; 0 is the mean pose,
-    again where a fit has fewer terms), `coefficient` `(n, k)` (zero there), `rotation` `(n, 3, 3)`, and
-    `(n,)` each `objective`, `converged`."""
+    again where a fit has fewer terms), `coefficient` `(n, k)` (zero there), `rotation` `(n, 3,
+    3)`, and `(n,)` each `objective`, `converged`."""
 
     terms: np.ndarray
     coefficient: np.ndarray

@@ -25,6 +25,7 @@ from probmodel.learning.poses import LEARNING_RATE, Poses, gather, read_all
 from probmodel.learning.sphere import cell_areas, cell_centres, fibonacci
 from probmodel.learning.tolerance import Tolerance
 from probmodel.learning.torsos import learn_torsos
+from probmodel.model import PoseModel
 from probmodel.motion import Motion, read_motion
 from probmodel.skeleton import JOINT_INDEX, LENGTH_GROUPS, NUM_JOINTS
 
@@ -115,6 +116,7 @@ def test_more_tolerance_contains_less() -> None:
     assert (overlap(wide, tight).area[:5] > overlap(tight, wide).area[:5]).all()
 
 
+@pytest.mark.slow
 def test_learning_twice_gives_the_same_and_other_motion_gives_other_limits() -> None:
     first, again, other = (learn([some_motion(seed=seed)]) for seed in (0, 0, 1))
     assert first.limits.sha256 == again.limits.sha256
@@ -251,6 +253,7 @@ def test_overlap_of_limits_with_themselves(walker: Anatomy) -> None:
     assert cell_areas().sum() == pytest.approx(4 * np.pi)
 
 
+@pytest.mark.slow
 def test_overlap_by_hand() -> None:
     """Upper bones: a hemisphere against a quarter. Lower bones: everything but a hemisphere against
     a lune of it."""
@@ -458,16 +461,59 @@ def test_all_frames_of_the_data_are_valid_under_the_embedded_limits(shared_data:
     assert Anatomy.default().limits.check(joints).valid.all()
 
 
+def equal_cells(one: AnatomicalLimits, other: AnatomicalLimits) -> np.ndarray:
+    """`(4, 120, 60)` bool: whether the plane and the box of a cell are the same in both, bit for
+    bit, or there is none in either."""
+    found = np.ones(np.shape(one.offset), bool)
+    for name in ("normal", "tangent", "offset", "bounds"):
+        mine, theirs = (np.asarray(getattr(limits, name)) for limits in (one, other))
+        same = (mine == theirs) | (np.isnan(mine) & np.isnan(theirs))
+        found &= same.reshape(*found.shape, -1).all(axis=-1)
+    return found
+
+
 @pytest.mark.slow
-def test_the_embedded_anatomy_can_be_rebuilt(shared_data: Path, tmp_path: Path) -> None:
+def test_the_embedded_anatomy_can_be_rebuilt(shared_data: Path) -> None:
+    """To the last bit but for cells with straight knees and elbows: those lie on the very borders
+    of the cubes by which a cell's directions are thinned, so rounding, which differs between
+    processors, picks others of them. 97.8 % of the cells were the same on a processor other than
+    the first, the areas of the rest within 10 %; twice that is allowed."""
     steps: list[str] = []
 
     def progress(what: str, done: int, total: int) -> None:
         steps.append(what)
 
     rebuilt = learn(read_all(sources(shared_data), progress), progress=progress)
-    rebuilt.save(tmp_path / "limits.npz")
-    file = Path(__file__).parents[2] / "probmodel" / "data" / "limits.npz"
-    assert_same(rebuilt, Anatomy.default())
-    assert (tmp_path / "limits.npz").read_bytes() == file.read_bytes()
+    embedded = Anatomy.default()
+    np.testing.assert_array_equal(np.array(rebuilt.lengths), np.array(embedded.lengths))
+    np.testing.assert_array_equal(rebuilt.torsos, embedded.torsos)
+    np.testing.assert_array_equal(rebuilt.limits.occupied, embedded.limits.occupied)
+    fitted = np.isfinite(embedded.limits.offset)
+    np.testing.assert_array_equal(np.isfinite(rebuilt.limits.offset), fitted)
+    same = equal_cells(rebuilt.limits, embedded.limits)
+    assert same[fitted].mean() > 0.955
+    areas = [
+        np.asarray(PoseModel.from_anatomy(one).hinges.total)[fitted & ~same]
+        for one in (rebuilt, embedded)
+    ]
+    assert np.all(np.abs(np.log(areas[0] / areas[1])) < 0.2)
+    # It can fail: the tables of one limb in the place of another's are hardly anywhere the same.
+    rolled = dataclasses.replace(
+        embedded.limits,
+        **{
+            name: np.roll(np.asarray(getattr(embedded.limits, name)), 1, axis=0)
+            for name in ("normal", "tangent", "offset", "bounds")
+        },
+    )
+    assert equal_cells(rolled, embedded.limits)[fitted].mean() < 0.1
     assert steps[0].startswith("reading")
+
+
+def test_the_embedded_file_is_what_saving_it_writes(tmp_path: Path) -> None:
+    Anatomy.default().save(tmp_path / "limits.npz")
+    file = Path(__file__).parents[2] / "probmodel" / "data" / "limits.npz"
+    with np.load(tmp_path / "limits.npz") as saved, np.load(file) as shipped:
+        assert saved.files == shipped.files
+        for name in set(saved.files) - {"name"}:
+            assert saved[name].dtype == shipped[name].dtype
+            np.testing.assert_array_equal(saved[name], shipped[name])

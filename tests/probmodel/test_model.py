@@ -229,6 +229,7 @@ def test_gradient_of_the_potential_is_finite(model, latents, observation) -> Non
     assert all(np.isfinite(part).all() for part in gradient.values())
 
 
+@pytest.mark.slow
 def test_nuts_runs_from_a_possible_start(model, latents, observation) -> None:
     """With wide discs, and 100 steps to find the step size: the chain moves, and every draw is
     possible."""

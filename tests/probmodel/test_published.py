@@ -71,6 +71,7 @@ def test_valid_shares_of_the_action_set(
         assert_shares(valid.mean(axis=0), valid.all(axis=-1).mean(), rows[f"train {name}"])
 
 
+@pytest.mark.slow
 def test_valid_shares_of_every_recording(published: AnatomicalLimits, shared_data: Path) -> None:
     rows = expected_shares(shared_data)
     motions = [motion.at_rate(30) for motion in read_motion(shared_data / "cmu" / "asfamc")]

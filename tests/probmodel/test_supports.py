@@ -10,17 +10,19 @@ from hypothesis import strategies as st
 from numpyro.distributions import biject_to, constraints
 
 from tests.instances import distributions
+from tests.sweeps import sweep
 
 TABLE = distributions()
 DIRECTIONS = [name for name in TABLE if name.startswith(("hinged", "occupied"))]
 DISCS = [name for name in TABLE if name.startswith("disc")]
+NAMES = sweep(DIRECTIONS + DISCS, ["hinged area", "occupied angle", "disc"])
 
 
 def unconstrained(name: str, scale: float = 1.0) -> np.ndarray:
     return scale * np.random.default_rng(4).normal(size=(6, *TABLE[name].batch_shape, 2))
 
 
-@pytest.mark.parametrize("name", DIRECTIONS + DISCS)
+@pytest.mark.parametrize("name", NAMES)
 def test_bijection(name: str) -> None:
     """Shapes, codomain and inverse at sample shapes (6,) and (2, 3), and at far points of the
     plane."""
@@ -40,7 +42,7 @@ def test_bijection(name: str) -> None:
     assert np.isfinite(transform.inv(transform(unconstrained(name, 100.0)))).all()
 
 
-@pytest.mark.parametrize("name", DIRECTIONS + DISCS)
+@pytest.mark.parametrize("name", NAMES)
 def test_log_determinant_equals_autodiff(name: str) -> None:
     """Of directions: log of the area that a unit square of the plane sweeps on the sphere, |∂u/∂x₁
     × ∂u/∂x₂|."""
@@ -65,7 +67,7 @@ def test_log_determinant_equals_autodiff(name: str) -> None:
     np.testing.assert_allclose(found, np.log(element).reshape(len(x), *batch), atol=1e-6)
 
 
-@pytest.mark.parametrize("name", DIRECTIONS + DISCS)
+@pytest.mark.parametrize("name", NAMES)
 def test_supports_and_transforms_are_pytrees(name: str) -> None:
     support = TABLE[name].support
     for thing in (support, biject_to(support)):
@@ -76,7 +78,7 @@ def test_supports_and_transforms_are_pytrees(name: str) -> None:
     np.testing.assert_allclose(inside, biject_to(support)(x), rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", DIRECTIONS + DISCS)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_feasible_point_is_inside(name: str) -> None:
     law = TABLE[name]
     prototype = jnp.zeros((4, *law.batch_shape, *law.event_shape))

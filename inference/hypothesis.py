@@ -27,6 +27,8 @@ from probmodel.skeleton import GROUPS, JOINTS, Limb
 
 NUM_ANGLES = 15
 """Azimuths, and polar angles, of the grid for upper bones (Stage I of the paper)."""
+OFF_BORDER = 1e-8
+"""Radians by which the grid is moved."""
 NUM_BOX = 5
 """Points a side of the box for lower bones."""
 
@@ -130,6 +132,8 @@ def _limb_grid(
 def _upper_grid(cells: Cells) -> np.ndarray:
     steps = (np.arange(NUM_ANGLES) + 0.5) / NUM_ANGLES
     azimuth, polar = np.meshgrid((2 * steps - 1) * np.pi, steps * np.pi, indexing="ij")
+    # The grid's angles are borders of the tables' cells: off them, so that rounding decides nothing.
+    azimuth, polar = azimuth + OFF_BORDER, polar + OFF_BORDER
     vectors = np.asarray(direction(azimuth, np.pi / 2 - polar)).reshape(-1, 3)
     return vectors[np.asarray(jax.vmap(cells.contains)(jnp.asarray(vectors)))]
 

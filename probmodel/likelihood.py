@@ -92,7 +92,7 @@ class DetectedKeypoint(Distribution):
 
     arg_constraints = {"centre": constraints.real_vector, "spread": constraints.positive}  # noqa: RUF012
     reparametrized_params = ["centre", "spread"]  # noqa: RUF012
-    pytree_data_fields = ("law",)
+    pytree_data_fields = ("law", "centre", "spread")
 
     def __init__(
         self,

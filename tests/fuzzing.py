@@ -43,7 +43,7 @@ from probmodel.skeleton import JOINTS
 from reports.commands import check
 from reports.commands.detect import read_boxes
 from reports.figures import read_image
-from reports.options import Known
+from reports.options import Detected
 from tests.probmodel import test_motion
 from tests.probmodel.test_datasets import MOTIONS, human36m
 from tests.probmodel.test_formats_fuzz import FILES, SIZE, hdf5, npy, npz
@@ -137,7 +137,7 @@ def _checked(path: Path) -> object:
 
 
 def _names(path: Path) -> object:
-    return Known(names=path)._names()
+    return Detected(names=path)._names()
 
 
 def _written(save: Callable[[Path], None], *_: object) -> bytes:

@@ -180,6 +180,11 @@ def floors_table(floor: dict[str, float]) -> Sheet:
     return sheet_of(head, list(floor.items()))
 
 
+def naive_table(naive: float) -> Sheet:
+    """What a naive proposal costs."""
+    return sheet_of(("one naive proposal", _nanoseconds("JAX, ns")), [("whole body", naive)])
+
+
 def curves(model: PoseModel, frame: Estimate) -> dict[str, Curve]:
     """Microseconds a draw, set-up included, against the number of draws and, for 10,000 of a pose
     of the prior, the radius of the discs."""
@@ -253,7 +258,7 @@ def main(data: Path) -> None:
         "cores": str(os.cpu_count()),
         "machine": platform.machine(),
         "floors": floors_table(floor),
-        "naive": f"{1e9 * naive:,.0f}",
+        "naive": naive_table(naive),
         "per_frame": f"{slope * 1e3:.0f}",
         "thousand": f"{slope * 1000:,.0f}",
         "paper": f"{slope * PAPERS_FRAMES / 60:,.0f}",

@@ -29,7 +29,7 @@ from inference.baselines.catalogue import (
 from inference.baselines.ensemble import snooker
 from inference.baselines.resampling import systematic
 from inference.baselines.run import Allowance, Baseline, Drawn, run
-from inference.baselines.target import Target, read_poses
+from inference.baselines.target import Target
 from inference.baselines.tempering import next_multiple
 from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.studies.comparison import contest
@@ -84,7 +84,7 @@ def low():
     """One arm seen: model, frame, target, exact tree and starting points."""
     model = PoseModel()
     frame = prior_scene(model, 1, missing=ARM_ONLY)
-    target = Target.of(model, frame)
+    target = Target.of(frame.posterior(model))
     tree = inference.sample(model, frame, key=key(21), num_samples=4000).tree
     return model, frame, target, tree, starting_points(target, tree, DISPERSED)
 
@@ -94,7 +94,7 @@ def whole():
     """All limbs seen: target and exact points."""
     model = PoseModel()
     frame = prior_scene(model, 1)
-    target = Target.of(model, frame)
+    target = Target.of(frame.posterior(model))
     tree = inference.sample(model, frame, key=key(22), num_samples=200).tree
     return target, starting_points(target, tree, DISPERSED)
 
@@ -149,7 +149,7 @@ def test_the_charts_of_a_target_agree():
     again = target.poses(key(3), points)
     joints = target.model.joints(target.observation.view, *again)
     np.testing.assert_allclose(
-        target.points_of(read_poses(target.model, joints, again.length)), points, atol=1e-6
+        target.points_of(target.model.pose_of(joints, again.length)), points, atol=1e-6
     )
 
 
@@ -219,7 +219,7 @@ def test_every_baseline_has_the_same_face(name, tmp_path):
     assert done.num_draws > 0
     assert done.cost.num_proposals >= enough or name == "nss"
     assert done.cost.wall_time > 0
-    tree = baseline_tree(model, frame, done, key(5))
+    tree = baseline_tree(frame.posterior(model), done, key(5))
     posterior = tree["posterior"]
     assert posterior.joints.dims == ("chain", "draw", "joint", "axis")
     assert posterior.sizes["chain"] * posterior.sizes["draw"] == done.num_draws
@@ -295,9 +295,13 @@ def test_several_candidates_or_nothing_seen_are_refused():
     model, frame, *_ = low()
     twice = dataclasses.replace(frame, candidates=frame.candidates * 2)
     with pytest.raises(BadInput, match="2 torso-and-camera candidates"):
-        Target.of(model, twice)
+        Target.of(twice.posterior(model))
     with pytest.raises(BadInput, match="no seen limb joint"):
-        Target.of(model, prior_scene(model, 1, missing=(*ARM_ONLY, "right_elbow", "right_wrist")))
+        Target.of(
+            prior_scene(model, 1, missing=(*ARM_ONLY, "right_elbow", "right_wrist")).posterior(
+                model
+            )
+        )
 
 
 def test_a_missing_package_is_one_sentence(monkeypatch):
@@ -315,7 +319,7 @@ def test_the_model_runs_under_numpyro_s_mcmc_untouched():
     that the draws are saved with."""
     model, _, target, tree, _ = low()
     posterior = tree["posterior"]
-    start = read_poses(model, posterior.joints.values[0, :1], posterior.bone_length.values[0, :1])
+    start = model.pose_of(posterior.joints.values[0, :1], posterior.bone_length.values[0, :1])
     values = {"bone_length": start.length[0], "upper": start.upper[0], "lower": start.lower[0]}
     kernel = NUTS(model.posterior, init_strategy=init_to_value(values=values), max_tree_depth=5)
     mcmc = MCMC(kernel, num_warmup=100, num_samples=100, progress_bar=False)

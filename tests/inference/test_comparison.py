@@ -22,7 +22,7 @@ from scipy.stats import binom
 import inference
 from inference.baselines.chains import Walk
 from inference.baselines.ensemble import EmceeKernel, NumPyroKernel
-from inference.baselines.target import Target, read_poses
+from inference.baselines.target import Target
 from inference.studies.comparison import Judgement, comparison_tree, judge
 from inference.studies.comparison.cost import course
 from inference.studies.comparison.distances import (
@@ -228,7 +228,7 @@ def test_a_sampler_that_never_leaves_one_flip_is_caught():
 def test_lengths_five_percent_too_narrow_are_caught(seed):
     model, frame, joints, length = arm()
     rows = slice(DRAWS * seed // 2, DRAWS * seed // 2 + DRAWS)
-    poses = read_poses(model, joints[rows], length[rows])
+    poses = model.pose_of(joints[rows], length[rows])
     narrow = length.mean(axis=0) + 0.95 * (length[rows] - length.mean(axis=0))
     view = frame.observation.view
     moved = np.asarray(model.joints(view, narrow, poses.upper, poses.lower))
@@ -240,8 +240,8 @@ def test_lengths_five_percent_too_narrow_are_caught(seed):
 def low_target() -> tuple[Target, np.ndarray]:
     """The arm's posterior and exact starting points in it."""
     model, frame, joints, length = arm()
-    target = Target.of(model, frame)
-    return target, target.points_of(read_poses(model, joints[:5000], length[:5000]))
+    target = Target.of(frame.posterior(model))
+    return target, target.points_of(model.pose_of(joints[:5000], length[:5000]))
 
 
 def evenly(points: np.ndarray) -> np.ndarray:

@@ -366,11 +366,11 @@ def test_one_candidate_is_the_papers_method():
 def test_a_joint_outside_its_disc_takes_a_candidates_torso_likelihood_away():
     frame = inference.estimate_torso(detection(TORSOS[3], camera(70), noise=2.0))
     inside = frame.candidates[0]
-    assert np.isfinite(frame.log_torso_likelihood(inside))
+    assert np.isfinite(frame.likelihood.log_torso(frame.detection, inside.root))
     moved = dataclasses.replace(
         inside, camera=inside.camera._replace(translation=inside.camera.translation + 200.0)
     )
-    assert frame.log_torso_likelihood(moved) == -np.inf
+    assert frame.likelihood.log_torso(frame.detection, moved.root) == -np.inf
 
 
 @pytest.mark.parametrize(

@@ -509,7 +509,7 @@ def test_no_random_number_is_used_twice(name, lower, each):
     own.rows[:] = np.arange(number)
     strata = sampler._plan.strata[0]
     assert not strata.entries["mask"].any()
-    limb = CutLimb(sampler._limbs[0], sampler._anatomy.builds[0], strata)
+    limb = CutLimb(sampler._limbs[0], sampler._tables.builds[0], strata)
     state = seeded([1], 1)
     before = int(state[3])
     attempt_loop(state, limb, 1, number, own)

@@ -307,11 +307,12 @@ def test_five_per_cent_too_little_spread_of_cells_is_found_out(
     coordinate: int, seen: tuple[str, ...]
 ) -> None:
     """Negative control: one coordinate of the square shrunk by 5 % about its middle, then the usual
-    test, in the tables where that coordinate spans many cells."""
-    square = np.array(squares(len(TABLES)))
+    test, in the tables where that coordinate spans many cells. With twice the draws of the test
+    itself, it fails by a factor of more than a hundred: no count on the edge of a bin decides."""
+    square = np.concatenate([squares(len(TABLES)), squares(len(TABLES), seed=2)])
     square[..., coordinate] = 0.5 + 0.95 * (square[..., coordinate] - 0.5)
     p_values = dict(zip(TABLES, cells_p_values("angle", "angle", square).min(axis=0), strict=True))
-    assert max(p_values[name] for name in seen) < floor(18), p_values
+    assert max(p_values[name] for name in seen) < floor(18) / 100, p_values
 
 
 # The inverse

@@ -754,8 +754,8 @@ def test_two_arms_that_no_shared_length_explains(poseterior: Cli, tmp_path: Path
     run = poseterior("sample", detections, "--factor", 0.02, "--max-proposals", 300_000, *options)
     assert run.code == 3, run
     assert re.fullmatch(
-        r"poseterior: 0 of 50 draws after [\d,]+ proposals for person 0 .*: no possible arms"
-        r" explain .*\n",
+        r"poseterior: no pose explains person 0 .*: the bounds leave no possible arms for their"
+        r" detections .*\n",
         run.err,
     )
     assert time.monotonic() - started < 120

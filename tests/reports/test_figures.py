@@ -371,7 +371,7 @@ def test_images_that_cannot_be_read(tmp_path: Path) -> None:
         "text.png": "no image",
         "half.png": "no image",
         "none.png": "no image at",
-        ".": "no image",
+        ".": "is a folder, not a file",
     }.items():
         with pytest.raises(BadInput, match=match):
             figures.read_image(tmp_path / name)

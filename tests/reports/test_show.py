@@ -131,7 +131,7 @@ def test_a_map_of_names_and_the_correction(tmp_path: Path) -> None:
         (("--estimator", "magic"), "no estimator 'magic'; choose one of"),
         (("--factor", "0"), "--factor must lie between"),
         (("--names", "{tmp}/a.json"), "must hold an object of names, or a list of them"),
-        (("--names", "{tmp}/none.json"), "is no JSON that can be read"),
+        (("--names", "{tmp}/none.json"), "there is no map of names at"),
         (("--person", "3"), "--person 3 is not among them"),
         (("--image", "{tmp}/a.json"), "is no image that can be read"),
     ],

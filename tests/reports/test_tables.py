@@ -14,7 +14,7 @@ from rich.console import Console
 
 from inference.hypothesis import Hypothesis
 from inference.results import Result
-from inference.studies.evaluation.scores import Estimate
+from inference.studies.evaluation.scores import Interval
 from probmodel.anatomy.limits import AnatomicalLimits, Check
 from probmodel.skeleton import BONE_NAMES, JOINT_INDEX, JOINTS
 from reports import tables
@@ -309,9 +309,9 @@ def test_everything_fits_a_terminal_and_is_json(tree: xr.DataTree) -> None:
 SHEET = tables.sheet_of(
     ("", tables.Column("how", left=True), "error", "frames"),
     [
-        ("one", "well", Estimate(1.25, 1.0, 1.5), 1234),
-        ("two", "badly", Estimate(math.nan, math.nan, math.nan), None),
-        ("three", "once", Estimate(2.0, math.nan, math.nan), 5),
+        ("one", "well", Interval(1.25, 1.0, 1.5), 1234),
+        ("two", "badly", Interval(math.nan, math.nan, math.nan), None),
+        ("three", "once", Interval(2.0, math.nan, math.nan), 5),
     ],
     title="Errors",
     caption="In mm.",

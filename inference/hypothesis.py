@@ -132,7 +132,7 @@ def _limb_grid(
 def _upper_grid(cells: Cells) -> np.ndarray:
     steps = (np.arange(NUM_ANGLES) + 0.5) / NUM_ANGLES
     azimuth, polar = np.meshgrid((2 * steps - 1) * np.pi, steps * np.pi, indexing="ij")
-    # The grid's angles are borders of the tables' cells: off them, so that rounding decides nothing.
+    # The grid's angles are borders of the tables' cells; off them, rounding decides nothing.
     azimuth, polar = azimuth + OFF_BORDER, polar + OFF_BORDER
     vectors = np.asarray(direction(azimuth, np.pi / 2 - polar)).reshape(-1, 3)
     return vectors[np.asarray(jax.vmap(cells.contains)(jnp.asarray(vectors)))]

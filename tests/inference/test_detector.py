@@ -233,7 +233,7 @@ def test_the_process_ends_with_the_network(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("box", [(0, 0, 1e9, 1e9), (1e300, 0, 1, 1), (-1e8, 0, 1, 1)])
 def test_a_box_far_beyond_the_image_is_refused(network: Network, box: tuple[float, ...]) -> None:
-    with pytest.raises(BadInput, match="a person's box|does not fit"):
+    with pytest.raises(BadInput, match=r"a person's box|does not fit"):
         network.detect(np.zeros((9, 9, 3), np.uint8), [box])
 
 
@@ -306,11 +306,11 @@ def test_the_command_from_images_to_detections(tmp_path: Path, poseterior: Cli) 
         (("--layout", "mpii_16", "--box", "0,0,1e9,1e9"), "does not fit .*a.png, which has 40x40"),
         (
             ("--layout", "mpii_16", "--box", "1e300,0,1,1"),
-            "must be x, y, width, height with a size",
+            "must be x, y, width, height",
         ),
         (
             ("--layout", "mpii_16", "--box", "0,-1e300,1,1"),
-            "must be x, y, width, height with a size",
+            "must be x, y, width, height",
         ),
         (("--layout", "mpii_16", "--input-size", "64"), "--input-size must look like 192x256"),
         (("--layout", "mpii_16", "--boxes", "{tmp}/dots.onnx"), "is not (UTF-8 text|valid JSON)"),

@@ -25,7 +25,7 @@ import xarray as xr
 from inference.exact.mixture import MAX_PROPOSALS, draw_mixture
 from inference.hypothesis import diverse
 from inference.machines import HERE, Machines, in_threads
-from inference.results import joint_columns, key_words, versions
+from inference.results import joint_columns, key_words, provenance
 from inference.store import Block, Groups, Store, fill, locked
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
@@ -210,9 +210,7 @@ class _Drawing:
         """What the draws depend on, beside the key."""
         names = ("sampler", "num_samples", "k", "keep", "max_proposals")
         return {name: getattr(self, name) for name in names} | {
-            "limits": f"{self.model.limits.name} {self.model.limits.sha256}",
-            "measures": f"upper {self.model.upper}, lower {self.model.lower}",
-            "versions": versions(),
+            **provenance(self.model),
         }
 
     def __call__(self, block: tuple[int, list[Item]]) -> Groups:

@@ -23,7 +23,7 @@ import numpy as np
 import xarray as xr
 
 from inference.machines import HERE, Machines, in_threads
-from inference.results import save_tree, versions
+from inference.results import provenance, save_tree
 from inference.roots import estimate_torsos
 from inference.sampler import MAX_PROPOSALS
 from inference.store import Block, Groups, Store, fill, locked
@@ -291,9 +291,7 @@ def _settings(
         "num_samples": num_samples,
         "likelihood": repr(likelihood),
         "max_proposals": max_proposals,
-        "limits": f"{model.limits.name} {model.limits.sha256}",
-        "measures": f"upper {model.upper}, lower {model.lower}",
-        "versions": versions(),
+        **provenance(model),
     }
 
 

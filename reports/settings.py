@@ -64,7 +64,7 @@ class SampleSettings:
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "sample frame.json --out posterior.nc --num-samples 100000",
-        "sample frame.json --sampler rejection-strata --num-samples 100",
+        "sample frame.json --sampler emcee --candidates 1 --num-samples 1000",
     )
     person: Person
     out: Annotated[Path, Option(help="File to write.")] = Path("posterior.nc")

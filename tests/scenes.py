@@ -2,9 +2,16 @@
 
 import jax
 
-from inference.studies.scenes import camera, hidden, motion_scene, prior_scene, scene
+from inference.studies.scenes import (
+    ALL_BUT_AN_ARM,
+    camera,
+    hidden,
+    motion_scene,
+    prior_scene,
+    scene,
+)
 
-__all__ = ["camera", "hidden", "key", "motion_scene", "prior_scene", "scene"]
+__all__ = ["ALL_BUT_AN_ARM", "camera", "hidden", "key", "motion_scene", "prior_scene", "scene"]
 
 
 def key(seed: int) -> jax.Array:

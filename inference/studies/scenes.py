@@ -27,6 +27,16 @@ from probmodel.transport import CUBE_DIM, from_cube
 CENTRE = (320.0, 240.0)
 """Pixels: where the pelvis is seen."""
 SCORE = 0.8
+ALL_BUT_AN_ARM = (
+    "head",
+    "left_elbow",
+    "left_wrist",
+    "right_knee",
+    "left_knee",
+    "right_ankle",
+    "left_ankle",
+)
+"""Joints to leave out so that the right arm alone is seen."""
 NUMBER = 64
 _MISSING = (
     (),

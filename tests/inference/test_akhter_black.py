@@ -23,8 +23,8 @@ LIMITS = AnatomicalLimits.default()
 SHAPES = np.concatenate([DICTIONARY.mean[None], DICTIONARY.bases])
 
 
-def problem(bones: float = ab.BONES_WEIGHT, limits: float = ab.LIMIT_WEIGHT) -> ab.Problem:
-    return ab.Problem(SHAPES, DICTIONARY.lengths, LIMITS, bones, limits)
+def problem(bones: float = ab.BONES_WEIGHT, limits: float = ab.LIMIT_WEIGHT) -> ab.PursuitProblem:
+    return ab.PursuitProblem(SHAPES, DICTIONARY.lengths, LIMITS, bones, limits)
 
 
 def noisy(number: int = 8, noise: float = 0.05, seed: int = 0) -> list[np.ndarray]:
@@ -111,7 +111,7 @@ def test_the_objective_never_rises(monkeypatch):
     def watched(name: str) -> None:
         step = getattr(ab, name)
 
-        def record(points: Points, given: ab.Problem, fit: ab.Fit) -> ab.Fit:
+        def record(points: Points, given: ab.PursuitProblem, fit: ab.PursuitFit) -> ab.PursuitFit:
             before = fit.objective.copy()
             found = step(points, given, fit)
             steps.append((before, found.objective.copy()))

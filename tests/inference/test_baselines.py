@@ -38,17 +38,8 @@ from probmodel import BadInput, PoseModel
 from probmodel.model import log_joint
 from probmodel.skeleton import JOINT_INDEX
 from probmodel.transport import CUBE_DIM
-from tests.scenes import key, prior_scene
+from tests.scenes import ALL_BUT_AN_ARM, key, prior_scene
 
-ARM_ONLY = (
-    "head",
-    "left_elbow",
-    "left_wrist",
-    "right_knee",
-    "left_knee",
-    "right_ankle",
-    "left_ankle",
-)
 QUICK = ("emcee",)
 ENOUGH = {
     "emcee": 200_000,
@@ -83,7 +74,7 @@ HEAVY = [pytest.param(name, marks=pytest.mark.slow) for name in BASELINES if nam
 def low():
     """One arm seen: model, frame, target, exact tree and starting points."""
     model = PoseModel()
-    frame = prior_scene(model, 1, missing=ARM_ONLY)
+    frame = prior_scene(model, 1, missing=ALL_BUT_AN_ARM)
     target = Target.of(frame.posterior(model))
     tree = inference.sample(model, frame, key=key(21), num_samples=4000).tree
     return model, frame, target, tree, starting_points(target, tree, DISPERSED)
@@ -298,9 +289,9 @@ def test_several_candidates_or_nothing_seen_are_refused():
         Target.of(twice.posterior(model))
     with pytest.raises(BadInput, match="no seen limb joint"):
         Target.of(
-            prior_scene(model, 1, missing=(*ARM_ONLY, "right_elbow", "right_wrist")).posterior(
-                model
-            )
+            prior_scene(
+                model, 1, missing=(*ALL_BUT_AN_ARM, "right_elbow", "right_wrist")
+            ).posterior(model)
         )
 
 

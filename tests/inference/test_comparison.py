@@ -43,17 +43,8 @@ from inference.studies.comparison.record import Entry
 from inference.studies.comparison.sample import NAMES, Sample, read_sample, sample_of
 from inference.studies.flips import codes
 from probmodel import BadInput, PoseModel
-from tests.scenes import key, prior_scene
+from tests.scenes import ALL_BUT_AN_ARM, key, prior_scene
 
-ARM_ONLY = (
-    "head",
-    "left_elbow",
-    "left_wrist",
-    "right_knee",
-    "left_knee",
-    "right_ankle",
-    "left_ankle",
-)
 SEEN = [0, 4]
 """The bones of the seen arm among those that flip."""
 REPETITIONS = 200
@@ -71,7 +62,7 @@ def between(count: int, rate: float) -> bool:
 def arm():
     """One arm seen: the model, the frame, and 20,000 exact draws as joints and lengths."""
     model = PoseModel()
-    frame = prior_scene(model, 1, missing=ARM_ONLY)
+    frame = prior_scene(model, 1, missing=ALL_BUT_AN_ARM)
     tree = inference.sample(model, frame, key=key(11), num_samples=20_000).tree
     return model, frame, tree["posterior"].joints.values[0], tree["posterior"].bone_length.values[0]
 

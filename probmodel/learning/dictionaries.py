@@ -155,12 +155,20 @@ def _reference_lengths(classes: list[np.ndarray]) -> np.ndarray:
 
 
 def principal_directions(joints: np.ndarray) -> np.ndarray:
-    """Principal directions `(b, 15, 3)` of poses `(N, 15, 3)`, those of large variance first."""
+    """Principal directions `(b, 15, 3)` of poses `(N, 15, 3)`, those of large variance first.
+
+    A direction's sign means nothing, and linear algebra libraries choose it as the processor has
+    it; here the sum of its coordinates, each times its number, is positive.
+    """
     flat = joints.reshape(len(joints), -1)
     variance, directions = np.linalg.eigh(np.cov(flat, rowvar=False, bias=True))
     variance, directions = variance[::-1], directions[:, ::-1]
     keep = min(MOST, 1 + int(np.searchsorted(np.cumsum(variance) / variance.sum(), EXPLAINED)))
-    return directions[:, :keep].T.reshape(keep, NUM_JOINTS, 3)
+    kept = directions[:, :keep].T
+    # Weights that all differ: a mirror-symmetric direction cannot bring the sum to zero.
+    numbers = np.arange(1, kept.shape[1] + 1)
+    signed = kept * np.where(kept @ numbers < 0, -1.0, 1.0)[:, None]
+    return signed.reshape(keep, NUM_JOINTS, 3)
 
 
 def _spread(joints: np.ndarray) -> np.ndarray:

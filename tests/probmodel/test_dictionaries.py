@@ -100,6 +100,7 @@ def test_principal_directions_are_those_of_scikit_learn():
     route = PCA(len(found)).fit(joints.reshape(300, -1))
     assert found @ found.T == pytest.approx(np.eye(len(found)), abs=1e-9)
     assert np.abs(np.sum(found * route.components_, axis=1)) == pytest.approx(1.0, abs=1e-6)
+    assert (found @ np.arange(1, 46) > 0).all()  # the sign is a choice, not the processor's
     share = np.cumsum(PCA().fit(joints.reshape(300, -1)).explained_variance_ratio_)
     assert len(found) == min(MOST, 1 + int(np.searchsorted(share, EXPLAINED)))
 

@@ -4,30 +4,8 @@ frame = inference.estimate_torso(detection)
 result = inference.sample(model, frame, key=jax.random.key(0), num_samples=10_000)
 """
 
-from inference.evidences import Evidence, evidence
-from inference.hypothesis import Hypothesis, diverse, grid_poses, hypotheses
-from inference.machines import Machines
-from inference.results import Result
-from inference.roots import ESTIMATORS, estimate_torso, estimate_torsos
-from inference.sampler import SAMPLERS, sample
-from inference.stream import Item, draws_of, open_stream, sample_frames
+import lazy_loader
 
-__all__ = [
-    "ESTIMATORS",
-    "SAMPLERS",
-    "Evidence",
-    "Hypothesis",
-    "Item",
-    "Machines",
-    "Result",
-    "diverse",
-    "draws_of",
-    "estimate_torso",
-    "estimate_torsos",
-    "evidence",
-    "grid_poses",
-    "hypotheses",
-    "open_stream",
-    "sample",
-    "sample_frames",
-]
+# Every name stands in `__init__.pyi` and is looked up when first used: what a command does not need
+# it does not wait for.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

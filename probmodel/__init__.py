@@ -5,39 +5,8 @@ detections = probmodel.read_detections("frame_keypoints.json")
 model = probmodel.PoseModel(limits=probmodel.AnatomicalLimits.default())
 """
 
-from probmodel.anatomy.limits import AnatomicalLimits
-from probmodel.anatomy.population import Anatomy
-from probmodel.anatomy.published import read_published
-from probmodel.camera import WeakPerspective
-from probmodel.detections import Detection
-from probmodel.failures import BadInput, OutOfBudget
-from probmodel.formats import read_detections, write_detections
-from probmodel.formats.frames import DetectedFrame, read_frames
-from probmodel.likelihood import Disc, ErrorLaw, Likelihood
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.posterior import Estimate, Posterior
-from probmodel.roots import Candidate, Root
+import lazy_loader
 
-__all__ = [
-    "AnatomicalLimits",
-    "Anatomy",
-    "BadInput",
-    "Candidate",
-    "DetectedFrame",
-    "Detection",
-    "Disc",
-    "ErrorLaw",
-    "Estimate",
-    "Likelihood",
-    "Observation",
-    "OutOfBudget",
-    "PoseModel",
-    "Posterior",
-    "Root",
-    "WeakPerspective",
-    "read_detections",
-    "read_frames",
-    "read_published",
-    "write_detections",
-]
+# Every name stands in `__init__.pyi` and is looked up when first used: what a command does not need
+# it does not wait for.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

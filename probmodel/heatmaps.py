@@ -9,7 +9,6 @@ does that for any layout; other maxima of a heatmap are kept beside it as altern
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 
 from probmodel.detections import Detection, FloatArray
 from probmodel.failures import BadInput
@@ -130,6 +129,8 @@ def decode(
 def modes(heatmap: FloatArray) -> list[tuple[int, int]]:
     """Row and column of the local maxima of one heatmap `(H, W)`, highest first; the first is the
     argmax."""
+    from scipy.ndimage import maximum_filter  # takes a while, and few files are heatmaps
+
     top = float(heatmap.max())
     peak = (heatmap == maximum_filter(heatmap, _APART, mode="constant", cval=-np.inf)) & (
         heatmap >= ALTERNATIVE * top

@@ -7,6 +7,7 @@ before it is needed, so that `--help` is quick."""
 import enum
 import functools
 import os
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -127,9 +128,11 @@ class Detected:
     @functools.cached_property
     def photo(self) -> "np.ndarray | None":
         """`(H, W, 3)` bytes of the image, decoded once. Raises `BadInput` where it is none."""
+        if self.image is None:
+            return None
         from reports.figures import read_image
 
-        return None if self.image is None else read_image(self.image)
+        return read_image(self.image)
 
     def frames(self, path: Path) -> "Iterator[DetectedFrame]":
         """The frames of a folder or file, lazily. Raises `BadInput` as `read_frames` does."""
@@ -186,15 +189,21 @@ class Person:
     person: Annotated[int, Option(help="Which person in the file, counted from 0.")] = 0
     detected: Detected = Detected()
 
+    @functools.cached_property
     def people(self) -> "list[Detection]":
         """Everyone in the file. Raises `BadInput` on a bad file."""
         return self.detected.people(self.file)
 
+    @functools.cached_property
     def detection(self) -> "Detection":
         """The person. Raises `BadInput` on a bad file, or where there is no such person."""
         from probmodel.detections import pick_person
 
-        return pick_person(self.people(), self.person)
+        return pick_person(self.people, self.person)
+
+    def check(self) -> None:
+        """Reads the file. Raises `BadInput` on a bad file, or where there is no such person."""
+        self.detection  # noqa: B018
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -307,19 +316,45 @@ def parse_size(text: str, option: str, example: str) -> tuple[int, int]:
     return sides[0], sides[1]
 
 
+def check(settings: object) -> None:
+    """Reads the files that settings, or a group of theirs, can refuse by themselves: a refusal need
+    not wait for what a command imports.
+
+    Raises
+    ------
+    BadInput
+        On a file that cannot be used.
+    """
+    for one in (*vars(settings).values(), settings):
+        if hasattr(one, "check"):
+            one.check()
+
+
 def prepare_jax() -> None:
     """64-bit floats, before anything is compiled: limits are decided to the last bits. Compiled
     code is kept in the user's cache folder, so that only the first run on a machine waits for the
     compiler."""
+    settings = {"jax_enable_x64": True} | _jax_cache()
+    if "jax" not in sys.modules:  # it reads these when something needs it; a refusal does not
+        os.environ.update({name.upper(): str(value) for name, value in settings.items()})
+        return
     import jax
 
-    jax.config.update("jax_enable_x64", True)
+    for name, value in settings.items():
+        jax.config.update(name, value)
+
+
+def _jax_cache() -> dict[str, Any]:
+    """Where JAX keeps compiled code, and what of it; nothing where it cannot."""
     try:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "poseterior"
         cache.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError):  # RuntimeError: a user without a home
-        return  # without a cache everything works, only slower
-    if os.access(cache, os.W_OK):
-        jax.config.update("jax_compilation_cache_dir", str(cache))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+        return {}  # without a cache everything works, only slower
+    if not os.access(cache, os.W_OK):
+        return {}
+    return {
+        "jax_compilation_cache_dir": str(cache),
+        "jax_persistent_cache_min_compile_time_secs": 0.1,
+        "jax_persistent_cache_min_entry_size_bytes": 0,
+    }

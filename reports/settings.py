@@ -1,10 +1,11 @@
 """What each command can be asked for: one frozen class a command, its docstring the command's
 help."""
 
+import functools
 from collections.abc import Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from typer import Argument, Option
 
@@ -22,6 +23,9 @@ from reports.options import (
     Seed,
     Workforce,
 )
+
+if TYPE_CHECKING:
+    from probmodel.datasets import DataSet
 
 REAL = "Real poses (with --dataset)"
 """The part of the help for options of `coverage` that mean nothing without a data set."""
@@ -99,6 +103,21 @@ class FramesSettings:
     detected: Detected = Detected()
     estimation: Estimation = Estimation()
     prior: Prior = Prior()
+
+    @functools.cached_property
+    def people(self) -> int:
+        """How many people there are in all frames: what cannot be read is better found now than
+        after hours."""
+        return sum(len(frame.people) for frame in self.detected.frames(self.path))
+
+    def check(self) -> None:
+        """Reads all frames. Raises `BadInput` on a bad one, or where there is nobody."""
+        from probmodel import BadInput
+
+        if not self.people:
+            raise BadInput(
+                f"{self.path} has no person in it; choose one in which the detector found some"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,6 +274,23 @@ class EvaluateSettings:
     sampling: Sampling = Sampling(num_samples=1000, max_proposals=20_000_000)
     estimation: Estimation = Estimation(estimator="akhter-black,zhou,dictionary", candidates=1)
     prior: Prior = Prior()
+
+    @functools.cached_property
+    def data(self) -> "DataSet":
+        """The data set. Raises `BadInput` as `read_data_set` does."""
+        from probmodel.datasets import Noise, read_data_set
+
+        return read_data_set(
+            self.dataset,
+            frames=self.frames,
+            noise=Noise.parse(self.noise),
+            seed=self.sampling.seed,
+            detections=self.detections,
+        )
+
+    def check(self) -> None:
+        """Reads the data set. Raises `BadInput` where it is none."""
+        self.data  # noqa: B018
 
 
 @dataclass(frozen=True, kw_only=True)

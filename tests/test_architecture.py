@@ -2,6 +2,7 @@
 importing costs."""
 
 import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -102,6 +103,40 @@ def test_the_command_line_starts_without_jax() -> None:
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "hypotheses no.json",
+        "sample no.json",
+        "show no.json",
+        "compare no.json",
+        "frames none",
+        "check no.bvh",
+        "learn none",
+        "hypotheses --no-such-option",
+    ],
+)
+def test_a_refusal_waits_for_nothing_heavy(words: str, tmp_path: Path) -> None:
+    heavy = ("jax", "numba", "numpyro", "arviz", "matplotlib", "sklearn", "xarray")
+    code = f"""
+import sys
+from reports.cli import main
+try:
+    main()
+finally:
+    print([name for name in {heavy} if name in sys.modules])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words.split()],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert done.stdout.strip() == "[]", done.stderr
 
 
 def test_types_are_declared() -> None:

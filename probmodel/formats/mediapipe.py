@@ -17,7 +17,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from scipy.special import expit
 
 from probmodel.detections import Detection, FloatArray
 from probmodel.documents import require_modest
@@ -227,6 +226,8 @@ def _detections(
             f"the coordinates of {content.source} are fractions of an image whose size the file"
             " does not say; give the image (--image), or its size (--image-size 640x480)."
         )
+    from scipy.special import expit  # takes a while, and few files need it
+
     visibility = np.stack([rows[:, 2] for _, rows in people])
     logits = bool(((visibility < 0) | (visibility > 1)).any())
     for person, (frame, rows) in enumerate(people):

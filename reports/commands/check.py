@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probmodel.anatomy.limits import Check
 from probmodel.arrays import read_array, read_netcdf
 from probmodel.documents import read_json
 from probmodel.failures import BadInput
@@ -43,6 +42,8 @@ def run(settings: CheckSettings, screen: Screen) -> None:
     if len(broken) > FEW:
         console.OUT.print(tables.broken_table(check))
     elif len(broken):
+        from probmodel.anatomy.limits import Check
+
         listed = Check(*(part[broken] for part in check))
         console.OUT.print(tables.check_table(listed, [poses.names[pose] for pose in broken]))
     console.say(f"{check.pose_valid.sum():,} of {len(poses.names):,} poses in {path} are possible.")

@@ -27,7 +27,7 @@ def run(settings: CompareSettings, screen: Screen) -> None:
     out = console.output_folder(settings.out)
     with console.progress("torso and camera", screen.quiet):
         model = settings.prior.model()
-        frame = settings.estimation.estimate(settings.person.detection(), model)
+        frame = settings.estimation.estimate(settings.person.detection, model)
     found = contest.compare(
         model,
         frame,

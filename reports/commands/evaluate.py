@@ -16,7 +16,7 @@ from inference.studies.evaluation.conditions import Condition, conditions
 from inference.studies.evaluation.outcome import Protocol
 from inference.studies.evaluation.relations import Relation, relations
 from inference.studies.evaluation.run import Results, evaluate
-from probmodel.datasets import DataSet, Noise, brings_detections, read_data_set
+from probmodel.datasets import DataSet, brings_detections, read_data_set
 from probmodel.failures import BadInput
 from probmodel.learning.dictionaries import PoseDictionary
 from reports import console
@@ -57,13 +57,7 @@ def run(settings: EvaluateSettings, screen: Screen) -> None:
     another run."""
     wanted, protocol, seed = _conditions(settings), _protocol(settings), settings.sampling.seed
     with console.progress("reading", screen.quiet):
-        data = read_data_set(
-            settings.dataset,
-            frames=settings.frames,
-            noise=Noise.parse(settings.noise),
-            seed=seed,
-            detections=settings.detections,
-        )
+        data = settings.data
         external = {path.stem: external_errors(path, data) for path in settings.predictions or ()}
     out = console.output_folder(settings.out)
     started, begun = time.monotonic(), -1

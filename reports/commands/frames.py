@@ -3,7 +3,6 @@ where it was stopped."""
 
 from inference.roots import estimate_torso
 from inference.stream import estimated, open_stream, sample_frames
-from probmodel import BadInput
 from reports import console, tables
 from reports.options import Screen
 from reports.settings import FramesSettings
@@ -19,13 +18,6 @@ def run(settings: FramesSettings, screen: Screen) -> None:
     with console.progress("limits and torsos", screen.quiet):
         model = settings.prior.model()
     known = estimation.settings(model)
-    # Read twice: what cannot be read is better found now than after hours, and then the number of
-    # people is known.
-    people = sum(len(frame.people) for frame in settings.detected.frames(settings.path))
-    if not people:
-        raise BadInput(
-            f"{settings.path} has no person in it; choose one in which the detector found some"
-        )
     items = estimated(
         settings.detected.frames(settings.path),
         lambda detection: estimate_torso(detection, estimation.estimator, **known),
@@ -41,7 +33,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
             keep=settings.keep,
             max_proposals=sampling.max_proposals,
             machines=settings.workforce.machines(),
-            progress=lambda done: step(done, people),
+            progress=lambda done: step(done, settings.people),
         )
     summary = open_stream(out)["summary"].to_dataset()
     if screen.json:

@@ -27,7 +27,7 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         raise BadInput(f"--k {k} hypotheses need at least as many draws; raise --num-samples")
     with console.progress("torso and camera", screen.quiet):
         model = settings.prior.model()
-        frame = settings.estimation.estimate(settings.person.detection(), model)
+        frame = settings.estimation.estimate(settings.person.detection, model)
     out = console.output_folder(settings.out)
     with console.progress("exact draws", screen.quiet) as step:
         result = sample(

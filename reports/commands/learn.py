@@ -3,8 +3,6 @@ dictionaries in another."""
 
 import numpy as np
 
-from probmodel.learning.dictionaries import learn_dictionary
-from probmodel.learning.learner import learn
 from probmodel.learning.poses import read_all
 from reports import console
 from reports.options import Screen
@@ -19,6 +17,10 @@ def run(settings: LearnSettings, screen: Screen) -> None:
         console.output_file(poses)
     with console.progress("learning", screen.quiet) as step:
         motions = read_all(settings.mocap, lambda what, done, wanted: step(done, wanted))
+        # Only now: a refusal need not wait for them.
+        from probmodel.learning.dictionaries import learn_dictionary
+        from probmodel.learning.learner import learn
+
         anatomy = learn(
             motions, mirror=settings.mirror, progress=lambda what, done, wanted: step(done, wanted)
         )

@@ -15,7 +15,7 @@ def run(settings: SampleSettings, screen: Screen) -> None:
     out, sampling = console.output_file(settings.out), settings.sampling
     with console.progress("torso and camera", screen.quiet):
         model = settings.prior.model()
-        frame = settings.estimation.estimate(settings.person.detection(), model)
+        frame = settings.estimation.estimate(settings.person.detection, model)
     with console.progress(f"draws by {settings.sampler}", screen.quiet) as step:
         result = sample(
             model,

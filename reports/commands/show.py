@@ -8,7 +8,6 @@ import numpy as np
 from inference import estimate_torsos
 from inference.readings import Judge, Verdict, together
 from probmodel import BadInput, Detection, PoseModel
-from probmodel.detections import pick_person
 from probmodel.layouts import MEDIAPIPE_33
 from probmodel.skeleton import JOINTS
 from reports import console, figures, tables
@@ -25,8 +24,7 @@ def run(settings: ShowSettings, screen: Screen) -> None:
     file or image."""
     out, shown = console.output_file(settings.out), settings.person.detected.photo
     with console.progress("reading", screen.quiet):
-        people = settings.person.people()
-        person = pick_person(people, settings.person.person)
+        people, person = settings.person.people, settings.person.detection
         model = settings.prior.model()
     with console.progress("weighing other readings", screen.quiet):
         judge, sizes = Judge(model), person.layout == MEDIAPIPE_33.name

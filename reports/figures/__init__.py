@@ -6,16 +6,8 @@ Here are the pictures of one person's posterior and detection; those of studies 
 `comparison`, `coverage`, `misses`, `evaluation` and `bias`.
 """
 
-from reports.figures.depth import depth_figure
-from reports.figures.files import read_image, save_figure
-from reports.figures.hypotheses import hypotheses_figure, hypothesis_colours
-from reports.figures.overlay import overlay_figure
+import lazy_loader
 
-__all__ = [
-    "depth_figure",
-    "hypotheses_figure",
-    "hypothesis_colours",
-    "overlay_figure",
-    "read_image",
-    "save_figure",
-]
+# Every name stands in `__init__.pyi` and is looked up when first used: what a command does not need
+# it does not wait for.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

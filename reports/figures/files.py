@@ -3,19 +3,22 @@
 import os
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 from PIL import Image, ImageOps
 
 from probmodel.failures import BadInput
 from probmodel.files import opened, replacing
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 MAX_PIXELS = 60_000_000
 """Images above this are refused before they are decoded: a small file can claim any size."""
 
 
-def save_figure(figure: Figure, path: str | os.PathLike) -> None:
+def save_figure(figure: "Figure", path: str | os.PathLike) -> None:
     """Writes PNG, PDF or SVG, by the name's ending, whole or not at all.
 
     Raises

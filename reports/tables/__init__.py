@@ -4,43 +4,8 @@ Here are the tables of one person's posterior; those of studies are in `comparis
 `evaluation` and `bias`.
 """
 
-from reports.tables.check import broken_table, check_json, check_table
-from reports.tables.detection import people_table, reading_table
-from reports.tables.frames import stream_json, stream_lines, stream_table
-from reports.tables.posterior import (
-    MILLIMETRES,
-    candidates_table,
-    heaviest,
-    hypotheses_table,
-    posterior_table,
-    summary_json,
-    summary_lines,
-    values,
-)
-from reports.tables.sheet import Column, Sheet, sheet_of
-from reports.tables.words import facing_words, pose_facing, spoken
+import lazy_loader
 
-__all__ = [
-    "MILLIMETRES",
-    "Column",
-    "Sheet",
-    "broken_table",
-    "candidates_table",
-    "check_json",
-    "check_table",
-    "facing_words",
-    "heaviest",
-    "hypotheses_table",
-    "people_table",
-    "pose_facing",
-    "posterior_table",
-    "reading_table",
-    "sheet_of",
-    "spoken",
-    "stream_json",
-    "stream_lines",
-    "stream_table",
-    "summary_json",
-    "summary_lines",
-    "values",
-]
+# Every name stands in `__init__.pyi` and is looked up when first used: what a command does not need
+# it does not wait for.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

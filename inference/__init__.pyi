@@ -1,0 +1,17 @@
+from .evidences import Evidence as Evidence
+from .evidences import evidence as evidence
+from .hypothesis import Hypothesis as Hypothesis
+from .hypothesis import diverse as diverse
+from .hypothesis import grid_poses as grid_poses
+from .hypothesis import hypotheses as hypotheses
+from .machines import Machines as Machines
+from .results import Result as Result
+from .roots import ESTIMATORS as ESTIMATORS
+from .roots import estimate_torso as estimate_torso
+from .roots import estimate_torsos as estimate_torsos
+from .sampler import SAMPLERS as SAMPLERS
+from .sampler import sample as sample
+from .stream import Item as Item
+from .stream import draws_of as draws_of
+from .stream import open_stream as open_stream
+from .stream import sample_frames as sample_frames

@@ -1,6 +1,7 @@
 """A strict session: 64-bit floats, no implicit promotion of ranks, warnings are errors (see
 pyproject)."""
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,7 +11,17 @@ import jax
 import numpyro.distributions  # noqa: F401 — whole, before a test that breaks off a command can break off this import
 import pytest
 
-jax.config.update("jax_enable_x64", True)
+CACHE = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
+"""What XLA compiles is kept here, as the product keeps it for its user. Compiling is most of what
+tests wait for, and the processes of a run, the slow run and the next run ask for the same."""
+os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "poseterior")  # for processes that tests start
+for name, value in {
+    "jax_enable_x64": True,
+    "jax_compilation_cache_dir": str(CACHE / "poseterior"),
+    "jax_persistent_cache_min_compile_time_secs": 0.1,
+    "jax_persistent_cache_min_entry_size_bytes": 0,
+}.items():
+    jax.config.update(name, value)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
@@ -39,13 +50,11 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Code that commands compile goes to a folder of the session, not to the user's."""
-    before = jax.config.jax_compilation_cache_dir
+def cache() -> Iterator[None]:
+    """Commands keep what they compile in a folder of the tests, not in the user's."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("XDG_CACHE_HOME", str(CACHE))
         yield
-    jax.config.update("jax_compilation_cache_dir", before)
 
 
 @pytest.fixture

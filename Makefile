@@ -3,8 +3,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTHON := $(shell for p in python3.12 python3.13 python3.14 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 12))' >/dev/null 2>&1 && echo $$p && break; done)
-# One BLAS thread a process: the tests already run one process a core.
-PYTEST := $(BIN)/python -m pytest -n 2
+# One thread of BLAS and OpenMP a process: the tests already run one process a core, and threads that
+# wait for a core that another process has make them six times slower.
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
 .PHONY: demo test test-all lint bench fuzz lock clean
 

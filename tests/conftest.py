@@ -14,7 +14,7 @@ import pytest
 CACHE = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
 """What XLA compiles is kept here, as the product keeps it for its user. Compiling is most of what
 tests wait for, and the processes of a run, the slow run and the next run ask for the same."""
-os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "poseterior")  # for processes that tests start
+os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "poseterior")  # processes of tests read it
 for name, value in {
     "jax_enable_x64": True,
     "jax_compilation_cache_dir": str(CACHE / "poseterior"),

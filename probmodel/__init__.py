@@ -5,15 +5,18 @@ detections = probmodel.read_detections("frame_keypoints.json")
 model = probmodel.PoseModel(limits=probmodel.AnatomicalLimits.default())
 """
 
+from probmodel.anatomy.lengths import BoneLength
 from probmodel.anatomy.limits import AnatomicalLimits
 from probmodel.anatomy.population import Anatomy
 from probmodel.anatomy.published import read_published
+from probmodel.anatomy.torsos import TorsoDictionary
 from probmodel.camera import WeakPerspective
 from probmodel.detections import Detection
+from probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from probmodel.failures import BadInput, OutOfBudget
 from probmodel.formats import read_detections, write_detections
 from probmodel.formats.frames import DetectedFrame, read_frames
-from probmodel.likelihood import Disc, ErrorLaw, Likelihood
+from probmodel.likelihood import DetectedKeypoint, Disc, ErrorLaw, Likelihood
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
 from probmodel.posterior import Estimate, Posterior
@@ -23,18 +26,23 @@ __all__ = [
     "AnatomicalLimits",
     "Anatomy",
     "BadInput",
+    "BoneLength",
     "Candidate",
     "DetectedFrame",
+    "DetectedKeypoint",
     "Detection",
     "Disc",
     "ErrorLaw",
     "Estimate",
+    "HingedDirection",
     "Likelihood",
     "Observation",
+    "OccupiedDirection",
     "OutOfBudget",
     "PoseModel",
     "Posterior",
     "Root",
+    "TorsoDictionary",
     "WeakPerspective",
     "read_detections",
     "read_frames",

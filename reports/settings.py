@@ -66,11 +66,15 @@ class SampleSettings:
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "sample frame.json --out posterior.nc --num-samples 100000",
+        "sample frame.json --chains 4 --num-samples 4000 --out chains.nc",
         "sample frame.json --sampler emcee --candidates 1 --num-samples 1000",
     )
     person: Person
     out: Annotated[Path, Option(help="File to write.")] = Path("posterior.nc")
     sampler: Annotated[str, Option(help=f"One of {', '.join(SAMPLERS)}.")] = SAMPLERS[0]
+    chains: Annotated[
+        int, Option(help="Independent runs of exact rejection, which share the samples.")
+    ] = 1
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
     prior: Prior = Prior()

@@ -4,6 +4,7 @@ frame = inference.estimate_torso(detection)
 result = inference.sample(model, frame, key=jax.random.key(0), num_samples=10_000)
 """
 
+from inference.baselines.target import Target
 from inference.evidences import Evidence, evidence
 from inference.hypothesis import Hypothesis, diverse, grid_poses, hypotheses
 from inference.machines import Machines
@@ -20,6 +21,7 @@ __all__ = [
     "Item",
     "Machines",
     "Result",
+    "Target",
     "diverse",
     "draws_of",
     "estimate_torso",

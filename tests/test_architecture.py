@@ -2,8 +2,10 @@
 two export, nobody knows the tests; and what importing costs."""
 
 import ast
+import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -96,6 +98,28 @@ def test_every_module_says_what_it_is(path: Path) -> None:
     assert ast.get_docstring(ast.parse((ROOT / path).read_text(encoding="utf-8"))), (
         f"{path} has no docstring"
     )
+
+
+@pytest.mark.parametrize("path", [path for path in FILES if path.parts[0] != "reports"], ids=str)
+def test_messages_to_python_users_speak_python(path: Path) -> None:
+    """An option is named only where it is said to be one of the command line."""
+    assert list(foreign((ROOT / path).read_text(encoding="utf-8"))) == []
+
+
+def foreign(source: str) -> Iterator[str]:
+    """Texts of `raise` statements that name options of the command line as if there were nothing
+    else."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Raise):
+            texts = [str(part.value) for part in ast.walk(node) if isinstance(part, ast.Constant)]
+            said = "".join(texts)
+            if re.search(r"(^|[ (])--[a-z]", said) and "command line" not in said:
+                yield said
+
+
+def test_a_message_that_speaks_of_options_is_caught() -> None:
+    assert list(foreign("raise BadInput(f'{name} is unknown; choose another --person')"))
+    assert not list(foreign("raise BadInput('give one (on the command line --person 1)')"))
 
 
 def test_the_command_line_starts_without_jax() -> None:

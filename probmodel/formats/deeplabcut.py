@@ -263,12 +263,12 @@ def _layout(parts: list[str], content: Content) -> Layout:
     if doubled:
         raise BadInput(
             f"{content.source} has several body parts that are {doubled[0]}; give a map of names"
-            " (--names)."
+            " (names; on the command line --names)."
         )
     if not set(layout.points) & set(JOINTS):
         known = ", ".join((*JOINTS, *FACE))
         raise BadInput(
             f"none of the body parts of {content.source} ({shown(parts)}) is a joint known here;"
-            f" give a map of names (--names names.json) to {known}."
+            f" give a map of names (names; on the command line --names names.json) to {known}."
         )
     return layout

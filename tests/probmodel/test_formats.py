@@ -170,7 +170,7 @@ def test_openpose_old_key_two_people_seen_from_behind(shared_data: Path) -> None
 def test_openpose_of_another_layout_than_the_one_asked_for() -> None:
     with pytest.raises(
         BadInput,
-        match=r"has 54 numbers .* 75 are expected, as in body_25; .* or choose the --format",
+        match=r"has 54 numbers .* 75 are expected, as in body_25; .* or choose the format",
     ):
         read(openpose(flat(COCO_18.points)), "openpose-body25")
 

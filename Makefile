@@ -37,7 +37,7 @@ dist:
 	$(PYTHON) -m venv build/clean
 	build/clean/bin/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock dist/*.whl
 	mkdir build/elsewhere
-	cd build/elsewhere && ../clean/bin/python ../../tests/installed.py
+	cd build/elsewhere && ../clean/bin/python -P ../../tests/installed.py
 
 $(VENV)/.done: pyproject.toml requirements.lock
 	@$(NEED_PYTHON)

@@ -1,6 +1,5 @@
 """Tries an installed poseterior: `make dist` runs it by the Python of a clean environment, in an
-empty folder. Nothing of the checkout is on the path but this file's folder, which Python puts
-there."""
+empty folder, and with `-P`, so that nothing of the checkout is on the path."""
 
 import subprocess
 import sys

@@ -3,11 +3,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTHON := $(shell for p in python3.12 python3.13 python3.14 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 12))' >/dev/null 2>&1 && echo $$p && break; done)
+NEED_PYTHON = test -n "$(PYTHON)" || { echo "poseterior needs Python 3.12 or newer on the PATH (as python3.12 or python3); install one and run make again." >&2; exit 2; }
 # One thread of BLAS and OpenMP a process: the tests already run one process a core, and threads that
 # wait for a core that another process has make them six times slower.
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
-.PHONY: demo test test-all lint bench fuzz lock clean
+.PHONY: demo test test-all lint bench dist fuzz lock clean
 
 demo: $(VENV)/.done
 	$(BIN)/poseterior demo
@@ -27,8 +28,20 @@ bench: $(VENV)/.done
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
 	$(BIN)/python -m reports.pages.speed
 
+# Wheel and sdist, the wheel built from the sdist, and tried where nothing else of ours is.
+dist:
+	@$(NEED_PYTHON)
+	rm -rf dist build
+	$(PYTHON) -m venv build/maker
+	build/maker/bin/python -m pip install --quiet --disable-pip-version-check build
+	build/maker/bin/python -m build --outdir dist .
+	$(PYTHON) -m venv build/clean
+	build/clean/bin/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock dist/*.whl
+	mkdir build/elsewhere
+	cd build/elsewhere && ../clean/bin/python -P ../../tests/installed.py
+
 $(VENV)/.done: pyproject.toml requirements.lock
-	@test -n "$(PYTHON)" || { echo "poseterior needs Python 3.12 or newer on the PATH (as python3.12 or python3); install one and run make again." >&2; exit 2; }
+	@$(NEED_PYTHON)
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable ".[dev]"
 	@echo "compiling the loops, once"
@@ -43,4 +56,4 @@ lock: $(VENV)/.done
 	$(BIN)/python -m pip freeze --exclude-editable > requirements.lock
 
 clean:
-	rm -rf $(VENV) .pytest_cache .ruff_cache .mypy_cache
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .mypy_cache

@@ -1,3 +1,4 @@
+from .baselines.target import Target as Target
 from .evidences import Evidence as Evidence
 from .evidences import evidence as evidence
 from .hypothesis import Hypothesis as Hypothesis

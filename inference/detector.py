@@ -84,7 +84,7 @@ class _Process:
         if "error" in answer:
             raise BadInput(
                 f"{self.name} could not be run on an image ({answer['error']}); try another"
-                " --input-size"
+                " size of its input"
             )
         return outputs
 
@@ -177,8 +177,8 @@ class Network:
         chosen = own if len(own) == 2 else size
         if chosen is None or not all(1 < side <= LARGEST_SIDE for side in chosen):
             raise BadInput(
-                f"{path} takes images of any size; say which it was trained on, such as"
-                " --input-size 192x256"
+                f"{path} takes images of any size; say which it was trained on: size=(192, 256),"
+                " or on the command line --input-size 192x256"
             )
         return cls(process, layout, Path(path).name, (chosen[0], chosen[1]), pixels)
 

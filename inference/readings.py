@@ -172,8 +172,8 @@ _SENTENCES = {
         " given?"
     ),
     "order": (
-        "the points do not make a human body: is this their order (--format), and are these joints"
-        " of one person?"
+        "the points do not make a human body: is this their order (the format), and are these"
+        " joints of one person?"
     ),
 }
 

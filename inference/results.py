@@ -1,7 +1,7 @@
 """Results: draws → a DataTree with names, units and provenance, saved as netCDF; see `Result`.
 
-Groups posterior, sample_stats, observed_data, constant_data; opened by `xarray.open_datatree` and
-by ArviZ."""
+Groups posterior, sample_stats, posterior_predictive, log_likelihood, observed_data, constant_data;
+opened by `xarray.open_datatree` and by ArviZ."""
 
 import functools
 import importlib.metadata
@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from inference.exact.loops.numbers import words_of
+from inference.predictions import prediction_groups
 from probmodel.chunks import in_chunks
 from probmodel.detections import Detection
 from probmodel.files import replacing
@@ -117,7 +118,7 @@ def build_tree(
     """The DataTree of a posterior's draws, those of each root in `parts`.
 
     Draws are put in random order, so that any stretch of them is a sample of the mixture; without
-    `rng` they stay in theirs.
+    `rng` they stay in theirs. The attribute `seed` also decides the predictions.
     """
     columns = pose_columns(posterior, parts, rng)
     chain = ("chain", "draw")
@@ -136,12 +137,14 @@ def build_tree(
         for name in dims
     }
     lp = (chain, columns["lp"][None], {"base_measure": BASE_MEASURE})
+    words = [int(word) for word in attributes["seed"].split()]
     tree = xr.DataTree.from_dict(
         {
             "posterior": xr.Dataset(
                 draws, coords=coords | names | {"length_group": list(LENGTH_GROUPS)}
             ),
             "sample_stats": xr.Dataset({"lp": lp}, coords=coords),
+            **prediction_groups(posterior, columns["keypoints"], columns["candidate"], words),
             "observed_data": observed_data(posterior.detection),
             "constant_data": _constant_data(posterior, parts),
         }

@@ -3,12 +3,14 @@
 
 import functools
 import time
+from collections.abc import Callable
 
 import jax
 
 from inference.baselines.catalogue import BASELINES, sample_baseline
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress, draw_mixture
-from inference.results import Result, build_tree
+from inference.joined import joined
+from inference.results import Result, build_tree, key_words
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
@@ -25,6 +27,7 @@ def sample(
     sampler: str = "rejection",
     num_samples: int = 10_000,
     max_proposals: int = MAX_PROPOSALS,
+    chains: int = 1,
     progress: Progress | None = None,
 ) -> Result:
     """Draws from the posterior of a detection, the mixture over its candidates.
@@ -36,18 +39,30 @@ def sample(
     key : of all draws: the same key, the same draws.
     sampler : one of `SAMPLERS`. Exact rejection draws independently from the posterior itself; a
         baseline draws chains under one candidate, started in exact draws.
-    num_samples : how many draws.
+    num_samples : how many draws, of all chains together; each chain gets as many as the others.
     max_proposals : most proposals, or evaluations of the density. Where they end first, or where no
         pose is possible, the result says so in `status` and `sentence`, and holds what there is.
+    chains : how many independent runs of exact rejection, each with a key and its share of the
+        proposals of its own, so that diagnostics which compare chains have some.
     progress : called now and then with the draws made and wanted.
 
     Raises
     ------
     BadInput
-        On an unknown sampler, or a number of samples below one.
+        On an unknown sampler, or a number of samples or chains that cannot be.
     """
     if sampler not in PROPOSALS and sampler not in BASELINES:
         raise BadInput(f"there is no sampler {sampler!r}; choose one of {', '.join(SAMPLERS)}")
+    if chains != 1:
+        return _several(
+            functools.partial(sample, model, frame, sampler=sampler),
+            key,
+            sampler,
+            chains,
+            num_samples,
+            max_proposals,
+            progress,
+        )
     posterior = frame.posterior(model)
     if sampler in BASELINES and num_samples > 0:
         return sample_baseline(
@@ -75,3 +90,44 @@ def sample(
     }
     tree = build_tree(posterior, mixture.parts, attributes, mixture.rng)
     return Result(tree, mixture.status, mixture.sentence)
+
+
+def _several(
+    run: Callable[..., Result],
+    key: jax.Array,
+    sampler: str,
+    chains: int,
+    num_samples: int,
+    max_proposals: int,
+    progress: Progress | None,
+) -> Result:
+    """Independent runs as the chains of one result. Raises `BadInput` where there cannot be so
+    many."""
+    if sampler in BASELINES:
+        raise BadInput(
+            f"{sampler} decides itself how many chains it runs; leave the number of chains out"
+        )
+    if not 1 <= chains <= num_samples:
+        raise BadInput(
+            f"{num_samples:,} samples cannot be in {chains} chains; choose from 1 to one a sample"
+        )
+    each = -(-num_samples // chains)
+    results = []
+    for chain, own in enumerate(jax.random.split(key, chains)):
+        done = chain * each
+
+        def report(made: int, _wanted: int, done: int = done) -> None:
+            if progress:
+                progress(done + made, chains * each)
+
+        results.append(
+            run(
+                key=own,
+                num_samples=each,
+                max_proposals=max(1, max_proposals // chains),
+                progress=report,
+            )
+        )
+    whole = joined(results)
+    whole.tree.attrs["seed"] = key_words(key)
+    return whole

@@ -116,7 +116,7 @@ def pick_person(detections: Sequence[Detection], person: int) -> Detection:
     count, numbers = len(detections), [detection.person for detection in detections]
     people = "1 person, numbered" if count == 1 else f"{count} people, numbered {min(numbers)} to"
     raise BadInput(
-        f"{detections[0].source} has {people} {max(numbers)}; --person {person} is not among them,"
+        f"{detections[0].source} has {people} {max(numbers)}; person {person} is not among them,"
         " choose one that is."
     )
 

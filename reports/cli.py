@@ -21,6 +21,7 @@ COMMANDS: dict[str, type] = {
     "frames": settings.FramesSettings,
     "show": settings.ShowSettings,
     "detect": settings.DetectSettings,
+    "export": settings.ExportSettings,
     "prior": settings.PriorSettings,
     "check": settings.CheckSettings,
     "compare": settings.CompareSettings,

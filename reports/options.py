@@ -60,6 +60,24 @@ class LowerMeasure(enum.StrEnum):
     box = "box"
 
 
+class ExportFormat(enum.StrEnum):
+    """What results are exported to."""
+
+    bvh = "bvh"
+    c3d = "c3d"
+    trc = "trc"
+    gltf = "gltf"
+    csv = "csv"
+    npz = "npz"
+
+
+class LengthUnit(enum.StrEnum):
+    """What exported lengths are in."""
+
+    m = "m"
+    mm = "mm"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Screen:
     """How a command speaks: with progress or without, in tables or JSON."""

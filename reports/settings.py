@@ -13,8 +13,10 @@ from reports.options import (
     SAMPLERS,
     Detected,
     Estimation,
+    ExportFormat,
     Factor,
     Hypotheses,
+    LengthUnit,
     Limits,
     NumSamples,
     Person,
@@ -68,11 +70,15 @@ class SampleSettings:
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "sample frame.json --out posterior.nc --num-samples 100000",
+        "sample frame.json --chains 4 --num-samples 4000 --out chains.nc",
         "sample frame.json --sampler emcee --candidates 1 --num-samples 1000",
     )
     person: Person
     out: Annotated[Path, Option(help="File to write.")] = Path("posterior.nc")
     sampler: Annotated[str, Option(help=f"One of {', '.join(SAMPLERS)}.")] = SAMPLERS[0]
+    chains: Annotated[
+        int, Option(help="Independent runs of exact rejection, which share the samples.")
+    ] = 1
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
     prior: Prior = Prior()
@@ -195,6 +201,54 @@ class CheckSettings:
         Path, Argument(help="3D poses: .nc, .json, .amc, .bvh, .npy, .npz.", show_default=False)
     ]
     limits: Limits = "default"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportSettings:
+    """Write a result as BVH, C3D, TRC, glTF, CSV or .npz: hypotheses, single draws, or the film of
+    a stream.
+
+    All have x to the right of the image, y up and z towards the camera, with the pelvis at the
+    origin. Standard deviations of the draws are columns in CSV, markers JOINT_sd in TRC, residuals
+    in C3D (root mean square distance); hypotheses.json alone knows none. C3D and glTF need
+    poseterior's extra `export`."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "export result/hypotheses.json --to bvh",
+        "export result/posterior.nc --to c3d --draws 100 --height 1.82",
+        "export walk-posterior --to trc --person 0 --rate 25 --out walk.trc",
+        "export result --to gltf --out ghosts.glb",
+    )
+    result: Annotated[
+        Path,
+        Argument(
+            help="hypotheses.json, posterior.nc, their folder, or a stream's.", show_default=False
+        ),
+    ]
+    to: Annotated[ExportFormat, Option(help="The format.", show_default=False)]
+    out: Annotated[
+        Path | None, Option(help="File to write.", show_default="the result's name, here")
+    ] = None
+    height: Annotated[
+        float,
+        Option(
+            help="The person's height in metres: head, back, upper and lower leg, and a tenth for"
+            " feet and hips."
+        ),
+    ] = 1.75
+    unit: Annotated[
+        LengthUnit | None,
+        Option(help="Of lengths.", show_default="mm; m for BVH and glTF"),
+    ] = None
+    k: Annotated[
+        int | None,
+        Option(help="How many hypotheses.", show_default="all that were chosen, or 5"),
+    ] = None
+    draws: Annotated[int | None, Option(help="So many single draws of a posterior.nc instead.")] = (
+        None
+    )
+    person: Annotated[int | None, Option(help="Whose film, in a stream of several people.")] = None
+    rate: Annotated[float, Option(help="Poses a second.")] = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,11 +5,15 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import numpyro.distributions  # noqa: F401 — whole, before a test that breaks off a command can break off this import
 import pytest
+
+if TYPE_CHECKING:  # the packages themselves are imported once floats are 64 bits wide
+    from inference import Result
+    from probmodel import Estimate
 
 CACHE = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
 """What XLA compiles is kept here, as the product keeps it for its user. Compiling is most of what
@@ -47,6 +51,24 @@ def shared_data() -> Path:
             " checkout"
         )
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def example_estimate() -> "Estimate":
+    """Torso and camera of the embedded example."""
+    from inference import estimate_torso
+    from probmodel.example import example
+
+    return estimate_torso(example().detection)
+
+
+@pytest.fixture(scope="session")
+def example_result(example_estimate: "Estimate") -> "Result":
+    """Exact draws of the embedded example, few: for what needs any result."""
+    from inference import sample
+    from probmodel import PoseModel
+
+    return sample(PoseModel(), example_estimate, key=jax.random.key(0), num_samples=200)
 
 
 @pytest.fixture(scope="session")

@@ -1,20 +1,23 @@
-"""Which package may know which: probmodel ← inference ← reports, nobody knows the tests; and what
-importing costs."""
+"""Which package may know which: probmodel ← inference ← reports, `poseterior` names what the first
+two export, nobody knows the tests; and what importing costs."""
 
 import ast
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("probmodel", "inference", "reports")
+PACKAGES = ("probmodel", "inference", "reports", "poseterior")
 FORBIDDEN = {
-    "probmodel": {"inference", "reports", "tests"},
-    "inference": {"reports", "tests"},
-    "reports": {"tests"},
+    "probmodel": {"inference", "reports", "poseterior", "tests"},
+    "inference": {"reports", "poseterior", "tests"},
+    "reports": {"poseterior", "tests"},
+    "poseterior": {"reports", "tests"},
 }
 """By package, the others that it must not import."""
 FILES = [
@@ -70,6 +73,8 @@ def test_dependencies_point_one_way(path: Path) -> None:
         ("inference", "from reports import tables"),
         ("inference", "from tests.scenes import camera"),
         ("reports", "import tests.goodness"),
+        ("probmodel", "import poseterior as pt"),
+        ("poseterior", "from reports.cli import main"),
     ],
 )
 def test_an_offender_is_caught(package: str, source: str) -> None:
@@ -94,6 +99,28 @@ def test_every_module_says_what_it_is(path: Path) -> None:
     assert ast.get_docstring(ast.parse((ROOT / path).read_text(encoding="utf-8"))), (
         f"{path} has no docstring"
     )
+
+
+@pytest.mark.parametrize("path", [path for path in FILES if path.parts[0] != "reports"], ids=str)
+def test_messages_to_python_users_speak_python(path: Path) -> None:
+    """An option is named only where it is said to be one of the command line."""
+    assert list(foreign((ROOT / path).read_text(encoding="utf-8"))) == []
+
+
+def foreign(source: str) -> Iterator[str]:
+    """Texts of `raise` statements that name options of the command line as if there were nothing
+    else."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Raise):
+            texts = [str(part.value) for part in ast.walk(node) if isinstance(part, ast.Constant)]
+            said = "".join(texts)
+            if re.search(r"(^|[ (])--[a-z]", said) and "command line" not in said:
+                yield said
+
+
+def test_a_message_that_speaks_of_options_is_caught() -> None:
+    assert list(foreign("raise BadInput(f'{name} is unknown; choose another --person')"))
+    assert not list(foreign("raise BadInput('give one (on the command line --person 1)')"))
 
 
 def test_the_command_line_starts_without_jax() -> None:

@@ -21,6 +21,7 @@ from inference.baselines.nested import NESTED
 from inference.baselines.run import Allowance, Baseline, Progress, Run, check_packages, run
 from inference.baselines.target import Target
 from inference.baselines.tempering import TEMPERINGS
+from inference.joined import CHAINED
 from inference.results import Result, RootDraws, build_tree, key_words
 from inference.studies.flips import away, codes
 from probmodel.failures import BadInput
@@ -118,7 +119,7 @@ def baseline_tree(posterior: Posterior, run: Run, key: jax.Array) -> xr.DataTree
         **{f"info_{name}": value for name, value in run.info.items()},
     }
     tree = build_tree(posterior, [part], attributes, rng=None)
-    for group in ("posterior", "sample_stats"):
+    for group in CHAINED:
         tree[group] = xr.DataTree(_chained(tree[group].to_dataset(), chains, draws))
     return tree
 

@@ -58,7 +58,8 @@ class Target:
         if len(posterior.roots) != 1:
             raise BadInput(
                 f"{where} has {len(posterior.roots)} torso-and-camera candidates, but this sampler"
-                " draws under one; estimate with one candidate (--candidates 1)"
+                " draws under one; estimate with num_candidates=1 (on the command line"
+                " --candidates 1)"
             )
         observation = posterior.observations[0]
         active = _active(np.asarray(observation.seen))

@@ -32,7 +32,7 @@ class OutOfReach(NamedTuple):
         return (
             f"{self.joint} was detected {self.excess * scale:.0f} px ({self.excess:.2f} limb"
             f" lengths) farther than any possible {self.limb} reaches, its radius included; mend or"
-            " drop that detection, raise its radius, or try another --person"
+            " drop that detection, raise its radius, or try another person"
         )
 
 

@@ -93,12 +93,12 @@ def require_pose(detection: Detection) -> None:
         found = ", ".join(names) or "none"
         raise BadInput(
             f"{detection.where} shows {found}; a pose needs at least {FEWEST} joints: lower the"
-            " threshold, or choose another --person"
+            " threshold, or choose another person"
         )
     if not set(names) & set(TORSO_JOINTS):
         raise BadInput(
             f"{detection.where} shows no joint of the torso; a pose needs one of"
-            f" {', '.join(TORSO_JOINTS)}: lower the threshold, or choose another --person"
+            f" {', '.join(TORSO_JOINTS)}: lower the threshold, or choose another person"
         )
     require_spread(detection, range(NUM_JOINTS))
 
@@ -129,5 +129,5 @@ def require_spread(detection: Detection, joints: Sequence[int], what: str = "") 
     if place:
         raise BadInput(
             f"the {what}joints of {detection.where} all lie {place}, so no camera can be found;"
-            " mend the detection, or choose another --person"
+            " mend the detection, or choose another person"
         )

@@ -21,8 +21,10 @@ from probmodel.formats import (
     hourglass,
     mediapipe,
     mmpose,
+    named_table,
     native,
     openpose,
+    ultralytics,
     videopose3d,
 )
 from probmodel.formats.common import Content, at_least_one_joint
@@ -81,6 +83,13 @@ _ROWS = (
         mediapipe.read_table,
         mediapipe.THRESHOLD,
     ),
+    Format("csv", "a CSV of named columns", named_table.recognises, named_table.read),
+    Format(
+        "ultralytics-text",
+        "Ultralytics YOLO-pose text",
+        ultralytics.recognises_text,
+        ultralytics.read_text,
+    ),
     Format("poseterior", "poseterior JSON", native.recognises, native.read),
     Format("openpose", "OpenPose JSON", openpose.recognises, openpose.read),
     Format(
@@ -103,6 +112,12 @@ _ROWS = (
     ),
     Format(
         "coco-annotations", "COCO annotations", coco.recognises_annotations, coco.read_annotations
+    ),
+    Format(
+        "ultralytics",
+        "Ultralytics YOLO-pose JSON",
+        ultralytics.recognises_json,
+        ultralytics.read_json,
     ),
     Format("mmpose", "MMPose or RTMPose JSON", mmpose.recognises, mmpose.read),
     Format(

@@ -1,11 +1,13 @@
 """COCO keypoints: annotation files, and the lists of results that most detectors can write
 (AlphaPose among them).
 
-Annotations have COCO's seventeen points and say how visible each is (0, 1, 2), which becomes a
-score of 0, 1/2 or 1. Results carry a score for each point (AlphaPose's run to 6 in some models;
-only their proportions matter), and how many numbers a record has tells which layout it is."""
+Annotations say how visible each point is (0, 1, 2), which becomes a score of 0, 1/2 or 1. They have
+COCO's seventeen points, or those that their category names (as MMPose's files of other data sets
+do), where the user's own names come first. Results carry a score for each point (AlphaPose's run to
+6 in some models; only their proportions matter), and how many numbers a record has tells which
+layout it is."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from probmodel.detections import Detection, FloatArray
@@ -15,6 +17,7 @@ from probmodel.formats.common import (
     image_name,
     image_side,
     mapping,
+    named_layout,
     scored_points,
     sequence,
 )
@@ -48,18 +51,19 @@ def read_annotations(content: Content, threshold: float) -> Iterator[Detection]:
     source = content.source
     document = mapping(content.json, source)
     annotations = sequence(document.get("annotations"), f"'annotations' of {source}")
-    persons = _person_categories(document, source)
+    layouts = _person_categories(document, content)
     sizes = _image_sizes(document, source)
     people = 0
     for where, record in _records(annotations, "annotation", source):
-        _check_category(record, persons, where)
+        _check_category(record, set(layouts), where)
         if record.get("keypoints") is None:  # a person who was boxed only
             continue
-        points = _points(record, {3 * COCO_17.count: COCO_17}, where)[0]
-        points[:, 2] = _scores_of_visibility(points[:, 2], where)
+        layout = layouts[record.get("category_id", PERSON)]
+        points = _points(record, {3 * layout.count: layout}, where)[0]
+        points[:, 2] = _scores_of_visibility(points[:, 2], layout, where)
         if points[:, 2].any():
             image = image_name(record.get("image_id"), f"image_id of {where}")
-            yield COCO_17.detection(points, threshold, source, people, image, sizes.get(image))
+            yield layout.detection(points, threshold, source, people, image, sizes.get(image))
             people += 1
     if annotations and not people:
         raise BadInput(
@@ -101,8 +105,8 @@ def _points(
     return scored_points(flat, layout.points, where), layout
 
 
-def _scores_of_visibility(visibility: FloatArray, where: str) -> FloatArray:
-    for name, value in zip(COCO_17.points, visibility, strict=True):
+def _scores_of_visibility(visibility: FloatArray, layout: Layout, where: str) -> FloatArray:
+    for name, value in zip(layout.points, visibility, strict=True):
         if value not in (0, 1, 2):
             raise BadInput(
                 f"the visibility of {name} in {where} is {value:g}, but annotations have 0, 1 or 2;"
@@ -111,26 +115,35 @@ def _scores_of_visibility(visibility: FloatArray, where: str) -> FloatArray:
     return visibility / 2
 
 
-def _person_categories(document: dict[str, Any], source: str) -> set[object]:
-    """The ids of the categories that are persons; their points must be named in COCO's order where
-    they are named."""
+def _person_categories(document: dict[str, Any], content: Content) -> dict[object, Layout]:
+    """The ids of the categories that are persons, and the points that each has."""
+    source = content.source
     if document.get("categories") is None:
-        return {PERSON}
-    persons: set[object] = set()
+        return {PERSON: _unnamed(content)}
+    layouts: dict[object, Layout] = {}
     for where, category in _records(
         sequence(document["categories"], f"'categories' of {source}"), "category", source
     ):
-        if category.get("name") != "person" or not isinstance(category.get("id"), int):
-            continue
-        persons.add(category["id"])
-        names = category.get("keypoints")
-        if names is not None and names != list(COCO_17.points):
-            raise BadInput(
-                f"'keypoints' of {where} are {shown(names)}, not COCO's 17 points in COCO's order;"
-                f" reorder them ({COCO_17.points[0]}, {COCO_17.points[1]}, …,"
-                f" {COCO_17.points[-1]})."
-            )
-    return persons
+        if category.get("name") == "person" and isinstance(category.get("id"), int):
+            layouts[category["id"]] = _named(category.get("keypoints"), content, where)
+    return layouts
+
+
+def _unnamed(content: Content) -> Layout:
+    """COCO's points; or, where the user gives a list of names in the file's order, those."""
+    if isinstance(content.names, Mapping) or not content.names:
+        return COCO_17
+    return named_layout(list(content.names), content)
+
+
+def _named(names: object, content: Content, where: str) -> Layout:
+    """The points of a category by its names of them."""
+    if names is None or (names == list(COCO_17.points) and not content.names):
+        return _unnamed(content)
+    listed = sequence(names, f"'keypoints' of {where}")
+    if not all(isinstance(name, str) for name in listed):
+        raise BadInput(f"'keypoints' of {where} are {shown(names)} where names are needed.")
+    return named_layout(listed, content)
 
 
 def _check_category(record: dict[str, Any], persons: set[object], where: str) -> None:

@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from probmodel.arrays import ArrayFile
-from probmodel.detections import LARGEST_NUMBER, Detection, FloatArray
+from probmodel.detections import FACE, LARGEST_NUMBER, Detection, FloatArray
 from probmodel.documents import decoded, json_failures, parsed, require_modest
 from probmodel.failures import BadInput, shown
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from probmodel.layouts import Layout, layout_of_names
+from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 
 _SPACE = re.compile(r"[ \t\n\r]*")
 
@@ -236,3 +237,30 @@ def image_side(value: object, where: str) -> int:
             f"{where} is {shown(value)} where a positive whole number of pixels is needed."
         )
     return int(side)
+
+
+def named_layout(parts: list[str], content: Content) -> Layout:
+    """The layout of points that a file names freely, with the user's names for them. Raises
+    `BadInput` where two are the same joint, or none is any."""
+    names = content.names
+    if isinstance(names, Mapping):
+        layout = layout_of_names(parts, dict(names))
+    elif len(names) == len(parts):
+        layout = layout_of_names(list(names))
+    else:
+        raise BadInput(
+            f"the list of names has {len(names)}, but {content.source} has {len(parts)} body parts."
+        )
+    doubled = sorted({name for name in layout.points if layout.points.count(name) > 1})
+    if doubled:
+        raise BadInput(
+            f"{content.source} has several body parts that are {doubled[0]}; give a map of names"
+            " (names; on the command line --names)."
+        )
+    if not set(layout.points) & set(JOINTS):
+        known = ", ".join((*JOINTS, *FACE))
+        raise BadInput(
+            f"none of the body parts of {content.source} ({shown(parts)}) is a joint known here;"
+            f" give a map of names (names; on the command line --names names.json) to {known}."
+        )
+    return layout

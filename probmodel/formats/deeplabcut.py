@@ -13,11 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from probmodel import arrays
-from probmodel.detections import FACE, Detection, FloatArray
+from probmodel.detections import Detection, FloatArray
 from probmodel.failures import BadInput, shown
-from probmodel.formats.common import Content, table_rows
-from probmodel.layouts import Layout, layout_of_names
-from probmodel.skeleton import JOINTS
+from probmodel.formats.common import Content, named_layout, table_rows
 
 HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 COORDS = ("x", "y", "likelihood")
@@ -234,7 +232,9 @@ def _people(table: Table, content: Content, threshold: float) -> Iterator[Detect
         name: [i for i, individual in enumerate(table.individuals) if individual == name]
         for name in wanted
     }
-    layouts = {name: _layout([table.parts[i] for i in columns[name]], content) for name in wanted}
+    layouts = {
+        name: named_layout([table.parts[i] for i in columns[name]], content) for name in wanted
+    }
     person = 0
     for frame, rows in zip(table.frames, table.values, strict=True):
         for name in wanted:
@@ -247,28 +247,3 @@ def _people(table: Table, content: Content, threshold: float) -> Iterator[Detect
                 )
             yield layouts[name].detection(points, threshold, content.source, person, frame)
             person += 1
-
-
-def _layout(parts: list[str], content: Content) -> Layout:
-    names = content.names
-    if isinstance(names, Mapping):
-        layout = layout_of_names(parts, dict(names))
-    elif len(names) == len(parts):
-        layout = layout_of_names(list(names))
-    else:
-        raise BadInput(
-            f"the list of names has {len(names)}, but {content.source} has {len(parts)} body parts."
-        )
-    doubled = sorted({name for name in layout.points if layout.points.count(name) > 1})
-    if doubled:
-        raise BadInput(
-            f"{content.source} has several body parts that are {doubled[0]}; give a map of names"
-            " (--names)."
-        )
-    if not set(layout.points) & set(JOINTS):
-        known = ", ".join((*JOINTS, *FACE))
-        raise BadInput(
-            f"none of the body parts of {content.source} ({shown(parts)}) is a joint known here;"
-            f" give a map of names (--names names.json) to {known}."
-        )
-    return layout

@@ -224,7 +224,8 @@ def _detections(
     if content.image_size is None:
         raise BadInput(
             f"the coordinates of {content.source} are fractions of an image whose size the file"
-            " does not say; give the image (--image), or its size (--image-size 640x480)."
+            " does not say; give image_size=(640, 480), or on the command line the image (--image)"
+            " or --image-size 640x480."
         )
     from scipy.special import expit  # takes a while, and few files need it
 

@@ -41,7 +41,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
     if document.get("format") != FORMAT:
         raise BadInput(
             f"'format' of {source} is {shown(document.get('format'))}, not '{FORMAT}'; choose"
-            " --format auto."
+            " the format auto."
         )
     version = document.get("version")
     if isinstance(version, bool) or version != VERSION:

@@ -97,7 +97,7 @@ def body_order(people: list[FloatArray], source: str) -> Layout:
     if abs(evidence) < MIN_EVIDENCE:
         raise BadInput(
             f"{source} has 25 points a person, but too few are seen to tell BODY_25 from BODY_25B;"
-            " choose --format openpose-body25 or openpose-body25b."
+            " choose the format openpose-body25 or openpose-body25b."
         )
     return BODY_25 if evidence > 0 else BODY_25B
 
@@ -156,7 +156,7 @@ def _points(flat: list[Any], layout: Layout, where: str) -> FloatArray:
             raise BadInput(
                 f"{where} has {len(flat)} numbers of the body where {3 * layout.count} are"
                 f" expected, as in {layout.name}; read files of different layouts apart, or choose"
-                " the --format."
+                " the format."
             )
         said = " or ".join(f"{numbers} ({name})" for name, numbers in known.items())
         raise BadInput(

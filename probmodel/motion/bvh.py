@@ -23,7 +23,7 @@ from probmodel.motion.recording import (
 )
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 
-_BVH_NAMES = (
+_BVH_NAMES: tuple[dict[str, str], ...] = (
     {
         "pelvis": "Hips",
         "thorax": "Neck",
@@ -59,9 +59,10 @@ _BVH_NAMES = (
         "left_ankle": "LeftAnkle",
     },
 )
-"""The BVH joints that are ours, in the two naming schemes of the CMU conversions. "Head end" is the
-head's End Site; "thorax" is where the neck starts. The conversions lack the ASF's thorax bone:
-their trunks are some 117 mm short."""
+_BVH_NAMES += ({**_BVH_NAMES[0], "head": "HeadTop"},)
+"""The BVH joints that are ours, in the two naming schemes of the CMU conversions, and in that of
+`poseterior export`. "Head end" is the head's End Site; "thorax" is where the neck starts. The
+conversions lack the ASF's thorax bone: their trunks are some 117 mm short."""
 
 
 class _BvhJoint(NamedTuple):
@@ -90,23 +91,28 @@ def read_bvh(path: Path) -> list[Motion]:
     rate, values = _parse_bvh_motion(motion, sum(len(joint.channels) for joint in joints), path)
     rotations: list[Rotation | None] = []
     position = np.zeros((len(values), 3))
+    offsets = [joint.offset for joint in joints]
     column = 0
     for i, joint in enumerate(joints):
         block = values[:, column : column + len(joint.channels)]
         column += len(joint.channels)
         spins = [k for k, channel in enumerate(joint.channels) if channel.endswith("rotation")]
-        axes = "".join(joint.channels[k][0] for k in spins)
+        order = "".join(joint.channels[k][0] for k in spins)
         # Upper-case letters are intrinsic axes: Zrotation Yrotation Xrotation means Rz·Ry·Rx.
         rotations.append(
-            Rotation.from_euler(axes, block[:, spins], degrees=True) if spins else None
+            Rotation.from_euler(order, block[:, spins], degrees=True) if spins else None
         )
         places = [k for k, channel in enumerate(joint.channels) if channel.endswith("position")]
-        if i == 0 and places:
-            position[:, ["XYZ".index(joint.channels[k][0]) for k in places]] = block[:, places]
+        axes = ["XYZ".index(joint.channels[k][0]) for k in places]
+        if i == 0:
+            position[:, axes] = block[:, places]
+        elif places:  # they stand in place of the offset
+            offsets[i] = np.tile(joint.offset, (len(values), 1))
+            offsets[i][:, axes] = block[:, places]
     # A BVH joint's rotation turns what hangs from it, not its own offset: as segments, offsets
     # belong to the parent.
     rig = Rig(names, [joint.parent for joint in joints], np.zeros((len(joints), 3)))
-    ends = _bvh_forward(rig, [joint.offset for joint in joints], wanted, position, rotations)
+    ends = _bvh_forward(rig, offsets, wanted, position, rotations)
     return [Motion(positions(ends * CMU_UNIT, path), rate, path.stem, path.stem)]
 
 
@@ -117,8 +123,8 @@ def _bvh_forward(
     root: np.ndarray,
     rotations: list[Rotation | None],
 ) -> np.ndarray:
-    """As `forward`, with every joint split in two segments: its offset in the parent's axes, then
-    its rotation."""
+    """As `forward`, with every joint split in two segments: its offset `(3,)` or `(T, 3)` in the
+    parent's axes, then its rotation."""
     parents: list[int] = []
     shifts: list[np.ndarray] = []
     turns: list[Rotation | None] = []
@@ -126,7 +132,7 @@ def _bvh_forward(
         parents += [2 * parent + 1 if parent >= 0 else -1, len(parents)]
         shifts += [offset if parent >= 0 else np.zeros(3), np.zeros(3)]
         turns += [None, turn]
-    split = Rig([name for name in rig.names for _ in range(2)], parents, np.array(shifts))
+    split = Rig([name for name in rig.names for _ in range(2)], parents, shifts)
     return forward(split, [2 * segment for segment in wanted], root, turns)
 
 

@@ -88,8 +88,9 @@ class Rig(NamedTuple):
 
     names: list[str]
     parents: list[int]
-    offsets: np.ndarray
-    """`(S, 3)`: from a segment's start to its end, in the segment's own axes."""
+    offsets: Sequence[np.ndarray] | np.ndarray
+    """`(S, 3)`: from a segment's start to its end, in the segment's own axes; or one by one, `(3,)`
+    or, where it changes in time, `(T, 3)`."""
 
 
 def forward(

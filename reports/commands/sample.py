@@ -24,6 +24,7 @@ def run(settings: SampleSettings, screen: Screen) -> None:
             sampler=settings.sampler,
             num_samples=sampling.num_samples,
             max_proposals=sampling.max_proposals,
+            chains=settings.chains,
             progress=step,
         )
     if not result.num_draws:

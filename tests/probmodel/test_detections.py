@@ -121,9 +121,9 @@ def test_alpha_has_mean_one_over_the_observed(score: list[float], joints: tuple[
 def test_pick_person() -> None:
     two = [detection(person=0), detection(person=1)]
     assert pick_person(two, 1) is two[1]
-    with pytest.raises(BadInput, match="f has 2 people, numbered 0 to 1; --person 5 is not"):
+    with pytest.raises(BadInput, match="f has 2 people, numbered 0 to 1; person 5 is not"):
         pick_person(two, 5)
-    with pytest.raises(BadInput, match="f has 1 person, numbered 0; --person -1 is not"):
+    with pytest.raises(BadInput, match="f has 1 person, numbered 0; person -1 is not"):
         pick_person(two[:1], -1)
     with pytest.raises(BadInput, match="the list of detections is empty"):
         pick_person([], 0)

@@ -181,6 +181,27 @@ BOX = np.array([[-2.0, -2.0, 192.0, 192.0]])
 """What makes four pixels of an image of one of `blobs`, its centres falling on multiples of
 four."""
 
+
+def yolo_text(width: int, *more: float) -> str:
+    rows = points(COCO_17) / [*SIZE, 1]
+    numbers = [0.5, 0.5, 0.3, 0.8, *rows[:, :width].ravel(), *more]
+    return " ".join(["0", *(f"{number:g}" for number in numbers)]) + "\n"
+
+
+def yolo(scale: tuple[float, float] = (1, 1), **more: object) -> dict[str, object]:
+    x, y, visible = (points(COCO_17) / [*scale, 1]).T.tolist()
+    keypoints = {"x": x, "y": y, "visible": visible}
+    box = {"x1": 1, "y1": 2, "x2": 3, "y2": 4}
+    return {"name": "person", "class": 0, "box": box, "keypoints": keypoints} | more
+
+
+def named_columns(parts: dict[str, str] = PARTS, score: str = "_score") -> str:
+    ends = ["_x", "_y", score] if score else ["_x", "_y"]
+    header = ["frame", *[name + end for name in parts for end in ends]]
+    row = [n for name in parts.values() for n in (*STANDING[name], 0.5)[: len(ends)]]
+    return table([header, [0, *row], [1, *row]])
+
+
 FILES: dict[str, list[bytes]] = {
     "poseterior": [
         json.dumps(native_with(image_id="a", image_size=[9, 9], face={"nose": [1, 2, 1]})).encode()
@@ -218,6 +239,16 @@ FILES: dict[str, list[bytes]] = {
     ],
     "mediapipe-text": [landmark_text().encode()],
     "mediapipe-csv": [long_landmarks().encode(), wide_landmarks().encode()],
+    "csv": [named_columns().encode(), named_columns(score="").encode()],
+    "ultralytics-text": [
+        yolo_text(3).encode(),
+        (yolo_text(3, 0.9) + yolo_text(3, 0.8)).encode(),
+        yolo_text(2, 0.9, 4).encode(),
+    ],
+    "ultralytics": [
+        json.dumps([yolo(), yolo(track_id=4)]).encode(),
+        json.dumps([yolo(SIZE)]).encode(),
+    ],
     "deeplabcut-csv": [
         table(deeplabcut_rows()).encode(),
         table(deeplabcut_rows(("ann", "bob"))).encode(),

@@ -60,9 +60,12 @@ from tests.probmodel.test_formats_fuzz import (
     long_landmarks,
     mmpose,
     mmpose_instance,
+    named_columns,
     npz,
     points,
     table,
+    yolo,
+    yolo_text,
 )
 
 MMPOSE = "detections/mmpose/mmpose_inferencer_000000000785.json"
@@ -266,7 +269,137 @@ def test_names_as_people_write_them(written: str, name: str) -> None:
     assert layout_of_names([written], {written: "pelvis"}).points == ("pelvis",)
 
 
+HALF_SEEN = points(COCO_17)
+HALF_SEEN[9] = [0, 0, 0.4]
+
+
+def test_yolo_s_points_at_the_corner_are_missing() -> None:
+    """Some versions move points with a score below one half there, and leave them their score."""
+    columns = dict(zip(("x", "y", "visible"), HALF_SEEN.T.tolist(), strict=True))
+    person = read(json.dumps([yolo(keypoints=columns)]).encode())[0]
+    assert missing(person) >= {"left_wrist"}
+    assert "right_wrist" not in missing(person)
+
+
+def test_yolo_without_scores_has_one_for_every_point() -> None:
+    record = yolo()
+    del record["keypoints"]["visible"]
+    assert read(json.dumps([record]).encode(), image_size=None)[0].score.max() == 1
+
+
+def test_yolo_s_people_are_lines(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text(yolo_text(3, 0.9) * 3)
+    assert len(read_detections(tmp_path / "a.txt", image_size=SIZE)) == 3
+    (frame,) = read_frames(tmp_path, image_size=SIZE)
+    assert [one.person for one in frame.people] == [0, 1, 2]
+
+
+MPII = ["head_top", "right_ankle", "r_knee", "RHip", "left_hip", "l_knee", "left_ankle", "root"]
+MPII += ["chest", "r_shoulder", "r_elbow", "r_wrist", "left_shoulder", "left_elbow", "left_paw"]
+
+
+def named_annotations(names: list[str], **category: Any) -> bytes:
+    """A COCO file of another data set, whose category names its points."""
+    known = {"left_paw": "left_wrist"}
+    flat = [n for name in names for n in (*STANDING[known.get(name, spoken_name(name))], 2)]
+    return json.dumps(
+        {
+            "annotations": [{"image_id": 7, "category_id": 3, "keypoints": flat}],
+            "categories": [{"id": 3, "name": "person", "keypoints": names} | category],
+        }
+    ).encode()
+
+
+def test_coco_files_that_name_their_points_are_read_by_their_names() -> None:
+    person = read(named_annotations(MPII))[0]
+    assert missing(person) == {"left_wrist"}
+    person = read(named_annotations(MPII), names={"left_paw": "left_wrist"})[0]
+    for name in set(JOINTS):
+        np.testing.assert_array_equal(person.keypoints[JOINT_INDEX[name]], STANDING[name])
+
+
+def test_coco_files_without_names_take_a_list_of_them() -> None:
+    names = [*MPII[:-1], "left_wrist"]
+    assert not missing(read(named_annotations(MPII, keypoints=None), names=names)[0])
+    assert not missing(read(named_annotations(MPII), names=names)[0])
+
+
+def test_a_table_of_named_columns_in_any_order() -> None:
+    header = ["RWrist_conf", "left hip.x", "left hip.Y", "RWrist_y", "RWrist_x", "note"]
+    header += ["hip_r x", "hip_r y", "tail_x", "tail_y", "l_shoulder_x", "l_shoulder_y"]
+    rows = [
+        [0.7, 1, 2, 4, 3, "a", 5, 6, 7, 8, 9, 10],
+        [0.7, "", 2, 4, 3, "b", 5, 6, 7, 8, 9, "nan"],
+    ]
+    first, second = read(table([header, *rows]).encode())
+    assert first.keypoints[JOINT_INDEX["right_wrist"]].tolist() == [3, 4]
+    assert first.score[JOINT_INDEX["right_wrist"]] == 0.7
+    assert first.score[JOINT_INDEX["left_hip"]] == 1
+    assert {"left_hip", "left_shoulder"} <= missing(second)
+    odd = table([["a_x", "a_y", "b_x", "b_y", "c_x", "c_y"], [1, 2, 3, 4, 5, 6]]).encode()
+    with pytest.raises(BadInput, match=r"not known here|not valid JSON"):
+        read(odd)
+    named = read(odd, names={"a": "head", "b": "left_hip", "c": "right_hip"})[0]
+    assert named.keypoints[JOINT_INDEX["head"]].tolist() == [1, 2]
+
+
+def test_fractions_need_the_size_of_their_image() -> None:
+    for data in (FILES["ultralytics-text"][0], FILES["ultralytics"][1]):
+        with pytest.raises(
+            BadInput, match=r"fractions of an image .* give image_size=\(640, 480\)"
+        ):
+            read(data, image_size=None)
+
+
 REFUSALS = {
+    "ultralytics: fewer points": (
+        json.dumps([yolo(keypoints={"x": [1, 2], "y": [3, 4]})]).encode(),
+        "'x' of record 0 of a file has 2 numbers where COCO's 17 points are needed",
+    ),
+    "ultralytics: no y": (
+        json.dumps([yolo(keypoints={"x": [1] * 17})]).encode(),
+        "'y' of record 0 of a file is None where a JSON array",
+    ),
+    "ultralytics: boxes after a person": (
+        json.dumps([yolo(), {"name": "dog", "class": 16}]).encode(),
+        "'keypoints' of record 1 of a file is None where a JSON object",
+    ),
+    "ultralytics: a short line": (
+        (yolo_text(3) + "0 0.5 0.5\n").encode(),
+        "line 2 of a file has 3 numbers, but a person of 17 points has 39, 40, 41, 56",
+    ),
+    "ultralytics: a word": (
+        (yolo_text(3) + yolo_text(3).replace("0.25", "left", 1)).encode(),
+        "line 2 of a file holds 'left' where a number",
+    ),
+    "ultralytics: pixels in text": (
+        yolo_text(3).replace("0.25", "250").encode(),
+        "at 250 images from the corner; YOLO's text files have fractions",
+    ),
+    "coco: names that are none": (
+        named_annotations(MPII, keypoints=[1, 2]),
+        r"'keypoints' of category 0 of a file are \[1, 2\] where names are needed",
+    ),
+    "coco: one joint twice": (
+        named_annotations([*MPII[:-1], "LHip"]),
+        "several body parts that are left_hip; give a map of names",
+    ),
+    "coco: nothing known": (
+        named_annotations(MPII, keypoints=[f"point {n}" for n in range(15)]),
+        "none of the body parts of a file .* is a joint known here; give a map of names",
+    ),
+    "csv: a word": (
+        named_columns().replace(",0.5", ",left", 1).encode(),
+        "row 2 of a file holds 'left' where a number",
+    ),
+    "csv: a cell too few": (
+        named_columns()[:-5].encode(),
+        "row 3 of a file has .* cells, but the header",
+    ),
+    "csv: one joint twice": (
+        named_columns({"LHip": "left_hip", "left_hip": "left_hip", **PARTS}).encode(),
+        "several body parts that are left_hip",
+    ),
     "mediapipe: pixels": (
         json.dumps([row | {"x": 300} for row in landmarks()]).encode(),
         "fractions of the image",

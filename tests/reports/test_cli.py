@@ -278,13 +278,13 @@ REFUSALS = [
         "person out of range",
         HYPOTHESES + "--person 1",
         GOOD,
-        "has 1 person, .*; --person 1 is not among them",
+        "has 1 person, .*; person 1 is not among them",
     ),
     Refusal(
         "negative person",
         HYPOTHESES + "--person -1",
         GOOD,
-        "--person -1 is not among them, choose one that is",
+        "person -1 is not among them, choose one that is",
     ),
     Refusal("no hypotheses", HYPOTHESES + "--k 0", GOOD, "at least 1, not 0; give another --k"),
     Refusal(

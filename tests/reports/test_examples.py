@@ -113,7 +113,8 @@ OF_THEIR_OWN = {
     "num_samples": {"evaluate", "coverage"},
     "max_proposals": {"evaluate", "coverage"},
     "candidates": {"evaluate"},
-    "k": {"evaluate"},
+    "k": {"evaluate", "export"},
+    "person": {"export"},  # of a stream, not of a file of detections
     "estimator": {"evaluate", "coverage"},
     "missing": {"evaluate", "coverage"},
     "frames": {"evaluate", "coverage"},

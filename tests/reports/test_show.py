@@ -132,7 +132,7 @@ def test_a_map_of_names_and_the_correction(tmp_path: Path) -> None:
         (("--factor", "0"), "--factor must lie between"),
         (("--names", "{tmp}/a.json"), "must hold an object of names, or a list of them"),
         (("--names", "{tmp}/none.json"), "there is no map of names at"),
-        (("--person", "3"), "--person 3 is not among them"),
+        (("--person", "3"), "person 3 is not among them"),
         (("--image", "{tmp}/a.json"), "is no image that can be read"),
     ],
 )

@@ -1,0 +1,181 @@
+"""The whole public interface under one name: the model, readers, estimators, samplers, hypotheses,
+streams, distributions and studies that `probmodel` and `inference` export.
+
+    import poseterior as pt
+
+    frame = pt.estimate_torso(pt.read_detections("frame_keypoints.json")[0])
+    result = pt.sample(pt.PoseModel(), frame, key=jax.random.key(0), num_samples=10_000)
+
+Names are looked up when they are first used: the import itself costs next to nothing, and does not
+bring JAX along."""
+
+from importlib import import_module, metadata
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors
+    from inference import (
+        ESTIMATORS,
+        SAMPLERS,
+        Evidence,
+        Hypothesis,
+        Item,
+        Machines,
+        Result,
+        Target,
+        diverse,
+        draws_of,
+        estimate_torso,
+        estimate_torsos,
+        evidence,
+        grid_poses,
+        hypotheses,
+        open_stream,
+        sample,
+        sample_frames,
+    )
+    from inference.studies.calibration import calibrate, cover, read_cases
+    from inference.studies.comparison import Comparison, compare
+    from probmodel import (
+        AnatomicalLimits,
+        Anatomy,
+        BadInput,
+        BoneLength,
+        Candidate,
+        DetectedFrame,
+        DetectedKeypoint,
+        Detection,
+        Disc,
+        ErrorLaw,
+        Estimate,
+        HingedDirection,
+        Likelihood,
+        Observation,
+        OccupiedDirection,
+        OutOfBudget,
+        PoseModel,
+        Posterior,
+        Root,
+        TorsoDictionary,
+        WeakPerspective,
+        read_detections,
+        read_frames,
+        read_published,
+        write_detections,
+    )
+    from probmodel.datasets import DataSet, read_data_set
+    from probmodel.motion import Motion, read_motion
+
+    __version__: str
+
+_HOMES = (
+    "probmodel",
+    "probmodel.motion",
+    "probmodel.datasets",
+    "inference",
+    "inference.studies.comparison",
+    "inference.studies.calibration",
+)
+"""Where names are looked for: the first one that exports a name has it."""
+
+__all__ = [
+    "ESTIMATORS",
+    "SAMPLERS",
+    "AnatomicalLimits",
+    "Anatomy",
+    "BadInput",
+    "BoneLength",
+    "Candidate",
+    "Comparison",
+    "DataSet",
+    "DetectedFrame",
+    "DetectedKeypoint",
+    "Detection",
+    "Disc",
+    "ErrorLaw",
+    "Estimate",
+    "Evidence",
+    "HingedDirection",
+    "Hypothesis",
+    "Item",
+    "Likelihood",
+    "Machines",
+    "Motion",
+    "Observation",
+    "OccupiedDirection",
+    "OutOfBudget",
+    "PoseModel",
+    "Posterior",
+    "Result",
+    "Root",
+    "Target",
+    "TorsoDictionary",
+    "WeakPerspective",
+    "__version__",
+    "calibrate",
+    "compare",
+    "cover",
+    "diverse",
+    "draws_of",
+    "estimate_torso",
+    "estimate_torsos",
+    "evidence",
+    "grid_poses",
+    "hypotheses",
+    "open_stream",
+    "read_cases",
+    "read_data_set",
+    "read_detections",
+    "read_frames",
+    "read_motion",
+    "read_published",
+    "sample",
+    "sample_frames",
+    "write_detections",
+]
+
+
+def _require_our_own() -> None:
+    """Raises `ImportError` where Python finds another package of the name of one of ours: the names
+    are common ones, and half of each would be worse than none."""
+    ours = Path(__file__).resolve().parents[1]
+    for name in ("probmodel", "inference"):
+        spec = find_spec(name)
+        place = Path(spec.origin).resolve() if spec and spec.origin else None
+        if place is None or place.parents[1] != ours:
+            found = place or (list(spec.submodule_search_locations or ()) if spec else "nothing")
+            raise ImportError(
+                f"poseterior needs its own package {name!r}, which lies in {ours}, but Python finds"
+                f" {found} under that name; rename that one, or take its folder off sys.path"
+            )
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, looked up once (PEP 562)."""
+    if name not in __all__:
+        raise AttributeError(f"module 'poseterior' has no attribute {name!r}")
+    globals()[name] = found = _version() if name == "__version__" else _exported(name)
+    return found
+
+
+def _version() -> str:
+    """The installed distribution's version; a checkout that is on the path alone has none."""
+    try:
+        return metadata.version("poseterior")
+    except metadata.PackageNotFoundError:
+        raise AttributeError(
+            "poseterior is not installed, so it has no __version__; install it with pip"
+        ) from None
+
+
+def _exported(name: str) -> Any:
+    home = next(home for home in map(import_module, _HOMES) if name in home.__all__)
+    return getattr(home, name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+_require_our_own()

@@ -1,0 +1,130 @@
+"""Ultralytics' YOLO-pose: text files of predictions or labels, and the JSON of `Results.to_json()`.
+
+A line of text is `class x y width height`, then x, y and, in most models, a score (of labels: how
+visible, 0, 1 or 2) for each of COCO's seventeen points, then perhaps the box's score and a number
+of the track; all coordinates are fractions of the image. JSON has pixels, or fractions where it was
+asked to normalise. Some versions put points with a score below one half at (0, 0) but leave them
+their score: such points are missing."""
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from probmodel.detections import Detection, FloatArray
+from probmodel.failures import BadInput, shown
+from probmodel.formats.common import Content, mapping, number, scored_points, sequence
+from probmodel.layouts import COCO_17
+
+_BOX = 5
+"""The class and its box, before the points of a line."""
+_WIDTHS = {_BOX + width * COCO_17.count + more: width for width in (2, 3) for more in range(3)}
+"""How many numbers a line may have, and how many of them each point has."""
+_LINE = re.compile(rf"\s*\d+( [-+.\deE]+){{{min(_WIDTHS) - 1},{max(_WIDTHS) - 1}}}\s*")
+_OUTSIDE = 0.5
+"""How far outside of the image, in images, a fraction may still lie."""
+
+
+def recognises_text(content: Content) -> bool:
+    """A first line of as many numbers as a person of COCO's points has."""
+    if content.arrays.magic:
+        return False
+    first = content.text.lstrip("\n").split("\n", 1)[0].rstrip()
+    return bool(_LINE.fullmatch(first)) and len(first.split()) in _WIDTHS
+
+
+def recognises_json(content: Content) -> bool:
+    """A list of objects whose keypoints are columns x and y."""
+    records = content.first
+    return (
+        isinstance(records, list)
+        and bool(records)
+        and isinstance(records[0], dict)
+        and isinstance(records[0].get("keypoints"), dict)
+    )
+
+
+def read_text(content: Content, threshold: float) -> Iterator[Detection]:
+    """One detection for each line, numbered in the order of the file."""
+    lines = [line.split() for line in content.text.splitlines() if line.strip()]
+    for person, words in enumerate(lines):
+        where = f"line {person + 1} of {content.source}"
+        width = _WIDTHS.get(len(words))
+        if width is None:
+            raise BadInput(
+                f"{where} has {len(words)} numbers, but a person of {COCO_17.count} points has"
+                f" {', '.join(map(str, sorted(_WIDTHS)))}; give the file of a YOLO-pose model."
+            )
+        values = [_float(word, where) for word in words[_BOX : _BOX + width * COCO_17.count]]
+        rows = np.array(values).reshape(COCO_17.count, width)
+        score = rows[:, 2] if width == 3 else np.ones(COCO_17.count)
+        yield _detection(content, rows[:, :2], score, threshold, person, where, fractions=True)
+
+
+def read_json(content: Content, threshold: float) -> Iterator[Detection]:
+    """One detection for each object, numbered in the order of the file."""
+    for person, value in enumerate(content.records()):
+        where = f"record {person} of {content.source}"
+        columns = mapping(mapping(value, where).get("keypoints"), f"'keypoints' of {where}")
+        x, y = (_column(columns.get(name), f"'{name}' of {where}") for name in "xy")
+        seen = columns.get("visible")
+        score = np.ones(COCO_17.count) if seen is None else _column(seen, f"'visible' of {where}")
+        xy = np.stack([x, y], axis=-1)
+        fractions = bool((np.abs(xy) <= 1 + _OUTSIDE).all() and xy.any())
+        yield _detection(content, xy, score, threshold, person, where, fractions=fractions)
+
+
+def _float(word: str, where: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        raise BadInput(f"{where} holds {shown(word)} where a number is needed.") from None
+    return number(value, f"a number in {where}")
+
+
+def _column(values: object, where: str) -> FloatArray:
+    """One number for each point."""
+    column = sequence(values, where)
+    if len(column) != COCO_17.count:
+        raise BadInput(
+            f"{where} has {len(column)} numbers where COCO's {COCO_17.count} points are needed;"
+            " give the results of a YOLO-pose model of persons."
+        )
+    return np.array([number(value, f"a number in {where}") for value in column])
+
+
+def _detection(
+    content: Content,
+    xy: FloatArray,
+    score: FloatArray,
+    threshold: float,
+    person: int,
+    where: str,
+    *,
+    fractions: bool,
+) -> Detection:
+    """A person from points `(17, 2)` and scores `(17,)`."""
+    score = np.where((xy == 0).all(axis=1), 0.0, score)
+    if fractions:
+        xy = xy * _size(content, xy, where)
+    flat = np.column_stack([xy, score]).ravel().tolist()
+    points = scored_points(flat, COCO_17.points, where)
+    return COCO_17.detection(
+        points, threshold, content.source, person, image_size=content.image_size
+    )
+
+
+def _size(content: Content, xy: FloatArray, where: str) -> FloatArray:
+    """`(2,)`: width and height of the image, of which the points are fractions."""
+    if (np.abs(xy) > 1 + _OUTSIDE).any():
+        raise BadInput(
+            f"{where} has a point at {np.abs(xy).max():g} images from the corner; YOLO's text files"
+            " have fractions of the image, so leave them as they are."
+        )
+    if content.image_size is None:
+        raise BadInput(
+            f"the coordinates of {content.source} are fractions of an image whose size the file"
+            " does not say; give image_size=(640, 480), or on the command line the image (--image)"
+            " or --image-size 640x480."
+        )
+    return np.array(content.image_size, float)

@@ -1,0 +1,53 @@
+"""Results for other people's software: BVH, C3D, TRC, glTF, CSV and .npz.
+
+`results.read_clip` reads a result, `clip.Clip` is what all writers take, and each format is one
+file. All formats have the same axes: x to the right of the image, y up, z towards the camera,
+right-handed, the pelvis at the origin."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from probmodel.failures import BadInput
+from reports.exports.bvh import write_bvh
+from reports.exports.c3d import write_c3d
+from reports.exports.clip import UNITS, Clip
+from reports.exports.gltf import write_gltf
+from reports.exports.tables import write_csv, write_npz
+from reports.exports.trc import write_trc
+
+Writer = Callable[[Clip, Path, str], None]
+
+
+class Target(NamedTuple):
+    """A format: who writes it, the `suffix` of its files, and the units it may be in, the usual one
+    first."""
+
+    write: Writer
+    suffix: str
+    units: tuple[str, ...]
+
+
+TARGETS = {
+    "bvh": Target(write_bvh, ".bvh", ("m", "mm")),
+    "c3d": Target(write_c3d, ".c3d", ("mm", "m")),
+    "trc": Target(write_trc, ".trc", ("mm", "m")),
+    "gltf": Target(write_gltf, ".glb", ("m",)),
+    "csv": Target(write_csv, ".csv", ("mm", "m")),
+    "npz": Target(write_npz, ".npz", ("mm", "m")),
+}
+"""Every format by its name; glTF is in metres by definition."""
+
+
+def unit_of(to: str, unit: str | None) -> str:
+    """The unit in which a format is written: its usual one, or the one asked for. Raises `BadInput`
+    where the format cannot be in it."""
+    allowed = TARGETS[to].units
+    if unit is None:
+        return allowed[0]
+    if unit not in allowed:
+        raise BadInput(f"{to} is in {allowed[0]} by definition; leave --unit {unit} out")
+    return unit
+
+
+__all__ = ["TARGETS", "UNITS", "Clip", "Target", "unit_of"]

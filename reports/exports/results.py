@@ -1,0 +1,244 @@
+"""A result of ours as a `Clip` for a person of given height: hypotheses.json, posterior.nc, the
+folder of both, or the folder of a stream."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from inference.hypothesis import diverse
+from inference.store import SETTINGS
+from inference.stream import open_stream
+from probmodel.arrays import read_netcdf
+from probmodel.datasets import body_height
+from probmodel.detections import LARGEST_NUMBER
+from probmodel.documents import read_json
+from probmodel.failures import BadInput
+from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, PARENTS
+from reports.exports.clip import Clip, viewed
+
+SHORTEST, TALLEST = 0.2, 3.0
+"""Metres between which a person's height lies."""
+K = 5
+"""Hypotheses of a posterior.nc, where nothing else is said."""
+_JOINTS = "posterior/joints"
+_ADVICE = (
+    "give a hypotheses.json, a posterior.nc, their folder, or that of a stream of `poseterior"
+    " frames`"
+)
+
+
+class Wanted(NamedTuple):
+    """What is wanted of a result: a `height` in metres; `k` hypotheses, or so many `draws`; of a
+    stream, which `person`. None: whatever is usual."""
+
+    height: float
+    k: int | None = None
+    draws: int | None = None
+    person: int | None = None
+
+
+class _Poses(NamedTuple):
+    """As in `Clip`, but in camera axes and body units; `measured` are the poses from which the body
+    unit is told."""
+
+    joints: np.ndarray
+    names: list[str]
+    measured: np.ndarray
+    weights: np.ndarray | None = None
+    spread: np.ndarray | None = None
+    film: bool = False
+
+
+def read_clip(path: Path, wanted: Wanted) -> Clip:
+    """The poses of a result, scaled so that its median pose has the wanted height (of
+    `body_height`: head, back, upper and lower leg, and a tenth for feet and hips).
+
+    Raises
+    ------
+    BadInput
+        Where it is no result, has not what is wanted, or no person is so tall.
+    """
+    if not SHORTEST <= wanted.height <= TALLEST:  # false for NaN too
+        raise BadInput(
+            f"--height {wanted.height:g} is not the height of a person in metres, from"
+            f" {SHORTEST:g} to {TALLEST:g}; give another"
+        )
+    found = _read(path, wanted)
+    _require_bodies(found, path)
+    metres = wanted.height / float(np.median(body_height(found.measured)))
+    return Clip(
+        metres * viewed(found.joints),
+        found.names,
+        found.weights,
+        None if found.spread is None else metres * found.spread,
+        found.film,
+    )
+
+
+def _read(path: Path, wanted: Wanted) -> _Poses:
+    if path.is_dir() and (path / SETTINGS).exists():
+        return _film(path, wanted)
+    if wanted.person is not None:
+        raise BadInput(f"{path} is of one person; leave --person out")
+    if path.is_dir():
+        return _of_folder(path, wanted)
+    if not path.exists():
+        raise BadInput(f"there is no result at {path}; {_ADVICE}")
+    return _chosen(path, wanted) if path.suffix.lower() == ".json" else _drawn(path, wanted)
+
+
+def _of_folder(folder: Path, wanted: Wanted) -> _Poses:
+    """What `poseterior hypotheses` left there: the hypotheses that were chosen, with the spread of
+    the draws; or single draws."""
+    chosen, drawn = folder / "hypotheses.json", folder / "posterior.nc"
+    if not (chosen.exists() or drawn.exists()):
+        raise BadInput(f"{folder} is a folder without a result; {_ADVICE}")
+    if not drawn.exists():
+        return _chosen(chosen, wanted)
+    if wanted.draws is not None or not chosen.exists():
+        return _drawn(drawn, wanted)
+    found, joints = _chosen(chosen, wanted), _draws(drawn)
+    return found._replace(measured=joints, spread=_spread(joints, len(found.joints)))
+
+
+# --- hypotheses.json
+
+
+def _chosen(path: Path, wanted: Wanted) -> _Poses:
+    """The hypotheses as they were chosen."""
+    if wanted.draws is not None:
+        raise BadInput(
+            f"{path} holds hypotheses, not draws; leave --draws out, or give its posterior.nc"
+        )
+    content = read_json(path, "hypotheses.json of poseterior", _ADVICE)
+    try:
+        entries = content["hypotheses"]
+        joints = np.array([[one["joints"][name] for name in JOINTS] for one in entries], float)
+        weights = np.array([one["weight"] for one in entries], float)
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise BadInput(
+            f"{path} is not a hypotheses.json of poseterior ({type(error).__name__}); {_ADVICE}"
+        ) from None
+    if joints.ndim != 3 or joints.shape[1:] != (NUM_JOINTS, 3) or weights.shape != joints.shape[:1]:
+        raise BadInput(f"{path} has hypotheses that are not of fifteen joints; {_ADVICE}")
+    k = len(joints) if wanted.k is None else wanted.k
+    if not 1 <= k <= len(joints):
+        raise BadInput(f"{path} holds {len(joints)} hypotheses, not {k}; give another --k")
+    return _Poses(joints[:k], _numbered("hypothesis", k, 1), joints, weights[:k])
+
+
+# --- posterior.nc
+
+
+def _drawn(path: Path, wanted: Wanted) -> _Poses:
+    """Single draws if asked for, else hypotheses with the spread of all draws."""
+    joints = _draws(path)
+    if wanted.draws is not None:
+        if wanted.k is not None:
+            raise BadInput("--k hypotheses or --draws single draws, not both; leave one out")
+        if not 1 <= wanted.draws <= len(joints):
+            raise BadInput(
+                f"{path} holds {len(joints):,} draws, not {wanted.draws:,}; give another --draws"
+            )
+        return _Poses(joints[: wanted.draws], _numbered("draw", wanted.draws, 0), joints)
+    chosen = diverse(joints, K if wanted.k is None else wanted.k)
+    picked = np.stack([one.joints for one in chosen])
+    return _Poses(
+        picked,
+        _numbered("hypothesis", len(chosen), 1),
+        joints,
+        np.array([one.weight for one in chosen]),
+        _spread(joints, len(picked)),
+    )
+
+
+def _spread(joints: np.ndarray, times: int) -> np.ndarray:
+    """`(times, 15, 3)`: the standard deviations of all draws, for each of so many poses."""
+    return np.tile(joints.std(axis=0), (times, 1, 1))
+
+
+def _draws(path: Path) -> np.ndarray:
+    """All draws `(n, 15, 3)` of a posterior.nc, chain by chain."""
+    found = read_netcdf(path, (_JOINTS,), "posterior.nc of poseterior", _ADVICE)
+    if _JOINTS not in found:
+        raise BadInput(f"{path} holds no draws of poseterior; {_ADVICE}")
+    joints = found[_JOINTS]
+    if joints.ndim != 4 or joints.shape[2:] != (NUM_JOINTS, 3) or joints.dtype.kind != "f":
+        raise BadInput(
+            f"{path} has draws of shape {joints.shape}, not (chain, draw, 15, 3); {_ADVICE}"
+        )
+    joints = joints.reshape(-1, NUM_JOINTS, 3).astype(float)
+    if not len(joints):
+        raise BadInput(f"{path} holds no draw; sample again, with more --max-proposals")
+    return joints
+
+
+# --- streams
+
+
+def _film(path: Path, wanted: Wanted) -> _Poses:
+    """The heaviest hypothesis of a person in every frame, with the spread of that frame's draws."""
+    if wanted.draws is not None or wanted.k is not None:
+        raise BadInput(
+            f"{path} is a stream: a film of the heaviest hypothesis of each frame, whose draws do"
+            " not follow each other in time; leave --draws and --k out"
+        )
+    tree = open_stream(path)
+    names = [str(name) for name in tree["summary"].frame.values]
+    frames, rows = _rows(names, wanted.person, path)
+    joints = _spread_out(tree["hypotheses"].joints.values[:, 0], rows)
+    spread = _spread_out(tree["summary"].sd.values, rows)
+    there = joints[np.isfinite(joints).all(axis=(1, 2))]
+    if not len(there):
+        raise BadInput(f"{path} has no frame with a pose of that person; look at its summary")
+    return _Poses(joints, frames, there, spread=spread, film=True)
+
+
+def _rows(names: list[str], person: int | None, path: Path) -> tuple[list[str], list[int | None]]:
+    """The names of all frames, and in which row of the stream the person stands in each (None: in
+    none). Items are called `frame/person` where a detector's file was read."""
+    parts = [name.rpartition("/") if "/" in name else (name, "", "") for name in names]
+    people = sorted({who for _, _, who in parts}, key=lambda who: (len(who), who))
+    if person is None and len(people) > 1:
+        raise BadInput(
+            f"{path} is a film of {len(people)} people; choose one with --person, of"
+            f" {', '.join(people[:20])}"
+        )
+    who = people[0] if person is None else str(person)
+    if who not in people:
+        raise BadInput(f"{path} has no person {who}; choose one of {', '.join(people[:20])}")
+    rows = {frame: row for row, (frame, _, one) in enumerate(parts) if one == who}
+    frames = list(dict.fromkeys(frame for frame, _, _ in parts))
+    return frames, [rows.get(frame) for frame in frames]
+
+
+def _spread_out(values: np.ndarray, rows: list[int | None]) -> np.ndarray:
+    """The values of these rows, NaN where there is none."""
+    blank = np.full(values.shape[1:], np.nan)
+    return np.stack([blank if row is None else values[row] for row in rows])
+
+
+# --- what all have in common
+
+
+def _numbered(kind: str, number: int, first: int) -> list[str]:
+    return [f"{kind} {first + one}" for one in range(number)]
+
+
+def _require_bodies(found: _Poses, path: Path) -> None:
+    """Raises `BadInput` where a pose is not one of a body: a joint nowhere, a bone of no length, or
+    a torso without a plane. Frames of a film that are missing are left out."""
+    kept = found.measured
+    if not (np.abs(kept) <= LARGEST_NUMBER).all():
+        raise BadInput(f"{path} has a joint that is not at a finite place; {_ADVICE}")
+    bones = np.linalg.norm(kept[:, 1:] - kept[:, list(PARENTS[1:])], axis=-1)
+    up, side = _torso_axes(kept)
+    area = np.linalg.norm(np.cross(up, side), axis=-1)
+    if not ((bones > 0).all() and (area > 0).all()):
+        raise BadInput(f"{path} has a pose with a bone of length zero, or a flat torso; {_ADVICE}")
+
+
+def _torso_axes(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    up = joints[:, JOINT_INDEX["thorax"]] - joints[:, JOINT_INDEX["pelvis"]]
+    return up, joints[:, JOINT_INDEX["left_hip"]] - joints[:, JOINT_INDEX["right_hip"]]

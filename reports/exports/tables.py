@@ -1,0 +1,61 @@
+"""CSV and .npz: one row a pose, with the standard deviations of every coordinate where there are
+any."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from probmodel.arrays import write_tables
+from probmodel.files import replacing
+from probmodel.skeleton import JOINTS
+from reports.exports.clip import UNITS, Clip
+
+ADVICE = "choose another --out"
+_COLUMNS = [f"{joint}_{axis}" for joint in JOINTS for axis in "xyz"]
+
+
+def write_csv(clip: Clip, path: Path, unit: str) -> None:
+    """A table with the columns index, time_s, name, weight (hypotheses only), JOINT_x_UNIT … and,
+    where there are any, the standard deviations JOINT_x_sd_UNIT …; a missing pose is empty."""
+    columns = [f"{name}_{unit}" for name in _COLUMNS]
+    if clip.spread is not None:
+        columns += [f"{name}_sd_{unit}" for name in _COLUMNS]
+    weight = [] if clip.weights is None else ["weight"]
+    with (
+        replacing(path, ADVICE) as partial,
+        partial.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file,
+    ):
+        rows = csv.writer(file)
+        rows.writerow(["index", "time_s", "name", *weight, *columns])
+        for index, name in enumerate(clip.names):
+            head = [index, f"{clip.times[index]:.6f}", name]
+            if clip.weights is not None:
+                head.append(f"{clip.weights[index]:.6f}")
+            rows.writerow([*head, *_texts(clip, index, UNITS[unit])])
+
+
+def _texts(clip: Clip, index: int, scale: float) -> list[str]:
+    """A pose's numbers, to a thousandth of a millimetre."""
+    blocks = [clip.joints] if clip.spread is None else [clip.joints, clip.spread]
+    digits = 6 if scale == 1 else 3
+    numbers = scale * np.concatenate([block[index].ravel() for block in blocks])
+    return [f"{number:.{digits}f}" if np.isfinite(number) else "" for number in numbers]
+
+
+def write_npz(clip: Clip, path: Path, unit: str) -> None:
+    """Arrays for NumPy: `joints` `(n, 15, 3)`, `spread` and `weights` where there are any, `times`
+    in seconds, and the names of poses, joints and axes; `unit` is that of lengths."""
+    arrays = {
+        "joints": UNITS[unit] * clip.joints,
+        "times": clip.times,
+        "names": np.array(clip.names),
+        "joint_names": np.array(JOINTS),
+        "axes": np.array(["right", "up", "towards the camera"]),
+        "unit": np.array(unit),
+    }
+    if clip.spread is not None:
+        arrays["spread"] = UNITS[unit] * clip.spread
+    if clip.weights is not None:
+        arrays["weights"] = clip.weights
+    write_tables(path, arrays)

@@ -1,0 +1,53 @@
+"""Tries an installed poseterior: `make dist` runs it by the Python of a clean environment, in an
+empty folder, and with `-P`, so that nothing of the checkout is on the path."""
+
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+NEEDED = (
+    *("poseterior/__init__.py", "poseterior/py.typed", "probmodel/py.typed", "inference/py.typed"),
+    *("probmodel/data/limits.npz", "probmodel/data/poses.npz", "probmodel/data/example.json"),
+    *("reports/cli.py", "reports/exports/bvh.py", "reports/pages/limits.md"),
+)
+"""Files without which the wheel does not work, or says less than it should."""
+
+
+def main() -> None:
+    """Raises where anything is not as it should be."""
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    (wheel,) = (ROOT / "dist").glob("*.whl")
+    (sdist,) = (ROOT / "dist").glob("*.tar.gz")
+    look(wheel, sdist, version)
+    import poseterior
+
+    place = Path(poseterior.__file__).resolve()
+    assert Path(sys.prefix).resolve() in place.parents, f"{place} is not the installed one"
+    assert poseterior.__version__ == version
+    assert all(hasattr(poseterior, name) for name in poseterior.__all__)
+    command = Path(sys.prefix) / "bin" / "poseterior"
+    said = subprocess.run([command, "--version"], capture_output=True, text=True, check=True)
+    assert said.stdout == f"poseterior {version}\n", said.stdout
+    subprocess.run([command, "demo", "--quiet", "--out", "demo"], check=True, capture_output=True)
+    subprocess.run([command, "export", "demo", "--to", "bvh"], check=True, capture_output=True)
+    assert Path("demo.bvh").exists()
+    print(f"{wheel.name} and {sdist.name} are whole, and the wheel works in {sys.prefix}")
+
+
+def look(wheel: Path, sdist: Path, version: str) -> None:
+    """Raises where a file is missing, or one is there that should not be."""
+    inside = set(zipfile.ZipFile(wheel).namelist())
+    assert not set(NEEDED) - inside, f"{wheel.name} lacks {set(NEEDED) - inside}"
+    assert not any(name.startswith("tests/") for name in inside)
+    with tarfile.open(sdist) as archive:
+        names = archive.getnames()
+    for name in ("pyproject.toml", "CITATION.cff", "tests/conftest.py", "docs/python.md"):
+        assert f"poseterior-{version}/{name}" in names, f"{sdist.name} lacks {name}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""What is said of the project in several places is the same in all of them."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+LOCKED = dict(
+    line.lower().replace("_", "-").split("==")
+    for line in (ROOT / "requirements.lock").read_text(encoding="utf-8").split()
+)
+
+
+def read(path: str) -> Any:
+    return yaml.safe_load((ROOT / path).read_text(encoding="utf-8"))
+
+
+def test_one_version() -> None:
+    newest = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.M)
+    assert newest
+    assert newest[1] == PROJECT["version"] == CITATION["version"]
+
+
+def test_the_paper_is_cited() -> None:
+    (paper,) = CITATION["references"]
+    assert CITATION["license"] == PROJECT["license"]
+    assert paper["title"] in " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert [one["family-names"] for one in paper["authors"]] == ["Jahangiri", "Yuille"]
+    assert paper["year"] == 2017
+
+
+def test_the_lock_has_every_requirement() -> None:
+    named = [*PROJECT["dependencies"]]
+    for extra in PROJECT["optional-dependencies"].values():
+        named += [one for one in extra if not one.startswith("poseterior")]
+    packages = {re.match(r"[\w.-]+", one)[0].lower().replace("_", "-") for one in named}
+    assert packages <= set(LOCKED)
+
+
+def test_the_hosted_workflow_calls_what_has_to_pass() -> None:
+    jobs = read(".github/workflows/ci.yml")["jobs"]
+    commands = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
+    assert commands == [".ci/run", "make dist"]
+
+
+def test_hooks_are_those_of_make_lint() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for hook in read(".pre-commit-config.yaml")["repos"][0]["hooks"]:
+        assert hook["language"] == "system"
+        assert " ".join(hook["entry"].split()[:2]).replace(".venv/bin/", "$(BIN)/") in makefile
+
+
+@pytest.mark.parametrize("name", ["bug", "reading", "idea"])
+def test_issue_forms_have_what_forms_need(name: str) -> None:
+    form = read(f".github/ISSUE_TEMPLATE/{name}.yml")
+    assert {"name", "description", "body"} <= set(form)
+    ids = [field["id"] for field in form["body"]]
+    assert len(ids) == len(set(ids))
+    assert all("label" in field["attributes"] for field in form["body"])
+
+
+def test_classifiers_are_true() -> None:
+    python = (ROOT / ".python-version").read_text(encoding="utf-8").strip()
+    assert f"Programming Language :: Python :: {python}" in PROJECT["classifiers"]
+    for package in ("poseterior", "probmodel", "inference", "reports"):
+        assert (ROOT / package / "py.typed").exists()

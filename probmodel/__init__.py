@@ -17,7 +17,8 @@ from probmodel.likelihood import Disc, ErrorLaw, Likelihood
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
 from probmodel.posterior import Estimate, Posterior
-from probmodel.roots import Candidate, Root
+from probmodel.roots import Candidate, Root, RootPoint, RootPrior
+from probmodel.uncertain import UncertainPosterior
 
 __all__ = [
     "AnatomicalLimits",
@@ -35,6 +36,9 @@ __all__ = [
     "PoseModel",
     "Posterior",
     "Root",
+    "RootPoint",
+    "RootPrior",
+    "UncertainPosterior",
     "WeakPerspective",
     "read_detections",
     "read_frames",

@@ -18,6 +18,7 @@ from reports.options import (
     NumSamples,
     Person,
     Prior,
+    Rooting,
     Sampling,
     Seed,
     Workforce,
@@ -47,6 +48,7 @@ class HypothesesSettings:
         "hypotheses people.json --person 3 --image photo.jpg --k 8",
         "hypotheses frame.json --limits limits.npz --candidates 1",
         "hypotheses frame.json --estimator zhou",
+        "hypotheses frame.json --correct --root uncertain",
     )
     person: Person
     out: Annotated[
@@ -55,6 +57,7 @@ class HypothesesSettings:
     k: Hypotheses = 5
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
+    rooting: Rooting = Rooting()
     prior: Prior = Prior()
 
 
@@ -71,6 +74,7 @@ class SampleSettings:
     sampler: Annotated[str, Option(help=f"One of {', '.join(SAMPLERS)}.")] = SAMPLERS[0]
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
+    rooting: Rooting = Rooting()
     prior: Prior = Prior()
 
 

@@ -13,24 +13,40 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from inference.exact.groups import workers
 from inference.exact.loops.numbers import seeded
-from inference.exact.loops.roots import RootTable, TorsoProblem, attempt_roots, root_table
+from inference.exact.loops.roots import (
+    RootCells,
+    RootTable,
+    TorsoProblem,
+    attempt_roots,
+    cut_roots,
+    root_table,
+)
 from inference.exact.rates import Budget
 from probmodel.chunks import in_chunks
 from probmodel.likelihood import ErrorLaw
 from probmodel.roots import RootPoint
-from probmodel.rotations import rotation_of
 from probmodel.skeleton import TORSO_INDEX
 from probmodel.uncertain import UncertainPosterior
 
-BATCH = 1 << 20
-"""Attempts made at a time by one thread: some 0.1 s."""
-HOPELESS = 1 << 28
+BATCH = 1 << 17
+"""Attempts made at a time by one thread: some 20 ms."""
+HOPELESS = 1 << 26
 """Attempts without one success after which a torso is given up."""
 THINNING = 101
 """Where the random numbers come from that thin by an error law: a path that no batch has."""
+
+
+class Posed(NamedTuple):
+    """A torso's `problem`, and what leads back to pixels: the `origin` `(2,)` of its keypoints, and
+    the scale `lowest`, pixels a body unit, that is their unit."""
+
+    problem: TorsoProblem
+    origin: np.ndarray
+    lowest: float
 
 
 class TorsoDraws(NamedTuple):
@@ -51,9 +67,8 @@ class TorsoDraws(NamedTuple):
     variance: float
 
 
-def torso_problem(posterior: UncertainPosterior) -> tuple[TorsoProblem, np.ndarray]:
-    """What the torso's joints ask of a root, and the point `(2,)` of the image, in pixels, that is
-    the origin of the problem's keypoints.
+def torso_problem(posterior: UncertainPosterior) -> Posed:
+    """What the torso's joints ask of a root.
 
     The joint with the smallest disc comes first, then the others from far to near: most attempts
     fail early.
@@ -69,14 +84,13 @@ def torso_problem(posterior: UncertainPosterior) -> tuple[TorsoProblem, np.ndarr
     order = np.argsort(-distance, kind="stable")
     points = np.ascontiguousarray(torsos[:, rows][:, order])
     origin = keypoints[first]
+    keypoints, reach = keypoints[order] - origin, np.ascontiguousarray(reach[order])
+    lowest = lowest_scale(points, keypoints, reach)
+    # Every seen joint contributes scale⁻², and the translation takes one of them.
     problem = TorsoProblem(
-        points,
-        np.ascontiguousarray(keypoints[order] - origin),
-        np.ascontiguousarray(reach[order]),
-        lowest_scale(points, keypoints[order], reach[order]),
-        2.0 * len(rows) - 2,
+        points, np.ascontiguousarray(keypoints / lowest), reach, 2.0 * len(rows) - 2
     )
-    return problem, origin
+    return Posed(problem, origin, lowest)
 
 
 def lowest_scale(torsos: np.ndarray, keypoints: np.ndarray, reach: np.ndarray) -> float:
@@ -108,17 +122,19 @@ def draw_roots(
     number : how many roots.
     budget : of attempts.
     """
-    problem, origin = torso_problem(posterior)
-    parts: list[RootTable] = []
+    posed = torso_problem(posterior)
+    cells = cut_roots(posed.problem)
+    parts = [root_table(0)]
     found, made, batch = 0, 0, 0
-    while found < number and (found or made < HOPELESS):
+    while cells.mass and found < number and (found or made < HOPELESS):
         numbers = [
             one for one in range(batch, batch + (os.cpu_count() or 1)) if budget.spend(BATCH)
         ]
         if not numbers:
             break
         tables = workers().map(
-            functools.partial(_batch, posterior.detected.law, problem, words, number), numbers
+            functools.partial(_batch, posterior.detected.law, posed.problem, cells, words, number),
+            numbers,
         )
         for table, attempts in tables:
             parts.append(table._replace(attempt=table.attempt + made))
@@ -128,20 +144,31 @@ def draw_roots(
     if found >= number:
         whole = RootTable(*(column[:number] for column in whole))
         made = int(whole.attempt[-1]) + 1
-    return _named(problem, origin, whole, made, found >= number)
+    return _named(posed, cells.mass, whole, made, found >= number)
 
 
 def _batch(
-    law: ErrorLaw, problem: TorsoProblem, words: list[int], number: int, batch: int
+    law: ErrorLaw,
+    problem: TorsoProblem,
+    cells: RootCells,
+    words: list[int],
+    number: int,
+    batch: int,
 ) -> tuple[RootTable, int]:
     """The roots that one batch of attempts finds, and how many attempts it made."""
-    table = root_table(number)
-    found, attempts = attempt_roots(seeded(words, batch), BATCH, problem, table)
+    table = root_table(min(number, BATCH))
+    found, attempts = attempt_roots(seeded(words, batch), BATCH, problem, cells, table)
     table = RootTable(*(column[:found] for column in table))
     if not law.flat and found:
         rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(batch, THINNING)))
         test = np.log1p(-rng.uniform(size=found))
-        kept = test <= in_chunks(functools.partial(_log_ratio, law, problem), *table[:4])
+        kept = test <= in_chunks(
+            functools.partial(_log_ratio, law, problem),
+            table.torso,
+            rotations_of(table),
+            table.inverse,
+            table.plane,
+        )
         table = RootTable(*(column[kept] for column in table))
     return table, attempts
 
@@ -151,39 +178,38 @@ def _log_ratio(
     law: ErrorLaw,
     problem: TorsoProblem,
     torso: jax.Array,
-    quaternion: jax.Array,
-    scale: jax.Array,
+    rotation: jax.Array,
+    inverse: jax.Array,
     plane: jax.Array,
 ) -> jax.Array:
     """`(n,)`: log likelihood of the torso's joints over its peak."""
 
-    def one(torso: jax.Array, rotation: jax.Array, scale: jax.Array, plane: jax.Array) -> jax.Array:
+    def one(
+        torso: jax.Array, rotation: jax.Array, inverse: jax.Array, plane: jax.Array
+    ) -> jax.Array:
         image = jnp.asarray(problem.torsos)[torso] @ rotation[:2].T
-        offset = image + plane[None] - jnp.asarray(problem.keypoints) / scale
+        offset = image + plane[None] - jnp.asarray(problem.keypoints) * inverse
         square = jnp.sum(offset**2, axis=1) / (jnp.asarray(problem.reach) / law.reach) ** 2
         return jnp.sum(law.log_ratio(square))
 
-    return jax.vmap(one)(torso, rotation_of(quaternion), scale, plane)
+    return jax.vmap(one)(torso, rotation, inverse, plane)
 
 
-_rotations = jax.jit(rotation_of)
+def rotations_of(table: RootTable) -> np.ndarray:
+    """`(n, 3, 3)`: the rotations of roots in a table."""
+    if not len(table.torso):
+        return np.zeros((0, 3, 3))
+    return Rotation.from_euler("ZYZ", table.angles).as_matrix()
 
 
-def _named(
-    problem: TorsoProblem, origin: np.ndarray, table: RootTable, made: int, enough: bool
-) -> TorsoDraws:
-    found = len(table.torso)
-    rotation = in_chunks(_rotations, table.quaternion) if found else np.zeros((0, 3, 3))
-    points = RootPoint(
-        table.torso,
-        rotation,
-        np.log(table.scale),
-        origin + table.scale[:, None] * table.plane,
-    )
+def _named(posed: Posed, mass: float, table: RootTable, made: int, enough: bool) -> TorsoDraws:
+    found, scale, problem = len(table.torso), posed.lowest / table.inverse, posed.problem
+    translation = posed.origin + scale[:, None] * table.plane
+    points = RootPoint(table.torso, rotations_of(table), np.log(scale), translation)
     # Counted to the last root wanted, or to the end of the budget.
     rate = (found - 1) / max(made - 1, 1) if enough else found / max(made, 1)
-    if found < 2 or not rate:
+    if not rate:
         return TorsoDraws(points, made, -math.inf, math.inf)
-    log_mass = math.log(np.pi * problem.reach[0] ** 2 / problem.power)
-    log_mass -= problem.power * math.log(problem.lowest)
+    log_mass = math.log(np.pi * problem.reach[0] ** 2 * mass)
+    log_mass -= problem.power * math.log(posed.lowest)
     return TorsoDraws(points, made, log_mass + math.log(rate), (1 - rate) / found)

@@ -226,6 +226,8 @@ class StratifiedGroup:
     def more(self, number: int, budget: Budget) -> bool:
         while self.held < number and not self.hopeless:
             self._refine(number)
+            if self.impossible:  # a finer cut may leave nothing where a coarser one left something
+                break
             sizes = []
             for size in self._sizes(number):
                 if not budget.spend(size):

@@ -134,8 +134,8 @@ def test_without_the_factors_of_the_scale_nothing_is():
 
 
 def test_an_error_law_that_is_too_narrow_is_found_out():
-    """Negative control: detections stray by a quarter, and the likelihood believes a sixth."""
-    found = stand(30, 50, ARM, factor=FACTOR / 1.5)
+    """Negative control: detections stray twice as far as the likelihood believes."""
+    found = stand(30, 50, ARM, factor=FACTOR / 2)
     assert p_value(found["right"]) < FAMILY / 1000
     assert outside(found["right"]) > 2 * outside(torso_and_an_arm()["right"])
 

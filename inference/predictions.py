@@ -5,7 +5,8 @@ import numpy as np
 import xarray as xr
 
 from probmodel.chunks import in_chunks
-from probmodel.posterior import Posterior
+from probmodel.detections import Detection
+from probmodel.likelihood import ErrorLaw
 from probmodel.skeleton import JOINTS
 
 _STREAM = 1
@@ -13,15 +14,21 @@ _STREAM = 1
 
 
 def prediction_groups(
-    posterior: Posterior, keypoints: np.ndarray, candidate: np.ndarray, words: list[int]
+    law: ErrorLaw,
+    detection: Detection,
+    keypoints: np.ndarray,
+    spread: np.ndarray,
+    words: list[int],
 ) -> dict[str, xr.Dataset]:
     """The two groups, of one chain.
 
     Parameters
     ----------
-    posterior : whose draws they are.
+    law : the errors' law.
+    detection : the one that was made.
     keypoints : `(n, 15, 2)`, the draws projected, pixels.
-    candidate : `(n,)`, the root of each draw.
+    spread : `(n, 15)`, every joint's spread under the root of each draw, pixels; infinite where it
+        does not count.
     words : of the seed.
 
     Returns
@@ -30,7 +37,6 @@ def prediction_groups(
     count. `log_likelihood`: `keypoints` (chain, draw, detected), of the joints that count, per
     square pixel.
     """
-    spread = _spreads(posterior)[candidate]
     rng = np.random.default_rng([*words, _STREAM])
     seen = np.flatnonzero(np.isfinite(spread).all(axis=0) if len(spread) else np.zeros(len(JOINTS)))
     units = {"units": "pixels"}
@@ -38,12 +44,12 @@ def prediction_groups(
     coords = {"chain": [0], "draw": np.arange(len(keypoints))}
     made = (
         (*dims, "joint", "uv"),
-        _new_detections(posterior, keypoints, spread, rng)[None],
+        _new_detections(law, keypoints, spread, rng)[None],
         units,
     )
     likely = (
         (*dims, "detected"),
-        _log_likelihood(posterior, keypoints[:, seen], spread[:, seen], seen)[None],
+        _log_likelihood(law, detection.keypoints[seen], keypoints[:, seen], spread[:, seen])[None],
         {"base_measure": "image area (px2)"},
     )
     return {
@@ -56,35 +62,24 @@ def prediction_groups(
     }
 
 
-def _spreads(posterior: Posterior) -> np.ndarray:
-    """`(roots, 15)`: every joint's spread in pixels, infinite where it does not count."""
-    return np.stack(
-        [
-            np.asarray(one.spread) * float(root.camera.scale)
-            for one, root in zip(posterior.observations, posterior.roots, strict=True)
-        ]
-    )
-
-
 def _new_detections(
-    posterior: Posterior, keypoints: np.ndarray, spread: np.ndarray, rng: np.random.Generator
+    law: ErrorLaw, keypoints: np.ndarray, spread: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """`(n, 15, 2)`: the projected joints plus an error of the law each."""
     if not len(keypoints):
         return keypoints
-    distance = in_chunks(posterior.likelihood.law.distance, rng.random(keypoints.shape[:2]))
+    distance = in_chunks(law.distance, rng.random(keypoints.shape[:2]))
     angle = 2 * np.pi * rng.random(keypoints.shape[:2])
     errors = np.where(np.isfinite(spread), spread * distance, np.nan)
     return keypoints + errors[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def _log_likelihood(
-    posterior: Posterior, keypoints: np.ndarray, spread: np.ndarray, seen: np.ndarray
+    law: ErrorLaw, detected: np.ndarray, keypoints: np.ndarray, spread: np.ndarray
 ) -> np.ndarray:
     """`(n, seen)`: log density of each detected joint, given each draw."""
     if not len(keypoints):
-        return np.empty((0, len(seen)))
-    law, detected = posterior.likelihood.law, posterior.detection.keypoints[seen]
+        return np.empty((0, len(detected)))
     square = np.sum(((detected - keypoints) / spread[..., None]) ** 2, axis=-1)
     # Every draw lies within the reach: what is beyond it is so by rounding, from the camera's plane
     # to pixels.

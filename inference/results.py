@@ -26,12 +26,15 @@ from probmodel.observation import Observation
 from probmodel.pose import Pose
 from probmodel.posterior import Posterior
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS
+from probmodel.uncertain import UncertainPosterior
 
 _PACKAGES = ("poseterior", "numpyro", "jax", "numpy", "scipy", "arviz", "xarray")
 BASE_MEASURE = (
     "counting (torso) x length (5, body units) x surface of the unit sphere (9 directions) x image"
     " area (px2)"
 )
+FIXED, UNCERTAIN = "fixed", "uncertain"
+"""What a result says of its root: atoms that an estimator gave, or a part of the posterior."""
 COMPLETE, OUT_OF_BUDGET, IMPOSSIBLE = "complete", "out of budget", "impossible"
 
 
@@ -109,6 +112,29 @@ def provenance(model: PoseModel) -> dict[str, str]:
     }
 
 
+Columns = dict[str, np.ndarray]
+COLUMNS: dict[str, tuple[tuple[str, ...], str]] = {
+    "joints": (("joint", "axis"), "body units"),
+    "bone_length": (("length_group",), "body units"),
+    "torso": ((), ""),
+    "candidate": ((), ""),
+    "root_index": ((), ""),
+    "rotation": (("axis", "body_axis"), ""),
+    "scale": ((), "pixels per body unit"),
+    "translation": (("uv",), "pixels"),
+    "keypoints": (("joint", "uv"), "pixels"),
+}
+"""The variables of draws: what stands after chain and draw, and the unit."""
+NAMES = {
+    "joint": list(JOINTS),
+    "axis": list("xyz"),
+    "body_axis": ["left", "up", "forward"],
+    "uv": list("uv"),
+    "length_group": list(LENGTH_GROUPS),
+}
+"""The coordinates of what has names."""
+
+
 def build_tree(
     posterior: Posterior,
     parts: list[RootDraws],
@@ -121,32 +147,43 @@ def build_tree(
     `rng` they stay in theirs. The attribute `seed` also decides the predictions.
     """
     columns = pose_columns(posterior, parts, rng)
+    attributes = {"root": FIXED} | attributes | {"converged": int(posterior.converged)}
+    return assemble(posterior, columns, _constant_data(posterior, parts), BASE_MEASURE, attributes)
+
+
+def assemble(
+    posterior: Posterior | UncertainPosterior,
+    columns: Columns,
+    constant: xr.Dataset,
+    base_measure: str,
+    attributes: dict[str, Any],
+) -> xr.DataTree:
+    """The DataTree of draws in columns `(n, ...)`: some of `COLUMNS`, spread of every joint's error
+    in pixels, and lp, log densities with respect to `base_measure`."""
     chain = ("chain", "draw")
-    units = {"joints": "body units", "bone_length": "body units", "keypoints": "pixels"}
-    dims = {
-        "joints": (*chain, "joint", "axis"),
-        "bone_length": (*chain, "length_group"),
-        "torso": chain,
-        "candidate": chain,
-        "keypoints": (*chain, "joint", "uv"),
-    }
     coords = {"chain": [0], "draw": np.arange(len(columns["joints"]))}
-    names = {"joint": list(JOINTS), "axis": list("xyz"), "uv": list("uv")}
-    draws = {
-        name: (dims[name], columns[name][None], {"units": units[name]} if name in units else {})
-        for name in dims
-    }
-    lp = (chain, columns["lp"][None], {"base_measure": BASE_MEASURE})
+    draws: dict[str, Any] = {}
+    used: set[str] = set()
+    for name in [name for name in COLUMNS if name in columns]:
+        dims, unit = COLUMNS[name]
+        draws[name] = ((*chain, *dims), columns[name][None], {"units": unit} if unit else {})
+        used.update(dims)
+    names = {name: values for name, values in NAMES.items() if name in used}
+    lp = (chain, columns["lp"][None], {"base_measure": base_measure})
     words = [int(word) for word in attributes["seed"].split()]
     tree = xr.DataTree.from_dict(
         {
-            "posterior": xr.Dataset(
-                draws, coords=coords | names | {"length_group": list(LENGTH_GROUPS)}
-            ),
+            "posterior": xr.Dataset(draws, coords=coords | names),
             "sample_stats": xr.Dataset({"lp": lp}, coords=coords),
-            **prediction_groups(posterior, columns["keypoints"], columns["candidate"], words),
+            **prediction_groups(
+                posterior.likelihood.law,
+                posterior.detection,
+                columns["keypoints"],
+                columns["spread"],
+                words,
+            ),
             "observed_data": observed_data(posterior.detection),
-            "constant_data": _constant_data(posterior, parts),
+            "constant_data": constant,
         }
     )
     tree.attrs.update(
@@ -155,20 +192,17 @@ def build_tree(
         source=posterior.detection.source,
         person=posterior.detection.person,
         estimator=posterior.estimator,
-        converged=int(posterior.converged),
         body_unit="mean limb length",
     )
     return tree
 
 
-Columns = dict[str, np.ndarray]
-
-
 def pose_columns(
     posterior: Posterior, parts: list[RootDraws], rng: np.random.Generator | None
 ) -> Columns:
-    """Draws under all roots as columns: those of `joint_columns`, and torso, candidate, keypoints
-    `(n, 15, 2)`, lp; in random order, or without `rng` one root after the other."""
+    """Draws under all roots as columns: those of `joint_columns`, torso, candidate, keypoints
+    `(n, 15, 2)`, spread `(n, 15)` of every joint's error in pixels, lp; in random order, or without
+    `rng` one root after the other."""
     columns: list[Columns] = []
     for index, (root, observation, part) in enumerate(
         zip(posterior.roots, posterior.observations, parts, strict=True)
@@ -176,6 +210,7 @@ def pose_columns(
         number = len(part.poses.length)
         density = functools.partial(log_joint, posterior.model, observation)
         joints = _joints_of(posterior.model, observation, part.poses)
+        spread = np.asarray(observation.spread) * float(root.camera.scale)
         columns.append(
             {
                 "joints": joints,
@@ -183,6 +218,7 @@ def pose_columns(
                 "torso": np.full(number, root.torso_index),
                 "candidate": np.full(number, index),
                 "keypoints": np.asarray(root.camera.image(joints)),
+                "spread": np.tile(spread, (number, 1)),
                 "lp": _each(density, part.poses, ()),
             }
         )

@@ -6,15 +6,20 @@ import time
 from collections.abc import Callable
 
 import jax
+import numpy as np
 
 from inference.baselines.catalogue import BASELINES, sample_baseline
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress, draw_mixture
 from inference.joined import joined
-from inference.results import Result, build_tree, key_words
+from inference.results import FIXED, UNCERTAIN, Result, build_tree, key_words
+from inference.uncertain.tree import uncertain_tree
+from inference.uncertain.weighted import NUM_ROOTS, verdict, weigh_roots
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
 
+ROOTS = (FIXED, UNCERTAIN)
+"""What torso and camera may be: given by an estimator, or drawn with the pose."""
 SAMPLERS = (*PROPOSALS, *BASELINES)
 """Every sampler by its name: exact rejection first, then the baselines."""
 
@@ -28,9 +33,11 @@ def sample(
     num_samples: int = 10_000,
     max_proposals: int = MAX_PROPOSALS,
     chains: int = 1,
+    root: str = FIXED,
+    num_roots: int = NUM_ROOTS,
     progress: Progress | None = None,
 ) -> Result:
-    """Draws from the posterior of a detection, the mixture over its candidates.
+    """Draws from the posterior of a detection.
 
     Parameters
     ----------
@@ -44,13 +51,41 @@ def sample(
         pose is possible, the result says so in `status` and `sentence`, and holds what there is.
     chains : how many independent runs of exact rejection, each with a key and its share of the
         proposals of its own, so that diagnostics which compare chains have some.
-    progress : called now and then with the draws made and wanted.
+    root : one of `ROOTS`. "fixed" is the paper's method, a mixture over the candidates;
+        "uncertain" draws torso and camera too, and takes no more of the candidates than the names
+        of the sides.
+    num_roots : from how many roots draws are made where the root is uncertain.
+    progress : called now and then with the draws (or roots) made and wanted.
 
     Raises
     ------
     BadInput
-        On an unknown sampler, or a number of samples or chains that cannot be.
+        On an unknown sampler or root, a sampler or several chains that need the root fixed where it
+        shall be uncertain, a number of samples or chains that cannot be, and where the torso's seen
+        joints do not determine a camera.
     """
+    if root not in ROOTS:
+        raise BadInput(f"there is no root {root!r}; choose one of {', '.join(ROOTS)}")
+    if root == UNCERTAIN:
+        if sampler != SAMPLERS[0]:
+            raise BadInput(
+                f"the sampler {sampler} holds torso and camera fixed; leave it out, or choose the"
+                f" root {FIXED!r}"
+            )
+        if chains != 1:
+            raise BadInput(
+                f"several chains are runs under fixed roots; leave their number out, or choose the"
+                f" root {FIXED!r}"
+            )
+        return _sample_uncertain(
+            model,
+            frame,
+            key=key,
+            num_samples=num_samples,
+            num_roots=num_roots,
+            max_proposals=max_proposals,
+            progress=progress,
+        )
     if sampler not in PROPOSALS and sampler not in BASELINES:
         raise BadInput(f"there is no sampler {sampler!r}; choose one of {', '.join(SAMPLERS)}")
     if chains != 1:
@@ -131,3 +166,32 @@ def _several(
     whole = joined(results)
     whole.tree.attrs["seed"] = key_words(key)
     return whole
+
+
+def _sample_uncertain(
+    model: PoseModel,
+    frame: Estimate,
+    *,
+    key: jax.Array,
+    num_samples: int,
+    num_roots: int,
+    max_proposals: int,
+    progress: Progress | None,
+) -> Result:
+    """`sample` where the root is uncertain, by weighted roots."""
+    if num_samples < 1:
+        raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
+    started = time.perf_counter()
+    roots = weigh_roots(
+        frame.uncertain(model),
+        key=jax.random.fold_in(key, 0),
+        num_roots=num_roots,
+        max_proposals=max_proposals,
+        progress=progress,
+    )
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
+    status, sentence = verdict(roots, num_roots)
+    attributes = {"sampler": "weighted roots", "seed": key_words(key), "num_samples": num_samples}
+    tree = uncertain_tree(roots, rng, num_samples, attributes)
+    tree.attrs.update(wall_time_s=time.perf_counter() - started, status=status)
+    return Result(tree, status, sentence)

@@ -23,3 +23,6 @@ from .posterior import Estimate as Estimate
 from .posterior import Posterior as Posterior
 from .roots import Candidate as Candidate
 from .roots import Root as Root
+from .roots import RootPoint as RootPoint
+from .roots import RootPrior as RootPrior
+from .uncertain import UncertainPosterior as UncertainPosterior

@@ -6,7 +6,7 @@ axes to the *plane* through the pelvis parallel to the image (`flatten`, body un
 to pixels (`to_pixels`, with its inverse `to_plane`). Everything but a picture works on the plane.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -42,8 +42,13 @@ class WeakPerspective(NamedTuple):
         translation = jnp.broadcast_to(jnp.asarray(self.translation), plane.shape)
         return jnp.asarray(self.scale) * plane + translation
 
-    def to_plane(self, keypoints: ArrayLike) -> np.ndarray:
-        """Keypoints `(..., 2)` in pixels as points of the plane, body units."""
+    def to_plane(self, keypoints: ArrayLike) -> Any:
+        """Keypoints `(..., 2)` in pixels as points of the plane, body units: an array of JAX where
+        the camera's numbers are, of NumPy else."""
+        if isinstance(self.translation, jax.Array):
+            keypoints = jnp.asarray(keypoints)
+            translation = jnp.broadcast_to(self.translation, keypoints.shape)
+            return (keypoints - translation) / self.scale
         return (np.asarray(keypoints, float) - np.asarray(self.translation)) / np.asarray(
             self.scale
         )

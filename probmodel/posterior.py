@@ -2,7 +2,8 @@
 
 `Posterior(model, likelihood, detection, roots)` owns the program, its mixture over roots and their
 weights; samplers, streams, studies and pictures ask it. `Estimate` is the same without the model,
-which is what an estimator makes of a detection. See `docs/model.md`, § 7.
+which is what an estimator makes of a detection. See `docs/model.md`, § 7; for roots that are not
+held fixed, `uncertain` and § 9.
 """
 
 import functools
@@ -19,6 +20,7 @@ from probmodel.likelihood import PAPER, Likelihood
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
 from probmodel.roots import Candidate
+from probmodel.uncertain import UncertainPosterior
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +84,8 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A detection with the roots that are left open, held fixed from here on, best reprojection
-    first: everything of its posterior but the model.
+    """A detection with the roots that are left open, best reprojection first: everything of its
+    posterior but the model. `posterior` holds the roots fixed, `uncertain` holds none.
 
     Attributes
     ----------
@@ -101,6 +103,12 @@ class Estimate:
     def posterior(self, model: PoseModel) -> Posterior:
         """The posterior under a model of poses."""
         return Posterior(model, self.likelihood, self.detection, self.candidates, self.estimator)
+
+    def uncertain(self, model: PoseModel) -> UncertainPosterior:
+        """The posterior under a model of poses in which torso and camera are uncertain too."""
+        return UncertainPosterior(
+            model, self.likelihood, self.detection, self.candidates, self.estimator
+        )
 
     @property
     def observation(self) -> Observation:

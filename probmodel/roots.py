@@ -1,16 +1,22 @@
 """Roots: a torso in front of a camera, and the candidates among which an estimator cannot choose.
 
 Weak perspective leaves every torso a mirror twin (reflected in depth and turned) that projects to
-nearly the same points; the limbs tell the two apart (`docs/model.md`, § 6).
+nearly the same points; the limbs tell the two apart (`docs/model.md`, § 6). Where the root is
+uncertain, `RootPrior` says what is believed of it before anything was seen (§ 9).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from numpyro.distributions import ImproperUniform, constraints
 
+from probmodel.anatomy.torsos import TorsoDictionary
 from probmodel.camera import WeakPerspective
+from probmodel.rotations import UniformRotation
 
 
 class Root(NamedTuple):
@@ -67,3 +73,66 @@ class Candidate:
     def facing(self) -> np.ndarray:
         """`(3,)`: the way the chest points, in camera axes (x right, y down, z away)."""
         return np.asarray(self.camera.rotation)[:, 2]
+
+
+class RootPoint(NamedTuple):
+    """A root as its prior has it, or a batch of them; a pytree.
+
+    Attributes
+    ----------
+    torso : `(...)`, index into the dictionary.
+    rotation : `(..., 3, 3)`, from body axes to camera axes.
+    log_scale : `(...)`, log of pixels per body unit.
+    translation : `(..., 2)`, where the pelvis falls in the image, pixels.
+    """
+
+    torso: Any
+    rotation: Any
+    log_scale: Any
+    translation: Any
+
+    def take(self, rows: Any) -> "RootPoint":
+        """Some of a batch."""
+        return RootPoint(*(np.asarray(part)[rows] for part in self))
+
+
+@dataclass(frozen=True)
+class RootPrior:
+    """What is believed of torso and camera: the torso uniform over a dictionary, the rotation
+    uniform on SO(3), log scale and translation flat.
+
+    The last two have no total mass, but every seen joint contributes scale⁻² to the posterior,
+    which is proper as soon as two seen joints lie apart. Base measure: counting (torso) × Haar's ×
+    log scale × area of the image.
+
+    Attributes
+    ----------
+    torsos : `(J, 6, 3)`, body axes, body units, pelvis at the origin.
+    """
+
+    torsos: np.ndarray | jax.Array
+
+    def compose(self, step: Callable[[str, Any], Any]) -> RootPoint:
+        """The prior, written once: `step(site, law)` says what becomes of each law."""
+        return RootPoint(
+            step("torso", TorsoDictionary(self.torsos)),
+            step("rotation", UniformRotation()),
+            step("log_scale", ImproperUniform(constraints.real, (), ())),
+            step("translation", ImproperUniform(constraints.real_vector, (), (2,))),
+        )
+
+    def log_density(self, point: RootPoint) -> jax.Array:
+        """`()`: log density of one root; -inf outside."""
+        terms: list[jax.Array] = []
+
+        def step(site: str, law: Any) -> None:
+            terms.append(law.log_prob(jnp.asarray(getattr(point, site))))
+
+        self.compose(step)
+        return terms[0] + terms[1] + terms[2] + terms[3]
+
+    def root(self, point: RootPoint) -> Root:
+        """The torso and camera of one root."""
+        torso = jnp.asarray(self.torsos)[point.torso]
+        scale = jnp.exp(jnp.asarray(point.log_scale))
+        return Root(torso, WeakPerspective(scale, point.rotation, point.translation))

@@ -292,6 +292,32 @@ class Estimation:
         return frame
 
 
+class Root(enum.StrEnum):
+    """What torso and camera are."""
+
+    fixed = "fixed"
+    uncertain = "uncertain"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rooting:
+    """Whether torso and camera are a part of the posterior."""
+
+    PANEL: ClassVar = Estimation.PANEL
+    root: Annotated[
+        Root,
+        Option(
+            help=(
+                "Torso and camera: fixed at an estimator's candidates (the paper), or uncertain and"
+                " drawn with the pose."
+            )
+        ),
+    ] = Root.fixed
+    roots: Annotated[
+        int, Option(min=1, max=100_000, help="From how many torsos and cameras, if uncertain.")
+    ] = 2000
+
+
 @dataclass(frozen=True, kw_only=True)
 class Sampling:
     """How many draws, from which seed, within which budget."""

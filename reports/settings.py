@@ -21,6 +21,7 @@ from reports.options import (
     NumSamples,
     Person,
     Prior,
+    Rooting,
     Sampling,
     Seed,
     Workforce,
@@ -53,6 +54,7 @@ class HypothesesSettings:
         "hypotheses people.json --person 3 --image photo.jpg --k 8",
         "hypotheses frame.json --limits limits.npz --candidates 1",
         "hypotheses frame.json --estimator zhou",
+        "hypotheses frame.json --correct --root uncertain",
     )
     person: Person
     out: Annotated[
@@ -61,6 +63,7 @@ class HypothesesSettings:
     k: Hypotheses = 5
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
+    rooting: Rooting = Rooting()
     prior: Prior = Prior()
 
 
@@ -81,6 +84,7 @@ class SampleSettings:
     ] = 1
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
+    rooting: Rooting = Rooting()
     prior: Prior = Prior()
 
 

@@ -111,7 +111,7 @@ def _desk(most: int) -> Desk:
 
 
 @functools.cache
-def _workers() -> ThreadPoolExecutor:
+def workers() -> ThreadPoolExecutor:
     """One thread a core; the compiled loops are free of Python's lock. Only tasks that wait for
     nothing go here."""
     return ThreadPoolExecutor(os.cpu_count())
@@ -133,23 +133,52 @@ class Plan(NamedTuple):
         return sum(len(strata.entries) for strata in self.strata)
 
 
-def plan_group(tables: GroupTables, limbs: tuple[LimbProblem, ...], resolution: Resolution) -> Plan:
+_bins = functools.lru_cache(maxsize=256)(length_bins)
+"""Bins of lengths depend on the model and the resolution alone."""
+
+
+def plan_group(
+    tables: GroupTables,
+    limbs: tuple[LimbProblem, ...],
+    resolution: Resolution,
+    *,
+    alone: bool = False,
+) -> Plan:
     """Cuts a group at a resolution. Attempts × `mass` × acceptance rate = the prior probability of
-    what is accepted."""
+    what is accepted. `alone` keeps all work in the calling thread, which may be one of
+    `workers`."""
     two = tables.builds[0].bones == 2
-    low, high, alpha, beta = tables.lengths[0]
-    first = length_bins(low, high, alpha, beta, resolution.first)
-    low, high, alpha, beta = tables.lengths[-1]
-    second = length_bins(low, high, alpha, beta, resolution.second if two else 1)
+    first = _bins(*tables.lengths[0].tolist(), resolution.first)
+    second = _bins(*tables.lengths[-1].tolist(), resolution.second if two else 1)
 
     def one(limb: LimbProblem, tables: LimbTables) -> Strata:
         return stratify(limb, tables, first.edges, second.edges, resolution.sub)
 
-    strata = tuple(_workers().map(one, limbs, tables.builds))
+    strata = tuple((map if alone else workers().map)(one, limbs, tables.builds))
     prior = np.outer(first.mass, second.mass).ravel() if two else first.mass
     weight = prior * np.prod([limb.totals for limb in strata], axis=0)
     mass = float(weight.sum())
     return Plan(resolution.sub, (first, second), strata, weight / mass if mass else weight, mass)
+
+
+def attempt_group(
+    plan: Plan,
+    tables: GroupTables,
+    limbs: tuple[LimbProblem, ...],
+    order: list[int],
+    rng: np.random.Generator,
+    state: np.ndarray,
+    attempts: int,
+) -> tuple[Bodies, int]:
+    """Attempts at a group by a plan that has mass: the draws within reach, in random order, their
+    limbs in the group's order; and how many attempts passed the limb that is first in `order`.
+    `rng` shares the attempts out, `state` is that of the loops' random numbers."""
+    counts = rng.multinomial(attempts, plan.share)
+    cut = [CutLimb(limbs[row], tables.builds[row], plan.strata[row]) for row in order]
+    found, passed = attempt_bodies(state, counts, plan.bins, cut, plan.sub, _desk(attempts))
+    shuffled = rng.permutation(len(found.length))
+    length, upper, lower = (part[shuffled] for part in found)
+    return Bodies(length, upper[:, order], lower[:, order]), passed
 
 
 class StratifiedGroup:
@@ -197,6 +226,8 @@ class StratifiedGroup:
     def more(self, number: int, budget: Budget) -> bool:
         while self.held < number and not self.hopeless:
             self._refine(number)
+            if self.impossible:  # a finer cut may leave nothing where a coarser one left something
+                break
             sizes = []
             for size in self._sizes(number):
                 if not budget.spend(size):
@@ -243,7 +274,7 @@ class StratifiedGroup:
         numbers = range(self._batches, self._batches + len(sizes))
         tried = through = found = 0
         for size, (bodies, passed) in zip(
-            sizes, _workers().map(self._batch, numbers, sizes), strict=True
+            sizes, workers().map(self._batch, numbers, sizes), strict=True
         ):
             rate, tried, through = self._rates[-1], tried + size, through + passed
             self._rates[-1] = Rate(
@@ -258,22 +289,13 @@ class StratifiedGroup:
 
     def _batch(self, number: int, attempts: int) -> tuple[Bodies, int]:
         """The draws of batch `number`, in random order, and how many passed their first limb."""
-        plan, rng = (
-            self._plan,
-            np.random.default_rng(np.random.SeedSequence(self._words, spawn_key=(number, 0))),
-        )
-        counts = rng.multinomial(attempts, plan.share)
-        limbs = [
-            CutLimb(self._limbs[row], self._tables.builds[row], plan.strata[row])
-            for row in self._order
-        ]
+        rng = np.random.default_rng(np.random.SeedSequence(self._words, spawn_key=(number, 0)))
         state = seeded(self._words, number, 1)
-        found, passed = attempt_bodies(state, counts, plan.bins, limbs, plan.sub, _desk(attempts))
-        shuffled = rng.permutation(len(found.length))
-        length, upper, lower = (part[shuffled] for part in found)
-        bodies = Bodies(length, upper[:, self._order], lower[:, self._order])
-        if self._log_ratio is not None and len(length):
-            test = np.log1p(-rng.uniform(size=len(length)))
+        bodies, passed = attempt_group(
+            self._plan, self._tables, self._limbs, self._order, rng, state, attempts
+        )
+        if self._log_ratio is not None and len(bodies.length):
+            test = np.log1p(-rng.uniform(size=len(bodies.length)))
             kept = test <= self._log_ratio(self._named(bodies))
             bodies = Bodies(*(part[kept] for part in bodies))
         return bodies, passed

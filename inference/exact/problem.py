@@ -25,8 +25,22 @@ LogRatio = Callable[[GroupDraws], np.ndarray]
 def limb_problems(observation: Observation) -> dict[str, tuple[LimbProblem, ...]]:
     """The problem of every limb, by group."""
     axes, plane = (np.array(part, float) for part in _torso(observation))  # copies: one type
+    return limbs_of(axes, plane, np.asarray(observation.target, float), observation.reach)
+
+
+def limbs_of(
+    axes: np.ndarray, plane: np.ndarray, target: np.ndarray, reach: np.ndarray
+) -> dict[str, tuple[LimbProblem, ...]]:
+    """The problem of every limb, by group; everything in body units.
+
+    Parameters
+    ----------
+    axes : `(5, 3, 3)`, local axes of the upper bones in camera axes.
+    plane : `(6, 2)`, where the torso's joints fall.
+    target : `(15, 2)`, where joints were detected.
+    reach : `(15,)`, how far from there they may fall; infinite where a joint does not count.
+    """
     start = dict(zip(TORSO_INDEX, plane, strict=True))
-    target, reach = np.asarray(observation.target, float), observation.reach
     found = {}
     for name, limbs in GROUPS.items():
         rows = []

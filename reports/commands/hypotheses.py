@@ -8,7 +8,7 @@ import numpy as np
 
 from inference import Result
 from inference.hypothesis import Hypothesis, hypotheses
-from inference.results import COMPLETE
+from inference.results import COMPLETE, FIXED
 from inference.sampler import sample
 from probmodel.failures import BadInput, OutOfBudget
 from reports import console, figures, tables
@@ -29,13 +29,15 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         model = settings.prior.model()
         frame = settings.estimation.estimate(settings.person.detection, model)
     out = console.output_folder(settings.out)
-    with console.progress("exact draws", screen.quiet) as step:
+    with console.progress(_task(settings), screen.quiet) as step:
         result = sample(
             model,
             frame,
             key=jax.random.key(sampling.seed),
             num_samples=sampling.num_samples,
             max_proposals=sampling.max_proposals,
+            root=settings.rooting.root,
+            num_roots=settings.rooting.roots,
             progress=step,
         )
     if not result.num_draws:
@@ -52,6 +54,10 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         show(chosen, result, out)
     if result.status != COMPLETE:
         raise OutOfBudget(f"{result.sentence} (what there is, is saved in {out})")
+
+
+def _task(settings: HypothesesSettings) -> str:
+    return "exact draws" if settings.rooting.root == FIXED else "roots and their limbs"
 
 
 def _as_text(chosen: list[Hypothesis], result: Result, seed: int) -> str:

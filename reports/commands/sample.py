@@ -1,11 +1,16 @@
 """`poseterior sample`: posterior draws of one person by a named sampler, as netCDF."""
 
-from inference.results import COMPLETE
+from inference.results import COMPLETE, FIXED
 from inference.sampler import sample
 from probmodel.failures import OutOfBudget
 from reports import console, tables
 from reports.options import Screen
 from reports.settings import SampleSettings
+
+
+def _task(settings: SampleSettings) -> str:
+    fixed = settings.rooting.root == FIXED
+    return f"draws by {settings.sampler}" if fixed else "roots and their limbs"
 
 
 def run(settings: SampleSettings, screen: Screen) -> None:
@@ -16,7 +21,7 @@ def run(settings: SampleSettings, screen: Screen) -> None:
     with console.progress("torso and camera", screen.quiet):
         model = settings.prior.model()
         frame = settings.estimation.estimate(settings.person.detection, model)
-    with console.progress(f"draws by {settings.sampler}", screen.quiet) as step:
+    with console.progress(_task(settings), screen.quiet) as step:
         result = sample(
             model,
             frame,
@@ -25,6 +30,8 @@ def run(settings: SampleSettings, screen: Screen) -> None:
             num_samples=sampling.num_samples,
             max_proposals=sampling.max_proposals,
             chains=settings.chains,
+            root=settings.rooting.root,
+            num_roots=settings.rooting.roots,
             progress=step,
         )
     if not result.num_draws:

@@ -41,7 +41,7 @@ from reports.figures.style import (
     note,
     page,
 )
-from reports.tables.posterior import heaviest, values
+from reports.tables.posterior import heaviest, is_uncertain, values
 from reports.tables.words import spoken
 
 if TYPE_CHECKING:
@@ -215,7 +215,8 @@ def _draw_detections(
     if image is not None:
         draw_image(axis, image, 0.6)
     draws = values(tree, "posterior", "keypoints")[:MAX_DRAWS]
-    for joint in LIMB_OF:
+    # The torso's joints have clouds of their own only where they move.
+    for joint in range(NUM_JOINTS) if is_uncertain(tree) else LIMB_OF:
         u, v = draws[:, joint].T
         cloud = axis.scatter(u, v, s=3, color=COLOURS[joint], alpha=0.22, zorder=1)
         cloud.set(linewidths=0, gid=f"cloud {JOINTS[joint]}")

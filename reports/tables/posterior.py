@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from inference.results import UNCERTAIN
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 from reports.tables.sheet import (
     NOTHING,
@@ -114,6 +115,58 @@ def posterior_table(tree: xr.DataTree) -> Sheet:
 
 
 def candidates_table(tree: xr.DataTree) -> Sheet:
+    """What there is to say of torso and camera: `sides_table` where they are uncertain, else
+    `fixed_table`."""
+    return sides_table(tree) if is_uncertain(tree) else fixed_table(tree)
+
+
+def is_uncertain(tree: xr.DataTree) -> bool:
+    """Whether torso and camera were drawn with the poses."""
+    return tree.attrs.get("root") == UNCERTAIN
+
+
+def sides_table(tree: xr.DataTree) -> Sheet:
+    """Each way the person may face: how many torsos it has, its mean scale with the standard
+    deviation, by how much the camera's rotation scatters, log evidence with standard error, and
+    share of the posterior."""
+    names = {
+        "torsos": "num_torsos",
+        "scale_px": "scale",
+        "scale_sd_px": "scale_sd",
+        "turn_sd_degrees": "turn_sd",
+        "log_evidence": "log_evidence",
+        "log_evidence_se": "log_evidence_se",
+        "weight": "weight",
+    }
+    columns = {key: values(tree, "constant_data", name) for key, name in names.items()}
+    rotation = values(tree, "constant_data", "rotation")
+    records = [
+        {
+            "candidate": index,
+            "facing": facing_words(rotation[index, :, 2]),
+            **{key: number(column[index]) for key, column in columns.items()},
+        }
+        for index in range(len(rotation))
+    ]
+    shown = [
+        Column("", "candidate", form=lambda index: str(index + 1)),
+        Column("faces", "facing", left=True, whole=True),
+        Column("torsos", form=fixed(0)),
+        Column("px/unit", "scale_px", fixed(1)),
+        Column("± px", "scale_sd_px", fixed(1)),
+        Column("turns", "turn_sd_degrees", fixed(0, "°")),
+        Column("log evidence", _evidence, plus_minus, whole=True),
+        Column("share", "weight", percent),
+    ]
+    effective, weighed = tree.attrs["effective_roots"], tree.attrs["num_roots"]
+    caption = (
+        f"Torso and camera are uncertain: {effective:,.0f} effective of {weighed:,} roots weighed,"
+        " each counted to the side it faces. ± px and turns: standard deviations."
+    )
+    return Sheet(shown, records, "Torso and camera", caption)
+
+
+def fixed_table(tree: xr.DataTree) -> Sheet:
     """Each candidate: its torso, where it faces, its scale, reprojection error, log evidence with
     standard error, and its share of the posterior."""
     rotation = values(tree, "constant_data", "rotation")
@@ -162,6 +215,8 @@ def summary_json(result: "Result") -> dict[str, Any]:
         "sampler": str(given["sampler"]),
         "seed": str(given["seed"]),
         "num_draws": result.num_draws,
+        "root": str(given["root"]),
+        **_effective(given),
         "num_proposals": int(given["num_proposals"]),
         "acceptance_rate": number(given["acceptance_rate"]),
         "log_evidence": number(given["log_evidence"]),
@@ -179,14 +234,23 @@ def summary_lines(result: "Result") -> list[str]:
     row = summary_json(result)
     rate, digest = row["acceptance_rate"], row["limits_sha256"][:12]
     accepted = "" if rate is None else f", {100 * rate:.2g} % accepted"
-    evidence = plus_minus(_evidence(row)) + _odds(row["log_evidence"])
+    uncertain = row["root"] == UNCERTAIN
+    evidence = plus_minus(_evidence(row)) + ("" if uncertain else _odds(row["log_evidence"]))
     lines = [
         f"{row['num_draws']:,} draws by {row['sampler']} in {fixed(1)(row['wall_time_s'])} s",
         f"{row['num_proposals']:,} proposals{accepted}",
         f"log evidence {evidence}",
         f"limits {row['limits']} ({digest}), {row['measures']}, seed {row['seed']}",
     ]
+    if uncertain:
+        roots = f"{row['effective_roots']:,.0f} effective roots of {row['num_roots']:,.0f}"
+        lines[1] = f"{row['num_proposals']:,} proposals, {roots}"
     return lines + ([f"{row['status']}: {row['sentence']}"] if row["sentence"] else [])
+
+
+def _effective(given: dict) -> dict[str, Any]:
+    names = ("num_roots", "effective_roots") if given["root"] == UNCERTAIN else ()
+    return {name: number(given[name]) for name in names}
 
 
 def _odds(log_evidence: float | None) -> str:

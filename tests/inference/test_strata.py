@@ -582,6 +582,20 @@ def test_masks_keep_what_they_say():
     assert COUNT.sum() == ROWS * 2 ** (2 * ROWS)
 
 
+def test_a_finer_cut_that_leaves_nothing_is_the_end(monkeypatch):
+    """What a coarse cut could not rule out, a finer one may: no attempt is made on an empty plan,
+    whose tables have no row to look at."""
+    model = PoseModel()
+    problems = limb_problems(prior_scene(model, 0).posterior(model).observations[0])
+    group = StratifiedGroup(key(0), "legs", group_tables(model)["legs"], problems["legs"])
+    assert not group.impossible
+    empty = group.plan_at(0)._replace(mass=0.0, share=np.zeros(1))
+    monkeypatch.setattr(group, "plan_at", lambda level: empty)
+    assert not group.more(10**8, Budget(10**6))
+    assert group.impossible
+    assert group.hopeless
+
+
 def test_a_frame_that_no_pose_explains_has_no_strata():
     model = PoseModel()
     frame = prior_scene(model, 2)

@@ -9,12 +9,14 @@ import numpy as np
 import numpyro.distributions as dist
 import pytest
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 from probmodel.anatomy.lengths import BoneLength
 from probmodel.anatomy.torsos import TorsoDictionary
 from probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from probmodel.directions.hinges import Hinge
 from probmodel.likelihood import DetectedKeypoint
+from probmodel.rotations import UniformRotation
 from tests.goodness import chi_square, floor, uniform_each
 from tests.instances import LENGTHS, distributions
 
@@ -168,6 +170,14 @@ def outside(name: str) -> list[np.ndarray]:
             np.full_like(value, np.nan),
             np.full_like(value, np.inf),
         ]
+    if name.startswith("rotation"):
+        return [
+            value * (1 + 1e-6),
+            -value,
+            value @ np.diag([1.0, 1.0, -1.0]),
+            0.0 * value,
+            np.full_like(value, np.nan),
+        ]
     if name.startswith("length"):
         out = np.array(value)
         out[..., 2] = np.asarray(LENGTHS.high)[2] + 1e-9
@@ -285,8 +295,39 @@ def test_sample_and_transport_of_directions_are_one_law() -> None:
     assert np.min(p_values) > floor(np.size(p_values))
 
 
+def turns_p_value(rotations: np.ndarray) -> float:
+    """The smallest p-value, times their number, of what is known of uniform rotations: each column
+    uniform on the sphere (its coordinates uniform on [-1, 1]), and the angle ω with density
+    (1 - cos ω)/π, also after a fixed turn from either side."""
+    turn = Rotation.from_euler("xyz", [0.3, -1.1, 2.0]).as_matrix()
+    p_values = []
+    for turned in (rotations, turn @ rotations, rotations @ turn):
+        p_values += list(uniform_each((turned.reshape(-1, 9) + 1) / 2))
+        angle = Rotation.from_matrix(turned).magnitude()
+        p_values += list(uniform_each(((angle - np.sin(angle)) / np.pi)[:, None]))
+    return min(p_values) * len(p_values)
+
+
+def test_rotations_are_uniform() -> None:
+    """10,000 draws, Kolmogorov–Smirnov, false alarm 1e-4 over 30; and Euler angles drawn evenly,
+    which are not uniform, are found out."""
+    drawn = np.asarray(TABLE["rotation"].sample(KEY, (10_000,)))
+    np.testing.assert_allclose(np.linalg.det(drawn), 1.0, rtol=1e-12)
+    assert turns_p_value(drawn) > floor(1)
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (10_000, 3))
+    assert turns_p_value(Rotation.from_euler("xyz", angles).as_matrix()) < floor(1) / 1e6
+
+
 @pytest.mark.parametrize(
-    "law", [OccupiedDirection, HingedDirection, BoneLength, DetectedKeypoint, TorsoDictionary]
+    "law",
+    [
+        OccupiedDirection,
+        HingedDirection,
+        BoneLength,
+        DetectedKeypoint,
+        TorsoDictionary,
+        UniformRotation,
+    ],
 )
 def test_custom_laws_say_what_they_are(law: type) -> None:
     assert issubclass(law, dist.Distribution)

@@ -36,6 +36,7 @@ def test_there_are_pages() -> None:
         "estimators",
         "evaluation",
         "facing",
+        "honest",
         "limits",
         "readings",
         "samplers",

@@ -31,6 +31,7 @@ SOURCES = (
     "inference/exact/loops/bounds.py",
     "inference/exact/loops/numbers.py",
     "inference/exact/loops/rectangles.py",
+    "inference/exact/loops/roots.py",
     "inference/exact/loops/series.py",
     "inference/exact/loops/strata.py",
     "inference/exact/loops/tables.py",

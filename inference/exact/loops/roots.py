@@ -1,0 +1,223 @@
+"""Attempts at a root: a torso, a rotation, a scale and a translation that bring the torso's seen
+joints within reach of their detections. Compiled.
+
+Rotations are cut into cells of three angles, R = Rz(roll) Ry(tilt) Rz(yaw): uniform on SO(3) is
+uniform in roll, cos tilt and yaw. Under every torso and cell, each pair of joints bounds the scale:
+their images are farther apart than detected by no more than both reaches, and by what a turn inside
+the cell can add. A cell that no scale is left in is dropped. Nothing is estimated.
+
+An attempt draws a cell by its prior mass times that of its scales, a rotation in it, a scale, and
+puts the first joint uniformly into its disc. So every attempt has the same weight (`docs/model.md`,
+§ 9), and what passes the other discs is an exact draw."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from inference.exact.loops.bins import alias_table
+from inference.exact.loops.numbers import compiled, load, store, uniform
+from inference.exact.loops.tables import ALIAS
+
+TILTS = 12
+"""Cells of the tilt, from 0 to π; twice as many of roll and of yaw."""
+WIDTH = math.pi / TILTS
+SLACK = 1e-9
+"""Body units, for rounding."""
+
+
+class TorsoProblem(NamedTuple):
+    """The torso's seen joints in front of a camera.
+
+    Attributes
+    ----------
+    torsos : `(J, n, 3)` the joints in body axes, body units
+    keypoints : `(n, 2)` where they were detected, in units of the lowest scale: then the inverse
+        scale lies between 0 and 1
+    reach : `(n,)` how far from there they may fall, body units
+    power : of the scales' density: that of the inverse scale v is v^(power - 1)
+    """
+
+    torsos: np.ndarray
+    keypoints: np.ndarray
+    reach: np.ndarray
+    power: float
+
+
+class RootCells(NamedTuple):
+    """Where a root may be: `(m,)` each, the number `code` of torso and cell, the range `low` to
+    `high` of the inverse scale, and the `alias` table of their masses, `mass` in all."""
+
+    code: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    alias: np.ndarray
+    mass: float
+
+
+class RootTable(NamedTuple):
+    """Where roots are written to: `torso` `(most,)`, `angles` `(most, 3)` roll, tilt and yaw,
+    `inverse` `(most,)` of the scale, `plane` `(most, 2)` the translation over the scale, `attempt`
+    `(most,)` the number of the attempt."""
+
+    torso: np.ndarray
+    angles: np.ndarray
+    inverse: np.ndarray
+    plane: np.ndarray
+    attempt: np.ndarray
+
+
+def root_table(most: int) -> RootTable:
+    """A table with room for so many roots."""
+    return RootTable(
+        np.zeros(most, np.int64),
+        np.zeros((most, 3)),
+        np.zeros(most),
+        np.zeros((most, 2)),
+        np.zeros(most, np.int64),
+    )
+
+
+def cut_roots(problem: TorsoProblem) -> RootCells:
+    """The cells in which a root may explain the torso."""
+    number = _find_cells(problem, np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+    code, low, high = np.zeros(number, np.int64), np.zeros(number), np.zeros(number)
+    _find_cells(problem, code, low, high)
+    edges = np.cos(np.arange(TILTS + 1) * WIDTH)
+    tilt = code // (2 * TILTS) % TILTS
+    share = (edges[tilt] - edges[tilt + 1]) / 2 / (2 * TILTS) ** 2 / len(problem.torsos)
+    weight = share * (high**problem.power - low**problem.power) / problem.power
+    alias = np.zeros(number, ALIAS)
+    return RootCells(code, low, high, alias, float(alias_table(weight, alias)) if number else 0.0)
+
+
+@compiled
+def _find_cells(problem: TorsoProblem, code: np.ndarray, low: np.ndarray, high: np.ndarray) -> int:
+    """Writes the cells that are left, as far as there is room; returns how many they are."""
+    torsos, joints, found = problem.torsos, problem.reach.size, 0
+    across, along = np.empty(joints), np.empty(joints)
+    turn = 2 * math.sin(WIDTH / 4)  # the chord of half a cell
+    for torso in range(len(torsos)):
+        for yaw in range(2 * TILTS):
+            cos_yaw, sin_yaw = math.cos((yaw + 0.5) * WIDTH), math.sin((yaw + 0.5) * WIDTH)
+            for tilt in range(TILTS):
+                cosine, sine = math.cos((tilt + 0.5) * WIDTH), math.sin((tilt + 0.5) * WIDTH)
+                for joint in range(joints):
+                    x, y = torsos[torso, joint, 0], torsos[torso, joint, 1]
+                    across[joint] = (
+                        cosine * (cos_yaw * x - sin_yaw * y) + sine * torsos[torso, joint, 2]
+                    )
+                    along[joint] = sin_yaw * x + cos_yaw * y
+                for roll in range(2 * TILTS):
+                    least, most = _inverse_scales(problem, torso, across, along, roll, turn)
+                    if least < most:
+                        if found < code.size:
+                            cell = (yaw * TILTS + tilt) * 2 * TILTS + roll
+                            code[found] = torso * TILTS * (2 * TILTS) ** 2 + cell
+                            low[found], high[found] = least, most
+                        found += 1
+    return found
+
+
+@compiled
+def _inverse_scales(
+    problem: TorsoProblem,
+    torso: int,
+    across: np.ndarray,
+    along: np.ndarray,
+    roll: int,
+    turn: float,
+) -> tuple[float, float]:
+    """The range of the inverse scale that all pairs of joints leave, for a torso whose joints lie
+    at `across`, `along` before the roll; empty where the first is not below the second."""
+    cosine, sine = math.cos((roll + 0.5) * WIDTH), math.sin((roll + 0.5) * WIDTH)
+    least, most, torsos, keypoints = 0.0, 1.0, problem.torsos, problem.keypoints
+    for one in range(across.size):
+        for two in range(one):
+            x, y = across[one] - across[two], along[one] - along[two]
+            u, v = keypoints[one, 0] - keypoints[two, 0], keypoints[one, 1] - keypoints[two, 1]
+            length = 0.0
+            for axis in range(3):
+                length += (torsos[torso, one, axis] - torsos[torso, two, axis]) ** 2
+            image = x * x + y * y
+            slack = turn * (math.sqrt(image) + 2 * math.sqrt(length)) + SLACK
+            far = problem.reach[one] + problem.reach[two] + slack
+            dot = u * (cosine * x - sine * y) + v * (sine * x + cosine * y)
+            square = u * u + v * v
+            rest = image - far * far
+            root = dot * dot - square * rest
+            if root < 0 or (square == 0 and rest > 0):
+                return 1.0, 0.0
+            if square > 0:
+                root = math.sqrt(root)
+                least, most = max(least, (dot - root) / square), min(most, (dot + root) / square)
+                if least >= most:
+                    return 1.0, 0.0
+    return least, most
+
+
+@compiled
+def attempt_roots(
+    state: np.ndarray, attempts: int, problem: TorsoProblem, cells: RootCells, table: RootTable
+) -> tuple[int, int]:
+    """Makes attempts, up to a number of them or until the table is full. Returns how many roots
+    were found, and how many attempts were made."""
+    torsos, keypoints, reach = problem.torsos, problem.keypoints, problem.reach
+    stream, found, joints, power = load(state), 0, reach.size, problem.power
+    for attempt in range(attempts):
+        at, stream = uniform(stream)
+        at *= cells.code.size
+        column = int(at)
+        own = cells.alias[column]
+        entry = own.partner + (column - own.partner) * int(at - column < own.share)
+        code = cells.code[entry]
+        roll, code = code % (2 * TILTS), code // (2 * TILTS)
+        tilt, code = code % TILTS, code // TILTS
+        yaw, torso = code % (2 * TILTS), code // (2 * TILTS)
+        part, stream = uniform(stream)
+        alpha = (roll + part) * WIDTH
+        part, stream = uniform(stream)
+        cos_b = (1 - part) * math.cos(tilt * WIDTH) + part * math.cos((tilt + 1) * WIDTH)
+        part, stream = uniform(stream)
+        gamma = (yaw + part) * WIDTH
+        sin_b = math.sqrt(max(0.0, 1 - cos_b * cos_b))
+        cos_a, sin_a, cos_c, sin_c = (
+            math.cos(alpha),
+            math.sin(alpha),
+            math.cos(gamma),
+            math.sin(gamma),
+        )
+        m00, m01 = cos_a * cos_b * cos_c - sin_a * sin_c, -cos_a * cos_b * sin_c - sin_a * cos_c
+        m10, m11 = sin_a * cos_b * cos_c + cos_a * sin_c, -sin_a * cos_b * sin_c + cos_a * cos_c
+        m02, m12 = cos_a * sin_b, sin_a * sin_b
+        part, stream = uniform(stream)
+        low = cells.low[entry] ** power
+        inverse = (low + (cells.high[entry] ** power - low) * (1 - part)) ** (1 / power)
+        radius, stream = uniform(stream)
+        angle, stream = uniform(stream)
+        radius, angle = reach[0] * math.sqrt(radius), 2 * np.pi * angle
+        p0, p1, p2 = torsos[torso, 0, 0], torsos[torso, 0, 1], torsos[torso, 0, 2]
+        t0 = keypoints[0, 0] * inverse + radius * math.cos(angle)
+        t1 = keypoints[0, 1] * inverse + radius * math.sin(angle)
+        t0 -= m00 * p0 + m01 * p1 + m02 * p2
+        t1 -= m10 * p0 + m11 * p1 + m12 * p2
+        inside = inverse > 0
+        for joint in range(1, joints):
+            p0, p1, p2 = torsos[torso, joint, 0], torsos[torso, joint, 1], torsos[torso, joint, 2]
+            off0 = m00 * p0 + m01 * p1 + m02 * p2 + t0 - keypoints[joint, 0] * inverse
+            off1 = m10 * p0 + m11 * p1 + m12 * p2 + t1 - keypoints[joint, 1] * inverse
+            if off0 * off0 + off1 * off1 > reach[joint] * reach[joint]:
+                inside = False
+                break
+        if inside:
+            table.torso[found], table.inverse[found] = torso, inverse
+            table.angles[found, 0], table.angles[found, 2] = alpha, gamma
+            table.angles[found, 1] = math.acos(cos_b)
+            table.plane[found, 0], table.plane[found, 1] = t0, t1
+            table.attempt[found] = attempt
+            found += 1
+            if found == table.torso.size:
+                store(state, stream)
+                return found, attempt + 1
+    store(state, stream)
+    return found, attempts

@@ -1,0 +1,215 @@
+"""Exact draws of the root given the torso's detected joints alone, and how probable those are.
+
+Every attempt has the same weight, so what passes is an exact, independent draw from the whole
+support of the torso's posterior. Attempts end with the last root wanted, so the rate m/n would be
+too large; (m - 1)/(n - 1) is unbiased (Haldane 1945).
+"""
+
+import functools
+import math
+import os
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from inference.exact.groups import workers
+from inference.exact.loops.numbers import seeded
+from inference.exact.loops.roots import (
+    RootCells,
+    RootTable,
+    TorsoProblem,
+    attempt_roots,
+    cut_roots,
+    root_table,
+)
+from inference.exact.rates import Budget
+from probmodel.chunks import in_chunks
+from probmodel.likelihood import ErrorLaw
+from probmodel.roots import RootPoint
+from probmodel.skeleton import TORSO_INDEX
+from probmodel.uncertain import UncertainPosterior
+
+BATCH = 1 << 17
+"""Attempts made at a time by one thread: some 20 ms."""
+HOPELESS = 1 << 26
+"""Attempts without one success after which a torso is given up."""
+THINNING = 101
+"""Where the random numbers come from that thin by an error law: a path that no batch has."""
+
+
+class Posed(NamedTuple):
+    """A torso's `problem`, and what leads back to pixels: the `origin` `(2,)` of its keypoints, and
+    the scale `lowest`, pixels a body unit, that is their unit."""
+
+    problem: TorsoProblem
+    origin: np.ndarray
+    lowest: float
+
+
+class TorsoDraws(NamedTuple):
+    """Draws of the root given the torso.
+
+    Attributes
+    ----------
+    points : the roots `(n, ...)`.
+    attempts : how many were made.
+    log_evidence : log of the integral over roots of prior mass × scale⁻² for every seen joint of
+        the torso × the likelihood of these joints over its peak; -inf where no root was found.
+    variance : of that log, by the delta method; infinite where no root was found.
+    """
+
+    points: RootPoint
+    attempts: int
+    log_evidence: float
+    variance: float
+
+
+def torso_problem(posterior: UncertainPosterior) -> Posed:
+    """What the torso's joints ask of a root.
+
+    The joint with the smallest disc comes first, then the others from far to near: most attempts
+    fail early.
+    """
+    detected, torsos = posterior.detected, np.asarray(posterior.model.torsos, float)
+    rows = [row for row, joint in enumerate(TORSO_INDEX) if np.isfinite(detected.spread[joint])]
+    joints = [TORSO_INDEX[row] for row in rows]
+    reach = detected.law.reach * np.asarray(detected.spread)[joints]
+    keypoints = np.asarray(detected.keypoints)[joints]
+    first = int(np.argmin(reach))
+    distance = np.linalg.norm(keypoints - keypoints[first], axis=1)
+    distance[first] = np.inf
+    order = np.argsort(-distance, kind="stable")
+    points = np.ascontiguousarray(torsos[:, rows][:, order])
+    origin = keypoints[first]
+    keypoints, reach = keypoints[order] - origin, np.ascontiguousarray(reach[order])
+    lowest = lowest_scale(points, keypoints, reach)
+    # Every seen joint contributes scale⁻², and the translation takes one of them.
+    problem = TorsoProblem(
+        points, np.ascontiguousarray(keypoints / lowest), reach, 2.0 * len(rows) - 2
+    )
+    return Posed(problem, origin, lowest)
+
+
+def lowest_scale(torsos: np.ndarray, keypoints: np.ndarray, reach: np.ndarray) -> float:
+    """A scale, pixels a body unit, that no root can go below: two joints project to within their
+    distance in space of each other, and each is detected within its reach.
+
+    Parameters
+    ----------
+    torsos : `(J, n, 3)` body units
+    keypoints : `(n, 2)` pixels
+    reach : `(n,)` body units
+    """
+    apart = np.linalg.norm(keypoints[:, None] - keypoints[None], axis=-1)
+    widest = np.linalg.norm(torsos[:, :, None] - torsos[:, None], axis=-1).max(axis=0)
+    most = widest + reach[:, None] + reach[None]
+    # A little lower, for rounding; two joints at least lie apart, or no camera is determined.
+    return float((apart / most).max() * (1 - 1e-9))
+
+
+def draw_roots(
+    posterior: UncertainPosterior, words: list[int], number: int, budget: Budget
+) -> TorsoDraws:
+    """`number` roots given the torso's joints, or as many as the budget allows.
+
+    Parameters
+    ----------
+    posterior : whose detection shows enough of the torso to determine a camera.
+    words : of the key.
+    number : how many roots.
+    budget : of attempts.
+    """
+    posed = torso_problem(posterior)
+    cells = cut_roots(posed.problem)
+    parts = [root_table(0)]
+    found, made, batch = 0, 0, 0
+    while cells.mass and found < number and (found or made < HOPELESS):
+        numbers = [
+            one for one in range(batch, batch + (os.cpu_count() or 1)) if budget.spend(BATCH)
+        ]
+        if not numbers:
+            break
+        tables = workers().map(
+            functools.partial(_batch, posterior.detected.law, posed.problem, cells, words, number),
+            numbers,
+        )
+        for table, attempts in tables:
+            parts.append(table._replace(attempt=table.attempt + made))
+            found, made = found + len(table.torso), made + attempts
+        batch += len(numbers)
+    whole = RootTable(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    if found >= number:
+        whole = RootTable(*(column[:number] for column in whole))
+        made = int(whole.attempt[-1]) + 1
+    return _named(posed, cells.mass, whole, made, found >= number)
+
+
+def _batch(
+    law: ErrorLaw,
+    problem: TorsoProblem,
+    cells: RootCells,
+    words: list[int],
+    number: int,
+    batch: int,
+) -> tuple[RootTable, int]:
+    """The roots that one batch of attempts finds, and how many attempts it made."""
+    table = root_table(min(number, BATCH))
+    found, attempts = attempt_roots(seeded(words, batch), BATCH, problem, cells, table)
+    table = RootTable(*(column[:found] for column in table))
+    if not law.flat and found:
+        rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(batch, THINNING)))
+        test = np.log1p(-rng.uniform(size=found))
+        kept = test <= in_chunks(
+            functools.partial(_log_ratio, law, problem),
+            table.torso,
+            rotations_of(table),
+            table.inverse,
+            table.plane,
+        )
+        table = RootTable(*(column[kept] for column in table))
+    return table, attempts
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _log_ratio(
+    law: ErrorLaw,
+    problem: TorsoProblem,
+    torso: jax.Array,
+    rotation: jax.Array,
+    inverse: jax.Array,
+    plane: jax.Array,
+) -> jax.Array:
+    """`(n,)`: log likelihood of the torso's joints over its peak."""
+
+    def one(
+        torso: jax.Array, rotation: jax.Array, inverse: jax.Array, plane: jax.Array
+    ) -> jax.Array:
+        image = jnp.asarray(problem.torsos)[torso] @ rotation[:2].T
+        offset = image + plane[None] - jnp.asarray(problem.keypoints) * inverse
+        square = jnp.sum(offset**2, axis=1) / (jnp.asarray(problem.reach) / law.reach) ** 2
+        return jnp.sum(law.log_ratio(square))
+
+    return jax.vmap(one)(torso, rotation, inverse, plane)
+
+
+def rotations_of(table: RootTable) -> np.ndarray:
+    """`(n, 3, 3)`: the rotations of roots in a table."""
+    if not len(table.torso):
+        return np.zeros((0, 3, 3))
+    return Rotation.from_euler("ZYZ", table.angles).as_matrix()
+
+
+def _named(posed: Posed, mass: float, table: RootTable, made: int, enough: bool) -> TorsoDraws:
+    found, scale, problem = len(table.torso), posed.lowest / table.inverse, posed.problem
+    translation = posed.origin + scale[:, None] * table.plane
+    points = RootPoint(table.torso, rotations_of(table), np.log(scale), translation)
+    # Counted to the last root wanted, or to the end of the budget.
+    rate = (found - 1) / max(made - 1, 1) if enough else found / max(made, 1)
+    if not rate:
+        return TorsoDraws(points, made, -math.inf, math.inf)
+    log_mass = math.log(np.pi * problem.reach[0] ** 2 * mass)
+    log_mass -= problem.power * math.log(posed.lowest)
+    return TorsoDraws(points, made, log_mass + math.log(rate), (1 - rate) / found)

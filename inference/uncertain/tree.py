@@ -1,0 +1,195 @@
+"""Weighted roots → a DataTree: the draws with their roots, and all roots that were weighed.
+
+Pictures and tables ask which way the person faces. So every root goes to that one of the
+estimator's candidates whose camera is turned like its own, and `candidate` names these sides.
+"""
+
+from typing import Any
+
+import jax
+import numpy as np
+import xarray as xr
+
+from inference.results import NAMES, UNCERTAIN, Columns, assemble
+from inference.uncertain.limbs import log_evidence
+from inference.uncertain.weighted import WeightedRoots, log_mean
+from probmodel.chunks import in_chunks
+from probmodel.model import PoseModel
+from probmodel.pose import Pose
+from probmodel.roots import RootPoint, RootPrior
+from probmodel.uncertain import Detected, UncertainPosterior, log_joints
+
+BASE_MEASURE = (
+    "counting (torso) x Haar's on SO(3) (1 in all) x log scale x image area (px2, translation) x"
+    " length (5, body units) x surface of the unit sphere (9 directions) x image area (px2)"
+)
+
+
+def uncertain_tree(
+    roots: WeightedRoots, rng: np.random.Generator, number: int, attributes: dict[str, Any]
+) -> xr.DataTree:
+    """The DataTree of `number` draws, none where no root has any weight. Beside the groups that
+    every result has, `roots` holds all that were weighed, with their weights."""
+    posterior = roots.posterior
+    points, poses, chosen = roots.draw(rng, number)
+    columns = draw_columns(posterior, points, poses) | {"root_index": chosen}
+    columns["candidate"] = sides(posterior, points)
+    about = {
+        "root": UNCERTAIN,
+        "num_roots": len(roots.log_weight),
+        "effective_roots": roots.effective,
+        "num_proposals": roots.proposals,
+        "acceptance_rate": len(chosen) / max(roots.proposals, 1),
+        "log_evidence": roots.log_evidence,
+        "log_evidence_se": roots.log_evidence_se,
+        "converged": int(all(one.converged for one in posterior.candidates)),
+    }
+    tree = assemble(
+        posterior, columns, _constant_data(roots), BASE_MEASURE, about | dict(attributes)
+    )
+    tree["roots"] = xr.DataTree(_weighed(roots))
+    return tree
+
+
+def draw_columns(posterior: UncertainPosterior, points: RootPoint, poses: Pose) -> Columns:
+    """Draws `(n, ...)` as columns: the root's, and joints, bone_length, keypoints, spread
+    of every joint's error in pixels, lp."""
+    number = len(poses.length)
+    shapes = {"joints": (0, 15, 3), "keypoints": (0, 15, 2), "lp": (0,)}
+    found = {name: np.empty(shape) for name, shape in shapes.items()}
+    if number:
+
+        def describe(*fields: np.ndarray) -> dict[str, jax.Array]:
+            point, pose = RootPoint(*fields[:4]), Pose(*fields[4:])
+            density = log_joints(posterior.model, posterior.detected, point, pose)
+            return {**_describe(posterior.model, posterior.detected, point, pose), "lp": density}
+
+        found = in_chunks(describe, *map(np.asarray, points), *poses)
+    scale = np.exp(points.log_scale)
+    return {
+        "spread": scale[:, None] * np.asarray(posterior.detected.spread),
+        "torso": np.asarray(points.torso),
+        "rotation": np.asarray(points.rotation),
+        "scale": scale,
+        "translation": np.asarray(points.translation),
+        "bone_length": poses.length,
+        **found,
+    }
+
+
+@jax.jit
+def _describe(
+    model: PoseModel, detected: Detected, points: RootPoint, poses: Pose
+) -> dict[str, jax.Array]:
+    """Joints in camera axes and keypoints of roots and poses `(n, ...)`."""
+    prior = RootPrior(model.torsos)
+
+    def one(point: RootPoint, pose: Pose) -> dict[str, jax.Array]:
+        root = prior.root(point)
+        joints = model.joints(root.view, *pose)
+        return {"joints": joints, "keypoints": root.camera.image(joints)}
+
+    return jax.vmap(one)(points, poses)
+
+
+def sides(posterior: UncertainPosterior, points: RootPoint) -> np.ndarray:
+    """`(n,)`: for each root, the candidate whose camera is turned least against its own."""
+    cameras = [np.asarray(one.camera.rotation) for one in posterior.candidates] or [np.eye(3)]
+    # The trace of a rotation falls with its angle.
+    trace = np.einsum("nij,cij->nc", np.asarray(points.rotation), np.stack(cameras))
+    return np.argmax(trace, axis=1)
+
+
+def _weighed(roots: WeightedRoots) -> xr.Dataset:
+    points, one = roots.torso.points, ("root",)
+    limbs = np.array([log_evidence(found) for found in roots.limbs])
+    return xr.Dataset(
+        {
+            "torso": (one, points.torso),
+            "rotation": ((*one, "axis", "body_axis"), points.rotation),
+            "scale": (one, np.exp(points.log_scale), {"units": "pixels per body unit"}),
+            "translation": ((*one, "uv"), points.translation, {"units": "pixels"}),
+            "log_evidence_of_limbs": (one, limbs),
+            "log_weight": (one, roots.log_weight),
+            "share": (one, roots.share),
+            "candidate": (one, sides(roots.posterior, points)),
+        },
+        coords={"root": np.arange(len(limbs))}
+        | {name: NAMES[name] for name in ("axis", "body_axis", "uv")},
+    )
+
+
+def _constant_data(roots: WeightedRoots) -> xr.Dataset:
+    """What the posterior says of each side: its share and evidence, and the mean of its cameras."""
+    posterior, points = roots.posterior, roots.torso.points
+    side, number = sides(posterior, points), max(1, len(posterior.candidates))
+    means = [_mean_camera(roots, np.flatnonzero(side == index), index) for index in range(number)]
+    columns = {name: np.array([mean[name] for mean in means]) for name in means[0]}
+    spread = np.where(np.isfinite(posterior.detected.spread), posterior.detected.spread, np.nan)
+    one = ("candidate",)
+    dims = {"rotation": (*one, "axis", "body_axis"), "translation": (*one, "uv")}
+    reach = posterior.detected.law.reach * spread
+    return xr.Dataset(
+        {name: (dims.get(name, one), column) for name, column in columns.items()}
+        | {"radius": ((*one, "joint"), columns["scale"][:, None] * reach[None])},
+        coords={"candidate": np.arange(number)}
+        | {name: NAMES[name] for name in ("joint", "axis", "body_axis", "uv")},
+    )
+
+
+def _mean_camera(roots: WeightedRoots, rows: np.ndarray, index: int) -> dict[str, Any]:
+    """Of the roots in `rows`, a side's: share, evidence, mean camera and its spread, and the
+    torso that has most of it. The estimator's candidate where they have no weight."""
+    share, points = roots.share[rows], roots.torso.points.take(rows)
+    weight, total = share.sum(), len(roots.log_weight)
+    found: dict[str, Any] = {
+        "weight": float(weight),
+        "log_evidence": roots.posterior.log_peak
+        + roots.torso.log_evidence
+        + log_mean(np.where(np.isin(np.arange(total), rows), roots.log_weight, -np.inf)),
+        "log_evidence_se": np.inf,
+        "reprojection_error": np.nan,
+        "scale_sd": np.nan,
+        "turn_sd": np.nan,
+        "num_torsos": 0,
+    }
+    if not weight:
+        return found | _of_candidate(roots.posterior, index)
+    share = share / weight
+    relative = total * np.sum((roots.share[rows] / weight) ** 2) - 1
+    scale = np.exp(points.log_scale)
+    mean = float(share @ scale)
+    rotation = _nearest_rotation(np.einsum("n,nij->ij", share, points.rotation))
+    cosine = (np.einsum("nij,ij->n", points.rotation, rotation) - 1) / 2
+    turn = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    by_torso = np.bincount(points.torso, weights=share)
+    return found | {
+        "log_evidence_se": float(np.sqrt(max(relative, 0.0) / total + roots.torso.variance)),
+        "scale": mean,
+        "scale_sd": float(np.sqrt(share @ (scale - mean) ** 2)),
+        "rotation": rotation,
+        "turn_sd": float(np.sqrt(share @ turn**2)),
+        "translation": share @ points.translation,
+        "torso_index": int(np.argmax(by_torso)),
+        "num_torsos": int(np.count_nonzero(by_torso)),
+    }
+
+
+def _of_candidate(posterior: UncertainPosterior, index: int) -> dict[str, Any]:
+    if not posterior.candidates:
+        nowhere = {"scale": np.nan, "rotation": np.full((3, 3), np.nan), "torso_index": -1}
+        return nowhere | {"translation": np.full(2, np.nan)}
+    one = posterior.candidates[index]
+    return {
+        "scale": float(one.camera.scale),
+        "rotation": np.asarray(one.camera.rotation),
+        "translation": np.asarray(one.camera.translation),
+        "torso_index": one.torso_index,
+        "reprojection_error": one.reprojection_error,
+    }
+
+
+def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """The rotation nearest to a mean of rotations, least squares."""
+    u, _, vt = np.linalg.svd(matrix)
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

@@ -1,0 +1,243 @@
+"""The fast route: roots drawn given the torso, weighed by unbiased estimates of their limbs'
+evidence, and drawn anew by their weights.
+
+    roots = weigh_roots(posterior, key=key, num_roots=2000)
+    roots.effective                      # of how many equally good roots they are worth
+    roots.draw(rng, 10_000)              # roots and poses
+
+Weights that are random but unbiased leave the limit what it is: with more and more roots the draws
+are draws of the posterior. How far a number of roots is from there, the effective number says.
+"""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from inference.exact.loops.numbers import words_of
+from inference.exact.mixture import MAX_PROPOSALS
+from inference.exact.rates import Budget
+from inference.results import COMPLETE, OUT_OF_BUDGET
+from inference.roots.points import require_camera
+from inference.uncertain.limbs import ATTEMPTS, LimbDraws, limb_draws, log_evidence, picks
+from inference.uncertain.torsos import TorsoDraws, draw_roots
+from probmodel.failures import BadInput
+from probmodel.pose import Pose
+from probmodel.roots import RootPoint
+from probmodel.skeleton import GROUPS
+from probmodel.uncertain import UncertainPosterior
+
+NUM_ROOTS = 2000
+"""Roots, where nothing else is said."""
+MOST_ROOTS = 100_000
+"""More would not fit the memory of a small machine."""
+FEWEST_EFFECTIVE = 20
+"""Effective roots below which draws are no answer: an interval would rest on one or two of them."""
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedRoots:
+    """Roots given the torso with weights that make them roots of the posterior.
+
+    Attributes
+    ----------
+    posterior : what they are drawn from.
+    torso : the roots, and how probable the torso is.
+    limbs : for each root, what attempts at its limbs brought.
+    log_weight : `(n,)` log of scale⁻² for every seen joint that is not the torso's × the estimated
+        evidence of the limbs; -inf where no draw was accepted.
+    proposals : how many attempts all that took.
+    """
+
+    posterior: UncertainPosterior
+    torso: TorsoDraws
+    limbs: Sequence[dict[str, LimbDraws]]
+    log_weight: np.ndarray
+    proposals: int
+
+    @functools.cached_property
+    def share(self) -> np.ndarray:
+        """`(n,)`: the weights, with sum one; zeros where no root has any."""
+        return shares(self.log_weight)
+
+    @property
+    def effective(self) -> float:
+        """How many equally weighted roots these are worth: 1 / Σ share² (Kish 1965)."""
+        square = float(np.sum(self.share**2))
+        return 1 / square if square else 0.0
+
+    @property
+    def log_evidence(self) -> float:
+        """Log of an unbiased estimate of the density of the detection, per square pixel of every
+        joint but one (a flat translation has no mass); -inf where no root has any weight."""
+        mean = log_mean(self.log_weight)
+        return self.posterior.log_peak + self.torso.log_evidence + mean
+
+    @property
+    def log_evidence_se(self) -> float:
+        """Standard error of `log_evidence`, by the delta method."""
+        if not self.effective:
+            return math.inf
+        number = len(self.log_weight)
+        relative = (number / self.effective - 1) / number
+        return math.sqrt(relative + self.torso.variance)
+
+    def draw(self, rng: np.random.Generator, number: int) -> tuple[RootPoint, Pose, np.ndarray]:
+        """`number` roots and poses, in random order, and which `(number,)` of the roots each has;
+        none where no root has any weight.
+
+        Roots come as often as their weights say (systematic resampling), limbs from those that were
+        accepted under them, groups freely combined, since they are independent given the root.
+        """
+        if not self.effective:
+            number = 0
+        counts = systematic(rng, self.share, number)
+        chosen = np.repeat(np.arange(len(counts)), counts)
+        poses, start = Pose.blank(number), 0
+        for root in np.flatnonzero(counts).tolist():
+            rows = slice(start, start + int(counts[root]))
+            part = Pose(*(column[rows] for column in poses))
+            for name, found in self.limbs[root].items():
+                order = picks(rng, len(found.draws.length), len(part.length))
+                type(found.draws)(*(column[order] for column in found.draws)).fill(
+                    part, GROUPS[name]
+                )
+            start = rows.stop
+        order = rng.permutation(number)
+        chosen, poses = chosen[order], Pose(*(column[order] for column in poses))
+        return self.torso.points.take(chosen), poses, chosen
+
+
+def shares(log_weight: np.ndarray) -> np.ndarray:
+    """Weights `(n,)` with sum one; zeros where none is finite."""
+    if not np.isfinite(log_weight).any():
+        return np.zeros(len(log_weight))
+    share = np.exp(log_weight - log_weight.max())
+    return share / share.sum()
+
+
+def log_mean(log_weight: np.ndarray) -> float:
+    """Log of the mean of weights `(n,)`; -inf where none has any."""
+    if not np.isfinite(log_weight).any():
+        return -math.inf
+    return float(np.logaddexp.reduce(log_weight)) - math.log(len(log_weight))
+
+
+def systematic(rng: np.random.Generator, share: np.ndarray, number: int) -> np.ndarray:
+    """`(n,)`: how often each of n comes among `number`, in the mean its share of them, and never
+    off by one."""
+    if not number:
+        return np.zeros(len(share), int)
+    ends = np.cumsum(share) / share.sum() * number
+    points = np.minimum(np.ceil(ends - rng.uniform()).astype(int), number)
+    points[-1] = number
+    return np.diff(np.maximum.accumulate(np.maximum(points, 0)), prepend=0)
+
+
+def weigh_roots(
+    posterior: UncertainPosterior,
+    *,
+    key: jax.Array,
+    num_roots: int = NUM_ROOTS,
+    max_proposals: int = MAX_PROPOSALS,
+    progress: Progress | None = None,
+) -> WeightedRoots:
+    """Roots given the torso, each with an estimate of its limbs' evidence.
+
+    Parameters
+    ----------
+    posterior : what is to be drawn from.
+    key : of all random numbers: the same key, the same roots and weights.
+    num_roots : how many roots.
+    max_proposals : most attempts, at roots and limbs together; fewer roots where they end first.
+    progress : called now and then with the roots weighed and wanted.
+
+    Raises
+    ------
+    BadInput
+        Where the seen joints of the torso do not determine a camera, and where the number of roots
+        is not from 1 to 100,000.
+    """
+    if not 1 <= num_roots <= MOST_ROOTS:
+        raise BadInput(
+            f"the number of roots must lie between 1 and {MOST_ROOTS:,}, not {num_roots}"
+        )
+    require_camera(posterior.detection)
+    torso_key, limb_key = jax.random.split(key)
+    budget = Budget(max_proposals)
+    torso = draw_roots(posterior, words_of(torso_key), num_roots, budget)
+    each = sum(ATTEMPTS.values())
+    afforded = min(len(torso.points.torso), (max_proposals - torso.attempts) // each)
+    points = torso.points.take(slice(0, max(afforded, 0)))
+    torso = torso._replace(points=points)
+    limbs: list[dict[str, LimbDraws]] = []
+    for found in limb_draws(posterior, points, words_of(limb_key)):
+        limbs.append(found)
+        if progress:
+            progress(len(limbs), num_roots)
+    return WeightedRoots(
+        posterior,
+        torso,
+        limbs,
+        log_weights(posterior, points, limbs),
+        torso.attempts + each * len(limbs),
+    )
+
+
+def log_weights(
+    posterior: UncertainPosterior, points: RootPoint, limbs: Sequence[dict[str, LimbDraws]]
+) -> np.ndarray:
+    """`(n,)`: `WeightedRoots.log_weight`. Roots given the torso have scale⁻² for the torso's joints
+    already."""
+    counted = np.flatnonzero(np.isfinite(posterior.detected.spread)).tolist()
+    ends = {bone.end for members in GROUPS.values() for limb in members for bone in limb.bones}
+    of_limbs = len(ends.intersection(counted))
+    evidence = np.array([log_evidence(found) for found in limbs])
+    return evidence - 2 * of_limbs * np.asarray(points.log_scale)
+
+
+def verdict(roots: WeightedRoots, num_roots: int) -> tuple[str, str]:
+    """The status of draws from these roots, and, where it is not complete, a sentence that says why
+    and what to do."""
+    where, weighed = roots.posterior.detection.where, len(roots.log_weight)
+    if not len(roots.torso.points.torso):
+        return OUT_OF_BUDGET, (
+            f"no torso brings all its seen joints within reach of their detections in"
+            f" {roots.torso.attempts:,} attempts for {where}; mend or drop one of"
+            " shoulders, hips, thorax and pelvis, or raise the factor of the radii"
+        )
+    if not roots.effective:
+        return OUT_OF_BUDGET, (
+            f"none of {weighed:,} roots that explain the torso of {where} was found to have a pose"
+            f" whose {_rarest(roots)} explain their detections; mend or drop one, ask for more"
+            " roots, or raise the factor of the radii"
+        )
+    if roots.effective < FEWEST_EFFECTIVE:
+        return OUT_OF_BUDGET, (
+            f"the draws for {where} rest on {roots.effective:.1f} effective roots of {weighed:,},"
+            f" too few for an answer (at least {FEWEST_EFFECTIVE}); ask for some"
+            f" {_enough(roots):,} roots, or mend the detection that hardly any root explains"
+        )
+    if weighed < num_roots:
+        return OUT_OF_BUDGET, (
+            f"{weighed:,} of {num_roots:,} roots after {roots.proposals:,} proposals for {where};"
+            " ask for fewer roots, or allow more proposals"
+        )
+    return COMPLETE, ""
+
+
+def _rarest(roots: WeightedRoots) -> str:
+    """The group of limbs that fewest roots explain."""
+    held = {name: sum(one[name].rate.accepted > 0 for one in roots.limbs) for name in GROUPS}
+    return min(held, key=held.__getitem__)
+
+
+def _enough(roots: WeightedRoots) -> int:
+    """About how many roots would be enough, twice as many for safety; two digits."""
+    wanted = 2 * len(roots.log_weight) * FEWEST_EFFECTIVE / roots.effective
+    unit = 10 ** max(0, math.floor(math.log10(wanted)) - 1)
+    return min(MOST_ROOTS, math.ceil(wanted / unit) * unit)

@@ -1,0 +1,219 @@
+"""What an uncertain root changes on real detections with a real truth: writes reports/honest.md.
+
+    python -m reports.pages.honest ../shared/data
+
+One person filmed by four calibrated cameras. One camera's detection goes to the product, the truth
+is triangulated from the other three. Everything is in the person's own body units and millimetres,
+the hips' midpoint at the origin, z along the line of sight, without any alignment.
+"""
+
+import itertools
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+
+import inference
+from inference.hypothesis import diverse
+from inference.results import FIXED, UNCERTAIN
+from inference.studies.intervals import Interval, of_share
+from probmodel import PoseModel
+from probmodel.layouts import corrected
+from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
+from reports.figures.style import FAINT, INK, PALETTE, SMALL, TITLE, page
+from reports.pages.filmed import HIPS, Case, read_cases
+from reports.pages.page import in_doubles, write_page
+from reports.tables import Sheet, sheet_of
+
+FRAMES = range(10, 100, 24)
+DRAWS, ROOTS, BEST = 4000, 1000, 5
+LIMB = 338.0
+"""Millimetres: the person's mean limb bone."""
+JUDGED = [
+    *LIMB_JOINTS,
+    *(JOINT_INDEX[name] for name in ("right_shoulder", "left_shoulder", "right_hip", "left_hip")),
+]
+"""The joints of the errors: those that detector and skeleton define alike."""
+WAYS = tuple(itertools.product((FIXED, UNCERTAIN), (False, True)))
+"""Root, and whether midpoints are moved to the skeleton's thorax and pelvis."""
+
+
+class Outcome(NamedTuple):
+    """One way on one case.
+
+    Attributes
+    ----------
+    standing : `(8, 3)` share of draws below the truth, limb joints × x, y, depth.
+    spread : `(8, 3)` standard deviations of the draws, body units.
+    mean, best : mm, errors of the posterior's mean and of the best of five hypotheses.
+    effective : roots; NaN where the root is fixed.
+    seconds : of the drawing.
+    drawn : whether there are any draws.
+    """
+
+    standing: np.ndarray
+    spread: np.ndarray
+    mean: float
+    best: float
+    effective: float
+    seconds: float
+    drawn: bool
+
+
+NOWHERE = np.full((8, 3), np.nan)
+LOST = Outcome(NOWHERE, NOWHERE, np.nan, np.nan, np.nan, np.nan, False)
+"""Where there is no draw."""
+
+
+def judge(model: PoseModel, case: Case, root: str, correct: bool, seed: int) -> Outcome:
+    """Draws for one camera's detection, against the truth."""
+    detection = corrected(case.detection) if correct else case.detection
+    frame = inference.estimate_torso(detection, torsos=np.asarray(model.torsos))
+    result = inference.sample(
+        model,
+        frame,
+        key=jax.random.key(seed),
+        num_samples=DRAWS,
+        root=root,
+        num_roots=ROOTS,
+        max_proposals=300_000_000,
+    )
+    if not result.num_draws:
+        return LOST
+    joints = result.tree["posterior"].joints.values[0]
+    joints = joints - joints[:, HIPS].mean(axis=1, keepdims=True)
+    limbs, truth = joints[:, LIMB_JOINTS], case.truth[list(LIMB_JOINTS)]
+    hypotheses = np.array([one.joints for one in diverse(joints, min(BEST, len(joints)))])
+    return Outcome(
+        standing=np.mean(limbs < truth, axis=0),
+        spread=limbs.std(axis=0),
+        mean=float(error(joints.mean(axis=0)[None], case.truth)[0]),
+        best=float(error(hypotheses, case.truth).min()),
+        effective=float(result.tree.attrs.get("effective_roots", np.nan)),
+        seconds=float(result.tree.attrs["wall_time_s"]),
+        drawn=True,
+    )
+
+
+def error(joints: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """`(n,)` mm: mean distance of poses `(n, 15, 3)` from the truth over `JUDGED`."""
+    apart = np.linalg.norm(joints[:, JUDGED] - truth[JUDGED], axis=-1)
+    return LIMB * np.nanmean(apart, axis=1)
+
+
+def words(root: str, correct: bool) -> str:
+    """A way, in words."""
+    return f"{root} root{', `--correct`' if correct else ''}"
+
+
+def coverage(standing: np.ndarray, cluster: np.ndarray) -> Interval:
+    """How often central intervals of 95 % hold the truth, `standing` `(n, ...)`, with an interval
+    from drawing cameras anew."""
+    known = ~np.isnan(standing).reshape(len(standing), -1).any(axis=1)
+    held = (standing >= 0.025) & (standing <= 0.975)
+    return of_share(held[known].reshape(known.sum(), -1), cluster[known])
+
+
+def table(outcomes: dict[tuple[str, bool], list[Outcome]], camera: np.ndarray) -> Sheet:
+    """A line a way: coverage by axis, truths beyond all draws, widths, errors."""
+    lines: list[tuple[Any, ...]] = []
+    for way, found in outcomes.items():
+        standing = np.stack([one.standing for one in found])
+        drawn = np.array([one.drawn for one in found])
+        beyond = ((standing == 0) | (standing == 1))[drawn]
+        spread = LIMB * np.nanmean([one.spread for one in found], axis=(0, 1))
+        lines.append(
+            (
+                words(*way),
+                *(share(coverage(standing[:, :, axis], camera)) for axis in range(3)),
+                f"{100 * beyond.mean():.0f} %",
+                f"{100 * beyond.any(axis=(1, 2)).mean():.0f} %",
+                f"{np.hypot(*spread[:2]) / np.sqrt(2):.0f} / {spread[2]:.0f}",
+                f"{np.nanmean([one.mean for one in found]):.0f}",
+                f"{np.nanmean([one.best for one in found]):.0f}",
+            )
+        )
+    head = (
+        "torso and camera",
+        "x",
+        "y",
+        "depth",
+        "coordinates beyond all draws",
+        "cases with one",
+        "sd across / in depth, mm",
+        "error of mean, mm",
+        f"best of {BEST}, mm",
+    )
+    return sheet_of(head, lines)
+
+
+def share(interval: Interval) -> str:
+    """A share with its interval, in percent."""
+    low, high = 100 * interval.low, 100 * interval.high
+    return f"{100 * interval.value:.0f} % ({low:.0f}–{high:.0f})"
+
+
+def costs(outcomes: dict[tuple[str, bool], list[Outcome]]) -> Sheet:
+    """A line a way: time a frame, effective roots, cases without draws."""
+    lines = []
+    for way, found in outcomes.items():
+        drawn = [one for one in found if one.drawn]
+        seconds = np.median([one.seconds for one in drawn])
+        effective = [one.effective for one in drawn]
+        few = "–" if way[0] == FIXED else f"{np.median(effective):.0f} ({min(effective):.0f})"
+        lines.append((words(*way), f"{seconds:.1f}", few, len(found) - len(drawn)))
+    head = ("torso and camera", "seconds", "effective roots (fewest)", "cases without a pose")
+    return sheet_of(head, lines)
+
+
+def standings_figure(outcomes: dict[tuple[str, bool], list[Outcome]]) -> Figure:
+    """By axis: how the truths' standings among the draws are distributed; uniform is right."""
+    figure = page(8.4, 3.0, dpi=150)
+    for axis, name in zip(figure.subplots(1, 3), ("x", "y", "depth"), strict=True):
+        axis.plot([0, 1], [0, 1], color=FAINT, lw=0.8, ls=":")
+        for colour, (way, found) in zip(PALETTE, outcomes.items(), strict=False):
+            row = "xy".find(name) % 3
+            standing = np.stack([one.standing[:, row] for one in found if one.drawn]).ravel()
+            at = np.sort(standing)
+            level = np.arange(1, len(at) + 1) / len(at)
+            style = "--" if way[1] else "-"
+            axis.step(at, level, color=colour, lw=1.3, ls=style, where="post", label=words(*way))
+        axis.set_title(name, loc="left", fontsize=TITLE, fontweight="bold", color=INK)
+        axis.set_xlabel("share of draws below the truth", fontsize=SMALL)
+        axis.tick_params(labelsize=SMALL)
+        axis.set(xlim=(0, 1), ylim=(0, 1))
+        axis.set_aspect("equal")
+    figure.axes[0].set_ylabel("share of truths", fontsize=SMALL)
+    figure.axes[0].legend(fontsize=SMALL - 1, frameon=False, loc="upper left")
+    return figure
+
+
+def study(model: PoseModel, cases: Sequence[Case]) -> dict[tuple[str, bool], list[Outcome]]:
+    """All ways on all cases."""
+    return {
+        way: [judge(model, case, *way, seed) for seed, case in enumerate(cases)] for way in WAYS
+    }
+
+
+def main(data: Path) -> None:
+    """Runs the study and writes the page."""
+    in_doubles()
+    cases = read_cases(data / "multicamera", FRAMES)
+    outcomes = study(PoseModel(), cases)
+    values: dict[str, str | int | Sheet] = {
+        "cases": len(cases),
+        "frames": len(FRAMES),
+        "draws": f"{DRAWS:,}",
+        "roots": f"{ROOTS:,}",
+        "table": table(outcomes, np.array([case.camera for case in cases])),
+        "costs": costs(outcomes),
+    }
+    print(write_page("honest", values, {"honest": standings_figure(outcomes)}))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,278 @@
+"""The posterior with an uncertain root against brute force in NumPy, which shares no code with it:
+evidence and moments of a small case, torso and one arm; and controls that must fail.
+
+False alarms: evidence and every moment are held to 4 standard errors, 6e-5 each; seeds are fixed.
+"""
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+import pytest
+from numpyro.infer.util import log_density
+from scipy.spatial.transform import Rotation
+
+import inference
+from inference.results import OUT_OF_BUDGET
+from inference.uncertain.limbs import log_evidence
+from inference.uncertain.tree import draw_columns
+from inference.uncertain.weighted import WeightedRoots, log_mean, shares, systematic, weigh_roots
+from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
+from probmodel.pose import Pose
+from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
+from tests.brute_force import propose_group
+from tests.scenes import key, prior_scene
+
+FACTOR = 0.5
+SEEN = ("right_shoulder", "left_shoulder", "right_hip", "left_hip", "right_elbow", "right_wrist")
+ARMS_EACH = 40
+"""Arms of the prior that brute force tries under each root which explains the torso."""
+MOMENTS = ("log scale", "pelvis x", "chest z", "back z", "elbow z", "wrist x", "wrist z")
+
+
+@functools.cache
+def small_case() -> tuple[PoseModel, Estimate]:
+    """Two shoulders, two hips and one arm seen, scores unequal, three torsos in the dictionary."""
+    whole = PoseModel()
+    model = PoseModel(torsos=np.asarray(whole.torsos)[[0, 17, 40]])
+    missing = tuple(name for name in JOINTS if name not in SEEN)
+    scores = np.linspace(0.6, 1.0, NUM_JOINTS)
+    return model, prior_scene(model, 11, factor=FACTOR, missing=missing, scores=scores)
+
+
+def brute_force_roots(model: PoseModel, frame: Estimate, attempts: int, seed: int) -> dict:
+    """Evidence and moments by importance sampling from a plain proposal: rotation uniform (SciPy),
+    log scale uniform on a wide interval, the right hip uniform in a square around its detection."""
+    rng, detection = np.random.default_rng(seed), frame.detection
+    seen = [JOINT_INDEX[name] for name in SEEN]
+    score = detection.score[seen]
+    radius = dict(zip(SEEN, FACTOR * score.mean() / score, strict=True))  # body units
+    at = {name: detection.keypoints[JOINT_INDEX[name]] for name in SEEN}
+    torsos = np.asarray(model.torsos)
+    row = {name: TORSO_INDEX.index(JOINT_INDEX[name]) for name in SEEN[:4]}
+    low, high = math.log(25.0), math.log(800.0)
+    pools = [
+        propose_group(model.limits, model.lengths, torso, "arms", 20_000, rng)[1]
+        for torso in torsos
+    ]
+    weights, values = [], []
+    for _ in range(attempts // 250_000):
+        number = 250_000
+        torso = rng.integers(len(torsos), size=number)
+        rotation = Rotation.random(number, rng=rng).as_matrix()
+        scale = np.exp(rng.uniform(low, high, number))
+        half = radius["right_hip"]
+        hip = np.einsum("nij,nj->ni", rotation[:, :2], torsos[torso, row["right_hip"]])
+        shift = at["right_hip"] / scale[:, None] - hip + rng.uniform(-half, half, (number, 2))
+        ok = np.ones(number, bool)
+        for name in SEEN[:4]:
+            image = np.einsum("nij,nj->ni", rotation[:, :2], torsos[torso, row[name]]) + shift
+            gap = image - at[name] / scale[:, None]
+            ok &= np.sum(gap**2, axis=1) <= radius[name] ** 2
+        area = np.prod([math.pi * size**2 for size in radius.values()])
+        weight = (high - low) * (2 * half * scale) ** 2 * scale ** (-2 * len(SEEN)) / area
+        for n in np.flatnonzero(ok):
+            pool = pools[torso[n]]
+            pick = rng.integers(20_000, size=ARMS_EACH)
+            elbow, wrist = (pool[JOINT_INDEX[name]][pick] @ rotation[n].T for name in SEEN[4:])
+            kept = np.ones(ARMS_EACH, bool)
+            for name, points in zip(SEEN[4:], (elbow, wrist), strict=True):
+                gap = points[:, :2] + shift[n] - at[name] / scale[n]
+                kept &= np.sum(gap**2, axis=1) <= radius[name] ** 2
+            weights.append(weight[n] * kept.mean())
+            if kept.any():
+                pelvis, turned = scale[n] * shift[n, 0], rotation[n]
+                root = [math.log(scale[n]), pelvis, turned[2, 2], turned[2, 1]]
+                limbs = [elbow[kept, 2].mean(), *wrist[kept][:, [0, 2]].mean(axis=0)]
+                values.append([*root, *limbs])
+            else:
+                values.append([0.0] * len(MOMENTS))
+    weight, total = np.array(weights), attempts // 250_000 * 250_000
+    mean = weight.sum() / total
+    error = math.sqrt((np.sum(weight**2) / total - mean**2) / total)
+    return {"log": math.log(mean), "se": error / mean, **moments(weight, np.array(values))}
+
+
+def moments(weight: np.ndarray, values: np.ndarray) -> dict:
+    """Weighted means of values `(n, m)` with their standard errors."""
+    share = weight / weight.sum()
+    mean = share @ values
+    return {"mean": mean, "mean_se": np.sqrt(share**2 @ (values - mean) ** 2)}
+
+
+def fast_moments(roots: WeightedRoots, share: np.ndarray) -> dict:
+    """The same moments of weighted roots, limbs averaged under each root."""
+    held = [
+        len(found["arms"].draws.length) if w else 0
+        for found, w in zip(roots.limbs, share, strict=True)
+    ]
+    rows = np.repeat(np.arange(len(share)), held)
+    poses, start = Pose.blank(len(rows)), 0
+    for index in np.flatnonzero(held):
+        part = slice(start, start + held[index])
+        roots.limbs[index]["arms"].draws.fill(Pose(*(one[part] for one in poses)), GROUPS["arms"])
+        start = part.stop
+    points = roots.torso.points
+    joints = draw_columns(roots.posterior, points.take(rows), poses)["joints"]
+    elbow, wrist = (joints[:, JOINT_INDEX[name]] for name in SEEN[4:])
+    limbs = np.stack([elbow[:, 2], wrist[:, 0], wrist[:, 2]], axis=1)
+    sums = np.zeros((len(share), 3))
+    np.add.at(sums, rows, limbs)
+    chest, back = points.rotation[:, 2, 2], points.rotation[:, 2, 1]
+    root = np.stack([points.log_scale, points.translation[:, 0], chest, back], axis=1)
+    mean = sums / np.maximum(held, 1)[:, None]
+    return moments(share, np.concatenate([root, mean], axis=1))
+
+
+def off(one: dict, other: dict) -> float:
+    """The largest difference of two sets of moments, in standard errors."""
+    error = np.hypot(one["mean_se"], other["mean_se"])
+    return float(np.max(np.abs(one["mean"] - other["mean"]) / error))
+
+
+@functools.cache
+def both_routes() -> tuple[dict, WeightedRoots]:
+    model, frame = small_case()
+    return (
+        brute_force_roots(model, frame, 3_000_000, 5),
+        weigh_roots(frame.uncertain(model), key=key(3), num_roots=1500),
+    )
+
+
+def test_evidence_and_moments_against_brute_force():
+    brute, roots = both_routes()
+    error = math.hypot(brute["se"], roots.log_evidence_se)
+    assert error < 0.1
+    assert abs(roots.log_evidence - brute["log"]) < 4 * error
+    assert off(fast_moments(roots, roots.share), brute) < 4
+
+
+def test_a_biased_evidence_is_found_out():
+    """Negative controls: the mean of logs instead of the log of the mean; and every root that has a
+    draw counted alike, as if a draw had been waited for."""
+    brute, roots = both_routes()
+    alive = np.isfinite(roots.log_weight)
+    wrong = roots.log_evidence - log_mean(roots.log_weight) + roots.log_weight[alive].mean()
+    assert abs(wrong - brute["log"]) > 8 * math.hypot(brute["se"], roots.log_evidence_se)
+    evidence = np.array([log_evidence(found) for found in roots.limbs])
+    flat = np.where(alive, roots.log_weight - np.where(alive, evidence, 0.0), -np.inf)
+    assert off(fast_moments(roots, shares(flat)), brute) > 8
+
+
+def test_the_factors_of_the_scale_are_missed():
+    """Negative control: weights without scale⁻² for every seen joint."""
+    brute, roots = both_routes()
+    wrong = shares(roots.log_weight + 2 * len(SEEN) * roots.torso.points.log_scale)
+    assert off(fast_moments(roots, wrong), brute) > 8
+
+
+def test_systematic_resampling_is_even():
+    """Every count is its expectation, rounded down or up, and their sum is exact."""
+    rng = np.random.default_rng(0)
+    for number in (0, 1, 7, 1000):
+        share = rng.dirichlet(np.full(50, 0.2))
+        many = np.array([systematic(rng, share, number) for _ in range(400)])
+        assert (many.sum(axis=1) == number).all()
+        assert (np.abs(many - share * number) < 1).all()
+        error = 4.5 * np.sqrt(0.25 / 400)  # false alarm 7e-6 a root
+        assert (np.abs(many.mean(axis=0) - share * number) < error).all()
+
+
+def test_the_same_key_the_same_weights():
+    model, frame = small_case()
+    one, two = (weigh_roots(frame.uncertain(model), key=key(8), num_roots=40) for _ in range(2))
+    np.testing.assert_array_equal(one.log_weight, two.log_weight)
+    np.testing.assert_array_equal(one.torso.points.rotation, two.torso.points.rotation)
+    more = weigh_roots(frame.uncertain(model), key=key(8), num_roots=60)
+    np.testing.assert_array_equal(more.log_weight[:40], one.log_weight)
+
+
+def test_a_root_needs_enough_of_the_torso():
+    model, frame = small_case()
+    score = np.array(frame.detection.score)
+    score[[JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]] = 0.0
+    keypoints = np.where(score[:, None] > 0, frame.detection.keypoints, np.nan)
+    little = dataclasses.replace(
+        frame, detection=Detection(keypoints, score, "synthetic", "a scene", 0)
+    )
+    with pytest.raises(BadInput, match="needed are at least three of pelvis"):
+        inference.sample(model, little, key=key(0), root="uncertain")
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"root": "maybe"}, "there is no root 'maybe'; choose one of fixed, uncertain"),
+        ({"root": "uncertain", "num_roots": 0}, "number of roots must lie between 1 and 100,000"),
+        ({"root": "uncertain", "num_samples": 0}, "number of samples must be at least 1"),
+        ({"root": "uncertain", "sampler": "emcee"}, "emcee holds torso and camera fixed"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(settings, words):
+    model, frame = small_case()
+    with pytest.raises(BadInput, match=words):
+        inference.sample(model, frame, key=key(0), **settings)
+
+
+def test_an_answer_that_is_none_is_not_called_one():
+    """Few roots: draws, but a status and a sentence that says what to do; an impossible torso: no
+    draw at all."""
+    model, frame = small_case()
+    few = inference.sample(model, frame, key=key(0), root="uncertain", num_roots=12)
+    assert (few.status, few.num_draws) == (OUT_OF_BUDGET, 10_000)
+    assert "effective roots of 12, too few for an answer" in few.sentence
+    assert few.tree.attrs["effective_roots"] < 12
+    sharp = dataclasses.replace(frame, likelihood=Likelihood(factor=1e-4))
+    none = inference.sample(
+        model, sharp, key=key(0), root="uncertain", num_roots=12, max_proposals=4_000_000
+    )
+    assert (none.status, none.num_draws) == (OUT_OF_BUDGET, 0)
+    assert "no torso brings all its seen joints within reach" in none.sentence
+
+
+def test_draws_are_possible_and_say_where_they_come_from():
+    """Every draw lies in the support of the program, explains every seen joint, and has the root
+    that its number names."""
+    model, frame = small_case()
+    result = inference.sample(
+        model, frame, key=key(1), root="uncertain", num_roots=300, num_samples=500
+    )
+    draws, roots = result.tree["posterior"], result.tree["roots"]
+    assert np.isfinite(result.tree["sample_stats"].lp.values).all()
+    row = draws.root_index.values[0]
+    for name in ("torso", "rotation", "scale", "translation"):
+        np.testing.assert_allclose(draws[name].values[0], roots[name].values[row], rtol=1e-12)
+    seen = [JOINT_INDEX[name] for name in SEEN]
+    gap = draws.keypoints.values[0] - frame.detection.keypoints
+    score = frame.detection.score[seen]
+    radius = draws.scale.values[0][:, None] * FACTOR * score.mean() / score
+    assert (np.linalg.norm(gap[:, seen], axis=-1) <= radius * (1 + 1e-9)).all()
+    assert roots.share.values.sum() == pytest.approx(1)
+    constant = result.tree["constant_data"]
+    assert constant.weight.values.sum() == pytest.approx(1)
+    np.testing.assert_allclose(
+        np.logaddexp.reduce(constant.log_evidence.values), result.tree.attrs["log_evidence"]
+    )
+
+
+def test_the_program_is_the_log_joint():
+    """Density of the NumPyro program = flat prior + that of pose and detection given the root."""
+    model, frame = small_case()
+    posterior = frame.uncertain(model)
+    result = inference.sample(
+        model, frame, key=key(1), root="uncertain", num_roots=60, num_samples=5
+    )
+    draws = result.tree["posterior"]
+    for row in range(5):
+        at = {name: draws[name].values[0, row] for name in ("torso", "rotation", "translation")}
+        point = RootPoint(at["torso"], at["rotation"], np.log(draws.scale.values[0, row]), None)
+        point = point._replace(translation=at["translation"])
+        joints = draws.joints.values[0, row]
+        pose = model.pose_of(joints, draws.bone_length.values[0, row])
+        sites = point._asdict() | dict(zip(("bone_length", "upper", "lower"), pose, strict=True))
+        found, _ = log_density(posterior.program, (), {}, sites)
+        by_hand = -np.log(3) + model.log_prior(*pose) + posterior.log_peak
+        by_hand -= 2 * len(SEEN) * point.log_scale
+        assert float(found) == pytest.approx(float(by_hand), rel=1e-9)
+        assert float(found) == pytest.approx(result.tree["sample_stats"].lp.values[0, row])

@@ -1,0 +1,71 @@
+"""`--root uncertain` on the command line: files, tables, exit codes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from probmodel.example import example
+from reports.settings import HypothesesSettings, SampleSettings
+from tests.conftest import Cli
+
+EXAMPLE = example().path
+UNCERTAIN = ("--root", "uncertain", "--num-samples", 400, "--quiet")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("uncertain")
+
+
+def test_the_default_is_the_paper() -> None:
+    for kind in (HypothesesSettings, SampleSettings):
+        assert kind.__dataclass_fields__["rooting"].default.root == "fixed"
+
+
+def test_hypotheses_differ_in_their_torsos(poseterior: Cli, folder: Path) -> None:
+    run = poseterior("hypotheses", EXAMPLE, "--out", folder, *UNCERTAIN, "--roots", 400, "--json")
+    assert run.code == 0, run
+    said = json.loads(run.out)
+    assert 20 < said["summary"]["effective_roots"] < said["summary"]["num_roots"] == 400
+    assert said["summary"]["root"] == "uncertain"
+    spread = {row["joint"]: row["depth_sd"] for row in said["joints"]}
+    assert spread["thorax"] > 0.1
+    assert sum(row["weight"] for row in said["candidates"]) == pytest.approx(1)
+    assert all(row["turn_sd_degrees"] > 5 for row in said["candidates"] if row["weight"] > 0.05)
+    chosen = json.loads((folder / "hypotheses.json").read_text())["hypotheses"]
+    thorax = np.array([one["joints"]["thorax"] for one in chosen])
+    assert np.ptp(thorax, axis=0).max() > 0.1
+    assert (folder / "hypotheses.png").exists()
+    with xr.open_datatree(folder / "posterior.nc", engine="netcdf4") as tree:
+        draws = tree["posterior"]
+        assert {"torso", "rotation", "scale", "translation", "root_index"} <= set(draws.data_vars)
+        assert tree["roots"].share.shape == (400,)
+        assert tree.attrs["effective_roots"] == said["summary"]["effective_roots"]
+        assert tree.attrs["seed"] == "0 0"
+
+
+def test_the_table_says_how_many_roots_count(poseterior: Cli, folder: Path) -> None:
+    run = poseterior("sample", EXAMPLE, "--out", folder / "s.nc", *UNCERTAIN, "--roots", 400)
+    assert run.code == 0, run
+    assert "effective roots of 400" in run.out
+    assert "Torso and camera are uncertain" in run.out
+    assert "one possible pose in" not in run.out
+    assert max(map(len, run.out.splitlines())) <= 80
+
+
+def test_too_few_roots_are_no_answer(poseterior: Cli, folder: Path) -> None:
+    out = folder / "few.nc"
+    run = poseterior("sample", EXAMPLE, "--out", out, *UNCERTAIN, "--roots", 15)
+    assert run.code == 3, run
+    assert "too few for an answer" in run.err
+    assert "what there is, is saved" in run.err
+    assert out.exists()
+
+
+def test_a_sampler_under_fixed_roots_is_refused(poseterior: Cli, folder: Path) -> None:
+    run = poseterior("sample", EXAMPLE, "--out", folder / "x.nc", *UNCERTAIN, "--sampler", "emcee")
+    assert run.code == 2, run
+    assert "the sampler emcee holds torso and camera fixed" in run.err

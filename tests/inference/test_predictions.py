@@ -43,7 +43,19 @@ def bent(example_estimate: Estimate) -> Posterior:
 def bent_groups(bent: Posterior, example_result: Result) -> dict[str, xr.Dataset]:
     """What would be predicted from the example's draws under that law."""
     draws = example_result.tree["posterior"]
-    return prediction_groups(bent, draws.keypoints.values[0], draws.candidate.values[0], [0, 1])
+    spreads = np.stack(
+        [
+            np.asarray(one.spread) * root.camera.scale
+            for one, root in zip(bent.observations, bent.roots, strict=True)
+        ]
+    )
+    return prediction_groups(
+        bent.likelihood.law,
+        bent.detection,
+        draws.keypoints.values[0],
+        spreads[draws.candidate.values[0]],
+        [0, 1],
+    )
 
 
 def errors(result: Result) -> np.ndarray:

@@ -42,4 +42,4 @@ def run(settings: FramesSettings, screen: Screen) -> None:
     console.OUT.print(tables.stream_table(summary))
     for line in tables.stream_lines(summary):
         console.say(line)
-    console.say(f"Written to {out}: open it with inference.open_stream")
+    console.say(f"Written to {out}: open it with poseterior.open_stream")

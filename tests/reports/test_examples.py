@@ -27,7 +27,7 @@ RUN = [
     line
     for line in EXAMPLES
     if re.match(
-        "demo|hypotheses|sample|frames|show|prior|check posterior|coverage --simulate", line
+        "demo|hypotheses|sample|frames|show|export|prior|check posterior|coverage --simulate", line
     )
 ]
 """Those that need neither a network, nor motion capture, nor minutes."""

@@ -4,6 +4,7 @@ Pictures and tables ask which way the person faces. So every root goes to that o
 estimator's candidates whose camera is turned like its own, and `candidate` names these sides.
 """
 
+import functools
 from typing import Any
 
 import jax
@@ -13,7 +14,7 @@ import xarray as xr
 from inference.results import NAMES, UNCERTAIN, Columns, assemble
 from inference.uncertain.limbs import log_evidence
 from inference.uncertain.weighted import WeightedRoots, log_mean
-from probmodel.chunks import in_chunks
+from probmodel.chunks import CHUNK, in_chunks
 from probmodel.model import PoseModel
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint, RootPrior
@@ -52,19 +53,12 @@ def uncertain_tree(
 
 
 def draw_columns(posterior: UncertainPosterior, points: RootPoint, poses: Pose) -> Columns:
-    """Draws `(n, ...)` as columns: the root's, and joints, bone_length, keypoints, spread
-    of every joint's error in pixels, lp."""
-    number = len(poses.length)
-    shapes = {"joints": (0, 15, 3), "keypoints": (0, 15, 2), "lp": (0,)}
-    found = {name: np.empty(shape) for name, shape in shapes.items()}
-    if number:
-
-        def describe(*fields: np.ndarray) -> dict[str, jax.Array]:
-            point, pose = RootPoint(*fields[:4]), Pose(*fields[4:])
-            density = log_joints(posterior.model, posterior.detected, point, pose)
-            return {**_describe(posterior.model, posterior.detected, point, pose), "lp": density}
-
-        found = in_chunks(describe, *map(np.asarray, points), *poses)
+    """Draws `(n, ...)` as columns: the root's, and joints, bone_length, keypoints, spread of every
+    joint's error in pixels, lp."""
+    lp = np.empty(0)
+    if len(poses.length):
+        density = functools.partial(_log_joints, posterior.model, posterior.detected)
+        lp = in_chunks(density, *map(np.asarray, points), *poses)
     scale = np.exp(points.log_scale)
     return {
         "spread": scale[:, None] * np.asarray(posterior.detected.spread),
@@ -73,15 +67,26 @@ def draw_columns(posterior: UncertainPosterior, points: RootPoint, poses: Pose) 
         "scale": scale,
         "translation": np.asarray(points.translation),
         "bone_length": poses.length,
-        **found,
+        "lp": lp,
+        **placed(posterior.model, points, poses),
     }
 
 
+def placed(model: PoseModel, points: RootPoint, poses: Pose, *, size: int = CHUNK) -> Columns:
+    """Joints `(n, 15, 3)` in camera axes and keypoints `(n, 15, 2)` of draws `(n, ...)`, `size` of
+    them at a time."""
+    if not len(poses.length):
+        return {"joints": np.empty((0, 15, 3)), "keypoints": np.empty((0, 15, 2))}
+    place = functools.partial(_place, model)
+    return in_chunks(place, *map(np.asarray, points), *poses, size=size)
+
+
+def _log_joints(model: PoseModel, detected: Detected, *fields: np.ndarray) -> jax.Array:
+    return log_joints(model, detected, RootPoint(*fields[:4]), Pose(*fields[4:]))
+
+
 @jax.jit
-def _describe(
-    model: PoseModel, detected: Detected, points: RootPoint, poses: Pose
-) -> dict[str, jax.Array]:
-    """Joints in camera axes and keypoints of roots and poses `(n, ...)`."""
+def _place(model: PoseModel, *fields: jax.Array) -> dict[str, jax.Array]:
     prior = RootPrior(model.torsos)
 
     def one(point: RootPoint, pose: Pose) -> dict[str, jax.Array]:
@@ -89,7 +94,7 @@ def _describe(
         joints = model.joints(root.view, *pose)
         return {"joints": joints, "keypoints": root.camera.image(joints)}
 
-    return jax.vmap(one)(points, poses)
+    return jax.vmap(one)(RootPoint(*fields[:4]), Pose(*fields[4:]))
 
 
 def sides(posterior: UncertainPosterior, points: RootPoint) -> np.ndarray:

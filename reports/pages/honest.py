@@ -21,6 +21,7 @@ import inference
 from inference.hypothesis import diverse
 from inference.results import FIXED, UNCERTAIN
 from inference.studies.intervals import Interval, of_share
+from inference.uncertain.weighted import FEWEST_EFFECTIVE, NUM_ROOTS
 from probmodel import PoseModel
 from probmodel.layouts import corrected
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
@@ -30,7 +31,7 @@ from reports.pages.page import in_doubles, write_page
 from reports.tables import Sheet, sheet_of
 
 FRAMES = range(10, 100, 24)
-DRAWS, ROOTS, BEST = 4000, 1000, 5
+DRAWS, ROOTS, BEST = 4000, NUM_ROOTS, 5
 LIMB = 338.0
 """Millimetres: the person's mean limb bone."""
 JUDGED = [
@@ -165,8 +166,15 @@ def costs(outcomes: dict[tuple[str, bool], list[Outcome]]) -> Sheet:
         seconds = np.median([one.seconds for one in drawn])
         effective = [one.effective for one in drawn]
         few = "–" if way[0] == FIXED else f"{np.median(effective):.0f} ({min(effective):.0f})"
-        lines.append((words(*way), f"{seconds:.1f}", few, len(found) - len(drawn)))
-    head = ("torso and camera", "seconds", "effective roots (fewest)", "cases without a pose")
+        too_few = sum(one.effective < FEWEST_EFFECTIVE for one in drawn)
+        lines.append((words(*way), f"{seconds:.1f}", few, too_few, len(found) - len(drawn)))
+    head = (
+        "torso and camera",
+        "seconds",
+        "effective roots (fewest)",
+        f"cases below {FEWEST_EFFECTIVE}",
+        "cases without a pose",
+    )
     return sheet_of(head, lines)
 
 
@@ -201,6 +209,10 @@ def study(model: PoseModel, cases: Sequence[Case]) -> dict[tuple[str, bool], lis
 
 def main(data: Path) -> None:
     """Runs the study and writes the page."""
+    if not (data / "multicamera").is_dir():
+        raise SystemExit(
+            f"{data} has no folder `multicamera`: this page needs the shared data pack"
+        )
     in_doubles()
     cases = read_cases(data / "multicamera", FRAMES)
     outcomes = study(PoseModel(), cases)

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from inference.uncertain.tree import draw_columns
+from inference.uncertain.tree import placed
 from inference.uncertain.weighted import WeightedRoots, weigh_roots
 from probmodel import Candidate, Estimate, Likelihood, PoseModel, WeakPerspective
 from probmodel.detections import Detection
@@ -78,7 +78,9 @@ def standing(roots: WeightedRoots, truth: dict, seen: tuple[str, ...], seed: int
     points, poses, _ = roots.draw(rng, DRAWS)
     if not len(poses.length):
         return np.full(len(answers(truth, seen)), rng.choice([0.0, 1.0]))
-    found = answers(draw_columns(roots.posterior, points, poses), seen)
+    root = {"rotation": points.rotation, "translation": points.translation}
+    joints = placed(model(), points, poses, size=DRAWS)
+    found = answers(root | joints | {"scale": np.exp(points.log_scale)}, seen)
     below = np.sum(found < answers(truth, seen), axis=0)
     return (below + rng.uniform(size=below.shape)) / (DRAWS + 1)
 

@@ -14,9 +14,11 @@ from numpyro.infer.util import log_density
 from scipy.spatial.transform import Rotation
 
 import inference
+from inference.exact.loops.roots import TILTS, WIDTH, cut_roots
 from inference.results import OUT_OF_BUDGET
 from inference.uncertain.limbs import log_evidence
-from inference.uncertain.tree import draw_columns
+from inference.uncertain.torsos import torso_problem
+from inference.uncertain.tree import placed
 from inference.uncertain.weighted import WeightedRoots, log_mean, shares, systematic, weigh_roots
 from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
 from probmodel.pose import Pose
@@ -114,7 +116,7 @@ def fast_moments(roots: WeightedRoots, share: np.ndarray) -> dict:
         roots.limbs[index]["arms"].draws.fill(Pose(*(one[part] for one in poses)), GROUPS["arms"])
         start = part.stop
     points = roots.torso.points
-    joints = draw_columns(roots.posterior, points.take(rows), poses)["joints"]
+    joints = placed(roots.posterior.model, points.take(rows), poses)["joints"]
     elbow, wrist = (joints[:, JOINT_INDEX[name]] for name in SEEN[4:])
     limbs = np.stack([elbow[:, 2], wrist[:, 0], wrist[:, 2]], axis=1)
     sums = np.zeros((len(share), 3))
@@ -276,3 +278,43 @@ def test_the_program_is_the_log_joint():
         by_hand -= 2 * len(SEEN) * point.log_scale
         assert float(found) == pytest.approx(float(by_hand), rel=1e-9)
         assert float(found) == pytest.approx(result.tree["sample_stats"].lp.values[0, row])
+
+
+def plain_roots(posterior, number: int, seed: int) -> tuple[np.ndarray, ...]:
+    """Roots that explain the torso, by SciPy's rotations and a translation anywhere in the first
+    joint's disc: torsos, rotations, inverse scales in units of the problem's."""
+    problem, rng = torso_problem(posterior).problem, np.random.default_rng(seed)
+    torso = rng.integers(len(problem.torsos), size=number)
+    rotation = Rotation.random(number, rng=rng).as_matrix()
+    inverse = rng.uniform(0.4, 1.0, number)
+    image = np.einsum("nij,nkj->nki", rotation[:, :2], problem.torsos[torso])
+    angle, radius = rng.uniform(0, 2 * np.pi, number), np.sqrt(rng.uniform(size=number))
+    shift = problem.reach[0] * radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    shift += problem.keypoints[0] * inverse[:, None] - image[:, 0]
+    gap = image + shift[:, None] - problem.keypoints * inverse[:, None, None]
+    inside = (np.linalg.norm(gap, axis=-1) <= problem.reach).all(axis=1)
+    return torso[inside], rotation[inside], inverse[inside]
+
+
+def left_out(problem, torso, rotation, inverse) -> float:
+    """The share of roots that the cells do not hold."""
+    cells = cut_roots(problem)
+    roll, tilt, yaw = np.moveaxis(Rotation.from_matrix(rotation).as_euler("ZYZ"), -1, 0)
+    turn = 2 * TILTS
+    roll, yaw = ((angle % (2 * np.pi) // WIDTH).astype(int) % turn for angle in (roll, yaw))
+    code = ((torso * turn + yaw) * TILTS + (tilt // WIDTH).astype(int)) * turn + roll
+    place = np.minimum(np.searchsorted(cells.code, code), len(cells.code) - 1)
+    held = (cells.code[place] == code) & (inverse >= cells.low[place])
+    return 1 - float(np.mean(held & (inverse <= cells.high[place])))
+
+
+def test_cells_hold_every_root_that_explains_the_torso():
+    """Bounds are bounds; and discs a third smaller, which leave roots out, are found out."""
+    _, frame = small_case()
+    posterior = frame.uncertain(PoseModel())
+    torso, rotation, inverse = plain_roots(posterior, 1_000_000, 2)
+    assert len(torso) > 500
+    problem = torso_problem(posterior).problem
+    assert left_out(problem, torso, rotation, inverse) == 0
+    smaller = problem._replace(reach=problem.reach / 1.5)
+    assert left_out(smaller, torso, rotation, inverse) > 0

@@ -85,7 +85,10 @@ def test_results_open_in_xarray_and_arviz(model, shared_data, tmp_path):
     result = inference.sample(model, frame, key=jax.random.key(0), num_samples=400)
     result.save(tmp_path / "posterior.nc")
     with xr.open_datatree(tmp_path / "posterior.nc", engine="netcdf4") as tree:
-        assert set(tree.children) == {"posterior", "sample_stats", "observed_data", "constant_data"}
+        assert set(tree.children) == {
+            *("posterior", "sample_stats", "posterior_predictive", "log_likelihood"),
+            *("observed_data", "constant_data"),
+        }
         assert np.array_equal(tree["posterior"].joints, result.tree["posterior"].joints)
         assert tree.attrs["seed"] == "0 0"
         assert model.limits.sha256 in tree.attrs["limits"]

@@ -192,6 +192,7 @@ def assemble(
         source=posterior.detection.source,
         person=posterior.detection.person,
         estimator=posterior.estimator,
+        errors=posterior.likelihood.words,
         body_unit="mean limb length",
     )
     return tree

@@ -78,6 +78,13 @@ class LengthUnit(enum.StrEnum):
     mm = "mm"
 
 
+class Errors(enum.StrEnum):
+    """How detections err."""
+
+    disc = "disc"
+    gaussian = "gaussian"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Screen:
     """How a command speaks: with progress or without, in tables or JSON."""
@@ -245,6 +252,10 @@ class Estimation:
         int, Option(min=1, help="Most torso-and-camera candidates kept; 1 is the paper's method.")
     ] = 2
     factor: Factor = 0.25
+    errors: Annotated[
+        Errors,
+        Option(help="Law of a detection's error: disc (the paper), or gaussian with σ = τ/2."),
+    ] = Errors.disc
     head: Annotated[
         bool, Option(help="Whether a detected head counts in the likelihood (the paper: no).")
     ] = True
@@ -253,6 +264,7 @@ class Estimation:
         """How detections err. Raises `BadInput` on a bad factor."""
         from probmodel import BadInput, Likelihood
         from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
+        from probmodel.likelihood import LAWS
 
         if not SMALLEST_FACTOR <= self.factor <= 1 / SMALLEST_FACTOR:  # false for NaN too
             limits = f"{SMALLEST_FACTOR:g} and {1 / SMALLEST_FACTOR:g}"
@@ -260,7 +272,9 @@ class Estimation:
                 f"--factor must lie between {limits}, not {self.factor:g}; the paper has 0.25"
             )
         return Likelihood(
-            factor=self.factor, joints=LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS
+            LAWS[self.errors](),
+            factor=self.factor,
+            joints=LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS,
         )
 
     def settings(self, model: "PoseModel") -> dict[str, Any]:

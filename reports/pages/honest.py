@@ -21,7 +21,7 @@ import inference
 from inference.hypothesis import diverse
 from inference.results import FIXED, UNCERTAIN
 from inference.studies.intervals import Interval, of_share
-from inference.uncertain.weighted import FEWEST_EFFECTIVE, NUM_ROOTS
+from inference.uncertain.weighted import FEWEST_EFFECTIVE
 from probmodel import PoseModel
 from probmodel.layouts import corrected
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
@@ -31,7 +31,7 @@ from reports.pages.page import in_doubles, write_page
 from reports.tables import Sheet, sheet_of
 
 FRAMES = range(10, 100, 24)
-DRAWS, ROOTS, BEST = 4000, NUM_ROOTS, 5
+DRAWS, ROOTS, BEST = 4000, 1000, 5
 LIMB = 338.0
 """Millimetres: the person's mean limb bone."""
 JUDGED = [

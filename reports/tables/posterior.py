@@ -215,7 +215,6 @@ def summary_json(result: "Result") -> dict[str, Any]:
         "sampler": str(given["sampler"]),
         "seed": str(given["seed"]),
         "num_draws": result.num_draws,
-        "root": str(given["root"]),
         **_effective(given),
         "num_proposals": int(given["num_proposals"]),
         "acceptance_rate": number(given["acceptance_rate"]),
@@ -234,7 +233,7 @@ def summary_lines(result: "Result") -> list[str]:
     row = summary_json(result)
     rate, digest = row["acceptance_rate"], row["limits_sha256"][:12]
     accepted = "" if rate is None else f", {100 * rate:.2g} % accepted"
-    uncertain = row["root"] == UNCERTAIN
+    uncertain = row.get("root") == UNCERTAIN
     evidence = plus_minus(_evidence(row)) + ("" if uncertain else _odds(row["log_evidence"]))
     lines = [
         f"{row['num_draws']:,} draws by {row['sampler']} in {fixed(1)(row['wall_time_s'])} s",
@@ -249,8 +248,11 @@ def summary_lines(result: "Result") -> list[str]:
 
 
 def _effective(given: dict) -> dict[str, Any]:
-    names = ("num_roots", "effective_roots") if given["root"] == UNCERTAIN else ()
-    return {name: number(given[name]) for name in names}
+    """What there is to say of an uncertain root: how many roots, and how many they are worth."""
+    if given.get("root") != UNCERTAIN:
+        return {}
+    names = ("num_roots", "effective_roots")
+    return {"root": UNCERTAIN, **{name: number(given[name]) for name in names}}
 
 
 def _odds(log_evidence: float | None) -> str:

@@ -16,7 +16,7 @@ from scipy.stats import ks_2samp
 
 import inference
 from probmodel import Disc, ErrorLaw, PoseModel
-from probmodel.likelihood import DetectedKeypoint
+from probmodel.likelihood import DetectedKeypoint, Gaussian
 from probmodel.skeleton import GROUPS
 from tests.brute_force import brute_force
 from tests.scenes import key, prior_scene
@@ -43,7 +43,7 @@ class CutGaussian(ErrorLaw):
         return jnp.sqrt(-2 * jnp.log1p(-(1 - np.exp(-(self.reach**2) / 2)) * jnp.asarray(uniform)))
 
 
-@pytest.mark.parametrize("law", [Disc(), CutGaussian()])
+@pytest.mark.parametrize("law", [Disc(), CutGaussian(), Gaussian()])
 def test_a_law_is_normalised_and_its_draws_follow_it(law):
     """Mass one by quadrature; 10,000 squared distances against the law's distribution function."""
 

@@ -21,6 +21,7 @@ from inference.uncertain.torsos import torso_problem
 from inference.uncertain.tree import placed
 from inference.uncertain.weighted import WeightedRoots, log_mean, shares, systematic, weigh_roots
 from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
+from probmodel.likelihood import Gaussian
 from probmodel.pose import Pose
 from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 from tests.brute_force import propose_group
@@ -43,7 +44,21 @@ def small_case() -> tuple[PoseModel, Estimate]:
     return model, prior_scene(model, 11, factor=FACTOR, missing=missing, scores=scores)
 
 
-def brute_force_roots(model: PoseModel, frame: Estimate, attempts: int, seed: int) -> dict:
+def likelihood_ratio(law: str, gap: np.ndarray, radius: float) -> np.ndarray:
+    """`(n,)`: the density of errors `(n, 2)` over its peak, written out."""
+    square = np.sum(gap**2, axis=1) / radius**2
+    if law == "disc":
+        return (square <= 1).astype(float)
+    return np.where(square <= 1.5**2, np.exp(-2 * square), 0.0)  # sigma = radius / 2, cut at three
+
+
+PEAKS = {"disc": 1 / math.pi, "gaussian": 2 / math.pi / (1 - math.exp(-4.5))}
+"""Largest densities for a radius of one."""
+
+
+def brute_force_roots(
+    model: PoseModel, frame: Estimate, attempts: int, seed: int, law: str = "disc"
+) -> dict:
     """Evidence and moments by importance sampling from a plain proposal: rotation uniform (SciPy),
     log scale uniform on a wide interval, the right hip uniform in a square around its detection."""
     rng, detection = np.random.default_rng(seed), frame.detection
@@ -64,29 +79,30 @@ def brute_force_roots(model: PoseModel, frame: Estimate, attempts: int, seed: in
         torso = rng.integers(len(torsos), size=number)
         rotation = Rotation.random(number, rng=rng).as_matrix()
         scale = np.exp(rng.uniform(low, high, number))
-        half = radius["right_hip"]
+        half = 1.5 * radius["right_hip"]
         hip = np.einsum("nij,nj->ni", rotation[:, :2], torsos[torso, row["right_hip"]])
         shift = at["right_hip"] / scale[:, None] - hip + rng.uniform(-half, half, (number, 2))
-        ok = np.ones(number, bool)
+        fit = np.ones(number)
         for name in SEEN[:4]:
             image = np.einsum("nij,nj->ni", rotation[:, :2], torsos[torso, row[name]]) + shift
             gap = image - at[name] / scale[:, None]
-            ok &= np.sum(gap**2, axis=1) <= radius[name] ** 2
-        area = np.prod([math.pi * size**2 for size in radius.values()])
-        weight = (high - low) * (2 * half * scale) ** 2 * scale ** (-2 * len(SEEN)) / area
-        for n in np.flatnonzero(ok):
+            fit *= likelihood_ratio(law, gap, radius[name])
+        peak = np.prod([PEAKS[law] / size**2 for size in radius.values()])
+        weight = (high - low) * (2 * half * scale) ** 2 * scale ** (-2 * len(SEEN)) * peak * fit
+        for n in np.flatnonzero(fit):
             pool = pools[torso[n]]
             pick = rng.integers(20_000, size=ARMS_EACH)
             elbow, wrist = (pool[JOINT_INDEX[name]][pick] @ rotation[n].T for name in SEEN[4:])
-            kept = np.ones(ARMS_EACH, bool)
+            keep = np.ones(ARMS_EACH)
             for name, points in zip(SEEN[4:], (elbow, wrist), strict=True):
                 gap = points[:, :2] + shift[n] - at[name] / scale[n]
-                kept &= np.sum(gap**2, axis=1) <= radius[name] ** 2
-            weights.append(weight[n] * kept.mean())
-            if kept.any():
+                keep *= likelihood_ratio(law, gap, radius[name])
+            weights.append(weight[n] * keep.mean())
+            if keep.any():
                 pelvis, turned = scale[n] * shift[n, 0], rotation[n]
                 root = [math.log(scale[n]), pelvis, turned[2, 2], turned[2, 1]]
-                limbs = [elbow[kept, 2].mean(), *wrist[kept][:, [0, 2]].mean(axis=0)]
+                share = keep / keep.sum()
+                limbs = [share @ elbow[:, 2], *(share @ wrist[:, [0, 2]])]
                 values.append([*root, *limbs])
             else:
                 values.append([0.0] * len(MOMENTS))
@@ -148,6 +164,22 @@ def test_evidence_and_moments_against_brute_force():
     assert error < 0.1
     assert abs(roots.log_evidence - brute["log"]) < 4 * error
     assert off(fast_moments(roots, roots.share), brute) < 4
+
+
+@pytest.mark.slow
+def test_another_error_law_against_brute_force():
+    """A Gaussian: torso and arm are thinned by it. The disc of the same reach is found out."""
+    model, frame = small_case()
+    law = Likelihood(Gaussian(), factor=FACTOR)
+    brute = brute_force_roots(model, frame, 3_000_000, 6, "gaussian")
+    posterior = dataclasses.replace(frame, likelihood=law).uncertain(model)
+    roots = weigh_roots(posterior, key=key(4), num_roots=1500)
+    error = math.hypot(brute["se"], roots.log_evidence_se)
+    assert abs(roots.log_evidence - brute["log"]) < 4 * error < 0.5
+    assert off(fast_moments(roots, roots.share), brute) < 4
+    wide = dataclasses.replace(frame, likelihood=Likelihood(factor=1.5 * FACTOR))
+    wrong = weigh_roots(wide.uncertain(model), key=key(4), num_roots=800)
+    assert abs(wrong.log_evidence - brute["log"]) > 8 * error
 
 
 def test_a_biased_evidence_is_found_out():

@@ -189,7 +189,15 @@ def standings_figure(outcomes: dict[tuple[str, bool], list[Outcome]]) -> Figure:
             at = np.sort(standing)
             level = np.arange(1, len(at) + 1) / len(at)
             style = "--" if way[1] else "-"
-            axis.step(at, level, color=colour, lw=1.3, ls=style, where="post", label=words(*way))
+            axis.step(
+                at,
+                level,
+                color=colour,
+                lw=1.3,
+                ls=style,
+                where="post",
+                label=words(*way).replace("`", ""),
+            )
         axis.set_title(name, loc="left", fontsize=TITLE, fontweight="bold", color=INK)
         axis.set_xlabel("share of draws below the truth", fontsize=SMALL)
         axis.tick_params(labelsize=SMALL)

@@ -147,7 +147,7 @@ def test_an_error_law_that_is_too_narrow_is_found_out():
 
 @pytest.mark.slow
 def test_the_whole_body_is_calibrated():
-    found = stand(60, 250, JOINTS)
+    found = stand(40, 1000, JOINTS)
     assert np.median(found["effective"]) > 40
     assert p_value(found["right"]) > FAMILY
     assert p_value(found["without s^-2"]) < FAMILY / 1000

@@ -19,24 +19,15 @@ from reports.figures.comparison import comparison_figure
 from reports.options import Person, Screen
 from reports.settings import CompareSettings
 from reports.tables.comparison import COLUMNS, NARROW, comparison_table
-from tests.scenes import prior_scene
+from tests.scenes import ALL_BUT_AN_ARM, prior_scene
 
 JSON = Screen(quiet=True, json=True)
-SEEN_ARM = (
-    "head",
-    "left_elbow",
-    "left_wrist",
-    "right_knee",
-    "left_knee",
-    "right_ankle",
-    "left_ankle",
-)
 
 
 @pytest.fixture(scope="module")
 def detection(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("frames") / "frame.json"
-    write_detections(path, [prior_scene(PoseModel(), 1, missing=SEEN_ARM).detection])
+    write_detections(path, [prior_scene(PoseModel(), 1, missing=ALL_BUT_AN_ARM).detection])
     return path
 
 

@@ -18,14 +18,16 @@ if TYPE_CHECKING:  # the packages themselves are imported once floats are 64 bit
 CACHE = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
 """What XLA compiles is kept here, as the product keeps it for its user. Compiling is most of what
 tests wait for, and the processes of a run, the slow run and the next run ask for the same."""
-os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE / "poseterior")  # processes of tests read it
-for name, value in {
+SETTINGS = {
     "jax_enable_x64": True,
     "jax_compilation_cache_dir": str(CACHE / "poseterior"),
     "jax_persistent_cache_min_compile_time_secs": 0.1,
     "jax_persistent_cache_min_entry_size_bytes": 0,
-}.items():
+}
+for name, value in SETTINGS.items():
     jax.config.update(name, value)
+    if name != "jax_enable_x64":  # what tests start keeps its programs there too
+        os.environ[name.upper()] = str(value)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 

@@ -18,6 +18,7 @@ import xarray as xr
 
 from inference.exact.loops.numbers import words_of
 from inference.predictions import prediction_groups
+from probmodel.camera import WeakPerspective
 from probmodel.chunks import in_chunks
 from probmodel.detections import Detection
 from probmodel.files import replacing
@@ -218,7 +219,7 @@ def pose_columns(
                 "bone_length": part.poses.length,
                 "torso": np.full(number, root.torso_index),
                 "candidate": np.full(number, index),
-                "keypoints": np.asarray(root.camera.image(joints)),
+                "keypoints": _keypoints_of(root.camera, joints),
                 "spread": np.tile(spread, (number, 1)),
                 "lp": _each(density, part.poses, ()),
             }
@@ -244,6 +245,19 @@ def joint_columns(
 def _joints_of(model: PoseModel, observation: Observation, poses: Pose) -> np.ndarray:
     view = jnp.asarray(observation.view)
     return _each(functools.partial(_joints, model, view), poses, (len(JOINTS), 3))
+
+
+def _keypoints_of(camera: WeakPerspective, joints: np.ndarray) -> np.ndarray:
+    if not len(joints):
+        return np.empty((0, len(JOINTS), 2))
+    return in_chunks(functools.partial(_image, camera), joints)
+
+
+@jax.jit
+def _image(camera: WeakPerspective, joints: jax.Array) -> jax.Array:
+    """Where joints of a chunk of draws fall in the image: compiled, or every number of draws would
+    be compiled anew, operation by operation."""
+    return camera.image(joints)
 
 
 def _each(function: Callable[..., np.ndarray], poses: Pose, shape: tuple[int, ...]) -> np.ndarray:

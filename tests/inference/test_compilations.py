@@ -1,0 +1,31 @@
+"""What is compiled is compiled once: another key, which gives every root another number of draws,
+finds all programs there."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import inference
+from probmodel import Estimate, PoseModel
+from tests.scenes import key
+
+
+def compiled(caplog: pytest.LogCaptureFixture) -> list[str]:
+    """The programs that JAX has said it compiled since it was asked last."""
+    said = [line for line in caplog.messages if line.startswith("Compiling ")]
+    caplog.clear()
+    return said
+
+
+def test_another_key_compiles_nothing(
+    example_estimate: Estimate, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert len(example_estimate.candidates) == 2
+    model = PoseModel()
+    inference.sample(model, example_estimate, key=key(0), num_samples=100)
+    with jax.log_compiles():
+        for seed in (1, 2, 3):
+            inference.sample(model, example_estimate, key=key(seed), num_samples=100)
+        assert compiled(caplog) == []
+        jnp.asarray([1.0] * 1237) + 1.0  # the control: a shape that nobody else has
+        assert compiled(caplog)

@@ -108,8 +108,10 @@ def _register(name: str, kind: Any) -> None:
         wanted: Any = built(kind, values)
         if isinstance(wanted, settings.CoverageSettings):
             wanted.require_one_way({word for word in values if _typed(context, word)})
-        options.check(wanted)
-        import_module(f"reports.commands.{name}").run(wanted, built(Screen, values))
+        screen = built(Screen, values)
+        with console.progress("reading", screen.quiet):
+            options.check(wanted)
+        import_module(f"reports.commands.{name}").run(wanted, screen)
 
     parameters = [*declared(kind), *declared(Screen)]
     command.__name__ = name

@@ -212,6 +212,7 @@ def pose_columns(
         number = len(part.poses.length)
         density = functools.partial(log_joint, posterior.model, observation)
         joints = _joints_of(posterior.model, observation, part.poses)
+        image = functools.partial(_image, root.camera)
         spread = np.asarray(observation.spread) * float(root.camera.scale)
         columns.append(
             {
@@ -219,7 +220,7 @@ def pose_columns(
                 "bone_length": part.poses.length,
                 "torso": np.full(number, root.torso_index),
                 "candidate": np.full(number, index),
-                "keypoints": _keypoints_of(root.camera, joints),
+                "keypoints": _each(image, (joints,), (len(JOINTS), 2)),
                 "spread": np.tile(spread, (number, 1)),
                 "lp": _each(density, part.poses, ()),
             }
@@ -247,12 +248,6 @@ def _joints_of(model: PoseModel, observation: Observation, poses: Pose) -> np.nd
     return _each(functools.partial(_joints, model, view), poses, (len(JOINTS), 3))
 
 
-def _keypoints_of(camera: WeakPerspective, joints: np.ndarray) -> np.ndarray:
-    if not len(joints):
-        return np.empty((0, len(JOINTS), 2))
-    return in_chunks(functools.partial(_image, camera), joints)
-
-
 @jax.jit
 def _image(camera: WeakPerspective, joints: jax.Array) -> jax.Array:
     """Where joints of a chunk of draws fall in the image: compiled, or every number of draws would
@@ -260,9 +255,11 @@ def _image(camera: WeakPerspective, joints: jax.Array) -> jax.Array:
     return camera.image(joints)
 
 
-def _each(function: Callable[..., np.ndarray], poses: Pose, shape: tuple[int, ...]) -> np.ndarray:
-    """A compiled function of every draw, each a row of this shape."""
-    return in_chunks(function, *poses) if len(poses.length) else np.empty((0, *shape))
+def _each(
+    function: Callable[..., np.ndarray], rows: tuple[np.ndarray, ...], shape: tuple[int, ...]
+) -> np.ndarray:
+    """A compiled function of draws whose `rows` are given; a row of this shape for each."""
+    return in_chunks(function, *rows) if len(rows[0]) else np.empty((0, *shape))
 
 
 @jax.jit

@@ -91,12 +91,12 @@ def sample(
     if chains != 1:
         return _several(
             functools.partial(sample, model, frame, sampler=sampler),
-            key,
-            sampler,
-            chains,
-            num_samples,
-            max_proposals,
-            progress,
+            key=key,
+            sampler=sampler,
+            chains=chains,
+            num_samples=num_samples,
+            max_proposals=max_proposals,
+            progress=progress,
         )
     posterior = frame.posterior(model)
     if sampler in BASELINES and num_samples > 0:
@@ -129,6 +129,7 @@ def sample(
 
 def _several(
     run: Callable[..., Result],
+    *,
     key: jax.Array,
     sampler: str,
     chains: int,

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from probmodel.likelihood import ErrorLaw
 
 
-class Detected(NamedTuple):
+class DetectedJoints(NamedTuple):
     """A detection before any root: what `Observation` is made of once there is one; a pytree.
 
     Attributes
@@ -75,12 +75,12 @@ class UncertainPosterior:
         return RootPrior(self.model.torsos)
 
     @functools.cached_property
-    def detected(self) -> Detected:
+    def detected(self) -> DetectedJoints:
         """The joints that count, with one normalisation of the scores over all of them."""
         joints = sorted({*TORSO_INDEX, *self.likelihood.joints})
         spread = self.likelihood.spread(self.detection, 1.0, joints)
         keypoints = np.where(np.isfinite(spread)[:, None], self.detection.keypoints, 0.0)
-        return Detected(keypoints, spread, self.likelihood.law)
+        return DetectedJoints(keypoints, spread, self.likelihood.law)
 
     @property
     def log_peak(self) -> float:
@@ -107,7 +107,9 @@ class UncertainPosterior:
 
 
 @jax.jit
-def log_joints(model: PoseModel, detected: Detected, points: RootPoint, poses: Pose) -> jax.Array:
+def log_joints(
+    model: PoseModel, detected: DetectedJoints, points: RootPoint, poses: Pose
+) -> jax.Array:
     """`UncertainPosterior.log_joint`, compiled once a shape."""
     prior = RootPrior(model.torsos)
 

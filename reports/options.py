@@ -306,7 +306,7 @@ class Estimation:
         return frame
 
 
-class Root(enum.StrEnum):
+class RootKind(enum.StrEnum):
     """What torso and camera are."""
 
     fixed = "fixed"
@@ -319,14 +319,14 @@ class Rooting:
 
     PANEL: ClassVar = Estimation.PANEL
     root: Annotated[
-        Root,
+        RootKind,
         Option(
             help=(
                 "Torso and camera: fixed at an estimator's candidates (the paper), or uncertain and"
                 " drawn with the pose."
             )
         ),
-    ] = Root.fixed
+    ] = RootKind.fixed
     roots: Annotated[
         int, Option(min=1, max=100_000, help="From how many torsos and cameras, if uncertain.")
     ] = 2000

@@ -29,7 +29,7 @@ from probmodel.model import PoseModel
 from probmodel.pose import GroupDraws, Pose
 from probmodel.roots import RootPoint, RootPrior
 from probmodel.skeleton import GROUPS
-from probmodel.uncertain import Detected, UncertainPosterior
+from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 RESOLUTION = Resolution(2, 2, 1)
 """How finely each root is cut: set-up and attempts then cost about as much."""
@@ -86,7 +86,7 @@ def views_of(posterior: UncertainPosterior, points: RootPoint) -> Views:
 
 
 @jax.jit
-def _look(model: PoseModel, detected: Detected, *fields: jax.Array) -> Views:
+def _look(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> Views:
     prior = RootPrior(model.torsos)
 
     def one(point: RootPoint) -> Views:
@@ -100,7 +100,7 @@ def _look(model: PoseModel, detected: Detected, *fields: jax.Array) -> Views:
 
 
 def _attempt(
-    detected: Detected,
+    detected: DetectedJoints,
     tables: dict[str, GroupTables],
     free: dict[str, GroupDraws],
     words: list[int],
@@ -208,7 +208,7 @@ def _thin(
 
 
 @jax.jit
-def _log_ratios(model: PoseModel, detected: Detected, *fields: jax.Array) -> jax.Array:
+def _log_ratios(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> jax.Array:
     """`(n, 15)`: log likelihood of each joint over its peak, for roots and poses `(n, ...)`."""
     prior = RootPrior(model.torsos)
 

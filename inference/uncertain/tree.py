@@ -18,7 +18,7 @@ from probmodel.chunks import CHUNK, in_chunks
 from probmodel.model import PoseModel
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint, RootPrior
-from probmodel.uncertain import Detected, UncertainPosterior, log_joints
+from probmodel.uncertain import DetectedJoints, UncertainPosterior, log_joints
 
 BASE_MEASURE = (
     "counting (torso) x Haar's on SO(3) (1 in all) x log scale x image area (px2, translation) x"
@@ -81,7 +81,7 @@ def placed(model: PoseModel, points: RootPoint, poses: Pose, *, size: int = CHUN
     return in_chunks(place, *map(np.asarray, points), *poses, size=size)
 
 
-def _log_joints(model: PoseModel, detected: Detected, *fields: np.ndarray) -> jax.Array:
+def _log_joints(model: PoseModel, detected: DetectedJoints, *fields: np.ndarray) -> jax.Array:
     return log_joints(model, detected, RootPoint(*fields[:4]), Pose(*fields[4:]))
 
 

@@ -19,7 +19,7 @@ from reports.exports.trc import write_trc
 Writer = Callable[[Clip, Path, str], None]
 
 
-class Target(NamedTuple):
+class Exporter(NamedTuple):
     """A format: who writes it, the `suffix` of its files, and the units it may be in, the usual one
     first."""
 
@@ -29,12 +29,12 @@ class Target(NamedTuple):
 
 
 TARGETS = {
-    "bvh": Target(write_bvh, ".bvh", ("m", "mm")),
-    "c3d": Target(write_c3d, ".c3d", ("mm", "m")),
-    "trc": Target(write_trc, ".trc", ("mm", "m")),
-    "gltf": Target(write_gltf, ".glb", ("m",)),
-    "csv": Target(write_csv, ".csv", ("mm", "m")),
-    "npz": Target(write_npz, ".npz", ("mm", "m")),
+    "bvh": Exporter(write_bvh, ".bvh", ("m", "mm")),
+    "c3d": Exporter(write_c3d, ".c3d", ("mm", "m")),
+    "trc": Exporter(write_trc, ".trc", ("mm", "m")),
+    "gltf": Exporter(write_gltf, ".glb", ("m",)),
+    "csv": Exporter(write_csv, ".csv", ("mm", "m")),
+    "npz": Exporter(write_npz, ".npz", ("mm", "m")),
 }
 """Every format by its name; glTF is in metres by definition."""
 
@@ -50,4 +50,4 @@ def unit_of(to: str, unit: str | None) -> str:
     return unit
 
 
-__all__ = ["TARGETS", "UNITS", "Clip", "Target", "unit_of"]
+__all__ = ["TARGETS", "UNITS", "Clip", "Exporter", "unit_of"]

@@ -47,7 +47,7 @@ class Pinhole(NamedTuple):
         return inner @ np.column_stack([self.rotation, -self.rotation @ self.centre])
 
 
-class Case(NamedTuple):
+class FilmedCase(NamedTuple):
     """What one camera detected, and the truth `(15, 3)` from the others: body units of the person,
     the hips' midpoint at the origin, z along the line of sight to it."""
 
@@ -95,7 +95,7 @@ def triangulate(cameras: Sequence[Pinhole], xy: np.ndarray, score: np.ndarray) -
     return found
 
 
-def read_cases(folder: Path, frames: Sequence[int]) -> list[Case]:
+def read_cases(folder: Path, frames: Sequence[int]) -> list[FilmedCase]:
     """Every camera in some frames, judged by the others."""
     cameras = read_cameras(folder / "calibration.qca.txt")
     files = [sorted((folder / f"cam{number:02}").glob("*.json")) for number in range(1, 5)]
@@ -107,7 +107,7 @@ def read_cases(folder: Path, frames: Sequence[int]) -> list[Case]:
         for number, person in enumerate(people):
             others = [index for index in range(len(cameras)) if index != number]
             world = triangulate([cameras[index] for index in others], xy[others], score[others])
-            cases.append(Case(number, person, along_sight(cameras[number], world)))
+            cases.append(FilmedCase(number, person, along_sight(cameras[number], world)))
             units.append(mean_limb(world))
     unit = float(np.median(units))
     return [case._replace(truth=case.truth / unit) for case in cases]

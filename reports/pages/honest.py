@@ -26,7 +26,7 @@ from probmodel import PoseModel
 from probmodel.layouts import corrected
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
 from reports.figures.style import FAINT, INK, PALETTE, SMALL, TITLE, page
-from reports.pages.filmed import HIPS, Case, read_cases
+from reports.pages.filmed import HIPS, FilmedCase, read_cases
 from reports.pages.page import in_doubles, write_page
 from reports.tables import Sheet, sheet_of
 
@@ -43,7 +43,7 @@ WAYS = tuple(itertools.product((FIXED, UNCERTAIN), (False, True)))
 """Root, and whether midpoints are moved to the skeleton's thorax and pelvis."""
 
 
-class Outcome(NamedTuple):
+class Judged(NamedTuple):
     """One way on one case.
 
     Attributes
@@ -66,11 +66,11 @@ class Outcome(NamedTuple):
 
 
 NOWHERE = np.full((8, 3), np.nan)
-LOST = Outcome(NOWHERE, NOWHERE, np.nan, np.nan, np.nan, np.nan, False)
+LOST = Judged(NOWHERE, NOWHERE, np.nan, np.nan, np.nan, np.nan, False)
 """Where there is no draw."""
 
 
-def judge(model: PoseModel, case: Case, root: str, correct: bool, seed: int) -> Outcome:
+def judge(model: PoseModel, case: FilmedCase, root: str, correct: bool, seed: int) -> Judged:
     """Draws for one camera's detection, against the truth."""
     detection = corrected(case.detection) if correct else case.detection
     frame = inference.estimate_torso(detection, torsos=np.asarray(model.torsos))
@@ -89,7 +89,7 @@ def judge(model: PoseModel, case: Case, root: str, correct: bool, seed: int) -> 
     joints = joints - joints[:, HIPS].mean(axis=1, keepdims=True)
     limbs, truth = joints[:, LIMB_JOINTS], case.truth[list(LIMB_JOINTS)]
     hypotheses = np.array([one.joints for one in diverse(joints, min(BEST, len(joints)))])
-    return Outcome(
+    return Judged(
         standing=np.mean(limbs < truth, axis=0),
         spread=limbs.std(axis=0),
         mean=float(error(joints.mean(axis=0)[None], case.truth)[0]),
@@ -119,7 +119,7 @@ def coverage(standing: np.ndarray, cluster: np.ndarray) -> Interval:
     return of_share(held[known].reshape(known.sum(), -1), cluster[known])
 
 
-def table(outcomes: dict[tuple[str, bool], list[Outcome]], camera: np.ndarray) -> Sheet:
+def table(outcomes: dict[tuple[str, bool], list[Judged]], camera: np.ndarray) -> Sheet:
     """A line a way: coverage by axis, truths beyond all draws, widths, errors."""
     lines: list[tuple[Any, ...]] = []
     for way, found in outcomes.items():
@@ -158,7 +158,7 @@ def share(interval: Interval) -> str:
     return f"{100 * interval.value:.0f} % ({low:.0f}–{high:.0f})"
 
 
-def costs(outcomes: dict[tuple[str, bool], list[Outcome]]) -> Sheet:
+def costs(outcomes: dict[tuple[str, bool], list[Judged]]) -> Sheet:
     """A line a way: time a frame, effective roots, cases without draws."""
     lines = []
     for way, found in outcomes.items():
@@ -178,7 +178,7 @@ def costs(outcomes: dict[tuple[str, bool], list[Outcome]]) -> Sheet:
     return sheet_of(head, lines)
 
 
-def standings_figure(outcomes: dict[tuple[str, bool], list[Outcome]]) -> Figure:
+def standings_figure(outcomes: dict[tuple[str, bool], list[Judged]]) -> Figure:
     """By axis: how the truths' standings among the draws are distributed; uniform is right."""
     figure = page(8.4, 3.0, dpi=150)
     for axis, name in zip(figure.subplots(1, 3), ("x", "y", "depth"), strict=True):
@@ -208,7 +208,7 @@ def standings_figure(outcomes: dict[tuple[str, bool], list[Outcome]]) -> Figure:
     return figure
 
 
-def study(model: PoseModel, cases: Sequence[Case]) -> dict[tuple[str, bool], list[Outcome]]:
+def study(model: PoseModel, cases: Sequence[FilmedCase]) -> dict[tuple[str, bool], list[Judged]]:
     """All ways on all cases."""
     return {
         way: [judge(model, case, *way, seed) for seed, case in enumerate(cases)] for way in WAYS

@@ -86,6 +86,11 @@ def sample(
             max_proposals=max_proposals,
             progress=progress,
         )
+    if frame.likelihood.faults.any:
+        raise BadInput(
+            f"outliers and exchanges need torso and camera uncertain; choose the root"
+            f" {UNCERTAIN!r}, or leave them out"
+        )
     if sampler not in PROPOSALS and sampler not in BASELINES:
         raise BadInput(f"there is no sampler {sampler!r}; choose one of {', '.join(SAMPLERS)}")
     if chains != 1:
@@ -191,7 +196,7 @@ def _sample_uncertain(
         progress=progress,
     )
     rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
-    status, sentence = verdict(roots, num_roots)
+    status, sentence = verdict(roots)
     attributes = {"sampler": "weighted roots", "seed": key_words(key), "num_samples": num_samples}
     tree = uncertain_tree(roots, rng, num_samples, attributes)
     tree.attrs.update(wall_time_s=time.perf_counter() - started, status=status)

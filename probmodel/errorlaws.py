@@ -1,8 +1,8 @@
 """A detector's errors as a file says them: by joint their spread, their bias, the share of inliers.
 
 The usual way in is `DetectorErrors.read(path)`; `poseterior calibrate` learns and writes such
-files. Lengths are in the person's body units (the mean limb bone is 1) in the plane of the image,
-x right and y down; docs/model.md § 10.
+files, and `DetectorErrors.default()` is the embedded one. Lengths are in the person's body units
+(the mean limb bone is 1) in the plane of the image, x right and y down; docs/model.md § 10.
 
 With probability `inlier` a joint's error is `bias` plus one of the law, otherwise the detection is
 an outlier: uniform in the disc of `outlier_radius` around the joint's projection.
@@ -14,6 +14,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from importlib import resources
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -215,6 +216,12 @@ class DetectorErrors:
                 "the factors of the score of an error law must be positive and at most"
                 f" {LARGEST_LENGTH:g}"
             )
+
+    @classmethod
+    def default(cls) -> Self:
+        """The embedded law (probmodel/data/PROVENANCE.md)."""
+        with resources.as_file(resources.files("probmodel.data") / "errors.json") as path:
+            return cls.read(path)
 
     @classmethod
     def read(cls, path: str | os.PathLike) -> Self:

@@ -5,8 +5,8 @@ each camera in it or in `pose/`, which sorted by name are the calibration's came
 Frames are matched by the last number in their names.
 
     session = read_session("S01/")
-    session.world().points       joints (frames, 15, 3), mm
-    session.world(without=0)     the same from the other cameras, to judge the first
+    session.world.points         joints (frames, 15, 3), mm
+    session.without(0).points    the same from the other cameras, to judge the first
 """
 
 import dataclasses
@@ -84,24 +84,29 @@ class Session:
     @cached_property
     def unit(self) -> float:
         """Millimetres of the person's body unit: the median over the frames."""
-        return float(np.median(_units(self.world().points)))
+        return float(np.median(_units(self.world.points)))
 
     @cached_property
     def scale(self) -> np.ndarray:
         """`(C, F)` pixels a mm where the person's hips are."""
-        return _scale(self.straight, self.world().points)
+        return _scale(self.straight, self.world.points)
 
-    def world(self, without: int | None = None) -> Triangulated:
-        """The joints by all cameras, or by all but one; arrays as `Triangulated` has them, with
-        axes for frames and joints in the place of its `n`."""
-        kept = [number for number in range(len(self.cameras)) if number != without]
+    @cached_property
+    def world(self) -> Triangulated:
+        """The joints by all cameras; arrays as `Triangulated` has them, with axes for frames and
+        joints in the place of its `n`."""
+        return _joints(self.straight, self.keypoints, self.score)
+
+    def without(self, camera: int) -> Triangulated:
+        """`world` by all cameras but one."""
+        kept = [number for number in range(len(self.cameras)) if number != camera]
         cameras = [self.straight[number] for number in kept]
         return _joints(cameras, self.keypoints[kept], self.score[kept])
 
     @cached_property
     def apart(self) -> np.ndarray:
         """`(C, F, 15)` mm: how far detections are from the projected joints of all cameras."""
-        return _apart(self.straight, self.world().points, self.keypoints)
+        return _apart(self.straight, self.world.points, self.keypoints)
 
     def along_sight(self, camera: int, world: np.ndarray) -> np.ndarray:
         """Joints `(F, 15, 3)` of the world in axes whose z is the camera's line of sight to the
@@ -320,10 +325,9 @@ def _agree(cameras: Sequence[Pinhole], people: Sequence[Sequence[Detection]]) ->
     points = _joints(straight, xy, score).points
     in_front = (_scale(straight, points) > 0).all(axis=0)  # false for NaN too
     apart = np.where(score > 0, _apart(straight, points, xy), np.nan)
-    middle = [
-        np.nanmedian(one) if np.isfinite(one).any() else np.inf for one in apart.swapaxes(0, 1)
-    ]
-    return in_front & (middle <= BEYOND * _units(points))
+    known = np.isfinite(apart).any(axis=2)
+    middle = np.nanmedian(np.where(known[..., None], apart, np.inf), axis=2)
+    return in_front & (middle <= BEYOND * _units(points)).all(axis=0)
 
 
 def _require_fit(session: Session, calibration: Path) -> None:

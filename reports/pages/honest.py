@@ -83,7 +83,7 @@ LOST = Judged(NOWHERE, NOWHERE, np.nan, np.nan, np.nan, np.nan, False)
 def cases_of(session: Session, frames: Sequence[int]) -> list[FilmedCase]:
     """Every camera in some frames of a session, judged by the others."""
     truth = [
-        session.along_sight(number, session.world(without=number).points) / session.unit
+        session.along_sight(number, session.without(number).points) / session.unit
         for number in range(len(session.cameras))
     ]
     return [

@@ -10,7 +10,6 @@ import numpy as np
 from probmodel.body import body_unit
 from probmodel.datasets import DataSet
 from probmodel.datasets.sessions import JudgedView, judged_views
-from probmodel.datasets.views import resection
 from probmodel.errorlaws import Exchange, exchanged
 from probmodel.layouts import MIDPOINTS
 from probmodel.sessions import Session
@@ -19,6 +18,8 @@ from probmodel.skeleton import JOINT_INDEX
 PATTERNS = [list(range(15)), *(exchanged(name) for name in Exchange._fields)]
 """Which joint each detection is of: as it says, and with sides exchanged."""
 
+FAR = 1e3
+"""Body units: an error against a joint of the other side that nobody knows."""
 MIDWAY = 1e-3
 """Body units within which a joint counts as a midpoint: a lens' distortion moves them by less."""
 
@@ -31,9 +32,9 @@ class Pairs:
     ----------
     name : of the data.
     detected : `(n, 15, 2)`, NaN where missing.
-    truth : `(n, 15, 2)` where the joints truly are.
+    truth : `(n, 15, 2)` where the joints truly are, NaN where nobody knows.
     doubt : `(n, 15, 2, 2)` covariance of the truth, for detections whose errors have a variance of
-        one each way; zero where the truth is exact.
+        one each way; zero where the truth is exact, or not known.
     score : `(n, 15)`.
     recording : `(n,)`; what is of one recording is alike.
     placed : whether the truth's place in the image is known. Where it is not (cameras whose
@@ -56,12 +57,12 @@ class Pairs:
     def errors(self) -> np.ndarray:
         """`(4, n, 15, 2)` under each of `PATTERNS`, 0 where missing."""
         errors = np.stack([self.detected - self.truth[:, joints] for joints in PATTERNS])
-        return np.where(self.seen[..., None], errors, 0.0)
+        return np.where(self.seen[..., None], np.nan_to_num(errors, nan=FAR), 0.0)
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """`(n, 15)`: which joints were detected."""
-        return np.isfinite(self.detected).all(axis=-1)
+        """`(n, 15)`: which joints were detected and are known."""
+        return np.isfinite(self.detected).all(axis=-1) & np.isfinite(self.truth).all(axis=-1)
 
     @cached_property
     def anchors(self) -> np.ndarray:
@@ -139,22 +140,19 @@ def pairs_of_session(session: Session, *, perspective: bool = False) -> Pairs:
 
 def _of_view(session: Session, view: JudgedView, perspective: bool) -> tuple[np.ndarray, ...]:
     """Detections, truths, doubts, scores and recordings of one camera."""
-    points, rows = view.world.points, view.rows
+    rows = view.rows
     scale = session.scale[view.camera][rows]
-    slope = session.straight[view.camera].slope(points) / scale[:, None, None, None]
+    slope = session.straight[view.camera].slope(view.world.points) / scale[:, None, None, None]
     doubt = slope @ view.world.covariance @ np.swapaxes(slope, -1, -2)
     truth = view.seen
     if not perspective:
-        pose = points - points[:, :1]
-        rotation, scale, place = resection(pose, view.seen)
-        turned = pose @ np.swapaxes(rotation, -1, -2)
-        truth = scale[:, None, None] * turned[..., :2] + place[:, None]
+        truth = view.scale[:, None, None] * view.poses[..., :2] + view.translation[:, None]
     size = session.unit * scale[:, None, None]
     label = session.labels[view.camera]
     return (
         session.keypoints[view.camera][rows] / size,
         truth / size,
-        doubt,
+        np.nan_to_num(doubt),
         session.score[view.camera][rows],
         np.full(len(rows), f"{session.name} {label}"),
     )

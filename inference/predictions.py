@@ -1,6 +1,8 @@
 """What posterior draws say of the detection: new detections of each, and how likely the one that
 was made is; the groups posterior_predictive and log_likelihood of ArviZ."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,24 +16,33 @@ _STREAM = 1
 """Tells the random numbers of predictions from those of the draws, which have the same seed."""
 
 
+class KeypointsRead(NamedTuple):
+    """The detection as each draw reads it; joints that do not count have an infinite spread.
+
+    Attributes
+    ----------
+    detected : `(n, 15, 2)`, where joints were detected, pixels.
+    bias : `(n, 15, 2)`, how far beside them they lie in the mean, pixels.
+    spread : `(n, 15)`, of every joint's error under the root of each draw, pixels.
+    outlier : `(n, 15)` bool, which are outliers.
+    """
+
+    detected: np.ndarray
+    bias: np.ndarray
+    spread: np.ndarray
+    outlier: np.ndarray
+
+
 def prediction_groups(
-    law: ErrorLaw,
-    outlier: np.ndarray,
-    detected: np.ndarray,
-    keypoints: np.ndarray,
-    spread: np.ndarray,
-    words: list[int],
+    law: ErrorLaw, read: KeypointsRead, keypoints: np.ndarray, words: list[int]
 ) -> dict[str, xr.Dataset]:
     """The two groups, of one chain.
 
     Parameters
     ----------
     law : the errors' law.
-    outlier : `(n, 15)` bool, which joints' keypoints are outliers in each draw.
-    detected : `(n, 15, 2)`, where joints were detected as each draw reads it, pixels.
+    read : the detection that was made.
     keypoints : `(n, 15, 2)`, the draws projected, pixels.
-    spread : `(n, 15)`, every joint's spread under the root of each draw, pixels; infinite where it
-        does not count.
     words : of the seed.
 
     Returns
@@ -41,18 +52,18 @@ def prediction_groups(
     square pixel.
     """
     rng = np.random.default_rng([*words, _STREAM])
-    seen = np.flatnonzero(np.isfinite(spread).any(axis=0))
+    seen = np.flatnonzero(np.isfinite(read.spread).any(axis=0))
     units = {"units": "pixels"}
     dims = ("chain", "draw")
     coords = {"chain": [0], "draw": np.arange(len(keypoints))}
     made = (
         (*dims, "joint", "uv"),
-        _new_detections(law, outlier, keypoints, spread, rng)[None],
+        _new_detections(law, read, keypoints, rng)[None],
         units,
     )
     likely = (
         (*dims, "detected"),
-        _log_likelihood(law, outlier, detected, keypoints, spread)[None, :, seen],
+        _log_likelihood(law, read, keypoints)[None, :, seen],
         {"base_measure": "image area (px2)"},
     )
     return {
@@ -66,38 +77,32 @@ def prediction_groups(
 
 
 def _new_detections(
-    law: ErrorLaw,
-    outlier: np.ndarray,
-    keypoints: np.ndarray,
-    spread: np.ndarray,
-    rng: np.random.Generator,
+    law: ErrorLaw, read: KeypointsRead, keypoints: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """`(n, 15, 2)`: the projected joints plus an error of the law each."""
+    """`(n, 15, 2)`: the projected joints plus a bias and an error of the law each."""
     if not len(keypoints):
         return keypoints
 
     def far(outlier: np.ndarray, uniform: np.ndarray) -> jax.Array:
         return WithOutliers(law, outlier).distance(uniform)
 
-    distance = in_chunks(far, outlier, rng.random(keypoints.shape[:2]))
+    distance = in_chunks(far, read.outlier, rng.random(keypoints.shape[:2]))
     angle = 2 * np.pi * rng.random(keypoints.shape[:2])
-    errors = np.where(np.isfinite(spread), spread * distance, np.nan)
-    return keypoints + errors[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    errors = np.where(np.isfinite(read.spread), read.spread * distance, np.nan)
+    return (
+        keypoints
+        + read.bias
+        + errors[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    )
 
 
-def _log_likelihood(
-    law: ErrorLaw,
-    outlier: np.ndarray,
-    detected: np.ndarray,
-    keypoints: np.ndarray,
-    spread: np.ndarray,
-) -> np.ndarray:
+def _log_likelihood(law: ErrorLaw, read: KeypointsRead, keypoints: np.ndarray) -> np.ndarray:
     """`(n, 15)`: log density of each detected joint, given each draw; 0 where it does not count."""
     if not len(keypoints):
         return np.empty(keypoints.shape[:2])
-    counts = np.isfinite(spread)
-    gap = np.where(counts[..., None], detected - keypoints, 0.0)
-    square = np.sum((gap / spread[..., None]) ** 2, axis=-1)
+    counts = np.isfinite(read.spread)
+    gap = np.where(counts[..., None], read.detected - read.bias - keypoints, 0.0)
+    square = np.sum((gap / read.spread[..., None]) ** 2, axis=-1)
 
     def density(outlier: np.ndarray, square: np.ndarray) -> jax.Array:
         laws = WithOutliers(law, outlier)
@@ -105,5 +110,5 @@ def _log_likelihood(
         # plane to pixels.
         return laws.log_peak + laws.log_ratio(jnp.minimum(square, laws.reach**2))
 
-    found = in_chunks(density, outlier, square) - 2 * np.log(np.where(counts, spread, 1.0))
-    return np.where(counts, found, 0.0)
+    found = in_chunks(density, read.outlier, square)
+    return np.where(counts, found - 2 * np.log(np.where(counts, read.spread, 1.0)), 0.0)

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from inference.exact.loops.numbers import words_of
-from inference.predictions import prediction_groups
+from inference.predictions import KeypointsRead, prediction_groups
 from probmodel.camera import WeakPerspective
 from probmodel.chunks import in_chunks
 from probmodel.detections import Detection
@@ -161,9 +161,9 @@ def assemble(
     base_measure: str,
     attributes: dict[str, Any],
 ) -> xr.DataTree:
-    """The DataTree of draws in columns `(n, ...)`: some of `COLUMNS`; of the detection as each draw
-    reads it, what was `detected` of every joint, the spread of its error in pixels, and whether it
-    is `astray`; and lp, log densities with respect to `base_measure`."""
+    """The DataTree of draws in columns `(n, ...)`: some of `COLUMNS`, the fields of
+    `KeypointsRead`, their names after "read_", and lp, log densities with respect to
+    `base_measure`."""
     chain = ("chain", "draw")
     coords = {"chain": [0], "draw": np.arange(len(columns["joints"]))}
     draws: dict[str, Any] = {}
@@ -181,10 +181,8 @@ def assemble(
             "sample_stats": xr.Dataset({"lp": lp}, coords=coords),
             **prediction_groups(
                 posterior.likelihood.law,
-                columns["astray"],
-                columns["detected"],
+                KeypointsRead(*(columns[f"read_{name}"] for name in KeypointsRead._fields)),
                 columns["keypoints"],
-                columns["spread"],
                 words,
             ),
             "observed_data": observed_data(posterior.detection),
@@ -207,8 +205,8 @@ def pose_columns(
     posterior: Posterior, parts: list[RootDraws], rng: np.random.Generator | None
 ) -> Columns:
     """Draws under all roots as columns: those of `joint_columns`, torso, candidate, keypoints
-    `(n, 15, 2)`, spread `(n, 15)` of every joint's error in pixels, lp; in random order, or without
-    `rng` one root after the other."""
+    `(n, 15, 2)`, the detection as it is read, lp; in random order, or without `rng` one root after
+    the other."""
     columns: list[Columns] = []
     for index, (root, observation, part) in enumerate(
         zip(posterior.roots, posterior.observations, parts, strict=True)
@@ -225,13 +223,19 @@ def pose_columns(
                 "torso": np.full(number, root.torso_index),
                 "candidate": np.full(number, index),
                 "keypoints": _each(image, (joints,), (len(JOINTS), 2)),
-                "detected": np.broadcast_to(posterior.detection.keypoints, (number, NUM_JOINTS, 2)),
-                "astray": np.zeros((number, NUM_JOINTS), bool),
-                "spread": np.tile(spread, (number, 1)),
+                "read_detected": _tiled(posterior.detection.keypoints, number),
+                "read_bias": _tiled(posterior.likelihood.bias * float(root.camera.scale), number),
+                "read_spread": _tiled(spread, number),
+                "read_outlier": np.zeros((number, NUM_JOINTS), bool),
                 "lp": _each(density, part.poses, ()),
             }
         )
     return _shuffled(columns, rng)
+
+
+def _tiled(row: np.ndarray, number: int) -> np.ndarray:
+    """The same row for every draw."""
+    return np.broadcast_to(row, (number, *row.shape))
 
 
 def joint_columns(

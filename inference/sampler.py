@@ -86,11 +86,6 @@ def sample(
             max_proposals=max_proposals,
             progress=progress,
         )
-    if frame.likelihood.faults.any:
-        raise BadInput(
-            f"outliers and exchanges need torso and camera uncertain; choose the root"
-            f" {UNCERTAIN!r}, or leave them out"
-        )
     if sampler not in PROPOSALS and sampler not in BASELINES:
         raise BadInput(f"there is no sampler {sampler!r}; choose one of {', '.join(SAMPLERS)}")
     if chains != 1:

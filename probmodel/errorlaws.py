@@ -24,7 +24,7 @@ from probmodel.detections import LARGEST_NUMBER
 from probmodel.documents import read_json
 from probmodel.failures import BadInput, shown
 from probmodel.files import replacing
-from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, MIRROR, NUM_JOINTS
+from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 
 FORMAT = "poseterior error law 1"
 UNITS = "body units: the person's mean limb bone is 1"
@@ -36,8 +36,6 @@ LARGEST_LENGTH = 100.0
 """Body units; no spread, bias or radius is larger."""
 _WHAT = "error law"
 _ADVICE = "give a file that `poseterior calibrate` wrote, or one like it"
-_LEGS = [bone.end for limb in GROUPS["legs"] for bone in limb.bones]
-_ARMS = [bone.end for limb in GROUPS["arms"] for bone in limb.bones]
 _KEYS = {
     "format",
     "units",
@@ -55,7 +53,7 @@ _JOINT_KEYS = {"sigma", "inlier", "bias", "se", "pairs"}
 
 class Exchange(NamedTuple):
     """Probabilities that a detector takes right for left: of the legs alone (knees and ankles), of
-    the arms alone (elbows and wrists), of the whole body; see `exchanged`."""
+    the arms alone (elbows and wrists), of the whole body; see `probmodel.faults.EXCHANGES`."""
 
     legs: float = 0.0
     arms: float = 0.0
@@ -73,13 +71,6 @@ class ScoreFactor(NamedTuple):
         """The factors at scores `(...)`."""
         rows = np.searchsorted(np.asarray(self.edges), np.asarray(score), side="right")
         return np.asarray(self.sigma_factor)[rows]
-
-
-def exchanged(pattern: str) -> list[int]:
-    """`(15,)`: which joint of the body each detection is of, where the sides of `pattern`, a field
-    of `Exchange`, are exchanged."""
-    among = {"legs": _LEGS, "arms": _ARMS, "body": range(NUM_JOINTS)}[pattern]
-    return [MIRROR[joint] if joint in among else joint for joint in range(NUM_JOINTS)]
 
 
 NO_EXCHANGE = Exchange()

@@ -2,7 +2,7 @@
 
 They are discrete: a detection has a pattern of faults, and under each pattern the likelihood is
 what it was without (`docs/model.md`, § 9). A keypoint is an *outlier* where it says next to nothing
-of its joint: it lies anywhere within `OUTLIER_REACH` of it. In an *exchange* the keypoints of one
+of its joint: it lies anywhere within some body units of it. In an *exchange* the keypoints of one
 side stand under the names of the other.
 """
 
@@ -20,7 +20,8 @@ from probmodel.failures import BadInput
 from probmodel.skeleton import JOINT_INDEX, JOINTS, MIRROR, NUM_JOINTS, TORSO_INDEX
 
 OUTLIER_REACH = 8.0
-"""Body units: how far from its joint an outlier may lie; more than the height of a person."""
+"""Body units: how far from its joint an outlier may lie, where nothing else is said; more than the
+height of a person."""
 _ARMS, _LEGS = ("elbow", "wrist"), ("knee", "ankle")
 EXCHANGES: dict[str, tuple[str, ...]] = {
     "none": (),
@@ -84,6 +85,7 @@ class FaultPrior:
     outlier : 15 prior probabilities that a keypoint is an outlier; for the torso's, what each had
         if it were independent of the others.
     exchange : 5 prior probabilities of the exchanges but the first, "none".
+    reach : body units, how far from its joint an outlier may lie.
 
     Raises
     ------
@@ -93,6 +95,7 @@ class FaultPrior:
 
     outlier: tuple[float, ...] = (0.0,) * NUM_JOINTS
     exchange: tuple[float, ...] = (0.0,) * (NUM_EXCHANGES - 1)
+    reach: float = OUTLIER_REACH
 
     def __post_init__(self) -> None:
         for joint, probability in enumerate(self.outlier):

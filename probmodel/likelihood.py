@@ -22,8 +22,9 @@ from numpyro.distributions import Distribution, constraints
 
 from probmodel.detections import LARGEST_NUMBER, LIKELIHOOD_JOINTS, Detection
 from probmodel.directions.supports import disc, same_rank
+from probmodel.errorlaws import DetectorErrors
 from probmodel.failures import BadInput
-from probmodel.faults import NO_FAULTS, FaultPrior
+from probmodel.faults import EXCHANGES, NO_FAULTS, FaultPrior
 from probmodel.observation import Observation
 from probmodel.skeleton import JOINTS, NUM_JOINTS, TORSO_INDEX
 
@@ -208,17 +209,44 @@ class Likelihood:
     joints : the joints that count where they are seen.
     faults : how often keypoints are outliers or exchanged, where the root is uncertain; under fixed
         roots there are none.
+    learned : how one detector errs, joint by joint, in place of the factor and of relative scores;
+        see `Likelihood.of`.
     """
 
     law: ErrorLaw = dataclasses.field(default_factory=Disc)
     factor: float = 0.25
     joints: tuple[int, ...] = LIKELIHOOD_JOINTS
     faults: FaultPrior = NO_FAULTS
+    learned: DetectorErrors | None = None
+
+    @classmethod
+    def of(
+        cls, errors: DetectorErrors, joints: tuple[int, ...] = LIKELIHOOD_JOINTS
+    ) -> "Likelihood":
+        """The likelihood that a detector's errors say, its outliers and exchanges included. Raises
+        `BadInput` on a law that samplers have not."""
+        if errors.law not in LAWS:
+            raise BadInput(
+                f"samplers have no {errors.law} law, only {' and '.join(LAWS)}; learn one of these"
+                " instead: outliers take the place of long tails"
+            )
+        outlier = np.where(errors.known, 1 - errors.inlier, 0.0)
+        exchange = [getattr(errors.exchange, name, 0.0) for name in EXCHANGES if name != "none"]
+        faults = FaultPrior(tuple(outlier.tolist()), tuple(exchange), errors.outlier_radius)
+        return cls(LAWS[errors.law](), joints=joints, faults=faults, learned=errors)
+
+    @property
+    def bias(self) -> np.ndarray:
+        """`(15, 2)`: the mean error of each joint's keypoint, body units, right and down."""
+        if self.learned is None:
+            return np.zeros((NUM_JOINTS, 2))
+        return np.where(self.learned.known[:, None], self.learned.bias, 0.0)
 
     @property
     def words(self) -> str:
         """What a result says of it, such as "disc, factor 0.25"."""
-        found = f"{type(self.law).__name__.lower()}, factor {self.factor:g}"
+        width = f"factor {self.factor:g}" if self.learned is None else "learned"
+        found = f"{type(self.law).__name__.lower()}, {width}"
         return f"{found}, with faults" if self.faults.any else found
 
     def spread(
@@ -226,7 +254,7 @@ class Likelihood:
     ) -> np.ndarray:
         """How far joints may lie from their projections: the paper's τ = `factor` · `scale` · (mean
         limb length) / α, where the mean limb length is one body unit and α is the joint's score
-        over the mean score.
+        over the mean score. Twice the learned σ, where there is one.
 
         Parameters
         ----------
@@ -241,8 +269,8 @@ class Likelihood:
         Raises
         ------
         BadInput
-            Where `scale` or `factor` is not positive, or a score is so far below the others that
-            its spread is not a finite number.
+            Where `scale` or `factor` is not positive, a score is so far below the others that its
+            spread is not a finite number, or the learned errors know nothing of a seen joint.
         """
         for name, value in (("scale", scale), ("factor", self.factor)):
             if not 0 < value <= LARGEST_NUMBER:  # false for NaN too
@@ -251,6 +279,11 @@ class Likelihood:
                     f" {value}."
                 )
         alpha = detection.alpha(self.joints if joints is None else joints)
+        if self.learned is not None:
+            counts = ~np.isnan(alpha)
+            self.learned.require(counts, detection.where)
+            # Of every law the standard deviation either way is half a spread.
+            return np.where(counts, 2 * scale * self.learned.spread(detection.score), np.inf)
         with np.errstate(over="ignore", divide="ignore"):  # reported below, by name
             spread = self.factor * scale / alpha
         for joint in np.flatnonzero(np.isinf(spread)):
@@ -267,7 +300,7 @@ class Likelihood:
         arguments and errors are those of `spread`."""
         scale = float(root.camera.scale)
         spread = self.spread(detection, scale, joints) / scale
-        target = root.camera.to_plane(detection.keypoints)
+        target = root.camera.to_plane(detection.keypoints) - self.bias
         target = np.where(np.isfinite(spread)[:, None], target, 0.0)
         return Observation(root, target, spread, self.law)
 

@@ -16,6 +16,7 @@ import numpyro
 from numpyro.distributions import CategoricalLogits
 
 from probmodel.detections import Detection
+from probmodel.failures import BadInput
 from probmodel.likelihood import PAPER, Likelihood
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
@@ -101,7 +102,13 @@ class Estimate:
     estimator: str = ""
 
     def posterior(self, model: PoseModel) -> Posterior:
-        """The posterior under a model of poses."""
+        """The posterior under a model of poses. Raises `BadInput` where the likelihood has outliers
+        or exchanged sides, which fixed roots leave no room for."""
+        if self.likelihood.faults.any:
+            raise BadInput(
+                "outliers and exchanges need torso and camera to be uncertain; choose the root"
+                " 'uncertain' where there is the choice, or an error law without them"
+            )
         return Posterior(model, self.likelihood, self.detection, self.candidates, self.estimator)
 
     def uncertain(self, model: PoseModel) -> UncertainPosterior:

@@ -16,7 +16,7 @@ import numpy as np
 import numpyro
 
 from probmodel.detections import Detection
-from probmodel.faults import ORDERS, OUTLIER_REACH, FaultPrior, Faults
+from probmodel.faults import ORDERS, FaultPrior, Faults
 from probmodel.likelihood import Likelihood, WithOutliers
 from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
@@ -36,11 +36,15 @@ class DetectedJoints(NamedTuple):
     keypoints : `(15, 2)` pixels, 0 where a joint does not count.
     spread : `(15,)` of each joint's error in body units, the same under every root; infinite where
         a joint does not count.
+    bias : `(15, 2)` of each keypoint, body units.
+    far : how far from its joint an outlier may lie, body units.
     law : the errors' law.
     """
 
     keypoints: np.ndarray | jax.Array
     spread: np.ndarray | jax.Array
+    bias: np.ndarray | jax.Array
+    far: float | jax.Array
     law: "ErrorLaw"
 
     @property
@@ -56,14 +60,16 @@ class DetectedJoints(NamedTuple):
         outlier = jnp.asarray(faults.outlier)[order] & jnp.isfinite(spread)
         return DetectedJoints(
             jnp.asarray(self.keypoints)[order],
-            jnp.where(outlier, OUTLIER_REACH, spread),
+            jnp.where(outlier, self.far, spread),
+            jnp.where(outlier[:, None], 0.0, jnp.asarray(self.bias)[order]),
+            self.far,
             WithOutliers(self.law, outlier),
         )
 
     def under(self, prior: RootPrior, point: RootPoint, faults: Faults) -> Observation:
         """The detection under one root and a pattern of faults; a formula of JAX."""
         root, read = prior.root(point), self.read(faults)
-        target = root.camera.to_plane(read.keypoints)
+        target = root.camera.to_plane(read.keypoints) - read.bias
         return Observation(
             root, jnp.where(read.counts[:, None], target, 0.0), read.spread, read.law
         )
@@ -106,7 +112,9 @@ class UncertainPosterior:
         joints = sorted({*TORSO_INDEX, *self.likelihood.joints})
         spread = self.likelihood.spread(self.detection, 1.0, joints)
         keypoints = np.where(np.isfinite(spread)[:, None], self.detection.keypoints, 0.0)
-        return DetectedJoints(keypoints, spread, self.likelihood.law)
+        return DetectedJoints(
+            keypoints, spread, self.likelihood.bias, self.faults.reach, self.likelihood.law
+        )
 
     @property
     def faults(self) -> FaultPrior:

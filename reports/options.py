@@ -78,13 +78,6 @@ class LengthUnit(enum.StrEnum):
     mm = "mm"
 
 
-class Errors(enum.StrEnum):
-    """How detections err."""
-
-    disc = "disc"
-    gaussian = "gaussian"
-
-
 class LearnedLaw(enum.StrEnum):
     """What laws of a detector's errors are learned."""
 
@@ -260,17 +253,47 @@ class Estimation:
     ] = 2
     factor: Factor = 0.25
     errors: Annotated[
-        Errors,
-        Option(help="Law of a detection's error: disc (the paper), or gaussian with σ = τ/2."),
-    ] = Errors.disc
+        str,
+        Option(
+            help=(
+                "Law of a detection's error: disc (the paper), gaussian with σ = τ/2, learned (the"
+                " embedded one of real detections), or FILE.json from `poseterior calibrate`. The"
+                " last two have outliers, and need --root uncertain."
+            )
+        ),
+    ] = "disc"
+    outliers: Annotated[
+        float | None,
+        Option(help="How probable it is that a keypoint is an outlier (--root uncertain)."),
+    ] = None
+    exchanges: Annotated[
+        float | None,
+        Option(help="How probable it is that left and right are exchanged (--root uncertain)."),
+    ] = None
     head: Annotated[
         bool, Option(help="Whether a detected head counts in the likelihood (the paper: no).")
     ] = True
 
     def likelihood(self) -> "Likelihood":
-        """How detections err. Raises `BadInput` on a bad factor."""
+        """How detections err. Raises `BadInput` on a bad factor, law or probability."""
+        import dataclasses
+
+        from probmodel.faults import FaultPrior
+
+        likelihood = self._law()
+        if self.outliers is None and self.exchanges is None:
+            return likelihood
+        given = likelihood.faults
+        said = FaultPrior.of(self.outliers or 0.0, self.exchanges or 0.0)
+        outlier = given.outlier if self.outliers is None else said.outlier
+        exchange = given.exchange if self.exchanges is None else said.exchange
+        faults = FaultPrior(outlier, exchange, given.reach)
+        return dataclasses.replace(likelihood, faults=faults)
+
+    def _law(self) -> "Likelihood":
         from probmodel import BadInput, Likelihood
         from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
+        from probmodel.errorlaws import DetectorErrors
         from probmodel.likelihood import LAWS
 
         if not SMALLEST_FACTOR <= self.factor <= 1 / SMALLEST_FACTOR:  # false for NaN too
@@ -278,11 +301,12 @@ class Estimation:
             raise BadInput(
                 f"--factor must lie between {limits}, not {self.factor:g}; the paper has 0.25"
             )
-        return Likelihood(
-            LAWS[self.errors](),
-            factor=self.factor,
-            joints=LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS,
-        )
+        joints = LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS
+        if self.errors in LAWS:
+            return Likelihood(LAWS[self.errors](), factor=self.factor, joints=joints)
+        if self.errors == "learned":
+            return Likelihood.of(DetectorErrors.default(), joints)
+        return Likelihood.of(DetectorErrors.read(self.errors), joints)
 
     def settings(self, model: "PoseModel") -> dict[str, Any]:
         """How `inference.estimate_torso` is to be called. Raises `BadInput` on a bad factor or a

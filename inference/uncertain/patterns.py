@@ -21,7 +21,6 @@ from probmodel.faults import (
     MOVES_TORSO,
     NUM_EXCHANGES,
     ORDERS,
-    OUTLIER_REACH,
     FaultPrior,
     Faults,
     faults_of,
@@ -106,7 +105,7 @@ def fit_of(
         views = views_of(posterior, points, faults)
         spread = np.asarray(posterior.detected.spread)[ORDERS[exchange]][ENDS]
         outlier = np.array(prior.outlier)[ORDERS[exchange]][ENDS]
-        fit = functools.partial(_fit, jnp.asarray(pool), jnp.asarray(spread), jnp.asarray(outlier))
+        fit = functools.partial(_fit, pool, spread, outlier, prior.reach)
         rows.append(in_chunks(fit, *views, size=SHARE))
     probability = np.array([1 - sum(prior.exchange), *prior.exchange])
     return Fit(
@@ -131,14 +130,16 @@ def _pool(model: PoseModel, key: jax.Array) -> jax.Array:
 
 
 @jax.jit
-def _fit(pool: jax.Array, spread: jax.Array, outlier: jax.Array, *fields: jax.Array) -> jax.Array:
+def _fit(
+    pool: jax.Array, spread: jax.Array, outlier: jax.Array, far: float, *fields: jax.Array
+) -> jax.Array:
     """`(n, 5, 4)`: log likelihood and log prior of each limb's patterns."""
     upper = np.array([limb.upper for limb in LIMBS])
     starts = np.array([TORSO_INDEX.index(limb.bones[0].start) for limb in LIMBS])
     counts = jnp.isfinite(spread) & jnp.stack([jnp.ones(5, bool), jnp.asarray(CHAINED)], axis=1)
     # The laws' variance either way is a quarter of the squared spread, Student's a little more.
     variance = jnp.where(counts, spread**2 / 4 + BLUR**2, 1.0)
-    stray = jnp.where(counts, jnp.log(outlier) - jnp.log(jnp.pi * OUTLIER_REACH**2), -jnp.inf)
+    stray = jnp.where(counts, jnp.log(outlier) - jnp.log(jnp.pi * far**2), -jnp.inf)
 
     def near(views: Views, draw: jax.Array) -> jax.Array:
         fall = jnp.einsum("lij,lej->lei", views.axes[upper, :2], draw)

@@ -90,27 +90,32 @@ def torso_problem(posterior: UncertainPosterior, faults: Faults) -> Posed:
     origin = keypoints[first]
     law = WithOutliers(posterior.detected.law, detected.law.outlier[joints][order])
     keypoints, reach = keypoints[order] - origin, np.ascontiguousarray(reach[order])
-    lowest = lowest_scale(points, keypoints, reach)
+    bias = np.ascontiguousarray(detected.bias[joints][order])
+    lowest = lowest_scale(points, keypoints, bias, reach)
     # Every seen joint contributes scale⁻², and the translation takes one of them.
     problem = TorsoProblem(
-        points, np.ascontiguousarray(keypoints / lowest), reach, 2.0 * len(rows) - 2
+        points, np.ascontiguousarray(keypoints / lowest), bias, reach, 2.0 * len(rows) - 2
     )
     return Posed(problem, law, origin, lowest)
 
 
-def lowest_scale(torsos: np.ndarray, keypoints: np.ndarray, reach: np.ndarray) -> float:
+def lowest_scale(
+    torsos: np.ndarray, keypoints: np.ndarray, bias: np.ndarray, reach: np.ndarray
+) -> float:
     """A scale, pixels a body unit, that no root can go below: two joints project to within their
-    distance in space of each other, and each is detected within its reach.
+    distance in space of each other, and each is detected within its reach, but for its bias.
 
     Parameters
     ----------
     torsos : `(J, n, 3)` body units
     keypoints : `(n, 2)` pixels
+    bias : `(n, 2)` body units
     reach : `(n,)` body units
     """
     apart = np.linalg.norm(keypoints[:, None] - keypoints[None], axis=-1)
     widest = np.linalg.norm(torsos[:, :, None] - torsos[:, None], axis=-1).max(axis=0)
-    most = widest + reach[:, None] + reach[None]
+    most = widest + np.linalg.norm(bias[:, None] - bias[None], axis=-1)
+    most += reach[:, None] + reach[None]
     # A little lower, for rounding; two joints at least lie apart, or no camera is determined.
     return float((apart / most).max() * (1 - 1e-9))
 
@@ -198,7 +203,8 @@ def _log_ratio(
         torso: jax.Array, rotation: jax.Array, inverse: jax.Array, plane: jax.Array
     ) -> jax.Array:
         image = jnp.asarray(problem.torsos)[torso] @ rotation[:2].T
-        offset = image + plane[None] - jnp.asarray(problem.keypoints) * inverse
+        offset = image + plane[None] + jnp.asarray(problem.bias)
+        offset -= jnp.asarray(problem.keypoints) * inverse
         square = jnp.sum(offset**2, axis=1) / (jnp.asarray(problem.reach) / law.reach) ** 2
         return jnp.sum(law.log_ratio(square))
 

@@ -15,7 +15,7 @@ from inference.results import NAMES, UNCERTAIN, Columns, assemble
 from inference.uncertain.limbs import log_evidence
 from inference.uncertain.weighted import WeightedRoots, log_mean
 from probmodel.chunks import CHUNK, in_chunks
-from probmodel.faults import ORDERS, OUTLIER_REACH, FaultPrior, Faults
+from probmodel.faults import ORDERS, FaultPrior, Faults
 from probmodel.model import PoseModel
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint, RootPrior
@@ -81,15 +81,17 @@ def draw_columns(
 
 
 def _read(posterior: UncertainPosterior, scale: np.ndarray, faults: Faults) -> Columns:
-    """The detection as each pattern of faults `(n, ...)` has it: keypoints and spreads in pixels,
-    and which are astray."""
+    """The detection as each pattern of faults `(n, ...)` has it, as the fields of `KeypointsRead`,
+    in pixels."""
     order = ORDERS[faults.exchange]
     spread = np.asarray(posterior.detected.spread)[order]
-    astray = np.take_along_axis(faults.outlier, order, axis=1) & np.isfinite(spread)
+    outlier = np.take_along_axis(faults.outlier, order, axis=1) & np.isfinite(spread)
+    bias = np.where(outlier[..., None], 0.0, posterior.likelihood.bias[order])
     return {
-        "detected": posterior.detection.keypoints[order],
-        "spread": scale[:, None] * np.where(astray, OUTLIER_REACH, spread),
-        "astray": astray,
+        "read_detected": posterior.detection.keypoints[order],
+        "read_bias": scale[:, None, None] * bias,
+        "read_spread": scale[:, None] * np.where(outlier, posterior.faults.reach, spread),
+        "read_outlier": outlier,
     }
 
 

@@ -15,7 +15,7 @@ from scipy.stats import kstest
 
 import inference
 from inference import Result, joined
-from inference.predictions import prediction_groups
+from inference.predictions import KeypointsRead, prediction_groups
 from inference.results import save_tree
 from probmodel import BadInput, Estimate, Likelihood, PoseModel, Posterior
 from probmodel.skeleton import JOINTS
@@ -51,10 +51,13 @@ def bent_groups(bent: Posterior, example_result: Result) -> dict[str, xr.Dataset
     )
     return prediction_groups(
         bent.likelihood.law,
-        np.zeros(draws.keypoints.shape[1:3], bool),
-        np.broadcast_to(bent.detection.keypoints, draws.keypoints.shape[1:]),
+        KeypointsRead(
+            np.broadcast_to(bent.detection.keypoints, draws.keypoints.shape[1:]),
+            np.zeros(draws.keypoints.shape[1:]),
+            spreads[draws.candidate.values[0]],
+            np.zeros(draws.keypoints.shape[1:3], bool),
+        ),
         draws.keypoints.values[0],
-        spreads[draws.candidate.values[0]],
         [0, 1],
     )
 

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 import inference
 from inference.uncertain.weighted import WeightedRoots, log_mean, weigh_roots
 from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel
+from probmodel.errorlaws import DetectorErrors
 from probmodel.faults import (
     EXCHANGE_INDEX,
     EXCHANGES,
@@ -302,6 +303,52 @@ def test_faults_need_an_uncertain_root():
     model, frame = small_case()
     with pytest.raises(BadInput, match="outliers and exchanges need"):
         inference.sample(model, frame, key=key(0))
+
+
+def learned(**changes) -> DetectorErrors:
+    """A law with a bias of its own for every joint and no faults."""
+    bias = np.linspace(-0.3, 0.4, 2 * NUM_JOINTS).reshape(NUM_JOINTS, 2)
+    sigma, inlier = np.linspace(0.15, 0.3, NUM_JOINTS), np.ones(NUM_JOINTS)
+    return DetectorErrors(
+        **({"law": "gaussian", "sigma": sigma, "inlier": inlier} | changes), bias=bias
+    )
+
+
+def test_a_learned_law_moves_keypoints_back_by_its_bias():
+    """Every draw lies within three standard deviations of where the keypoint is, less its bias; and
+    not of where it is."""
+    model, frame = small_case()
+    law = learned()
+    frame = dataclasses.replace(frame, likelihood=Likelihood.of(law))
+    result = inference.sample(
+        model, frame, key=key(2), root="uncertain", num_roots=300, num_samples=300
+    )
+    draws, seen = result.tree["posterior"], [JOINT_INDEX[name] for name in (*TORSO, *ARM)]
+    scale = draws.scale.values[0][:, None, None]
+    gap = (frame.detection.keypoints - draws.keypoints.values[0]) / scale
+    reach = 3 * law.sigma[seen] * (1 + 1e-9)
+    assert (np.linalg.norm(gap - law.bias, axis=-1)[:, seen] <= reach).all()
+    assert (np.linalg.norm(gap, axis=-1)[:, seen] > reach).any()
+    assert np.isfinite(result.tree["sample_stats"].lp.values).all()
+    likely = result.tree["log_likelihood"].keypoints.values[0]
+    square = (np.linalg.norm(gap - law.bias, axis=-1) / law.sigma)[:, seen] ** 2
+    cut = math.log(1 - math.exp(-4.5))
+    by_hand = -square / 2 - np.log(2 * math.pi * (law.sigma[seen] * scale[:, :, 0]) ** 2) - cut
+    order = [sorted(seen).index(joint) for joint in seen]
+    np.testing.assert_allclose(likely[:, order], by_hand, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"law": "student", "df": 4.0}, "samplers have no student law"),
+        ({"sigma": np.where(np.arange(15) == 3, np.nan, 0.2)}, "knows no right_elbow"),
+    ],
+)
+def test_a_learned_law_that_will_not_do_is_refused(changes, words):
+    _, frame = small_case()
+    with pytest.raises(BadInput, match=words):
+        Likelihood.of(learned(**changes)).spread(frame.detection, 1.0)
 
 
 def whole_body(seed: int) -> Detection:

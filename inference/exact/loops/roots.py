@@ -34,12 +34,14 @@ class TorsoProblem(NamedTuple):
     torsos : `(J, n, 3)` the joints in body axes, body units
     keypoints : `(n, 2)` where they were detected, in units of the lowest scale: then the inverse
         scale lies between 0 and 1
+    bias : `(n, 2)` of the keypoints, body units: how far beside their joints they lie in the mean
     reach : `(n,)` how far from there they may fall, body units
     power : of the scales' density: that of the inverse scale v is v^(power - 1)
     """
 
     torsos: np.ndarray
     keypoints: np.ndarray
+    bias: np.ndarray
     reach: np.ndarray
     power: float
 
@@ -132,6 +134,7 @@ def _inverse_scales(
     at `across`, `along` before the roll; empty where the first is not below the second."""
     cosine, sine = math.cos((roll + 0.5) * WIDTH), math.sin((roll + 0.5) * WIDTH)
     least, most, torsos, keypoints = 0.0, 1.0, problem.torsos, problem.keypoints
+    bias = problem.bias
     for one in range(across.size):
         for two in range(one):
             x, y = across[one] - across[two], along[one] - along[two]
@@ -139,10 +142,12 @@ def _inverse_scales(
             length = 0.0
             for axis in range(3):
                 length += (torsos[torso, one, axis] - torsos[torso, two, axis]) ** 2
-            image = x * x + y * y
-            slack = turn * (math.sqrt(image) + 2 * math.sqrt(length)) + SLACK
+            slack = turn * (math.sqrt(x * x + y * y) + 2 * math.sqrt(length)) + SLACK
             far = problem.reach[one] + problem.reach[two] + slack
-            dot = u * (cosine * x - sine * y) + v * (sine * x + cosine * y)
+            across_image = cosine * x - sine * y + bias[one, 0] - bias[two, 0]
+            down_image = sine * x + cosine * y + bias[one, 1] - bias[two, 1]
+            image = across_image * across_image + down_image * down_image
+            dot = u * across_image + v * down_image
             square = u * u + v * v
             rest = image - far * far
             root = dot * dot - square * rest
@@ -163,6 +168,7 @@ def attempt_roots(
     """Makes attempts, up to a number of them or until the table is full. Returns how many roots
     were found, and how many attempts were made."""
     torsos, keypoints, reach = problem.torsos, problem.keypoints, problem.reach
+    bias = problem.bias
     stream, found, joints, power = load(state), 0, reach.size, problem.power
     for attempt in range(attempts):
         at, stream = uniform(stream)
@@ -197,15 +203,17 @@ def attempt_roots(
         angle, stream = uniform(stream)
         radius, angle = reach[0] * math.sqrt(radius), 2 * np.pi * angle
         p0, p1, p2 = torsos[torso, 0, 0], torsos[torso, 0, 1], torsos[torso, 0, 2]
-        t0 = keypoints[0, 0] * inverse + radius * math.cos(angle)
-        t1 = keypoints[0, 1] * inverse + radius * math.sin(angle)
+        t0 = keypoints[0, 0] * inverse - bias[0, 0] + radius * math.cos(angle)
+        t1 = keypoints[0, 1] * inverse - bias[0, 1] + radius * math.sin(angle)
         t0 -= m00 * p0 + m01 * p1 + m02 * p2
         t1 -= m10 * p0 + m11 * p1 + m12 * p2
         inside = inverse > 0
         for joint in range(1, joints):
             p0, p1, p2 = torsos[torso, joint, 0], torsos[torso, joint, 1], torsos[torso, joint, 2]
-            off0 = m00 * p0 + m01 * p1 + m02 * p2 + t0 - keypoints[joint, 0] * inverse
-            off1 = m10 * p0 + m11 * p1 + m12 * p2 + t1 - keypoints[joint, 1] * inverse
+            off0 = m00 * p0 + m01 * p1 + m02 * p2 + t0 + bias[joint, 0]
+            off1 = m10 * p0 + m11 * p1 + m12 * p2 + t1 + bias[joint, 1]
+            off0 -= keypoints[joint, 0] * inverse
+            off1 -= keypoints[joint, 1] * inverse
             if off0 * off0 + off1 * off1 > reach[joint] * reach[joint]:
                 inside = False
                 break

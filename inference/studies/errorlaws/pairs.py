@@ -10,12 +10,13 @@ import numpy as np
 from probmodel.body import body_unit
 from probmodel.datasets import DataSet
 from probmodel.datasets.sessions import JudgedView, judged_views
-from probmodel.errorlaws import Exchange, exchanged
+from probmodel.errorlaws import Exchange
+from probmodel.faults import EXCHANGE_INDEX, ORDERS
 from probmodel.layouts import MIDPOINTS
 from probmodel.sessions import Session
 from probmodel.skeleton import JOINT_INDEX
 
-PATTERNS = [list(range(15)), *(exchanged(name) for name in Exchange._fields)]
+PATTERNS = [ORDERS[EXCHANGE_INDEX[name]] for name in ("none", *Exchange._fields)]
 """Which joint each detection is of: as it says, and with sides exchanged."""
 
 FAR = 1e3

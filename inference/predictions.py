@@ -26,13 +26,18 @@ def prediction_groups(
 
     Parameters
     ----------
-    law : the errors' law.
-    outlier : `(n, 15)` bool, which joints' keypoints are outliers in each draw.
-    detected : `(n, 15, 2)`, where joints were detected as each draw reads it, pixels.
-    keypoints : `(n, 15, 2)`, the draws projected, pixels.
-    spread : `(n, 15)`, every joint's spread under the root of each draw, pixels; infinite where it
-        does not count.
-    words : of the seed.
+    law
+        The errors' law.
+    outlier : `(n, 15)` bool
+        Which joints' keypoints are outliers in each draw.
+    detected : `(n, 15, 2)`
+        Where joints were detected as each draw reads it, pixels.
+    keypoints : `(n, 15, 2)`
+        The draws projected, pixels.
+    spread : `(n, 15)`
+        Every joint's spread under the root of each draw, pixels; infinite where it does not count.
+    words
+        Of the seed.
 
     Returns
     -------

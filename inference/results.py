@@ -68,9 +68,17 @@ class Cost(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """What a sampler returns: the `tree`, the `status` (complete, out of budget, impossible) and,
-    where it is not complete, a `sentence` that says why and what to do. Draws in the tree are exact
-    whatever the status."""
+    """What a sampler returns. Draws of exact rejection are exact whatever the status.
+
+    Attributes
+    ----------
+    tree
+        ArviZ's groups: posterior, sample_stats, and others.
+    status
+        complete, out of budget or impossible.
+    sentence
+        Why it is not complete, and what to do; empty where it is.
+    """
 
     tree: xr.DataTree
     status: str

@@ -38,9 +38,12 @@ class ErrorLaw(abc.ABC):
 
     Attributes
     ----------
-    reach : the largest |e| that has any density.
-    log_peak : log density at e = 0, per squared spread.
-    flat : whether the density is the same everywhere within the reach, so that the indicator is all
+    reach
+        The largest |e| that has any density.
+    log_peak
+        Log density at e = 0, per squared spread.
+    flat
+        Whether the density is the same everywhere within the reach, so that the indicator is all
         there is.
     """
 
@@ -117,8 +120,10 @@ class WithOutliers(ErrorLaw):
 
     Attributes
     ----------
-    inlier : the law of the others.
-    outlier : `(..., joints)` bool, which are outliers.
+    inlier
+        The law of the others.
+    outlier : `(..., joints)` bool
+        Which are outliers.
     """
 
     inlier: ErrorLaw
@@ -156,9 +161,14 @@ class DetectedKeypoint(Distribution):
 
     Parameters
     ----------
-    law : the errors' law.
-    centre : `(..., 2)`, where the joint projects.
-    spread : `(...)`, in the units of `centre`.
+    law
+        The errors' law.
+    centre : `(..., 2)`
+        Where the joint projects.
+    spread : `(...)`
+        In the units of `centre`.
+    validate_args
+        Whether values are checked (NumPyro's switch).
     """
 
     arg_constraints = {"centre": constraints.real_vector, "spread": constraints.positive}  # noqa: RUF012
@@ -203,10 +213,14 @@ class Likelihood:
 
     Attributes
     ----------
-    law : the law of the errors.
-    factor : the paper's 0.25: the spread of a joint of average score, in mean limb lengths.
-    joints : the joints that count where they are seen.
-    faults : how often keypoints are outliers or exchanged, where the root is uncertain; under fixed
+    law
+        The law of the errors.
+    factor
+        The paper's 0.25: the spread of a joint of average score, in mean limb lengths.
+    joints
+        The joints that count where they are seen.
+    faults
+        How often keypoints are outliers or exchanged, where the root is uncertain; under fixed
         roots there are none.
     """
 
@@ -230,9 +244,12 @@ class Likelihood:
 
         Parameters
         ----------
-        detection : whose scores.
-        scale : pixels per body unit.
-        joints : which of the seen joints count, and average to α = 1; default: `self.joints`.
+        detection
+            Whose scores.
+        scale
+            Pixels per body unit.
+        joints
+            Which of the seen joints count, and average to α = 1; default: `self.joints`.
 
         Returns
         -------

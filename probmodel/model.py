@@ -40,11 +40,28 @@ class PoseModel:
     """The model of a pose, a pytree. Without arguments: the embedded limits, lengths and torsos,
     eqs. 7 and 8.
 
-    `upper` is the measure of upper bones ("angle", eq. 7, or "area"), `lower` that of lower bones
-    ("area", eq. 8, or "box", the recipe inside the disc); another name raises `ValueError`. Derived
-    once: `cells`, the regions of the five upper bones (leaves start with 5), and `hinges`, those of
-    the four lower bones in every cell of their parents (leaves start with 4 × 120 × 60; a cell
-    without a plane has a hinge that nothing satisfies)."""
+    Derived once: `cells`, the regions of the five upper bones (leaves start with 5), and `hinges`,
+    those of the four lower bones in every cell of their parents (leaves start with 4 × 120 × 60; a
+    cell without a plane has a hinge that nothing satisfies).
+
+    Parameters
+    ----------
+    limits
+        Which directions are possible.
+    lengths
+        The prior of bone lengths.
+    torsos : `(J, 6, 3)`
+        The dictionary of torsos, body axes, body units.
+    upper
+        The measure in which upper bones are uniform: "angle", eq. 7, or "area".
+    lower
+        That of lower bones: "area", eq. 8, or "box", the recipe inside the disc.
+
+    Raises
+    ------
+    ValueError
+        On another name of a measure.
+    """
 
     limits: AnatomicalLimits
     lengths: LengthPrior

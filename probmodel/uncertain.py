@@ -33,10 +33,13 @@ class DetectedJoints(NamedTuple):
 
     Attributes
     ----------
-    keypoints : `(15, 2)` pixels, 0 where a joint does not count.
-    spread : `(15,)` of each joint's error in body units, the same under every root; infinite where
-        a joint does not count.
-    law : the errors' law.
+    keypoints
+        `(15, 2)` pixels, 0 where a joint does not count.
+    spread
+        `(15,)` of each joint's error in body units, the same under every root; infinite where a
+        joint does not count.
+    law
+        The errors' law.
     """
 
     keypoints: np.ndarray | jax.Array
@@ -81,12 +84,17 @@ class UncertainPosterior:
 
     Attributes
     ----------
-    model : the prior of poses, and the dictionary of torsos.
-    likelihood : how detections err; its `joints` count, and the torso's beside them.
-    detection : what was detected.
-    candidates : an estimator's roots; the posterior does not depend on them, they name the ways the
-        person may face.
-    estimator : where the candidates come from.
+    model
+        The prior of poses, and the dictionary of torsos.
+    likelihood
+        How detections err; its `joints` count, and the torso's beside them.
+    detection
+        What was detected.
+    candidates
+        An estimator's roots; the posterior does not depend on them, they name the ways the person
+        may face.
+    estimator
+        Where the candidates come from.
     """
 
     model: PoseModel

@@ -44,7 +44,17 @@ COORDINATES = (
 @dataclasses.dataclass(frozen=True)
 class Target:
     """The posterior of the limbs, given one candidate: prior × indicator that every seen joint is
-    inside its disc."""
+    inside its disc. The usual way in is `of`.
+
+    Attributes
+    ----------
+    model
+        The prior of poses.
+    observation
+        The detection under the candidate.
+    active
+        Which coordinates of the unit cube a seen joint depends on.
+    """
 
     model: PoseModel
     observation: Observation

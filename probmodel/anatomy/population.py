@@ -31,6 +31,7 @@ class Anatomy:
     Parameters
     ----------
     limits
+        Which directions are possible.
     lengths
         Arrays `(5,)`, body units.
     torsos : `(J, 6, 3)`

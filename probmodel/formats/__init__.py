@@ -272,7 +272,20 @@ def _threshold(row: Format, threshold: float | None) -> float:
 
 def write_detections(path: str | os.PathLike[str], detections: Sequence[Detection]) -> None:
     """Writes this project's JSON; a file that was there is replaced as a whole or, on any failure,
-    not at all. Raises `BadInput` where there is nothing to write, or it cannot be written there."""
+    not at all.
+
+    Parameters
+    ----------
+    path
+        The file.
+    detections
+        The people, in this order.
+
+    Raises
+    ------
+    BadInput
+        Where there is nothing to write, or it cannot be written there.
+    """
     text = native.write(detections)
     with replacing(path, "choose another place") as partial:
         partial.write_text(text, encoding="utf-8")

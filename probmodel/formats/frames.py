@@ -25,8 +25,15 @@ _SUFFIX = "_keypoints"
 
 
 class DetectedFrame(NamedTuple):
-    """A frame: its `name` (the image's, a number in the file, or the name of its file) and the
-    `people` found in it."""
+    """A frame of a film.
+
+    Attributes
+    ----------
+    name
+        The image's name, a number in the file, or the name of its file.
+    people
+        Who was found in it; there may be nobody.
+    """
 
     name: str
     people: list[Detection]

@@ -111,9 +111,8 @@ def _points(
     if labels is None:
         return found, chosen_layout(len(found), KNOWN, content, f"'keypoints' of {where}")
     places = [_place(label, where) for label in sequence(labels, f"'labels' of {where}")]
-    layout = said_layout(content) or COCO_17
-    if places == [*range(len(found))]:  # none was left out
-        layout = chosen_layout(len(found), KNOWN, content, f"'keypoints' of {where}")
+    whole = (one for one in KNOWN if places == [*range(one.count)])
+    layout = said_layout(content) or next(whole, COCO_17)
     if len(places) != len(found) or len(set(places)) < len(places):
         raise BadInput(
             f"{where} has {len(found)} keypoints, but the labels {shown(places)}; check what wrote"

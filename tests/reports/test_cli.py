@@ -513,7 +513,7 @@ REFUSALS += [
         "check: empty folder",
         "check @.",
         {},
-        "holds no .amc, .bvh or .npz file; give a folder of motion capture",
+        "holds no .amc, .bvh, .trc, .c3d or .npz file; give a folder of motion capture",
     ),
     check("another kind", "p.txt", "hello", "p.txt is not a file of 3D poses; check reads"),
     check("not an array", "p.npy", "hello", "p.npy is no NumPy array of numbers"),

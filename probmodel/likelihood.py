@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 class ErrorLaw(abc.ABC):
     """The isotropic law of an error e in the plane, in units of a joint's spread.
 
-    Its density falls with |e| and ends at `reach`.
+    Its density falls with the length of e and ends at `reach`.
 
     Attributes
     ----------
     reach
-        The largest |e| that has any density.
+        The largest length of e that has any density.
     log_peak
         Log density at e = 0, per squared spread.
     flat
@@ -53,11 +53,11 @@ class ErrorLaw(abc.ABC):
 
     @abc.abstractmethod
     def log_ratio(self, square: ArrayLike) -> jax.Array:
-        """`(...)`: log f(e)/f(0) at squared distances |e|² `(...)`; -inf beyond the reach."""
+        """`(...)`: log f(e)/f(0) at squared lengths of e `(...)`; -inf beyond the reach."""
 
     @abc.abstractmethod
     def distance(self, uniform: ArrayLike) -> jax.Array:
-        """`(...)`: the quantiles of |e| at numbers `(...)` in [0, 1)."""
+        """`(...)`: the quantiles of the length of e at numbers `(...)` in [0, 1)."""
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
         """Errors `(*shape, 2)`."""

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from probmodel.arrays import read_array, read_netcdf
-from probmodel.datasets.plain import is_plain, read_plain
 from probmodel.documents import read_json
 from probmodel.failures import BadInput
 from probmodel.motion import KINDS, READERS, read_motion
@@ -57,6 +56,8 @@ def read_poses(path: Path) -> PosesToCheck:
     suffix = path.suffix.lower()
     if not path.exists():
         raise BadInput(f"there is no file {path}; give one with 3D poses")
+    from probmodel.datasets.plain import is_plain  # takes a while
+
     if is_plain(path):
         return _from_data_set(path)
     if path.is_dir() or suffix in READERS:
@@ -71,6 +72,8 @@ def read_poses(path: Path) -> PosesToCheck:
 
 
 def _from_data_set(path: Path) -> PosesToCheck:
+    from probmodel.datasets.plain import read_plain
+
     data = read_plain(path)
     return PosesToCheck(
         data.poses,

@@ -36,7 +36,7 @@ RUN = [
 def documented() -> list[str]:
     """The command lines of the pages: indented ones, and those in a notebook's text that have
     options."""
-    pages = [*ROOT.glob("*.md"), *ROOT.glob("reports/*.md"), *ROOT.glob("docs/*.md")]
+    pages = [*ROOT.glob("*.md"), *ROOT.glob("reports/*.md"), *ROOT.glob("docs/**/*.md")]
     found = [
         line
         for page in pages

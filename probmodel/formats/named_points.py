@@ -121,10 +121,12 @@ def _detection(
         )
     if upwards:
         rows[:, 1] = 1 - rows[:, 1]
+    size = None
     if upwards or are_fractions(rows[:, :2]):
         rows[:, :2] *= pixels(content)
+        size = content.image_size
     layout = named_layout(names, content)
-    return layout.detection(rows, threshold, content.source, person, image_size=content.image_size)
+    return layout.detection(rows, threshold, content.source, person, image_size=size)
 
 
 def _row(point: dict[str, Any], where: str) -> FloatArray:

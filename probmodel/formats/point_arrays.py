@@ -69,9 +69,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
         )
     for person, rows in enumerate(points):
         where = f"frame {person} of {content.source}"
-        yield layout.detection(
-            scored(rows, where), threshold, content.source, person, str(person), content.image_size
-        )
+        yield layout.detection(scored(rows, where), threshold, content.source, person, str(person))
 
 
 def read_movenet(content: Content, threshold: float) -> Iterator[Detection]:
@@ -117,9 +115,7 @@ def read_freemocap(content: Content, threshold: float) -> Iterator[Detection]:
         for frame, rows in enumerate(frames):
             name = f"{camera}/{frame}"
             points = scored(rows[: MEDIAPIPE_33.count, :2], f"frame {name} of {content.source}")
-            yield MEDIAPIPE_33.detection(
-                points, threshold, content.source, person, name, content.image_size
-            )
+            yield MEDIAPIPE_33.detection(points, threshold, content.source, person, name)
             person += 1
 
 

@@ -112,13 +112,12 @@ def _detection(
 ) -> Detection:
     """A person from points `(17, 2)` and scores `(17,)`."""
     score = np.where((xy == 0).all(axis=1), 0.0, score)
+    size = None
     if fractions:
-        xy = xy * _size(content, xy, where)
+        xy, size = xy * _size(content, xy, where), content.image_size
     flat = np.column_stack([xy, score]).ravel().tolist()
     points = scored_points(flat, COCO_17.points, where)
-    return COCO_17.detection(
-        points, threshold, content.source, person, image_size=content.image_size
-    )
+    return COCO_17.detection(points, threshold, content.source, person, image_size=size)
 
 
 def _size(content: Content, xy: FloatArray, where: str) -> FloatArray:

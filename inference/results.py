@@ -90,7 +90,18 @@ class Result:
         return int(self.tree["posterior"].sizes["chain"] * self.tree["posterior"].sizes["draw"])
 
     def save(self, path: str | os.PathLike) -> None:
-        """Writes netCDF, atomically. Raises `BadInput` where the path cannot be written."""
+        """Writes netCDF, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Raises
+        ------
+        BadInput
+            Where it cannot be written.
+        """
         save_tree(self.tree, path)
 
 

@@ -60,7 +60,20 @@ class ErrorLaw(abc.ABC):
         """`(...)`: the quantiles of the length of e at numbers `(...)` in [0, 1)."""
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        """Errors `(*shape, 2)`."""
+        """Errors.
+
+        Parameters
+        ----------
+        key
+            Of the draws.
+        shape
+            How many.
+
+        Returns
+        -------
+        Array
+            `(*shape, 2)`, in spreads.
+        """
         for_distance, for_angle = jax.random.split(key)
         distance = self.distance(jax.random.uniform(for_distance, shape))
         angle = jax.random.uniform(for_angle, shape, maxval=2 * jnp.pi)
@@ -253,7 +266,8 @@ class Likelihood:
 
         Returns
         -------
-        `(15,)` pixels, infinite where a joint does not count.
+        ndarray
+            `(15,)` pixels, infinite where a joint does not count.
 
         Raises
         ------
@@ -280,8 +294,27 @@ class Likelihood:
     def observe(
         self, detection: Detection, root: "Root", joints: Sequence[int] | None = None
     ) -> Observation:
-        """The detection as it looks under `root`, on the camera's plane and in body units; the
-        arguments and errors are those of `spread`."""
+        """The detection as it looks under a root, on the camera's plane and in body units.
+
+        Parameters
+        ----------
+        detection
+            What was detected.
+        root
+            Torso and camera.
+        joints
+            As in `spread`.
+
+        Returns
+        -------
+        Observation
+            Targets and spreads.
+
+        Raises
+        ------
+        BadInput
+            As `spread`.
+        """
         scale = float(root.camera.scale)
         spread = self.spread(detection, scale, joints) / scale
         target = root.camera.to_plane(detection.keypoints)
@@ -289,8 +322,20 @@ class Likelihood:
         return Observation(root, target, spread, self.law)
 
     def log_torso(self, detection: Detection, root: "Root") -> float:
-        """Log density of the seen torso joints, whose scores are normalised among themselves; -inf
-        where one lies beyond its reach."""
+        """Log density of the seen torso joints, whose scores are normalised among themselves.
+
+        Parameters
+        ----------
+        detection
+            What was detected.
+        root
+            Torso and camera.
+
+        Returns
+        -------
+        float
+            −inf where one lies beyond its reach.
+        """
         joints = np.zeros((NUM_JOINTS, 3))
         joints[list(TORSO_INDEX)] = np.asarray(root.view)
         return float(self.observe(detection, root, TORSO_INDEX).log_density(joints))

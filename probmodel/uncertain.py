@@ -138,10 +138,24 @@ class UncertainPosterior:
         return self.model.posterior(self.detected.under(self.prior, point, faults))
 
     def log_joint(self, points: RootPoint, poses: Pose, faults: Faults | None = None) -> jax.Array:
-        """`(n,)`: log joint density of roots, poses and patterns of faults `(n, ...)` (default:
-        none) with the detection, that of the program; -inf outside. With respect to counting
-        (torso, faults) × Haar's × log scale × area (pixels) and the base measures of poses and
-        detections."""
+        """Log joint density of roots, poses and patterns of faults with the detection, that of the
+        program. With respect to counting (torso, faults) × Haar's × log scale × area (pixels) and
+        the base measures of poses and detections.
+
+        Parameters
+        ----------
+        points
+            Roots, leaves start with n.
+        poses
+            Poses, leaves start with n.
+        faults
+            Which detections are faults, leaves start with n; by default none.
+
+        Returns
+        -------
+        Array
+            `(n,)`; −inf outside.
+        """
         if faults is None:
             faults = Faults.none(len(np.asarray(points.torso)))
         return log_joints(self.model, self.detected, self.faults, points, poses, faults)

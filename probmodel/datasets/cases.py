@@ -180,8 +180,25 @@ class DataSet:
         return len(self.poses)
 
     def case(self, row: int, number: int | None = None) -> Case:
-        """The case of that row; `number` is its number where these are some of a larger set's
-        cases. Raises `BadInput` where its detection is not one (a score below zero, …)."""
+        """One of the cases.
+
+        Parameters
+        ----------
+        row
+            Which.
+        number
+            Its number where these are some of a larger set's cases; by default the row.
+
+        Returns
+        -------
+        Case
+            With its detection.
+
+        Raises
+        ------
+        BadInput
+            Where its detection is not one (a score below zero, …).
+        """
         number = row if number is None else number
         detection = Detection(
             self.keypoints[row], self.score[row], "skeleton_15", f"frame {number} of {self.name}", 0

@@ -68,8 +68,9 @@ class Check(NamedTuple):
     Parameters
     ----------
     valid : `(..., 9)` bool
-    limit
-        `(..., 9)` int Which of `LIMITS` the bone breaks.
+        Whether the bone is possible.
+    limit : `(..., 9)` int
+        Which of `LIMITS` the bone breaks.
     excess : `(..., 9)`
         How far beyond the limit the bone is, in degrees; NaN for `parent`.
     """

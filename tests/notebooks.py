@@ -9,7 +9,9 @@ cells, the version, the embedded tables and the sources of figures. `tests/test_
 when it is another. A change of the rest between two versions does not make outputs stale: draws for
 a seed change with the version, and the slow tests execute every notebook."""
 
+import base64
 import hashlib
+import io
 import os
 import re
 import sys
@@ -19,13 +21,16 @@ from pathlib import Path
 
 import nbformat
 from nbclient import NotebookClient
+from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "notebooks"
 KEY = "poseterior"
 """Where a notebook's metadata has the fingerprint."""
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-DPI = 50
+DPI = 60
+WIDTH, COLOURS = 900, 128
+"""Of stored pictures."""
 SETTINGS = f"""
 import warnings
 warnings.simplefilter("error")
@@ -73,27 +78,46 @@ def execute(
     return notebook
 
 
-def tidy(notebook: nbformat.NotebookNode) -> None:
-    """Leaves out of the outputs what differs from run to run, or what nobody sees."""
+def tidy(notebook: nbformat.NotebookNode, folder: str) -> None:
+    """Leaves out of the outputs what differs from run to run, or what nobody sees, and makes
+    pictures small. `folder` is where the notebook ran."""
     for cell in notebook.cells:
         cell.metadata.pop("execution", None)
         if cell.cell_type == "code":
             cell.execution_count = None
             cell.outputs = [one for one in cell.outputs if one.get("name") != "stderr"]
             for output in cell.outputs:
-                output.pop("execution_count", None)
-                if output.output_type == "execute_result":
-                    output.execution_count = None
-                if "image/png" in output.get("data", {}):
-                    output.data.pop("text/plain", None)
+                _tidy_output(output, folder)
     notebook.metadata.language_info = {"name": "python"}
+
+
+def _tidy_output(output: nbformat.NotebookNode, folder: str) -> None:
+    if "execution_count" in output:
+        output.execution_count = None
+    if "text" in output:
+        output.text = output.text.replace(f"{folder}/", "")
+    data = output.get("data", {})
+    if len(data) > 1:
+        data.pop("text/plain", None)  # a picture or a table says it better
+    if "image/png" in data:
+        data["image/png"] = smaller(data["image/png"])
+
+
+def smaller(picture: str) -> str:
+    """A picture, in base64 as notebooks have it, of at most `WIDTH` pixels and `COLOURS`."""
+    image = Image.open(io.BytesIO(base64.b64decode(picture))).convert("RGB")
+    if image.width > WIDTH:
+        image = image.resize((WIDTH, round(image.height * WIDTH / image.width)), Image.LANCZOS)
+    file = io.BytesIO()
+    image.quantize(COLOURS, dither=Image.Dither.NONE).save(file, "PNG", optimize=True)
+    return base64.b64encode(file.getvalue()).decode()
 
 
 def store(path: Path, of_product: str) -> None:
     notebook = load(path)
     with tempfile.TemporaryDirectory() as folder:
         execute(notebook, Path(folder))
-    tidy(notebook)
+        tidy(notebook, folder)
     notebook.metadata[KEY] = {"fingerprint": fingerprint(notebook, of_product)}
     nbformat.validate(notebook)
     nbformat.write(notebook, path)

@@ -23,6 +23,7 @@ def test_outputs_are_stored_and_not_stale(path: Path) -> None:
     nbformat.validate(notebook)
     shown = [one for cell in notebook.cells for one in cell.get("outputs", [])]
     assert any("image/png" in one.get("data", {}) for one in shown)
+    assert not [one for one in shown if "/tmp" in str(one.get("text", ""))]
     assert not [one for one in shown if one.output_type == "error" or one.get("name") == "stderr"]
     assert not is_stale(path, product()), f"{path.name} has changed: run `make notebooks`"
 

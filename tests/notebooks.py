@@ -28,8 +28,8 @@ FOLDER = ROOT / "notebooks"
 KEY = "poseterior"
 """Where a notebook's metadata has the fingerprint."""
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-DPI = 60
-WIDTH, COLOURS = 900, 128
+DPI = 80
+WIDTH, COLOURS = 1200, 128
 """Of stored pictures."""
 SETTINGS = f"""
 import warnings

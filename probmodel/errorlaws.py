@@ -259,8 +259,25 @@ class DetectorErrors:
 
     @classmethod
     def from_document(cls, document: Any, source: str) -> Self:
-        """The law in a parsed JSON document, which messages call `source`; raises `BadInput` as
-        `read`."""
+        """The law in a JSON document.
+
+        Parameters
+        ----------
+        document
+            Parsed.
+        source
+            What messages call it.
+
+        Returns
+        -------
+        DetectorErrors
+            The law.
+
+        Raises
+        ------
+        BadInput
+            As `read`.
+        """
         _require_format(document, source)
         joints = _Joints()
         for name, entry in _object(document["joints"], "joints", source).items():

@@ -323,7 +323,18 @@ class DetectorErrors:
         return entry
 
     def write(self, path: str | os.PathLike) -> None:
-        """Writes what `read` reads, whole or not at all. Raises `BadInput` where it cannot."""
+        """Writes what `read` reads, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Raises
+        ------
+        BadInput
+            Where it cannot be written.
+        """
         with replacing(path) as place:
             text = json.dumps(self.document(), indent=1, ensure_ascii=False, allow_nan=False)
             place.write_text(text + "\n", encoding="utf-8")

@@ -8,7 +8,7 @@ NEED_PYTHON = test -n "$(PYTHON)" || { echo "poseterior needs Python 3.12 or new
 # wait for a core that another process has make them six times slower.
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
-.PHONY: demo test test-all lint bench dist fuzz lock clean
+.PHONY: demo test test-all lint bench docs notebooks dist fuzz lock clean
 
 demo: $(VENV)/.done
 	$(BIN)/poseterior demo
@@ -27,6 +27,18 @@ lint: $(VENV)/.done
 bench: $(VENV)/.done
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
 	$(BIN)/python -m reports.pages.speed
+
+# The site, in build/site: a warning, or a link that leads nowhere, ends it.
+docs: $(VENV)/.docs
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet -c docs . build/site
+
+$(VENV)/.docs: $(VENV)/.done
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable ".[docs]"
+	@touch $@
+
+# Executes the notebooks whose outputs are stale (or all: make notebooks WHICH=all), and stores what they show.
+notebooks: $(VENV)/.done
+	$(BIN)/python -m tests.notebooks $(WHICH)
 
 # Wheel and sdist, the wheel built from the sdist, and tried where nothing else of ours is.
 dist:

@@ -22,9 +22,17 @@ STEP = 4000
 
 
 class Evidence(NamedTuple):
-    """Log of the prior's mean of the likelihood over its peak (for discs: the log prior probability
-    that every seen joint lies in its own), and its standard error: `inf` with `-inf`, where no pose
-    was found that explains what was seen."""
+    """How well a detection is explained.
+
+    Attributes
+    ----------
+    log_evidence
+        Log of the prior's mean of the likelihood over its peak: for discs, the log prior
+        probability that every seen joint lies in its own. −inf where no pose was found that
+        explains what was seen.
+    standard_error
+        Of `log_evidence`; inf with −inf.
+    """
 
     log_evidence: float
     standard_error: float
@@ -39,12 +47,31 @@ def evidence(
     relative_error: float = 0.01,
     max_proposals: int = 1_000_000_000,
 ) -> dict[str, Evidence]:
-    """Evidence under one candidate: of the "body", of each group (head, arms, legs) and of each
-    limb alone.
+    """Evidence under one candidate: of the whole body, and limb by limb.
 
-    Draws go on until the relative standard error of every entry is below `relative_error`, or the
-    budget ends; then the error says how far it got. The body is the product of its groups; limbs of
-    a group share lengths, so that a group is not the product of its limbs."""
+    The body is the product of its groups; limbs of a group share lengths, so that a group is not
+    the product of its limbs.
+
+    Parameters
+    ----------
+    model
+        The prior of poses.
+    frame
+        The detection with its candidates.
+    key
+        Of all draws.
+    candidate
+        Which candidate.
+    relative_error
+        Draws go on until the relative standard error of every entry is below it.
+    max_proposals
+        Where this budget ends first, the standard errors say how far it got.
+
+    Returns
+    -------
+    dict of Evidence
+        Of the "body", of each group ("head", "arms", "legs") and of each limb alone.
+    """
     observation = frame.posterior(model).observations[candidate]
     tables, problems = group_tables(model), limb_problems(observation)
     budget = Budget(max_proposals)

@@ -34,8 +34,17 @@ NUM_BOX = 5
 
 
 class Hypothesis(NamedTuple):
-    """One of k answers: `joints` `(15, 3)` in camera axes and body units, the share of poses in its
-    cluster, and the number of the draw it is."""
+    """One of k answers.
+
+    Attributes
+    ----------
+    joints : `(15, 3)`
+        Camera axes, body units.
+    weight
+        The share of poses in its cluster.
+    draw
+        The number of the draw it is.
+    """
 
     joints: np.ndarray
     weight: float
@@ -51,15 +60,54 @@ class Hypothesis(NamedTuple):
 
 
 def hypotheses(result: Result, k: int = 5, *, seed: int = 0) -> list[Hypothesis]:
-    """`k` diverse poses among a result's draws, heaviest cluster first. Raises `BadInput` where k
-    is not from 1 to the number of draws."""
+    """Diverse poses among a result's draws.
+
+    Parameters
+    ----------
+    result
+        What `sample` returned.
+    k
+        How many.
+    seed
+        Of k-means++.
+
+    Returns
+    -------
+    list of Hypothesis
+        Heaviest cluster first; fewer than `k` where there are fewer distinct draws.
+
+    Raises
+    ------
+    BadInput
+        Where k is not from 1 to the number of draws.
+    """
     joints = np.asarray(result.tree["posterior"]["joints"])
     return diverse(joints.reshape(-1, *joints.shape[-2:]), k, seed=seed)
 
 
 def diverse(joints: np.ndarray, k: int, *, seed: int = 0) -> list[Hypothesis]:
-    """`k` diverse ones of the poses `(n, 15, 3)`, heaviest cluster first; distance is over all
-    joint coordinates."""
+    """Diverse ones of some poses: by k-means++ over all joint coordinates, the pose nearest to each
+    centre.
+
+    Parameters
+    ----------
+    joints : `(n, 15, 3)`
+        The poses, in any axes and unit.
+    k
+        How many.
+    seed
+        Of k-means++.
+
+    Returns
+    -------
+    list of Hypothesis
+        Heaviest cluster first; fewer than `k` where there are fewer distinct poses.
+
+    Raises
+    ------
+    BadInput
+        Where k is not from 1 to n.
+    """
     if not 1 <= k <= len(joints):
         raise BadInput(
             f"{k} hypotheses cannot be chosen among {len(joints)} poses; choose k from 1 to"
@@ -81,12 +129,27 @@ def diverse(joints: np.ndarray, k: int, *, seed: int = 0) -> list[Hypothesis]:
 def grid_poses(
     model: PoseModel, observation: Observation, *, most: int = 10_000, seed: int = 0
 ) -> np.ndarray:
-    """Stage I of the paper: poses `(n, 15, 3)` in camera axes from the grid of directions, at the
-    mean bone lengths, that the limits allow and that explain the observation.
+    """Stage I of the paper: poses from the grid of directions, at the mean bone lengths, that the
+    limits allow and that explain the observation.
 
-    Limbs are filtered one by one and combine freely (their lengths are fixed here): n is the
-    product of what is left of each, or `most` random ones of that product where it is larger. Empty
-    where a limb has none."""
+    Limbs are filtered one by one and combine freely, since their lengths are fixed here.
+
+    Parameters
+    ----------
+    model
+        The prior of poses.
+    observation
+        The detection under one candidate.
+    most
+        Where the product of what is left of each limb is larger, so many random ones of it.
+    seed
+        Of that choice.
+
+    Returns
+    -------
+    ndarray
+        `(n, 15, 3)`, camera axes, body units; empty where nothing is left of a limb.
+    """
     alpha, beta = np.asarray(model.lengths.alpha), np.asarray(model.lengths.beta)
     length = np.asarray(BoneLength(model.lengths).at(alpha / (alpha + beta)))
     limbs = [limb for members in GROUPS.values() for limb in members]

@@ -55,17 +55,23 @@ class Machines:
         *,
         apart: bool = False,
     ) -> Iterator[tuple[Label, Result]]:
-        """The task's result for every label; in the order of `work` in this process, in any order
-        elsewhere.
+        """The task's results, as they come.
 
         Parameters
         ----------
+        task
+            A function of one argument; where processes do it, one that they can import.
         work
             A label, words for sentences, and what the task gets; read as it is needed. Where there
             is none, no worker is asked for.
         apart
             Whether even a single worker is a process of its own, with one thread, so that results
             have the same bits however many workers there are.
+
+        Yields
+        ------
+        label, result
+            In the order of `work` in this process, in any order elsewhere.
 
         Raises
         ------

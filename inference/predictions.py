@@ -40,10 +40,14 @@ def prediction_groups(
 
     Parameters
     ----------
-    law : the errors' law.
-    read : the detection that was made.
-    keypoints : `(n, 15, 2)`, the draws projected, pixels.
-    words : of the seed.
+    law
+        The errors' law.
+    read
+        The detection that was made.
+    keypoints
+        `(n, 15, 2)`, the draws projected, pixels.
+    words
+        Of the seed.
 
     Returns
     -------

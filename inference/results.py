@@ -68,9 +68,17 @@ class Cost(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """What a sampler returns: the `tree`, the `status` (complete, out of budget, impossible) and,
-    where it is not complete, a `sentence` that says why and what to do. Draws in the tree are exact
-    whatever the status."""
+    """What a sampler returns. Draws of exact rejection are exact whatever the status.
+
+    Attributes
+    ----------
+    tree
+        ArviZ's groups: posterior, sample_stats, and others.
+    status
+        complete, out of budget or impossible.
+    sentence
+        Why it is not complete, and what to do; empty where it is.
+    """
 
     tree: xr.DataTree
     status: str
@@ -82,7 +90,18 @@ class Result:
         return int(self.tree["posterior"].sizes["chain"] * self.tree["posterior"].sizes["draw"])
 
     def save(self, path: str | os.PathLike) -> None:
-        """Writes netCDF, atomically. Raises `BadInput` where the path cannot be written."""
+        """Writes netCDF, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Raises
+        ------
+        BadInput
+            Where it cannot be written.
+        """
         save_tree(self.tree, path)
 
 

@@ -41,21 +41,35 @@ def sample(
 
     Parameters
     ----------
-    model : the prior of poses.
-    frame : the detection with its candidates, as `estimate_torso` gives it.
-    key : of all draws: the same key, the same draws.
-    sampler : one of `SAMPLERS`. Exact rejection draws independently from the posterior itself; a
-        baseline draws chains under one candidate, started in exact draws.
-    num_samples : how many draws, of all chains together; each chain gets as many as the others.
-    max_proposals : most proposals, or evaluations of the density. Where they end first, or where no
-        pose is possible, the result says so in `status` and `sentence`, and holds what there is.
-    chains : how many independent runs of exact rejection, each with a key and its share of the
-        proposals of its own, so that diagnostics which compare chains have some.
-    root : one of `ROOTS`. "fixed" is the paper's method, a mixture over the candidates;
-        "uncertain" draws torso and camera too, and takes no more of the candidates than the names
-        of the sides.
-    num_roots : from how many roots draws are made where the root is uncertain.
-    progress : called now and then with the draws (or roots) made and wanted.
+    model
+        The prior of poses.
+    frame
+        The detection with its candidates, as `estimate_torso` gives it.
+    key
+        Of all draws: the same key, the same draws.
+    sampler
+        One of `SAMPLERS`. Exact rejection draws independently from the posterior itself; a baseline
+        draws chains under one candidate, started in exact draws.
+    num_samples
+        How many draws, of all chains together; each chain gets as many as the others.
+    max_proposals
+        Most proposals, or evaluations of the density. Where they end first, or where no pose is
+        possible, the result says so in `status` and `sentence`, and holds what there is.
+    chains
+        How many independent runs of exact rejection, each with a key and its share of the proposals
+        of its own, so that diagnostics which compare chains have some.
+    root
+        One of `ROOTS`. "fixed" is the paper's method, a mixture over the candidates; "uncertain"
+        draws torso and camera too, and takes no more of the candidates than the names of the sides.
+    num_roots
+        From how many roots draws are made where the root is uncertain.
+    progress
+        Called now and then with the draws (or roots) made and wanted.
+
+    Returns
+    -------
+    Result
+        The draws, and whether they are as many as were wanted.
 
     Raises
     ------

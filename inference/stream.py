@@ -44,8 +44,15 @@ Progress = Callable[[int], None]
 
 
 class Item(NamedTuple):
-    """A frame of a stream: its `name`, and the `Estimate` or, where there is none, the sentence
-    that says why."""
+    """A frame of a stream.
+
+    Attributes
+    ----------
+    name
+        Unlike any other's.
+    frame
+        The estimate or, where there is none, the sentence that says why.
+    """
 
     name: str
     frame: Estimate | str
@@ -83,22 +90,41 @@ def sample_frames(
     machines: Machines = HERE,
     progress: Progress | None = None,
 ) -> Path:
-    """Draws `num_samples` poses of every frame and chooses `k` hypotheses among them; writes them
-    to the folder `out`, which it returns, and where a run that was stopped is resumed.
+    """Draws poses of every frame, chooses hypotheses among them, and writes both to a folder, where
+    a run that was stopped is resumed.
 
-    A frame that is a sentence, or whose budget of `max_proposals` ends, is recorded with its
-    reason. Damaged blocks are made anew.
+    A frame that is a sentence, or whose budget ends, is recorded with its reason. Damaged blocks
+    are made anew.
 
     Parameters
     ----------
+    model
+        The prior of poses.
     frames
         Read as they are needed, in this process.
+    key
+        Of all draws: the same key, the same bits, whoever draws.
+    out
+        The folder.
+    sampler
+        One of `SAMPLERS`.
+    num_samples
+        How many draws of each frame.
+    k
+        How many hypotheses of each frame.
     keep
         How many draws of each frame are written (default: all).
+    max_proposals
+        Most proposals for a frame.
     machines
         Who draws; blocks are written by this process.
     progress
         Called with the number of frames done, block by block.
+
+    Returns
+    -------
+    Path
+        `out`.
 
     Raises
     ------
@@ -136,11 +162,18 @@ def open_stream(folder: str | os.PathLike) -> xr.DataTree:
     """Summaries and hypotheses of all frames of a stream; the draws stay in their blocks, see
     `draws_of`.
 
+    Parameters
+    ----------
+    folder
+        Where `sample_frames` wrote it.
+
     Returns
     -------
-    `/summary` by frame: status, sentence, num_draws, log_evidence with its standard error, `mean`
-    and `sd` of the joints `(frame, joint, axis)`; `/hypotheses`: `joints` `(frame, hypothesis,
-    joint, axis)`, `weight`, `draw`. The settings of the run are attributes.
+    DataTree
+        `/summary` by frame: status, sentence, num_draws, log_evidence with its standard error,
+        `mean` and `sd` of the joints `(frame, joint, axis)`; `/hypotheses`: `joints`
+        `(frame, hypothesis, joint, axis)`, `weight`, `draw`. The settings of the run are
+        attributes.
 
     Raises
     ------
@@ -162,9 +195,25 @@ def open_stream(folder: str | os.PathLike) -> xr.DataTree:
 
 
 def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
-    """The draws kept of the frame `name`: `joints` `(chain, draw, joint, axis)` and `bone_length`,
-    as ArviZ takes them. Raises `BadInput` as `open_stream` does, and where there is no such
-    frame."""
+    """The draws that were kept of one frame.
+
+    Parameters
+    ----------
+    folder
+        The stream's.
+    name
+        The frame's.
+
+    Returns
+    -------
+    Dataset
+        `joints` `(chain, draw, joint, axis)` and `bone_length`, as ArviZ takes them.
+
+    Raises
+    ------
+    BadInput
+        As `open_stream`, and where there is no such frame.
+    """
     store = Store.open(Path(folder), _STREAM)
     for number in store.numbers():
         summary = store.read(number, "summary")

@@ -39,6 +39,8 @@ numbers of poses do not pack so well, and what claims to is a bomb, or damaged."
 MOST_NUMBERS = 150_000_000
 """Numbers that may be brought to double precision at once."""
 LONGEST_NAME = 200
+MOST_TEXTS = 2000
+"""Names of points or tracks in a file; no skeleton has more."""
 _CHUNK = 1 << 20
 _DEFLATE, _SUMS = 1, 3
 _FILTERS = {_DEFLATE, 2, _SUMS, 32000}
@@ -99,6 +101,35 @@ class ArrayFile:
         chosen = {name: members[name] for name in members if wanted is None or name in wanted}
         self._require_budget(sum(info.file_size for info in chosen.values()), "its arrays")
         return {name: self._member(name, info) for name, info in chosen.items()}
+
+    def shape(self) -> tuple[int, ...]:
+        """The shape that an .npy's header declares; empty for other files, and for damaged ones."""
+        if self.magic != NPY:
+            return ()
+        self.file.seek(0)
+        try:
+            with self._damage(self.source):
+                return _header(self.file)[0]
+        except BadInput:
+            return ()
+
+    def texts(self, name: str) -> list[str]:
+        """The texts of an HDF5 dataset, of fixed or of any length. Raises `BadInput` where it holds
+        none, or too many."""
+        import h5py
+
+        with self._hdf5_file() as file:
+            item = file[name]
+            of_texts = h5py.check_string_dtype(item.dtype) is not None and item.ndim == 1
+            if not of_texts or item.external or item.is_virtual:
+                raise BadInput(f"{name} of {self.source} is no list of texts; {self.advice}")
+            if item.size > MOST_TEXTS:
+                raise BadInput(
+                    f"{name} of {self.source} has {item.size:,} texts, more than {MOST_TEXTS:,};"
+                    f" {self.advice}"
+                )
+            _require_honest(item, f"{name} of {self.source}")
+            return [self._printable(first_text(np.array(item[row]))) for row in range(item.size)]
 
     def pickled(self, name: str) -> bytes | None:
         """The pickle of an .npz's array of one object, as bytes; None where the array is there but

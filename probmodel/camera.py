@@ -19,9 +19,12 @@ class WeakPerspective(NamedTuple):
 
     Attributes
     ----------
-    scale : `()`, pixels per body unit.
-    rotation : `(3, 3)`, from body axes to camera axes, proper.
-    translation : `(2,)`, where the pelvis falls in the image, pixels.
+    scale : `()`
+        Pixels per body unit.
+    rotation : `(3, 3)`
+        From body axes to camera axes, proper.
+    translation : `(2,)`
+        Where the pelvis falls in the image, pixels.
     """
 
     scale: float | np.ndarray | jax.Array

@@ -53,14 +53,29 @@ def is_label(value: object) -> bool:
 class Detection:
     """One person in one frame.
 
-    `keypoints`: `(15, 2)` pixels, x right, y down, NaN where missing; `score`: `(15,)`, positive, 0
-    where missing; both in the order of `probmodel.skeleton.JOINTS`, copied and read-only. `layout`
-    names the joint order of the source, `source` the file, `person` the index in it; `image_size`
-    is (width, height) in pixels. `face`: `(5, 3)` x, y, score of the points of `FACE` in the same
-    manner, None where the detector has none; the likelihood has no use for it.
+    Attributes
+    ----------
+    keypoints : `(15, 2)`
+        Pixels, x right, y down, NaN where missing; in the order of `probmodel.skeleton.JOINTS`,
+        copied and read-only.
+    score : `(15,)`
+        Positive, 0 where missing; in the same manner.
+    layout
+        The joint order of the source.
+    source, person
+        The file, and the person's number in it.
+    image_id, image_size
+        The image's name, and its (width, height) in pixels, where they are known.
+    face : `(5, 3)`
+        x, y, score of the points of `FACE` in the same manner, None where the detector has none;
+        the likelihood has no use for it.
 
-    Raises `BadInput` where shapes differ, a number is not finite or a score negative, or the NaN
-    keypoints are not exactly those whose score is 0."""
+    Raises
+    ------
+    BadInput
+        Where shapes differ, a number is not finite or a score negative, or the NaN keypoints are
+        not exactly those whose score is 0.
+    """
 
     keypoints: FloatArray
     score: FloatArray

@@ -83,20 +83,31 @@ class DetectorErrors:
 
     Attributes
     ----------
-    law : of an inlier's error: `gaussian`, `student` or `disc`.
-    sigma : `(15,)` body units, NaN for joints it does not know. The error's standard deviation each
-        way for `gaussian`, and for `disc`, whose radius is twice that; for `student` the scale each
+    law
+        Of an inlier's error: `gaussian`, `student` or `disc`.
+    sigma
+        `(15,)` body units, NaN for joints it does not know. The error's standard deviation each way
+        for `gaussian`, and for `disc`, whose radius is twice that; for `student` the scale each
         way: error / σ has the bivariate t distribution.
-    inlier : `(15,)` probability that a detection is no outlier, NaN like `sigma`.
-    bias : `(15, 2)` body units, the inliers' mean error to the right and down, NaN like `sigma`.
-    df : degrees of freedom of `student`; infinite for the others.
-    exchange : probabilities of exchanged sides.
-    score : how `sigma` depends on the score.
-    outlier_radius : body units.
-    pairs : `(15,)` how many pairs of detection and truth each joint was learned from; 0 where the
-        file does not say.
-    se : `(15, 4)` standard errors of sigma, inlier and the two of bias; NaN where there are none.
-    learned : where it comes from, in words and numbers.
+    inlier
+        `(15,)` probability that a detection is no outlier, NaN like `sigma`.
+    bias
+        `(15, 2)` body units, the inliers' mean error to the right and down, NaN like `sigma`.
+    df
+        Degrees of freedom of `student`; infinite for the others.
+    exchange
+        Probabilities of exchanged sides.
+    score
+        How `sigma` depends on the score.
+    outlier_radius
+        Body units.
+    pairs
+        `(15,)` how many pairs of detection and truth each joint was learned from; 0 where the file
+        does not say.
+    se
+        `(15, 4)` standard errors of sigma, inlier and the two of bias; NaN where there are none.
+    learned
+        Where it comes from, in words and numbers.
 
     Raises
     ------
@@ -142,8 +153,20 @@ class DetectorErrors:
         return ~np.isnan(self.sigma)
 
     def require(self, seen: np.ndarray, where: str) -> None:
-        """Raises `BadInput` where a joint is seen, `(15,)` bool, of which it knows nothing; `where`
-        names the detection."""
+        """Makes sure that it knows every joint that is seen.
+
+        Parameters
+        ----------
+        seen : `(15,)` bool
+            The joints that are seen.
+        where
+            The detection, in words.
+
+        Raises
+        ------
+        BadInput
+            Where it knows nothing of one of them.
+        """
         for joint in np.flatnonzero(np.asarray(seen) & ~self.known):
             raise BadInput(
                 f"the error law knows no {JOINTS[joint]}, which is seen in {where}; add it to the"
@@ -227,8 +250,25 @@ class DetectorErrors:
 
     @classmethod
     def from_document(cls, document: Any, source: str) -> Self:
-        """The law in a parsed JSON document, which messages call `source`; raises `BadInput` as
-        `read`."""
+        """The law in a JSON document.
+
+        Parameters
+        ----------
+        document
+            Parsed.
+        source
+            What messages call it.
+
+        Returns
+        -------
+        DetectorErrors
+            The law.
+
+        Raises
+        ------
+        BadInput
+            As `read`.
+        """
         _require_format(document, source)
         joints = _Joints()
         for name, entry in _object(document["joints"], "joints", source).items():
@@ -274,7 +314,18 @@ class DetectorErrors:
         return entry
 
     def write(self, path: str | os.PathLike) -> None:
-        """Writes what `read` reads, whole or not at all. Raises `BadInput` where it cannot."""
+        """Writes what `read` reads, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Raises
+        ------
+        BadInput
+            Where it cannot be written.
+        """
         with replacing(path) as place:
             text = json.dumps(self.document(), indent=1, ensure_ascii=False, allow_nan=False)
             place.write_text(text + "\n", encoding="utf-8")

@@ -55,8 +55,10 @@ class Faults(NamedTuple):
 
     Attributes
     ----------
-    exchange : `(...)`, index into `EXCHANGES`.
-    outlier : `(..., 15)` bool, which keypoints are outliers, by the joint they are named after.
+    exchange : `(...)`
+        Index into `EXCHANGES`.
+    outlier : `(..., 15)` bool
+        Which keypoints are outliers, by the joint they are named after.
     """
 
     exchange: Any
@@ -82,10 +84,13 @@ class FaultPrior:
 
     Attributes
     ----------
-    outlier : 15 prior probabilities that a keypoint is an outlier; for the torso's, what each had
+    outlier
+        15 prior probabilities that a keypoint is an outlier; for the torso's, what each had
         if it were independent of the others.
-    exchange : 5 prior probabilities of the exchanges but the first, "none".
-    reach : body units, how far from its joint an outlier may lie.
+    exchange
+        5 prior probabilities of the exchanges but the first, "none".
+    reach
+        Body units, how far from its joint an outlier may lie.
 
     Raises
     ------

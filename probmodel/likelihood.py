@@ -35,13 +35,16 @@ if TYPE_CHECKING:
 class ErrorLaw(abc.ABC):
     """The isotropic law of an error e in the plane, in units of a joint's spread.
 
-    Its density falls with |e| and ends at `reach`.
+    Its density falls with the length of e and ends at `reach`.
 
     Attributes
     ----------
-    reach : the largest |e| that has any density.
-    log_peak : log density at e = 0, per squared spread.
-    flat : whether the density is the same everywhere within the reach, so that the indicator is all
+    reach
+        The largest length of e that has any density.
+    log_peak
+        Log density at e = 0, per squared spread.
+    flat
+        Whether the density is the same everywhere within the reach, so that the indicator is all
         there is.
     """
 
@@ -51,14 +54,27 @@ class ErrorLaw(abc.ABC):
 
     @abc.abstractmethod
     def log_ratio(self, square: ArrayLike) -> jax.Array:
-        """`(...)`: log f(e)/f(0) at squared distances |e|² `(...)`; -inf beyond the reach."""
+        """`(...)`: log f(e)/f(0) at squared lengths of e `(...)`; -inf beyond the reach."""
 
     @abc.abstractmethod
     def distance(self, uniform: ArrayLike) -> jax.Array:
-        """`(...)`: the quantiles of |e| at numbers `(...)` in [0, 1)."""
+        """`(...)`: the quantiles of the length of e at numbers `(...)` in [0, 1)."""
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        """Errors `(*shape, 2)`."""
+        """Errors.
+
+        Parameters
+        ----------
+        key
+            Of the draws.
+        shape
+            How many.
+
+        Returns
+        -------
+        Array
+            `(*shape, 2)`, in spreads.
+        """
         for_distance, for_angle = jax.random.split(key)
         distance = self.distance(jax.random.uniform(for_distance, shape))
         angle = jax.random.uniform(for_angle, shape, maxval=2 * jnp.pi)
@@ -118,8 +134,10 @@ class WithOutliers(ErrorLaw):
 
     Attributes
     ----------
-    inlier : the law of the others.
-    outlier : `(..., joints)` bool, which are outliers.
+    inlier
+        The law of the others.
+    outlier : `(..., joints)` bool
+        Which are outliers.
     """
 
     inlier: ErrorLaw
@@ -157,9 +175,14 @@ class DetectedKeypoint(Distribution):
 
     Parameters
     ----------
-    law : the errors' law.
-    centre : `(..., 2)`, where the joint projects.
-    spread : `(...)`, in the units of `centre`.
+    law
+        The errors' law.
+    centre : `(..., 2)`
+        Where the joint projects.
+    spread : `(...)`
+        In the units of `centre`.
+    validate_args
+        Whether values are checked (NumPyro's switch).
     """
 
     arg_constraints = {"centre": constraints.real_vector, "spread": constraints.positive}  # noqa: RUF012
@@ -204,10 +227,14 @@ class Likelihood:
 
     Attributes
     ----------
-    law : the law of the errors.
-    factor : the paper's 0.25: the spread of a joint of average score, in mean limb lengths.
-    joints : the joints that count where they are seen.
-    faults : how often keypoints are outliers or exchanged, where the root is uncertain; under fixed
+    law
+        The law of the errors.
+    factor
+        The paper's 0.25: the spread of a joint of average score, in mean limb lengths.
+    joints
+        The joints that count where they are seen.
+    faults
+        How often keypoints are outliers or exchanged, where the root is uncertain; under fixed
         roots there are none.
     learned : how one detector errs, joint by joint, in place of the factor and of relative scores;
         see `Likelihood.of`.
@@ -258,13 +285,17 @@ class Likelihood:
 
         Parameters
         ----------
-        detection : whose scores.
-        scale : pixels per body unit.
-        joints : which of the seen joints count, and average to α = 1; default: `self.joints`.
+        detection
+            Whose scores.
+        scale
+            Pixels per body unit.
+        joints
+            Which of the seen joints count, and average to α = 1; default: `self.joints`.
 
         Returns
         -------
-        `(15,)` pixels, infinite where a joint does not count.
+        ndarray
+            `(15,)` pixels, infinite where a joint does not count.
 
         Raises
         ------
@@ -296,8 +327,27 @@ class Likelihood:
     def observe(
         self, detection: Detection, root: "Root", joints: Sequence[int] | None = None
     ) -> Observation:
-        """The detection as it looks under `root`, on the camera's plane and in body units; the
-        arguments and errors are those of `spread`."""
+        """The detection as it looks under a root, on the camera's plane and in body units.
+
+        Parameters
+        ----------
+        detection
+            What was detected.
+        root
+            Torso and camera.
+        joints
+            As in `spread`.
+
+        Returns
+        -------
+        Observation
+            Targets and spreads.
+
+        Raises
+        ------
+        BadInput
+            As `spread`.
+        """
         scale = float(root.camera.scale)
         spread = self.spread(detection, scale, joints) / scale
         target = root.camera.to_plane(detection.keypoints) - self.bias
@@ -305,8 +355,20 @@ class Likelihood:
         return Observation(root, target, spread, self.law)
 
     def log_torso(self, detection: Detection, root: "Root") -> float:
-        """Log density of the seen torso joints, whose scores are normalised among themselves; -inf
-        where one lies beyond its reach."""
+        """Log density of the seen torso joints, whose scores are normalised among themselves.
+
+        Parameters
+        ----------
+        detection
+            What was detected.
+        root
+            Torso and camera.
+
+        Returns
+        -------
+        float
+            −inf where one lies beyond its reach.
+        """
         joints = np.zeros((NUM_JOINTS, 3))
         joints[list(TORSO_INDEX)] = np.asarray(root.view)
         return float(self.observe(detection, root, TORSO_INDEX).log_density(joints))

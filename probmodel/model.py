@@ -40,11 +40,28 @@ class PoseModel:
     """The model of a pose, a pytree. Without arguments: the embedded limits, lengths and torsos,
     eqs. 7 and 8.
 
-    `upper` is the measure of upper bones ("angle", eq. 7, or "area"), `lower` that of lower bones
-    ("area", eq. 8, or "box", the recipe inside the disc); another name raises `ValueError`. Derived
-    once: `cells`, the regions of the five upper bones (leaves start with 5), and `hinges`, those of
-    the four lower bones in every cell of their parents (leaves start with 4 × 120 × 60; a cell
-    without a plane has a hinge that nothing satisfies)."""
+    Derived once: `cells`, the regions of the five upper bones (leaves start with 5), and `hinges`,
+    those of the four lower bones in every cell of their parents (leaves start with 4 × 120 × 60; a
+    cell without a plane has a hinge that nothing satisfies).
+
+    Parameters
+    ----------
+    limits
+        Which directions are possible.
+    lengths
+        The prior of bone lengths.
+    torsos : `(J, 6, 3)`
+        The dictionary of torsos, body axes, body units.
+    upper
+        The measure in which upper bones are uniform: "angle", eq. 7, or "area".
+    lower
+        That of lower bones: "area", eq. 8, or "box", the recipe inside the disc.
+
+    Raises
+    ------
+    ValueError
+        On another name of a measure.
+    """
 
     limits: AnatomicalLimits
     lengths: LengthPrior
@@ -107,7 +124,20 @@ class PoseModel:
     def from_anatomy(
         cls, anatomy: Anatomy, *, upper: str = "angle", lower: str = "area"
     ) -> "PoseModel":
-        """The model with the limits, lengths and torsos of one learned file."""
+        """The model with the limits, lengths and torsos of one learned file.
+
+        Parameters
+        ----------
+        anatomy
+            What is learned.
+        upper, lower
+            The measures, as in `PoseModel`.
+
+        Returns
+        -------
+        PoseModel
+            The model.
+        """
         return cls(anatomy.limits, anatomy.lengths, anatomy.torsos, upper=upper, lower=lower)
 
     def hinges_at(self, upper: ArrayLike) -> Hinge:
@@ -119,14 +149,39 @@ class PoseModel:
     def joints(
         self, torso: ArrayLike, length: ArrayLike, upper: ArrayLike, lower: ArrayLike
     ) -> jax.Array:
-        """Joints `(..., 15, 3)`, in the axes of the `torso` `(..., 6, 3)`, of the pose `(length,
-        upper, lower)` as in `Pose`."""
+        """The joints of poses, in the axes of the torso.
+
+        Parameters
+        ----------
+        torso : `(..., 6, 3)`
+            In any axes; camera axes give joints in camera axes.
+        length, upper, lower
+            The pose, as in `Pose`.
+
+        Returns
+        -------
+        Array
+            `(..., 15, 3)`.
+        """
         length = jnp.asarray(length)[..., jnp.array(LENGTH_OF_BONE)]
         reference, fallback = jnp.asarray(self.limits.reference), jnp.asarray(self.limits.fallback)
         return pose(torso, upper, lower, length, reference, fallback)
 
     def pose_of(self, joints: ArrayLike, length: ArrayLike) -> Pose:
-        """The pose whose joints `(..., 15, 3)`, in any axes, and lengths `(..., 5)` are given."""
+        """The pose with given joints; the inverse of `joints`.
+
+        Parameters
+        ----------
+        joints : `(..., 15, 3)`
+            In any axes.
+        length : `(..., 5)`
+            Bone lengths.
+
+        Returns
+        -------
+        Pose
+            Lengths and directions.
+        """
         reference, fallback = jnp.asarray(self.limits.reference), jnp.asarray(self.limits.fallback)
         parts = articulation(joints, reference, fallback)
         return Pose(jnp.asarray(length), parts.upper, parts.lower)
@@ -142,7 +197,20 @@ class PoseModel:
         return Pose(length, upper, step("lower", HingedDirection(self.hinges_at(upper))))
 
     def draw(self, key: jax.Array, number: int) -> Pose:
-        """`number` poses of the prior, `(number, ...)`."""
+        """Poses of the prior.
+
+        Parameters
+        ----------
+        key
+            Of the draws.
+        number
+            How many.
+
+        Returns
+        -------
+        Pose
+            Leaves start with `number`.
+        """
         keys = iter(jax.random.split(key, 3))
 
         def step(site: str, law: Any) -> jax.Array:
@@ -175,7 +243,18 @@ class PoseModel:
         return numpyro.deterministic("joints", self.joints(torso, *drawn))
 
     def log_prior(self, length: ArrayLike, upper: ArrayLike, lower: ArrayLike) -> jax.Array:
-        """`(...)`: log density of poses `(length, upper, lower)` as in `Pose`, given the torso."""
+        """Log density of poses, given the torso.
+
+        Parameters
+        ----------
+        length, upper, lower
+            The poses, as in `Pose`.
+
+        Returns
+        -------
+        Array
+            `(...)`.
+        """
         given = {"bone_length": length, "upper": upper, "lower": lower}
         terms = []
 

@@ -22,12 +22,14 @@ class Observation(NamedTuple):
 
     Attributes
     ----------
-    root : the torso and camera.
-    target : `(15, 2)`, the detected joints on the camera's plane, body units; 0 where a joint does
-        not count.
-    spread : `(15,)`, the spread of each joint's error, body units; infinite where a joint does not
-        count.
-    law : the errors' law, in spreads.
+    root
+        The torso and camera.
+    target : `(15, 2)`
+        The detected joints on the camera's plane, body units; 0 where a joint does not count.
+    spread : `(15,)`
+        The spread of each joint's error, body units; infinite where a joint does not count.
+    law
+        The errors' law, in spreads.
     """
 
     root: "Root"

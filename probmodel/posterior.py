@@ -30,11 +30,16 @@ class Posterior:
 
     Attributes
     ----------
-    model : the prior of poses.
-    likelihood : how detections err.
-    detection : what was detected.
-    roots : the candidates for torso and camera, all of equal prior mass.
-    estimator : where they come from.
+    model
+        The prior of poses.
+    likelihood
+        How detections err.
+    detection
+        What was detected.
+    roots
+        The candidates for torso and camera, all of equal prior mass.
+    estimator
+        Where they come from.
     """
 
     model: PoseModel
@@ -90,10 +95,14 @@ class Estimate:
 
     Attributes
     ----------
-    detection : what was detected.
-    candidates : the roots.
-    likelihood : how detections err.
-    estimator : where the candidates come from.
+    detection
+        What was detected.
+    candidates
+        The roots.
+    likelihood
+        How detections err.
+    estimator
+        Where the candidates come from.
     """
 
     detection: Detection

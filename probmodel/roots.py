@@ -24,8 +24,10 @@ class Root(NamedTuple):
 
     Attributes
     ----------
-    torso : `(6, 3)`, body units, body axes, pelvis at the origin.
-    camera : the camera that sees it.
+    torso : `(6, 3)`
+        Body units, body axes, pelvis at the origin.
+    camera
+        The camera that sees it.
     """
 
     torso: np.ndarray | jax.Array
@@ -43,16 +45,23 @@ class Candidate:
 
     Attributes
     ----------
-    torso_index : index of the torso in the dictionary; -1 where it is not from there.
-    torso : `(6, 3)`, body axes, body units.
-    camera : the camera.
-    reprojection_error : root mean square distance in pixels, weighted by score, between the seen
-        torso joints and their projections.
-    pose : `(15, 3)`, the estimator's single 3D pose: camera axes, body units, pelvis at the
-        origin.
-    objective : what the estimator minimised, in its own units.
-    iterations : how many steps that took.
-    converged : whether it came to an end; if not, this is the best estimate found.
+    torso_index
+        Index of the torso in the dictionary; -1 where it is not from there.
+    torso : `(6, 3)`
+        Body axes, body units.
+    camera
+        The camera.
+    reprojection_error
+        Root mean square distance in pixels, weighted by score, between the seen torso joints and
+        their projections.
+    pose : `(15, 3)`
+        The estimator's single 3D pose: camera axes, body units, pelvis at the origin.
+    objective
+        What the estimator minimised, in its own units.
+    iterations
+        How many steps that took.
+    converged
+        Whether it came to an end; if not, this is the best estimate found.
     """
 
     torso_index: int
@@ -80,10 +89,14 @@ class RootPoint(NamedTuple):
 
     Attributes
     ----------
-    torso : `(...)`, index into the dictionary.
-    rotation : `(..., 3, 3)`, from body axes to camera axes.
-    log_scale : `(...)`, log of pixels per body unit.
-    translation : `(..., 2)`, where the pelvis falls in the image, pixels.
+    torso : `(...)`
+        Index into the dictionary.
+    rotation : `(..., 3, 3)`
+        From body axes to camera axes.
+    log_scale : `(...)`
+        Log of pixels per body unit.
+    translation : `(..., 2)`
+        Where the pelvis falls in the image, pixels.
     """
 
     torso: Any
@@ -107,7 +120,8 @@ class RootPrior:
 
     Attributes
     ----------
-    torsos : `(J, 6, 3)`, body axes, body units, pelvis at the origin.
+    torsos : `(J, 6, 3)`
+        Body axes, body units, pelvis at the origin.
     """
 
     torsos: np.ndarray | jax.Array

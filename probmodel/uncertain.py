@@ -33,12 +33,17 @@ class DetectedJoints(NamedTuple):
 
     Attributes
     ----------
-    keypoints : `(15, 2)` pixels, 0 where a joint does not count.
-    spread : `(15,)` of each joint's error in body units, the same under every root; infinite where
+    keypoints
+        `(15, 2)` pixels, 0 where a joint does not count.
+    spread
+        `(15,)` of each joint's error in body units, the same under every root; infinite where
         a joint does not count.
-    bias : `(15, 2)` of each keypoint, body units.
-    far : how far from its joint an outlier may lie, body units.
-    law : the errors' law.
+    bias
+        `(15, 2)` of each keypoint, body units.
+    far
+        How far from its joint an outlier may lie, body units.
+    law
+        The errors' law.
     """
 
     keypoints: np.ndarray | jax.Array
@@ -87,12 +92,17 @@ class UncertainPosterior:
 
     Attributes
     ----------
-    model : the prior of poses, and the dictionary of torsos.
-    likelihood : how detections err; its `joints` count, and the torso's beside them.
-    detection : what was detected.
-    candidates : an estimator's roots; the posterior does not depend on them, they name the ways the
-        person may face.
-    estimator : where the candidates come from.
+    model
+        The prior of poses, and the dictionary of torsos.
+    likelihood
+        How detections err; its `joints` count, and the torso's beside them.
+    detection
+        What was detected.
+    candidates
+        An estimator's roots; the posterior does not depend on them, they name the ways the person
+        may face.
+    estimator
+        Where the candidates come from.
     """
 
     model: PoseModel
@@ -138,10 +148,24 @@ class UncertainPosterior:
         return self.model.posterior(self.detected.under(self.prior, point, faults))
 
     def log_joint(self, points: RootPoint, poses: Pose, faults: Faults | None = None) -> jax.Array:
-        """`(n,)`: log joint density of roots, poses and patterns of faults `(n, ...)` (default:
-        none) with the detection, that of the program; -inf outside. With respect to counting
-        (torso, faults) × Haar's × log scale × area (pixels) and the base measures of poses and
-        detections."""
+        """Log joint density of roots, poses and patterns of faults with the detection, that of the
+        program. With respect to counting (torso, faults) × Haar's × log scale × area (pixels) and
+        the base measures of poses and detections.
+
+        Parameters
+        ----------
+        points
+            Roots, leaves start with n.
+        poses
+            Poses, leaves start with n.
+        faults
+            Which detections are faults, leaves start with n; by default none.
+
+        Returns
+        -------
+        Array
+            `(n,)`; −inf outside.
+        """
         if faults is None:
             faults = Faults.none(len(np.asarray(points.torso)))
         return log_joints(self.model, self.detected, self.faults, points, poses, faults)

@@ -145,6 +145,13 @@ class Detected:
             help="JSON object of a detector's own joint names → ours, or list in the file's order."
         ),
     ] = None
+    layout: Annotated[
+        str | None,
+        Option(
+            help="Order of the joints, for arrays and lists that do not say it: coco_17, halpe_26,"
+            " …."
+        ),
+    ] = None
     correct: Annotated[
         bool,
         Option("--correct", help="Move midpoints to where the skeleton's thorax and pelvis are."),
@@ -163,19 +170,18 @@ class Detected:
         """The frames of a folder or file, lazily. Raises `BadInput` as `read_frames` does."""
         from probmodel import read_frames
 
-        for frame in read_frames(
-            path, self.format, self.threshold, image_size=self._size(), names=self._names()
-        ):
+        for frame in read_frames(path, self.format, self.threshold, **self._known()):
             yield frame._replace(people=self._corrected(frame.people))
 
     def people(self, file: Path) -> "list[Detection]":
         """The people of a file. Raises `BadInput` on a bad file, size, image or map of names."""
         from probmodel import read_detections
 
-        size, names = self._size(), self._names()
-        return self._corrected(
-            read_detections(file, self.format, self.threshold, image_size=size, names=names)
-        )
+        return self._corrected(read_detections(file, self.format, self.threshold, **self._known()))
+
+    def _known(self) -> dict[str, Any]:
+        """What the user knows of a file that it does not say itself."""
+        return {"image_size": self._size(), "names": self._names(), "layout": self.layout}
 
     def _corrected(self, people: "list[Detection]") -> "list[Detection]":
         from probmodel.layouts import corrected

@@ -204,7 +204,10 @@ class CheckSettings:
         "check 01_01.amc --limits limits.npz",
     )
     file: Annotated[
-        Path, Argument(help="3D poses: .nc, .json, .amc, .bvh, .npy, .npz.", show_default=False)
+        Path,
+        Argument(
+            help="3D poses: .nc, .json, .amc, .bvh, .trc, .c3d, .npy, .npz.", show_default=False
+        ),
     ]
     limits: Limits = "default"
 
@@ -519,7 +522,9 @@ class LearnSettings:
     )
     mocap: Annotated[
         list[Path],
-        Argument(help="Motion capture: ASF/AMC folder, .bvh, .npz.", show_default=False),
+        Argument(
+            help="Motion capture: ASF/AMC folder, .bvh, .trc, .c3d, .npz.", show_default=False
+        ),
     ]
     out: Annotated[Path, Option(help="File to write.")] = Path("limits.npz")
     poses: Annotated[

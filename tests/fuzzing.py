@@ -47,6 +47,7 @@ from reports.options import Detected
 from tests.probmodel import test_motion
 from tests.probmodel.test_datasets import MOTIONS, human36m
 from tests.probmodel.test_formats_fuzz import FILES, SIZE, hdf5, npy, npz
+from tests.probmodel.test_markers import trc, write_c3d
 from tests.probmodel.test_published import write_model
 
 MEMORY = 2 << 30
@@ -88,6 +89,8 @@ def targets() -> dict[str, Target]:
         ),
         "motion .npz": Target("a.npz", _motion, [npz(**{"a/b": joints})]),
         "motion .bvh": Target("a.bvh", _motion, _bvh()),
+        "motion .trc": Target("a.trc", _motion, [trc().encode()]),
+        "motion .c3d": Target("a.c3d", _motion, [_written(write_c3d)]),
         "motion .asf": Target("07.asf", _subject, [_asf()], {"07_01.amc": _amc()}),
         "motion .amc": Target("07_01.amc", _motion, [_amc()], {"07.asf": _asf()}),
         "data set": Target(

@@ -46,7 +46,7 @@ def test_the_lock_has_every_requirement() -> None:
 def test_the_hosted_workflow_calls_what_has_to_pass() -> None:
     jobs = read(".github/workflows/ci.yml")["jobs"]
     commands = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
-    assert commands == [".ci/run", "make dist"]
+    assert commands == [".ci/run", "make docs", "make dist"]
 
 
 def test_hooks_are_those_of_make_lint() -> None:

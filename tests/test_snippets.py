@@ -14,6 +14,7 @@ from probmodel.example import example
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+"""Those of docs/how-to run in `tests/test_how_to.py`, with the commands between their snippets."""
 SLOW = ("NUTS", "emcee", "Predictive")
 """Words of snippets that compile whole programs, which takes some ten seconds each."""
 FENCED = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
@@ -80,7 +81,16 @@ def test_a_snippet_that_does_not_run_is_caught() -> None:
     assert caught.traceback[-1].lineno + 1 == 6
 
 
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page",
+    [
+        *PAGES,
+        *sorted(ROOT.glob("docs/*/*.md")),
+        ROOT / "CONTRIBUTING.md",
+        ROOT / "examples/README.md",
+    ],
+    ids=lambda page: page.name,
+)
 def test_links_lead_somewhere(page: Path) -> None:
     links = LINK.findall(page.read_text(encoding="utf-8"))
     lost = [link for link in links if not (page.parent / link).exists()]

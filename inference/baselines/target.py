@@ -44,7 +44,17 @@ COORDINATES = (
 @dataclasses.dataclass(frozen=True)
 class Target:
     """The posterior of the limbs, given one candidate: prior × indicator that every seen joint is
-    inside its disc."""
+    inside its disc. The usual way in is `of`.
+
+    Attributes
+    ----------
+    model
+        The prior of poses.
+    observation
+        The detection under the candidate.
+    active
+        Which coordinates of the unit cube a seen joint depends on.
+    """
 
     model: PoseModel
     observation: Observation
@@ -52,8 +62,23 @@ class Target:
 
     @classmethod
     def of(cls, posterior: Posterior) -> Self:
-        """The target of a posterior with one root. Raises `BadInput` where there are more, or
-        nothing is seen."""
+        """The target of a posterior with one root.
+
+        Parameters
+        ----------
+        posterior
+            Of an estimate with one candidate.
+
+        Returns
+        -------
+        Target
+            Its coordinates are those that a seen joint depends on.
+
+        Raises
+        ------
+        BadInput
+            Where there are more roots, or nothing is seen.
+        """
         where = posterior.detection.where
         if len(posterior.roots) != 1:
             raise BadInput(
@@ -90,7 +115,20 @@ class Target:
         return self.log_base(points) + self.log_walls(points, sharpness)
 
     def log_walls(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
-        """`(...)`: log of the soft walls at points of R^d, at most 0."""
+        """Soft walls around the discs, for samplers that need slopes.
+
+        Parameters
+        ----------
+        points : `(..., d)`
+            Points of R^d.
+        sharpness
+            How steep they are.
+
+        Returns
+        -------
+        Array
+            `(...)`: the log of the walls, at most 0.
+        """
 
         squares = self.observation.squares(self._joints(self._pose(jnp.asarray(points))))
         walls = jax.nn.log_sigmoid(sharpness * (1 - squares / self.observation.law.reach**2))
@@ -124,7 +162,20 @@ class Target:
         return jnp.vectorize(one, signature="(d)->()")(points)
 
     def prior_points(self, key: jax.Array, number: int) -> jax.Array:
-        """`(number, d)` points of R^d from the prior."""
+        """Points of R^d from the prior.
+
+        Parameters
+        ----------
+        key
+            Of the draws.
+        number
+            How many.
+
+        Returns
+        -------
+        Array
+            `(number, d)`.
+        """
         fraction = jax.random.beta(key, *self._shape, (number, self.dim))
         return _logit(fraction)
 
@@ -133,8 +184,20 @@ class Target:
         return np.asarray(_points(self, Pose(*(jnp.asarray(part) for part in poses))))
 
     def poses(self, key: jax.Array, points: ArrayLike) -> Pose:
-        """Poses at points `(..., d)` of R^d; what no seen joint depends on is drawn from the
-        prior."""
+        """Poses at points of R^d; what no seen joint depends on is drawn from the prior.
+
+        Parameters
+        ----------
+        key
+            Of those draws.
+        points : `(..., d)`
+            Points of R^d.
+
+        Returns
+        -------
+        Pose
+            Leaves start with `...`.
+        """
         points = np.asarray(points)
         # NumPy's Beta variables: those of JAX take longer to compile than all the rest.
         rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))

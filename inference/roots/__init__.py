@@ -61,17 +61,23 @@ def estimate_torsos(
 
     Parameters
     ----------
-    detections : the people.
-    method : one of `ESTIMATORS`, or a file of poses of another estimator (`roots.external`).
-    torsos, limits, poses : what is known of bodies: torsos `(J, 6, 3)`, joint limits, a pose
-        dictionary; default: what is embedded.
-    num_candidates : the most that are kept for each, best reprojection (dictionary) or objective
-        first; 1 is the paper's method.
-    likelihood : how detections err; no estimator looks at it, it is handed on.
+    detections
+        The people.
+    method
+        One of `ESTIMATORS`, or a file of poses of another estimator (`roots.external`).
+    torsos, limits, poses
+        What is known of bodies: torsos `(J, 6, 3)`, joint limits, a pose dictionary; default: what
+        is embedded.
+    num_candidates
+        The most that are kept for each, best reprojection (dictionary) or objective first; 1 is the
+        paper's method.
+    likelihood
+        How detections err; no estimator looks at it, it is handed on.
 
     Returns
     -------
-    An `Estimate` a person; one that did not converge says so (`Estimate.converged`).
+    list of Estimate
+        One a person; one that did not converge says so (`Estimate.converged`).
 
     Raises
     ------
@@ -94,7 +100,27 @@ def estimate_torsos(
 def estimate_torso(
     detection: Detection, method: str = "dictionary", **settings: object
 ) -> Estimate:
-    """`estimate_torsos` of one person, with the same settings."""
+    """Estimates torso, camera and a single 3D pose of one person.
+
+    Parameters
+    ----------
+    detection
+        The person.
+    method
+        One of `ESTIMATORS`, or a file of poses of another estimator.
+    **settings
+        Those of `estimate_torsos`.
+
+    Returns
+    -------
+    Estimate
+        With its candidates; `Estimate.converged` says whether the estimator came to an end.
+
+    Raises
+    ------
+    BadInput
+        On an unknown method, and where too little was detected for a camera or a pose.
+    """
     return estimate_torsos([detection], method, **settings)[0]  # type: ignore[arg-type]
 
 

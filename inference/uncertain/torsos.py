@@ -57,11 +57,15 @@ class TorsoDraws(NamedTuple):
 
     Attributes
     ----------
-    points : the roots `(n, ...)`.
-    attempts : how many were made.
-    log_evidence : log of the integral over roots of prior mass × scale⁻² for every seen joint of
-        the torso × the likelihood of these joints over its peak; -inf where no root was found.
-    variance : of that log, by the delta method; infinite where no root was found.
+    points
+        The roots `(n, ...)`.
+    attempts
+        How many were made.
+    log_evidence
+        Log of the integral over roots of prior mass × scale⁻² for every seen joint of the torso ×
+        the likelihood of these joints over its peak; -inf where no root was found.
+    variance
+        Of that log, by the delta method; infinite where no root was found.
     """
 
     points: RootPoint
@@ -107,10 +111,14 @@ def lowest_scale(
 
     Parameters
     ----------
-    torsos : `(J, n, 3)` body units
-    keypoints : `(n, 2)` pixels
-    bias : `(n, 2)` body units
-    reach : `(n,)` body units
+    torsos
+        `(J, n, 3)` body units
+    keypoints
+        `(n, 2)` pixels
+    bias
+        `(n, 2)` body units
+    reach
+        `(n,)` body units
     """
     apart = np.linalg.norm(keypoints[:, None] - keypoints[None], axis=-1)
     widest = np.linalg.norm(torsos[:, :, None] - torsos[:, None], axis=-1).max(axis=0)
@@ -131,11 +139,16 @@ def draw_roots(
 
     Parameters
     ----------
-    posterior : whose detection shows enough of the torso to determine a camera.
-    faults : one pattern, of which those of the torso count.
-    words : of the key.
-    number : how many roots.
-    budget : of attempts; "as many as it allows" has an unbiased evidence too.
+    posterior
+        Whose detection shows enough of the torso to determine a camera.
+    faults
+        One pattern, of which those of the torso count.
+    words
+        Of the key.
+    number
+        How many roots.
+    budget
+        Of attempts; "as many as it allows" has an unbiased evidence too.
     """
     posed = torso_problem(posterior, faults)
     cells = cut_roots(posed.problem)

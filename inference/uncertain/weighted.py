@@ -46,12 +46,17 @@ class WeightedRoots:
 
     Attributes
     ----------
-    posterior : what they are drawn from.
-    proposed : the roots, with their patterns of faults.
-    limbs : for each root, what attempts at its limbs brought.
-    log_weight : `(n,)` log of each root's weight, whose mean is the evidence; -inf where no draw
-        was accepted.
-    proposals : how many attempts all that took.
+    posterior
+        What they are drawn from.
+    proposed
+        The roots, with their patterns of faults.
+    limbs
+        For each root, what attempts at its limbs brought.
+    log_weight
+        `(n,)` log of each root's weight, whose mean is the evidence; -inf where no draw was
+        accepted.
+    proposals
+        How many attempts all that took.
     """
 
     posterior: UncertainPosterior
@@ -144,11 +149,16 @@ def weigh_roots(
 
     Parameters
     ----------
-    posterior : what is to be drawn from.
-    key : of all random numbers: the same key, the same roots and weights.
-    num_roots : how many roots.
-    max_proposals : most attempts, at roots and limbs together; fewer roots where they end first.
-    progress : called now and then with the roots weighed and wanted.
+    posterior
+        What is to be drawn from.
+    key
+        Of all random numbers: the same key, the same roots and weights.
+    num_roots
+        How many roots.
+    max_proposals
+        Most attempts, at roots and limbs together; fewer roots where they end first.
+    progress
+        Called now and then with the roots weighed and wanted.
 
     Raises
     ------

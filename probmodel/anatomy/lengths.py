@@ -28,7 +28,15 @@ class LengthPrior(NamedTuple):
 
 
 class BoneLength(Distribution):
-    """Lengths `(5,)` of `skeleton.LENGTH_GROUPS`, body units."""
+    """Lengths `(5,)` of `skeleton.LENGTH_GROUPS`, body units (eq. 6).
+
+    Parameters
+    ----------
+    prior
+        Ranges and shapes of the lengths.
+    validate_args
+        Whether values are checked (NumPyro's switch).
+    """
 
     arg_constraints: dict[str, Any] = {}  # noqa: RUF012 — NumPyro's own protocol
     pytree_data_fields = ("prior",)

@@ -68,6 +68,7 @@ class Check(NamedTuple):
     Parameters
     ----------
     valid : `(..., 9)` bool
+        Whether the bone is possible.
     limit : `(..., 9)` int
         Which of `LIMITS` the bone breaks.
     excess : `(..., 9)`
@@ -137,13 +138,46 @@ class AnatomicalLimits:
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "AnatomicalLimits":
-        """Reads a file that `save` wrote. Raises `BadInput` where it is not one, is truncated or
-        has other shapes."""
+        """Reads a file that `save` wrote.
+
+        Parameters
+        ----------
+        path
+            The .npz.
+
+        Returns
+        -------
+        AnatomicalLimits
+            The tables.
+
+        Raises
+        ------
+        BadInput
+            Where it is not one, is truncated or has other shapes.
+        """
         return cls.unpack(read_tables(path, *FILE), Path(path))
 
     @classmethod
     def unpack(cls, arrays: Mapping[str, np.ndarray], path: Path) -> "AnatomicalLimits":
-        """Inverse of `pack`; other keys are ignored. Raises `BadInput`, naming `path`."""
+        """Inverse of `pack`.
+
+        Parameters
+        ----------
+        arrays
+            Of the .npz; other keys are ignored.
+        path
+            Named in messages.
+
+        Returns
+        -------
+        AnatomicalLimits
+            The tables.
+
+        Raises
+        ------
+        BadInput
+            Where arrays are missing or have other shapes.
+        """
         missing = [
             key
             for key in ("occupied", "has_plane", *_PLANES, "reference", "fallback")
@@ -179,8 +213,18 @@ class AnatomicalLimits:
         return limits
 
     def verify(self, source: str) -> None:
-        """Raises `BadInput`, naming `source`, unless shapes, finiteness and orthonormality are
-        those of limits."""
+        """Makes sure that shapes, finiteness and orthonormality are those of limits.
+
+        Parameters
+        ----------
+        source
+            Named in the message.
+
+        Raises
+        ------
+        BadInput
+            Where they are not.
+        """
         for key, shape in _SHAPES.items():
             found = np.shape(getattr(self, key))
             if found != shape:
@@ -209,8 +253,18 @@ class AnatomicalLimits:
             raise BadInput(f"{source}: an upper bone has no occupied cell at all")
 
     def save(self, path: str | os.PathLike) -> None:
-        """Writes a compact .npz, whole or not at all and without loss. Raises `BadInput` where it
-        cannot be written."""
+        """Writes a compact .npz, whole or not at all and without loss.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Raises
+        ------
+        BadInput
+            Where it cannot be written.
+        """
         write_tables(path, self.pack())
 
     def pack(self) -> dict[str, np.ndarray]:
@@ -255,6 +309,12 @@ class AnatomicalLimits:
         ----------
         joints : `(..., 15, 3)`
             In any right-handed axes and any unit.
+
+        Returns
+        -------
+        Check
+            Leaves start with `...`: for each of the nine bones, whether it is possible, which limit
+            it breaks, and by how many degrees.
 
         Raises
         ------

@@ -31,6 +31,7 @@ class Anatomy:
     Parameters
     ----------
     limits
+        Which directions are possible.
     lengths
         Arrays `(5,)`, body units.
     torsos : `(J, 6, 3)`
@@ -55,7 +56,23 @@ class Anatomy:
     @classmethod
     def load(cls, path: str | os.PathLike) -> "Anatomy":
         """Reads what `save` wrote. Limits alone (`AnatomicalLimits.save`, or the published .mat of
-        Akhter & Black) get the default lengths and torsos. Raises `BadInput` on anything else."""
+        Akhter & Black) get the default lengths and torsos.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Returns
+        -------
+        Anatomy
+            What is in it.
+
+        Raises
+        ------
+        BadInput
+            On anything else.
+        """
         path = Path(path)
         if path.suffix.lower() == ".mat":
             return dataclasses.replace(cls.default(), limits=read_published(path))
@@ -72,8 +89,18 @@ class Anatomy:
         return cls(limits, _lengths(arrays, path), _torsos(arrays["torsos"], path))
 
     def save(self, path: str | os.PathLike) -> None:
-        """Writes one .npz, whole or not at all and without loss. Raises `BadInput` where it cannot
-        be written."""
+        """Writes one .npz, whole or not at all and without loss.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Raises
+        ------
+        BadInput
+            Where it cannot be written.
+        """
         tables = dict(zip(_LENGTH_KEYS, self.lengths, strict=True)) | {"torsos": self.torsos}
         write_tables(
             path,

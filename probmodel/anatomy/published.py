@@ -52,6 +52,11 @@ def read_published(
         Of the published `staticPose.mat`, from which the reference direction `a` and the static
         bones `di` are read; by default from the model itself.
 
+    Returns
+    -------
+    AnatomicalLimits
+        For poses in right-handed axes, as everywhere here.
+
     Raises
     ------
     BadInput

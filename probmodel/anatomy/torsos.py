@@ -10,7 +10,15 @@ from numpyro.distributions import Distribution, constraints
 
 
 class TorsoDictionary(Distribution):
-    """Index `()` of a torso, uniform over the dictionary `torsos` `(J, 6, 3)`."""
+    """Index `()` of a torso, uniform over a dictionary.
+
+    Parameters
+    ----------
+    torsos : `(J, 6, 3)`
+        Body axes, body units.
+    validate_args
+        Whether values are checked (NumPyro's switch).
+    """
 
     arg_constraints: dict[str, Any] = {}  # noqa: RUF012 — NumPyro's own protocol
     has_enumerate_support = True

@@ -67,6 +67,11 @@ def read_data_set(
     detections
         Which of Human3.6M's 2D files: `data_2d_h36m_<detections>.npz`.
 
+    Returns
+    -------
+    DataSet
+        Its cases, in millimetres and camera axes.
+
     Raises
     ------
     BadInput

@@ -92,13 +92,33 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class DataSet:
-    """`N` cases as arrays: `poses` `(N, 15, 3)` mm in camera axes, `keypoints` `(N, 15, 2)` pixels
-    (NaN where missing), `score` `(N, 15)` (0 there), `scale` `(N,)` pixels a mm, `translation` `(N,
-    2)`; `action`, `subject` and `recording` `(N,)` texts. Frames of one recording are alike:
-    intervals are to be drawn over recordings.
+    """Cases whose truth is known, as arrays.
 
-    Raises `BadInput` on other shapes, on poses that are not finite or not in millimetres, and on
-    frames without action."""
+    Frames of one recording are alike: intervals are to be drawn over recordings.
+
+    Attributes
+    ----------
+    name
+        What it is called in results.
+    poses : `(N, 15, 3)`
+        Millimetres, camera axes.
+    keypoints : `(N, 15, 2)`
+        Pixels, NaN where missing.
+    score : `(N, 15)`
+        0 where missing.
+    scale : `(N,)`
+        Pixels a millimetre.
+    translation : `(N, 2)`
+        Where the pelvis falls in the image, pixels.
+    action, subject, recording : `(N,)` texts
+        What was done, by whom, and in which recording.
+
+    Raises
+    ------
+    BadInput
+        On other shapes, on poses that are not finite or not in millimetres, and on frames without
+        action.
+    """
 
     name: str
     poses: np.ndarray
@@ -160,8 +180,25 @@ class DataSet:
         return len(self.poses)
 
     def case(self, row: int, number: int | None = None) -> Case:
-        """The case of that row; `number` is its number where these are some of a larger set's
-        cases. Raises `BadInput` where its detection is not one (a score below zero, …)."""
+        """One of the cases.
+
+        Parameters
+        ----------
+        row
+            Which.
+        number
+            Its number where these are some of a larger set's cases; by default the row.
+
+        Returns
+        -------
+        Case
+            With its detection.
+
+        Raises
+        ------
+        BadInput
+            Where its detection is not one (a score below zero, …).
+        """
         number = row if number is None else number
         detection = Detection(
             self.keypoints[row], self.score[row], "skeleton_15", f"frame {number} of {self.name}", 0

@@ -62,15 +62,30 @@ def _log_density(region: Region, vector: jax.Array) -> jax.Array:
 
 class OccupiedDirection(_Direction):
     """Direction of an upper bone, uniform on the occupied cells in the cells' measure (eq. 7 for
-    "angle")."""
+    "angle").
+
+    Parameters
+    ----------
+    region
+        The cells of azimuth and elevation that are possible.
+    validate_args
+        Whether values are checked (NumPyro's switch).
+    """
 
     def __init__(self, region: Cells, *, validate_args: bool | None = None) -> None:
         super().__init__(region, jnp.shape(region.columns)[:-1], validate_args=validate_args)
 
 
 class HingedDirection(_Direction):
-    """Direction of a lower bone given its hinge, uniform in the hinge's measure (eq. 8 for
-    "area")."""
+    """Direction of a lower bone given its hinge, uniform in the hinge's measure (eq. 8 for "area").
+
+    Parameters
+    ----------
+    region
+        The hinge: a plane and a box in a lower bone's local axes.
+    validate_args
+        Whether values are checked (NumPyro's switch).
+    """
 
     def __init__(self, region: Hinge, *, validate_args: bool | None = None) -> None:
         super().__init__(region, jnp.shape(region.offset), validate_args=validate_args)

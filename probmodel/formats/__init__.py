@@ -19,15 +19,21 @@ from probmodel.formats import (
     coco,
     deeplabcut,
     hourglass,
+    instances,
     mediapipe,
     mmpose,
+    mpii,
+    named_points,
     named_table,
     native,
     openpose,
+    point_arrays,
+    sleap,
     ultralytics,
     videopose3d,
 )
 from probmodel.formats.common import Content, at_least_one_joint
+from probmodel.formats.kinds import seeming
 from probmodel.heatmaps import THRESHOLD as HEATMAP_THRESHOLD
 
 __all__ = [
@@ -45,29 +51,60 @@ __all__ = [
 
 class Format(NamedTuple):
     """A row of `FORMATS`: `recognises` is None for a format that is read only where it is asked for
-    by name. A joint with a score up to `threshold` is missing, where no other threshold is
-    given."""
+    by name. A joint with a score up to `threshold` is missing, where no other threshold is given.
+    Where `ordered` is false the user may name the order of the joints; other files have their own,
+    or names."""
 
     name: str
     about: str
     recognises: Callable[[Content], bool] | None
     read: Callable[[Content, float], Iterator[Detection]]
     threshold: float = 0.0
+    ordered: bool = True
 
 
 _ROWS = (
+    Format("movenet", "MoveNet .npy", point_arrays.recognises_movenet, point_arrays.read_movenet),
+    Format(
+        "freemocap",
+        "FreeMoCap .npy",
+        point_arrays.recognises_freemocap,
+        point_arrays.read_freemocap,
+    ),
+    Format(
+        "points",
+        "a .npy of points (with a layout)",
+        point_arrays.recognises,
+        point_arrays.read,
+        ordered=False,
+    ),
     Format(
         "heatmaps",
         "heatmaps",
         hourglass.recognises_heatmaps,
         hourglass.read_heatmaps,
         HEATMAP_THRESHOLD,
+        ordered=False,
     ),
     Format(
-        "hourglass", "Stacked Hourglass preds", hourglass.recognises_points, hourglass.read_points
+        "hourglass",
+        "Stacked Hourglass preds",
+        hourglass.recognises_points,
+        hourglass.read_points,
+        ordered=False,
     ),
+    Format("sleap", "SLEAP analysis HDF5", sleap.recognises, sleap.read),
     Format("deeplabcut-hdf5", "DeepLabCut HDF5", deeplabcut.recognises_hdf5, deeplabcut.read_hdf5),
-    Format("videopose3d", "VideoPose3D .npz", videopose3d.recognises, videopose3d.read),
+    Format(
+        "rtmlib",
+        "RTMLib .npz",
+        point_arrays.recognises_rtmlib,
+        point_arrays.read_rtmlib,
+        ordered=False,
+    ),
+    Format(
+        "videopose3d", "VideoPose3D .npz", videopose3d.recognises, videopose3d.read, ordered=False
+    ),
     Format("deeplabcut-csv", "DeepLabCut CSV", deeplabcut.recognises_csv, deeplabcut.read_csv),
     Format(
         "mediapipe-text",
@@ -119,7 +156,20 @@ _ROWS = (
         ultralytics.recognises_json,
         ultralytics.read_json,
     ),
-    Format("mmpose", "MMPose or RTMPose JSON", mmpose.recognises, mmpose.read),
+    Format(
+        "tensorflow.js",
+        "TensorFlow.js pose-detection JSON",
+        named_points.recognises_listed,
+        named_points.read_listed,
+    ),
+    Format(
+        "vision",
+        "Apple Vision JSON",
+        named_points.recognises_vision,
+        named_points.read_vision,
+    ),
+    Format("mpii", "MPII annotations", mpii.recognises, mpii.read),
+    Format("mmpose", "MMPose or RTMPose JSON", mmpose.recognises, mmpose.read, ordered=False),
     Format(
         "mediapipe",
         "MediaPipe JSON",
@@ -127,7 +177,20 @@ _ROWS = (
         mediapipe.read_json,
         mediapipe.THRESHOLD,
     ),
-    Format("coco-results", "COCO results or AlphaPose", coco.recognises_results, coco.read_results),
+    Format(
+        "coco-results",
+        "COCO results, AlphaPose or Detectron2",
+        coco.recognises_results,
+        coco.read_results,
+        ordered=False,
+    ),
+    Format(
+        "instances",
+        "MMPose 0.x, ViTPose, RTMLib or Detectron2 instances",
+        instances.recognises,
+        instances.read,
+        ordered=False,
+    ),
     Format("alphapose", "AlphaPose by image", alphapose.recognises, alphapose.read),
 )
 FORMATS = {row.name: row for row in _ROWS}
@@ -142,6 +205,7 @@ def read_detections(
     *,
     image_size: tuple[int, int] | None = None,
     names: Mapping[str, str] | Sequence[str] | None = None,
+    layout: str | None = None,
 ) -> list[Detection]:
     """Every person in a file of 2D joints, in the order of the file.
 
@@ -160,13 +224,22 @@ def read_detections(
         (width, height) in pixels, needed where coordinates are fractions of the image.
     names
         A detector's names of points → ours, where it names them freely; or ours in its order.
+    layout
+        The order of the joints, a name of `layouts.LAYOUTS`, for arrays and lists of points that do
+        not say it.
+
+    Returns
+    -------
+    list of Detection
+        Numbered from 0.
 
     Raises
     ------
     BadInput
         One sentence, for whatever is wrong with the file.
     """
-    return read_content(content_of(Path(path), image_size, names), format, threshold)
+    content = content_of(Path(path), image_size, names, layout)
+    return read_content(content, format, threshold)
 
 
 def read_content(
@@ -180,7 +253,13 @@ def read_content(
 
 
 def people_of(content: Content, row: Format, threshold: float | None) -> Iterator[Detection]:
-    """The people of a file one by one; there may be none."""
+    """The people of a file one by one; there may be none. Raises `BadInput` where the user names a
+    layout and the format has its own."""
+    if content.layout is not None and row.ordered:
+        raise BadInput(
+            f"{content.source} is {row.about}, whose points have an order or names of their own;"
+            " leave out layout (on the command line --layout)."
+        )
     return row.read(content, _threshold(row, threshold))
 
 
@@ -193,7 +272,20 @@ def _threshold(row: Format, threshold: float | None) -> float:
 
 def write_detections(path: str | os.PathLike[str], detections: Sequence[Detection]) -> None:
     """Writes this project's JSON; a file that was there is replaced as a whole or, on any failure,
-    not at all. Raises `BadInput` where there is nothing to write, or it cannot be written there."""
+    not at all.
+
+    Parameters
+    ----------
+    path
+        The file.
+    detections
+        The people, in this order.
+
+    Raises
+    ------
+    BadInput
+        Where there is nothing to write, or it cannot be written there.
+    """
     text = native.write(detections)
     with replacing(path, "choose another place") as partial:
         partial.write_text(text, encoding="utf-8")
@@ -203,12 +295,13 @@ def content_of(
     path: Path,
     image_size: tuple[int, int] | None = None,
     names: Mapping[str, str] | Sequence[str] | None = None,
+    layout: str | None = None,
 ) -> Content:
     """The content of a file, with what the user knows of it beside. Raises `BadInput` where it
     cannot be read."""
     advice = "give the path of a file of 2D joints."
     data = read_bytes(path, "file of 2D joints", advice, largest=LARGEST_FILE)
-    return Content(data, str(path), image_size, {} if names is None else names)
+    return Content(data, str(path), image_size, {} if names is None else names, layout)
 
 
 def format_of(content: Content, name: str = "auto") -> Format:
@@ -218,10 +311,15 @@ def format_of(content: Content, name: str = "auto") -> Format:
         return FORMATS[name]
     if name != "auto":
         raise BadInput(f"there is no format {name!r}; choose auto or one of {', '.join(FORMATS)}.")
+    if not content.data.strip():
+        raise BadInput(f"{content.source} is empty; check what wrote it.")
+    kind = seeming(content.data)
+    if kind is not None:
+        raise BadInput(f"{content.source} looks like {kind}.")
     for row in FORMATS.values():
         if row.recognises is not None and row.recognises(content):
             return row
-    known = "; ".join(row.about for row in FORMATS.values() if row.recognises is not None)
+    known = ", ".join(row.name for row in FORMATS.values() if row.recognises is not None)
     raise BadInput(
         f"{content.source} is of a shape that is not known here; the known ones are: {known}."
     )

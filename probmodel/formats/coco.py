@@ -18,6 +18,7 @@ from probmodel.formats.common import (
     image_side,
     mapping,
     named_layout,
+    said_layout,
     scored_points,
     sequence,
 )
@@ -26,10 +27,8 @@ from probmodel.layouts import COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_1
 PERSON = 1
 """COCO's category of persons."""
 
-RESULT_LAYOUTS = {
-    3 * layout.count: layout for layout in (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)
-}
-"""By how many numbers a record of results has."""
+RESULT_LAYOUTS = (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)
+"""Those that are told by how many numbers a record of results has."""
 
 
 def recognises_annotations(content: Content) -> bool:
@@ -74,10 +73,12 @@ def read_annotations(content: Content, threshold: float) -> Iterator[Detection]:
 
 def read_results(content: Content, threshold: float) -> Iterator[Detection]:
     """One detection for each record of the list, numbered in the order of the file."""
+    said = said_layout(content)
+    layouts = {3 * one.count: one for one in (RESULT_LAYOUTS if said is None else [said])}
     for person, (where, record) in enumerate(_records(content.records(), "record", content.source)):
         _check_category(record, {PERSON}, where)
         image = image_name(record.get("image_id"), f"image_id of {where}")
-        points, layout = _points(record, RESULT_LAYOUTS, where)
+        points, layout = _points(record, layouts, where)
         yield layout.detection(points, threshold, content.source, person, image)
 
 

@@ -8,7 +8,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,9 +20,11 @@ from probmodel.arrays import ArrayFile
 from probmodel.detections import FACE, LARGEST_NUMBER, Detection, FloatArray
 from probmodel.documents import decoded, json_failures, parsed, require_modest
 from probmodel.failures import BadInput, shown
-from probmodel.layouts import Layout, layout_of_names
+from probmodel.layouts import LAYOUTS, Layout, layout_of_names
 from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 
+OUTSIDE = 0.5
+"""How far outside of the image, in images, a fraction may still lie."""
 _SPACE = re.compile(r"[ \t\n\r]*")
 
 
@@ -31,13 +33,14 @@ class Content:
     """The bytes of one file; `source` names it in messages.
 
     What the file does not say, the user may: `image_size` (width, height) in pixels, for
-    coordinates that are fractions of it, and `names`, their names of joints → ours (or, in the
-    order of the file, a list)."""
+    coordinates that are fractions of it; `names`, their names of joints → ours (or, in the order of
+    the file, a list); and `layout`, the order of joints, a name of `layouts.LAYOUTS`."""
 
     data: bytes
     source: str
     image_size: tuple[int, int] | None = None
     names: Mapping[str, str] | Sequence[str] = field(default_factory=dict)
+    layout: str | None = None
 
     @cached_property
     def arrays(self) -> ArrayFile:
@@ -66,14 +69,16 @@ class Content:
         """The document or, where it is an array, its first element alone in a list: enough to
         recognise a format.
 
-        None for a file of arrays, which is no text.
+        None for a file of arrays, and for a text that begins neither an object nor an array.
         """
         if self.arrays.magic:
             return None
         text = self._document
         start = _skip(text, 0)
-        if text[start : start + 1] != "[":
+        if text[start : start + 1] == "{":
             return self.json
+        if text[start : start + 1] != "[":
+            return None
         with json_failures(self.source):
             start = _skip(text, start + 1)
             return (
@@ -237,6 +242,50 @@ def image_side(value: object, where: str) -> int:
             f"{where} is {shown(value)} where a positive whole number of pixels is needed."
         )
     return int(side)
+
+
+def pixels(content: Content) -> FloatArray:
+    """`(2,)`: width and height of the image. Raises `BadInput` where nobody says them, for
+    coordinates that are fractions of it."""
+    if content.image_size is None:
+        raise BadInput(
+            f"the coordinates of {content.source} are fractions of an image whose size the file"
+            " does not say; give image_size=(640, 480), or on the command line the image (--image)"
+            " or --image-size 640x480."
+        )
+    return np.array(content.image_size, float)
+
+
+def are_fractions(xy: FloatArray) -> bool:
+    """Whether points `(..., 2)` are fractions of their image: nobody is a pixel tall."""
+    seen = xy[np.isfinite(xy).all(axis=-1)]
+    return bool((np.abs(seen) <= 1 + OUTSIDE).all() and seen.any())
+
+
+def said_layout(content: Content) -> Layout | None:
+    """The layout that the user names. Raises `BadInput` where there is no such one."""
+    if content.layout is None:
+        return None
+    if content.layout not in LAYOUTS:
+        raise BadInput(
+            f"there is no layout {shown(content.layout)}; choose one of {', '.join(LAYOUTS)}."
+        )
+    return LAYOUTS[content.layout]
+
+
+def chosen_layout(count: int, known: Iterable[Layout], content: Content, where: str) -> Layout:
+    """The layout that the user names, or the one among `known` of so many points. Raises `BadInput`
+    where there is none, or it has another number of them."""
+    layout = said_layout(content) or next((one for one in known if one.count == count), None)
+    if layout is not None and layout.count == count:
+        return layout
+    other = f", but {layout.name} has {layout.count}" if layout else ""
+    fitting = ", ".join(one.name for one in LAYOUTS.values() if one.count == count)
+    advice = f"name their order (layout; on the command line --layout), such as {fitting}"
+    raise BadInput(
+        f"{where} holds {count} points of a person{other};"
+        f" {advice if fitting else 'no order known here has so many'}."
+    )
 
 
 def named_layout(parts: list[str], content: Content) -> Layout:

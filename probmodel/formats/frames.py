@@ -25,8 +25,15 @@ _SUFFIX = "_keypoints"
 
 
 class DetectedFrame(NamedTuple):
-    """A frame: its `name` (the image's, a number in the file, or the name of its file) and the
-    `people` found in it."""
+    """A frame of a film.
+
+    Attributes
+    ----------
+    name
+        The image's name, a number in the file, or the name of its file.
+    people
+        Who was found in it; there may be nobody.
+    """
 
     name: str
     people: list[Detection]
@@ -39,6 +46,7 @@ def read_frames(
     *,
     image_size: tuple[int, int] | None = None,
     names: Mapping[str, str] | Sequence[str] | None = None,
+    layout: str | None = None,
 ) -> Iterator[DetectedFrame]:
     """The frames of a folder (sorted by name, numbers by value) or of a file, one after another.
 
@@ -48,8 +56,13 @@ def read_frames(
     ----------
     path
         The folder, with one file for each frame, or the file.
-    format, threshold, image_size, names
+    format, threshold, image_size, names, layout
         As in `read_detections`.
+
+    Yields
+    ------
+    DetectedFrame
+        A frame, in which there may be nobody.
 
     Raises
     ------
@@ -58,14 +71,18 @@ def read_frames(
     """
     path = Path(path)
     if not path.is_dir():
-        return _frames_of_file(content_of(path, image_size, names), format, threshold)
+        return _frames_of_file(content_of(path, image_size, names, layout), format, threshold)
     files = sorted_files(path)
     if not files:
         raise BadInput(
             f"{path} holds no files; give a folder with one file of 2D joints for each frame."
         )
-    chosen = folder_format(files, image_size, names) if format in ("auto", "openpose") else format
-    return _frames_of_folder(files, chosen, threshold, image_size, names)
+    chosen = (
+        folder_format(files, image_size, names, layout)
+        if format in ("auto", "openpose")
+        else format
+    )
+    return _frames_of_folder(files, chosen, threshold, image_size, names, layout)
 
 
 def sorted_files(folder: Path) -> list[Path]:
@@ -94,6 +111,7 @@ def folder_format(
     files: Sequence[Path],
     image_size: tuple[int, int] | None = None,
     names: Mapping[str, str] | Sequence[str] | None = None,
+    layout: str | None = None,
 ) -> str:
     """The format of a folder's files, by name, from `PROBES` of them; OpenPose's with the order of
     its 25 points.
@@ -101,7 +119,7 @@ def folder_format(
     Raises `BadInput` where the files are not of one format.
     """
     step = max(1, len(files) // PROBES)
-    contents = [content_of(file, image_size, names) for file in files[::step][:PROBES]]
+    contents = [content_of(file, image_size, names, layout) for file in files[::step][:PROBES]]
     found = {format_of(content).name: content.source for content in contents}
     if len(found) > 1:
         said = ", ".join(f"{source} is {name}" for name, source in found.items())
@@ -123,9 +141,10 @@ def _frames_of_folder(
     threshold: float | None,
     image_size: tuple[int, int] | None,
     names: Mapping[str, str] | Sequence[str] | None,
+    layout: str | None,
 ) -> Iterator[DetectedFrame]:
     for file in files:
-        yield from _frames_of_file(content_of(file, image_size, names), format, threshold)
+        yield from _frames_of_file(content_of(file, image_size, names, layout), format, threshold)
 
 
 def _frames_of_file(

@@ -9,20 +9,19 @@ Beside them may stand `center` `(n, 2)` and `scale` `(n,)` (MPII's; the box is 2
 are MPII's, seventeen COCO's."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from probmodel import arrays
 from probmodel.detections import Detection, FloatArray
 from probmodel.failures import BadInput
-from probmodel.formats.common import Content
+from probmodel.formats.common import Content, chosen_layout
 from probmodel.heatmaps import Crop, Decoded, decode
-from probmodel.layouts import COCO_17, HALPE_26, HALPE_136, LAYOUTS, MPII_16, WHOLEBODY_133, Layout
+from probmodel.layouts import COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133, Layout
 
-BY_COUNT = {
-    layout.count: layout for layout in (MPII_16, COCO_17, HALPE_26, WHOLEBODY_133, HALPE_136)
-}
-"""Layouts by their number of channels, where the file does not name one."""
+KNOWN = (MPII_16, COCO_17, HALPE_26, WHOLEBODY_133, HALPE_136)
+"""Layouts that are told by their number of channels."""
 _BESIDE = ["center", "scale", "box", "layout"]
 
 
@@ -51,7 +50,7 @@ def decoded_heatmaps(content: Content, threshold: float) -> Iterator[Decoded]:
             f"{content.source} holds no heatmaps (joints, height, width) but {shape}; save them so."
         )
     maps = maps[None] if maps.ndim == 3 else maps
-    layout = _layout(found, maps.shape[1], content.source)
+    layout = _layout(found, maps.shape[1], content)
     for person, (heatmaps, crop) in enumerate(
         zip(maps, _crops(found, len(maps), content.source), strict=True)
     ):
@@ -75,7 +74,7 @@ def read_points(content: Content, threshold: float) -> Iterator[Detection]:
             f"'preds' of {content.source} has the shape {points.shape}, not (people, joints, 2"
             " or 3)."
         )
-    layout = _layout(found, points.shape[1], content.source)
+    layout = _layout(found, points.shape[1], content)
     for person, rows in enumerate(points):
         yield layout.detection(
             scored(rows, f"person {person} of {content.source}"), threshold, content.source, person
@@ -93,23 +92,11 @@ def scored(rows: FloatArray, where: str) -> FloatArray:
     return points
 
 
-def _layout(found: Mapping[str, np.ndarray], count: int, source: str) -> Layout:
-    layout = (
-        BY_COUNT.get(count)
-        if "layout" not in found
-        else LAYOUTS.get(arrays.first_text(found["layout"]))
-    )
-    if layout is None or layout.count != count:
-        named = (
-            f"'layout' {arrays.first_text(found['layout'])!r}"
-            if "layout" in found
-            else "no 'layout'"
-        )
-        raise BadInput(
-            f"{source} has {count} joints and {named}; add an array 'layout' with one of"
-            f" {', '.join(LAYOUTS)} that fits."
-        )
-    return layout
+def _layout(found: Mapping[str, np.ndarray], count: int, content: Content) -> Layout:
+    """The layout that the user names, or else the file, or that of so many channels."""
+    if content.layout is None and "layout" in found:
+        content = replace(content, layout=arrays.first_text(found["layout"]))
+    return chosen_layout(count, KNOWN, content, content.source)
 
 
 def _crops(found: Mapping[str, np.ndarray], count: int, source: str) -> list[Crop | None]:

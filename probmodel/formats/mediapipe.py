@@ -25,6 +25,7 @@ from probmodel.formats.common import (
     Content,
     mapping,
     number,
+    pixels,
     sequence,
     table_rows,
 )
@@ -221,12 +222,7 @@ def _detections(
 ) -> Iterator[Detection]:
     if not people:
         return
-    if content.image_size is None:
-        raise BadInput(
-            f"the coordinates of {content.source} are fractions of an image whose size the file"
-            " does not say; give image_size=(640, 480), or on the command line the image (--image)"
-            " or --image-size 640x480."
-        )
+    size = pixels(content)
     from scipy.special import expit  # takes a while, and few files need it
 
     visibility = np.stack([rows[:, 2] for _, rows in people])
@@ -239,7 +235,7 @@ def _detections(
                 " are fractions of the image, so leave them as they are."
             )
         score = expit(rows[:, 2]) if logits else rows[:, 2]
-        points = np.column_stack([rows[:, :2] * content.image_size, score])
+        points = np.column_stack([rows[:, :2] * size, score])
         yield MEDIAPIPE_33.detection(
             points, threshold, content.source, person, frame, content.image_size
         )

@@ -19,6 +19,7 @@ from probmodel.detections import Detection, FloatArray
 from probmodel.failures import BadInput, shown
 from probmodel.formats.common import (
     Content,
+    chosen_layout,
     image_name,
     mapping,
     number,
@@ -49,9 +50,7 @@ DATASETS = {
     "aic": AIC_14,
 }
 """Layouts by the data set's name in `meta_info`; any other is read by the names of its points."""
-BY_COUNT = {
-    layout.count: layout for layout in (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)
-}
+BY_COUNT = (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)
 """Layouts of files without `meta_info`. 17 points are COCO's, which the models of 2D joints
 have."""
 
@@ -77,7 +76,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
         )
     for person, (frame, instance) in enumerate(_instances(records, content.source)):
         where = f"person {person} of {content.source}"
-        points, fitting = _points(mapping(instance, where), layout, where)
+        points, fitting = _points(mapping(instance, where), layout, content, where)
         yield fitting.detection(points, threshold, content.source, person, frame)
 
 
@@ -114,16 +113,14 @@ def _layout(meta: object, source: str) -> Layout | None:
     return layout_of_names([str(value) for value in ordered])
 
 
-def _points(record: dict[str, Any], layout: Layout | None, where: str) -> tuple[FloatArray, Layout]:
+def _points(
+    record: dict[str, Any], layout: Layout | None, content: Content, where: str
+) -> tuple[FloatArray, Layout]:
     xy = sequence(record.get("keypoints"), f"'keypoints' of {where}")
     scores = sequence(record.get("keypoint_scores"), f"'keypoint_scores' of {where}")
-    layout = layout or BY_COUNT.get(len(xy))
-    if layout is None or layout.count != len(xy):
-        needed = f"{layout.count} ({layout.name})" if layout else " or ".join(map(str, BY_COUNT))
-        raise BadInput(
-            f"'keypoints' of {where} holds {len(xy)} points where {needed} are needed; keep"
-            " 'meta_info'."
-        )
+    layout = chosen_layout(
+        len(xy), BY_COUNT if layout is None else [layout], content, f"'keypoints' of {where}"
+    )
     if len(scores) != len(xy):
         raise BadInput(
             f"{where} has {len(xy)} keypoints but {len(scores)} scores; check what wrote it."

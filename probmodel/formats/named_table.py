@@ -64,7 +64,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
         flat = [value for places in columns.values() for value in _point(row, places, where)]
         name = None if frame is None else row[frame] or None
         points = scored_points(flat, layout.points, where)
-        yield layout.detection(points, threshold, content.source, person, name, content.image_size)
+        yield layout.detection(points, threshold, content.source, person, name)
 
 
 def _columns(header: list[str]) -> Columns:

@@ -13,7 +13,16 @@ import numpy as np
 
 from probmodel.detections import Detection, FloatArray
 from probmodel.failures import BadInput, shown
-from probmodel.formats.common import Content, mapping, number, scored_points, sequence
+from probmodel.formats.common import (
+    OUTSIDE,
+    Content,
+    are_fractions,
+    mapping,
+    number,
+    pixels,
+    scored_points,
+    sequence,
+)
 from probmodel.layouts import COCO_17
 
 _BOX = 5
@@ -21,8 +30,6 @@ _BOX = 5
 _WIDTHS = {_BOX + width * COCO_17.count + more: width for width in (2, 3) for more in range(3)}
 """How many numbers a line may have, and how many of them each point has."""
 _LINE = re.compile(rf"\s*\d+( [-+.\deE]+){{{min(_WIDTHS) - 1},{max(_WIDTHS) - 1}}}\s*")
-_OUTSIDE = 0.5
-"""How far outside of the image, in images, a fraction may still lie."""
 
 
 def recognises_text(content: Content) -> bool:
@@ -70,7 +77,7 @@ def read_json(content: Content, threshold: float) -> Iterator[Detection]:
         seen = columns.get("visible")
         score = np.ones(COCO_17.count) if seen is None else _column(seen, f"'visible' of {where}")
         xy = np.stack([x, y], axis=-1)
-        fractions = bool((np.abs(xy) <= 1 + _OUTSIDE).all() and xy.any())
+        fractions = are_fractions(xy)
         yield _detection(content, xy, score, threshold, person, where, fractions=fractions)
 
 
@@ -105,26 +112,19 @@ def _detection(
 ) -> Detection:
     """A person from points `(17, 2)` and scores `(17,)`."""
     score = np.where((xy == 0).all(axis=1), 0.0, score)
+    size = None
     if fractions:
-        xy = xy * _size(content, xy, where)
+        xy, size = xy * _size(content, xy, where), content.image_size
     flat = np.column_stack([xy, score]).ravel().tolist()
     points = scored_points(flat, COCO_17.points, where)
-    return COCO_17.detection(
-        points, threshold, content.source, person, image_size=content.image_size
-    )
+    return COCO_17.detection(points, threshold, content.source, person, image_size=size)
 
 
 def _size(content: Content, xy: FloatArray, where: str) -> FloatArray:
     """`(2,)`: width and height of the image, of which the points are fractions."""
-    if (np.abs(xy) > 1 + _OUTSIDE).any():
+    if (np.abs(xy) > 1 + OUTSIDE).any():
         raise BadInput(
             f"{where} has a point at {np.abs(xy).max():g} images from the corner; YOLO's text files"
             " have fractions of the image, so leave them as they are."
         )
-    if content.image_size is None:
-        raise BadInput(
-            f"the coordinates of {content.source} are fractions of an image whose size the file"
-            " does not say; give image_size=(640, 480), or on the command line the image (--image)"
-            " or --image-size 640x480."
-        )
-    return np.array(content.image_size, float)
+    return pixels(content)

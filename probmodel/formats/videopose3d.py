@@ -11,13 +11,14 @@ Human3.6M's 17 joints; other layouts are named by an array `layout`. Without a t
 scores are 1."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from probmodel import arrays
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
-from probmodel.formats.common import Content
+from probmodel.formats.common import Content, said_layout
 from probmodel.formats.hourglass import scored
-from probmodel.layouts import H36M_17, LAYOUTS
+from probmodel.layouts import H36M_17
 
 
 def recognises(content: Content) -> bool:
@@ -39,14 +40,10 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
             " code, are not read; save each camera as an array of its own (see the reader's"
             " documentation for the lines that do)."
         )
-    layout = H36M_17
-    if "layout" in found:
+    if content.layout is None and "layout" in found:
         name = arrays.first_text(content.arrays.read(["layout"])["layout"])
-        if name not in LAYOUTS:
-            raise BadInput(
-                f"'layout' of {content.source} is {name!r}, which is none of {', '.join(LAYOUTS)}."
-            )
-        layout = LAYOUTS[name]
+        content = replace(content, layout=name)
+    layout = said_layout(content) or H36M_17
     person = 0
     for name in (name for name in found if name != "layout"):
         where = f"{name} of {content.source}"

@@ -1,5 +1,5 @@
-"""Readers of motion capture: ASF/AMC, BVH and .npz files become `Motion`s of fifteen joints in
-millimetres.
+"""Readers of motion capture: ASF/AMC, BVH, TRC, C3D and .npz files become `Motion`s of fifteen
+joints in millimetres.
 
 All axes are right-handed. Whatever the format, a recording is a hierarchy of segments with an
 offset and a rotation each (`recording.Rig`); forward kinematics runs over all frames at once.
@@ -15,10 +15,20 @@ from probmodel.failures import BadInput
 from probmodel.motion.archive import read_archive
 from probmodel.motion.asf import Asf, asf_beside, parse_asf, read_amc, read_amc_alone
 from probmodel.motion.bvh import read_bvh
+from probmodel.motion.markers import read_c3d, read_trc
 from probmodel.motion.recording import CMU_UNIT, FROM_SEVENTEEN, Motion
 
 MOST_ENTRIES = 100_000
 """Files and folders that are looked through."""
+READERS = {
+    ".amc": read_amc_alone,
+    ".bvh": read_bvh,
+    ".trc": read_trc,
+    ".c3d": read_c3d,
+    ".npz": read_archive,
+}
+"""By the end of a file's name."""
+KINDS = ".amc, .bvh, .trc, .c3d or .npz"
 
 __all__ = ["CMU_UNIT", "FROM_SEVENTEEN", "Motion", "read_motion"]
 
@@ -29,9 +39,14 @@ def read_motion(path: str | os.PathLike) -> list[Motion]:
     Parameters
     ----------
     path
-        An .amc file with its subject's .asf beside it; a .bvh file; an .npz of one subject, whose
-        keys (`<action>/<sequence>`) hold `(T, 15, 3)` or `(T, 17, 3)` millimetres at 30 Hz; or a
-        folder of any of these, with its folders.
+        An .amc file with its subject's .asf beside it; a .bvh file; a .trc or .c3d with markers at
+        the joints; an .npz of one subject, whose keys (`<action>/<sequence>`) hold `(T, 15, 3)` or
+        `(T, 17, 3)` millimetres at 30 Hz; or a folder of any of these, with its folders.
+
+    Returns
+    -------
+    list of Motion
+        One for each recording.
 
     Raises
     ------
@@ -43,15 +58,12 @@ def read_motion(path: str | os.PathLike) -> list[Motion]:
         return _read_folder(path)
     if not path.exists():
         raise BadInput(
-            f"there is no motion capture at {path}; give an .amc, .bvh or .npz file, or a folder of"
-            " them"
+            f"there is no motion capture at {path}; give an {KINDS} file, or a folder of them"
         )
-    readers = {".amc": read_amc_alone, ".bvh": read_bvh, ".npz": read_archive}
-    reader = readers.get(path.suffix.lower())
+    reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise BadInput(
-            f"{path} is no motion capture that can be read; give an .amc, .bvh or .npz file, or a"
-            " folder"
+            f"{path} is no motion capture that can be read; give an {KINDS} file, or a folder"
         )
     return reader(path)
 
@@ -67,16 +79,14 @@ def _files_in(folder: Path) -> Iterator[Path]:
                 " motion capture itself"
             )
         for name in names:
-            if Path(name).suffix.lower() in (".amc", ".bvh", ".npz"):
+            if Path(name).suffix.lower() in READERS:
                 yield Path(place, name)
 
 
 def _read_folder(folder: Path) -> list[Motion]:
     files = sorted(_files_in(folder))
     if not files:
-        raise BadInput(
-            f"{folder} holds no .amc, .bvh or .npz file; give a folder of motion capture"
-        )
+        raise BadInput(f"{folder} holds no {KINDS} file; give a folder of motion capture")
     skeletons: dict[Path, Asf] = {}
     motions: list[Motion] = []
     for file in files:

@@ -39,8 +39,19 @@ FROM_SEVENTEEN = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15)
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """A recording: `joints` `(T, 15, 3)` float64, millimetres, right-handed axes; `frame_rate` in
-    Hz; `name` of the recording; `subject`, equal for recordings of the same skeleton."""
+    """A recording.
+
+    Attributes
+    ----------
+    joints : `(T, 15, 3)`
+        Millimetres, right-handed axes, float64.
+    frame_rate
+        Hz.
+    name
+        Of the recording.
+    subject
+        Equal for recordings of the same skeleton.
+    """
 
     joints: np.ndarray
     frame_rate: float

@@ -16,10 +16,14 @@ class Pinhole:
 
     Attributes
     ----------
-    rotation : `(3, 3)` from the world to the camera's axes: x right, y down, z away from it.
-    centre : `(3,)` mm, where it stands.
-    focal, principal : `(2,)` pixels.
-    distortion : k1, k2, p1, p2, k3.
+    rotation
+        `(3, 3)` from the world to the camera's axes: x right, y down, z away from it.
+    centre
+        `(3,)` mm, where it stands.
+    focal, principal
+        `(2,)` pixels.
+    distortion
+        K1, k2, p1, p2, k3.
     """
 
     rotation: np.ndarray

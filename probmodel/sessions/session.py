@@ -48,11 +48,16 @@ class Session:
 
     Attributes
     ----------
-    name : what it is called.
-    cameras, labels : the cameras, and the names of their folders.
-    numbers : `(F,)` of the frames.
-    people : by camera and frame, the person's detections.
-    left_out : how many frames lack the person in a view, or have views that do not agree.
+    name
+        What it is called.
+    cameras, labels
+        The cameras, and the names of their folders.
+    numbers
+        `(F,)` of the frames.
+    people
+        By camera and frame, the person's detections.
+    left_out
+        How many frames lack the person in a view, or have views that do not agree.
     """
 
     name: str
@@ -109,8 +114,21 @@ class Session:
         return _apart(self.straight, self.world.points, self.keypoints)
 
     def along_sight(self, camera: int, world: np.ndarray) -> np.ndarray:
-        """Joints `(F, 15, 3)` of the world in axes whose z is the camera's line of sight to the
-        hips' midpoint, the origin."""
+        """Joints of the world in axes whose z is the camera's line of sight to the hips' midpoint,
+        the origin.
+
+        Parameters
+        ----------
+        camera
+            Which camera.
+        world : `(F, 15, 3)`
+            Millimetres, the world's axes.
+
+        Returns
+        -------
+        ndarray
+            `(F, 15, 3)`, millimetres.
+        """
         view = self.cameras[camera].view(world)
         middle = view[:, HIPS].mean(axis=1)
         turned = [
@@ -197,6 +215,11 @@ def read_session(path: Path, frames: int | None = None) -> Session:
         The folder.
     frames
         How many, evenly over the film; by default all.
+
+    Returns
+    -------
+    Session
+        The person in the views of all cameras.
 
     Raises
     ------

@@ -25,11 +25,14 @@ class Triangulated(NamedTuple):
 
     Attributes
     ----------
-    points : `(n, 3)` mm, NaN where fewer than two cameras saw one.
-    covariance : `(n, 3, 3)` of the points, for detections whose error has a standard deviation of
-        one mm each way where the person is, and an average score; NaN likewise. It is that of
-        weighted least squares at the final weights: cameras that were not trusted do not help.
-    weight : `(cameras, n)` each camera's final trust, 0 where it saw nothing.
+    points
+        `(n, 3)` mm, NaN where fewer than two cameras saw one.
+    covariance
+        `(n, 3, 3)` of the points, for detections whose error has a standard deviation of one mm
+        each way where the person is, and an average score; NaN likewise. It is that of weighted
+        least squares at the final weights: cameras that were not trusted do not help.
+    weight
+        `(cameras, n)` each camera's final trust, 0 where it saw nothing.
     """
 
     points: np.ndarray

@@ -8,7 +8,7 @@ import numpy as np
 from probmodel.arrays import read_array, read_netcdf
 from probmodel.documents import read_json
 from probmodel.failures import BadInput
-from probmodel.motion import read_motion
+from probmodel.motion import KINDS, READERS, read_motion
 from probmodel.skeleton import BONE_NAMES, BONES, JOINTS, NUM_JOINTS
 from reports import console, tables
 from reports.options import Prior, Screen
@@ -50,21 +50,35 @@ def run(settings: CheckSettings, screen: Screen) -> None:
 
 
 def read_poses(path: Path) -> PosesToCheck:
-    """The poses of a file: posterior.nc, prior.nc, hypotheses.json, .amc, .bvh, or an array `(…,
-    15, 3)` in .npy or .npz (motion capture's `(…, 17, 3)` too). Raises `BadInput` on anything
-    else."""
+    """The poses of a file: posterior.nc, prior.nc, hypotheses.json, motion capture, a plain data
+    set, or an array `(…, 15, 3)` in .npy or .npz (motion capture's `(…, 17, 3)` too). Raises
+    `BadInput` on anything else."""
     suffix = path.suffix.lower()
     if not path.exists():
         raise BadInput(f"there is no file {path}; give one with 3D poses")
-    if path.is_dir() or suffix in (".npz", ".amc", ".bvh"):
+    from probmodel.datasets.plain import is_plain  # takes a while
+
+    if is_plain(path):
+        return _from_data_set(path)
+    if path.is_dir() or suffix in READERS:
         return _from_motion(path)
     readers = {".nc": _from_tree, ".json": _from_json, ".npy": _from_array}
     if suffix not in readers:
         raise BadInput(
-            f"{path} is not a file of 3D poses; check reads poseterior's .nc and .json, .amc, .bvh,"
-            " .npy, .npz"
+            f"{path} is not a file of 3D poses; check reads poseterior's .nc and .json, .npy,"
+            f" {KINDS}"
         )
     return readers[suffix](path)
+
+
+def _from_data_set(path: Path) -> PosesToCheck:
+    from probmodel.datasets.plain import read_plain
+
+    data = read_plain(path)
+    return PosesToCheck(
+        data.poses,
+        [f"case {row}, {recording}" for row, recording in enumerate(data.recording)],
+    )
 
 
 def _from_motion(path: Path) -> PosesToCheck:

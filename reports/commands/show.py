@@ -27,7 +27,7 @@ def run(settings: ShowSettings, screen: Screen) -> None:
         people, person = settings.person.people, settings.person.detection
         model = settings.prior.model()
     with console.progress("weighing other readings", screen.quiet):
-        judge, sizes = Judge(model), person.layout == MEDIAPIPE_33.name
+        judge, sizes = Judge(model), _size_is_open(person, settings)
         alone = judge.file([person], sizes=sizes)
         verdict = together([alone, judge.file(_others(people, person), sizes=sizes)])
     warnings = [*about_the_image(person, shown), *verdict.warnings]
@@ -47,6 +47,13 @@ def run(settings: ShowSettings, screen: Screen) -> None:
         )
     for sentence in warnings:
         console.warn(sentence)
+
+
+def _size_is_open(person: Detection, settings: ShowSettings) -> bool:
+    """Whether the image's size is what the user says, and the joints lie where they do because of
+    it: MediaPipe's are fractions in any file, others' where they need a size."""
+    given = settings.person.detected.image_size is not None and person.image_size is not None
+    return given or person.layout == MEDIAPIPE_33.name
 
 
 def _others(people: list[Detection], person: Detection) -> list[Detection]:

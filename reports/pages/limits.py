@@ -45,10 +45,12 @@ LOWER = ((10, 4), (25, 0), (25, 4), (25, 8), (35, 4))
 
 
 def percent(value: float | None) -> str:
+    """A share in percent; nothing for one that is not known."""
     return "" if value is None else f"{100 * value:.1f} %"
 
 
 def both(pair: tuple[float, float]) -> str:
+    """Two shares in percent, with a stroke between."""
     return " / ".join(map(percent, pair))
 
 
@@ -105,6 +107,8 @@ def lower_frontier(poses: Poses, published: AnatomicalLimits) -> Sheet:
 def covered_and_outside(
     ours: np.ndarray, theirs: np.ndarray, area: np.ndarray
 ) -> tuple[float, float]:
+    """The share of their area that our cells cover, and the share of ours that lies outside of
+    theirs, from tables of cells and the cells' areas."""
     common = area[ours & theirs].sum()
     return common / area[theirs].sum(), 1 - common / area[ours].sum()
 

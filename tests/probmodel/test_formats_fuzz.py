@@ -14,6 +14,7 @@ import pytest
 
 from probmodel.failures import BadInput
 from probmodel.formats import FORMATS, Content, format_of, read_content
+from probmodel.formats.named_points import VISION
 from probmodel.layouts import (
     BODY_25,
     BODY_25B,
@@ -202,7 +203,121 @@ def named_columns(parts: dict[str, str] = PARTS, score: str = "_score") -> str:
     return table([header, [0, *row], [1, *row]])
 
 
+def movenet(people: int) -> np.ndarray:
+    """What MoveNet returns of one image, for one person or for six of whom some are there."""
+    rows = points(COCO_17)[:, [1, 0, 2]] / [SIZE[1], SIZE[0], 1]
+    if people == 1:
+        return rows[None, None].astype("f4")
+    found = np.zeros((1, 6, 56), "f4")
+    found[0, :people] = [*rows.ravel(), 0, 0, 1, 1, 0.9]
+    return found
+
+
+def freemocap(cameras: int = 2, frames: int = 2) -> np.ndarray:
+    """MediaPipe's points in pixels, those of hands and face after those of the body."""
+    body = np.concatenate([points(MEDIAPIPE_33, -0.3), np.full((520, 3), np.nan)])
+    return np.broadcast_to(body, (cameras, frames, *body.shape)).copy()
+
+
+def sleap(file: h5py.File, dims: bool = True) -> None:
+    """Two tracks, of whom the second is in one of two frames; without dims as SLEAP itself wrote
+    it."""
+    tracks = np.full((2, 2, len(PARTS), 2), np.nan)  # frame, track, node, xy
+    tracks[:] = [STANDING[name] for name in PARTS.values()]
+    tracks[1, 1] = np.nan
+    scores = np.where(np.isnan(tracks[..., 0]), np.nan, 0.5)
+    names = list(PARTS)
+    if dims:
+        file.create_dataset("tracks", data=tracks, compression="gzip")
+        file["tracks"].attrs["dims"] = json.dumps(["frame", "track", "node", "xy"])
+        file.create_dataset("point_scores", data=scores.astype("f4"))
+        file["point_scores"].attrs["dims"] = json.dumps(["frame", "track", "node"])
+        file.create_dataset("node_names", data=names, dtype=h5py.string_dtype())
+    else:
+        file.create_dataset("tracks", data=np.transpose(tracks, (1, 3, 2, 0)))
+        file.create_dataset("point_scores", data=np.transpose(scores, (1, 2, 0)))
+        file.create_dataset("node_names", data=np.array(names, "S"))
+    file.create_dataset("track_occupancy", data=~np.isnan(tracks[..., 0, 0]))
+
+
+def vitpose(kept: int = 17) -> list[list[dict[str, object]]]:
+    """Two images, of one and of two people; the first `kept` points alone have their labels."""
+    person = {
+        "keypoints": points(COCO_17)[:kept, :2].tolist(),
+        "scores": points(COCO_17)[:kept, 2].tolist(),
+        "labels": list(range(kept)),
+        "bbox": [0.0, 0.0, 200.0, 200.0],
+    }
+    return [[person], [person, person]]
+
+
+def mpii(**fields: object) -> dict[str, object]:
+    record = {"joints": points(MPII_16)[:, :2].tolist(), "joints_vis": [1] * MPII_16.count}
+    return {**record, "image": "005808361.jpg", "scale": 4.7, "center": [966, 340], **fields}
+
+
+def listed_points(layout: Layout, scale: tuple[int, int] = (1, 1)) -> dict[str, object]:
+    """A pose of TensorFlow.js."""
+    rows = zip(layout.points, points(layout, 0.9), strict=True)
+    named = [
+        {"x": x / scale[0], "y": y / scale[1], "score": score, "name": name}
+        for name, (x, y, score) in rows
+    ]
+    return {"score": 0.8, "keypoints": named}
+
+
+SWIFT = {
+    "root": "pelvis",
+    "neck": "thorax",
+    **{
+        f"{side}{part.title()}": f"{side}_{part}"
+        for side in ("left", "right")
+        for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "eye", "ear")
+    },
+}
+"""Vision's names of joints in Swift."""
+
+
+def vision(names: dict[str, str]) -> dict[str, object]:
+    """A person of Apple's Vision: fractions from the lower left."""
+    return {
+        theirs: {
+            "x": STANDING[ours][0] / SIZE[0],
+            "y": 1 - STANDING[ours][1] / SIZE[1],
+            "confidence": 0.8,
+        }
+        for theirs, ours in names.items()
+    }
+
+
 FILES: dict[str, list[bytes]] = {
+    "movenet": [npy(movenet(1)), npy(movenet(2)), npy(np.stack([movenet(1)] * 2))],
+    "freemocap": [npy(freemocap()), npy(freemocap()[..., :2].astype("f4"))],
+    "sleap": [hdf5(sleap), hdf5(lambda file: sleap(file, dims=False))],
+    "rtmlib": [
+        npz(keypoints=points(layout)[None, :, :2], scores=points(layout)[None, :, 2])
+        for layout in (COCO_17, HALPE_26)
+    ],
+    "mpii": [json.dumps([mpii(), mpii()]).encode()],
+    "instances": [
+        json.dumps([{"bbox": [0, 0, 9, 9, 1], "keypoints": points(COCO_17).tolist()}] * 2).encode(),
+        json.dumps(vitpose()).encode(),
+        json.dumps(
+            {
+                "keypoints": [points(HALPE_26)[:, :2].tolist()] * 2,
+                "scores": [points(HALPE_26)[:, 2].tolist()] * 2,
+            }
+        ).encode(),
+        json.dumps({"scores": [0.99], "pred_keypoints": [points(COCO_17, 0.2).tolist()]}).encode(),
+    ],
+    "tensorflow.js": [
+        json.dumps([listed_points(COCO_17)] * 2).encode(),
+        json.dumps([listed_points(MEDIAPIPE_33, SIZE)]).encode(),
+    ],
+    "vision": [
+        json.dumps(vision(VISION)).encode(),
+        json.dumps([{"joints": vision(SWIFT)}, {"joints": vision(SWIFT)}]).encode(),
+    ],
     "poseterior": [
         json.dumps(native_with(image_id="a", image_size=[9, 9], face={"nose": [1, 2, 1]})).encode()
     ],

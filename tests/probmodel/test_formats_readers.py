@@ -2,6 +2,7 @@
 corrections."""
 
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from probmodel import (
 from probmodel.detections import FACE
 from probmodel.formats import Content, read_content
 from probmodel.formats.frames import PROBES
+from probmodel.formats.named_points import VISION
 from probmodel.layouts import (
     BODY_25,
     COCO_17,
@@ -54,16 +56,24 @@ from tests.probmodel.test_formats_fuzz import (
     PARTS,
     SIZE,
     deeplabcut_rows,
+    freemocap,
     hdf5,
     landmark_text,
     landmarks,
+    listed_points,
     long_landmarks,
     mmpose,
     mmpose_instance,
+    movenet,
+    mpii,
     named_columns,
+    npy,
     npz,
     points,
+    sleap,
     table,
+    vision,
+    vitpose,
     yolo,
     yolo_text,
 )
@@ -351,7 +361,184 @@ def test_fractions_need_the_size_of_their_image() -> None:
             read(data, image_size=None)
 
 
+def test_arrays_of_named_joints() -> None:
+    """Any detector's array is read once its order of joints is named, and refused before."""
+    rows = points(MPII_16)
+    for array in (rows, rows[:, :2], np.stack([rows, rows])):
+        first, *others = read(npy(array), layout="mpii_16")
+        assert len(others) == (array.ndim == 3)
+        assert not missing(first)
+        np.testing.assert_array_equal(first.keypoints[JOINT_INDEX["head"]], STANDING["head"])
+    rows[10] = np.nan
+    assert missing(read(npy(rows), layout="mpii_16")[0]) == {"right_wrist"}
+    with pytest.raises(BadInput, match=r"holds 16 points .* --layout\), such as mpii_16"):
+        read(npy(rows))
+    with pytest.raises(BadInput, match=r"holds 16 points of a person, but coco_17 has 17"):
+        read(npy(rows), layout="coco_17")
+    with pytest.raises(BadInput, match="there is no layout 'mpi'; choose one of coco_17"):
+        read(npy(rows), layout="mpi")
+    with pytest.raises(
+        BadInput, match=r"lie between 0 and 1; give pixels or, .* the format movenet"
+    ):
+        read(npy(points(COCO_17) / 200), layout="coco_17")
+
+
+@pytest.mark.parametrize("name", ["openpose", "mediapipe", "sleap", "mpii", "csv", "movenet"])
+def test_a_layout_is_not_ignored_where_the_file_has_its_own(name: str) -> None:
+    with pytest.raises(BadInput, match="have an order or names of their own; leave out layout"):
+        read(FILES[name][0], layout="coco_17")
+
+
+@pytest.mark.parametrize("name", ["instances", "rtmlib", "mmpose", "coco-results", "videopose3d"])
+def test_a_layout_of_another_count_is_refused(name: str) -> None:
+    with pytest.raises(BadInput, match=r"points|numbers|\(frames, 14"):
+        read(FILES[name][0], layout="crowdpose_14")
+
+
+def test_movenet_is_y_first_and_may_be_asked_for() -> None:
+    squeezed = npy(movenet(1)[0, 0])
+    with pytest.raises(BadInput, match=r"holds 17 points of a person; name their order"):
+        read(squeezed)
+    asked = read_content(Content(squeezed, "a file", SIZE), "movenet")[0]
+    np.testing.assert_allclose(
+        asked.keypoints[JOINT_INDEX["left_wrist"]], STANDING["left_wrist"], atol=1e-4
+    )
+    assert len(read(npy(movenet(2)))) == 2  # four of six were not found
+    with pytest.raises(BadInput, match="coordinates beyond 1; MoveNet's are fractions"):
+        read(npy(movenet(1) * 200))
+
+
+def test_freemocap_is_read_camera_by_camera() -> None:
+    people = read(npy(freemocap()))
+    assert [one.image_id for one in people] == ["0/0", "0/1", "1/0", "1/1"]
+    assert {float(one.score.max()) for one in people} == {1.0}  # its third number is no score
+
+
+def test_sleap_has_a_person_for_every_track_of_a_frame() -> None:
+    for data in FILES["sleap"]:
+        people = read(data)
+        assert [one.image_id for one in people] == ["0", "0", "1"]
+        assert people[0].score[JOINT_INDEX["left_hip"]] == pytest.approx(0.5)
+
+
+def test_vitpose_keeps_the_places_of_points_that_it_left_out() -> None:
+    (person, *others) = read(json.dumps(vitpose(kept=11)).encode())
+    assert len(others) == 2
+    assert missing(person) >= {"left_hip", "right_ankle"}
+    np.testing.assert_array_equal(
+        person.keypoints[JOINT_INDEX["right_wrist"]], STANDING["right_wrist"]
+    )
+    assert [one.image_id for one in (person, *others)] == ["0", "1", "1"]
+
+
+def test_mpii_joints_that_were_not_labelled() -> None:
+    seen = [1] * 16
+    seen[10] = 0
+    places = points(MPII_16)[:, :2].tolist()
+    places[0], places[9] = [-1, -1], [0, 0]
+    (person,) = read(json.dumps([mpii(joints=places, joints_vis=seen)]).encode())
+    assert missing(person) == {"right_ankle", "right_wrist", "head"}
+    bare = mpii()
+    del bare["joints_vis"]
+    assert not missing(read(json.dumps([bare]).encode())[0])
+
+
+def test_detectron2_writes_coco_results() -> None:
+    record = {"image_id": 9, "category_id": 1, "bbox": [0, 0, 9, 9], "score": 0.9}
+    flat_points = points(COCO_17).ravel().tolist()
+    (person,) = read(json.dumps([{**record, "keypoints": flat_points}]).encode())
+    assert missing(person) == HAS_NO_HEAD
+
+
+def test_vision_counts_y_from_below() -> None:
+    person = read(json.dumps(vision(VISION)).encode())[0]
+    assert person.keypoints[JOINT_INDEX["left_ankle"], 1] > person.keypoints[0, 1]
+    with pytest.raises(BadInput, match=r"fractions of an image .* give image_size="):
+        read(json.dumps(vision(VISION)).encode(), image_size=None)
+
+
+@pytest.mark.parametrize(
+    ("data", "kind"),
+    [
+        (b"\xff\xd8\xff\xe0" + bytes(9), "a photo .JPEG.; run a detector"),
+        (b"\x00\x00\x00\x18ftypmp42", "a video .MP4 or QuickTime."),
+        (b"RIFF\x00\x00\x00\x00AVI LIST", "a video .AVI."),
+        (b"PathFileType\t4\t(X/Y/Z)\ta.trc\n", "a TRC file of markers; 3D poses are for check"),
+        (b"\x02\x50" + bytes(600), "a C3D file of markers; 3D poses are for check"),
+        (pickle.dumps([1]), "a pickle; pickles, which could run any code"),
+        (b"<!DOCTYPE html><html>", "a web page, perhaps of a download that failed"),
+    ],
+)
+def test_files_of_another_kind_say_what_they_seem_to_be(data: bytes, kind: str) -> None:
+    with pytest.raises(BadInput, match=f"a file looks like {kind}"):
+        read(data)
+
+
 REFUSALS = {
+    "instances: a number for a row": (
+        json.dumps([{"keypoints": [[1, 2, 3], 4]}]).encode(),
+        "point 1 of record 0 of a file is 4 where a JSON array",
+    ),
+    "instances: four numbers": (
+        json.dumps([{"keypoints": [[1, 2, 3, 4]]}]).encode(),
+        r"point 0 of record 0 .* where \[x, y\] or \[x, y, score\]",
+    ),
+    "instances: scores": (
+        json.dumps({"keypoints": [[[1, 2]] * 17], "scores": [[1] * 16]}).encode(),
+        "person 0 of a file has 17 keypoints but 16 scores",
+    ),
+    "instances: people": (
+        json.dumps({"keypoints": [[[1, 2]] * 17], "scores": []}).encode(),
+        "has 1 people but scores of 0",
+    ),
+    "instances: labels": (
+        json.dumps([[{"keypoints": [[1, 2]] * 2, "scores": [1, 1], "labels": [3, 3]}]]).encode(),
+        r"has 2 keypoints, but the labels \[3, 3\]",
+    ),
+    "instances: a label beyond": (
+        json.dumps([[{"keypoints": [[1, 2]], "scores": [1], "labels": [99]}]]).encode(),
+        "has the label 99, but coco_17 17 points",
+    ),
+    "mpii: fifteen": (
+        json.dumps([mpii(joints=[[1, 2]] * 15)]).encode(),
+        "has 15 joints and joints_vis of 16 where MPII's 16",
+    ),
+    "mpii: scores": (
+        json.dumps([mpii(joints_vis=[0.5] * 16)]).encode(),
+        "joints_vis of right_ankle in record 0 .* is 0.5 where 0 or 1",
+    ),
+    "tensorflow.js: no name": (
+        json.dumps(
+            [listed_points(COCO_17), {"keypoints": [{"x": 1, "y": 2, "score": 1}]}]
+        ).encode(),
+        "a point of record 1 of a file has no name",
+    ),
+    "vision: pixels": (
+        json.dumps({"root": {"x": 300, "y": 2, "confidence": 1}}).encode(),
+        "coordinates beyond 1; Vision's are fractions",
+    ),
+    "vision: no y": (
+        json.dumps({"root": {"x": 0.3, "confidence": 1}}).encode(),
+        "y of root of person 0 of a file is None where a number",
+    ),
+    "rtmlib: shapes": (
+        npz(keypoints=np.ones((2, 17, 2)), scores=np.ones((2, 16))),
+        r"has keypoints \(2, 17, 2\) and scores \(2, 16\)",
+    ),
+    "sleap: dims": (
+        hdf5(lambda f: (sleap(f), f["tracks"].attrs.__setitem__("dims", "[[1]]"))),
+        "has the shape .* and the dimensions .* not track, xy, node, frame",
+    ),
+    "sleap: names": (
+        hdf5(
+            lambda f: (
+                sleap(f),
+                f.__delitem__("node_names"),
+                f.create_dataset("node_names", data=np.arange(13)),
+            )
+        ),
+        "node_names of a file is no list of texts",
+    ),
     "ultralytics: fewer points": (
         json.dumps([yolo(keypoints={"x": [1, 2], "y": [3, 4]})]).encode(),
         "'x' of record 0 of a file has 2 numbers where COCO's 17 points are needed",
@@ -412,7 +599,7 @@ REFUSALS = {
     "mediapipe: rows cut": (long_landmarks().rsplit("\n", 2)[0].encode(), "32 rows of landmarks"),
     "mmpose: points": (
         json.dumps([mmpose_instance(COCO_17) | {"keypoints": [[0, 0]] * 15}]).encode(),
-        "holds 15 points where",
+        "holds 15 points of a person; no order known here has so many",
     ),
     "mmpose: scores": (
         json.dumps([mmpose_instance(COCO_17) | {"keypoint_scores": [1] * 3}]).encode(),
@@ -439,7 +626,10 @@ REFUSALS = {
         r"not \(frames, 17, 2 or 3\) of h36m_17",
     ),
     "videopose3d: own": (npz(positions_2d=np.zeros(3)), "pickles its arrays in a dictionary"),
-    "heatmaps: layout": (npz(heatmaps=np.zeros((15, 8, 8))), "has 15 joints and no 'layout'"),
+    "heatmaps: layout": (
+        npz(heatmaps=np.zeros((15, 8, 8))),
+        "holds 15 points of a person; no order known here has so many",
+    ),
     "heatmaps: nan": (npz(heatmaps=np.full((16, 8, 8), np.nan)), "not finite"),
     "heatmaps: box": (
         npz(heatmaps=np.ones((16, 8, 8)), box=np.zeros((1, 4))),

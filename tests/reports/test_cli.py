@@ -188,8 +188,8 @@ def bad(
 GOOD = {"f.json": native()}
 HYPOTHESES = "hypotheses @f.json --out @out "
 REFUSALS = [
-    bad("empty file", "", "f.json is not valid JSON"),
-    bad("not JSON", "keypoints: 1", r"f.json is not valid JSON: .* line 1, column 1; check"),
+    bad("empty file", "", "f.json is empty; check what wrote it"),
+    bad("not JSON", "keypoints: 1", r"f.json is of a shape that is not known here"),
     bad("cut JSON", native()[:-40], "f.json is not valid JSON"),
     bad("not text", b"\xff\xfe\x00binary", "f.json is not UTF-8 text"),
     bad(
@@ -331,7 +331,7 @@ REFUSALS = [
         "unknown format",
         HYPOTHESES + "--format xml",
         GOOD,
-        "no format 'xml'; choose auto or one of heatmaps",
+        "no format 'xml'; choose auto or one of movenet, .*heatmaps",
     ),
     Refusal(
         "wrong format",
@@ -513,7 +513,7 @@ REFUSALS += [
         "check: empty folder",
         "check @.",
         {},
-        "holds no .amc, .bvh or .npz file; give a folder of motion capture",
+        "holds no .amc, .bvh, .trc, .c3d or .npz file; give a folder of motion capture",
     ),
     check("another kind", "p.txt", "hello", "p.txt is not a file of 3D poses; check reads"),
     check("not an array", "p.npy", "hello", "p.npy is no NumPy array of numbers"),

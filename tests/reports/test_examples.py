@@ -36,7 +36,7 @@ RUN = [
 def documented() -> list[str]:
     """The command lines of the pages: indented ones, and those in a notebook's text that have
     options."""
-    pages = [*ROOT.glob("*.md"), *ROOT.glob("reports/*.md"), *ROOT.glob("docs/*.md")]
+    pages = [*ROOT.glob("*.md"), *ROOT.glob("reports/*.md"), *ROOT.glob("docs/**/*.md")]
     found = [
         line
         for page in pages
@@ -108,6 +108,7 @@ OF_THEIR_OWN = {
     "out": set(cli.COMMANDS),  # what is written differs
     "file": {"check"},  # poses, not detections
     "poses": {"learn"},  # the file that the others read is written
+    "layout": {"detect"},  # of a network, which has to say it
     "threshold": {"detect"},  # a network's scores are its heatmaps' means
     # Studies of many poses: lists of what is compared, and less work for each of them.
     "num_samples": {"evaluate", "coverage"},

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from inference.readings import BODY, exchanged
-from probmodel import Detection, Likelihood, write_detections
+from probmodel import Detection, Likelihood, read_detections, write_detections
+from probmodel.detections import FACE
 from probmodel.layouts import COCO_17
 from probmodel.skeleton import BONES, JOINTS
 from reports.commands.show import about_the_image
@@ -173,6 +174,27 @@ REAL_FILES = {
         "0.5",
     ),
 }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "doubted"), [("1000x667", False), ("1778x667", True)])
+def test_a_wrong_size_for_fractions_is_doubted(
+    shared_data: Path, tmp_path: Path, poseterior: Cli, size: str, doubted: bool
+) -> None:
+    """A lunge, arms spread, as YOLO writes it, on an image that is said to be 16/9 times too
+    wide."""
+    lunge = shared_data / "detections" / "mediapipe" / "pose_landmarks.pbtxt"
+    (person,) = read_detections(lunge, image_size=(1000, 667))
+    joints = dict(zip(JOINTS, person.keypoints, strict=True))
+    joints |= dict(zip(FACE, person.face[:, :2], strict=True))
+    rows = [[*(joints[name] / (1000, 667)), 1.0] for name in COCO_17.points]
+    line = " ".join(f"{number:.6f}" for number in np.ravel(rows))
+    (tmp_path / "a.txt").write_text(f"0 0.5 0.5 1 1 {line}\n")
+    done = poseterior(
+        "show", tmp_path / "a.txt", "--image-size", size, "--out", tmp_path / "a.png", "--quiet"
+    )
+    assert done.code == 0
+    assert ("too wide or too narrow" in " ".join(done.err.split())) == doubted
 
 
 @pytest.mark.slow

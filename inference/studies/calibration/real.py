@@ -45,12 +45,23 @@ def read_cases(
 
     Parameters
     ----------
+    path
+        The data set, as `read_data_set` takes it.
     frames
         How many, as many of each action (default: all).
     noise
         Of the 2D joints: `LIKELIHOOD`, or as `Noise.parse` reads it.
     missing
         Limb joints of each that are not seen, at random.
+    likelihood
+        How detections err, where the noise is the likelihood's own.
+    seed
+        Of noise and of what is hidden.
+
+    Returns
+    -------
+    list of Case, dict
+        The cases, and where they come from.
 
     Raises
     ------

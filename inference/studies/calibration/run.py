@@ -60,19 +60,35 @@ def calibrate(
     machines: Machines = HERE,
     progress: Progress | None = None,
 ) -> xr.DataTree:
-    """`num_simulations` poses of the prior, each seen once, and `num_samples` draws of a sampler's
-    posterior for each.
+    """Poses of the prior, each seen once, and draws of a sampler's posterior for each.
 
     Parameters
     ----------
+    model
+        The prior of poses.
     sampler
         A name, a file of draws (`posteriors.sampler_of`), or a function.
+    seed
+        Of simulations and draws.
+    num_simulations, num_samples
+        How many poses, and how many draws for each.
     reference
         The estimator of TARP's reference poses.
+    likelihood
+        How detections err, in simulations and posteriors.
+    max_proposals
+        Most proposals for a simulation.
     out
         The file to write; an earlier run of the same settings there is resumed.
+    machines
+        Who does the work.
     progress
         Called with the number of simulations done, and of all of them.
+
+    Returns
+    -------
+    DataTree
+        Ranks of the truth among the draws, by quantity, and what the tests need besides.
 
     Raises
     ------
@@ -122,14 +138,23 @@ def cover(
 
     Parameters
     ----------
+    model
+        The prior of poses.
     cases
         Poses whose truth is known, with their detections (`real.read_cases`).
     estimator
         Whose torso and camera are given: an estimator's, or the true ones.
+    sampler, seed, num_samples, likelihood, max_proposals
+        As in `calibrate`.
     source
         What the tree shall say of where the cases come from.
     out, machines, progress
         As in `calibrate`.
+
+    Returns
+    -------
+    DataTree
+        Ranks and distances, case by case.
 
     Raises
     ------

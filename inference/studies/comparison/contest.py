@@ -63,7 +63,15 @@ class Truth:
 
 
 class Comparison(NamedTuple):
-    """A line for every sampler and start, and all of it as one tree (`record.comparison_tree`)."""
+    """What `compare` found.
+
+    Attributes
+    ----------
+    entries
+        A line for every sampler and start.
+    tree
+        All of it as one tree (`record.comparison_tree`).
+    """
 
     entries: list[Entry]
     tree: xr.DataTree
@@ -87,8 +95,14 @@ def compare(
 
     Parameters
     ----------
+    model
+        The prior of poses.
+    frame
+        The detection with its candidates.
     samplers
         Names of `SAMPLERS`.
+    seed
+        Of all draws.
     seconds, max_evaluations
         What each baseline may spend from each of its starts; None: no limit.
     num_samples
@@ -98,6 +112,13 @@ def compare(
     out
         A folder: `comparison.nc` is written there after every sampler, and what baselines have done
         is kept in `runs`, where the next call takes it up.
+    stage
+        Called with what is done next, in words; what it returns is entered meanwhile.
+
+    Returns
+    -------
+    Comparison
+        A line for every sampler and start.
 
     Raises
     ------

@@ -10,7 +10,6 @@ from inference.studies.errorlaws.mixture import Fit, Mixture, fit, start
 from inference.studies.errorlaws.pairs import Pairs
 from probmodel.errorlaws import OUTLIER_RADIUS, DetectorErrors, Exchange, ScoreFactor
 from probmodel.failures import BadInput
-from probmodel.skeleton import JOINTS
 
 LEAST_PAIRS = 20
 """Of a joint, below which nothing is said of it."""
@@ -189,11 +188,6 @@ def score_edges(pairs: Pairs) -> tuple[float, ...]:
     edges = np.unique(np.quantile(scores, levels))
     # An edge at the least score would leave a class empty.
     return tuple(edges[edges > scores.min()].tolist())
-
-
-def known_joints(errors: DetectorErrors) -> list[str]:
-    """The names of the joints that a law knows."""
-    return [name for name, known in zip(JOINTS, errors.known, strict=True) if known]
 
 
 def mixture_of(errors: DetectorErrors) -> Mixture:

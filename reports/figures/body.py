@@ -6,7 +6,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Circle
 
 from probmodel.skeleton import JOINTS
-from reports.figures.style import COLOURS, SEGMENTS, Style
+from reports.figures.colours import COLOURS, SEGMENTS
+from reports.figures.style import Style
 
 
 def draw_detection(

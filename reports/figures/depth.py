@@ -9,20 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from probmodel.skeleton import JOINTS
-from reports.figures.style import (
-    COLOURS,
-    DPI,
-    FAINT,
-    INK,
-    LIMB_OF,
-    OTHER_COLOUR,
-    SMALL,
-    TEXT,
-    TITLE,
-    Style,
-    note,
-    page,
-)
+from reports.figures.colours import COLOURS, LIMB_OF, OTHER_COLOUR
+from reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, TITLE, Style, note, page
 from reports.tables.posterior import heaviest, values
 from reports.tables.words import spoken
 

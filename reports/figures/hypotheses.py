@@ -12,27 +12,23 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from probmodel.failures import BadInput
 from probmodel.skeleton import JOINTS, NUM_JOINTS
 from reports.figures.body import draw_detection, draw_image
-from reports.figures.legend import (
-    DRAW_COLOUR,
-    MAX_NAMED,
-    colour_handles,
-    draw_legend,
-    hypothesis_colours,
-    legend_height,
-    style_handles,
-)
-from reports.figures.style import (
+from reports.figures.colours import (
     COLOURS,
+    DRAW_COLOUR,
+    LEFT_LIMBS,
+    LIMB_OF,
+    MAX_NAMED,
+    SEGMENTS,
+    hypothesis_colours,
+)
+from reports.figures.legend import colour_handles, draw_legend, legend_height, style_handles
+from reports.figures.style import (
     DASHES,
     DPI,
     FAINT,
     INK,
-    LEFT_LIMBS,
-    LIMB_OF,
-    SEGMENTS,
     SMALL,
     TITLE,
     Style,
@@ -41,14 +37,13 @@ from reports.figures.style import (
     note,
     page,
 )
+from reports.figures.window import MAX_DRAWS, Window, window_of
 from reports.tables.posterior import heaviest, is_uncertain, values
 from reports.tables.words import spoken
 
 if TYPE_CHECKING:
     from inference.hypothesis import Hypothesis
 
-MAX_DRAWS = 150
-"""Draws shown in the background of a panel; more of them make a grey block."""
 WIDTH, HIGHEST = 10.5, 4.2
 """Inches: the width of the page, and the most that its panels are high."""
 
@@ -109,7 +104,7 @@ def hypotheses_figure(
     draws = values(tree, "posterior", "joints")[:MAX_DRAWS]
     poses = [hypothesis.joints for hypothesis in hypotheses] + ([] if truth is None else [truth])
     named = np.array(poses).reshape(-1, NUM_JOINTS, 3)
-    window = _window(tree, image)
+    window = window_of(tree, image)
     boxes = [_extent(draws, named, view) for view in VIEWS]
     colours, styles = colour_handles(hypotheses), style_handles(truth is not None, len(draws))
     figure, axes = _panels(window, boxes, legend_height(colours))
@@ -121,48 +116,6 @@ def hypotheses_figure(
     _scale_bar(axes[1])
     draw_legend(figure, colours, styles)
     return figure
-
-
-class Window(NamedTuple):
-    """The part of the image that is shown: corners `(2,)`, pixels."""
-
-    low: np.ndarray
-    high: np.ndarray
-
-
-def _window(tree: xr.DataTree, image: np.ndarray | None) -> Window:
-    """What there is to see: discs, seen joints, nearly all draws; of an image only what lies around
-    that."""
-    keypoints = values(tree, "observed_data", "keypoints")
-    radius = np.nan_to_num(values(tree, "constant_data", "radius")[heaviest(tree)])[:, None]
-    seen = np.isfinite(keypoints).all(axis=1)
-    points = np.concatenate([(keypoints - radius)[seen], (keypoints + radius)[seen]])
-    projected = values(tree, "posterior", "keypoints")[:MAX_DRAWS].reshape(-1, 2)
-    if len(projected):
-        points = np.concatenate([points, np.quantile(projected, [0.01, 0.99], axis=0)])
-    low, high = points.min(axis=0), points.max(axis=0)
-    margin = 0.08 * (high - low).max()
-    low, high = low - margin, high + margin
-    if image is not None:
-        size = _image_size(image)
-        if not ((keypoints[seen] >= 0) & (keypoints[seen] <= size)).all(axis=1).any():
-            raise BadInput(
-                f"the image is {size[0]} x {size[1]} pixels and none of the detected joints lies in"
-                " it; give the image from which the detection was made."
-            )
-        low = np.maximum(low, np.minimum(0, points.min(axis=0)))
-        high = np.minimum(high, np.maximum(size, points.max(axis=0)))
-    # A panel of reasonable shape, whatever the pose: at least half as wide as high and as high as
-    # wide.
-    middle, half = (low + high) / 2, (high - low) / 2
-    half = np.maximum(half, half[::-1] * np.array([0.55, 0.75]))
-    return Window(middle - half, middle + half)
-
-
-def _image_size(image: np.ndarray) -> tuple[int, int]:
-    if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
-        raise BadInput(f"an image is an array of shape (height, width, 3), not {image.shape}.")
-    return image.shape[1], image.shape[0]
 
 
 def _extent(draws: np.ndarray, named: np.ndarray, view: Pane) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,8 @@ from matplotlib.figure import Figure
 from probmodel.detections import FACE, Detection
 from probmodel.skeleton import JOINTS
 from reports.figures.body import draw_detection, draw_image
-from reports.figures.style import COLOURS, DPI, INK, LEGEND, TITLE, Style, blank, note, page
+from reports.figures.colours import COLOURS
+from reports.figures.style import DPI, INK, LEGEND, TITLE, Style, blank, note, page
 from reports.tables.words import spoken
 
 WIDTH = 8.0

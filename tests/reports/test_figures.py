@@ -23,10 +23,9 @@ from probmodel.example import example
 from probmodel.failures import BadInput
 from probmodel.skeleton import BONES, JOINT_INDEX, JOINTS
 from reports import figures
+from reports.figures.colours import LIMB_OF, MAX_NAMED
 from reports.figures.depth import _density
-from reports.figures.hypotheses import MAX_DRAWS
-from reports.figures.legend import MAX_NAMED
-from reports.figures.style import LIMB_OF
+from reports.figures.window import MAX_DRAWS
 from reports.tables import heaviest, values
 
 PNG = b"\x89PNG\r\n\x1a\n"

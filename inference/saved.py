@@ -2,8 +2,8 @@
 
     read_result("result/posterior.nc").tree
 
-The file is read as any other that may come from a stranger (docs/security.md): sizes are checked before
-memory is taken, and nothing but plain arrays, texts and numbers is looked at.
+The file is read as any other that may come from a stranger (docs/security.md): sizes are checked
+before memory is taken, and nothing but plain arrays, texts and numbers is looked at.
 """
 
 import os
@@ -24,6 +24,7 @@ _CANDIDATE = {
     "radius": ("joint",),
     "rotation": ("axis", "body_axis"),
     "scale": (),
+    "translation": ("uv",),
     "weight": (),
     "log_evidence": (),
     "log_evidence_se": (),
@@ -109,8 +110,8 @@ def _plain(array: np.ndarray) -> np.ndarray:
 
 
 def _require_possible(groups: dict[str, dict[str, Any]], path: str | os.PathLike) -> None:
-    """Raises `BadInput` where there is no draw, a joint of one is nowhere, or its candidate is none of
-    those listed."""
+    """Raises `BadInput` where there is no draw, a joint of one is nowhere, or its candidate is none
+    of those listed."""
     posterior = {name: values for name, (_, values) in groups["posterior"].items()}
     candidates = len(groups["constant_data"]["weight"][1])
     if not posterior["joints"].size or not candidates:

@@ -1,11 +1,12 @@
-"""The part of the image that is shown of a posterior, the same in pictures and on pages that
-turn."""
+"""The image beside a detection: whether it is the right one, and the part of it that is shown of a
+posterior, the same in pictures and on pages that turn."""
 
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
+from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from reports.tables.posterior import heaviest, values
 
@@ -49,7 +50,49 @@ def window_of(tree: xr.DataTree, image: np.ndarray | None) -> Window:
     return Window(middle - half, middle + half)
 
 
+class Part(NamedTuple):
+    """A part of an image: its `pixels` `(h, w, 3)`, and where in the whole one its upper left and
+    lower right `corners` `(2, 2)` lie."""
+
+    pixels: np.ndarray
+    corners: np.ndarray
+
+
+def cropped(image: np.ndarray, window: Window) -> Part:
+    """What of an image `(H, W, 3)` lies in the window."""
+    size = _image_size(image)
+    low = np.clip(np.floor(window.low), 0, np.array(size) - 1).astype(int)
+    high = np.clip(np.ceil(window.high) + 1, low + 1, size).astype(int)
+    pixels = image[low[1] : high[1], low[0] : high[0]]
+    return Part(pixels, low + corners_of(pixels))
+
+
+def corners_of(image: np.ndarray) -> np.ndarray:
+    """The corners of an image in its own pixels: the centre of a pixel has whole coordinates."""
+    return np.array([[0, 0], _image_size(image)]) - 0.5
+
+
 def _image_size(image: np.ndarray) -> tuple[int, int]:
     if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
         raise BadInput(f"an image is an array of shape (height, width, 3), not {image.shape}.")
     return image.shape[1], image.shape[0]
+
+
+def about_the_image(person: Detection, image: np.ndarray | None) -> list[str]:
+    """What the image itself says: whether its size is the detection's, and whether the joints lie
+    in it."""
+    if image is None:
+        return []
+    size = (image.shape[1], image.shape[0])
+    if person.image_size not in (None, size):
+        was = "x".join(map(str, person.image_size or ()))
+        return [
+            f"the detection was made on an image of {was} pixels, but this one has"
+            f" {size[0]}x{size[1]}"
+        ]
+    points = person.keypoints[person.seen]
+    outside = ((points < 0) | (points > size)).any(axis=1)
+    if outside.sum() > len(points) / 2:
+        said = f"{outside.sum()} of {len(points)} joints lie outside the image"
+        return [f"{said}: is it the right one, in its full size?"]
+    return []

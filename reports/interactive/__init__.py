@@ -2,8 +2,7 @@
 
     write_page(person_page(result, five, image=photo), "hypotheses.html")
 
-Here is what a page holds, as plain numbers and escaped words; `assets` has how it looks and moves, a
-few hundred lines of JavaScript without a library. A library of 3D scenes would take most of the five
-megabytes a page may have, where a body is fourteen lines; these turn, enlarge and print by keyboard and
-finger alike.
+Here is what a page holds, as plain numbers and escaped words; `assets` has how it looks and moves,
+a few hundred lines of JavaScript without a library. A body is fourteen lines: a library of scenes
+would make a page ten times as large, and know nothing of keyboards and printers.
 """

@@ -1,7 +1,7 @@
 """A page of HTML from its parts: scripts, style, numbers and words in one file.
 
-Words come escaped, numbers as JSON in which no tag can begin, and the page's own policy lets a browser
-run the one script that is ours, and load nothing.
+Words come escaped, numbers as JSON in which no tag can begin, and the page's own policy lets a
+browser run the one script that is ours, and load nothing.
 """
 
 import base64
@@ -75,15 +75,16 @@ def write_page(page: str, path: str | os.PathLike) -> None:
 
 
 def packed(numbers: np.ndarray) -> str:
-    """Numbers as text: little-endian floats of 32 bits in base64, of which JavaScript makes an array
-    at once."""
+    """Numbers as text: little-endian floats of 32 bits in base64, of which JavaScript makes an
+    array at once."""
     return base64.b64encode(np.ascontiguousarray(numbers, "<f4").tobytes()).decode("ascii")
 
 
 def rounded(numbers: np.ndarray) -> list[Any]:
     """Numbers as JSON has them: None for what is not finite."""
-    plain = np.round(np.asarray(numbers, float), PLACES)
-    return np.where(np.isfinite(plain), plain.astype(object), None).tolist()
+    plain = np.round(np.asarray(numbers, float), PLACES).astype(object)
+    plain[~np.isfinite(np.asarray(numbers, float))] = None
+    return plain.tolist()
 
 
 _BODY: dict[str, Any] = {

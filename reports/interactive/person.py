@@ -1,5 +1,5 @@
-"""One person's posterior as a page: photo, scene, marginals of every joint, and what there is to say
-in words."""
+"""One person's posterior as a page: photo, scene, marginals of every joint, and what there is to
+say in words."""
 
 import base64
 import io
@@ -15,7 +15,7 @@ from inference.hypothesis import Hypothesis
 from inference.results import COMPLETE, Result
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 from reports.figures.colours import LIMB_OF, hypothesis_colours
-from reports.figures.window import Window, window_of
+from reports.figures.window import Window, cropped, window_of
 from reports.interactive.page import assemble, packed, rounded
 from reports.tables.posterior import (
     MILLIMETRES,
@@ -119,19 +119,16 @@ def _hypotheses(tree: xr.DataTree, hypotheses: Sequence[Hypothesis]) -> list[dic
 
 
 def _photo(image: np.ndarray, window: Window) -> dict[str, Any]:
-    """The part of the image that lies in the window, as a JPEG in text, and where it lies: the centre
-    of a pixel has whole coordinates."""
-    size = np.array([image.shape[1], image.shape[0]])
-    low = np.clip(np.floor(window.low), 0, size - 1).astype(int)
-    high = np.clip(np.ceil(window.high), low + 1, size).astype(int)
-    part = Image.fromarray(np.ascontiguousarray(image[low[1] : high[1], low[0] : high[0], :3]))
+    """The part of the image that lies in the window, as a JPEG in text, and where it lies."""
+    found = cropped(image, window)
+    part = Image.fromarray(np.ascontiguousarray(found.pixels[..., :3]))
     part.thumbnail((LONGEST_SIDE, LONGEST_SIDE))
     file = io.BytesIO()
     part.save(file, "JPEG", quality=QUALITY)
     text = base64.b64encode(file.getvalue()).decode("ascii")
     return {
         "src": f"data:image/jpeg;base64,{text}",
-        "box": rounded(np.concatenate([low - 0.5, high - 0.5])),
+        "box": rounded(found.corners.ravel()),
     }
 
 
@@ -139,7 +136,7 @@ def _photo(image: np.ndarray, window: Window) -> dict[str, Any]:
 
 
 def _marginals(tree: xr.DataTree, truth: np.ndarray | None) -> dict[str, list[dict[str, Any]]]:
-    """Histograms of all draws, joint by joint: those of the heaviest candidate, and of the others."""
+    """Histograms of all draws, joint by joint: of the heaviest candidate's, and of the others."""
     joints = values(tree, "posterior", "joints")
     light = values(tree, "posterior", "candidate") != heaviest(tree)
     fixed = still(tree)
@@ -160,8 +157,8 @@ def _marginals(tree: xr.DataTree, truth: np.ndarray | None) -> dict[str, list[di
 def _marginal(
     sample: np.ndarray, light: np.ndarray, fixed: bool, beside: list[float]
 ) -> dict[str, Any]:
-    """Of one coordinate; where it is held fixed, words alone. `beside` are values that are to be seen
-    too."""
+    """Of one coordinate; where it is held fixed, words alone. `beside` are values that are to be
+    seen too."""
     if fixed:
         place = float(sample[0])
         return {"counts": None, "words": f"held fixed at {signed(place)} ({_millimetres(place)})"}

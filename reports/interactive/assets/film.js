@@ -15,7 +15,7 @@ const there = (pose) => Number.isFinite(pose[0][0]);
 function sceneContent() {
   const one = people[state.person], first = state.frame * data.k;
   const bodies = one.poses.slice(first, first + data.k)
-    .map((joints, rank) => ({ joints, colour: data.hypothesis_colours[rank], width: rank ? 2 : 3.4 }))
+    .map((joints, rank) => ({ joints, colour: data.hypothesis_colours[rank], width: rank ? 2 : 3.4, edge: 2 }))
     .filter(({ joints }) => there(joints));
   return { bodies, lines: [], dots: null };
 }
@@ -125,4 +125,5 @@ document.addEventListener("keydown", (event) => {
 
 fillJoints(element("joint"), data.joints, state.joint, choose);
 connectViews(scene);
+state.frame = Math.max(0, people[0].bands.findIndex((row) => Number.isFinite(row[0][0])));
 choosePerson(0);

@@ -19,8 +19,8 @@ let places = []; // joints of the photo in CSS pixels, for picking
 
 function sceneContent() {
   const bodies = [...state.shown].sort((p, q) => p - q)
-    .map((rank) => ({ ...data.hypotheses[rank], width: 3.2 }));
-  if (state.truth) bodies.unshift({ joints: data.truth, colour: "#000000", width: 1.8, dashed: true });
+    .map((rank) => ({ ...data.hypotheses[rank], width: 3.2, edge: 2.5 }));
+  if (state.truth) bodies.unshift({ joints: data.truth, colour: "#000000", width: 1.8, edge: 1.5, dashed: true });
   const dots = { points: draws.slice(0, state.draws).map((pose) => pose[state.joint]), colour: data.colours[state.joint] };
   return { bodies, lines: draws.slice(0, state.draws), dots };
 }
@@ -47,7 +47,7 @@ function paintPhoto(pen, wide, high) {
     }
   });
   const bodies = [...state.shown].sort((p, q) => q - p)
-    .map((rank) => ({ points: data.hypotheses[rank].projected.map(at), ...data.hypotheses[rank], width: 1.8 }));
+    .map((rank) => ({ points: data.hypotheses[rank].projected.map(at), ...data.hypotheses[rank], width: 1.8, edge: 0.8 }));
   for (const one of bodies) drawBody(pen, one.points, one, body);
   points.forEach((point, joint) => {
     if (!point) return;

@@ -44,13 +44,13 @@ function nearestJoint(bodies, x, y) {
 }
 
 // A body of points [x, y, depth]: far bones first, each with a white edge that hides what is behind it.
-function drawBody(pen, points, style, body) {
+function drawBody(pen, points, style, body) { // style: colour, width, edge, dashed
   const bones = body.bones.filter(([a, b]) => points[a] && points[b])
     .sort((p, q) => points[q[0]][2] + points[q[1]][2] - points[p[0]][2] - points[p[1]][2]);
   for (const [a, b] of bones) {
     const line = () => { pen.beginPath(); pen.moveTo(...points[a]); pen.lineTo(points[b][0], points[b][1]); pen.stroke(); };
     pen.setLineDash([]);
-    pen.strokeStyle = "white"; pen.lineWidth = style.width + 2.5; line();
+    pen.strokeStyle = "white"; pen.lineWidth = style.width + style.edge; line();
     pen.strokeStyle = style.colour; pen.lineWidth = style.width;
     pen.setLineDash(style.dashed || body.left.includes(b) ? [2 * style.width, 1.6 * style.width] : []);
     line();
@@ -71,7 +71,7 @@ function drawDots(pen, points, colour, size, alpha) {
 }
 
 class Scene {
-  // `body`: bones and left joints. `content()`: {bodies: [{joints, colour, width, dashed}], lines: poses
+  // `body`: bones and left joints. `content()`: {bodies: [{joints, colour, width, edge, dashed}], lines: poses
   // drawn faintly, dots: {points, colour} or null}. `picked(joint)` is called where one is touched.
   constructor(canvas, body, content, picked) {
     Object.assign(this, { body, content, picked, zoom: 1, centre: [0, 0, 0], reach: 2, floor: null });
@@ -84,7 +84,7 @@ class Scene {
     const low = [0, 1, 2].map((axis) => Math.min(...poses.map((pose) => Math.min(...pose.map((p) => p[axis])))));
     const high = [0, 1, 2].map((axis) => Math.max(...poses.map((pose) => Math.max(...pose.map((p) => p[axis])))));
     this.centre = low.map((value, axis) => (value + high[axis]) / 2);
-    this.reach = 1.12 * Math.max(...poses.map((pose) =>
+    this.reach = 1.15 * Math.max(...poses.map((pose) =>
       Math.max(...pose.map((p) => Math.hypot(...p.map((value, axis) => value - this.centre[axis]))))));
     this.floor = high[1];
     this.sheet.refresh();
@@ -131,7 +131,7 @@ class Scene {
   }
   // A grid of body units at the lowest point, and an arrow that says where the camera is.
   paintFloor(pen, lens) {
-    const [a, , c] = this.centre, half = Math.ceil(this.reach / 1.4);
+    const [a, , c] = this.centre, half = Math.max(1, Math.round(this.reach / 1.8));
     pen.strokeStyle = "#E2E2E2"; pen.lineWidth = 1;
     for (let step = -half; step <= half; step++) for (const ends of [
       [[a + step, this.floor, c - half], [a + step, this.floor, c + half]],

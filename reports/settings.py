@@ -114,7 +114,8 @@ class FramesSettings:
     out: Annotated[
         Path,
         Option(
-            help="Folder for the stream and hypotheses.html; a run that was stopped goes on there."
+            help="Folder for the stream, depth.png and hypotheses.html; a run that was stopped"
+            " goes on there."
         ),
     ] = Path("out")
     open: Open = False

@@ -3,7 +3,7 @@ where it was stopped, and its film as a page."""
 
 from inference.roots import estimate_torso
 from inference.stream import Estimated, open_stream, sample_frames
-from reports import console, tables
+from reports import console, figures, tables
 from reports.interactive.film import film_page
 from reports.interactive.page import write_page
 from reports.options import Screen
@@ -43,6 +43,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
         filmed = bool((summary.num_draws > 0).any())
         if filmed:
             write_page(film_page(tree, settings.path.name, fragments=items.fragments), page)
+            figures.save_figure(figures.film_figure(summary), out / "depth.png")
     if screen.json:
         found = tables.stream_json(summary)
         console.show_json(found | {"fragments": items.fragments, "out": str(out)})
@@ -51,7 +52,8 @@ def run(settings: FramesSettings, screen: Screen) -> None:
             console.say(line)
         for sheet in (tables.people_of_film(summary), tables.film_table(summary)):
             console.OUT.print(sheet)
-        said = ": hypotheses.html" if filmed else ", without hypotheses.html: no frame has a pose"
+        pictures = "depth.png, hypotheses.html"
+        said = f": {pictures}" if filmed else f", without {pictures}: no frame has a pose"
         console.say(f"Written to {out}{said}; poseterior.open_stream opens the draws")
     if settings.open and filmed:
         console.open_page(page)

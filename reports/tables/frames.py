@@ -69,7 +69,11 @@ def film_table(summary: xr.Dataset) -> Sheet:
     """Each joint of the limbs: how well its depth is known over all frames, and where worst."""
     there = np.flatnonzero(summary.num_draws.values > 0)
     depth = summary.sd.sel(axis="z").values[there]
-    names = [_spoken_name(*one) for one in _names(summary.isel(frame=there))]
+    several = len({person for _, person in _names(summary)}) > 1
+    names = [
+        f"{frame}, person {person}" if several else frame
+        for frame, person in _names(summary.isel(frame=there))
+    ]
     records = [
         {
             "joint": JOINTS[joint],
@@ -117,10 +121,6 @@ def stream_lines(summary: xr.Dataset, fragments: Sequence[str] = ()) -> list[str
 def _names(summary: xr.Dataset) -> list[tuple[str, str]]:
     """The frame and the person of each row."""
     return [frame_and_person(str(name)) for name in summary.frame.values]
-
-
-def _spoken_name(frame: str, person: str) -> str:
-    return f"{frame}, person {person}" if person else frame
 
 
 def _count(number: int, what: str) -> str:

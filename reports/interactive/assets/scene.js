@@ -114,7 +114,7 @@ class Scene {
   }
   paint(pen, wide, high) {
     const lens = this.lens(wide, high), content = this.content();
-    if (this.floor !== null) this.paintFloor(pen, lens);
+    if (this.floor !== null) this.paintFloor(pen, lens, high);
     pen.strokeStyle = "#8A8A8A"; pen.lineWidth = 0.7;
     pen.globalAlpha = Math.max(0.03, Math.min(0.3, 12 / Math.max(1, content.lines.length)));
     for (const pose of content.lines) {
@@ -130,7 +130,7 @@ class Scene {
       drawBody(pen, this.shown[rank], content.bodies[rank], this.body);
   }
   // A grid of body units at the lowest point, and an arrow that says where the camera is.
-  paintFloor(pen, lens) {
+  paintFloor(pen, lens, high) {
     const [a, , c] = this.centre, half = Math.max(1, Math.round(this.reach / 1.8));
     pen.strokeStyle = "#E2E2E2"; pen.lineWidth = 1;
     for (let step = -half; step <= half; step++) for (const ends of [
@@ -145,7 +145,7 @@ class Scene {
     pen.beginPath(); pen.moveTo(root[0], root[1]); pen.lineTo(tip[0], tip[1]); pen.stroke();
     pen.beginPath(); pen.arc(tip[0], tip[1], 3, 0, 2 * Math.PI); pen.fill();
     pen.font = "12px sans-serif"; pen.textAlign = "center"; pen.textBaseline = "top";
-    pen.fillText("camera", tip[0], tip[1] + 5);
+    pen.fillText("camera", tip[0], Math.min(tip[1] + 5, high - 14));
   }
   listen(canvas) {
     const fingers = new Map();

@@ -64,7 +64,7 @@ def comparison_figure(tree: xr.DataTree) -> Figure:
     three."""
     runs = _runs([str(label) for label in tree["summary"].sampler.values])
     figure = page(10.5, 7.4 + 0.1 * len(runs), dpi=DPI)
-    figure.get_layout_engine().set(w_pad=0.15, h_pad=0.12)  # type: ignore[union-attr]
+    figure.set_layout_engine("constrained", w_pad=0.15, h_pad=0.12)
     axes = figure.subplots(2, 2)
     draws = tree["draws"].to_dataset()
     _ranks(axes[0, 0], draws, runs)

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 WIDTH, HIGHEST = 10.5, 4.2
 """Inches: the width of the page, and the most that its panels are high."""
-GAP, TOP, NOTES, SIDE = 0.3, 0.33, 0.42, 0.12
+GAP, TOP, NOTES, SIDE = 0.3, 0.33, 0.5, 0.12
 """Inches between panels, above them for a title, below for notes, and at the page's edges."""
 HIGHEST_ALONE, WIDEST_ALONE = 1.9, 1.7
 """Inches that a panel of a single hypothesis has at most."""
@@ -248,7 +248,9 @@ def _draw_detections(
     axis.spines[:].set_visible(True)
     axis.spines[:].set(color="#CCCCCC", lw=0.6)
     lost = [spoken(JOINTS[joint]) for joint in LIMB_OF if not np.isfinite(keypoints[joint]).all()]
-    footnote(axis, "purple: right, green: left", *(["missing: " + ", ".join(lost)] if lost else []))
+    sentences = ["purple: right, green: left"]
+    sentences += [] if is_uncertain(tree) else ["torso and camera: held fixed"]
+    footnote(axis, *sentences, *(["missing: " + ", ".join(lost)] if lost else []))
 
 
 def _draw_view(axis: Axes, view: Pane, flat: Flat) -> None:

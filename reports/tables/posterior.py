@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from inference.results import UNCERTAIN
-from probmodel.skeleton import JOINT_INDEX, JOINTS
+from probmodel.skeleton import JOINT_INDEX, JOINTS, TORSO_INDEX
 from reports.tables.sheet import (
     NOTHING,
     Column,
@@ -54,11 +54,13 @@ def heaviest(tree: xr.DataTree) -> int:
 
 
 def still(tree: xr.DataTree) -> np.ndarray:
-    """`(15,)`: joints that are where they are in every draw, because they are held fixed."""
+    """`(15,)`: joints of the torso that are in one place in all draws, because the root that they
+    belong to is held fixed."""
     joints = values(tree, "posterior", "joints")
-    if not len(joints):
+    if is_uncertain(tree) or not len(joints):
         return np.zeros(len(JOINTS), bool)
-    return np.ptp(joints, axis=0).max(axis=1) <= STILL
+    torso = np.isin(np.arange(len(JOINTS)), TORSO_INDEX)
+    return torso & (np.ptp(joints, axis=0).max(axis=1) <= STILL)
 
 
 def hypotheses_table(hypotheses: Sequence["Hypothesis"]) -> Sheet:

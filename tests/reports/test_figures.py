@@ -123,7 +123,8 @@ def test_views_show_the_axes_they_say(result: Result, five: list[Hypothesis]) ->
     ]
     wrist = five[0].joints[JOINT_INDEX["left_wrist"]]
     for axis, (across, along) in zip(figure.axes[1:4], [(0, 1), (2, 1), (0, 2)], strict=True):
-        assert [wrist[across], wrist[along]] in drawn_joints(axis, "hypothesis 1").tolist()
+        off = np.abs(drawn_joints(axis, "hypothesis 1") - [wrist[across], wrist[along]])
+        assert off.max(axis=1).min() < 1e-9
         assert axis.get_aspect() == 1
     bottom, top = figure.axes[1].get_ylim()
     assert bottom > top, "y points down, as in the image"
@@ -199,8 +200,8 @@ def test_left_limbs_are_dashed(result: Result, five: list[Hypothesis]) -> None:
     axis = figures.hypotheses_figure(result.tree, five[:1]).axes[1]
     (dashed,) = (line for line in named(axis, Line2D, "hypothesis 1") if line.is_dashed())
     ends = dashed.get_xydata()[~np.isnan(dashed.get_xydata()[:, 0])].reshape(-1, 2, 2)[:, 1]
-    np.testing.assert_array_equal(
-        np.sort(ends, axis=0), np.sort(five[0].joints[sorted(LEFT), :2], axis=0)
+    np.testing.assert_allclose(
+        np.sort(ends, axis=0), np.sort(five[0].joints[sorted(LEFT), :2], axis=0), atol=1e-9
     )
 
 
@@ -297,6 +298,22 @@ def test_depth_figure_shows_interval_and_deviation(result: Result) -> None:
     (point,) = named(spreads, Line2D, "sd left_ankle")
     assert point.get_xdata()[0] == pytest.approx(depth.std())
     assert any(label.get_text() == "right wrist (missing)" for label in ridges.get_yticklabels())
+
+
+def test_a_torso_that_is_held_fixed_says_so(result: Result, five: list[Hypothesis]) -> None:
+    """And has rows where it is drawn with the pose."""
+    held, rows = "torso and camera: held fixed", 9
+    ridges, spreads = figures.depth_figure(result.tree).axes
+    assert words(spreads) == "held fixed"
+    assert ridges.get_yticklabels()[rows].get_text() == "torso and camera"
+    assert len(ridges.get_yticks()) == rows + 1
+    assert held in words(figures.hypotheses_figure(result.tree, five).axes[0])
+    free = result.tree.copy()
+    free.attrs["root"] = "uncertain"
+    ridges, spreads = figures.depth_figure(free).axes
+    assert words(spreads) == ""
+    assert len(ridges.get_yticks()) == rows + 5
+    assert held not in words(figures.hypotheses_figure(free, five).axes[0])
 
 
 def test_density_keeps_the_mass() -> None:

@@ -71,7 +71,7 @@ def run(settings: SampleSettings, screen: Screen) -> None:
         for line in tables.summary_lines(result):
             console.say(line)
         console.OUT.print(tables.candidates_table(result.tree))
-        console.say(f"Written to {out} and {page}")
+        console.say(f"Written to {out} and {page.name}")
     if settings.open:
         console.open_page(page)
     if result.status != COMPLETE:

@@ -13,7 +13,7 @@ import hashlib
 import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,6 +39,8 @@ BLOCK_BYTES = 64_000_000
 MOST_FRAMES = 64
 """Frames of a block at most: what is lost when a run is killed."""
 BAD_INPUT = "bad input"
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+"""Of the quantiles of depth that are kept of every frame."""
 _STREAM = "a stream of frames"
 Progress = Callable[[int], None]
 
@@ -69,6 +71,7 @@ class FrameDraws(NamedTuple):
     log_evidence_se: float
     mean: np.ndarray
     sd: np.ndarray
+    depth: np.ndarray
     hypotheses: np.ndarray
     weight: np.ndarray
     chosen: np.ndarray
@@ -171,7 +174,8 @@ def open_stream(folder: str | os.PathLike) -> xr.DataTree:
     -------
     DataTree
         `/summary` by frame: status, sentence, num_draws, log_evidence with its standard error,
-        `mean` and `sd` of the joints `(frame, joint, axis)`; `/hypotheses`: `joints`
+        `mean` and `sd` of the joints `(frame, joint, axis)`, quantiles of their `depth`
+        `(frame, joint, level)`; `/hypotheses`: `joints`
         `(frame, hypothesis, joint, axis)`, `weight`, `draw`. The settings of the run are
         attributes.
 
@@ -227,18 +231,53 @@ def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
     )
 
 
-def estimated(
-    frames: Iterable[DetectedFrame], estimate: Callable[[Detection], Estimate]
-) -> Iterator[Item]:
-    """Everyone in frames of detections as items of a stream, named `frame/person`; who cannot be
-    estimated becomes the sentence that says why."""
-    for frame in frames:
-        for detection in frame.people:
-            name = f"{frame.name}/{detection.person}"
-            try:
-                yield Item(name, estimate(detection))
-            except BadInput as error:
-                yield Item(name, str(error))
+@dataclass
+class Estimated:
+    """Everyone in frames of detections as items of a stream, named `frame/person`.
+
+    A person of whom too little is seen is left out where somebody else in the frame can be
+    estimated: detectors find fragments of people at the edges and behind others. Where nobody can,
+    the one of whom most is seen becomes the sentence that says why, and the others are left out.
+
+    Parameters
+    ----------
+    frames
+        Read as they are needed.
+    estimate
+        Torso and camera of a person; raises `BadInput` where they cannot be told.
+
+    Attributes
+    ----------
+    fragments : the names of those who were left out, up to where the items were read.
+    """
+
+    frames: Iterable[DetectedFrame]
+    estimate: Callable[[Detection], Estimate]
+    fragments: list[str] = field(default_factory=list)
+
+    def __iter__(self) -> Iterator[Item]:
+        for frame in self.frames:
+            items = [self._item(frame, detection) for detection in frame.people]
+            kept = [item for item in items if not isinstance(item.frame, str)]
+            if items and not kept:
+                most = int(np.argmax([detection.seen.sum() for detection in frame.people]))
+                kept = [items[most]]
+            names = {item.name for item in kept}
+            self.fragments += [item.name for item in items if item.name not in names]
+            yield from kept
+
+    def _item(self, frame: DetectedFrame, detection: Detection) -> Item:
+        name = f"{frame.name}/{detection.person}"
+        try:
+            return Item(name, self.estimate(detection))
+        except BadInput as error:
+            return Item(name, str(error))
+
+
+def frame_and_person(name: str) -> tuple[str, str]:
+    """The two parts of an item's name; the person is empty where somebody else named it."""
+    frame, slash, person = name.rpartition("/")
+    return (frame, person) if slash else (name, "")
 
 
 @dataclass(frozen=True)
@@ -259,6 +298,7 @@ class _Drawing:
         """What the draws depend on, beside the key."""
         names = ("sampler", "num_samples", "k", "keep", "max_proposals")
         return {name: getattr(self, name) for name in names} | {
+            "levels": list(LEVELS),
             **provenance(self.model),
         }
 
@@ -296,6 +336,7 @@ class _Drawing:
             log_evidence_se=mixture.attributes["log_evidence_se"],
             mean=joints.mean(axis=0),
             sd=joints.std(axis=0),
+            depth=np.quantile(joints[:, :, 2], LEVELS, axis=0).T,
         )
 
     def _nothing(self, name: str, status: str, sentence: str) -> FrameDraws:
@@ -309,6 +350,7 @@ class _Drawing:
             log_evidence_se=np.inf,
             mean=blank,
             sd=blank,
+            depth=np.full((NUM_JOINTS, len(LEVELS)), np.nan),
             hypotheses=np.full((self.k, NUM_JOINTS, 3), np.nan),
             weight=np.zeros(self.k),
             chosen=np.full(self.k, -1),
@@ -329,6 +371,7 @@ def _groups(rows: list[FrameDraws], k: int) -> Groups:
     summary = {name: column(name) for name in by_frame} | {
         name: column(name, "joint", "axis") for name in ("mean", "sd")
     }
+    summary["depth"] = column("depth", "joint", "level", **units)
     hypotheses = {
         "joints": column("hypotheses", "hypothesis", "joint", "axis"),
         "weight": column("weight", "hypothesis"),
@@ -339,7 +382,7 @@ def _groups(rows: list[FrameDraws], k: int) -> Groups:
         "bone_length": column("bone_length", "draw", "length_group", **units),
     }
     return {
-        "summary": xr.Dataset(summary, coords=names),
+        "summary": xr.Dataset(summary, coords=names | {"level": list(LEVELS)}),
         "hypotheses": xr.Dataset(hypotheses, coords=names | {"hypothesis": np.arange(k)}),
         "posterior": xr.Dataset(posterior, coords=names | {"length_group": list(LENGTH_GROUPS)}),
     }

@@ -157,6 +157,12 @@ class ArrayFile:
             file.visititems(visit)
         return found
 
+    def own_attributes(self) -> dict[str, str | int | float]:
+        """The attributes of an HDF5 file itself that are one text or one number, by name."""
+        with self._hdf5_file() as file:
+            values = {key: _single(file, key) for key in file.attrs}
+        return {key: value for key, value in values.items() if value is not None}
+
     @contextmanager
     def _damage(self, where: str) -> Iterator[None]:
         """Turns what damaged bytes make zipfile, zlib, NumPy, h5py and SciPy raise into
@@ -331,6 +337,17 @@ def _attribute(item: Any, key: str) -> str | None:
     if isinstance(value, bytes):
         return value.decode("utf-8", errors="replace")
     return value if isinstance(value, str) else None
+
+
+def _single(item: Any, key: str) -> str | int | float | None:
+    """An attribute that is a text or a number; netCDF writes a number as an array of one."""
+    try:
+        known = item.attrs.get_id(key)
+        if known.shape in ((), (1,)) and known.dtype.kind in "fiu":
+            return np.asarray(item.attrs[key]).ravel()[0].item()
+    except (OSError, TypeError, ValueError, KeyError, RuntimeError):  # what h5py does not read
+        return None
+    return _attribute(item, key)
 
 
 def doubles(array: np.ndarray) -> np.ndarray:

@@ -45,6 +45,8 @@ NumSamples = Annotated[int, Option(min=1, max=10_000_000, help="How many poses t
 Seed = Annotated[int, Option(min=0, max=2**32 - 1, help="The same seed gives the same draws.")]
 Hypotheses = Annotated[int, Option(help="How many diverse hypotheses of each person.")]
 
+Open = Annotated[bool, Option("--open", help="Open the page in a browser.")]
+
 
 class UpperMeasure(enum.StrEnum):
     """What "uniform" means for upper bones."""
@@ -235,6 +237,25 @@ class Person:
     def check(self) -> None:
         """Reads the file. Raises `BadInput` on a bad file, or where there is no such person."""
         self.detection  # noqa: B018
+
+
+@dataclass(frozen=True, kw_only=True)
+class PersonOrResult(Person):
+    """One person of a file of detections, or a result of ours in its place."""
+
+    file: Annotated[
+        Path, Argument(help="Detections, of any detector; or a result.", show_default=False)
+    ]
+
+    @property
+    def is_result(self) -> bool:
+        """Whether it is a posterior.nc, or a folder of ours."""
+        return self.file.suffix.lower() == ".nc" or self.file.is_dir()
+
+    def check(self) -> None:
+        """Reads the file if it is one of detections. Raises `BadInput` as `Person.check` does."""
+        if not self.is_result:
+            super().check()
 
 
 @dataclass(frozen=True, kw_only=True)

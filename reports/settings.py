@@ -20,7 +20,9 @@ from reports.options import (
     LengthUnit,
     Limits,
     NumSamples,
+    Open,
     Person,
+    PersonOrResult,
     Prior,
     Rooting,
     Sampling,
@@ -41,15 +43,16 @@ class DemoSettings:
     """Run the embedded example, end to end: one pose, one wrist missing, the truth drawn beside the
     hypotheses."""
 
-    EXAMPLES: ClassVar[tuple[str, ...]] = ("demo", "demo --out my-demo --seed 1")
+    EXAMPLES: ClassVar[tuple[str, ...]] = ("demo", "demo --open", "demo --out my-demo --seed 1")
     out: Annotated[Path, Option(help="Folder for the results.")] = Path("demo")
+    open: Open = False
     seed: Seed = 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class HypothesesSettings:
-    """Exact posterior draws and diverse hypotheses for one detected person: a picture, a table, two
-    files."""
+    """Exact posterior draws and diverse hypotheses for one detected person: a picture, a page that
+    turns, a table, two files."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "hypotheses frame_keypoints.json --out result",
@@ -60,8 +63,10 @@ class HypothesesSettings:
     )
     person: Person
     out: Annotated[
-        Path, Option(help="Folder for posterior.nc, hypotheses.json, hypotheses.png.")
+        Path,
+        Option(help="Folder for posterior.nc, hypotheses.json, hypotheses.png, hypotheses.html."),
     ] = Path("out")
+    open: Open = False
     k: Hypotheses = 5
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
@@ -71,7 +76,7 @@ class HypothesesSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class SampleSettings:
-    """Posterior draws of one detected person, as netCDF."""
+    """Posterior draws of one detected person, as netCDF, and beside it a page that turns."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "sample frame.json --out posterior.nc --num-samples 100000",
@@ -79,7 +84,10 @@ class SampleSettings:
         "sample frame.json --sampler emcee --candidates 1 --num-samples 1000",
     )
     person: Person
-    out: Annotated[Path, Option(help="File to write.")] = Path("posterior.nc")
+    out: Annotated[
+        Path, Option(help="File to write; the page has its name, with .html at the end.")
+    ] = Path("posterior.nc")
+    open: Open = False
     sampler: Annotated[str, Option(help=f"One of {', '.join(SAMPLERS)}.")] = SAMPLERS[0]
     chains: Annotated[
         int, Option(help="Independent runs of exact rejection, which share the samples.")
@@ -104,8 +112,13 @@ class FramesSettings:
         Argument(help="A folder of detections, or one file of many frames.", show_default=False),
     ]
     out: Annotated[
-        Path, Option(help="Folder for the stream; a run that was stopped goes on there.")
+        Path,
+        Option(
+            help="Folder for the stream, depth.png and hypotheses.html; a run that was stopped"
+            " goes on there."
+        ),
     ] = Path("out")
+    open: Open = False
     k: Hypotheses = 5
     keep: Annotated[
         int | None, Option(help="How many draws of each person are written.", show_default="all")
@@ -135,15 +148,23 @@ class FramesSettings:
 @dataclass(frozen=True, kw_only=True)
 class ShowSettings:
     """Draw how a file was read, joint by joint, and warn where another reading explains its people
-    better."""
+    better. Of a result (posterior.nc, its folder, or that of a stream): write its page anew."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "show frame_keypoints.json --out overlay.png",
         "show landmarks.json --image photo.jpg --person 1",
         "show video.csv --names names.json",
+        "show result --image photo.jpg --open",
     )
-    person: Person
-    out: Annotated[Path, Option(help="The picture: .png, .pdf or .svg.")] = Path("overlay.png")
+    person: PersonOrResult
+    out: Annotated[
+        Path | None,
+        Option(
+            help="The picture: .png, .pdf or .svg; of a result, the page.",
+            show_default="overlay.png, or hypotheses.html in the result's folder",
+        ),
+    ] = None
+    open: Open = False
     estimation: Estimation = Estimation()
     prior: Prior = Prior()
 

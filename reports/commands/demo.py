@@ -12,6 +12,9 @@ def run(settings: DemoSettings, screen: Screen) -> None:
     missing."""
     made = example()
     wanted = HypothesesSettings(
-        person=Person(file=made.path), out=settings.out, sampling=Sampling(seed=settings.seed)
+        person=Person(file=made.path),
+        out=settings.out,
+        open=settings.open,
+        sampling=Sampling(seed=settings.seed),
     )
     hypotheses.run(wanted, screen, truth=made.joints)

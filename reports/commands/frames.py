@@ -1,9 +1,11 @@
 """`poseterior frames`: draws and hypotheses of everyone in many frames, a stream that is resumed
-where it was stopped."""
+where it was stopped, and its film as a page."""
 
 from inference.roots import estimate_torso
-from inference.stream import estimated, open_stream, sample_frames
-from reports import console, tables
+from inference.stream import Estimated, open_stream, sample_frames
+from reports import console, figures, tables
+from reports.interactive.film import film_page
+from reports.interactive.page import write_page
 from reports.options import Screen
 from reports.settings import FramesSettings
 
@@ -18,7 +20,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
     with console.progress("limits and torsos", screen.quiet):
         model = settings.prior.model()
     known = estimation.settings(model)
-    items = estimated(
+    items = Estimated(
         settings.detected.frames(settings.path),
         lambda detection: estimate_torso(detection, estimation.estimator, **known),
     )
@@ -33,13 +35,25 @@ def run(settings: FramesSettings, screen: Screen) -> None:
             keep=settings.keep,
             max_proposals=sampling.max_proposals,
             machines=settings.workforce.machines(),
-            progress=lambda done: step(done, settings.people),
+            progress=lambda done: step(done, settings.people - len(items.fragments)),
         )
-    summary = open_stream(out)["summary"].to_dataset()
+    with console.progress("the film", screen.quiet):
+        tree = open_stream(out)
+        summary, page = tree["summary"].to_dataset(), out / "hypotheses.html"
+        filmed = bool((summary.num_draws > 0).any())
+        if filmed:
+            write_page(film_page(tree, settings.path.name, fragments=items.fragments), page)
+            figures.save_figure(figures.film_figure(summary), out / "depth.png")
     if screen.json:
-        console.show_json(tables.stream_json(summary) | {"out": str(out)})
-        return
-    console.OUT.print(tables.stream_table(summary))
-    for line in tables.stream_lines(summary):
-        console.say(line)
-    console.say(f"Written to {out}: open it with poseterior.open_stream")
+        found = tables.stream_json(summary)
+        console.show_json(found | {"fragments": items.fragments, "out": str(out)})
+    else:
+        for line in tables.stream_lines(summary, items.fragments):
+            console.say(line)
+        for sheet in (tables.people_of_film(summary), tables.film_table(summary)):
+            console.OUT.print(sheet)
+        pictures = "depth.png, hypotheses.html"
+        said = f": {pictures}" if filmed else f", without {pictures}: no frame has a pose"
+        console.say(f"Written to {out}{said}; poseterior.open_stream opens the draws")
+    if settings.open and filmed:
+        console.open_page(page)

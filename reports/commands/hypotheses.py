@@ -1,5 +1,5 @@
 """`poseterior hypotheses`: a detector's file → exact posterior draws, k diverse hypotheses, a
-picture and a table."""
+picture, a page that turns and a table."""
 
 import json
 from pathlib import Path
@@ -12,6 +12,9 @@ from inference.results import COMPLETE, FIXED
 from inference.sampler import sample
 from probmodel.failures import BadInput, OutOfBudget
 from reports import console, figures, tables
+from reports.figures.window import about_the_image
+from reports.interactive.page import write_page
+from reports.interactive.person import person_page
 from reports.options import Screen
 from reports.settings import HypothesesSettings
 
@@ -42,16 +45,21 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         )
     if not result.num_draws:
         raise OutOfBudget(result.sentence)
-    with console.progress("hypotheses and their picture", screen.quiet):
+    with console.progress("hypotheses and their pictures", screen.quiet):
         result.save(out / "posterior.nc")
         chosen = hypotheses(result, min(k, result.num_draws), seed=sampling.seed)
         console.write_text(out / "hypotheses.json", _as_text(chosen, result, sampling.seed))
         picture = figures.hypotheses_figure(result.tree, chosen, image=photo, truth=truth)
         figures.save_figure(picture, out / "hypotheses.png")
+        warnings = about_the_image(settings.person.detection, photo)
+        page = person_page(result, chosen, image=photo, truth=truth, warnings=warnings)
+        write_page(page, out / "hypotheses.html")
     if screen.json:
         console.show_json(summary(chosen, result, out))
     else:
         show(chosen, result, out)
+    if settings.open:
+        console.open_page(out / "hypotheses.html")
     if result.status != COMPLETE:
         raise OutOfBudget(f"{result.sentence} (what there is, is saved in {out})")
 
@@ -93,4 +101,4 @@ def show(chosen: list[Hypothesis], result: Result, out: Path) -> None:
         tables.hypotheses_table(chosen),
     ):
         console.OUT.print(table)
-    console.say(f"Written to {out}: posterior.nc, hypotheses.json, hypotheses.png")
+    console.say(f"Written to {out}: posterior.nc, hypotheses.json, hypotheses.png, hypotheses.html")

@@ -1,11 +1,18 @@
-"""`poseterior sample`: posterior draws of one person by a named sampler, as netCDF."""
+"""`poseterior sample`: posterior draws of one person by a named sampler, as netCDF and a page."""
 
+from inference.hypothesis import hypotheses
 from inference.results import COMPLETE, FIXED
 from inference.sampler import sample
-from probmodel.failures import OutOfBudget
+from probmodel.failures import BadInput, OutOfBudget
 from reports import console, tables
+from reports.figures.window import about_the_image
+from reports.interactive.page import write_page
+from reports.interactive.person import person_page
 from reports.options import Screen
 from reports.settings import SampleSettings
+
+NUM_HYPOTHESES = 5
+"""On the page, which stand for the draws."""
 
 
 def _task(settings: SampleSettings) -> str:
@@ -14,10 +21,14 @@ def _task(settings: SampleSettings) -> str:
 
 
 def run(settings: SampleSettings, screen: Screen) -> None:
-    """Writes posterior.nc. Raises `BadInput`, or `OutOfBudget` after saving what was drawn."""
+    """Writes posterior.nc and its page. Raises `BadInput`, or `OutOfBudget` after saving what was
+    drawn."""
     import jax
 
     out, sampling = console.output_file(settings.out), settings.sampling
+    page = console.output_file(out.with_suffix(".html"))
+    if page == out:
+        raise BadInput(f"{out} is the name of the page; give --out a name that ends in .nc")
     with console.progress("torso and camera", screen.quiet):
         model = settings.prior.model()
         frame = settings.estimation.estimate(settings.person.detection, model)
@@ -37,13 +48,31 @@ def run(settings: SampleSettings, screen: Screen) -> None:
     if not result.num_draws:
         raise OutOfBudget(result.sentence)
     result.save(out)
+    with console.progress("page", screen.quiet):
+        photo = settings.person.detected.photo
+        chosen = hypotheses(result, min(NUM_HYPOTHESES, result.num_draws), seed=sampling.seed)
+        write_page(
+            person_page(
+                result,
+                chosen,
+                image=photo,
+                warnings=about_the_image(settings.person.detection, photo),
+            ),
+            page,
+        )
     if screen.json:
-        found = {"candidates": tables.candidates_table(result.tree).json(), "out": str(out)}
+        found = {
+            "candidates": tables.candidates_table(result.tree).json(),
+            "out": str(out),
+            "page": str(page),
+        }
         console.show_json(tables.summary_json(result) | found)
     else:
         for line in tables.summary_lines(result):
             console.say(line)
         console.OUT.print(tables.candidates_table(result.tree))
-        console.say(f"Written to {out}")
+        console.say(f"Written to {out} and {page.name}")
+    if settings.open:
+        console.open_page(page)
     if result.status != COMPLETE:
         raise OutOfBudget(f"{result.sentence} (what there is, is saved in {out})")

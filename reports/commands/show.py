@@ -1,5 +1,5 @@
 """`poseterior show`: how a file was read, as a picture and a table, and what speaks against that
-reading."""
+reading; or a result of ours as a page."""
 
 from pathlib import Path
 
@@ -11,6 +11,8 @@ from probmodel import BadInput, Detection, PoseModel
 from probmodel.layouts import MEDIAPIPE_33
 from probmodel.skeleton import JOINTS
 from reports import console, figures, tables
+from reports.figures.window import about_the_image
+from reports.interactive.page import write_page
 from reports.options import Estimation, Screen
 from reports.settings import ShowSettings
 
@@ -20,9 +22,38 @@ them."""
 
 
 def run(settings: ShowSettings, screen: Screen) -> None:
-    """Writes the picture and says what was read and what is doubted. Raises `BadInput` on a bad
-    file or image."""
-    out, shown = console.output_file(settings.out), settings.person.detected.photo
+    """Shows what there is: a detection, or a result. Raises `BadInput` on a bad file or image."""
+    out = (
+        _show_result(settings, screen)
+        if settings.person.is_result
+        else _show_reading(settings, screen)
+    )
+    if settings.open:
+        console.open_page(out)
+
+
+def _show_result(settings: ShowSettings, screen: Screen) -> Path:
+    """Writes the page of a result, and returns its name."""
+    from reports.interactive.saved import page_of
+
+    path, photo = settings.person.file, settings.person.detected.photo
+    beside = (path if path.is_dir() else path.parent) / "hypotheses.html"
+    out = console.output_file(settings.out or beside)
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise BadInput("the page of a result is HTML; give --out a name that ends in .html")
+    with console.progress("the page", screen.quiet):
+        write_page(page_of(path, photo), out)
+    if screen.json:
+        console.show_json({"out": str(out)})
+    else:
+        console.say(f"Written to {out}")
+    return out
+
+
+def _show_reading(settings: ShowSettings, screen: Screen) -> Path:
+    """Writes the picture, whose name it returns, and says what was read and what is doubted."""
+    shown = settings.person.detected.photo
+    out = console.output_file(settings.out or Path("overlay.png"))
     with console.progress("reading", screen.quiet):
         people, person = settings.person.people, settings.person.detection
         model = settings.prior.model()
@@ -47,6 +78,7 @@ def run(settings: ShowSettings, screen: Screen) -> None:
         )
     for sentence in warnings:
         console.warn(sentence)
+    return out
 
 
 def _size_is_open(person: Detection, settings: ShowSettings) -> bool:
@@ -60,26 +92,6 @@ def _others(people: list[Detection], person: Detection) -> list[Detection]:
     others = [other for other in people if other.person != person.person and other.seen.any()]
     step = max(1, -(-len(others) // (MOST_PEOPLE - 1)))
     return others[::step]
-
-
-def about_the_image(person: Detection, image: np.ndarray | None) -> list[str]:
-    """What the image itself says: whether its size is the detection's, and whether the joints lie
-    in it."""
-    if image is None:
-        return []
-    size = (image.shape[1], image.shape[0])
-    if person.image_size not in (None, size):
-        was = "x".join(map(str, person.image_size or ()))
-        return [
-            f"the detection was made on an image of {was} pixels, but this one has"
-            f" {size[0]}x{size[1]}"
-        ]
-    points = person.keypoints[person.seen]
-    outside = ((points < 0) | (points > size)).any(axis=1)
-    if outside.sum() > len(points) / 2:
-        said = f"{outside.sum()} of {len(points)} joints lie outside the image"
-        return [f"{said}: is it the right one, in its full size?"]
-    return []
 
 
 def _radius(person: Detection, estimation: Estimation, model: PoseModel) -> np.ndarray | None:

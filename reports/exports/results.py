@@ -8,7 +8,7 @@ import numpy as np
 
 from inference.hypothesis import diverse
 from inference.store import SETTINGS
-from inference.stream import open_stream
+from inference.stream import frame_and_person, open_stream
 from probmodel.arrays import read_netcdf
 from probmodel.datasets import body_height
 from probmodel.detections import LARGEST_NUMBER
@@ -198,8 +198,8 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
 def _rows(names: list[str], person: int | None, path: Path) -> tuple[list[str], list[int | None]]:
     """The names of all frames, and in which row of the stream the person stands in each (None: in
     none). Items are called `frame/person` where a detector's file was read."""
-    parts = [name.rpartition("/") if "/" in name else (name, "", "") for name in names]
-    people = sorted({who for _, _, who in parts}, key=lambda who: (len(who), who))
+    parts = [frame_and_person(name) for name in names]
+    people = sorted({who for _, who in parts}, key=lambda who: (len(who), who))
     if person is None and len(people) > 1:
         raise BadInput(
             f"{path} is a film of {len(people)} people; choose one with --person, of"
@@ -208,8 +208,8 @@ def _rows(names: list[str], person: int | None, path: Path) -> tuple[list[str], 
     who = people[0] if person is None else str(person)
     if who not in people:
         raise BadInput(f"{path} has no person {who}; choose one of {', '.join(people[:20])}")
-    rows = {frame: row for row, (frame, _, one) in enumerate(parts) if one == who}
-    frames = list(dict.fromkeys(frame for frame, _, _ in parts))
+    rows = {frame: row for row, (frame, one) in enumerate(parts) if one == who}
+    frames = list(dict.fromkeys(frame for frame, _ in parts))
     return frames, [rows.get(frame) for frame in frames]
 
 

@@ -6,8 +6,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from inference.studies.evaluation.bias import ANGLES, Bias
+from reports.figures.colours import PALETTE
 from reports.figures.evaluation import DPI, whiskers
-from reports.figures.style import FAINT, INK, PALETTE, Style, page, tidy
+from reports.figures.style import FAINT, INK, Style, page, tidy
 
 LIGHT = "#BBBBBB"
 ACTIONS = (*PALETTE, "#000000")

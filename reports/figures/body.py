@@ -6,7 +6,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Circle
 
 from probmodel.skeleton import JOINTS
-from reports.figures.style import COLOURS, SEGMENTS, Style
+from reports.figures.colours import COLOURS, SEGMENTS
+from reports.figures.style import Style
 
 
 def draw_detection(
@@ -53,8 +54,8 @@ def draw_detection(
             axes.add_patch(disc)
 
 
-def draw_image(axes: Axes, image: np.ndarray, alpha: float) -> None:
-    """Lays an image `(H, W, 3)` under the axes: the centre of a pixel has whole coordinates."""
-    high, wide = image.shape[:2]
-    extent = (-0.5, wide - 0.5, high - 0.5, -0.5)
-    axes.imshow(image, extent=extent, alpha=alpha, zorder=0).set_gid("image")
+def draw_image(axes: Axes, image: np.ndarray, alpha: float, corners: np.ndarray) -> None:
+    """Lays an image `(H, W, 3)` under the axes; `corners` `(2, 2)` are where its upper left and its
+    lower right one lie."""
+    (left, top), (right, bottom) = corners.tolist()
+    axes.imshow(image, extent=(left, right, bottom, top), alpha=alpha, zorder=0).set_gid("image")

@@ -18,7 +18,8 @@ from inference.studies.calibration.quantities import (
 )
 from inference.studies.calibration.uniformity import LEVELS as POINTS
 from inference.studies.calibration.uniformity import band, difference
-from reports.figures.style import INK, PALETTE, page, tidy
+from reports.figures.colours import PALETTE
+from reports.figures.style import INK, page, tidy
 from reports.tables.words import spoken
 
 BAND = "#BBBBBB"

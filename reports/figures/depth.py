@@ -8,37 +8,38 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from probmodel.skeleton import JOINTS
-from reports.figures.style import (
-    COLOURS,
-    DPI,
-    FAINT,
-    INK,
-    LIMB_OF,
-    OTHER_COLOUR,
-    SMALL,
-    TEXT,
-    TITLE,
-    Style,
-    note,
-    page,
-)
-from reports.tables.posterior import heaviest, values
+from probmodel.skeleton import JOINTS, TORSO_INDEX
+from reports.figures.colours import COLOURS, LIMB_OF, OTHER_COLOUR
+from reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, TITLE, Style, note, page
+from reports.tables.posterior import heaviest, is_uncertain, values
 from reports.tables.words import spoken
 
 
 def depth_figure(tree: xr.DataTree) -> Figure:
     """Per joint: the posterior of its depth relative to the pelvis, parted by candidate; and its
-    standard deviations in depth and across the image. Body units."""
-    figure = page(7.2, 3.9, dpi=DPI)
+    standard deviations in depth and across the image. Body units. The torso has rows where it is
+    drawn with the pose, and a word where it is held fixed."""
+    uncertain = is_uncertain(tree)
+    joints = [*LIMB_OF, *(TORSO_INDEX[1:] if uncertain else ())]
+    figure = page(7.2, 3.9 + 0.4 * (len(joints) - len(LIMB_OF)), dpi=DPI)
     ridges, spreads = figure.subplots(1, 2, sharey=True, width_ratios=[2.4, 1])
-    joints = list(LIMB_OF)
     _draw_ridges(ridges, tree, joints)
     _draw_spreads(spreads, tree, joints)
     seen = values(tree, "observed_data", "score") > 0
     names = [spoken(JOINTS[joint]) + ("" if seen[joint] else " (missing)") for joint in joints]
-    ridges.set_yticks(range(len(joints)), names, fontsize=TEXT)
-    ridges.set_ylim(len(joints) - 0.5, -0.95)
+    if not uncertain:
+        names.append("torso and camera")
+        spreads.annotate(
+            "held fixed",
+            (0, len(joints)),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=SMALL,
+            color=FAINT,
+        )
+    ridges.set_yticks(range(len(names)), names, fontsize=TEXT)
+    ridges.set_ylim(len(names) - 0.5, -0.95)
     for axis in (ridges, spreads):
         axis.tick_params(labelsize=SMALL, length=0, axis="y")
         axis.tick_params(labelsize=SMALL, color=FAINT, axis="x")

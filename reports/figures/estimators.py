@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from inference.studies.evaluation.scores import Interval
-from reports.figures.style import FAINT, INK, PALETTE, Style, page, tidy
+from reports.figures.colours import PALETTE
+from reports.figures.style import FAINT, INK, Style, page, tidy
 
 COLOURS = {
     "mean pose": FAINT,

@@ -17,7 +17,8 @@ from inference.studies.evaluation.scores import (
     pose_errors,
     usable,
 )
-from reports.figures.style import FAINT, PALETTE, Style, page, tidy
+from reports.figures.colours import PALETTE
+from reports.figures.style import FAINT, Style, page, tidy
 from reports.tables.evaluation import NAMES, Labels, rows_of
 
 COLOURS = {"zhou": PALETTE[0], "akhter-black": PALETTE[1], "dictionary": PALETTE[2]}

@@ -1,4 +1,4 @@
-"""Detections and hypotheses from three sides.
+"""Detections and hypotheses from three sides, together and one by one.
 
 save_figure(hypotheses_figure(tree, hypotheses), path)
 """
@@ -12,27 +12,23 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from probmodel.failures import BadInput
 from probmodel.skeleton import JOINTS, NUM_JOINTS
 from reports.figures.body import draw_detection, draw_image
-from reports.figures.legend import (
-    DRAW_COLOUR,
-    MAX_NAMED,
-    colour_handles,
-    draw_legend,
-    hypothesis_colours,
-    legend_height,
-    style_handles,
-)
-from reports.figures.style import (
+from reports.figures.colours import (
     COLOURS,
+    DRAW_COLOUR,
+    LEFT_LIMBS,
+    LIMB_OF,
+    MAX_NAMED,
+    SEGMENTS,
+    hypothesis_colours,
+)
+from reports.figures.legend import colour_handles, draw_legend, legend_height, style_handles
+from reports.figures.style import (
     DASHES,
     DPI,
     FAINT,
     INK,
-    LEFT_LIMBS,
-    LIMB_OF,
-    SEGMENTS,
     SMALL,
     TITLE,
     Style,
@@ -41,16 +37,20 @@ from reports.figures.style import (
     note,
     page,
 )
+from reports.figures.window import MAX_DRAWS, Window, cropped, window_of
 from reports.tables.posterior import heaviest, is_uncertain, values
+from reports.tables.sheet import percent
 from reports.tables.words import spoken
 
 if TYPE_CHECKING:
     from inference.hypothesis import Hypothesis
 
-MAX_DRAWS = 150
-"""Draws shown in the background of a panel; more of them make a grey block."""
 WIDTH, HIGHEST = 10.5, 4.2
 """Inches: the width of the page, and the most that its panels are high."""
+GAP, TOP, NOTES, SIDE = 0.3, 0.33, 0.5, 0.12
+"""Inches between panels, above them for a title, below for notes, and at the page's edges."""
+HIGHEST_ALONE, WIDEST_ALONE = 1.9, 1.7
+"""Inches that a panel of a single hypothesis has at most."""
 
 
 class Pane(NamedTuple):
@@ -73,6 +73,26 @@ class Pen(NamedTuple):
     dashed: bool = False
 
 
+class Flat(NamedTuple):
+    """What a view shows, in its two axes and body units: `draws` `(n, 15, 2)`, hypotheses
+    `(k, 15, 2)`, and the `truth` `(15, 2)` if it is known."""
+
+    draws: np.ndarray
+    hypotheses: np.ndarray
+    truth: np.ndarray | None
+
+    def extent(self) -> tuple[np.ndarray, np.ndarray]:
+        """Corners that hold all of the poses and nearly all of the draws."""
+        named = [self.hypotheses] if self.truth is None else [self.hypotheses, self.truth[None]]
+        points = np.concatenate(named).reshape(-1, 2)
+        if len(self.draws):
+            most = np.quantile(self.draws, [0.03, 0.97], axis=0).reshape(-1, 2)
+            points = np.concatenate([points, most])
+        if not len(points):
+            return np.array([-1.0, -1.0]), np.array([1.0, 1.0])
+        return points.min(axis=0) - 0.15, points.max(axis=0) + 0.15
+
+
 VIEWS = (
     Pane("From the camera", 0, 1, True, ""),
     Pane("From the side", 2, 1, True, "→ away from the camera"),
@@ -87,124 +107,125 @@ def hypotheses_figure(
     image: np.ndarray | None = None,
     truth: np.ndarray | None = None,
 ) -> Figure:
-    """Detections with their discs; and the hypotheses from the camera, from the side and from
-    above, in body units, over some of the draws.
+    """Detections with their discs; the hypotheses from the camera, over the image, from the side
+    and from above, over some of the draws; and below each of them alone, from the side.
 
     Parameters
     ----------
     tree
         A posterior.
     hypotheses
-        The heaviest first.
+        Of its draws, the heaviest first.
     image
-        `(H, W, 3)`, drawn under the detections.
+        `(H, W, 3)`, drawn under the detections, and under what the camera sees of the hypotheses.
     truth
-        `(15, 3)` in camera axes, drawn in black.
+        `(15, 3)` in camera axes and body units, drawn in black; from the camera where the heaviest
+        candidate would see it.
 
     Raises
     ------
     BadInput
         Where the image is not one, or shows none of the detected joints.
     """
-    draws = values(tree, "posterior", "joints")[:MAX_DRAWS]
-    poses = [hypothesis.joints for hypothesis in hypotheses] + ([] if truth is None else [truth])
-    named = np.array(poses).reshape(-1, NUM_JOINTS, 3)
-    window = _window(tree, image)
-    boxes = [_extent(draws, named, view) for view in VIEWS]
-    colours, styles = colour_handles(hypotheses), style_handles(truth is not None, len(draws))
-    figure, axes = _panels(window, boxes, legend_height(colours))
+    window = window_of(tree, image)
+    flats = [_flattened(tree, hypotheses, truth, view) for view in VIEWS]
+    colours = colour_handles(hypotheses)
+    draws = len(flats[0].draws)
+    styles = style_handles(truth is not None, draws)
+    alone = hypotheses[:MAX_NAMED] if len(hypotheses) > 1 else []
+    figure, axes, singles = _panels(
+        window, [flat.extent() for flat in flats], len(alone), legend_height(colours)
+    )
     _draw_detections(axes[0], tree, window, image)
-    for axis, view, (low, high) in zip(axes[1:], VIEWS, boxes, strict=True):
-        _draw_view(axis, view, draws, hypotheses, truth)
-        axis.set_xlim(low[0], high[0])
-        axis.set_ylim(*((high[1], low[1]) if view.flip else (low[1], high[1])))
+    if image is not None:
+        low, high = axes[1].get_xlim(), axes[1].get_ylim()
+        part = cropped(image, window)
+        camera = _heaviest_camera(tree)
+        draw_image(axes[1], part.pixels, 0.35, (part.corners - camera.translation) / camera.scale)
+        axes[1].set(xlim=low, ylim=high)
+    for axis, view, flat in zip(axes[1:], VIEWS, flats, strict=True):
+        _draw_view(axis, view, flat)
     _scale_bar(axes[1])
+    for rank, (axis, one) in enumerate(zip(singles, alone, strict=True)):
+        _draw_alone(axis, flats[1], rank, one)
     draw_legend(figure, colours, styles)
     return figure
 
 
-class Window(NamedTuple):
-    """The part of the image that is shown: corners `(2,)`, pixels."""
+class Seen(NamedTuple):
+    """Where a camera sees the pelvis, `translation` `(2,)` in pixels, and its `scale`, pixels per
+    body unit."""
 
-    low: np.ndarray
-    high: np.ndarray
-
-
-def _window(tree: xr.DataTree, image: np.ndarray | None) -> Window:
-    """What there is to see: discs, seen joints, nearly all draws; of an image only what lies around
-    that."""
-    keypoints = values(tree, "observed_data", "keypoints")
-    radius = np.nan_to_num(values(tree, "constant_data", "radius")[heaviest(tree)])[:, None]
-    seen = np.isfinite(keypoints).all(axis=1)
-    points = np.concatenate([(keypoints - radius)[seen], (keypoints + radius)[seen]])
-    projected = values(tree, "posterior", "keypoints")[:MAX_DRAWS].reshape(-1, 2)
-    if len(projected):
-        points = np.concatenate([points, np.quantile(projected, [0.01, 0.99], axis=0)])
-    low, high = points.min(axis=0), points.max(axis=0)
-    margin = 0.08 * (high - low).max()
-    low, high = low - margin, high + margin
-    if image is not None:
-        size = _image_size(image)
-        if not ((keypoints[seen] >= 0) & (keypoints[seen] <= size)).all(axis=1).any():
-            raise BadInput(
-                f"the image is {size[0]} x {size[1]} pixels and none of the detected joints lies in"
-                " it; give the image from which the detection was made."
-            )
-        low = np.maximum(low, np.minimum(0, points.min(axis=0)))
-        high = np.minimum(high, np.maximum(size, points.max(axis=0)))
-    # A panel of reasonable shape, whatever the pose: at least half as wide as high and as high as
-    # wide.
-    middle, half = (low + high) / 2, (high - low) / 2
-    half = np.maximum(half, half[::-1] * np.array([0.55, 0.75]))
-    return Window(middle - half, middle + half)
+    translation: np.ndarray
+    scale: float
 
 
-def _image_size(image: np.ndarray) -> tuple[int, int]:
-    if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
-        raise BadInput(f"an image is an array of shape (height, width, 3), not {image.shape}.")
-    return image.shape[1], image.shape[0]
+def _heaviest_camera(tree: xr.DataTree) -> Seen:
+    index = heaviest(tree)
+    translation, scale = (values(tree, "constant_data", name) for name in ("translation", "scale"))
+    return Seen(translation[index], float(scale[index]))
 
 
-def _extent(draws: np.ndarray, named: np.ndarray, view: Pane) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of a view, body units, that hold all of the `named` poses `(n, 15, 3)` and nearly all
-    of the draws."""
-    flat = [view.across, view.along]
-    points = named[:, :, flat].reshape(-1, 2)
-    if len(draws):
-        points = np.concatenate(
-            [points, np.quantile(draws[:, :, flat], [0.03, 0.97], axis=0).reshape(-1, 2)]
-        )
-    if not len(points):
-        return np.array([-1.0, -1.0]), np.array([1.0, 1.0])
-    return points.min(axis=0) - 0.15, points.max(axis=0) + 0.15
+def _flattened(
+    tree: xr.DataTree,
+    hypotheses: Sequence["Hypothesis"],
+    truth: np.ndarray | None,
+    view: Pane,
+) -> Flat:
+    """A view of a posterior. From the camera, every pose is where its own camera sees it, in units
+    of the heaviest candidate's: there it lies over the image."""
+    axes = [view.across, view.along]
+    if view is VIEWS[0]:
+        camera = _heaviest_camera(tree)
+        flat = (values(tree, "posterior", "keypoints") - camera.translation) / camera.scale
+    else:
+        flat = values(tree, "posterior", "joints")[..., axes]
+    chosen = flat[[one.draw for one in hypotheses]].reshape(-1, NUM_JOINTS, 2)
+    return Flat(flat[:MAX_DRAWS], chosen, None if truth is None else truth[:, axes])
 
 
 def _panels(
-    window: Window, boxes: list[tuple[np.ndarray, np.ndarray]], below: float
-) -> tuple[Figure, list[Axes]]:
-    """Axes in one row, tops aligned, the last three to one scale, `below` inches free for the
-    legend. The page is `WIDTH` wide and as high as what is shown then needs, within limits."""
-    gap, top, notes, side = 0.3, 0.33, 0.42, 0.12
+    window: Window, boxes: list[tuple[np.ndarray, np.ndarray]], alone: int, below: float
+) -> tuple[Figure, list[Axes], list[Axes]]:
+    """Axes in a row, tops aligned, the last three to one scale; under them a row of `alone` axes,
+    all as the view from the side; `below` inches free for the legend. The page is `WIDTH` wide and
+    as high as what is shown then needs, within limits."""
     spans = np.array([high - low for low, high in boxes])
     pixels = window.high - window.low
     # In units of the row's height.
     shapes = np.concatenate([[pixels / pixels[1]], spans / spans[:, 1].max()])
-    free = WIDTH - 2 * side - 3 * gap
+    free = WIDTH - 2 * SIDE - 3 * GAP
     sizes = shapes * min(free / shapes[:, 0].sum(), HIGHEST)
-    gap += max(0.0, free - sizes[:, 0].sum()) / 3
-    total = top + sizes[0, 1] + notes + below
+    gap = GAP + max(0.0, free - sizes[:, 0].sum()) / 3
+    small = spans[1] * min(HIGHEST_ALONE / spans[1, 1], WIDEST_ALONE / spans[1, 0])
+    small *= min(1.0, (WIDTH - 2 * SIDE) / max(1, alone) / (small[0] + GAP))
+    second = small[1] + TOP + 0.1 if alone else 0.0
+    total = TOP + sizes[0, 1] + NOTES + second + below
     figure = page(WIDTH, total, dpi=DPI, layout=None)
-    left, axes = side, []
+    lefts = SIDE + np.concatenate([[0.0], np.cumsum(sizes[:-1, 0] + gap)])
     titles = ("Detections", *(view.title for view in VIEWS))
-    for (wide, high), title in zip(sizes, titles, strict=True):
-        place = (left / WIDTH, (total - top - high) / total, wide / WIDTH, high / total)
-        axis = figure.add_axes(place)
-        axis.set_title(title, loc="left", fontsize=TITLE, fontweight="bold", color=INK, pad=5)
-        axis.set_aspect("equal", adjustable="box", anchor="NW")
-        blank(axis)
-        left += wide + gap
-        axes.append(axis)
-    return figure, axes
+    axes = [
+        _panel(figure, (left, total - TOP - size[1]), size, title)
+        for left, size, title in zip(lefts, sizes, titles, strict=True)
+    ]
+    for axis, view, (low, high) in zip(axes[1:], VIEWS, boxes, strict=True):
+        axis.set_xlim(low[0], high[0])
+        axis.set_ylim(*((high[1], low[1]) if view.flip else (low[1], high[1])))
+    step = (WIDTH - 2 * SIDE) / max(1, alone)
+    singles = [_panel(figure, (SIDE + step * one, below), small, "") for one in range(alone)]
+    for axis in singles:
+        axis.set(xlim=axes[2].get_xlim(), ylim=axes[2].get_ylim())
+    return figure, axes, singles
+
+
+def _panel(figure: Figure, corner: tuple[float, float], size: np.ndarray, title: str) -> Axes:
+    """Empty axes of a size at a place of the page, inches."""
+    whole = figure.get_size_inches()
+    axis = figure.add_axes((*(np.array(corner) / whole), *(size / whole)))
+    axis.set_title(title, loc="left", fontsize=TITLE, fontweight="bold", color=INK, pad=5)
+    axis.set_aspect("equal", adjustable="box", anchor="NW")
+    blank(axis)
+    return axis
 
 
 def _draw_detections(
@@ -213,7 +234,8 @@ def _draw_detections(
     keypoints = values(tree, "observed_data", "keypoints")
     radius = values(tree, "constant_data", "radius")[heaviest(tree)]
     if image is not None:
-        draw_image(axis, image, 0.6)
+        part = cropped(image, window)
+        draw_image(axis, part.pixels, 0.6, part.corners)
     draws = values(tree, "posterior", "keypoints")[:MAX_DRAWS]
     # The torso's joints have clouds of their own only where they move.
     for joint in range(NUM_JOINTS) if is_uncertain(tree) else LIMB_OF:
@@ -226,32 +248,42 @@ def _draw_detections(
     axis.spines[:].set_visible(True)
     axis.spines[:].set(color="#CCCCCC", lw=0.6)
     lost = [spoken(JOINTS[joint]) for joint in LIMB_OF if not np.isfinite(keypoints[joint]).all()]
-    footnote(axis, "purple: right, green: left", *(["missing: " + ", ".join(lost)] if lost else []))
+    sentences = ["purple: right, green: left"]
+    sentences += [] if is_uncertain(tree) else ["torso and camera: held fixed"]
+    footnote(axis, *sentences, *(["missing: " + ", ".join(lost)] if lost else []))
 
 
-def _draw_view(
-    axis: Axes,
-    view: Pane,
-    draws: np.ndarray,
-    hypotheses: Sequence["Hypothesis"],
-    truth: np.ndarray | None,
-) -> None:
-    flat = [view.across, view.along]
-    bones = list(draws[:, np.array(SEGMENTS)][..., flat].reshape(-1, 2, 2))
-    options: Style = {"colors": DRAW_COLOUR, "lw": 0.5, "alpha": 0.09, "zorder": 1, "gid": "draws"}
-    axis.add_collection(LineCollection(bones, **options))
-    colours = hypothesis_colours(len(hypotheses))
+def _draw_view(axis: Axes, view: Pane, flat: Flat) -> None:
+    _draw_draws(axis, flat, 0.09)
+    number = len(flat.hypotheses)
+    colours = hypothesis_colours(number)
     pens = [Pen(colour, 1.6 if rank < MAX_NAMED else 0.6) for rank, colour in enumerate(colours)]
-    for rank, hypothesis in reversed(list(enumerate(hypotheses))):  # the heaviest on top
-        height = 10 + len(hypotheses) - rank
-        _draw_pose(axis, hypothesis.joints[:, flat], pens[rank], f"hypothesis {rank + 1}", height)
-    if truth is not None:
-        pen = Pen("black", 1.0, dashed=True)
-        _draw_pose(axis, truth[:, flat], pen, "truth", 11 + len(hypotheses))
-    if not len(draws):
+    for rank in reversed(range(number)):  # the heaviest on top
+        gid = f"hypothesis {rank + 1}"
+        _draw_pose(axis, flat.hypotheses[rank], pens[rank], gid, 10 + number - rank)
+    if flat.truth is not None:
+        _draw_pose(axis, flat.truth, Pen("black", 1.0, dashed=True), "truth", 11 + number)
+    if not len(flat.draws):
         note(axis, "no draws")
     if view.hint:
         footnote(axis, view.hint)
+
+
+def _draw_alone(axis: Axes, flat: Flat, rank: int, one: "Hypothesis") -> None:
+    """One hypothesis from the side, its share as the title; all five of them make a tangle."""
+    _draw_draws(axis, flat, 0.05)
+    colour = hypothesis_colours(rank + 1)[rank]
+    _draw_pose(axis, flat.hypotheses[rank], Pen(colour, 1.4), f"alone {rank + 1}", 10)
+    if flat.truth is not None:
+        _draw_pose(axis, flat.truth, Pen("black", 0.8, dashed=True), "truth", 11)
+    words = percent(one.weight) + (" alone, from the side" if rank == 0 else "")
+    axis.set_title(words, loc="left", fontsize=SMALL, color=INK, pad=3)
+
+
+def _draw_draws(axis: Axes, flat: Flat, alpha: float) -> None:
+    bones = list(flat.draws[:, np.array(SEGMENTS)].reshape(-1, 2, 2))
+    options: Style = {"colors": DRAW_COLOUR, "lw": 0.5, "alpha": alpha, "zorder": 1, "gid": "draws"}
+    axis.add_collection(LineCollection(bones, **options))
 
 
 def _draw_pose(axis: Axes, points: np.ndarray, pen: Pen, gid: str, zorder: int) -> None:

@@ -6,22 +6,15 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from reports.figures.style import DASHES, FAINT, INK, LEGEND, OTHER_COLOUR, PALETTE, SMALL, Style
+from reports.figures.colours import DRAW_COLOUR, MAX_NAMED, OTHER_COLOUR, PALETTE
+from reports.figures.style import DASHES, FAINT, INK, LEGEND, SMALL, Style
 from reports.tables.words import facing_words, pose_facing
 
 if TYPE_CHECKING:
     from inference.hypothesis import Hypothesis
 
-MAX_NAMED = len(PALETTE)
-"""Hypotheses with a colour and an entry in the legend; the others are thin, grey and counted."""
-DRAW_COLOUR = "#8A8A8A"
 LINE, COLUMNS = 0.19, 5
 """Inches between lines, and columns."""
-
-
-def hypothesis_colours(number: int) -> list[str]:
-    """Colours of that many hypotheses, heaviest first; beyond the palette they share a grey."""
-    return [*PALETTE, *[OTHER_COLOUR] * number][:number]
 
 
 def colour_handles(hypotheses: Sequence["Hypothesis"]) -> list[Line2D]:

@@ -11,7 +11,8 @@ from matplotlib.patches import Circle
 
 from inference.studies.calibration.exclusions import Reason
 from probmodel.skeleton import BONES, JOINT_INDEX
-from reports.figures.style import INK, PALETTE, SEGMENTS, blank, page
+from reports.figures.colours import PALETTE, SEGMENTS
+from reports.figures.style import INK, blank, page
 
 HUNG, BROKEN = PALETTE[:2]
 RING = "#BBBBBB"

@@ -16,7 +16,9 @@ from matplotlib.figure import Figure
 from probmodel.detections import FACE, Detection
 from probmodel.skeleton import JOINTS
 from reports.figures.body import draw_detection, draw_image
-from reports.figures.style import COLOURS, DPI, INK, LEGEND, TITLE, Style, blank, note, page
+from reports.figures.colours import COLOURS
+from reports.figures.style import DPI, INK, LEGEND, TITLE, Style, blank, note, page
+from reports.figures.window import corners_of
 from reports.tables.words import spoken
 
 WIDTH = 8.0
@@ -69,7 +71,7 @@ def overlay_figure(
     blank(axis)
     axis.spines[:].set(visible=True, color="#CCCCCC", lw=0.6)
     if image is not None:
-        draw_image(axis, image, 0.75)
+        draw_image(axis, image, 0.75, corners_of(image))
     axis.set_xlim(low[0], high[0])
     axis.set_ylim(high[1], low[1])
     axis.set_aspect("equal", adjustable="box")

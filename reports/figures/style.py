@@ -1,4 +1,4 @@
-"""What all figures share: colours, sizes of text, a page to draw on.
+"""What all figures share: sizes of text, a page to draw on.
 
 Figures are made without pyplot: no screen, no global state. Artists carry a `gid` (such as "disc
 right_knee") that names what they show.
@@ -11,40 +11,15 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from probmodel.skeleton import GROUPS, NUM_JOINTS, PARENTS
-
 Style = dict[str, Any]
 """Options of an artist."""
 DPI = 200
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#8C6D31")
-"""Okabe & Ito's, told apart with any colour vision; a brown in place of its black, which is the
-truth's."""
-LIMB_COLOURS = {
-    "head": "#555555",
-    "right arm": "#762A83",
-    "right leg": "#B088BD",
-    "left arm": "#1B7837",
-    "left leg": "#73B87A",
-}
-"""Purple right, green left; arms dark, legs light."""
-TORSO_COLOUR, OTHER_COLOUR = "#555555", "#9A9A9A"
 INK, FAINT = "#222222", "#777777"
 SMALL, LEGEND, TEXT, TITLE = 7.0, 7.5, 8.0, 9.0
 """Points."""
 LETTERS = 19
 """Of `SMALL` size in an inch."""
 DASHES = (0, (2.2, 1.1))
-SEGMENTS = tuple((PARENTS[joint], joint) for joint in range(1, NUM_JOINTS))
-LIMB_OF = {
-    bone.end: limb.name for limbs in GROUPS.values() for limb in limbs for bone in limb.bones
-}
-"""The limb of each joint that moves."""
-LEFT_LIMBS = {joint for joint, limb in LIMB_OF.items() if limb.startswith("left")}
-COLOURS = [
-    LIMB_COLOURS[LIMB_OF[joint]] if joint in LIMB_OF else TORSO_COLOUR
-    for joint in range(NUM_JOINTS)
-]
-"""By joint."""
 
 
 def page(

@@ -26,7 +26,8 @@ from probmodel import Detection, PoseModel
 from probmodel.layouts import corrected
 from probmodel.sessions import Session, read_session
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
-from reports.figures.style import FAINT, INK, PALETTE, SMALL, TITLE, page
+from reports.figures.colours import PALETTE
+from reports.figures.style import FAINT, INK, SMALL, TITLE, page
 from reports.pages.page import in_doubles, write_page
 from reports.tables import Sheet, sheet_of
 

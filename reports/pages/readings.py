@@ -27,7 +27,8 @@ from inference.readings import (
 )
 from inference.studies.misreadings import RIGHT, Study, evidences, exchanges, study, views
 from probmodel import Anatomy, BadInput, Detection, PoseModel, read_detections
-from reports.figures.style import INK, PALETTE
+from reports.figures.colours import PALETTE
+from reports.figures.style import INK
 from reports.figures.style import page as blank_page
 from reports.pages.page import Values, in_doubles, write_page
 from reports.tables import Column, Sheet, sheet_of

@@ -30,8 +30,9 @@ from inference.stream import Item, sample_frames
 from inference.studies.scenes import motion_frames, prior_frames, prior_scene
 from probmodel import Estimate, PoseModel
 from probmodel.skeleton import GROUPS
-from reports.figures.style import PALETTE, tidy
+from reports.figures.colours import PALETTE
 from reports.figures.style import page as blank_page
+from reports.figures.style import tidy
 from reports.pages.page import Values, in_doubles, write_page
 from reports.tables import Column, Sheet, sheet_of
 from reports.tables.evaluation import PAPERS_FRAMES

@@ -3,9 +3,10 @@ from .check import check_json as check_json
 from .check import check_table as check_table
 from .detection import people_table as people_table
 from .detection import reading_table as reading_table
+from .frames import film_table as film_table
+from .frames import people_of_film as people_of_film
 from .frames import stream_json as stream_json
 from .frames import stream_lines as stream_lines
-from .frames import stream_table as stream_table
 from .posterior import MILLIMETRES as MILLIMETRES
 from .posterior import candidates_table as candidates_table
 from .posterior import heaviest as heaviest

@@ -5,14 +5,14 @@ columns.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from inference.results import UNCERTAIN
-from probmodel.skeleton import JOINT_INDEX, JOINTS
+from probmodel.skeleton import JOINT_INDEX, JOINTS, TORSO_INDEX
 from reports.tables.sheet import (
     NOTHING,
     Column,
@@ -35,6 +35,9 @@ MILLIMETRES = 350.0
 are 0.186, 0.146, 0.245 and 0.246 of the stature (Drillis & Contini, Body segment parameters, 1966),
 on average 0.206 · 1700 mm."""
 UNIT_NOTE = f"1 body unit = mean limb length, about {MILLIMETRES:.0f} mm for a person of 1.7 m"
+STILL = 1e-9
+"""Body units within which nothing moves: rounding, not spread."""
+HELD = "held fixed"
 _ENDS = ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
 
 
@@ -48,6 +51,16 @@ def values(tree: xr.DataTree, group: str, name: str) -> np.ndarray:
 def heaviest(tree: xr.DataTree) -> int:
     """Index of the candidate with the largest share of the posterior."""
     return int(np.argmax(values(tree, "constant_data", "weight")))
+
+
+def still(tree: xr.DataTree) -> np.ndarray:
+    """`(15,)`: joints of the torso that are in one place in all draws, because the root that they
+    belong to is held fixed."""
+    joints = values(tree, "posterior", "joints")
+    if is_uncertain(tree) or not len(joints):
+        return np.zeros(len(JOINTS), bool)
+    torso = np.isin(np.arange(len(JOINTS)), TORSO_INDEX)
+    return torso & (np.ptp(joints, axis=0).max(axis=1) <= STILL)
 
 
 def hypotheses_table(hypotheses: Sequence["Hypothesis"]) -> Sheet:
@@ -87,12 +100,14 @@ def posterior_table(tree: xr.DataTree) -> Sheet:
     radius = values(tree, "constant_data", "radius")[heaviest(tree)]
     spread = joints.std(axis=0) if len(joints) else np.full(joints.shape[1:], np.nan)
     lateral = np.sqrt((spread[:, :2] ** 2).mean(axis=1))
+    fixed_joints = still(tree)
     records = [
         {
             "joint": name,
             "seen": bool(score[joint] > 0),
             "score": number(score[joint]) if score[joint] > 0 else None,
             "radius_px": number(radius[joint]),
+            "held_fixed": bool(fixed_joints[joint]),
             "depth_sd": number(spread[joint, 2]),
             "depth_sd_mm": number(spread[joint, 2] * MILLIMETRES),
             "lateral_sd": number(lateral[joint]),
@@ -105,13 +120,26 @@ def posterior_table(tree: xr.DataTree) -> Sheet:
         Column("joint", form=spoken, left=True),
         Column("score", form=lambda score: "missing" if score is None else f"{score:.2f}"),
         Column("τ px", "radius_px", fixed(1)),
-        Column("sd of depth", "depth_sd", fixed(3)),
-        Column("mm", "depth_sd_mm", fixed(0)),
-        Column("sd across", "lateral_sd", fixed(3)),
-        Column("mm", "lateral_sd_mm", fixed(0)),
+        Column("sd of depth", _unless_held("depth_sd", HELD), _spread),
+        Column("mm", _unless_held("depth_sd_mm", ""), _whole),
+        Column("sd across", _unless_held("lateral_sd", HELD), _spread),
+        Column("mm", _unless_held("lateral_sd_mm", ""), _whole),
     ]
     caption = f"sd: standard deviation relative to the pelvis. {UNIT_NOTE}."
     return Sheet(columns, records, "Posterior, joint by joint", caption)
+
+
+def _unless_held(key: str, instead: str) -> Callable[[Record], float | str | None]:
+    """A number of the record, or words where the joint is held fixed."""
+    return lambda record: instead if record["held_fixed"] else record[key]
+
+
+def _spread(value: float | str | None) -> str:
+    return value if isinstance(value, str) else fixed(3)(value)
+
+
+def _whole(value: float | str | None) -> str:
+    return value if isinstance(value, str) else fixed(0)(value)
 
 
 def candidates_table(tree: xr.DataTree) -> Sheet:
@@ -201,6 +229,26 @@ def fixed_table(tree: xr.DataTree) -> Sheet:
 
 def _evidence(record: Record) -> tuple[float | None, float | None]:
     return record["log_evidence"], record["log_evidence_se"]
+
+
+def facing_sentences(tree: xr.DataTree) -> list[str]:
+    """Which ways the person may face, how much speaks for each, and how surprising the detection
+    is."""
+    records = sorted(candidates_table(tree).records, key=lambda record: -record["weight"])
+    ways = [f"{record['facing']} {percent(record['weight'])}" for record in records]
+    open_way = (
+        "Torso and camera are drawn with the pose"
+        if is_uncertain(tree)
+        else (
+            "Torso and camera are held fixed at an estimator's"
+            f" {'candidate' if len(ways) == 1 else 'candidates'}"
+        )
+    )
+    found = [f"{open_way}. Which way the person faces, by share of the draws: {'; '.join(ways)}."]
+    evidence = number(tree.attrs["log_evidence"])
+    if evidence is not None and not is_uncertain(tree):
+        found.append(f"Log evidence {plus_minus((evidence, None))}{_odds(evidence)}.")
+    return found
 
 
 def summary_json(result: "Result") -> dict[str, Any]:

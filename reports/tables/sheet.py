@@ -2,7 +2,7 @@
 
     sheet = Sheet([Column("joint", left=True), Column("sd", "depth_sd", fixed(3))], records)
     console.print(sheet)
-    sheet.markdown(), sheet.csv(), sheet.json()
+    sheet.markdown(), sheet.html(), sheet.csv(), sheet.json()
 
 Records hold values as they are; how a value is written is decided by its column.
 """
@@ -12,6 +12,7 @@ import io
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from csv import writer
+from html import escape
 from typing import Any
 
 from rich import box
@@ -144,6 +145,23 @@ class Sheet:
         lines = "\n".join(f"| {' | '.join(line)} |" for line in [self.head, rule, *self.texts()])
         title = f"### {self.title}\n\n" if titled else ""
         return title + lines + (f"\n\n*{self.caption}*" if self.caption else "")
+
+    def html(self) -> str:
+        """The table for a page of HTML; its texts are escaped."""
+
+        def cells(kind: str, texts: Iterable[str]) -> str:
+            return "".join(
+                f'<{kind} class="left">{escape(text)}</{kind}>'
+                if column.left
+                else f"<{kind}>{escape(text)}</{kind}>"
+                for column, text in zip(self.columns, texts, strict=True)
+            )
+
+        rows = "\n".join(f"<tr>{cells('td', line)}</tr>" for line in self.texts())
+        title = f"<caption>{escape(self.title)}</caption>" if self.title else ""
+        note = f"<p>{escape(self.caption)}</p>" if self.caption else ""
+        head = f"<thead><tr>{cells('th', self.head)}</tr></thead>"
+        return f'<div class="table"><table>{title}{head}\n<tbody>{rows}</tbody></table></div>{note}'
 
     def csv(self) -> str:
         """The table for a spreadsheet: numbers as they are, an interval in three columns."""

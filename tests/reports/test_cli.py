@@ -38,6 +38,8 @@ from tests.scenes import camera
 
 EXAMPLE = example().path
 DOCUMENT = json.loads(EXAMPLE.read_text(encoding="utf-8"))
+RESULTS = ["hypotheses.html", "hypotheses.json", "hypotheses.png", "posterior.nc"]
+"""What the main job leaves in its folder."""
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -779,7 +781,7 @@ def test_what_a_budget_sufficed_for_is_saved(poseterior: Cli, tmp_path: Path) ->
     assert re.fullmatch(
         rf"poseterior: \d+ of 500000 draws after .* \(what there is, is saved in {out}\)\n", run.err
     )
-    assert sorted(files(out)) == ["hypotheses.json", "hypotheses.png", "posterior.nc"]
+    assert sorted(files(out)) == RESULTS
     with xr.open_datatree(out / "posterior.nc", engine="netcdf4") as tree:
         assert 0 < tree["posterior"].sizes["draw"] < 500_000
         assert tree.attrs["status"] == "out of budget"
@@ -858,7 +860,7 @@ def hypotheses_of_example(out: Path, seed: int = 3) -> list[str]:
 
 
 def test_three_files_are_written(written: Path) -> None:
-    assert sorted(files(written)) == ["hypotheses.json", "hypotheses.png", "posterior.nc"]
+    assert sorted(files(written)) == RESULTS
     assert (written / "hypotheses.png").read_bytes().startswith(PNG)
 
 
@@ -973,7 +975,8 @@ def test_hypotheses_as_a_table(poseterior: Cli, tmp_path: Path) -> None:
     for heading in ("Hypotheses", "Candidates", "Posterior, joint by joint"):
         assert heading in run.out
     assert (
-        f"Written to {tmp_path / 'out'}: posterior.nc, hypotheses.json, hypotheses.png\n" in run.out
+        f"Written to {tmp_path / 'out'}: posterior.nc, hypotheses.json, hypotheses.png,"
+        " hypotheses.html\n" in run.out
     )
 
 
@@ -1011,7 +1014,7 @@ def test_every_sampler_draws(sampler: str, poseterior: Cli, tmp_path: Path) -> N
     assert run.code == 0, run
     assert strict_json(run.out)["sampler"] == sampler
     assert joints_of(out).shape == (1, 100, 15, 3)
-    assert sorted(files(tmp_path)) == ["f.json", "posterior.nc"]
+    assert sorted(files(tmp_path)) == ["f.json", "posterior.html", "posterior.nc"]
 
 
 def test_samplers_say_the_same(poseterior: Cli, tmp_path: Path) -> None:
@@ -1315,6 +1318,6 @@ def test_demo(poseterior: Cli, tmp_path: Path) -> None:
     run = poseterior("demo", "--out", tmp_path / "demo", "--quiet", "--json")
     assert run.code == 0
     assert strict_json(run.out)["summary"]["num_draws"] == 10_000
-    assert sorted(files(tmp_path / "demo")) == ["hypotheses.json", "hypotheses.png", "posterior.nc"]
+    assert sorted(files(tmp_path / "demo")) == RESULTS
     check = poseterior("check", tmp_path / "demo" / "posterior.nc", "--quiet")
     assert check.out.startswith("10,000 of 10,000 poses")

@@ -107,7 +107,7 @@ def test_the_table_and_the_picture(done: tuple[Path, str]) -> None:
         assert "…" not in printed.getvalue()
     assert sheet.only(NARROW).head == list(NARROW)
     figure = comparison_figure(tree)
-    titles = [axes.get_title() for axes in figure.axes]
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles[0].startswith("Ranks")
     assert titles[3].startswith("Distance")
     assert len(figure.axes[3].lines) == 4  # three samplers and the distance to reach

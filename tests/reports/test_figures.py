@@ -23,11 +23,11 @@ from probmodel.example import example
 from probmodel.failures import BadInput
 from probmodel.skeleton import BONES, JOINT_INDEX, JOINTS
 from reports import figures
+from reports.figures.colours import LIMB_OF, MAX_NAMED
 from reports.figures.depth import _density
-from reports.figures.hypotheses import MAX_DRAWS
-from reports.figures.legend import MAX_NAMED
-from reports.figures.style import LIMB_OF
+from reports.figures.window import MAX_DRAWS, Window, cropped
 from reports.tables import heaviest, values
+from tests.reports.test_interactive import film_tree
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -116,14 +116,15 @@ def drawn_joints(axis, pose: str) -> np.ndarray:
 
 def test_views_show_the_axes_they_say(result: Result, five: list[Hypothesis]) -> None:
     figure = figures.hypotheses_figure(result.tree, five)
-    assert [axis.get_title(loc="left") for axis in figure.axes[1:]] == [
+    assert [axis.get_title(loc="left") for axis in figure.axes[1:4]] == [
         "From the camera",
         "From the side",
         "From above",
     ]
     wrist = five[0].joints[JOINT_INDEX["left_wrist"]]
-    for axis, (across, along) in zip(figure.axes[1:], [(0, 1), (2, 1), (0, 2)], strict=True):
-        assert [wrist[across], wrist[along]] in drawn_joints(axis, "hypothesis 1").tolist()
+    for axis, (across, along) in zip(figure.axes[1:4], [(0, 1), (2, 1), (0, 2)], strict=True):
+        off = np.abs(drawn_joints(axis, "hypothesis 1") - [wrist[across], wrist[along]])
+        assert off.max(axis=1).min() < 1e-9
         assert axis.get_aspect() == 1
     bottom, top = figure.axes[1].get_ylim()
     assert bottom > top, "y points down, as in the image"
@@ -132,11 +133,14 @@ def test_views_show_the_axes_they_say(result: Result, five: list[Hypothesis]) ->
 
 
 def test_projected_hypotheses_lie_in_their_discs(result: Result, five: list[Hypothesis]) -> None:
+    """Whatever candidate a hypothesis is of: from the camera all are drawn as that of the heaviest
+    sees them."""
     axis = figures.hypotheses_figure(result.tree, five).axes[1]
-    constant = result.tree["constant_data"]
+    constant, heavy = result.tree["constant_data"], heaviest(result.tree)
+    scale, offset = (constant[name].values[heavy] for name in ("scale", "translation"))
+    assert len({int(values(result.tree, "posterior", "candidate")[one.draw]) for one in five}) == 2
     for rank, hypothesis in enumerate(five, 1):
         candidate = int(values(result.tree, "posterior", "candidate")[hypothesis.draw])
-        scale, offset = (constant[name].values[candidate] for name in ("scale", "translation"))
         drawn = drawn_joints(axis, f"hypothesis {rank}")
         assert len(drawn) == len(BONES)
         for bone, point in zip(sorted(LIMB_OF, key=lambda bone: bone in LEFT), drawn, strict=True):
@@ -146,11 +150,43 @@ def test_projected_hypotheses_lie_in_their_discs(result: Result, five: list[Hypo
                 assert miss <= radius * (1 + 1e-6)
 
 
+def test_hypotheses_lie_over_the_photo(result: Result, five: list[Hypothesis]) -> None:
+    """The photo under the view from the camera is where the heaviest candidate sees it."""
+    image = np.full((640, 480, 3), 200, np.uint8)
+    detections, camera = figures.hypotheses_figure(result.tree, five, image=image).axes[:2]
+    constant, heavy = result.tree["constant_data"], heaviest(result.tree)
+    scale, offset = (constant[name].values[heavy] for name in ("scale", "translation"))
+    (pixels,), (units,) = detections.images, camera.images
+    left, right, bottom, top = pixels.get_extent()
+    wanted = (np.array([[left, top], [right, bottom]]) - offset) / scale
+    left, right, bottom, top = units.get_extent()
+    np.testing.assert_allclose([[left, top], [right, bottom]], wanted)
+    low, high = sorted(camera.get_xlim())
+    plain = figures.hypotheses_figure(result.tree, five).axes[1]
+    assert (low, high) == tuple(sorted(plain.get_xlim())), "the photo does not widen the view"
+
+
+def test_each_hypothesis_has_a_panel_of_its_own(result: Result, five: list[Hypothesis]) -> None:
+    figure = figures.hypotheses_figure(result.tree, five)
+    side, alone = figure.axes[2], figure.axes[4:]
+    assert len(alone) == 5
+    for rank, (axis, one) in enumerate(zip(alone, five, strict=True), 1):
+        assert {line.get_gid() for line in axis.lines} == {f"alone {rank}"}
+        np.testing.assert_allclose(
+            drawn_joints(axis, f"alone {rank}"), drawn_joints(side, f"hypothesis {rank}")
+        )
+        assert axis.get_title(loc="left").startswith(f"{100 * one.weight:.0f} %")
+        assert axis.get_xlim() == side.get_xlim()
+    assert len(figures.hypotheses_figure(result.tree, five[:1]).axes) == 4, "one is no tangle"
+    many = inference.hypotheses(result, MAX_NAMED + 2)
+    assert len(figures.hypotheses_figure(result.tree, many).axes) == 4 + MAX_NAMED
+
+
 def test_one_colour_a_hypothesis_in_all_panels(result: Result, five: list[Hypothesis]) -> None:
     figure = figures.hypotheses_figure(result.tree, five)
     assert len(set(figures.hypothesis_colours(5))) == 5
     for rank, colour in enumerate(figures.hypothesis_colours(5), 1):
-        for axis in figure.axes[1:]:
+        for axis in figure.axes[1:4]:
             assert {line.get_color() for line in named(axis, Line2D, f"hypothesis {rank}")} >= {
                 colour
             }
@@ -164,8 +200,8 @@ def test_left_limbs_are_dashed(result: Result, five: list[Hypothesis]) -> None:
     axis = figures.hypotheses_figure(result.tree, five[:1]).axes[1]
     (dashed,) = (line for line in named(axis, Line2D, "hypothesis 1") if line.is_dashed())
     ends = dashed.get_xydata()[~np.isnan(dashed.get_xydata()[:, 0])].reshape(-1, 2, 2)[:, 1]
-    np.testing.assert_array_equal(
-        np.sort(ends, axis=0), np.sort(five[0].joints[sorted(LEFT), :2], axis=0)
+    np.testing.assert_allclose(
+        np.sort(ends, axis=0), np.sort(five[0].joints[sorted(LEFT), :2], axis=0), atol=1e-9
     )
 
 
@@ -198,12 +234,10 @@ def test_image_lies_under_the_detections(result: Result, five: list[Hypothesis])
     image = np.full((640, 480, 3), 200, np.uint8)
     axis = figures.hypotheses_figure(result.tree, five, image=image).axes[0]
     (picture,) = axis.images
-    assert tuple(picture.get_extent()) == (
-        -0.5,
-        479.5,
-        639.5,
-        -0.5,
-    ), "the centre of a pixel has whole coordinates"
+    extent = np.array(picture.get_extent())
+    assert (extent % 1 == 0.5).all(), "the centre of a pixel has whole coordinates"
+    high, wide = picture.get_array().shape[:2]
+    assert (extent[1] - extent[0], extent[2] - extent[3]) == (wide, high)
     left, right = axis.get_xlim()
     keypoints = example().detection.keypoints
     assert left < np.nanmin(keypoints[:, 0])
@@ -266,6 +300,22 @@ def test_depth_figure_shows_interval_and_deviation(result: Result) -> None:
     assert any(label.get_text() == "right wrist (missing)" for label in ridges.get_yticklabels())
 
 
+def test_a_torso_that_is_held_fixed_says_so(result: Result, five: list[Hypothesis]) -> None:
+    """And has rows where it is drawn with the pose."""
+    held, rows = "torso and camera: held fixed", 9
+    ridges, spreads = figures.depth_figure(result.tree).axes
+    assert words(spreads) == "held fixed"
+    assert ridges.get_yticklabels()[rows].get_text() == "torso and camera"
+    assert len(ridges.get_yticks()) == rows + 1
+    assert held in words(figures.hypotheses_figure(result.tree, five).axes[0])
+    free = result.tree.copy()
+    free.attrs["root"] = "uncertain"
+    ridges, spreads = figures.depth_figure(free).axes
+    assert words(spreads) == ""
+    assert len(ridges.get_yticks()) == rows + 5
+    assert held not in words(figures.hypotheses_figure(free, five).axes[0])
+
+
 def test_density_keeps_the_mass() -> None:
     edges = np.linspace(-3, 3, 161)
     sample = np.random.default_rng(0).normal(scale=0.5, size=1000)
@@ -302,6 +352,35 @@ def test_a_real_image(shared_data: Path, model: probmodel.PoseModel) -> None:
     assert image.shape == (425, 640, 3)
     axis = figures.hypotheses_figure(real.tree, inference.hypotheses(real, 3), image=image).axes[0]
     assert axis.get_xlim()[1] - axis.get_xlim()[0] < 640, "shows the person, not the whole image"
+
+
+def test_the_film_shows_bands_of_depth_and_gaps(tmp_path: Path) -> None:
+    names = [f"{index}/{person}" for index in range(6) for person in (0, 1)]
+    summary = film_tree(names)["summary"].to_dataset()  # the second has no pose: person 1, frame 0
+    figure = figures.film_figure(summary)
+    titles = [axis.get_title(loc="left") for axis in figure.axes]
+    assert titles[:2] == ["Depth behind the pelvis, person 0", "Depth behind the pelvis, person 1"]
+    for person in (0, 1):
+        axis = figure.axes[person]
+        (line,) = named(axis, Line2D, "median right_wrist")
+        depth = summary.depth.sel(joint="right_wrist", level=0.5).values[person::2]
+        np.testing.assert_array_equal(line.get_ydata(), depth)
+    assert np.isnan(figure.axes[1].lines[0].get_ydata()).tolist() == [True] + [False] * 5
+    figures.save_figure(figure, tmp_path / "depth.png")
+
+
+def test_a_film_of_many_people_shows_those_with_most_poses() -> None:
+    names = [f"{index}/{person}" for index in range(4) for person in range(index, 5)]
+    figure = figures.film_figure(film_tree(names)["summary"].to_dataset())
+    titles = [axis.get_title(loc="left") for axis in figure.axes[:3]]
+    assert [title[-1] for title in titles] == ["2", "3", "4"]
+
+
+def test_parts_of_an_image_lie_where_they_were() -> None:
+    image = np.arange(40 * 30 * 3).reshape(40, 30, 3)
+    part = cropped(image, Window(np.array([-5.0, 3.2]), np.array([9.1, 70.0])))
+    np.testing.assert_array_equal(part.pixels, image[3:, :11])
+    np.testing.assert_array_equal(part.corners, [[-0.5, 2.5], [10.5, 39.5]])
 
 
 # ---- files

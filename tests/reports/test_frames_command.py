@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from inference import draws_of, open_stream
-from probmodel import PoseModel, write_detections
+from probmodel import Detection, PoseModel, write_detections
 from tests.conftest import Cli
 from tests.scenes import prior_scene
 
@@ -42,12 +42,49 @@ def test_a_folder_becomes_a_stream_and_a_second_call_goes_on(
     tree = open_stream(out)
     assert np.isfinite(tree["hypotheses"].joints.values[[0, 2]]).all()
     assert draws_of(out, names[0]).joints.shape == (1, 50, 15, 3)
-    before = {path: path.stat().st_mtime_ns for path in out.iterdir()}
+    page = (out / "hypotheses.html").read_bytes()
+    before = {path: path.stat().st_mtime_ns for path in out.glob("*.nc")}
     again = poseterior("frames", folder, "--out", out, *OPTIONS)
     assert again.code == 0, again
-    assert {path: path.stat().st_mtime_ns for path in out.iterdir()} == before
-    assert "3 frames: 1 bad input, 2 complete" in again.out
+    assert {path: path.stat().st_mtime_ns for path in out.glob("*.nc")} == before
+    assert (out / "hypotheses.html").read_bytes() == page
+    assert (out / "depth.png").exists()
+    assert "3 frames of 1 person: 1 bad input, 2 complete" in again.out
     assert "frame_1/0: " in again.out
+    assert "left out" not in again.out
+    assert poseterior("show", out, "--quiet").code == 0
+
+
+def test_a_fragment_of_a_second_person_is_left_out_in_one_line(
+    poseterior: Cli, tmp_path: Path
+) -> None:
+    walk = tmp_path / "walk"
+    walk.mkdir()
+    for index, seed in enumerate((0, 2, 0)):
+        scene = prior_scene(PoseModel(), seed, factor=0.8, missing=FEW).detection
+        points, score = np.full((15, 2), np.nan), np.zeros(15)
+        points[[2, 3]], score[[2, 3]] = [[1.0, 2.0], [3.0, 4.0]], 0.5
+        part = Detection(points, score, scene.layout, scene.source, 1)
+        both = [scene, part] if index < 2 else [part]
+        write_detections(walk / f"frame_{index}.json", both)
+    run = poseterior("frames", walk, "--out", tmp_path / "out", *OPTIONS)
+    assert run.code == 0, run
+    assert run.out.count("2 fragments of people left out: ") == run.out.count("left out") == 1
+    assert "3 frames of 1 person: 1 bad input, 2 complete" in run.out
+    assert "(the first: frame_0/1)" in run.out
+    frames = open_stream(tmp_path / "out")["summary"].frame.values.tolist()
+    assert frames[:2] == ["frame_0/0", "frame_1/0"]
+    assert len(frames) == 3, "where nobody else is, the fragment says why there is no pose"
+
+
+def test_a_film_in_which_nobody_can_be_estimated_has_no_page(
+    poseterior: Cli, folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run = poseterior("frames", folder / "frame_1.json", "--out", out, *OPTIONS)
+    assert run.code == 0, run
+    assert "without depth.png, hypotheses.html: no frame has a pose" in run.out
+    assert not (out / "hypotheses.html").exists()
 
 
 def test_refusals(poseterior: Cli, folder: Path, tmp_path: Path) -> None:

@@ -15,10 +15,10 @@ from probmodel import Detection, Likelihood, read_detections, write_detections
 from probmodel.detections import FACE
 from probmodel.layouts import COCO_17
 from probmodel.skeleton import BONES, JOINTS
-from reports.commands.show import about_the_image
 from reports.figures import read_image
+from reports.figures.colours import LIMB_COLOURS
 from reports.figures.overlay import _spread, overlay_figure
-from reports.figures.style import LIMB_COLOURS
+from reports.figures.window import about_the_image
 from reports.options import Detected
 from tests.conftest import Cli
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, landmarks, points, table

@@ -149,6 +149,26 @@ def test_posterior_table_shows_the_rows(tree: xr.DataTree) -> None:
     assert row(words, "right wrist").startswith("right wrist missing – ")
 
 
+def test_a_torso_that_is_held_fixed_says_so() -> None:
+    """Not "0 mm"; limbs that happen to agree, a torso with two places, and one that is drawn with
+    the pose, keep their numbers."""
+    joints = np.random.default_rng(0).normal(size=(50, 15, 3))
+    torso = [JOINTS.index(name) for name in ("pelvis", "thorax", "right_hip")]
+    joints[:, torso] = joints[0, torso]
+    joints[:, JOINTS.index("head")] = 1.0
+    tree = small_tree(joints)
+    words = text(tables.posterior_table(tree))
+    assert words.count("held fixed") == 2 * 2  # in depth and across, of thorax and right hip
+    assert row(words, "thorax").endswith("held fixed held fixed")
+    assert row(words, "head").endswith("0.000 0 0.000 0")
+    rows = {one["joint"]: one["held_fixed"] for one in tables.posterior_table(tree).json()}
+    assert [name for name, held in rows.items() if held] == ["thorax", "right_hip"]
+    one = small_tree(joints[:1])
+    assert row(text(tables.posterior_table(one)), "head").endswith("0.000 0 0.000 0")
+    tree.attrs["root"] = "uncertain"
+    assert "held fixed" not in text(tables.posterior_table(tree))
+
+
 def test_body_unit_in_millimetres_is_the_mean_limb_of_a_person_of_170_cm() -> None:
     shares = (0.186, 0.146, 0.245, 0.246)
     assert pytest.approx(1700 * np.mean(shares), abs=0.5) == tables.MILLIMETRES

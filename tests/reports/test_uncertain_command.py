@@ -10,6 +10,7 @@ import xarray as xr
 from probmodel.example import example
 from reports.settings import HypothesesSettings, SampleSettings
 from tests.conftest import Cli
+from tests.reports.test_interactive import Parsed
 
 EXAMPLE = example().path
 UNCERTAIN = ("--root", "uncertain", "--num-samples", 400, "--quiet")
@@ -45,6 +46,25 @@ def test_hypotheses_differ_in_their_torsos(poseterior: Cli, folder: Path) -> Non
         assert tree["roots"].share.shape == (400,)
         assert tree.attrs["effective_roots"] == said["summary"]["effective_roots"]
         assert tree.attrs["seed"] == "0 0"
+
+
+def test_the_page_shows_every_hypothesis_by_its_own_camera(poseterior: Cli, folder: Path) -> None:
+    if not (folder / "hypotheses.html").exists():
+        poseterior("hypotheses", EXAMPLE, "--out", folder, *UNCERTAIN, "--roots", 400)
+    data = Parsed((folder / "hypotheses.html").read_text(encoding="utf-8")).data
+    chosen = json.loads((folder / "hypotheses.json").read_text())["hypotheses"]
+    with xr.open_datatree(folder / "posterior.nc", engine="netcdf4") as tree:
+        draws, sides = tree["posterior"].isel(chain=0).load(), tree["constant_data"].load()
+    for shown, one in zip(data["hypotheses"], chosen, strict=True):
+        own, flat = draws.isel(draw=one["draw"]), np.array(shown["joints"])[:, :2]
+        own_camera = float(own.scale) * flat + own.translation.values
+        np.testing.assert_allclose(shown["projected"], own_camera, atol=1e-3)
+        mean = sides.isel(candidate=int(own.candidate))
+        of_side = float(mean.scale) * flat + mean.translation.values
+        assert np.abs(of_side - own_camera).max() > 0.1, "the side's mean camera is another"
+    thorax = data["joints"].index("thorax")
+    assert all(rows[thorax]["counts"] is not None for rows in data["marginals"].values())
+    assert "held fixed" not in (folder / "hypotheses.html").read_text(encoding="utf-8")
 
 
 def test_the_table_says_how_many_roots_count(poseterior: Cli, folder: Path) -> None:

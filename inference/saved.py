@@ -1,0 +1,137 @@
+"""A result read back from its netCDF file: what tables and pages ask of it.
+
+    read_result("result/posterior.nc").tree
+
+The file is read as any other that may come from a stranger (docs/security.md): sizes are checked
+before memory is taken, and nothing but plain arrays, texts and numbers is looked at.
+"""
+
+import os
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inference.results import NAMES, UNCERTAIN, Result
+from probmodel.arrays import HDF5, ArrayFile, doubles
+from probmodel.detections import LARGEST_NUMBER
+from probmodel.failures import BadInput
+from probmodel.files import opened
+from probmodel.skeleton import NUM_JOINTS
+
+WHAT, ADVICE = "posterior.nc of poseterior", "give one that `poseterior` wrote"
+_CANDIDATE = {
+    "radius": ("joint",),
+    "rotation": ("axis", "body_axis"),
+    "scale": (),
+    "translation": ("uv",),
+    "weight": (),
+    "log_evidence": (),
+    "log_evidence_se": (),
+    "reprojection_error": (),
+    "torso_index": (),
+}
+_SPREADS: dict[str, tuple[str, ...]] = {"scale_sd": (), "turn_sd": (), "num_torsos": ()}
+"""What an uncertain root has besides."""
+_SIZES = {"joint": NUM_JOINTS, "axis": 3, "uv": 2, "body_axis": 3}
+_NUMBERS = ("num_proposals", "acceptance_rate", "log_evidence", "log_evidence_se", "wall_time_s")
+_TEXTS = ("source", "sampler", "seed", "limits", "measures", "status")
+
+
+def _variables(uncertain: bool) -> dict[str, tuple[str, ...]]:
+    """What is read, and its dimensions."""
+    found: dict[str, tuple[str, ...]] = {
+        "posterior/joints": ("chain", "draw", "joint", "axis"),
+        "posterior/keypoints": ("chain", "draw", "joint", "uv"),
+        "posterior/candidate": ("chain", "draw"),
+        "observed_data/keypoints": ("joint", "uv"),
+        "observed_data/score": ("joint",),
+    }
+    by_candidate = _CANDIDATE | (_SPREADS if uncertain else {})
+    return found | {
+        f"constant_data/{name}": ("candidate", *dims) for name, dims in by_candidate.items()
+    }
+
+
+def read_result(path: str | os.PathLike) -> Result:
+    """A saved result, without what nobody asks of it: lengths, densities, predictions, all roots.
+
+    Parameters
+    ----------
+    path
+        A posterior.nc.
+
+    Raises
+    ------
+    BadInput
+        Where there is no such file, it is damaged, or not one of ours.
+    """
+    with opened(path, WHAT, ADVICE) as file:
+        found = ArrayFile(file, str(path), WHAT, ADVICE)
+        found.require(HDF5)
+        attributes = found.own_attributes()
+        variables = _variables(attributes.get("root") == UNCERTAIN)
+        arrays = found.read(list(variables))
+    for name in variables:
+        if name not in arrays:
+            raise BadInput(f"{path} lacks {name}; {ADVICE}")
+    tree = _tree(arrays, variables, path)
+    tree.attrs.update(_checked(attributes, path))
+    return Result(tree, str(tree.attrs["status"]))
+
+
+def _tree(
+    arrays: dict[str, np.ndarray], variables: dict[str, tuple[str, ...]], path: str | os.PathLike
+) -> xr.DataTree:
+    sizes = dict(_SIZES)
+    groups: dict[str, dict[str, Any]] = {}
+    for name, dims in variables.items():
+        array = arrays[name]
+        known = len(dims) == array.ndim and all(
+            sizes.setdefault(dim, size) == size for dim, size in zip(dims, array.shape, strict=True)
+        )
+        if not known or array.dtype.kind not in "fiu":
+            raise BadInput(f"{path} has {name} of shape {array.shape}; {ADVICE}")
+        group, _, variable = name.partition("/")
+        groups.setdefault(group, {})[variable] = (dims, _plain(array))
+    _require_possible(groups, path)
+    return xr.DataTree.from_dict(
+        {
+            group: xr.Dataset(found).assign_coords(
+                {dim: NAMES[dim] for dim in _SIZES if any(dim in one[0] for one in found.values())}
+            )
+            for group, found in groups.items()
+        }
+    )
+
+
+def _plain(array: np.ndarray) -> np.ndarray:
+    return array.astype(np.int64) if array.dtype.kind in "iu" else doubles(array)
+
+
+def _require_possible(groups: dict[str, dict[str, Any]], path: str | os.PathLike) -> None:
+    """Raises `BadInput` where there is no draw, a joint of one is nowhere, or its candidate is none
+    of those listed."""
+    posterior = {name: values for name, (_, values) in groups["posterior"].items()}
+    candidates = len(groups["constant_data"]["weight"][1])
+    if not posterior["joints"].size or not candidates:
+        raise BadInput(
+            f"{path} holds no draw; sample again, with more --max-proposals on the command line"
+        )
+    if not all(
+        (np.abs(posterior[name]) <= LARGEST_NUMBER).all() for name in ("joints", "keypoints")
+    ):
+        raise BadInput(f"{path} has a joint that is not at a finite place; {ADVICE}")
+    if not ((posterior["candidate"] >= 0) & (posterior["candidate"] < candidates)).all():
+        raise BadInput(f"{path} has draws of candidates that it does not list; {ADVICE}")
+
+
+def _checked(attributes: Any, path: str | os.PathLike) -> dict[str, Any]:
+    """The attributes, with those that every result has. Raises `BadInput` where one is missing."""
+    kinds: dict[str, Any] = dict.fromkeys(_TEXTS, str) | dict.fromkeys(_NUMBERS, (int, float))
+    if attributes.get("root") == UNCERTAIN:
+        kinds |= dict.fromkeys(("num_roots", "effective_roots"), (int, float))
+    for name, kind in (kinds | {"person": int}).items():
+        if not isinstance(attributes.get(name), kind):
+            raise BadInput(f"{path} does not say its {name}; {ADVICE}")
+    return dict(attributes)

@@ -1,0 +1,85 @@
+"""How far depth is known over the frames of a stream.
+
+save_figure(film_figure(tree["summary"].to_dataset()), path)
+"""
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from inference.stream import frame_and_person
+from probmodel.skeleton import JOINT_INDEX
+from reports.figures.colours import COLOURS
+from reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, TITLE, page, tidy
+from reports.tables.words import spoken
+
+ENDS = ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
+WIDTH, HEIGHT = 10.5, 5.2
+"""Inches."""
+MOST_PEOPLE = 3
+"""Of whom there is a column each; those with the most poses."""
+
+
+def film_figure(summary: xr.Dataset) -> Figure:
+    """Wrists and ankles of each person: median of the depth behind the pelvis, half of the draws,
+    and 90 % of them, frame by frame; gaps where there is no pose. Body units.
+
+    Parameters
+    ----------
+    summary
+        Of a stream, as `inference.open_stream` gives it.
+    """
+    names = [frame_and_person(str(name)) for name in summary.frame.values]
+    place = {frame: index for index, frame in enumerate(dict.fromkeys(one for one, _ in names))}
+    people = _people(summary, [person for _, person in names])
+    figure = page(WIDTH, HEIGHT, dpi=DPI)
+    axes = figure.subplots(len(ENDS), len(people), sharex=True, sharey=True, squeeze=False)
+    for column, person in enumerate(people):
+        bands = np.full((len(place), *summary.depth.shape[1:]), np.nan)
+        for row, (frame, one) in enumerate(names):
+            if one == person:
+                bands[place[frame]] = summary.depth.values[row]
+        for axis, end in zip(axes[:, column], ENDS, strict=True):
+            _draw_bands(axis, bands[:, JOINT_INDEX[end]], end)
+        said = f", person {person}" if len(people) > 1 else ""
+        title = f"Depth behind the pelvis{said}"
+        axes[0, column].set_title(title, loc="left", fontsize=TITLE, fontweight="bold", color=INK)
+        axes[-1, column].set_xlabel(
+            "frame     (median, half of the draws, 90 % of them; body units)",
+            fontsize=SMALL,
+            color=INK,
+        )
+    for axis, end in zip(axes[:, 0], ENDS, strict=True):
+        axis.set_ylabel(spoken(end), fontsize=TEXT, color=INK)
+    return figure
+
+
+def _people(summary: xr.Dataset, owners: list[str]) -> list[str]:
+    """Those with the most poses, in the order of their names."""
+    counts = {
+        person: sum(
+            int(draws > 0)
+            for owner, draws in zip(owners, summary.num_draws.values, strict=True)
+            if owner == person
+        )
+        for person in owners
+    }
+    most = sorted(counts, key=lambda person: -counts[person])[:MOST_PEOPLE]
+    return sorted(most, key=lambda person: (len(person), person))
+
+
+def _draw_bands(axis: Axes, bands: np.ndarray, end: str) -> None:
+    """Bands `(frames, 5)` of one joint, quantile by quantile."""
+    frames, colour = np.arange(len(bands)), COLOURS[JOINT_INDEX[end]]
+    for low, high, alpha in ((0, 4, 0.2), (1, 3, 0.4)):
+        gid = f"band {end} {low}"
+        axis.fill_between(
+            frames, bands[:, low], bands[:, high], color=colour, alpha=alpha, lw=0, gid=gid
+        )
+    marker = "." if len(bands) < 3 else None
+    axis.plot(frames, bands[:, 2], color=colour, lw=1.2, marker=marker, gid=f"median {end}")
+    axis.axhline(0, color=FAINT, lw=0.6, ls=":")
+    tidy(axis)
+    axis.spines[:].set_color(FAINT)
+    axis.tick_params(labelsize=SMALL, color=FAINT)

@@ -1,0 +1,129 @@
+// The film of a stream: the hypotheses of one person frame by frame, and how far the depth of a joint
+// is known over time.
+
+const data = JSON.parse(element("data").textContent);
+const body = { bones: data.bones, left: data.left };
+const people = data.people.map((one) => ({
+  ...one,
+  poses: unpacked(one.poses, 45).map((row) => grouped(row, 3)), // frame by frame, k each
+  bands: unpacked(one.bands, 15 * data.levels.length).map((row) => grouped(row, data.levels.length)),
+}));
+const state = { frame: 0, person: 0, joint: data.start, playing: null };
+const scene = new Scene(element("scene"), body, sceneContent, choose);
+const there = (pose) => Number.isFinite(pose[0][0]);
+
+function sceneContent() {
+  const one = people[state.person], first = state.frame * data.k;
+  const bodies = one.poses.slice(first, first + data.k)
+    .map((joints, rank) => ({ joints, colour: data.hypothesis_colours[rank], width: rank ? 2 : 3.4, edge: 2 }))
+    .filter(({ joints }) => there(joints));
+  return { bodies, lines: [], dots: null };
+}
+
+// --- depth bands
+
+const BOX = { wide: 800, high: 220, left: 44, right: 792, base: 186, top: 8 };
+
+// Stretches of frames that have a pose.
+function stretches(bands) {
+  const found = [];
+  bands.forEach((row, frame) => {
+    if (!Number.isFinite(row[state.joint][0])) return;
+    if (found.length && found.at(-1).at(-1) === frame - 1) found.at(-1).push(frame);
+    else found.push([frame]);
+  });
+  return found;
+}
+
+function paintBands() {
+  const { bands } = people[state.person], svg = element("bands"), colour = data.colours[state.joint];
+  const level = (frame, number) => bands[frame][state.joint][number];
+  const parts = stretches(bands), all = parts.flat().flatMap((frame) => bands[frame][state.joint]);
+  const reach = Math.max(0.5, ...all.map(Math.abs)) * 1.05, last = Math.max(1, data.frames.length - 1);
+  const x = (frame) => BOX.left + (BOX.right - BOX.left) * frame / last;
+  const y = (depth) => BOX.top + (BOX.base - BOX.top) * (reach - depth) / (2 * reach);
+  svg.replaceChildren();
+  for (const tick of ticks(-reach, reach)) {
+    svg.append(drawn("line", { x1: BOX.left, x2: BOX.right, y1: y(tick), y2: y(tick), stroke: tick ? "#EEEEEE" : "#AAAAAA" }));
+    svg.append(drawn("text", { x: BOX.left - 5, y: y(tick) + 4, "text-anchor": "end" }, signed(tick, 1)));
+  }
+  for (const part of parts) {
+    const wide = part.length > 1 ? part : [part[0] - 0.3, part[0] + 0.3];
+    const at = (frame, number) => `${x(frame)},${y(level(Math.round(frame), number))}`;
+    for (const [low, high, strength] of [[0, 4, 0.2], [1, 3, 0.4]])
+      svg.append(drawn("polygon", { fill: colour, "fill-opacity": strength,
+        points: [...wide.map((frame) => at(frame, high)), ...wide.toReversed().map((frame) => at(frame, low))].join(" ") }));
+    svg.append(drawn("polyline", { fill: "none", stroke: colour, "stroke-width": 1.6, points: wide.map((frame) => at(frame, 2)).join(" ") }));
+  }
+  for (const tick of ticks(0, last)) if (Number.isInteger(tick))
+    svg.append(drawn("text", { x: x(tick), y: BOX.base + 16, "text-anchor": "middle" }, tick));
+  svg.append(drawn("text", { x: (BOX.left + BOX.right) / 2, y: BOX.high - 3, "text-anchor": "middle" }, "frame"));
+  svg.append(drawn("line", { id: "now", x1: 0, x2: 0, y1: BOX.top, y2: BOX.base, stroke: "#222222" }));
+  svg.onclick = (event) => {
+    const place = event.offsetX / svg.clientWidth * BOX.wide;
+    go(Math.round(last * (place - BOX.left) / (BOX.right - BOX.left)));
+  };
+  go(state.frame);
+}
+
+// --- controls
+
+function go(frame) {
+  state.frame = Math.max(0, Math.min(data.frames.length - 1, frame));
+  const { bands, words } = people[state.person], last = Math.max(1, data.frames.length - 1);
+  const x = BOX.left + (BOX.right - BOX.left) * state.frame / last, now = element("now");
+  now.setAttribute("x1", x);
+  now.setAttribute("x2", x);
+  element("frame").value = state.frame;
+  element("frame").setAttribute("aria-valuetext", data.frames[state.frame]);
+  const row = bands[state.frame][state.joint];
+  const depth = Number.isFinite(row[0])
+    ? `${data.joints[state.joint]}: depth ${signed(row[2], 2)} body units, 90 % between ${signed(row[0], 2)} and ${signed(row[4], 2)}` : words[state.frame];
+  element("frame-said").textContent = `${data.frames[state.frame]} (${state.frame + 1} of ${data.frames.length}) · ${depth}`;
+  scene.sheet.refresh();
+}
+
+function choose(joint) {
+  state.joint = joint;
+  element("joint").value = joint;
+  paintBands();
+}
+
+function play() {
+  if (state.playing !== null) { clearInterval(state.playing); state.playing = null; }
+  else {
+    if (state.frame === data.frames.length - 1) go(0);
+    state.playing = setInterval(() => {
+      if (state.frame === data.frames.length - 1) play();
+      else go(state.frame + 1);
+    }, 1000 / Number(element("rate").value));
+  }
+  element("play").textContent = state.playing === null ? "Play" : "Stop";
+  element("play").setAttribute("aria-pressed", state.playing !== null);
+}
+
+function choosePerson(person) {
+  state.person = person;
+  const poses = people[person].poses.filter(there);
+  if (poses.length) scene.fit(poses);
+  paintBands();
+}
+
+element("frame").max = data.frames.length - 1;
+element("frame").addEventListener("input", () => go(Number(element("frame").value)));
+element("play").addEventListener("click", play);
+element("rate").addEventListener("change", () => { if (state.playing !== null) { play(); play(); } });
+data.people.forEach((one, index) => element("person").append(make("option", { value: index }, one.name)));
+element("person").addEventListener("change", () => choosePerson(Number(element("person").value)));
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|BUTTON)$/.test(event.target.tagName)) return;
+  if (event.key === " ") { event.preventDefault(); play(); }
+  if (event.key === "n") go(state.frame + 1);
+  if (event.key === "p") go(state.frame - 1);
+  if (event.key === "j") choose((state.joint + 1) % data.joints.length);
+});
+
+fillJoints(element("joint"), data.joints, state.joint, choose);
+connectViews(scene);
+state.frame = Math.max(0, people[0].bands.findIndex((row) => Number.isFinite(row[0][0])));
+choosePerson(0);

@@ -1,0 +1,105 @@
+"""The film of a stream as a page: hypotheses frame by frame, and bands of depth over time."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inference.stream import LEVELS, frame_and_person
+from probmodel.failures import BadInput
+from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from reports.figures.colours import hypothesis_colours
+from reports.interactive.page import assemble, packed
+from reports.tables.frames import film_table, people_of_film, stream_lines
+
+MOST_BYTES = 4_000_000
+"""Of poses and bands on a page; of a longer film it holds frames evenly spread."""
+
+
+def film_page(tree: xr.DataTree, title: str, *, fragments: Sequence[str] = ()) -> str:
+    """The page of a stream.
+
+    Parameters
+    ----------
+    tree
+        As `inference.open_stream` gives it.
+    title
+        What the film is called.
+    fragments
+        Names of people who were left out.
+
+    Raises
+    ------
+    BadInput
+        Where the stream has no pose, or no quantiles of depth, which earlier versions did not keep.
+    """
+    summary = tree["summary"].to_dataset()
+    if "depth" not in summary:
+        raise BadInput(
+            f"{title} is a stream of an earlier version, without quantiles of depth; make it again"
+            " in another folder"
+        )
+    if not np.isfinite(summary["mean"].values).any():
+        raise BadInput(f"{title} has no frame with a pose; its summary says why")
+    names = [frame_and_person(str(name)) for name in summary.frame.values]
+    frames = list(dict.fromkeys(frame for frame, _ in names))
+    people = sorted({person for _, person in names}, key=lambda name: (len(name), name))
+    poses = tree["hypotheses"].joints.values
+    shown = _shown(len(frames), poses.shape[1], len(people))
+    place = {frames[index]: row for row, index in enumerate(shown)}
+    rows = [(place.get(frame), person) for frame, person in names]
+    data = {
+        "frames": [frames[index] for index in shown],
+        "people": [_person(person, rows, tree, len(shown)) for person in people],
+        "k": poses.shape[1],
+        "levels": list(LEVELS),
+        "hypothesis_colours": hypothesis_colours(poses.shape[1]),
+        "start": JOINT_INDEX["right_wrist"],
+    }
+    return assemble(
+        "film",
+        title,
+        data,
+        facts=stream_lines(summary, fragments),
+        warnings=_left_out(len(frames), len(shown)),
+        sentences=[],
+        sheets=[people_of_film(summary), film_table(summary)],
+    )
+
+
+def _shown(frames: int, k: int, people: int) -> np.ndarray:
+    """Which frames a page holds."""
+    of_frame = people * 4 * NUM_JOINTS * (3 * k + len(LEVELS)) * 4 / 3  # base64 has a third more
+    number = max(1, min(frames, int(MOST_BYTES / of_frame)))
+    return np.unique(np.linspace(0, frames - 1, number).round().astype(int))
+
+
+def _person(
+    person: str, rows: list[tuple[int | None, str]], tree: xr.DataTree, frames: int
+) -> dict[str, Any]:
+    """Everything of one person, NaN in frames without."""
+    own = [
+        (index, row) for index, (row, one) in enumerate(rows) if one == person and row is not None
+    ]
+    poses, summary = tree["hypotheses"].joints.values, tree["summary"].to_dataset()
+    found = np.full((frames, *poses.shape[1:]), np.nan)
+    bands = np.full((frames, NUM_JOINTS, len(LEVELS)), np.nan)
+    words = ["not in this frame"] * frames
+    for index, row in own:
+        found[row], bands[row] = poses[index], summary.depth.values[index]
+        words[row] = str(summary.sentence.values[index])
+    return {
+        "name": person or "0",
+        "poses": packed(found.reshape(-1, 3 * NUM_JOINTS)),
+        "bands": packed(bands),
+        "words": words,
+    }
+
+
+def _left_out(frames: int, shown: int) -> Iterable[str]:
+    if shown < frames:
+        yield (
+            f"The film has {frames:,} frames; this page holds {shown:,} of them, evenly spread, so"
+            " that it stays small."
+        )

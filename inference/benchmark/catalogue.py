@@ -18,7 +18,7 @@ from probmodel.failures import BadInput
 
 CHECKSUMS = {
     "anatomy.npz": "98b700b6c6ffc56f76ae16f723a2cddeb37050ace3262a521c39880a27d13e6a",
-    "targets.json": "f48667ac9a4c96139212df758e3a78be7f381d7a5d87c45fc0176c865d742ed7",
+    "targets.json": "4611db074540021e77e40f6e3641023f7460bb0fbf08a75327dc8319597439df",
 }
 """SHA-256 of the files in `inference.benchmark.data` that targets are made of."""
 

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 from inference.benchmark.catalogue import CHECKSUMS, load, targets
-from inference.benchmark.reference import measured
+from inference.benchmark.references import measured
 from inference.studies.scenes import ALL_BUT_AN_ARM, prior_scene
 from probmodel.files import replacing
 from probmodel.likelihood import Gaussian
@@ -90,8 +90,9 @@ SCENES: dict[str, tuple[str, Scene]] = {
     ),
 }
 """What each target is, and how it came about."""
-SOFT = ("arm", "arms")
-"""Targets that have a version with soft walls, the Gaussian error law."""
+SOFT = ("arm",)
+"""Targets that have a version with soft walls, the Gaussian error law. Exact draws of it cost some
+four times as many proposals for every joint that is seen."""
 
 
 def records() -> Iterator[dict[str, Any]]:

@@ -1,0 +1,26 @@
+"""`poseterior benchmark draws`: exact draws of a target."""
+
+import numpy as np
+
+from probmodel.files import replacing
+from reports import console
+from reports.options import Screen
+from reports.settings import BenchmarkDrawsSettings
+
+
+def run(settings: BenchmarkDrawsSettings, screen: Screen) -> None:
+    """Writes draws, with the evidence of the target. Raises `BadInput` on a target that does not
+    exist, or a file that cannot be written."""
+    from inference.benchmark import exact_points, load, reference
+
+    target = load(settings.target)
+    with console.progress(f"exact draws of {target.name}", screen.quiet):
+        points = exact_points(target, settings.num_samples)
+    known = reference(target.name)
+    evidence = {"log_evidence": known.log_evidence, "log_evidence_se": known.log_evidence_se}
+    with replacing(settings.out) as partial, partial.open("wb") as file:
+        np.savez(file, allow_pickle=False, points=points, **evidence)
+    if screen.json:
+        console.show_json({"target": target.name, **evidence, "out": str(settings.out)})
+    else:
+        console.say(f"{len(points):,} exact draws of {target.name} written to {settings.out}")

@@ -42,7 +42,9 @@ app = typer.Typer(
 )
 
 
-GROUPS = {"benchmark": typer.Typer(help="Frozen targets with exact draws, for who builds samplers.")}
+GROUPS = {
+    "benchmark": typer.Typer(help="Frozen targets with exact draws, for who builds samplers.")
+}
 """Commands that have commands of their own."""
 for _name, _group in GROUPS.items():
     app.add_typer(_group, name=_name)

@@ -1,5 +1,5 @@
-"""A benchmark that samplers can be held to: frozen posteriors, high-dimensional, with many modes and
-hard walls, of which exact draws and evidences are known.
+"""A benchmark that samplers can be held to: frozen posteriors, high-dimensional, with many modes
+and hard walls, of which exact draws and evidences are known.
 
     target = benchmark.load("arm")               # catalogue: every target by its name
     target.log_density(points)                   # target: the forms that samplers want, plain NumPy

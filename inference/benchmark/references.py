@@ -161,7 +161,9 @@ def sample_at(target: FrozenTarget, points: np.ndarray, seed: int) -> Sample:
     chains, draws, dim = points.shape
     rng = np.random.default_rng([0xBE7C, seed])
     joints, lengths = target.poses(points.reshape(-1, dim), rng)
-    return sample_of(joints.reshape(chains, draws, *joints.shape[1:]), lengths.reshape(chains, draws, -1))
+    return sample_of(
+        joints.reshape(chains, draws, *joints.shape[1:]), lengths.reshape(chains, draws, -1)
+    )
 
 
 def measured(target: FrozenTarget) -> dict[str, Any]:

@@ -149,15 +149,16 @@ class FrozenTarget:
     def log_graded(self, points: np.ndarray, hardness: float) -> np.ndarray:
         """`(...)`: log of a likelihood with slopes for walls, for tempering and nested sampling.
 
-        Within reach it is the target's; beyond, it falls by `hardness` · (z²/reach² - 1) for every
-        joint that lies z spreads away, instead of to nothing. At hardness 0 it is flat under discs,
-        and in the limit it is the target's. Draws of it that lie inside (`misfit` ≤ 1) are draws
+        Within reach it is the target's; beyond, it falls from there by `hardness` · (z²/reach² - 1)
+        for every joint that lies z spreads away, instead of to nothing. At hardness 0 it is flat
+        under discs, and in the limit it is the target's. Draws of it that lie inside (`misfit` ≤ 1) are draws
         of the target at any hardness, and their share times its evidence is the target's evidence.
         """
         squares = self.squares(points)
         reach, curvature = LAWS[self.law]
-        beyond = np.maximum(squares / reach**2 - 1, 0)
-        return -np.sum(curvature * squares + hardness * beyond, axis=-1)
+        within = np.minimum(squares, reach**2)
+        beyond = (squares - within) / reach**2
+        return -np.sum(curvature * within + hardness * beyond, axis=-1)
 
     def prior_transform(self, cube: np.ndarray) -> np.ndarray:
         """Points `(..., d)` of R^d from points of the unit cube: uniform ones become draws of the
@@ -205,9 +206,7 @@ class FrozenTarget:
         )
         return self.points_of_box(box)
 
-    def poses(
-        self, points: np.ndarray, rng: np.random.Generator
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def poses(self, points: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Whole poses at points `(n, d)` of R^d: joints `(n, 15, 3)` in camera axes and lengths
         `(n, 5)`, body units. What no seen joint depends on is drawn from the prior, which is what
         it follows whatever the rest does."""

@@ -58,9 +58,7 @@ def exact_sample(target: FrozenTarget, folder: Path | None = None) -> Sample:
     return sample_at(target, points[None], seed=0)
 
 
-def verdict(
-    target: FrozenTarget, submission: Submission, exact: Sample | None = None
-) -> Verdict:
+def verdict(target: FrozenTarget, submission: Submission, exact: Sample | None = None) -> Verdict:
     """Judges draws.
 
     Parameters

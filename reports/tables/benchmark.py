@@ -70,11 +70,11 @@ def verdict_sentences(found: Verdict) -> list[str]:
     judged = "" if found.judged == found.draws else f", {found.judged:,} of them judged"
     sentences = [
         f"{found.target}: {judgement.verdict}. {judgement.sentence}",
-        f"{found.draws:,} draws{judged}, worth {judgement.mixing.worst:,.0f} independent ones in the"
-        " worst coordinate",
+        f"{found.draws:,} draws{judged}, worth {judgement.mixing.worst:,.0f} independent ones in"
+        " the worst coordinate",
         f"worst coordinate: {found.worst_coordinate}, W1 {found.worst_w1:.3f} standard deviations",
-        f"mass in modes never visited: {judgement.modes.missed:.2%}; as many independent draws would"
-        f" miss {judgement.modes.expected_missed:.2%}",
+        f"mass in modes never visited: {judgement.modes.missed:.2%}; as many independent draws"
+        f" would miss {judgement.modes.expected_missed:.2%}",
     ]
     if math.isfinite(found.evidence_error):
         error = number(found.evidence_error_se)

@@ -4,7 +4,6 @@ evidences hold by a second route; wrong draws are caught, and what cannot be dra
 The forms in NumPy share no code with the model, so that a change of either shows: the negative
 controls change the model a little."""
 
-import dataclasses
 import functools
 import os
 import subprocess
@@ -36,6 +35,7 @@ from tests.conftest import CACHE
 
 ROOT = Path(__file__).parents[2]
 TARGETS = tuple(benchmark.targets())
+SOME = ["arm", *(pytest.param(one, marks=pytest.mark.slow) for one in ("arm-soft", "cruel"))]
 AGREEMENT = 1e-10
 ODDS = 1e-4
 """How seldom a sound benchmark fails one of these tests."""
@@ -185,7 +185,7 @@ def test_a_change_of_the_model_is_caught(change: Callable[[PoseModel], PoseModel
     assert disagreement(benchmark.load("arm"), changed) > 100 * AGREEMENT
 
 
-@pytest.mark.parametrize("name", ["arm", pytest.param("cruel", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", SOME)
 def test_the_density_in_jax(name: str) -> None:
     target = benchmark.load(name)
     in_jax = Target.of(benchmark.estimate(target).posterior(benchmark.frozen_model()))
@@ -198,6 +198,8 @@ def test_the_density_in_jax(name: str) -> None:
     both = np.isfinite(ours) & np.isfinite(theirs)
     assert both.sum() >= 190
     np.testing.assert_allclose(ours[both], theirs[both], rtol=0, atol=AGREEMENT)
+    graded = np.asarray(in_jax.log_graded(points, 10.0))
+    np.testing.assert_allclose(target.log_graded(points, 10.0), graded, rtol=0, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -361,7 +363,7 @@ def test_an_evidence_that_is_off_is_caught() -> None:
 
 
 def test_draws_with_weights_are_taken_as_they_are() -> None:
-    """Draws of the prior with the likelihood as weights are draws of the target; without the weights
+    """Draws of the prior with the likelihood as weights are draws of the target; without weights
     they are not."""
     target = benchmark.load("arm-soft")
     points = target.prior_points(np.random.default_rng(4), 200_000)
@@ -458,4 +460,3 @@ def test_exact_draws_are_seldom_said_to_differ() -> None:
         for first in range(0, 24 * 300, 300)
     ]
     assert sum(one == DIFFERS for one in verdicts) <= 4
-    assert dataclasses.is_dataclass(benchmark.load("arm"))

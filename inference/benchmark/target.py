@@ -151,8 +151,9 @@ class FrozenTarget:
 
         Within reach it is the target's; beyond, it falls from there by `hardness` · (z²/reach² - 1)
         for every joint that lies z spreads away, instead of to nothing. At hardness 0 it is flat
-        under discs, and in the limit it is the target's. Draws of it that lie inside (`misfit` ≤ 1) are draws
-        of the target at any hardness, and their share times its evidence is the target's evidence.
+        under discs, and in the limit it is the target's. Draws of it that lie inside (`misfit` at
+        most 1) are draws of the target at any hardness, and their share times its evidence is the
+        target's evidence.
         """
         squares = self.squares(points)
         reach, curvature = LAWS[self.law]

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import emcee
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,8 +21,10 @@ from numpyro.infer.util import potential_energy
 from scipy import stats
 
 from inference import benchmark
+from inference.baselines.run import Allowance
 from inference.baselines.target import Target
 from inference.benchmark import catalogue, references
+from inference.benchmark.guests import GUESTS
 from inference.benchmark.references import BLOCKS, exact_block, sample_at
 from inference.benchmark.target import CUBE_DIM, FrozenTarget
 from inference.benchmark.verdicts import exact_sample
@@ -449,6 +452,96 @@ def test_draws_of_single_precision_are_taken() -> None:
     target = benchmark.load("whole")
     points = drawn("whole", BLOCKS - 1)[:400]
     assert benchmark.submit(target, points=points.astype(np.float32)).given == 400
+
+
+# --- wrong samplers
+
+
+def ensemble(move: emcee.moves.Move) -> np.ndarray:
+    """`(walker, step, 6)`: emcee with one move on one arm, four ensembles started in exact
+    draws."""
+    target, chains = benchmark.load("arm"), []
+    for run in range(4):
+        starts = drawn("arm", 6)[32 * run : 32 * (run + 1)]
+        state = emcee.State(starts, random_state=np.random.RandomState(run).get_state())
+        sampler = emcee.EnsembleSampler(32, 6, target.log_density, moves=move, vectorize=True)
+        sampler.run_mcmc(state, 1500)
+        # An ensemble is one chain: its walkers are not independent of each other.
+        chains.append(sampler.get_chain(thin=5).transpose(1, 0, 2).reshape(-1, 6))
+    return np.stack(chains)
+
+
+@pytest.mark.slow
+def test_emcee_s_snooker_move_is_caught_and_its_stretch_move_is_not() -> None:
+    snooker = verdict("arm", points=ensemble(emcee.moves.DESnookerMove()))
+    assert snooker.judgement.verdict == DIFFERS
+    stretch = verdict("arm", points=ensemble(emcee.moves.StretchMove()))
+    assert stretch.judgement.verdict != DIFFERS
+
+
+def test_a_gibbs_that_redraws_only_wrists_is_caught() -> None:
+    """It keeps the law of its start, and elbows where they were: no test of laws could tell."""
+    target, rng = benchmark.load("arm"), np.random.default_rng(5)
+    wrists = [name.startswith("right_forearm") for name in target.coordinates]
+    points, path = drawn("arm", 6)[:40].copy(), []
+    for _ in range(50):
+        proposal = points.copy()
+        proposal[:, wrists] = target.prior_points(rng, len(points))[:, wrists]
+        inside = target.misfit(proposal) <= 1
+        points = np.where(inside[:, None], proposal, points)
+        path.append(points)
+    found = verdict("arm", points=np.stack(path[10:], axis=1))
+    assert found.judgement.verdict == DIFFERS
+    assert "a coordinate stood still" in found.judgement.sentence
+
+
+def splitting(misfit: np.ndarray, count_the_setter: bool, rng: np.random.Generator) -> float:
+    """Log evidence by multilevel splitting with 64 independent particles a level, drawn from sorted
+    misfits; the particle that sets a level is no part of what is kept, or is counted."""
+    log_evidence, inside = 0.0, len(misfit)
+    while True:
+        particles = np.sort(misfit[rng.integers(inside, size=64)])
+        level = max(particles[32], 1.0)
+        below = "right" if count_the_setter and level > 1 else "left"
+        log_evidence += np.log(np.searchsorted(particles, level, side=below) / 64)
+        if level == 1.0:
+            return float(log_evidence)
+        inside = int(np.searchsorted(misfit, level))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count_the_setter", "words"), [(True, DIFFERS), (False, AGREES)])
+def test_counting_the_particle_that_sets_a_level_is_caught(
+    count_the_setter: bool, words: str
+) -> None:
+    target = benchmark.load("arm")
+    misfit = np.sort(target.misfit(target.prior_points(np.random.default_rng(6), 400_000)))
+    rng = np.random.default_rng(7)
+    runs = np.exp([splitting(misfit, count_the_setter, rng) for _ in range(3000)])
+    share = float(np.mean(misfit <= 1))
+    # Of the runs, and of the draws of the prior that they all take their particles from.
+    error = np.hypot(
+        runs.std() / runs.mean() / np.sqrt(len(runs)), 1 / np.sqrt(share * len(misfit))
+    )
+    found = verdict(
+        "arm",
+        points=drawn("arm")[:1500],
+        log_evidence=np.log(runs.mean()),
+        log_evidence_se=error,
+    )
+    assert found.judgement.verdict == words
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", GUESTS)
+def test_guests_draw_from_the_target(name: str) -> None:
+    pytest.importorskip(name)
+    target = benchmark.load("single")
+    found = GUESTS[name][0](target, 3, Allowance(evaluations=20_000))
+    assert found.evaluations >= 5_000
+    assert (target.misfit(found.points.reshape(-1, target.dim)) <= 1 + 1e-9).all()
+    judged = benchmark.verdict(target, found, exact("single"))
+    assert judged.judgement.verdict != DIFFERS
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@
 It says what `probmodel` says (docs/model.md § 2, measures "angle" and "area") and shares no code
 with it, so that a target needs neither JAX nor a compiler, and a change of either is seen by the
 other: `tests/inference/test_benchmark.py` holds the two together. The usual way in:
-`Anatomy.frozen()`.
+`FrozenAnatomy.default()`.
 """
 
 import functools
@@ -38,7 +38,7 @@ ITERATIONS = 80
 _EPS = float(np.finfo(float).eps)
 FILE = "anatomy.npz"
 """The tables in `inference.benchmark.data`: a file of `probmodel.Anatomy`."""
-Curve = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+Rising = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Of places x and the rows they belong to: the function's values there, and its slopes."""
 
 
@@ -86,7 +86,7 @@ class Lengths:
 
 
 @dataclass(frozen=True)
-class Cells:
+class UpperBones:
     """Directions of the upper bones, uniform in both angles on the occupied cells (eq. 7).
 
     `columns` `(5, 121)`: running sums of occupied cells over azimuth; `rows` `(5, 120, 61)`: over
@@ -97,7 +97,7 @@ class Cells:
     rows: np.ndarray
 
     @classmethod
-    def of(cls, occupied: np.ndarray) -> "Cells":
+    def of(cls, occupied: np.ndarray) -> "UpperBones":
         """The cells of tables `(5, 120, 60)` bool."""
         rows = _running_sums(np.where(occupied, CELL**2, 0.0))
         return cls(_running_sums(rows[..., -1]), rows)
@@ -146,7 +146,7 @@ def _pick(sums: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 @dataclass(frozen=True)
-class Hinges:
+class LowerBones:
     """Directions of the lower bones, uniform per steradian on what a plane and a box leave of the
     sphere (eq. 8), for every cell of the parent that has a plane.
 
@@ -173,7 +173,7 @@ class Hinges:
         tangent: np.ndarray,
         offset: np.ndarray,
         bounds: np.ndarray,
-    ) -> "Hinges":
+    ) -> "LowerBones":
         """From the tables of the cells that have a plane, in their order."""
         number = np.where(has_plane, np.cumsum(has_plane).reshape(has_plane.shape) - 1, -1)
         first = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -233,7 +233,7 @@ class Hinges:
 
 
 def _newton(
-    below: Curve,
+    below: Rising,
     x: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
@@ -353,19 +353,19 @@ def _pattern(offset: np.ndarray, bounds: np.ndarray, u2: np.ndarray) -> np.ndarr
 
 
 @dataclass(frozen=True)
-class Anatomy:
+class FrozenAnatomy:
     """All that the prior of a pose is made of; `reference` `(3,)` and `fallback` `(4, 3)` fix the
     axes of lower bones."""
 
     lengths: Lengths
-    cells: Cells
-    hinges: Hinges
+    upper: UpperBones
+    lower: LowerBones
     reference: np.ndarray
     fallback: np.ndarray
 
     @classmethod
     @functools.cache
-    def frozen(cls) -> "Anatomy":
+    def default(cls) -> "FrozenAnatomy":
         """That of the benchmark, read once."""
         with resources.as_file(resources.files("inference.benchmark.data") / FILE) as path:
             tables = read_tables(path, "table of the benchmark", "install poseterior anew")
@@ -378,8 +378,8 @@ class Anatomy:
         )
         return cls(
             Lengths(*lengths),
-            Cells.of(occupied),
-            Hinges.of(has_plane, *planes),
+            UpperBones.of(occupied),
+            LowerBones.of(has_plane, *planes),
             tables["reference"].astype(float),
             tables["fallback"].astype(float),
         )
@@ -414,12 +414,12 @@ class Anatomy:
         for limb in limbs:
             local_axes = axes[limb.upper]
             first = column_of_upper(limb.upper)
-            parent = self.cells.transport(limb.upper, fractions[:, first : first + 2])
+            parent = self.upper.transport(limb.upper, fractions[:, first : first + 2])
             hang(limb.upper, parent @ local_axes.T)
             if limb.lower is None:
                 continue
             first = column_of_lower(limb.lower)
-            local = self.hinges.transport(limb.lower, parent, fractions[:, first : first + 2])
+            local = self.lower.transport(limb.lower, parent, fractions[:, first : first + 2])
             turned = lower_axes(parent, self.reference, self.fallback[limb.lower])
             hang(NUM_UPPER + limb.lower, np.einsum("ij,njk,nk->ni", local_axes, turned, local))
         return joints

@@ -7,6 +7,7 @@ the first of them say: evidence, masses of the modes, moments, each with its err
 A block has the same bits wherever the same compiled loops run on a processor of the same kind;
 elsewhere it has the same law, and `same_bits` says which."""
 
+import contextlib
 import hashlib
 import json
 import math
@@ -42,7 +43,7 @@ MODES = 1e-4
 """Modes of less mass are not listed; their masses are put together."""
 
 
-class Block(NamedTuple):
+class DrawBlock(NamedTuple):
     """Some exact draws: `points` `(BLOCK, d)` of R^d, and the log evidence that came along with its
     standard error."""
 
@@ -90,7 +91,7 @@ def reference(name: str) -> Reference:
     return Reference(**record | moments | {"blocks": tuple(record["blocks"])})
 
 
-def draw_block(target: FrozenTarget, index: int) -> Block:
+def draw_block(target: FrozenTarget, index: int) -> DrawBlock:
     """Draws a block, always the same. Raises `BadInput` unless JAX has 64-bit floats, and
     `OutOfBudget` where the engine cannot make it."""
     if not jax.config.jax_enable_x64:
@@ -104,7 +105,7 @@ def draw_block(target: FrozenTarget, index: int) -> Block:
     if not sampler.more(BLOCK, Budget(MAX_PROPOSALS)):
         raise OutOfBudget(f"exact draws of {target.name} could not be made; the engine has changed")
     points = Target.of(posterior).points_of(sampler.poses(BLOCK))
-    return Block(points, sampler.log_evidence, sampler.log_evidence_se)
+    return DrawBlock(points, sampler.log_evidence, sampler.log_evidence_se)
 
 
 def cache_folder() -> Path:
@@ -113,7 +114,7 @@ def cache_folder() -> Path:
     return Path(home) / "poseterior" / "benchmark"
 
 
-def exact_block(target: FrozenTarget, index: int, folder: Path | None = None) -> Block:
+def exact_block(target: FrozenTarget, index: int, folder: Path | None = None) -> DrawBlock:
     """A block from the cache, or drawn and kept there; a kept one that is damaged is drawn anew."""
     path = (folder or cache_folder()) / f"{target.name}-{index:02}.npz"
     if path.exists():
@@ -121,28 +122,33 @@ def exact_block(target: FrozenTarget, index: int, folder: Path | None = None) ->
         if kept is not None:
             return kept
     block = draw_block(target, index)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as partial, partial.open("wb") as file:
-        evidence = np.array([block.log_evidence, block.log_evidence_se])
-        sha256 = np.array(block.sha256)
-        np.savez(file, allow_pickle=False, points=block.points, evidence=evidence, sha256=sha256)
+    with contextlib.suppress(OSError, BadInput):  # without a cache it is slower, and no worse
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _keep(path, block)
     return block
 
 
-def _kept(path: Path) -> Block | None:
+def _keep(path: Path, block: DrawBlock) -> None:
+    evidence = np.array([block.log_evidence, block.log_evidence_se])
+    sha256 = np.array(block.sha256)
+    with replacing(path) as partial, partial.open("wb") as file:
+        np.savez(file, allow_pickle=False, points=block.points, evidence=evidence, sha256=sha256)
+
+
+def _kept(path: Path) -> DrawBlock | None:
     """The block in a file; None where it is not what was written."""
     try:
         found = read_tables(path, "block of exact draws", "delete it")
-        block = Block(found["points"], *found["evidence"].tolist())
+        block = DrawBlock(found["points"], *found["evidence"].tolist())
     except (BadInput, KeyError, TypeError):
         return None
     return block if block.sha256 == str(found["sha256"]) else None
 
 
-def same_bits(target: FrozenTarget, index: int, block: Block) -> bool:
-    """Whether a block, one of the first `MEASURED`, has the bits that the reference was measured
-    with."""
-    return block.sha256 == reference(target.name).blocks[index]
+def same_bits(target: FrozenTarget, folder: Path | None = None) -> bool:
+    """Whether this machine's draws have the bits that the reference was measured with, by the first
+    block. Where they have not, their law is the same."""
+    return exact_block(target, 0, folder).sha256 == reference(target.name).blocks[0]
 
 
 def exact_points(target: FrozenTarget, number: int, folder: Path | None = None) -> np.ndarray:

@@ -19,6 +19,8 @@ from probmodel.failures import BadInput, shown
 CHARTS = ("points", "box", "cube")
 WEIGHTS = ("weights", "log_weights")
 NUMBERS = ("log_evidence", "log_evidence_se", "evaluations", "seconds")
+FEWEST = 4
+"""Draws of a chain, of which fewer tell nothing of it."""
 ROUNDING = 1e-5
 """How far beyond its reach, in reaches, a joint may lie by the rounding of 32-bit numbers."""
 WHAT, ADVICE = "file of draws", "write one with numpy.savez('draws.npz', points=draws)"
@@ -188,8 +190,13 @@ def _let_pass(log_weights: np.ndarray) -> np.ndarray:
 
 
 def _require_motion(points: np.ndarray, where: str) -> None:
+    if points.shape[1] < FEWEST:
+        raise BadInput(
+            f"{where} come to {points.shape[1]} draws a chain, weights considered; the judge needs"
+            f" {FEWEST} at least, so run the sampler on"
+        )
     still = (points == points[:, :1]).all(axis=(1, 2))
-    if points.shape[1] > 1 and still.any():
+    if still.any():
         raise BadInput(
             f"chain {int(np.argmax(still))} of {where} stands still: its {points.shape[1]:,} draws"
             f" are one and the same ({int(still.sum())} of {len(still)} chains do); run it on, or"

@@ -20,7 +20,7 @@ import numpy as np
 
 from inference.benchmark.anatomy import (
     CUBE_DIM,
-    Anatomy,
+    FrozenAnatomy,
     column_of_lower,
     column_of_upper,
 )
@@ -118,7 +118,7 @@ class FrozenTarget:
         lengths, free = self._lengths
         up = -np.logaddexp(0, -points)
         down = -np.logaddexp(0, points)
-        anatomy = Anatomy.frozen().lengths
+        anatomy = FrozenAnatomy.default().lengths
         alpha, beta = np.ones(self.dim), np.ones(self.dim)
         alpha[free], beta[free] = anatomy.alpha[lengths], anatomy.beta[lengths]
         constant = anatomy.log_constants[lengths].sum()
@@ -140,7 +140,7 @@ class FrozenTarget:
         inside = np.all((box > 0) & (box < 1), axis=-1)
         safe = np.where(inside[..., None], box, 0.5)
         lengths, free = self._lengths
-        anatomy, fraction = Anatomy.frozen().lengths, safe[..., free]
+        anatomy, fraction = FrozenAnatomy.default().lengths, safe[..., free]
         prior = (anatomy.alpha[lengths] - 1) * np.log(fraction)
         prior = prior + (anatomy.beta[lengths] - 1) * np.log1p(-fraction)
         log_prior = np.sum(prior + anatomy.log_constants[lengths], axis=-1)
@@ -168,7 +168,7 @@ class FrozenTarget:
 
         box = np.array(cube, float)
         lengths, free = self._lengths
-        anatomy = Anatomy.frozen().lengths
+        anatomy = FrozenAnatomy.default().lengths
         box[..., free] = betaincinv(anatomy.alpha[lengths], anatomy.beta[lengths], box[..., free])
         return self.points_of_box(box)
 
@@ -200,7 +200,7 @@ class FrozenTarget:
     def prior_points(self, rng: np.random.Generator, number: int) -> np.ndarray:
         """`(number, d)` draws of the prior as points of R^d."""
         lengths, free = self._lengths
-        anatomy = Anatomy.frozen().lengths
+        anatomy = FrozenAnatomy.default().lengths
         box = rng.uniform(size=(number, self.dim))
         box[:, free] = rng.beta(
             anatomy.alpha[lengths], anatomy.beta[lengths], (number, int(free.sum()))
@@ -211,7 +211,7 @@ class FrozenTarget:
         """Whole poses at points `(n, d)` of R^d: joints `(n, 15, 3)` in camera axes and lengths
         `(n, 5)`, body units. What no seen joint depends on is drawn from the prior, which is what
         it follows whatever the rest does."""
-        anatomy = Anatomy.frozen()
+        anatomy = FrozenAnatomy.default()
         fractions = rng.uniform(size=(len(points), CUBE_DIM))
         fractions[:, :NUM_LENGTHS] = rng.beta(
             anatomy.lengths.alpha, anatomy.lengths.beta, (len(points), NUM_LENGTHS)
@@ -242,7 +242,7 @@ class FrozenTarget:
     def _squares_of(self, box: np.ndarray) -> np.ndarray:
         fractions = np.full((len(box), CUBE_DIM), 0.5)
         fractions[:, self.active] = box
-        joints = Anatomy.frozen().joints(self.view, fractions, self.limbs)
+        joints = FrozenAnatomy.default().joints(self.view, fractions, self.limbs)
         offset = joints[:, self.seen, :2] - self.seen_at[self.seen]
         return np.sum(offset**2, axis=-1) / self.spread**2
 

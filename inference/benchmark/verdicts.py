@@ -23,7 +23,7 @@ MOST = 20_000
 """Draws that are judged at most, taken evenly along every chain."""
 
 
-class Verdict(NamedTuple):
+class Assessment(NamedTuple):
     """What there is to say of draws.
 
     Attributes
@@ -58,7 +58,9 @@ def exact_sample(target: FrozenTarget, folder: Path | None = None) -> Sample:
     return sample_at(target, points[None], seed=0)
 
 
-def verdict(target: FrozenTarget, submission: Submission, exact: Sample | None = None) -> Verdict:
+def verdict(
+    target: FrozenTarget, submission: Submission, exact: Sample | None = None
+) -> Assessment:
     """Judges draws.
 
     Parameters
@@ -89,7 +91,7 @@ def verdict(target: FrozenTarget, submission: Submission, exact: Sample | None =
     worst = int(np.argmax(distances))
     varying = np.array(NAMES)[exact.flat.std(axis=0) > 1e-12]
     effective = judgement.mixing.worst
-    return Verdict(
+    return Assessment(
         target.name,
         judgement,
         submission.given,

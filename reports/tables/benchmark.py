@@ -5,7 +5,7 @@ from typing import Any
 
 from inference.benchmark.catalogue import targets
 from inference.benchmark.references import reference
-from inference.benchmark.verdicts import Verdict
+from inference.benchmark.verdicts import Assessment
 from reports.tables.sheet import Column, Sheet, number, plus_minus, significant
 
 CLEAR = 0.01
@@ -46,7 +46,7 @@ def _digits(both: tuple[float, float]) -> str:
     return f"{both[0]:.3f} ± {both[1]:.3f}"
 
 
-def tests_table(found: Verdict) -> Sheet:
+def tests_table(found: Assessment) -> Sheet:
     """The judge's tests of draws, those that decide first."""
     decisive = [{**test._asdict(), "decides": "yes"} for test in found.judgement.tests]
     others = [{**test._asdict(), "decides": "no"} for test in found.judgement.others]
@@ -64,7 +64,7 @@ def _size(value: float) -> str:
     return f"{value:,.0f}" if math.isfinite(value) else "–"
 
 
-def verdict_sentences(found: Verdict) -> list[str]:
+def verdict_sentences(found: Assessment) -> list[str]:
     """The verdict in words."""
     judgement = found.judgement
     judged = "" if found.judged == found.draws else f", {found.judged:,} of them judged"
@@ -85,7 +85,7 @@ def verdict_sentences(found: Verdict) -> list[str]:
     return sentences
 
 
-def verdict_record(found: Verdict) -> dict[str, Any]:
+def verdict_record(found: Assessment) -> dict[str, Any]:
     """The verdict as JSON has it."""
     judgement = found.judgement
     return {

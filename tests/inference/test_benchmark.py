@@ -63,7 +63,7 @@ def drawn(name: str, index: int = 5) -> np.ndarray:
     return exact_block(benchmark.load(name), index).points
 
 
-def verdict(name: str, **arrays: Any) -> benchmark.Verdict:
+def verdict(name: str, **arrays: Any) -> benchmark.Assessment:
     target = benchmark.load(name)
     return benchmark.verdict(target, benchmark.submit(target, **arrays), exact(name))
 
@@ -319,6 +319,9 @@ def test_blocks_are_drawn_to_the_same_bits_and_kept(
     path = tmp_path / "single-00.npz"
     path.write_bytes(path.read_bytes()[:-2000])
     assert exact_block(target, 0, tmp_path).sha256 == first.sha256, "a damaged block is drawn anew"
+    assert not references.same_bits(target, tmp_path), "the reference's blocks are longer"
+    blocked = tmp_path / "single-00.npz"
+    assert references.draw_block(target, 0).sha256 == exact_block(target, 0, blocked).sha256
     points = benchmark.exact_points(target, 700, tmp_path)
     assert np.array_equal(points[:500], first.points)
     with pytest.raises(BadInput, match="1 to 10,000 exact draws, not 10,001"):
@@ -394,6 +397,7 @@ REFUSED: dict[str, tuple[Callable[[], dict[str, Any]], str]] = {
         lambda: {"points": good()[:, :5]},
         r"points of it has shape \(400, 5\); arm needs \(draws, 6\) or \(chains, draws, 6\)",
     ),
+    "three draws": (lambda: {"points": good(number=3)}, "come to 3 draws a chain"),
     "no draws": (lambda: {"points": np.empty((0, 6))}, r"has shape \(0, 6\)"),
     "texts": (lambda: {"points": np.full((4, 6), "a")}, "holds '<U1' where numbers are needed"),
     "no chart": (lambda: {"weights": np.ones(4)}, "must have one of points, box, cube, but has no"),

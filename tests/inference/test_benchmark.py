@@ -34,22 +34,16 @@ from probmodel import BadInput, PoseModel
 from probmodel.model import log_joint
 from probmodel.observation import Observation
 from probmodel.transport import from_fractions
-from tests.conftest import CACHE
 
 ROOT = Path(__file__).parents[2]
 TARGETS = tuple(benchmark.targets())
-SOME = ["arm", *(pytest.param(one, marks=pytest.mark.slow) for one in ("arm-soft", "cruel"))]
 AGREEMENT = 1e-10
 ODDS = 1e-4
 """How seldom a sound benchmark fails one of these tests."""
 
 
-@pytest.fixture(scope="module", autouse=True)
-def blocks(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Exact draws are kept with what tests compile."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(CACHE))
-        yield
+pytestmark = pytest.mark.usefixtures("cache")
+"""Exact draws are kept with what tests compile."""
 
 
 @functools.cache
@@ -131,7 +125,7 @@ def product_squares(model: PoseModel, observation: Observation, fractions: jax.A
 def disagreement(target: FrozenTarget, model: PoseModel) -> float:
     """The largest difference between the two forms' squared distances: at draws of the prior, where
     they reach hundreds, and at draws of the target."""
-    prior = target.prior_points(np.random.default_rng(0), 1000)
+    prior = target.prior_points(np.random.default_rng(0), 400)
     points = np.concatenate([prior, near(target)])
     fractions = np.full((len(points), CUBE_DIM), 0.5)
     fractions[:, target.active] = target.box_of(points)
@@ -143,7 +137,7 @@ def disagreement(target: FrozenTarget, model: PoseModel) -> float:
 
 def near(target: FrozenTarget) -> np.ndarray:
     """Points with every arm and leg near its detections: the best draws of the prior."""
-    points = target.prior_points(np.random.default_rng(1), 4000)
+    points = target.prior_points(np.random.default_rng(1), 2000)
     return points[np.argsort(target.misfit(points))[:200]]
 
 
@@ -157,13 +151,11 @@ def test_the_product_still_has_the_frozen_model() -> None:
     targets have not."""
     frozen, now = benchmark.frozen_model(), PoseModel()
     assert frozen.measures == now.measures
-    fractions = np.random.default_rng(2).uniform(size=(500, CUBE_DIM))
-    for ours, theirs in zip(
-        from_fractions(frozen, jnp.asarray(fractions)),
-        from_fractions(now, jnp.asarray(fractions)),
-        strict=True,
-    ):
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=AGREEMENT)
+    same = jax.tree.map(
+        lambda one, other: np.array_equal(one, other, equal_nan=one.dtype.kind == "f"),
+        *(jax.tree.leaves(model) for model in (frozen, now)),
+    )
+    assert all(same)
 
 
 def widened(model: PoseModel) -> PoseModel:
@@ -176,7 +168,10 @@ def widened(model: PoseModel) -> PoseModel:
     "change",
     [
         widened,
-        lambda model: PoseModel(model.limits, model.lengths, model.torsos, upper="area"),
+        pytest.param(
+            lambda model: PoseModel(model.limits, model.lengths, model.torsos, upper="area"),
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             lambda model: PoseModel(model.limits, model.lengths, model.torsos, lower="box"),
             marks=pytest.mark.slow,
@@ -188,7 +183,8 @@ def test_a_change_of_the_model_is_caught(change: Callable[[PoseModel], PoseModel
     assert disagreement(benchmark.load("arm"), changed) > 100 * AGREEMENT
 
 
-@pytest.mark.parametrize("name", SOME)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["arm", "arm-soft", "cruel"])
 def test_the_density_in_jax(name: str) -> None:
     target = benchmark.load(name)
     in_jax = Target.of(benchmark.estimate(target).posterior(benchmark.frozen_model()))
@@ -235,23 +231,23 @@ def test_the_density_is_numpyro_s(name: str) -> None:
 @pytest.mark.parametrize("name", ["arm", "arm-soft"])
 def test_the_charts_are_one_density(name: str) -> None:
     target = benchmark.load(name)
-    points = drawn(name)[:500]
+    points = near(target)
     box = target.box_of(points)
     jacobian = np.sum(np.log(box) + np.log1p(-box), axis=-1)
-    np.testing.assert_allclose(
-        target.log_density_in_box(box) + jacobian, target.log_density(points), atol=1e-9
-    )
+    density = target.log_density(points)
+    assert np.isfinite(density).sum() > 20
+    np.testing.assert_allclose(target.log_density_in_box(box) + jacobian, density, atol=1e-9)
     np.testing.assert_allclose(target.points_of_box(box), points, atol=1e-6)
     one = target.log_density(points[0])
     assert one.shape == ()
-    assert one == target.log_density(points)[0]
+    assert one == density[0]
     assert target.log_density_in_box(box[0] + np.eye(target.dim)[0]) == -np.inf
 
 
 @pytest.mark.parametrize("name", ["arm", "arm-soft"])
 def test_the_graded_likelihood_has_the_target_for_a_limit(name: str) -> None:
     target = benchmark.load(name)
-    points = np.concatenate([drawn(name)[:200], near(target)])
+    points = near(target)
     limit = target.log_likelihood(points)
     inside = np.isfinite(limit)
     assert 0 < inside.sum() < len(points)
@@ -368,6 +364,7 @@ def test_an_evidence_that_is_off_is_caught() -> None:
     assert "evidence" in found.judgement.sentence
 
 
+@pytest.mark.slow
 def test_draws_with_weights_are_taken_as_they_are() -> None:
     """Draws of the prior with the likelihood as weights are draws of the target; without weights
     they are not."""
@@ -453,9 +450,9 @@ def test_what_cannot_be_draws_is_refused(case: str) -> None:
 
 
 def test_draws_of_single_precision_are_taken() -> None:
-    target = benchmark.load("whole")
-    points = drawn("whole", BLOCKS - 1)[:400]
-    assert benchmark.submit(target, points=points.astype(np.float32)).given == 400
+    target = benchmark.load("arm")
+    points = drawn("arm")[:400].astype(np.float32)
+    assert benchmark.submit(target, points=points).given == 400
 
 
 # --- wrong samplers

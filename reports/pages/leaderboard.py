@@ -52,7 +52,7 @@ PATIENCE = 4000
 CLOCK = time.process_time
 WORK = Path("build") / "leaderboard"
 NEVER = {
-    "eryn": "Eryn 1.2.6 calls `numpy.in1d`, which NumPy has not had since 2.4; it stops at once",
+    "eryn": "Eryn 1.2.6 calls `numpy.in1d`, which NumPy 2.5 no longer has; it stops at once",
     "pocomc": "pocoMC 1.2.6 brings PyTorch with CUDA, several GB; not tried",
     "ultranest": "UltraNest 4.6.3, JAXNS 3.0 and flowMC 0.6.5 install; not tried yet",
     "nrpt": "non-reversible parallel tempering is not in BlackJAX 1.7; not written yet",
@@ -60,17 +60,16 @@ NEVER = {
 """Samplers that users may expect and that are not here, and why."""
 
 
-def downhill(
-    target: FrozenTarget, rng: np.random.Generator, walkers: int
-) -> tuple[np.ndarray, int]:
-    """Starts `(n, d)` inside the support from draws of the prior, by steps that are taken where the
-    misfit does not rise, and the evaluations that this cost; those that got stuck are left out."""
-    points = target.prior_points(rng, walkers)
+def downhill(target: FrozenTarget, rng: np.random.Generator, wanted: int) -> tuple[np.ndarray, int]:
+    """Starts `(n, d)` inside the support from twice as many draws of the prior, by steps that are
+    taken where the misfit does not rise, until `wanted` are inside; and the evaluations that this
+    cost."""
+    points = target.prior_points(rng, 2 * wanted)
     misfit = target.misfit(points)
-    spent = walkers
+    spent = len(points)
     for _ in range(PATIENCE):
         outside = np.flatnonzero(misfit > 1)
-        if not len(outside):
+        if len(points) - len(outside) >= wanted:
             break
         scale = STEP * 10 ** rng.uniform(-2, 0.5, (len(outside), 1))
         proposal = points[outside] + scale * rng.normal(size=(len(outside), target.dim))
@@ -78,7 +77,7 @@ def downhill(
         better = found <= misfit[outside]
         points[outside[better]], misfit[outside[better]] = proposal[better], found[better]
         spent += len(outside)
-    return points[misfit <= 1], spent
+    return points[misfit <= 1][:wanted], spent
 
 
 def exact_line(target: FrozenTarget) -> tuple[Submission, int]:
@@ -109,9 +108,13 @@ def baseline_line(
         starts = exact_points(target, baseline.starts)
     elif baseline.starts:
         starts, spent = downhill(target, np.random.default_rng(7), baseline.starts)
-        if len(starts) < baseline.starts / 2:
+        if not len(starts):
             return None
     before = CLOCK() - started if start == PRIOR else 0.0
+    left = Allowance(
+        None if allowance.evaluations is None else max(0, allowance.evaluations - spent),
+        None if allowance.seconds is None else max(0.0, allowance.seconds - before),
+    )
     done = run_baseline(
         baseline,
         name,
@@ -120,7 +123,7 @@ def baseline_line(
         starts=starts,
         num_samples=1 << 40,
         most=20_000,
-        allowance=allowance,
+        allowance=left,
         clock=CLOCK,
     )
     if not done.num_draws:

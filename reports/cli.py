@@ -25,6 +25,9 @@ COMMANDS: dict[str, type] = {
     "prior": settings.PriorSettings,
     "check": settings.CheckSettings,
     "compare": settings.CompareSettings,
+    "benchmark list": settings.BenchmarkListSettings,
+    "benchmark draws": settings.BenchmarkDrawsSettings,
+    "benchmark judge": settings.BenchmarkJudgeSettings,
     "evaluate": settings.EvaluateSettings,
     "coverage": settings.CoverageSettings,
     "learn": settings.LearnSettings,
@@ -37,6 +40,14 @@ app = typer.Typer(
     rich_markup_mode="rich",
     epilog="Exit codes: 2 bad input, 3 a sampler that could not make what was asked for, 1 a bug.",
 )
+
+
+GROUPS = {
+    "benchmark": typer.Typer(help="Frozen targets with exact draws, for who builds samplers.")
+}
+"""Commands that have commands of their own."""
+for _name, _group in GROUPS.items():
+    app.add_typer(_group, name=_name)
 
 
 def main() -> None:
@@ -102,7 +113,9 @@ def built[T](group: type[T], values: dict[str, Any]) -> T:
 
 
 def _register(name: str, kind: Any) -> None:
-    """Makes a command of a settings class; `commands.NAME.run(settings, screen)` does its work."""
+    """Makes a command of a settings class; `commands.NAME.run(settings, screen)` does its work,
+    where a command of a group has `GROUP.NAME` for a name."""
+    group, _, own = name.rpartition(" ")
 
     def command(context: typer.Context, **values: Any) -> None:
         options.prepare_jax()
@@ -112,10 +125,10 @@ def _register(name: str, kind: Any) -> None:
         screen = built(Screen, values)
         with console.progress("reading", screen.quiet):
             options.check(wanted)
-        import_module(f"reports.commands.{name}").run(wanted, screen)
+        import_module(f"reports.commands.{name.replace(' ', '.')}").run(wanted, screen)
 
     parameters = [*declared(kind), *declared(Screen)]
-    command.__name__ = name
+    command.__name__ = own
     command.__annotations__ = {one.name: one.annotation for one in parameters}
     command.__annotations__["context"] = typer.Context
     first = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
@@ -123,7 +136,8 @@ def _register(name: str, kind: Any) -> None:
     paragraphs = (inspect.getdoc(kind) or "").split("\n\n")
     about = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
     examples = "\n\n".join(f"  poseterior {line}" for line in kind.EXAMPLES)
-    app.command(name, help=about, epilog=f"Examples:\n\n{examples}")(command)
+    home = GROUPS[group] if group else app
+    home.command(own, help=about, epilog=f"Examples:\n\n{examples}")(command)
 
 
 def _typed(context: typer.Context, name: str) -> bool:

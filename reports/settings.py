@@ -31,6 +31,7 @@ from reports.options import (
 )
 
 if TYPE_CHECKING:
+    from inference.benchmark import Submission
     from probmodel.datasets import DataSet
     from probmodel.sessions import Session
 
@@ -309,6 +310,62 @@ class CompareSettings:
     seed: Seed = 0
     estimation: Estimation = Estimation()
     prior: Prior = Prior()
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkListSettings:
+    """The frozen targets: dimensions, evidence, modes, and what is hard about each."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = ("benchmark list", "benchmark list --json")
+
+
+TargetName = Annotated[
+    str, Option(help="A target of `poseterior benchmark list`.", show_default=False)
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkDrawsSettings:
+    """Exact draws of a target as an .npz, the first of a million, which `benchmark judge` takes
+    too; they are kept in the cache folder."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "benchmark draws --target arm --num-samples 1000 --out arm.npz",
+    )
+    target: TargetName
+    out: Annotated[Path, Option(help="File to write.")] = Path("draws.npz")
+    num_samples: NumSamples = 10_000
+
+    def check(self) -> None:
+        """Raises `BadInput` where there is no such target."""
+        from inference.benchmark.catalogue import load
+
+        load(self.target)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkJudgeSettings:
+    """Judge draws of a target by exact ones.
+
+    An .npz with `points` (n, d) or (chain, draw, d) of R^d, or `box`, or `cube`; where there are
+    any, `weights` or `log_weights`, `log_evidence` and `log_evidence_se`, `evaluations`,
+    `seconds`."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = ("benchmark judge draws.npz --target arm",)
+    draws: Annotated[Path, Argument(help="The draws, .npz or .npy.", show_default=False)]
+    target: TargetName
+
+    @functools.cached_property
+    def submission(self) -> "Submission":
+        """The draws. Raises `BadInput` where they cannot be draws of the target."""
+        from inference.benchmark.catalogue import load
+        from inference.benchmark.submission import read_submission
+
+        return read_submission(self.draws, load(self.target))
+
+    def check(self) -> None:
+        """Reads the file. Raises `BadInput` as `submission`."""
+        self.submission  # noqa: B018
 
 
 @dataclass(frozen=True, kw_only=True)

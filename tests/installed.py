@@ -13,6 +13,8 @@ NEEDED = (
     *("poseterior/__init__.py", "poseterior/py.typed", "probmodel/py.typed", "inference/py.typed"),
     *("probmodel/data/limits.npz", "probmodel/data/poses.npz", "probmodel/data/example.json"),
     "probmodel/data/errors.json",
+    *(f"inference/benchmark/data/{name}" for name in ("anatomy.npz", "targets.json")),
+    *("inference/benchmark/data/reference.json", "inference/benchmark/__init__.pyi"),
     *("reports/cli.py", "reports/exports/bvh.py", "reports/pages/limits.md"),
 )
 """Files without which the wheel does not work, or says less than it should."""

@@ -135,6 +135,18 @@ class Target:
         return jnp.sum(jnp.where(self.observation.seen, walls, 0.0), axis=-1)
 
     @jax.jit
+    def log_graded(self, points: ArrayLike, hardness: ArrayLike) -> jax.Array:
+        """`(...)`: log of a likelihood with slopes for walls at points of R^d: within reach the
+        likelihood over its peak, beyond falling from there by `hardness` · (d²/reach² - 1) for
+        every joint; a normalised prior is not in it."""
+        squares = self.observation.squares(self._joints(self._pose(jnp.asarray(points))))
+        law = self.observation.law
+        within = jnp.minimum(squares, law.reach**2)
+        beyond = (squares - within) / law.reach**2
+        each = jnp.where(self.observation.seen, law.log_ratio(within) - hardness * beyond, 0.0)
+        return jnp.sum(each, axis=-1)
+
+    @jax.jit
     def misfit(self, points: ArrayLike) -> jax.Array:
         """`(...)`: the largest distance of a seen joint from its detection, in reaches, at points
         of R^d; a pose explains the detection iff it is at most 1."""

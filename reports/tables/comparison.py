@@ -11,10 +11,13 @@ deviations.
 import xarray as xr
 
 from inference.studies.comparison.distances import MILLIMETRES
+from inference.studies.comparison.judge import AGREES
 from reports.tables.sheet import NOTHING, Column, Record, Sheet, fixed, number, significant
 
 NARROW = ("sampler", "verdict", "ESS", "earned/s", "R-hat", "missed", "depth off")
 """The columns that matter most, for a narrow terminal."""
+APART = 1.1
+"""R-hat beyond which chains are not yet one sample (Gelman & Rubin 1992)."""
 WIDE = 120
 """Characters that all columns need."""
 
@@ -28,7 +31,25 @@ def comparison_table(tree: xr.DataTree) -> Sheet:
         record: dict[str, object] = {"sampler": label}
         record |= {str(name): _plain(own[name].item()) for name in summary.data_vars}
         records.append(record | _worst(tree, label))
-    return Sheet(COLUMNS, records)
+    gifts = [gift for gift in map(_gift, records) if gift]
+    return Sheet(COLUMNS, records, caption=". ".join(gifts))
+
+
+def _gift(record: Record) -> str:
+    """The sentence without which it would mislead to say that a sampler agrees: that it has, for
+    the most part, what it was given. Empty where it has more than that."""
+    if record["verdict"] != AGREES or not record["start"]:
+        return ""
+    earned = (record["ess_per_second"] or 0.0) * record["seconds"]
+    apart, worth = record["rhat_worst"], record["ess_worst"]
+    far = apart is not None and apart > APART
+    if earned >= worth / 2 and not far:
+        return ""
+    said = f", and R-hat {apart:.2f} says that its chains are still far apart" if far else ""
+    return (
+        f"{record['sampler']} agrees because it was started in exact draws: of its {worth:,.0f}"
+        f" effective draws it has earned {earned:,.0f}{said}"
+    )
 
 
 def _worst(tree: xr.DataTree, label: str) -> dict[str, object]:

@@ -99,7 +99,7 @@ def test_the_table_and_the_picture(done: tuple[Path, str]) -> None:
     assert [row[0] for row in rows] == ["rejection", "emcee (dispersed)", "emcee (one flip)"]
     assert all(len(row) == len(COLUMNS) for row in rows)
     assert "±" in rows[0][-1]
-    assert sheet.markdown().count("\n") == 4
+    assert sheet.markdown().split("\n\n")[0].count("\n") == 4
     for width, shown in ((80, sheet.only(NARROW)), (160, sheet)):
         printed = io.StringIO()
         rich.console.Console(file=printed, width=width).print(shown)
@@ -113,6 +113,30 @@ def test_the_table_and_the_picture(done: tuple[Path, str]) -> None:
     assert len(figure.axes[3].lines) == 4  # three samplers and the distance to reach
     shown = figure.axes[3].lines[0]
     np.testing.assert_allclose(shown.get_xdata(), tree["course"].seconds.sel(sampler="rejection"))
+
+
+def line(start: str, **numbers: float) -> xr.DataTree:
+    """The summary of one sampler that agrees, worth 144 draws, after ten seconds."""
+    found = {"ess_worst": 144.0, "ess_per_second": 1.6, "rhat_worst": 3.91, "seconds": 10.0}
+    words = {"verdict": "agrees", "start": start, "sentence": "no test rejects"}
+    values = {name: ("sampler", [value]) for name, value in (found | words | numbers).items()}
+    coords = {"sampler": ["random-walk (dispersed)"]}
+    return xr.DataTree.from_dict({"summary": xr.Dataset(values, coords=coords)})
+
+
+def test_what_agrees_by_its_start_is_said_to() -> None:
+    """As printed once: agrees, 144 effective draws, R-hat 3.91. It was started in exact draws."""
+    said = comparison_table(line("dispersed")).caption
+    assert said == (
+        "random-walk (dispersed) agrees because it was started in exact draws: of its 144"
+        " effective draws it has earned 16, and R-hat 3.91 says that its chains are still far apart"
+    )
+    mixed = comparison_table(line("dispersed", rhat_worst=1.02)).caption
+    assert mixed.endswith("has earned 16"), "a good R-hat does not earn draws"
+    apart = comparison_table(line("dispersed", ess_per_second=14.0)).caption
+    assert "has earned 140" in apart, "earned draws do not bring chains together"
+    assert not comparison_table(line("dispersed", ess_per_second=14.0, rhat_worst=1.02)).caption
+    assert not comparison_table(line("")).caption, "it was given nothing"
 
 
 def test_what_cannot_be_compared_is_refused_before_any_work(

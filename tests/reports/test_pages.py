@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
+from inference.benchmark import load
 from inference.readings import READINGS, Verdict
 from inference.studies.misreadings import Study
 from probmodel.learning.dictionaries import PoseDictionary
@@ -18,6 +19,7 @@ from reports.pages import (
     coverage,
     estimators,
     facing,
+    leaderboard,
     page,
     readings,
     samplers,
@@ -37,6 +39,7 @@ def test_there_are_pages() -> None:
         "evaluation",
         "facing",
         "honest",
+        "leaderboard",
         "limits",
         "readings",
         "samplers",
@@ -157,6 +160,40 @@ def test_evidence_that_is_off_is_flagged() -> None:
     assert row[:2] == ["two missing", "-12.00 ± 0.01"]
     assert row[2:] == ["-11.00 ± 0.10, **off by +10.0 errors**", "none in 4 s", "–"]
     assert samplers.absent({"one": contest()}).startswith("Not run yet: on *one* emcee-de")
+
+
+def entry(sampler: str, start: str = "", **changes: object) -> dict[str, object]:
+    """A line of the leaderboard on one arm, after two seconds."""
+    line = {"target": "arm", "budget": "seconds", "sampler": sampler, "start": start}
+    numbers = {"effective_draws": 300.0, "earned": 100.0, "evaluations": 4e4, "seconds": 2.0}
+    about = {"verdict": "agrees", "missed_mass": 0.0, "worst_w1": 0.1, "evidence_error": None}
+    return line | numbers | about | changes
+
+
+def test_the_leaderboard_ranks_by_what_was_earned() -> None:
+    lines = [
+        entry("exact", earned=1e4),
+        entry("emcee", "exact draws", earned=500.0),
+        entry("emcee", "prior"),
+        entry("smc", verdict="differs", earned=900.0),
+        {**entry("random-walk", "prior"), "verdict": "no draws"},
+    ]
+    del lines[-1]["earned"], lines[-1]["evaluations"], lines[-1]["seconds"]
+    (row,) = leaderboard.ratios(lines).texts()
+    assert row == ["arm", "6", "5,000", "emcee: 50", "100"], "neither gifts nor wrong ones count"
+    rows = leaderboard.board(lines, "arm", "seconds").texts()
+    assert rows[0][:6] == ["exact", "–", "agrees", "300", "5,000", "250"]
+    assert rows[-1][2:6] == ["no draws", "300", "–", "–"]
+    assert leaderboard.ratios([]).texts() == []
+
+
+def test_walking_downhill_comes_inside_at_a_price(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leaderboard, "PATIENCE", 200)
+    target = load("arm")
+    points, spent = leaderboard.downhill(target, np.random.default_rng(0), 20)
+    assert len(points) >= 5
+    assert (target.misfit(points) <= 1).all()
+    assert spent > 2 * len(points)
 
 
 def verdict(whole: float) -> Verdict:

@@ -1,0 +1,14 @@
+from .catalogue import load as load
+from .catalogue import targets as targets
+from .programs import estimate as estimate
+from .programs import frozen_model as frozen_model
+from .references import Reference as Reference
+from .references import exact_points as exact_points
+from .references import reference as reference
+from .references import same_bits as same_bits
+from .submission import Submission as Submission
+from .submission import read_submission as read_submission
+from .submission import submit as submit
+from .target import FrozenTarget as FrozenTarget
+from .verdicts import Assessment as Assessment
+from .verdicts import verdict as verdict

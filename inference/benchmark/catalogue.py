@@ -1,0 +1,60 @@
+"""The frozen targets by name, read from data whose checksums stand here.
+
+    target = load("arm")
+    target.log_density(points)
+
+A target never changes: whoever needs another one adds it under another name."""
+
+import functools
+import hashlib
+import json
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from inference.benchmark.target import FrozenTarget
+from probmodel.failures import BadInput
+
+CHECKSUMS = {
+    "anatomy.npz": "98b700b6c6ffc56f76ae16f723a2cddeb37050ace3262a521c39880a27d13e6a",
+    "targets.json": "4611db074540021e77e40f6e3641023f7460bb0fbf08a75327dc8319597439df",
+}
+"""SHA-256 of the files in `inference.benchmark.data` that targets are made of."""
+
+
+@functools.cache
+def targets() -> dict[str, FrozenTarget]:
+    """Every target by its name, easy ones first. Raises `BadInput` where a file is not the frozen
+    one."""
+    for name, wanted in CHECKSUMS.items():
+        if (found := hashlib.sha256(_content(name)).hexdigest()) != wanted:
+            raise BadInput(
+                f"{name} of the benchmark has the checksum {found[:12]}…, not {wanted[:12]}…, so"
+                " its targets are not the frozen ones; install poseterior anew"
+            )
+    records = json.loads(_content("targets.json"))
+    return {record["name"]: _target(record) for record in records}
+
+
+def load(name: str) -> FrozenTarget:
+    """The target of that name. Raises `BadInput` that says which there are."""
+    found = targets()
+    if name not in found:
+        raise BadInput(f"there is no target {name!r}; choose one of {', '.join(found)}")
+    return found[name]
+
+
+def _content(name: str) -> bytes:
+    return (resources.files("inference.benchmark.data") / name).read_bytes()
+
+
+def _target(record: dict[str, Any]) -> FrozenTarget:
+    arrays = {key: np.array(record[key], float) for key in ("view", "seen_at", "score")}
+    return FrozenTarget(
+        name=record["name"],
+        about=record["about"],
+        factor=record["factor"],
+        law=record["law"],
+        **arrays,
+    )

@@ -1,0 +1,160 @@
+"""How the targets were made: `python -m inference.benchmark.freeze targets` writes them and says
+their checksums, `… reference` measures them and writes what is known of them.
+
+It is kept for whoever asks where the numbers come from, and for new targets. Run after a change of
+the product, it may write other ones: then the targets stay, and the change is what is new."""
+
+import argparse
+import dataclasses
+import functools
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from inference.benchmark.catalogue import CHECKSUMS, load, targets
+from inference.benchmark.references import measured
+from inference.studies.scenes import ALL_BUT_AN_ARM, prior_scene
+from probmodel.files import replacing
+from probmodel.likelihood import Gaussian
+from probmodel.model import PoseModel
+from probmodel.posterior import Estimate
+from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS
+
+DATA = Path(__file__).with_name("data")
+HARDLY = 0.25
+"""A low score."""
+SMALL = 0.08
+"""The factor of tiny discs."""
+FORESHORTENED = range(100, 140)
+"""Seeds among which the scene is looked for whose limbs point most along the camera's axis."""
+Scene = Callable[[PoseModel], Estimate]
+
+
+def all_but(group: str) -> tuple[str, ...]:
+    """The limb joints, and the head, of the other groups."""
+    others = (limb for name, limbs in GROUPS.items() if name != group for limb in limbs)
+    return tuple(JOINTS[bone.end] for limb in others for bone in limb.bones)
+
+
+def low_scores() -> np.ndarray:
+    """`(15,)`: wrists and ankles hardly seen, so that their discs are the widest."""
+    score = np.full(NUM_JOINTS, 0.8)
+    ends = (f"{side}_{end}" for side in ("left", "right") for end in ("wrist", "ankle"))
+    score[[JOINT_INDEX[end] for end in ends]] = HARDLY
+    return score
+
+
+def foreshortened(model: PoseModel) -> Estimate:
+    """The scene whose seen limbs point most along the camera's axis."""
+    pairs = [("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")]
+    starts, ends = (
+        [JOINT_INDEX[f"{side}_{pair[end]}"] for side in ("left", "right") for pair in pairs]
+        for end in (0, 1)
+    )
+
+    def apparent(frame: Estimate) -> float:
+        keypoints = frame.detection.keypoints
+        return float(np.linalg.norm(keypoints[ends] - keypoints[starts], axis=1).sum())
+
+    return min((prior_scene(model, seed) for seed in FORESHORTENED), key=apparent)
+
+
+def _scene(seed: int, **options: Any) -> Scene:
+    return functools.partial(prior_scene, seed=seed, **options)
+
+
+SCENES: dict[str, tuple[str, Scene]] = {
+    "single": ("one arm, all of it in one mode", _scene(16, missing=ALL_BUT_AN_ARM)),
+    "arm": ("one arm, three modes", _scene(1, missing=ALL_BUT_AN_ARM)),
+    "arms": ("both arms, coupled by their lengths", _scene(3, missing=all_but("arms"))),
+    "legs": ("both legs, coupled by their lengths", _scene(2, missing=all_but("legs"))),
+    "four-missing": (
+        "arms and legs, four joints of them missing",
+        _scene(2, missing=("head", "left_wrist", "right_elbow", "left_knee", "right_ankle")),
+    ),
+    "one-missing": ("arms and legs, one wrist missing", _scene(4, missing=("head", "right_wrist"))),
+    "settled": ("arms and legs, of forty scenes that with the fewest flips", _scene(215)),
+    "foreshortened": ("arms and legs, pointing along the camera's axis", foreshortened),
+    "low-scores": ("arms and legs, wrists and ankles hardly seen", _scene(5, scores=low_scores())),
+    "flips": ("arms and legs, of forty scenes that with the most flips", _scene(222)),
+    "tiny": ("arms and legs, discs a third as wide as usual", _scene(1, factor=SMALL)),
+    "whole": ("the whole body, head too", _scene(6, missing=())),
+    "cruel": (
+        "the whole body, tiny discs of all sizes, hundreds of flips",
+        _scene(222, missing=(), factor=SMALL, scores=low_scores()),
+    ),
+}
+"""What each target is, and how it came about."""
+SOFT = ("arm",)
+"""Targets that have a version with soft walls, the Gaussian error law. Exact draws of it are
+dear: of what lies within reach, every seen joint turns down some four in five proposals."""
+
+
+def records() -> Iterator[dict[str, Any]]:
+    """The targets as they are written."""
+    model = PoseModel()
+    for name, (about, scene) in SCENES.items():
+        frame = scene(model)
+        yield record(name, about, frame)
+        if name in SOFT:
+            soft = dataclasses.replace(frame.likelihood, law=Gaussian())
+            about = f"{about}; Gaussian errors, soft walls"
+            yield record(f"{name}-soft", about, dataclasses.replace(frame, likelihood=soft))
+
+
+def record(name: str, about: str, frame: Estimate) -> dict[str, Any]:
+    """A frame with one root as a target: in camera axes and body units."""
+    root, score = frame.candidates[0].root, frame.detection.score
+    plane = root.camera.to_plane(frame.detection.keypoints)
+    return {
+        "name": name,
+        "about": about,
+        "law": type(frame.likelihood.law).__name__.lower(),
+        "factor": frame.likelihood.factor,
+        "score": score.tolist(),
+        "view": np.asarray(root.view).tolist(),
+        "seen_at": np.where(score[:, None] > 0, plane, 0.0).tolist(),
+    }
+
+
+def write_targets() -> None:
+    """Writes `targets.json`, and prints the checksums that belong into `catalogue`."""
+    text = ",\n".join(json.dumps(one) for one in records())
+    with replacing(DATA / "targets.json") as partial:
+        partial.write_text(f"[\n{text}\n]\n", encoding="utf-8")
+    for name in CHECKSUMS:
+        print(name, hashlib.sha256((DATA / name).read_bytes()).hexdigest())
+
+
+def write_reference(names: list[str]) -> None:
+    """Measures targets anew, all where no names are given, and writes `reference.json`."""
+    path = DATA / "reference.json"
+    known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    for name in names or targets():
+        known[name] = measured(load(name))
+        in_order = {one: known[one] for one in targets() if one in known}
+        with replacing(path) as partial:
+            partial.write_text(json.dumps(in_order, indent=1) + "\n", encoding="utf-8")
+        print(name, known[name]["log_evidence"], known[name]["log_evidence_se"], flush=True)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("what", choices=("targets", "reference"))
+    parser.add_argument("names", nargs="*")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    if options.what == "targets":
+        write_targets()
+    else:
+        write_reference(options.names)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""Draws that somebody wants judged: read from a file, or given as arrays, and refused where they
+cannot be draws of the target.
+
+An .npz holds one of `points`, `box`, `cube` (the charts of `target`), `(n, d)`, or `(chain, draw,
+d)` for Markov chains; and where there are any, `weights` or `log_weights` of as many draws,
+`log_evidence` with `log_evidence_se`, `evaluations`, and `seconds`. An .npy holds points."""
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from inference.benchmark.target import FrozenTarget
+from probmodel.arrays import read_array, read_tables
+from probmodel.failures import BadInput, shown
+
+CHARTS = ("points", "box", "cube")
+WEIGHTS = ("weights", "log_weights")
+NUMBERS = ("log_evidence", "log_evidence_se", "evaluations", "seconds")
+FEWEST = 4
+"""Draws of a chain, of which fewer tell nothing of it."""
+ROUNDING = 1e-5
+"""How far beyond its reach, in reaches, a joint may lie by the rounding of 32-bit numbers."""
+WHAT, ADVICE = "file of draws", "write one with numpy.savez('draws.npz', points=draws)"
+
+
+@dataclass(frozen=True)
+class Submission:
+    """Draws of a target.
+
+    Attributes
+    ----------
+    points : `(chain, draw, d)`, equally weighted, as points of R^d.
+    given : how many draws there were; where they came with weights, `points` are those that a
+        draw's weight over the largest one let pass.
+    log_evidence, log_evidence_se : as the sampler states them, NaN where it does not.
+    evaluations, seconds : what the draws cost, NaN where it is not said.
+    """
+
+    points: np.ndarray
+    given: int
+    log_evidence: float = math.nan
+    log_evidence_se: float = math.nan
+    evaluations: float = math.nan
+    seconds: float = math.nan
+
+
+def read_submission(path: str | os.PathLike, target: FrozenTarget) -> Submission:
+    """The draws in a file. Raises `BadInput` as `submit`, and where it is no such file."""
+    if Path(path).suffix.lower() == ".npy":
+        return submit(target, points=read_array(path, WHAT, ADVICE), where=str(path))
+    arrays = read_tables(path, WHAT, ADVICE)
+    unknown = sorted(set(arrays) - {*CHARTS, *WEIGHTS, *NUMBERS})
+    if unknown:
+        known = ", ".join((*CHARTS, *WEIGHTS, *NUMBERS))
+        raise BadInput(f"{path} has an array {shown(unknown[0])}; it may have {known}")
+    return submit(target, **arrays, where=str(path))
+
+
+def submit(target: FrozenTarget, *, where: str = "the draws", **arrays: np.ndarray) -> Submission:
+    """Draws as arrays, by the names that they have in a file.
+
+    Raises
+    ------
+    BadInput
+        Where they have another shape, are not finite, lie outside of the support, stand still, or
+        have weights that cannot be any.
+    """
+    chart, values = _chart(arrays, target, where)
+    log_weights = _log_weights(arrays, values.shape[:-1], where)
+    numbers = {name: _number(arrays, name, where) for name in NUMBERS}
+    if log_weights is not None:
+        values = values[np.isfinite(log_weights)][None]
+        log_weights = log_weights[np.isfinite(log_weights)]
+    points = _points(chart, values, target, where)
+    _require_support(points, target, where)
+    given = points.shape[0] * points.shape[1]
+    if log_weights is not None:
+        points = points[:, _let_pass(log_weights)]
+    _require_motion(points, where)
+    return Submission(points, given, **numbers)
+
+
+def _chart(
+    arrays: dict[str, np.ndarray], target: FrozenTarget, where: str
+) -> tuple[str, np.ndarray]:
+    """The name of the chart, and the draws in it as `(chain, draw, d)`."""
+    named = [name for name in CHARTS if name in arrays]
+    if len(named) != 1:
+        said = " and ".join(named) or "none"
+        raise BadInput(f"{where} must have one of {', '.join(CHARTS)}, but has {said}; {ADVICE}")
+    values = _numbers(arrays[named[0]], f"{named[0]} of {where}")
+    values = values[None] if values.ndim == 2 else values
+    if values.ndim != 3 or values.shape[-1] != target.dim or not values.size:
+        raise BadInput(
+            f"{named[0]} of {where} has shape {np.shape(arrays[named[0]])}; {target.name} needs"
+            f" (draws, {target.dim}) or (chains, draws, {target.dim})"
+        )
+    broken = ~np.isfinite(values).all(axis=-1)
+    if broken.any():
+        raise BadInput(
+            f"{int(broken.sum()):,} of {broken.size:,} draws of {where} have a coordinate that is"
+            " not finite; leave them out, or run anew"
+        )
+    return named[0], values
+
+
+def _numbers(array: np.ndarray, where: str) -> np.ndarray:
+    found = np.asarray(array)
+    if found.dtype.kind not in "fiu":
+        raise BadInput(f"{where} holds {shown(str(found.dtype))} where numbers are needed")
+    return found.astype(float)
+
+
+def _log_weights(
+    arrays: dict[str, np.ndarray], shape: tuple[int, ...], where: str
+) -> np.ndarray | None:
+    """`(chain, draw)`: logs of the draws' weights; None where there are none."""
+    named = [name for name in WEIGHTS if name in arrays]
+    if not named:
+        return None
+    if len(named) > 1:
+        raise BadInput(f"{where} has both weights and log_weights; leave one out")
+    values = _numbers(arrays[named[0]], f"{named[0]} of {where}")
+    if values.size != math.prod(shape):
+        raise BadInput(
+            f"{named[0]} of {where} are {values.size:,} for {math.prod(shape):,} draws; give each"
+            " draw one"
+        )
+    values = values.reshape(shape)
+    if np.isnan(values).any() or (values == np.inf).any():
+        raise BadInput(f"{named[0]} of {where} hold a number that is not finite; leave it out")
+    if named[0] == "weights":
+        if (values < 0).any():
+            raise BadInput(
+                f"{int((values < 0).sum()):,} of {values.size:,} weights of {where} are negative; a"
+                " weight is 0 or more"
+            )
+        with np.errstate(divide="ignore"):
+            values = np.log(values)
+    if not np.isfinite(values).any():
+        raise BadInput(f"all weights of {where} are zero; no draw counts, so run the sampler anew")
+    return values
+
+
+def _number(arrays: dict[str, np.ndarray], name: str, where: str) -> float:
+    if name not in arrays:
+        return math.nan
+    value = _numbers(arrays[name], f"{name} of {where}")
+    if value.size != 1:
+        raise BadInput(f"{name} of {where} has shape {value.shape}; give one number")
+    found = float(value.reshape(()))
+    if name != "log_evidence" and not (found > 0 and math.isfinite(found)):
+        raise BadInput(f"{name} of {where} is {found:g}; it must be a number above 0")
+    return found
+
+
+def _points(chart: str, values: np.ndarray, target: FrozenTarget, where: str) -> np.ndarray:
+    """The draws as points of R^d."""
+    if chart == "points":
+        return values
+    outside = ~((values >= 0) & (values <= 1)).all(axis=-1)
+    if outside.any():
+        raise BadInput(
+            f"{int(outside.sum()):,} of {outside.size:,} draws of {where} lie outside of the unit"
+            f" {chart}; its coordinates are between 0 and 1"
+        )
+    return target.points_of_box(values) if chart == "box" else target.prior_transform(values)
+
+
+def _require_support(points: np.ndarray, target: FrozenTarget, where: str) -> None:
+    misfits = target.misfits(points.reshape(-1, target.dim))
+    outside = (misfits > 1 + ROUNDING).any(axis=-1)
+    if outside.any():
+        worst = int(np.argmax(misfits.max(axis=0)))
+        raise BadInput(
+            f"{int(outside.sum()):,} of {len(outside):,} draws of {where} lie outside of the"
+            f" support: {target.seen_joints[worst]} lies up to {misfits[:, worst].max():.3g} times"
+            " its reach away from where it was detected; give them weight 0, or leave them out"
+        )
+
+
+def _let_pass(log_weights: np.ndarray) -> np.ndarray:
+    """`(n,)` bool: draws with weights, let pass with probability weight over largest weight, are
+    draws without: of independent ones, independent ones, and none of them twice."""
+    rng = np.random.default_rng(0)
+    return np.log(rng.uniform(size=len(log_weights))) < log_weights - log_weights.max()
+
+
+def _require_motion(points: np.ndarray, where: str) -> None:
+    if points.shape[1] < FEWEST:
+        raise BadInput(
+            f"{where} come to {points.shape[1]} draws a chain, weights considered; the judge needs"
+            f" {FEWEST} at least, so run the sampler on"
+        )
+    still = (points == points[:, :1]).all(axis=(1, 2))
+    if still.any():
+        raise BadInput(
+            f"chain {int(np.argmax(still))} of {where} stands still: its {points.shape[1]:,} draws"
+            f" are one and the same ({int(still.sum())} of {len(still)} chains do); run it on, or"
+            " leave it out"
+        )

@@ -1,0 +1,255 @@
+"""A frozen target in the forms that samplers want, in plain NumPy.
+
+A target is the posterior of one detection under one torso and camera. What was seen is kept in body
+units on the camera's plane, so that the camera is the one that does nothing. Three charts, the same
+as those of `inference.baselines.target`, in which only coordinates are kept that some seen joint
+depends on:
+
+- *points* `(n, d)` of R^d: the unconstrained coordinates, logits of the box;
+- the *box* `[0, 1]^d`: bone lengths as fractions of their ranges, directions as points of their
+  unit squares;
+- the *cube* `[0, 1]^d`, in which the prior is flat: as the box, with lengths by their quantiles.
+
+Every function takes one row `(d,)` or many `(n, d)`. Densities are normalised priors times the
+likelihood over its peak, so that the evidence is between 0 and 1 (docs/model.md § 7)."""
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from inference.benchmark.anatomy import (
+    CUBE_DIM,
+    FrozenAnatomy,
+    column_of_lower,
+    column_of_upper,
+)
+from probmodel.skeleton import (
+    BONES,
+    GROUPS,
+    JOINTS,
+    LENGTH_GROUPS,
+    NUM_LENGTHS,
+    NUM_LOWER,
+    NUM_UPPER,
+    Limb,
+)
+
+COORDINATES = (
+    *(f"length of {group}" for group in LENGTH_GROUPS),
+    *(f"{bone.name} {axis}" for bone in BONES for axis in "uv"),
+)
+"""Names of the fractions of a pose."""
+LAWS = {"disc": (1.0, 0.0), "gaussian": (1.5, 2.0)}
+"""Error laws: the reach in spreads, and c in the log ratio -c·z² of the density to its peak."""
+CHUNK = 20_000
+"""Rows that are computed at once at most, so that memory stays small."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrozenTarget:
+    """One target.
+
+    Attributes
+    ----------
+    name, about : what it is called, and what is hard about it.
+    view : `(6, 3)`, the torso in camera axes (x right, y down, z away), body units.
+    seen_at : `(15, 2)`, where joints were detected on the camera's plane, body units; 0 where not.
+    score : `(15,)`, the detector's scores; 0 where a joint was not detected.
+    factor : the spread of a joint of average score, body units.
+    law : the errors' law, a key of `LAWS`.
+    """
+
+    name: str
+    about: str
+    view: np.ndarray
+    seen_at: np.ndarray
+    score: np.ndarray
+    factor: float
+    law: str
+
+    @functools.cached_property
+    def seen(self) -> np.ndarray:
+        """`(k,)`: indices of the joints that count."""
+        return np.array([bone.end for bone in BONES if self.score[bone.end] > 0])
+
+    @functools.cached_property
+    def spread(self) -> np.ndarray:
+        """`(k,)`: the spreads of those joints' errors, body units (docs/model.md § 3)."""
+        score = self.score[self.seen]
+        return self.factor * score.mean() / score
+
+    @functools.cached_property
+    def limbs(self) -> tuple[Limb, ...]:
+        """The limbs that have a seen joint, cut off behind the last one."""
+        cut = (self._cut(limb) for limbs in GROUPS.values() for limb in limbs)
+        return tuple(limb for limb in cut if limb is not None)
+
+    def _cut(self, limb: Limb) -> Limb | None:
+        seen = [bone.end in self.seen for bone in limb.bones]
+        if not any(seen):
+            return None
+        return limb if seen[-1] else limb._replace(lower=None)
+
+    @functools.cached_property
+    def active(self) -> np.ndarray:
+        """`(d,)`: which of the fractions of a pose are the target's coordinates."""
+        found: set[int] = set()
+        for limb in self.limbs:
+            found |= {bone.length_group for bone in limb.bones}
+            starts = [column_of_upper(limb.upper)]
+            starts += [] if limb.lower is None else [column_of_lower(limb.lower)]
+            found |= {start + side for start in starts for side in (0, 1)}
+        return np.array(sorted(found))
+
+    @property
+    def dim(self) -> int:
+        """How many coordinates there are."""
+        return len(self.active)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(COORDINATES[index] for index in self.active)
+
+    def log_prior(self, points: np.ndarray) -> np.ndarray:
+        """`(...)`: normalised log density of the prior at points `(..., d)` of R^d."""
+        points = np.asarray(points, float)
+        lengths, free = self._lengths
+        up = -np.logaddexp(0, -points)
+        down = -np.logaddexp(0, points)
+        anatomy = FrozenAnatomy.default().lengths
+        alpha, beta = np.ones(self.dim), np.ones(self.dim)
+        alpha[free], beta[free] = anatomy.alpha[lengths], anatomy.beta[lengths]
+        constant = anatomy.log_constants[lengths].sum()
+        return np.sum(alpha * up + beta * down, axis=-1) + constant
+
+    def log_likelihood(self, points: np.ndarray) -> np.ndarray:
+        """`(...)`: log of the likelihood over its peak at points `(..., d)` of R^d, at most 0; -inf
+        where a seen joint lies beyond its reach."""
+        return self._log_ratio(self.squares(points))
+
+    def log_density(self, points: np.ndarray) -> np.ndarray:
+        """`(...)`: log density of the target at points `(..., d)` of R^d, but for the evidence."""
+        return self.log_prior(points) + self.log_likelihood(points)
+
+    def log_density_in_box(self, box: np.ndarray) -> np.ndarray:
+        """`(...)`: log density of the target at points `(..., d)` of the box, per unit of the box,
+        but for the evidence; -inf outside."""
+        box = np.asarray(box, float)
+        inside = np.all((box > 0) & (box < 1), axis=-1)
+        safe = np.where(inside[..., None], box, 0.5)
+        lengths, free = self._lengths
+        anatomy, fraction = FrozenAnatomy.default().lengths, safe[..., free]
+        prior = (anatomy.alpha[lengths] - 1) * np.log(fraction)
+        prior = prior + (anatomy.beta[lengths] - 1) * np.log1p(-fraction)
+        log_prior = np.sum(prior + anatomy.log_constants[lengths], axis=-1)
+        return np.where(inside, log_prior + self._log_ratio(self._squares_in_box(safe)), -np.inf)
+
+    def log_graded(self, points: np.ndarray, hardness: float) -> np.ndarray:
+        """`(...)`: log of a likelihood with slopes for walls, for tempering and nested sampling.
+
+        Within reach it is the target's; beyond, it falls from there by `hardness` · (z²/reach² - 1)
+        for every joint that lies z spreads away, instead of to nothing. At hardness 0 it is flat
+        under discs, and in the limit it is the target's. Draws of it that lie inside (`misfit` at
+        most 1) are draws of the target at any hardness, and their share times its evidence is the
+        target's evidence.
+        """
+        squares = self.squares(points)
+        reach, curvature = LAWS[self.law]
+        within = np.minimum(squares, reach**2)
+        beyond = (squares - within) / reach**2
+        return -np.sum(curvature * within + hardness * beyond, axis=-1)
+
+    def prior_transform(self, cube: np.ndarray) -> np.ndarray:
+        """Points `(..., d)` of R^d from points of the unit cube: uniform ones become draws of the
+        prior."""
+        from scipy.special import betaincinv
+
+        box = np.array(cube, float)
+        lengths, free = self._lengths
+        anatomy = FrozenAnatomy.default().lengths
+        box[..., free] = betaincinv(anatomy.alpha[lengths], anatomy.beta[lengths], box[..., free])
+        return self.points_of_box(box)
+
+    def box_of(self, points: np.ndarray) -> np.ndarray:
+        """The box `(..., d)` at points of R^d."""
+        points = np.asarray(points, float)
+        small = np.exp(-np.abs(points))
+        return np.where(points >= 0, 1.0, small) / (1 + small)
+
+    def points_of_box(self, box: np.ndarray) -> np.ndarray:
+        """Points of R^d `(..., d)`, finite also at the ends of the box."""
+        edge = np.finfo(float).eps
+        inside = np.clip(np.asarray(box, float), edge, 1 - edge)
+        return np.log(inside) - np.log1p(-inside)
+
+    def squares(self, points: np.ndarray) -> np.ndarray:
+        """`(..., k)`: squared distances of the seen joints from their detections, in spreads, at
+        points `(..., d)` of R^d."""
+        return self._squares_in_box(self.box_of(points))
+
+    def misfits(self, points: np.ndarray) -> np.ndarray:
+        """`(..., k)`: distances of the seen joints from their detections, in reaches."""
+        return np.sqrt(self.squares(points)) / LAWS[self.law][0]
+
+    def misfit(self, points: np.ndarray) -> np.ndarray:
+        """`(...)`: the largest of them: a point is inside the support iff it is at most 1."""
+        return self.misfits(points).max(axis=-1)
+
+    def prior_points(self, rng: np.random.Generator, number: int) -> np.ndarray:
+        """`(number, d)` draws of the prior as points of R^d."""
+        lengths, free = self._lengths
+        anatomy = FrozenAnatomy.default().lengths
+        box = rng.uniform(size=(number, self.dim))
+        box[:, free] = rng.beta(
+            anatomy.alpha[lengths], anatomy.beta[lengths], (number, int(free.sum()))
+        )
+        return self.points_of_box(box)
+
+    def poses(self, points: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Whole poses at points `(n, d)` of R^d: joints `(n, 15, 3)` in camera axes and lengths
+        `(n, 5)`, body units. What no seen joint depends on is drawn from the prior, which is what
+        it follows whatever the rest does."""
+        anatomy = FrozenAnatomy.default()
+        fractions = rng.uniform(size=(len(points), CUBE_DIM))
+        fractions[:, :NUM_LENGTHS] = rng.beta(
+            anatomy.lengths.alpha, anatomy.lengths.beta, (len(points), NUM_LENGTHS)
+        )
+        fractions[:, self.active] = self.box_of(points)
+        every = tuple(limb for limbs in GROUPS.values() for limb in limbs)
+        parts = np.split(fractions, range(CHUNK, len(fractions), CHUNK))
+        joints = np.concatenate([anatomy.joints(self.view, part, every) for part in parts])
+        return joints, anatomy.lengths.at(fractions[:, :NUM_LENGTHS])
+
+    @property
+    def seen_joints(self) -> list[str]:
+        """The names of the seen joints, in the order of `squares`."""
+        return [JOINTS[joint] for joint in self.seen]
+
+    @functools.cached_property
+    def _lengths(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which length groups are coordinates, and which coordinates `(d,)` bool are lengths."""
+        free = self.active < NUM_LENGTHS
+        return self.active[free], free
+
+    def _squares_in_box(self, box: np.ndarray) -> np.ndarray:
+        flat = box.reshape(-1, self.dim)
+        parts = np.split(flat, range(CHUNK, len(flat), CHUNK))
+        found = np.concatenate([self._squares_of(part) for part in parts])
+        return found.reshape(*box.shape[:-1], len(self.seen))
+
+    def _squares_of(self, box: np.ndarray) -> np.ndarray:
+        fractions = np.full((len(box), CUBE_DIM), 0.5)
+        fractions[:, self.active] = box
+        joints = FrozenAnatomy.default().joints(self.view, fractions, self.limbs)
+        offset = joints[:, self.seen, :2] - self.seen_at[self.seen]
+        return np.sum(offset**2, axis=-1) / self.spread**2
+
+    def _log_ratio(self, squares: np.ndarray) -> np.ndarray:
+        reach, curvature = LAWS[self.law]
+        inside = np.all(squares <= reach**2, axis=-1)
+        return np.where(inside, -curvature * np.sum(squares, axis=-1), -np.inf)
+
+
+assert len(COORDINATES) == CUBE_DIM == NUM_LENGTHS + 2 * (NUM_UPPER + NUM_LOWER)

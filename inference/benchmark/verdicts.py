@@ -1,0 +1,111 @@
+"""The verdict on draws of a frozen target: the judge of `inference.studies.comparison`, with exact
+draws and the evidence of the target.
+
+    judged = verdict(load("arm"), submit(load("arm"), points=draws))
+    judged.judgement.verdict, judged.sentence"""
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from inference.benchmark.references import BLOCKS, exact_block, reference, sample_at
+from inference.benchmark.submission import Submission
+from inference.benchmark.target import FrozenTarget
+from inference.studies.comparison.distances import standardised, wasserstein
+from inference.studies.comparison.judge import Judgement, judge
+from inference.studies.comparison.sample import NAMES, Sample
+
+EXACT = 20_000
+"""Exact draws that are compared with."""
+MOST = 20_000
+"""Draws that are judged at most, taken evenly along every chain."""
+
+
+class Assessment(NamedTuple):
+    """What there is to say of draws.
+
+    Attributes
+    ----------
+    target : its name.
+    judgement : the judge's tests, mixing and modes.
+    draws, judged : how many were given, and how many were judged.
+    worst_coordinate, worst_w1 : the coordinate whose law is farthest from the exact one, and how
+        far in W1, in its standard deviations.
+    evidence_error, evidence_error_se : stated log evidence less the exact one, nats, and the
+        standard error of the difference; NaN where it is not stated.
+    per_evaluation, per_second : effective draws of the worst coordinate; NaN where the cost is not
+        stated.
+    """
+
+    target: str
+    judgement: Judgement
+    draws: int
+    judged: int
+    worst_coordinate: str
+    worst_w1: float
+    evidence_error: float
+    evidence_error_se: float
+    per_evaluation: float
+    per_second: float
+
+
+def exact_sample(target: FrozenTarget, folder: Path | None = None) -> Sample:
+    """The exact draws that all are compared with: of the last block, which nobody comes to who
+    takes some of the first."""
+    points = exact_block(target, BLOCKS - 1, folder).points[:EXACT]
+    return sample_at(target, points[None], seed=0)
+
+
+def verdict(
+    target: FrozenTarget, submission: Submission, exact: Sample | None = None
+) -> Assessment:
+    """Judges draws.
+
+    Parameters
+    ----------
+    target
+        What they are draws of.
+    submission
+        The draws.
+    exact
+        As `exact_sample` gives them, for whoever judges several.
+
+    Raises
+    ------
+    BadInput, OutOfBudget
+        As `references.draw_block`, where exact draws are not yet in the cache.
+    """
+    known = reference(target.name)
+    exact = exact_sample(target) if exact is None else exact
+    sample = sample_at(target, _thinned(submission.points), seed=1)
+    stated = submission.log_evidence, submission.log_evidence_se
+    judgement = judge(
+        sample,
+        exact,
+        evidence=stated if math.isfinite(stated[1]) else (math.nan, math.nan),
+        exact_evidence=(known.log_evidence, known.log_evidence_se),
+    )
+    distances = wasserstein(*standardised(sample.flat, exact.flat))
+    worst = int(np.argmax(distances))
+    varying = np.array(NAMES)[exact.flat.std(axis=0) > 1e-12]
+    effective = judgement.mixing.worst
+    return Assessment(
+        target.name,
+        judgement,
+        submission.given,
+        sample.num_draws,
+        str(varying[worst]),
+        float(distances[worst]),
+        stated[0] - known.log_evidence,
+        math.hypot(stated[1], known.log_evidence_se),
+        effective / submission.evaluations,
+        effective / submission.seconds,
+    )
+
+
+def _thinned(points: np.ndarray) -> np.ndarray:
+    """At most `MOST` draws of `(chain, draw, d)`."""
+    chains, draws, _ = points.shape
+    return points[:, :: max(1, -(-chains * draws // MOST))]

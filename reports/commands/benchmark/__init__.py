@@ -1,0 +1,1 @@
+"""`poseterior benchmark`: frozen targets, their exact draws, and verdicts on draws of others."""

@@ -1,0 +1,21 @@
+"""`poseterior benchmark judge`: the verdict on draws of a target."""
+
+from reports import console
+from reports.options import Screen
+from reports.settings import BenchmarkJudgeSettings
+
+
+def run(settings: BenchmarkJudgeSettings, screen: Screen) -> None:
+    """Judges draws by exact ones. Raises `BadInput` where they cannot be draws of the target."""
+    from inference.benchmark import load, verdict
+    from reports.tables.benchmark import tests_table, verdict_record, verdict_sentences
+
+    with console.progress(f"exact draws of {settings.target}, and tests", screen.quiet):
+        found = verdict(load(settings.target), settings.submission)
+    if screen.json:
+        console.show_json(verdict_record(found))
+        return
+    if found.judgement.tests:
+        console.OUT.print(tests_table(found))
+    for sentence in verdict_sentences(found):
+        console.say(sentence)

@@ -1,0 +1,107 @@
+"""The benchmark in tables: its targets, and the verdict on draws of one."""
+
+import math
+from typing import Any
+
+from inference.benchmark.catalogue import targets
+from inference.benchmark.references import reference
+from inference.benchmark.verdicts import Assessment
+from reports.tables.sheet import Column, Sheet, number, plus_minus, significant
+
+CLEAR = 0.01
+"""Modes of more mass are counted."""
+
+
+def targets_table() -> Sheet:
+    """The targets, easy ones first."""
+    records = []
+    for name, target in targets().items():
+        known = reference(name)
+        modes = list(known.modes.values())
+        records.append(
+            {
+                "target": name,
+                "dim": target.dim,
+                "law": target.law,
+                "log_evidence": known.log_evidence,
+                "log_evidence_se": known.log_evidence_se,
+                "modes": sum(mass > CLEAR for mass in modes),
+                "largest_mode": modes[0],
+                "about": target.about,
+            }
+        )
+    columns = (
+        Column("target", left=True, whole=True),
+        Column("dim"),
+        Column("law", left=True),
+        Column("log evidence", lambda one: (one["log_evidence"], one["log_evidence_se"]), _digits),
+        Column("modes > 1 %", "modes"),
+        Column("largest", "largest_mode", lambda mass: f"{mass:.0%}"),
+        Column("what it is", "about", left=True),
+    )
+    return Sheet(columns, records)
+
+
+def _digits(both: tuple[float, float]) -> str:
+    return f"{both[0]:.3f} ± {both[1]:.3f}"
+
+
+def tests_table(found: Assessment) -> Sheet:
+    """The judge's tests of draws, those that decide first."""
+    decisive = [{**test._asdict(), "decides": "yes"} for test in found.judgement.tests]
+    others = [{**test._asdict(), "decides": "no"} for test in found.judgement.others]
+    columns = (
+        Column("test", "name", left=True),
+        Column("p", "p_value", significant(2)),
+        Column("effective draws", "size", _size),
+        Column("decides", left=True),
+        Column("takes for granted", "assumption", left=True),
+    )
+    return Sheet(columns, decisive + others)
+
+
+def _size(value: float) -> str:
+    return f"{value:,.0f}" if math.isfinite(value) else "–"
+
+
+def verdict_sentences(found: Assessment) -> list[str]:
+    """The verdict in words."""
+    judgement = found.judgement
+    judged = "" if found.judged == found.draws else f", {found.judged:,} of them judged"
+    sentences = [
+        f"{found.target}: {judgement.verdict}. {judgement.sentence}",
+        f"{found.draws:,} draws{judged}, worth {judgement.mixing.worst:,.0f} independent ones in"
+        " the worst coordinate",
+        f"worst coordinate: {found.worst_coordinate}, W1 {found.worst_w1:.3f} standard deviations",
+        f"mass in modes never visited: {judgement.modes.missed:.2%}; as many independent draws"
+        f" would miss {judgement.modes.expected_missed:.2%}",
+    ]
+    if math.isfinite(found.evidence_error):
+        error = number(found.evidence_error_se)
+        sentences.append(f"log evidence off by {plus_minus((found.evidence_error, error))} nats")
+    for value, unit in ((found.per_evaluation, "evaluation"), (found.per_second, "second")):
+        if math.isfinite(value):
+            sentences.append(f"effective draws per {unit}: {value:.3g}")
+    return sentences
+
+
+def verdict_record(found: Assessment) -> dict[str, Any]:
+    """The verdict as JSON has it."""
+    judgement = found.judgement
+    return {
+        "target": found.target,
+        "verdict": judgement.verdict,
+        "sentence": judgement.sentence,
+        "draws": found.draws,
+        "judged": found.judged,
+        "effective_draws": number(judgement.mixing.worst),
+        "tests": tests_table(found).json(),
+        "missed_mass": judgement.modes.missed,
+        "expected_missed_mass": judgement.modes.expected_missed,
+        "worst_coordinate": found.worst_coordinate,
+        "worst_w1": found.worst_w1,
+        "evidence_error": number(found.evidence_error),
+        "evidence_error_se": number(found.evidence_error_se),
+        "effective_draws_per_evaluation": number(found.per_evaluation),
+        "effective_draws_per_second": number(found.per_second),
+    }

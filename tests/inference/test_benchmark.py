@@ -1,0 +1,559 @@
+"""The benchmark: frozen targets are what the product says they are, in every form; exact draws and
+evidences hold by a second route; wrong draws are caught, and what cannot be draws is refused.
+
+The forms in NumPy share no code with the model, so that a change of either shows: the negative
+controls change the model a little."""
+
+import functools
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import emcee
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpyro.infer.util import potential_energy
+from scipy import stats
+
+from inference import benchmark
+from inference.baselines.run import Allowance
+from inference.baselines.target import Target
+from inference.benchmark import catalogue, references
+from inference.benchmark.guests import GUESTS
+from inference.benchmark.references import BLOCKS, exact_block, sample_at
+from inference.benchmark.target import CUBE_DIM, FrozenTarget
+from inference.benchmark.verdicts import exact_sample
+from inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
+from inference.studies.comparison.sample import NAMES, Sample
+from probmodel import BadInput, PoseModel
+from probmodel.model import log_joint
+from probmodel.observation import Observation
+from probmodel.transport import from_fractions
+
+ROOT = Path(__file__).parents[2]
+TARGETS = tuple(benchmark.targets())
+AGREEMENT = 1e-10
+ODDS = 1e-4
+"""How seldom a sound benchmark fails one of these tests."""
+
+
+pytestmark = pytest.mark.usefixtures("cache")
+"""Exact draws are kept with what tests compile."""
+
+
+@functools.cache
+def exact(name: str) -> Sample:
+    return exact_sample(benchmark.load(name))
+
+
+@functools.cache
+def drawn(name: str, index: int = 5) -> np.ndarray:
+    """Exact points of a block that neither the judge nor the reference has seen."""
+    return exact_block(benchmark.load(name), index).points
+
+
+def verdict(name: str, **arrays: Any) -> benchmark.Assessment:
+    target = benchmark.load(name)
+    return benchmark.verdict(target, benchmark.submit(target, **arrays), exact(name))
+
+
+# --- frozen
+
+
+def test_a_dozen_targets_from_six_dimensions_on() -> None:
+    dims = [target.dim for target in benchmark.targets().values()]
+    assert len(dims) >= 12
+    assert (min(dims), max(dims)) == (6, CUBE_DIM)
+    assert {target.law for target in benchmark.targets().values()} == {"disc", "gaussian"}
+
+
+def test_changed_data_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    content = catalogue._content
+
+    def changed(name: str) -> bytes:
+        return content(name).replace(b"0.25", b"0.26", 1)
+
+    monkeypatch.setattr(catalogue, "_content", changed)
+    catalogue.targets.cache_clear()
+    with pytest.raises(BadInput, match=r"targets\.json of the benchmark has the checksum"):
+        catalogue.targets()
+    monkeypatch.undo()
+    catalogue.targets.cache_clear()
+
+
+def test_a_target_that_does_not_exist() -> None:
+    with pytest.raises(BadInput, match="there is no target 'leg'; choose one of single, arm"):
+        benchmark.load("leg")
+
+
+# --- the forms
+
+
+def test_forms_need_neither_jax_nor_a_compiler() -> None:
+    code = """
+import sys
+import numpy as np
+from inference.benchmark import load, submit
+target = load("whole")
+cube = np.random.default_rng(0).uniform(size=(3, target.dim))
+points = target.prior_transform(cube)
+target.log_density(points), target.log_graded(points, 1.0), target.log_density_in_box(cube)
+print([name for name in ("jax", "numba", "numpyro", "xarray") if name in sys.modules])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == "[]"
+
+
+@jax.jit
+def product_squares(model: PoseModel, observation: Observation, fractions: jax.Array) -> jax.Array:
+    """Squared distances in spreads as the product has them."""
+    joints = model.joints(observation.view, *from_fractions(model, fractions))
+    return observation.squares(joints)
+
+
+def disagreement(target: FrozenTarget, model: PoseModel) -> float:
+    """The largest difference between the two forms' squared distances: at draws of the prior, where
+    they reach hundreds, and at draws of the target."""
+    prior = target.prior_points(np.random.default_rng(0), 400)
+    points = np.concatenate([prior, near(target)])
+    fractions = np.full((len(points), CUBE_DIM), 0.5)
+    fractions[:, target.active] = target.box_of(points)
+    observation = benchmark.estimate(target).posterior(model).observations[0]
+    theirs = product_squares(model, observation, jnp.asarray(fractions))
+    difference = np.abs(target.squares(points) - np.asarray(theirs)[:, target.seen])
+    return float(np.max(difference / (1 + target.squares(points))))
+
+
+def near(target: FrozenTarget) -> np.ndarray:
+    """Points with every arm and leg near its detections: the best draws of the prior."""
+    points = target.prior_points(np.random.default_rng(1), 2000)
+    return points[np.argsort(target.misfit(points))[:200]]
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_numpy_and_the_model_say_the_same(name: str) -> None:
+    assert disagreement(benchmark.load(name), benchmark.frozen_model()) < AGREEMENT
+
+
+def test_the_product_still_has_the_frozen_model() -> None:
+    """What the targets were made with: where this fails, the product's default has changed, and the
+    targets have not."""
+    frozen, now = benchmark.frozen_model(), PoseModel()
+    assert frozen.measures == now.measures
+    same = jax.tree.map(
+        lambda one, other: np.array_equal(one, other, equal_nan=one.dtype.kind == "f"),
+        *(jax.tree.leaves(model) for model in (frozen, now)),
+    )
+    assert all(same)
+
+
+def widened(model: PoseModel) -> PoseModel:
+    """The same model with bones that may be a millionth longer."""
+    lengths = model.lengths._replace(high=model.lengths.high * (1 + 1e-6))
+    return PoseModel(model.limits, lengths, model.torsos)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        widened,
+        pytest.param(
+            lambda model: PoseModel(model.limits, model.lengths, model.torsos, upper="area"),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            lambda model: PoseModel(model.limits, model.lengths, model.torsos, lower="box"),
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_change_of_the_model_is_caught(change: Callable[[PoseModel], PoseModel]) -> None:
+    changed = change(benchmark.frozen_model())
+    assert disagreement(benchmark.load("arm"), changed) > 100 * AGREEMENT
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["arm", "arm-soft", "cruel"])
+def test_the_density_in_jax(name: str) -> None:
+    target = benchmark.load(name)
+    in_jax = Target.of(benchmark.estimate(target).posterior(benchmark.frozen_model()))
+    assert in_jax.active == tuple(target.active)
+    points = np.concatenate([drawn(name)[:200], near(target)])
+    ours, theirs = target.log_density(points), np.asarray(in_jax.log_density(points))
+    # An exact draw may lie within rounding of a disc's rim: both forms need not see it inside.
+    decided = np.abs(target.misfit(points) - 1) > AGREEMENT
+    assert np.array_equal(np.isfinite(ours[decided]), np.isfinite(theirs[decided]))
+    both = np.isfinite(ours) & np.isfinite(theirs)
+    assert both.sum() >= 190
+    np.testing.assert_allclose(ours[both], theirs[both], rtol=0, atol=AGREEMENT)
+    graded = np.asarray(in_jax.log_graded(points, 10.0))
+    np.testing.assert_allclose(target.log_graded(points, 10.0), graded, rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["whole", "cruel"])
+def test_the_density_is_numpyro_s(name: str) -> None:
+    """With all coordinates active: its own potential of the program, in its unconstrained space,
+    and its joint density of whole poses, in the constrained one."""
+    target, model = benchmark.load(name), benchmark.frozen_model()
+    observation = benchmark.estimate(target).observation
+    points = drawn(name)[:100]
+
+    def potential(x: jax.Array) -> jax.Array:
+        sites = {
+            "bone_length": x[:5],
+            "upper": x[5:15].reshape(5, 2),
+            "lower": x[15:].reshape(4, 2),
+        }
+        return potential_energy(model.posterior, (observation,), {}, sites)
+
+    theirs = -np.asarray(jax.jit(jax.vmap(potential))(points))
+    ours = target.log_density(points) + float(observation.log_peak)
+    inside = np.isfinite(ours) & np.isfinite(theirs)
+    assert inside.sum() >= 95
+    np.testing.assert_allclose(ours[inside], theirs[inside], rtol=0, atol=1e-9)
+    poses = from_fractions(model, jnp.asarray(target.box_of(points)))
+    joint = np.asarray(log_joint(model, observation, *poses))
+    assert np.array_equal(np.isfinite(joint), np.isfinite(theirs))
+
+
+@pytest.mark.parametrize("name", ["arm", "arm-soft"])
+def test_the_charts_are_one_density(name: str) -> None:
+    target = benchmark.load(name)
+    points = near(target)
+    box = target.box_of(points)
+    jacobian = np.sum(np.log(box) + np.log1p(-box), axis=-1)
+    density = target.log_density(points)
+    assert np.isfinite(density).sum() > 20
+    np.testing.assert_allclose(target.log_density_in_box(box) + jacobian, density, atol=1e-9)
+    np.testing.assert_allclose(target.points_of_box(box), points, atol=1e-6)
+    one = target.log_density(points[0])
+    assert one.shape == ()
+    assert one == pytest.approx(density[0], rel=1e-12)
+    assert target.log_density_in_box(box[0] + np.eye(target.dim)[0]) == -np.inf
+
+
+@pytest.mark.parametrize("name", ["arm", "arm-soft"])
+def test_the_graded_likelihood_has_the_target_for_a_limit(name: str) -> None:
+    target = benchmark.load(name)
+    points = near(target)
+    limit = target.log_likelihood(points)
+    inside = np.isfinite(limit)
+    assert 0 < inside.sum() < len(points)
+    graded = np.stack([target.log_graded(points, hardness) for hardness in (0, 1, 1e3, 1e12)])
+    np.testing.assert_allclose(graded[:, inside], np.tile(limit[inside], (4, 1)), atol=1e-5)
+    assert np.all(np.diff(graded, axis=0) <= 0)
+    assert np.all(graded[-1, ~inside] < -1e3)
+    assert np.isfinite(graded).all()
+
+
+# --- what is known
+
+
+def test_the_evidence_by_plain_monte_carlo() -> None:
+    """One in three hundred draws of the prior explains one arm: the forms in NumPy alone, with no
+    proposal but the prior, find the evidence of the engine."""
+    hard, soft = benchmark.load("arm"), benchmark.load("arm-soft")
+    cube = np.random.default_rng(3).uniform(size=(100_000, hard.dim))
+    points = hard.prior_transform(cube)
+    for target in (hard, soft):
+        likelihood = np.exp(target.log_likelihood(points))
+        known = benchmark.reference(target.name)
+        error = np.hypot(
+            likelihood.std() / np.sqrt(len(points)),
+            np.exp(known.log_evidence) * known.log_evidence_se,
+        )
+        z = (likelihood.mean() - np.exp(known.log_evidence)) / error
+        assert abs(z) < stats.norm.isf(ODDS / 2)
+        doubled = (likelihood.mean() - 1.1 * np.exp(known.log_evidence)) / error
+        assert target is soft or abs(doubled) > 1.5, "the test would see a tenth"
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_every_evidence_is_known_to_half_a_hundredth(name: str) -> None:
+    known = benchmark.reference(name)
+    assert 0 < known.log_evidence_se < 0.005
+    assert 0 < sum(known.modes.values()) <= 1 + 1e-9
+    target = benchmark.load(name)
+    bones = {bone for limb in target.limbs for bone in limb.bones if bone.name != "head"}
+    assert all(len(letters.replace(".", "")) == len(bones) for letters in known.modes)
+
+
+def test_another_block_has_the_moments_that_are_known() -> None:
+    target = benchmark.load("arm")
+    known = benchmark.reference("arm")
+    values = sample_at(target, drawn("arm")[None], seed=9).flat
+    varies = known.sd > 0
+    error = np.hypot(known.mean_se, known.sd / np.sqrt(len(values)))[varies]
+    z = (values.mean(axis=0) - known.mean)[varies] / error
+    assert np.abs(z).max() < stats.norm.isf(ODDS / 2 / len(NAMES))
+    spread = np.hypot(known.sd_se, known.sd_se * np.sqrt(known.number / len(values)))[varies]
+    z = (values.std(axis=0) - known.sd)[varies] / spread
+    assert np.abs(z).max() < stats.norm.isf(ODDS / 2 / len(NAMES))
+
+
+def test_blocks_are_drawn_to_the_same_bits_and_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(references, "BLOCK", 500)
+    target = benchmark.load("single")
+    first = exact_block(target, 0, tmp_path)
+    assert first.points.shape == (500, 6)
+    assert references.draw_block(target, 0).sha256 == first.sha256
+    assert exact_block(target, 1, tmp_path).sha256 != first.sha256
+    path = tmp_path / "single-00.npz"
+    path.write_bytes(path.read_bytes()[:-2000])
+    assert exact_block(target, 0, tmp_path).sha256 == first.sha256, "a damaged block is drawn anew"
+    assert not references.same_bits(target, tmp_path), "the reference's blocks are longer"
+    blocked = tmp_path / "single-00.npz"
+    assert references.draw_block(target, 0).sha256 == exact_block(target, 0, blocked).sha256
+    points = benchmark.exact_points(target, 700, tmp_path)
+    assert np.array_equal(points[:500], first.points)
+    with pytest.raises(BadInput, match="1 to 10,000 exact draws, not 10,001"):
+        benchmark.exact_points(target, 500 * BLOCKS + 1, tmp_path)
+
+
+# --- verdicts
+
+
+def test_exact_draws_agree_and_shifted_ones_do_not() -> None:
+    points = drawn("arm")
+    known = benchmark.reference("arm")
+    found = verdict(
+        "arm",
+        points=points[:1500],
+        log_evidence=np.array(known.log_evidence + 0.01),
+        log_evidence_se=np.array(0.01),
+        evaluations=np.array(3000),
+        seconds=np.array(2.0),
+    )
+    assert found.judgement.verdict == AGREES
+    assert found.evidence_error == pytest.approx(0.01)
+    assert found.per_second == pytest.approx(found.judgement.mixing.worst / 2)
+    assert found.per_evaluation == pytest.approx(found.judgement.mixing.worst / 3000)
+    assert found.worst_w1 < 0.15
+    one_mode = points[sample_at(benchmark.load("arm"), points[None], 0).away[0, :, 0]]
+    lost = verdict("arm", points=one_mode[:1500])
+    assert lost.judgement.verdict == DIFFERS
+    assert lost.judgement.modes.missed > 0.1
+    assert lost.worst_w1 > 3 * found.worst_w1
+    few = verdict("arm", points=points[:60])
+    assert few.judgement.verdict == CANNOT_TELL
+
+
+def test_an_evidence_that_is_off_is_caught() -> None:
+    stated = benchmark.reference("arm").log_evidence + 0.2
+    found = verdict(
+        "arm",
+        points=drawn("arm")[:1500],
+        log_evidence=np.array(stated),
+        log_evidence_se=np.array(0.02),
+    )
+    assert found.judgement.verdict == DIFFERS
+    assert "evidence" in found.judgement.sentence
+
+
+@pytest.mark.slow
+def test_draws_with_weights_are_taken_as_they_are() -> None:
+    """Draws of the prior with the likelihood as weights are draws of the target; without weights
+    they are not."""
+    target = benchmark.load("arm-soft")
+    points = target.prior_points(np.random.default_rng(4), 200_000)
+    log_weights = target.log_likelihood(points)
+    found = verdict("arm-soft", points=points, log_weights=log_weights)
+    assert found.draws == np.isfinite(log_weights).sum()
+    assert 200 < found.judged < found.draws
+    assert found.judgement.verdict == AGREES
+    without = verdict("arm-soft", points=points[np.isfinite(log_weights)])
+    assert without.judgement.verdict == DIFFERS
+
+
+def good(name: str = "arm", number: int = 400) -> np.ndarray:
+    return drawn(name)[:number].copy()
+
+
+def with_nan() -> np.ndarray:
+    points = good()
+    points[3, 0] = np.nan
+    return points
+
+
+REFUSED: dict[str, tuple[Callable[[], dict[str, Any]], str]] = {
+    "another shape": (
+        lambda: {"points": good()[:, :5]},
+        r"points of it has shape \(400, 5\); arm needs \(draws, 6\) or \(chains, draws, 6\)",
+    ),
+    "three draws": (lambda: {"points": good(number=3)}, "come to 3 draws a chain"),
+    "no draws": (lambda: {"points": np.empty((0, 6))}, r"has shape \(0, 6\)"),
+    "texts": (lambda: {"points": np.full((4, 6), "a")}, "holds '<U1' where numbers are needed"),
+    "no chart": (lambda: {"weights": np.ones(4)}, "must have one of points, box, cube, but has no"),
+    "two charts": (
+        lambda: {"points": good(), "cube": np.full((4, 6), 0.5)},
+        "but has points and cube",
+    ),
+    "not a number": (lambda: {"points": with_nan()}, "1 of 400 draws of it have a coordinate that"),
+    "outside": (
+        lambda: {"points": benchmark.load("arm").prior_points(np.random.default_rng(0), 50)},
+        r"50 of 50 draws of it lie outside of the support: right_\w+ lies up to [\d.]+ times its",
+    ),
+    "outside of the box": (
+        lambda: {"box": np.full((4, 6), 1.5)},
+        "4 of 4 draws of it lie outside of the unit box",
+    ),
+    "standing still": (
+        lambda: {"points": np.tile(good()[:2, None], (1, 30, 1))},
+        r"chain 0 of it stands still: its 30 draws are one and the same \(2 of 2 chains do\)",
+    ),
+    "negative weights": (
+        lambda: {"points": good(), "weights": np.linspace(-1, 1, 400)},
+        "200 of 400 weights of it are negative",
+    ),
+    "weights of zero": (
+        lambda: {"points": good(), "weights": np.zeros(400)},
+        "all weights of it are zero",
+    ),
+    "too few weights": (
+        lambda: {"points": good(), "weights": np.ones(3)},
+        "weights of it are 3 for 400 draws",
+    ),
+    "infinite weights": (
+        lambda: {"points": good(), "log_weights": np.full(400, np.inf)},
+        "hold a number that is not finite",
+    ),
+    "both weights": (
+        lambda: {"points": good(), "weights": np.ones(400), "log_weights": np.ones(400)},
+        "has both weights and log_weights",
+    ),
+    "free of charge": (
+        lambda: {"points": good(), "seconds": np.array(0.0)},
+        "seconds of it is 0; it must be a number above 0",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_draws_is_refused(case: str) -> None:
+    arrays, words = REFUSED[case]
+    with pytest.raises(BadInput, match=words):
+        benchmark.submit(benchmark.load("arm"), where="it", **arrays())
+
+
+def test_draws_of_single_precision_are_taken() -> None:
+    target = benchmark.load("arm")
+    points = drawn("arm")[:400].astype(np.float32)
+    assert benchmark.submit(target, points=points).given == 400
+
+
+# --- wrong samplers
+
+
+def ensemble(move: emcee.moves.Move) -> np.ndarray:
+    """`(walker, step, 6)`: emcee with one move on one arm, four ensembles started in exact
+    draws."""
+    target, chains = benchmark.load("arm"), []
+    for run in range(4):
+        starts = drawn("arm", 6)[32 * run : 32 * (run + 1)]
+        state = emcee.State(starts, random_state=np.random.RandomState(run).get_state())
+        sampler = emcee.EnsembleSampler(32, 6, target.log_density, moves=move, vectorize=True)
+        sampler.run_mcmc(state, 1500)
+        # An ensemble is one chain: its walkers are not independent of each other.
+        chains.append(sampler.get_chain(thin=5).transpose(1, 0, 2).reshape(-1, 6))
+    return np.stack(chains)
+
+
+@pytest.mark.slow
+def test_emcee_s_snooker_move_is_caught_and_its_stretch_move_is_not() -> None:
+    snooker = verdict("arm", points=ensemble(emcee.moves.DESnookerMove()))
+    assert snooker.judgement.verdict == DIFFERS
+    stretch = verdict("arm", points=ensemble(emcee.moves.StretchMove()))
+    assert stretch.judgement.verdict != DIFFERS
+
+
+def test_a_gibbs_that_redraws_only_wrists_is_caught() -> None:
+    """It keeps the law of its start, and elbows where they were: no test of laws could tell."""
+    target, rng = benchmark.load("arm"), np.random.default_rng(5)
+    wrists = [name.startswith("right_forearm") for name in target.coordinates]
+    points, path = drawn("arm", 6)[:40].copy(), []
+    for _ in range(50):
+        proposal = points.copy()
+        proposal[:, wrists] = target.prior_points(rng, len(points))[:, wrists]
+        inside = target.misfit(proposal) <= 1
+        points = np.where(inside[:, None], proposal, points)
+        path.append(points)
+    walked = np.stack(path, axis=1)
+    moved = (walked != walked[:, :1]).any(axis=(1, 2))  # those that stand still are refused
+    assert moved.sum() >= 20
+    found = verdict("arm", points=walked[moved])
+    assert found.judgement.verdict == DIFFERS
+    assert "a coordinate stood still" in found.judgement.sentence
+
+
+def splitting(misfit: np.ndarray, count_the_setter: bool, rng: np.random.Generator) -> float:
+    """Log evidence by multilevel splitting with 64 independent particles a level, drawn from sorted
+    misfits; the particle that sets a level is no part of what is kept, or is counted."""
+    log_evidence, inside = 0.0, len(misfit)
+    while True:
+        particles = np.sort(misfit[rng.integers(inside, size=64)])
+        level = max(particles[32], 1.0)
+        below = "right" if count_the_setter and level > 1 else "left"
+        log_evidence += np.log(np.searchsorted(particles, level, side=below) / 64)
+        if level == 1.0:
+            return float(log_evidence)
+        inside = int(np.searchsorted(misfit, level))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count_the_setter", "words"), [(True, DIFFERS), (False, AGREES)])
+def test_counting_the_particle_that_sets_a_level_is_caught(
+    count_the_setter: bool, words: str
+) -> None:
+    target = benchmark.load("arm")
+    misfit = np.sort(target.misfit(target.prior_points(np.random.default_rng(6), 400_000)))
+    rng = np.random.default_rng(7)
+    runs = np.exp([splitting(misfit, count_the_setter, rng) for _ in range(3000)])
+    share = float(np.mean(misfit <= 1))
+    # Of the runs, and of the draws of the prior that they all take their particles from.
+    error = np.hypot(
+        runs.std() / runs.mean() / np.sqrt(len(runs)), 1 / np.sqrt(share * len(misfit))
+    )
+    found = verdict(
+        "arm",
+        points=drawn("arm")[:1500],
+        log_evidence=np.log(runs.mean()),
+        log_evidence_se=error,
+    )
+    assert found.judgement.verdict == words
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", GUESTS)
+def test_guests_draw_from_the_target(name: str) -> None:
+    pytest.importorskip(name)
+    target = benchmark.load("single")
+    found = GUESTS[name][0](target, 3, Allowance(evaluations=20_000))
+    assert found.evaluations >= 5_000
+    assert (target.misfit(found.points.reshape(-1, target.dim)) <= 1 + 1e-9).all()
+    judged = benchmark.verdict(target, found, exact("single"))
+    assert judged.judgement.verdict != DIFFERS
+
+
+@pytest.mark.slow
+def test_exact_draws_are_seldom_said_to_differ() -> None:
+    """At the judge's level of 1 %: of 24 verdicts, more than four wrong ones have odds of 10⁻⁵."""
+    points = drawn("arm", 6)
+    verdicts = [
+        verdict("arm", points=points[first : first + 300]).judgement.verdict
+        for first in range(0, 24 * 300, 300)
+    ]
+    assert sum(one == DIFFERS for one in verdicts) <= 4

@@ -1,0 +1,81 @@
+"""`poseterior benchmark`: what it lists, draws and says, and what it refuses."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from inference.benchmark import targets
+from reports.tables.benchmark import targets_table
+from tests.conftest import Cli
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_list(poseterior: Cli) -> None:
+    run = poseterior("benchmark", "list", "--json")
+    assert run.code == 0
+    listed = json.loads(run.out)["targets"]
+    assert [one["target"] for one in listed] == list(targets())
+    assert all(one["log_evidence"] < 0 < one["largest_mode"] <= 1 for one in listed)
+    rows = targets_table().texts()
+    assert rows[0][:4] == ["single", "6", "disc", "-7.057 ± 0.003"]
+
+
+def test_exact_draws_are_judged_to_agree(poseterior: Cli, tmp_path: Path) -> None:
+    out = tmp_path / "draws.npz"
+    run = poseterior(
+        "benchmark", "draws", "--target", "single", "--num-samples", 1000, "--out", out
+    )
+    assert (run.code, run.out.startswith("1,000 exact draws of single")) == (0, True)
+    with np.load(out) as file:
+        np.savez(out, points=file["points"], seconds=2.0, evaluations=1000)
+    run = poseterior("benchmark", "judge", out, "--target", "single")
+    assert run.code == 0
+    assert "single: agrees. no test of" in run.out
+    assert "worst coordinate: " in run.out
+    assert "mass in modes never visited: " in run.out
+    assert "effective draws per second: " in run.out
+    assert "ranks of joints" in run.out
+    run = poseterior("benchmark", "judge", out, "--target", "single", "--json")
+    found = json.loads(run.out)
+    assert found["verdict"] == "agrees"
+    assert found["evidence_error"] is None
+    assert {"name", "p_value", "size"} <= set(found["tests"][0])
+
+
+@pytest.mark.parametrize(
+    ("arrays", "target", "words"),
+    [
+        ({"points": np.zeros((3, 5))}, "arm", "arm needs (draws, 6) or (chains, draws, 6)"),
+        ({"points": np.zeros((3, 6))}, "leg", "there is no target 'leg'; choose one of single"),
+        ({"points": np.full((3, 6), 50.0)}, "arm", "3 of 3 draws of"),
+        ({"draws": np.zeros((3, 6))}, "arm", "has an array 'draws'; it may have points, box"),
+    ],
+)
+def test_refusals_come_at_once(
+    arrays: dict[str, np.ndarray], target: str, words: str, tmp_path: Path
+) -> None:
+    np.savez(tmp_path / "draws.npz", **arrays)
+    code = """
+import sys
+from reports.cli import main
+try:
+    main()
+finally:
+    print([name for name in ("jax", "numba", "xarray") if name in sys.modules])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code, "benchmark", "judge", "draws.npz", "--target", target],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert words in " ".join(done.stderr.split())
+    assert done.stdout.strip() == "[]"

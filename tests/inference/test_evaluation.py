@@ -20,6 +20,7 @@ from probmodel import Anatomy, BadInput, PoseModel
 from probmodel.datasets import from_motions
 from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.motion import Motion
+from probmodel.skeleton import BONE_NAMES
 from reports.commands.evaluate import external_errors, findings
 from reports.tables import Sheet
 
@@ -60,6 +61,10 @@ def test_pck_is_the_distribution_function_of_errors():
     holed = ERRORS.copy()
     holed[0, 0, 0] = np.nan
     assert metrics.pck(holed, [1e9])[0] == 1.0
+
+
+def test_a_joint_at_the_threshold_is_correct():
+    assert metrics.pck([149.0, 150.0, 151.0, np.nan], [150.0])[0] == pytest.approx(2 / 3)
 
 
 def test_areas_are_those_under_the_curves():
@@ -341,6 +346,17 @@ def test_how_much_is_visited_is_the_cap_of_a_sphere():
         cap = (1 - math.cos(math.radians(angle))) / 2
         assert share == pytest.approx(cap, abs=4 * math.sqrt(cap / 4000))
     assert head.prior == (1.0, 1.0, 1.0)
+
+
+def test_a_part_is_visited_where_all_its_bones_are():
+    """A draw whose right forearm alone points elsewhere: neither its right arm nor both arms nor
+    the whole body are visited."""
+    one = np.tile([0.0, 0.0, 1.0], (1, 9, 1))
+    judged = one.copy()
+    judged[0, BONE_NAMES.index("right_forearm")] = [0.0, 1.0, 0.0]
+    found = {visits.part: visits.data[-1] for visits in bias.visits(one, judged, judged)}
+    unseen = {part for part, share in found.items() if share == 0}
+    assert unseen == {"right arm", "both arms", "whole body"}
 
 
 def test_directions_do_not_know_the_camera_or_the_size():

@@ -100,14 +100,14 @@ def test_rejection_follows_the_second_implementation(model, sampler, seed, missi
 
 
 def test_draws_of_two_roots_are_shared_as_the_mixture_says(model):
-    """The truth and the same camera a tenth smaller, one arm seen: every seen joint, torso and limb
+    """The truth and the same camera 15 % larger, one arm seen: every seen joint, torso and limb
     alike, weighs a root by scale⁻², and so does the share of draws of the prior that explain the
     arm, by brute force. Shares and evidence within 4 standard errors; equal shares, and shares by
     evidence alone, are 0.1 and more away. The error is that of independent ones, by numerical
     derivatives."""
     frame = prior_scene(model, 3, factor=1.0, missing=ALL_BUT_AN_ARM)
     (truth,) = frame.candidates
-    camera = truth.camera._replace(scale=0.9 * truth.camera.scale)
+    camera = truth.camera._replace(scale=1.15 * truth.camera.scale)
     both = truth, dataclasses.replace(truth, camera=camera)
     hits, tried = [], 100_000
     for seed, one in enumerate(both):
@@ -115,7 +115,7 @@ def test_draws_of_two_roots_are_shared_as_the_mixture_says(model):
         size, *_ = brute_force(model.limits, model.lengths, alone, "arms", tried, seed)
         hits.append(len(size))
     seen = len(TORSO_INDEX) + 2
-    prior = np.array([1.0, 0.9 ** (-2 * seen)])
+    prior = np.array([1.0, 1.15 ** (-2 * seen)])
     prior, rate = prior / prior.sum(), np.array(hits) / tried
     weight = prior * rate
     share = weight / weight.sum()

@@ -35,8 +35,8 @@ FAILED = 1
 
 
 class Outcome(NamedTuple):
-    """What the tests of a fault said: whether all of them failed, in words, and how long it
-    took."""
+    """What the tests of a fault said: whether all of them failed, in words, and the seconds of the
+    processor that it took."""
 
     fault: Fault
     killed: bool
@@ -82,13 +82,15 @@ class Copy:
         """Ends the server."""
         self._server.communicate()
 
-    def run(self, tests: list[str], seconds: float) -> int:
-        """Pytest's exit code for some tests, 124 where the time was up."""
+    def run(self, tests: list[str], seconds: float) -> tuple[int, float]:
+        """Pytest's exit code for some tests (124 where the time was up), and the seconds of the
+        processor."""
         assert self._server.stdin is not None
         assert self._server.stdout is not None
         self._server.stdin.write(json.dumps({"tests": tests, "seconds": seconds}) + "\n")
         self._server.stdin.flush()
-        return int(self._server.stdout.readline())
+        code, used = json.loads(self._server.stdout.readline())
+        return code, used
 
     @property
     def said(self) -> str:
@@ -98,25 +100,23 @@ class Copy:
     def passes(self, faults: Iterable[Fault]) -> bool:
         """Whether the tests that faults name pass where there is none; says which do not."""
         tests = sorted({test for fault in faults for test in fault.tests})
-        began = time.monotonic()
-        code = self.run(tests, LONGEST * len(tests))
-        print(f"{len(tests)} tests without a fault: {time.monotonic() - began:.0f} s", flush=True)
+        code, used = self.run(tests, LONGEST * len(tests))
+        print(f"{len(tests)} tests without a fault: {used:.0f} s", flush=True)
         if code:
             print(self.said)
         return code == 0
 
     def judge(self, fault: Fault, number: int) -> Outcome:
         """What the tests of a fault say of it."""
-        began = time.monotonic()
         with self.planted(fault, number):
-            code = self.run(fault.tests, LONGEST)
+            code, used = self.run(fault.tests, LONGEST)
         killed, words = False, f"SURVIVED: no end within {LONGEST:g} s"
         if code == FAILED:
             left = self._passed()
             killed, words = not left, f"SURVIVED in {left}" if left else "killed"
         elif code != TIME_UP:
             words = f"SURVIVED: {(self.said.strip().splitlines() or ['no word'])[-1]}"
-        return Outcome(fault, killed, words, time.monotonic() - began)
+        return Outcome(fault, killed, words, used)
 
     @contextlib.contextmanager
     def planted(self, fault: Fault, number: int) -> Iterator[None]:

@@ -2,8 +2,9 @@
 what a short test waits for. `python -m tests.mutants.server` in the tree to be tested, which it
 imports nothing of.
 
-A request is a line of JSON, tests and seconds; the answer a line, pytest's exit code, 124 where the
-time was up. What pytest said is in `said.txt`, what came out in `report.xml`."""
+A request is a line of JSON, tests and seconds; the answer a line of JSON too, pytest's exit code
+(124 where the time was up) and the seconds of the processor. What pytest said is in `said.txt`,
+what came out in `report.xml`."""
 
 import importlib
 import json
@@ -20,20 +21,20 @@ TIME_UP = 124
 OPTIONS = ("-q", "--tb=line", "-p", "no:cacheprovider", "--junitxml=report.xml")
 
 
-def answer(tests: list[str], seconds: float) -> int:
-    """Pytest's exit code for the tests, run in a fork."""
+def answer(tests: list[str], seconds: float) -> tuple[int, float]:
+    """Pytest's exit code for the tests, run in a fork, and the seconds of the processor."""
     child = os.fork()
     if not child:
         run(tests)
     ends = time.monotonic() + seconds
     while time.monotonic() < ends:
-        done, status = os.waitpid(child, os.WNOHANG)
+        done, status, used = os.wait4(child, os.WNOHANG)
         if done:
-            return os.waitstatus_to_exitcode(status)
+            return os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime
         time.sleep(0.05)
     os.killpg(child, signal.SIGKILL)
     os.waitpid(child, 0)
-    return TIME_UP
+    return TIME_UP, seconds
 
 
 def run(tests: list[str]) -> None:
@@ -56,7 +57,7 @@ def main() -> None:
     if len(os.listdir("/proc/self/task")) > 1:
         raise RuntimeError("a library has started a thread, which no fork would have")
     for line in sys.stdin:
-        print(answer(**json.loads(line)), flush=True)
+        print(json.dumps(answer(**json.loads(line))), flush=True)
 
 
 if __name__ == "__main__":

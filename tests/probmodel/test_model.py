@@ -18,7 +18,6 @@ from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
 from probmodel.roots import Root
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
-from probmodel.transport import to_cube
 from tests.instances import random_triple
 
 KEY = jax.random.key(2)
@@ -153,14 +152,23 @@ def test_predictive_draws_the_prior_and_the_keypoints(model, observation) -> Non
     assert np.isfinite(log_prior).all()
 
 
-def test_no_number_is_used_for_two_parts_of_a_pose(model) -> None:
-    """The points of the unit cube behind 200 poses: no number among the coordinates of upper bones
-    is one of lower bones (by chance, in 0.03 places), as where both were drawn with one key."""
-    cube = np.asarray(to_cube(model, model.draw(KEY, 200)))
-    upper, lower = np.sort(cube[:, 5:15].ravel()), cube[:, 15:].ravel()
-    place = np.clip(np.searchsorted(upper, lower), 1, len(upper) - 1)
-    gap = np.minimum(np.abs(upper[place] - lower), np.abs(upper[place - 1] - lower))
-    assert np.sum(gap < 1e-8) <= 3
+def test_every_part_of_a_drawn_pose_has_a_key_of_its_own() -> None:
+    """Lengths, upper and lower bones are drawn in turn, no two of them with one key, nor with the
+    key that was given."""
+    used = [KEY]
+
+    class Recorder:
+        """Stands for a model, and for its laws."""
+
+        def compose(self, step):
+            return [step(site, self) for site in SITES]
+
+        def sample(self, key, sample_shape):
+            used.append(key)
+
+    PoseModel.draw(Recorder(), KEY, 3)
+    words = {tuple(jax.random.key_data(key).tolist()) for key in used}
+    assert len(words) == len(used) == 4
 
 
 def test_condition_and_substitute_hold_a_site(model, latents, observation) -> None:

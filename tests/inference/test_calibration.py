@@ -179,9 +179,7 @@ def test_energy_balls_rank_draws_that_they_are_not_made_of() -> None:
     """Truth and twelve draws of one law, 1,000 times: levels are uniform (false alarm 0.001). Draws
     that are centres lie nearer to themselves, and would push the truth outwards."""
     rng = RNG(5)
-    levels = [
-        energy_level(rng.normal(size=2), rng.normal(size=(12, 2)), rng) for _ in range(1000)
-    ]
+    levels = [energy_level(rng.normal(size=2), rng.normal(size=(12, 2)), rng) for _ in range(1000)]
     assert uniformity(np.array(levels)).p_value > 0.001
 
 

@@ -14,8 +14,9 @@ from inference.prior import sample_prior
 from inference.studies.evaluation import bias, metrics
 from inference.studies.evaluation.conditions import Condition, conditions
 from inference.studies.evaluation.outcome import Protocol, judge_block
-from inference.studies.evaluation.relations import FAILS, HOLDS, OPEN, relations
+from inference.studies.evaluation.relations import FAILS, HOLDS, OPEN, Relation, relations
 from inference.studies.evaluation.scores import clustered, errors_of, lost, summary, unscaled_errors
+from inference.studies.intervals import Interval
 from probmodel import Anatomy, BadInput, PoseModel
 from probmodel.datasets import from_motions
 from probmodel.learning.dictionaries import PoseDictionary
@@ -241,7 +242,7 @@ def made(
         return mean * (1 + 0.05 * rng.normal(size=(number, *shape, 1))) * np.ones(15)
 
     def many(mean: float, k: int) -> np.ndarray:
-        return np.concatenate([joints(mean, 1), joints(3 * mean, k - 1)], axis=1)
+        return np.concatenate([joints(3 * mean, k - 1), joints(mean, 1)], axis=1)
 
     return {
         "single": joints(single),
@@ -283,9 +284,18 @@ def test_what_does_not_hold_is_said():
     )
 
 
+def test_a_relation_holds_where_its_whole_interval_does():
+    """A gain of 20 % that may be none, that is one, that is a loss for certain."""
+    said = {
+        Relation("", "", Interval(0.2, low, high), 0.0, math.inf, "share", 60).verdict: low
+        for low, high in ((-0.1, 0.5), (0.1, 0.3), (-0.3, -0.1))
+    }
+    assert said == {OPEN: -0.1, HOLDS: 0.1, FAILS: -0.3}
+
+
 def test_a_row_of_k_is_its_best_hypothesis():
     values = made(1.0, 2.0, 3.0, 4.0)
-    assert errors_of(values, 5) == pytest.approx(values["hypotheses_5"][:, 0])
+    assert errors_of(values, 5) == pytest.approx(values["hypotheses_5"][:, -1])
     values |= {
         "hypotheses_5_unscaled": np.tile([5.0, 1.0, 2.0], (60, 1)),
         "flips_5": np.full(60, 3),

@@ -134,8 +134,7 @@ def test_draws_of_two_roots_are_shared_as_the_mixture_says(model):
     assert abs(attrs["log_evidence"] - np.log(weight.sum())) < 4 * error < 0.2
     logs = constant.log_evidence.values
     slopes = [
-        (mixed(prior, logs + step) - mixed(prior, logs - step)) / 2e-6
-        for step in 1e-6 * np.eye(2)
+        (mixed(prior, logs + step) - mixed(prior, logs - step)) / 2e-6 for step in 1e-6 * np.eye(2)
     ]
     by_slopes = np.sqrt(np.sum((slopes * errors) ** 2))
     assert attrs["log_evidence_se"] == pytest.approx(by_slopes, rel=1e-3)

@@ -14,6 +14,7 @@ The faults are data, a file of TOML a room of the house:
 says that one of them is a test of the slow run."""
 
 import ast
+import functools
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -77,9 +78,16 @@ def _slow(root: Path, test: str) -> bool | None:
     """Whether a test is one of the slow run, parameters marked one by one aside; None where there
     is no such test."""
     path, _, name = test.partition("::")
-    if not (root / path).is_file():
-        return None
-    for node in ast.parse((root / path).read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.FunctionDef) and node.name == name.partition("[")[0]:
-            return any(ast.unparse(mark) == "pytest.mark.slow" for mark in node.decorator_list)
-    return None
+    return _tests(root / path).get(name.partition("[")[0])
+
+
+@functools.cache
+def _tests(path: Path) -> dict[str, bool]:
+    """The functions of a file, and whether each is marked slow."""
+    if not path.is_file():
+        return {}
+    return {
+        node.name: any(ast.unparse(mark) == "pytest.mark.slow" for mark in node.decorator_list)
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.FunctionDef)
+    }

@@ -361,9 +361,9 @@ def left_out(problem, torso, rotation, inverse) -> float:
 
 
 def test_attempts_at_a_root_are_draws_of_its_prior():
-    """Discs so wide that every attempt passes: roll, cosine of the tilt, yaw, the inverse scale to
-    its power and the place in the first disc are uniform (Kolmogorov–Smirnov), torsos equally
-    often; all cells together have the prior's mass; an attempt takes seven random numbers: the
+    """Discs so wide that every attempt passes: roll, cosine of the tilt (inside its cell too), yaw,
+    the inverse scale to its power and the place in the first disc are uniform (Kolmogorov–Smirnov),
+    torsos equally often; all cells together have the prior's mass; an attempt takes seven random numbers: the
     cell, three angles, the scale and two for the place. False alarm 1e-3 over all."""
     rng, number, power = np.random.default_rng(0), 20_000, 6.0
     torsos, reach = rng.normal(size=(2, 3, 3)), np.array([2.0, 50.0, 50.0])
@@ -380,6 +380,9 @@ def test_attempts_at_a_root_are_draws_of_its_prior():
     uniform = [roll / (2 * np.pi), (1 - np.cos(tilt)) / 2, yaw / (2 * np.pi)]
     uniform += [table.inverse**power, np.sum(offset**2, axis=1) / reach[0] ** 2]
     uniform += [np.arctan2(*offset.T) / (2 * np.pi) + 0.5]
+    half = tilt[tilt < np.pi / 2]  # beyond, the cosine bends the other way
+    above = np.cos(half // WIDTH * WIDTH)
+    uniform += [(above - np.cos(half)) / (above - np.cos((half // WIDTH + 1) * WIDTH))]
     p_values = [stats.kstest(column, "uniform").pvalue for column in uniform]
     p_values.append(stats.binomtest(int(table.torso.sum()), number).pvalue)
     assert min(p_values) * len(p_values) > 1e-3

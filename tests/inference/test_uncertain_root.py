@@ -393,9 +393,13 @@ def test_few_roots_estimate_the_torsos_evidence_without_bias():
     successes over attempts, where the attempts end with a success, would be half too large."""
     model, frame = small_case()
     posterior = frame.uncertain(model)
-    truth = draw_roots(posterior, [0, 0], 3000, Budget(10**9))
-    logs = [draw_roots(posterior, [1, seed], 3, Budget(10**9)).log_evidence for seed in range(200)]
-    ratio = np.exp(np.array(logs) - truth.log_evidence)
+
+    def drawn(words: list[int], number: int) -> TorsoDraws:
+        return draw_roots(posterior, Faults.none(), words, number, Budget(10**9))
+
+    truth = drawn([0, 0], 3000)
+    logs = np.array([drawn([1, seed], 3).log_evidence for seed in range(200)])
+    ratio = np.exp(logs - truth.log_evidence)
     error = math.hypot(ratio.std() / math.sqrt(200), math.sqrt(truth.variance))
     assert abs(ratio.mean() - 1) < 4 * error < 0.4
 
@@ -423,11 +427,16 @@ def test_draws_of_a_root_are_taken_evenly():
 def test_effective_roots_and_the_error_of_the_evidence_by_hand():
     """Four equal weights among seven are worth four; weights 3 and 1 are worth 16/10. The evidence
     is a mean of independent weights times the torso's, which errs by itself."""
-    torso = TorsoDraws(None, 100, 0.0, 0.01)
+
+    class Proposed:
+        """Stands for roots whose torso's evidence has a relative variance of 1 %."""
+
+        def relative_variance(self, share: np.ndarray) -> float:
+            return 0.01
 
     def weighted(*weights: float) -> WeightedRoots:
         with np.errstate(divide="ignore"):
-            return WeightedRoots(None, torso, [], np.log(np.array(weights)), 0)
+            return WeightedRoots(None, Proposed(), [], np.log(np.array(weights)), 0)
 
     assert weighted(2, 2, 2, 2, 0, 0, 0).effective == pytest.approx(4)
     roots = weighted(3, 1)

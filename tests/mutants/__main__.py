@@ -89,7 +89,10 @@ class Copy:
         assert self._server.stdout is not None
         self._server.stdin.write(json.dumps({"tests": tests, "seconds": seconds}) + "\n")
         self._server.stdin.flush()
-        code, used = json.loads(self._server.stdout.readline())
+        line = self._server.stdout.readline()
+        if not line:
+            raise RuntimeError("the server has ended; what it said stands above")
+        code, used = json.loads(line)
         return code, used
 
     @property

@@ -48,11 +48,12 @@ def noisy(number: int = 8, noise: float = 0.05, seed: int = 0) -> list[np.ndarra
 
 
 def test_the_adjustment_is_the_least_squares_fit():
-    """Against SciPy's solver on the written-out residuals, with bone lengths and a missing joint
-    (second route)."""
-    points = Points.gather([detection(pose, missing=(4,)) for pose in noisy(4)])
+    """Against SciPy's solver on the written-out residuals, with unequal scores, bone lengths of
+    another weight than one, and a missing joint (second route)."""
+    scores, beta = np.linspace(0.3, 1.0, NUM_JOINTS), 0.3
+    points = Points.gather([detection(pose, missing=(4,), score=scores) for pose in noisy(4)])
     terms = np.tile([0, 3, 20, 50], (4, 1))
-    penalty = problem().bone_penalty(terms)
+    penalty = problem(bones=beta).bone_penalty(terms)
     start = np.stack(
         [
             np.asarray(Rotation.from_euler("yx", view, degrees=True).as_matrix())
@@ -71,7 +72,7 @@ def test_the_adjustment_is_the_least_squares_fit():
             pose = np.einsum("k,kja->ja", x[5:], SHAPES[terms[row]])
             image = points.xy[row] - pose @ turn[:2].T - x[3:5]
             whole = np.einsum("k,kba->ba", x[5:], bones)
-            lengths = np.sqrt(ab.BONES_WEIGHT) * (np.sum(whole**2, axis=1) - x[5] ** 2 * square)
+            lengths = np.sqrt(beta) * (np.sum(whole**2, axis=1) - x[5] ** 2 * square)
             return np.concatenate([(np.sqrt(points.weight[row])[:, None] * image).ravel(), lengths])
 
         theirs = least_squares(
@@ -130,6 +131,32 @@ def test_the_objective_never_rises(monkeypatch):
     for before, after in steps:
         assert (after <= before + 1e-12).all()
     assert (fit.objective < 0.5 * start).all()
+
+
+def test_terms_are_those_that_correlate_best():
+    """By weighted least squares on each term's projection and a translation, term by term: those
+    that lower the weighted squares most, whatever their length; never the mean, nor a term twice.
+    Scores are unequal."""
+    scores = np.linspace(0.2, 1.0, NUM_JOINTS)
+    points = Points.gather([detection(pose, score=scores) for pose in noisy(2)])
+    rotation, scale = ab.torso_cameras(points, DICTIONARY.mean)
+    rotation, scale = rotation[::2], scale[::2]
+    stretched = problem()._replace(shapes=SHAPES * np.linspace(1, 9, len(SHAPES))[:, None, None])
+    terms, coefficient = np.tile([0, 7], (2, 1)), np.stack([scale, 0.1 * scale], axis=1)
+    fit = ab._at(points, stretched, terms, coefficient, rotation)
+    found = ab._promising(points, stretched, fit)
+    for row in range(2):
+        root, rows = np.sqrt(points.weight[row])[:, None], rotation[row, :2]
+        pose = np.einsum("k,kja->ja", coefficient[row], stretched.shapes[terms[row]])
+        left = ((points.xy[row] - pose @ rows.T) * root).ravel()
+        moves = [np.outer(root, axis).ravel() for axis in np.eye(2)]
+        gains = []
+        for shape in stretched.shapes:
+            columns = np.stack([*moves, (shape @ rows.T * root).ravel()], axis=1)
+            solved = np.linalg.lstsq(columns, left, rcond=None)[0]
+            gains.append(-np.sum((left - columns @ solved) ** 2))
+        wanted = [term for term in np.argsort(gains)[::-1] if term not in (0, 7)]
+        assert found[row].tolist() == wanted[: ab.TRIED]
 
 
 def test_the_objective_is_the_sum_of_its_three_terms():

@@ -32,7 +32,14 @@ from inference.studies.comparison.distances import (
     sliced_wasserstein,
     wasserstein,
 )
-from inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS, _verdict
+from inference.studies.comparison.judge import (
+    AGREES,
+    CANNOT_TELL,
+    DIFFERS,
+    _coordinates,
+    _evidence,
+    _verdict,
+)
 from inference.studies.comparison.judge import Test as OneTest
 from inference.studies.comparison.mixing import mean_ess, mixing
 from inference.studies.comparison.modes import modes, same_shares
@@ -180,6 +187,40 @@ def test_the_level_is_shared_by_all_tests(smallest, verdict):
     moved = mixing(one.values, other.flat.std(axis=0))
     found = modes(one.away[0], other.away[0], 200.0)
     assert _verdict(tests, moved, 200.0, found, 0.01)[0] == verdict
+
+
+def test_the_worst_coordinate_is_corrected_for_their_number():
+    """64 p-values of nothing: the test of the worst of them rejects at 5 % in 5 % of 400 cases (too
+    many: 0.1 %); without the correction it would in 96 %."""
+    rng = np.random.default_rng(0)
+    said = [_coordinates(rng.uniform(size=(32, 2)), np.ones((32, 2))) for _ in range(400)]
+    assert sum(test.p_value < 0.05 for test in said) <= binom.ppf(0.999, 400, 0.05)
+    assert any(test.p_value < 0.05 for test in said)
+
+
+def test_the_evidence_of_a_sampler_has_an_error_too():
+    """Two evidences that err by 0.1 and 0.02 about the same: 5 % in 400 cases (0.1 %, both tails);
+    with the exact one's error alone some 85 % would reject."""
+    rng = np.random.default_rng(0)
+    rejected = sum(
+        _evidence((rng.normal(-4, 0.1), 0.1), (rng.normal(-4, 0.02), 0.02)).p_value < 0.05
+        for _ in range(400)
+    )
+    assert binom.ppf(0.0005, 400, 0.05) <= rejected <= binom.ppf(0.9995, 400, 0.05)
+
+
+def test_independent_draws_miss_what_they_are_expected_to():
+    """300 times 50 draws of eight modes, half of them rare: what they miss is on average what is
+    expected (4 standard errors)."""
+    rng = np.random.default_rng(4)
+    shares = np.array([0.5, 0.4, 0.04, 0.02, 0.01, 0.01, 0.01, 0.01])
+    patterns = (np.arange(8)[:, None] >> np.arange(3)) % 2 > 0
+    exact = patterns[rng.choice(8, 20_000, p=shares)]
+    found = [modes(patterns[rng.choice(8, 50, p=shares)], exact, 50.0) for _ in range(300)]
+    missed = np.array([one.missed for one in found])
+    expected = found[0].expected_missed
+    assert expected > 0.02
+    assert abs(missed.mean() - expected) < 4 * missed.std() / math.sqrt(len(missed))
 
 
 def test_what_was_missed_stands_beside_what_must_be():

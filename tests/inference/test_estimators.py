@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import inference
 from inference.roots import ESTIMATORS, external
+from inference.roots.points import Points
 from inference.roots.zhou import fit_zhou
 from inference.studies.errors import mean_joint_error
 from probmodel import Anatomy, BadInput, Detection, Likelihood, PoseModel
@@ -283,15 +284,15 @@ def test_files_that_are_not_there_or_hold_too_few_are_refused(tmp_path):
 # --- the dictionary of torsos
 
 
-def detection(torso, view, missing=(), noise=0.0, seed=0) -> Detection:
+def detection(torso, view, missing=(), noise=0.0, seed=0, scores=(0.9,) * 6) -> Detection:
     """The torso joints alone, projected, with Gaussian noise in pixels."""
     keypoints, score = np.full((NUM_JOINTS, 2), np.nan), np.zeros(NUM_JOINTS)
     image = (
         np.asarray(view.project(torso)) + np.random.default_rng(seed).normal(size=(6, 2)) * noise
     )
-    for joint, name, point in zip(TORSO_INDEX, TORSO_JOINTS, image, strict=True):
+    for joint, name, point, own in zip(TORSO_INDEX, TORSO_JOINTS, image, scores, strict=True):
         if name not in missing:
-            keypoints[joint], score[joint] = point, 0.9
+            keypoints[joint], score[joint] = point, own
     return Detection(keypoints, score, "synthetic", "a torso", 0)
 
 
@@ -326,14 +327,15 @@ def test_rotations_are_proper_and_errors_are_sorted():
 
 def test_the_fit_is_the_least_squares_fit():
     """Against SciPy's minimiser over rotation vector, log scale and translation, from many starts
-    (second route)."""
-    seen = detection(TORSOS[11], camera(40, -10), noise=6.0, seed=4)
+    (second route), weighted by unequal scores; and its camera is the one that has this error."""
+    scores = np.linspace(0.2, 1.0, 6)
+    seen = detection(TORSOS[11], camera(40, -10), noise=6.0, seed=4, scores=scores)
     target = seen.keypoints[list(TORSO_INDEX)]
 
     def cost(parameters: np.ndarray, torso: np.ndarray) -> float:
         rows = Rotation.from_rotvec(parameters[:3]).as_matrix()[:2]
         residual = target - np.exp(parameters[3]) * torso @ rows.T - parameters[4:]
-        return float(np.mean(np.sum(residual**2, axis=1)))
+        return float(np.average(np.sum(residual**2, axis=1), weights=scores))
 
     rng = np.random.default_rng(0)
     best = np.inf
@@ -344,6 +346,27 @@ def test_the_fit_is_the_least_squares_fit():
         )
         best = min(best, minimize(cost, start, args=(fitted.torso,), method="BFGS").fun)
     assert fitted.reprojection_error**2 == pytest.approx(best, rel=1e-4)
+    off = np.asarray(fitted.camera.project(fitted.torso)) - target
+    by_camera = np.average(np.sum(off**2, axis=1), weights=scores)
+    assert by_camera == pytest.approx(best, rel=1e-4)
+
+
+def test_points_are_centred_and_sized_by_their_scores():
+    """Weighted means, by NumPy's average; a missing joint has no weight, and weights average one
+    over the others."""
+    rng, scores = np.random.default_rng(3), np.linspace(0.2, 1.0, NUM_JOINTS)
+    scores[4] = 0.0
+    keypoints = np.where(scores[:, None] > 0, rng.normal(300, 50, (NUM_JOINTS, 2)), np.nan)
+    points = Points.gather([Detection(keypoints, scores, "synthetic", "a body", 0)])
+    rest = scores > 0
+    middle = np.average(keypoints[rest], axis=0, weights=scores[rest])
+    far = np.sum((keypoints[rest] - middle) ** 2, axis=1)
+    size = np.sqrt(np.average(far, weights=scores[rest]))
+    assert points.centre[0] == pytest.approx(middle)
+    assert points.size[0] == pytest.approx(size)
+    assert points.xy[0, rest] == pytest.approx((keypoints[rest] - middle) / size)
+    assert points.weight[0, rest] == pytest.approx(scores[rest] / scores[rest].mean())
+    assert points.weight[0, 4] == 0
 
 
 def test_the_twin_is_reflected_in_depth_and_a_frontal_view_has_none_far_away():

@@ -14,12 +14,14 @@ from inference.prior import sample_prior
 from inference.studies.evaluation import bias, metrics
 from inference.studies.evaluation.conditions import Condition, conditions
 from inference.studies.evaluation.outcome import Protocol, judge_block
-from inference.studies.evaluation.relations import FAILS, HOLDS, OPEN, relations
+from inference.studies.evaluation.relations import FAILS, HOLDS, OPEN, Relation, relations
 from inference.studies.evaluation.scores import clustered, errors_of, lost, summary, unscaled_errors
+from inference.studies.intervals import Interval
 from probmodel import Anatomy, BadInput, PoseModel
 from probmodel.datasets import from_motions
 from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.motion import Motion
+from probmodel.skeleton import BONE_NAMES
 from reports.commands.evaluate import external_errors, findings
 from reports.tables import Sheet
 
@@ -60,6 +62,10 @@ def test_pck_is_the_distribution_function_of_errors():
     holed = ERRORS.copy()
     holed[0, 0, 0] = np.nan
     assert metrics.pck(holed, [1e9])[0] == 1.0
+
+
+def test_a_joint_at_the_threshold_is_correct():
+    assert metrics.pck([149.0, 150.0, 151.0, np.nan], [150.0])[0] == pytest.approx(2 / 3)
 
 
 def test_areas_are_those_under_the_curves():
@@ -236,7 +242,7 @@ def made(
         return mean * (1 + 0.05 * rng.normal(size=(number, *shape, 1))) * np.ones(15)
 
     def many(mean: float, k: int) -> np.ndarray:
-        return np.concatenate([joints(mean, 1), joints(3 * mean, k - 1)], axis=1)
+        return np.concatenate([joints(3 * mean, k - 1), joints(mean, 1)], axis=1)
 
     return {
         "single": joints(single),
@@ -278,9 +284,18 @@ def test_what_does_not_hold_is_said():
     )
 
 
+def test_a_relation_holds_where_its_whole_interval_does():
+    """A gain of 20 % that may be none, that is one, that is a loss for certain."""
+    said = {
+        Relation("", "", Interval(0.2, low, high), 0.0, math.inf, "share", 60).verdict: low
+        for low, high in ((-0.1, 0.5), (0.1, 0.3), (-0.3, -0.1))
+    }
+    assert said == {OPEN: -0.1, HOLDS: 0.1, FAILS: -0.3}
+
+
 def test_a_row_of_k_is_its_best_hypothesis():
     values = made(1.0, 2.0, 3.0, 4.0)
-    assert errors_of(values, 5) == pytest.approx(values["hypotheses_5"][:, 0])
+    assert errors_of(values, 5) == pytest.approx(values["hypotheses_5"][:, -1])
     values |= {
         "hypotheses_5_unscaled": np.tile([5.0, 1.0, 2.0], (60, 1)),
         "flips_5": np.full(60, 3),
@@ -341,6 +356,17 @@ def test_how_much_is_visited_is_the_cap_of_a_sphere():
         cap = (1 - math.cos(math.radians(angle))) / 2
         assert share == pytest.approx(cap, abs=4 * math.sqrt(cap / 4000))
     assert head.prior == (1.0, 1.0, 1.0)
+
+
+def test_a_part_is_visited_where_all_its_bones_are():
+    """A draw whose right forearm alone points elsewhere: neither its right arm nor both arms nor
+    the whole body are visited."""
+    one = np.tile([0.0, 0.0, 1.0], (1, 9, 1))
+    judged = one.copy()
+    judged[0, BONE_NAMES.index("right_forearm")] = [0.0, 1.0, 0.0]
+    found = {visits.part: visits.data[-1] for visits in bias.visits(one, judged, judged)}
+    unseen = {part for part, share in found.items() if share == 0}
+    assert unseen == {"right arm", "both arms", "whole body"}
 
 
 def test_directions_do_not_know_the_camera_or_the_size():

@@ -14,15 +14,17 @@ import pytest
 from scipy.stats import chi2, ks_2samp
 
 import inference
+from inference.exact import mixture
 from inference.exact.mixture import PROPOSALS
 from inference.exact.rates import Budget
+from inference.exact.reach import out_of_reach
 from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
 from probmodel import Anatomy, PoseModel
 from probmodel.anatomy.limits import NUM_ELEVATION, cell_of
 from probmodel.kinematics import lower_axes
-from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, LENGTH_GROUPS
+from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, LENGTH_GROUPS, TORSO_INDEX
 from tests.brute_force import brute_force
-from tests.scenes import key, prior_scene
+from tests.scenes import ALL_BUT_AN_ARM, key, prior_scene
 from tests.sweeps import sweep
 from tests.witnesses.limbs import Draws, build_groups
 from tests.witnesses.patches import limbs_of, patch_rectangle, plan_limb
@@ -95,6 +97,52 @@ def test_rejection_follows_the_second_implementation(model, sampler, seed, missi
     assert smallest(pairs) > FAMILY
     error = np.hypot(result.tree.attrs["log_evidence_se"], np.sqrt(variance))
     assert abs(result.tree.attrs["log_evidence"] - log_evidence) < 3 * error
+
+
+def test_draws_of_two_roots_are_shared_as_the_mixture_says(model):
+    """The truth and the same camera 15 % larger, one arm seen: every seen joint, torso and limb
+    alike, weighs a root by scale⁻², and so does the share of draws of the prior that explain the
+    arm, by brute force. Shares and evidence within 4 standard errors; equal shares, and shares by
+    evidence alone, are 0.1 and more away. The error is that of independent ones, by numerical
+    derivatives."""
+    frame = prior_scene(model, 3, factor=1.0, missing=ALL_BUT_AN_ARM)
+    (truth,) = frame.candidates
+    camera = truth.camera._replace(scale=1.15 * truth.camera.scale)
+    both = truth, dataclasses.replace(truth, camera=camera)
+    hits, tried = [], 100_000
+    for seed, one in enumerate(both):
+        alone = dataclasses.replace(frame, candidates=(one,))
+        size, *_ = brute_force(model.limits, model.lengths, alone, "arms", tried, seed)
+        hits.append(len(size))
+    seen = len(TORSO_INDEX) + 2
+    prior = np.array([1.0, 1.15 ** (-2 * seen)])
+    prior, rate = prior / prior.sum(), np.array(hits) / tried
+    weight = prior * rate
+    share = weight / weight.sum()
+    away = [abs(share[0] - other) for other in (0.5, rate[0] / rate.sum())]
+    assert min(away) > 0.1
+    frame = dataclasses.replace(frame, candidates=both)
+    result = inference.sample(model, frame, key=key(1), num_samples=4000)
+    constant, drawn = result.tree["constant_data"], result.tree["posterior"].candidate.values
+    errors = constant.log_evidence_se.values
+    known = np.sum(share[0] * share[1] * np.array([*errors, *(np.array(hits) ** -0.5)]) ** 2)
+    assert abs(np.mean(drawn == 0) - share[0]) < 4 * np.sqrt(known + share.prod() / 4000)
+    np.testing.assert_allclose(constant.weight.values, share, atol=4 * np.sqrt(known))
+    attrs = result.tree.attrs
+    relative = np.sqrt(np.sum(share**2 / np.array(hits)))
+    error = np.hypot(attrs["log_evidence_se"], relative)
+    assert abs(attrs["log_evidence"] - np.log(weight.sum())) < 4 * error < 0.2
+    logs = constant.log_evidence.values
+    slopes = [
+        (mixed(prior, logs + step) - mixed(prior, logs - step)) / 2e-6 for step in 1e-6 * np.eye(2)
+    ]
+    by_slopes = np.sqrt(np.sum((slopes * errors) ** 2))
+    assert attrs["log_evidence_se"] == pytest.approx(by_slopes, rel=1e-3)
+
+
+def mixed(prior, logs) -> float:
+    """Log evidence of a mixture."""
+    return float(np.log(prior @ np.exp(logs)))
 
 
 @functools.lru_cache
@@ -263,6 +311,25 @@ def test_a_wrist_out_of_reach_is_named_with_its_distance(model):
     assert result.num_draws == 0
     assert "right_wrist" in result.sentence
     assert 1500 < float(result.sentence.split(" px")[0].split()[-1]) < 2000
+
+
+def test_what_a_pose_reaches_is_not_called_out_of_reach(model):
+    """Poses of the prior, whose joints are detected where they are: whatever is said to be out of
+    reach is a bound that is none. A detection a limb farther is out of reach."""
+    for seed in range(12):
+        frame = prior_scene(model, seed, factor=1e-6)
+        assert out_of_reach(model, frame.observation) == []
+        far = moved(frame, "left_wrist", (400.0, 0.0))
+        assert {one.joint for one in out_of_reach(model, far.observation)} == {"left_wrist"}
+
+
+def test_where_the_bounds_leave_nothing_no_budget_is_blamed(model, monkeypatch):
+    """One group is enough for that, and nobody has to say which joint is out of reach."""
+    monkeypatch.setattr(mixture, "out_of_reach", lambda model, observation: [])
+    frame = moved(prior_scene(model, 2), "right_wrist", (2000.0, 0.0))
+    result = inference.sample(model, frame, key=key(0), num_samples=100)
+    assert result.status == IMPOSSIBLE
+    assert "the bounds leave no possible arms" in result.sentence
 
 
 def test_an_exhausted_budget_returns_what_there_is(model):

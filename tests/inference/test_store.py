@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
@@ -76,6 +77,14 @@ def test_no_byte_changes_unnoticed(at, tmp_path):
     data[at % len(data)] ^= 0xFF
     path.write_bytes(bytes(data))
     assert run(tmp_path, blocks(3)) in ([0], [])  # `run` sees to it that the numbers are right
+
+
+def test_zeroed_numbers_are_noticed(tmp_path):
+    """A block that is a whole netCDF file with other numbers, as a disk may leave it."""
+    run(tmp_path, blocks(3, 3))
+    with netCDF4.Dataset(tmp_path / "block-000001.nc", "a") as file:
+        file["numbers/twice"][:] = 0.0
+    assert run(tmp_path, blocks(3, 3)) == [1]
 
 
 @pytest.mark.parametrize(

@@ -11,15 +11,31 @@ import math
 import numpy as np
 import pytest
 from numpyro.infer.util import log_density
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import inference
-from inference.exact.loops.roots import TILTS, WIDTH, cut_roots
+from inference.exact.loops.numbers import seeded
+from inference.exact.loops.roots import (
+    TILTS,
+    WIDTH,
+    TorsoProblem,
+    attempt_roots,
+    cut_roots,
+    root_table,
+)
+from inference.exact.rates import Budget
 from inference.results import OUT_OF_BUDGET
-from inference.uncertain.limbs import log_evidence
+from inference.uncertain.limbs import log_evidence, picks
 from inference.uncertain.proposals import systematic
-from inference.uncertain.torsos import torso_problem
-from inference.uncertain.tree import placed
+from inference.uncertain.torsos import (
+    TorsoDraws,
+    draw_roots,
+    lowest_scale,
+    rotations_of,
+    torso_problem,
+)
+from inference.uncertain.tree import placed, sides
 from inference.uncertain.weighted import WeightedRoots, log_mean, shares, weigh_roots
 from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
 from probmodel.faults import Faults
@@ -342,6 +358,107 @@ def left_out(problem, torso, rotation, inverse) -> float:
     place = np.minimum(np.searchsorted(cells.code, code), len(cells.code) - 1)
     held = (cells.code[place] == code) & (inverse >= cells.low[place])
     return 1 - float(np.mean(held & (inverse <= cells.high[place])))
+
+
+def test_attempts_at_a_root_are_draws_of_its_prior():
+    """Discs so wide that every attempt passes: roll, cosine of the tilt (inside its cell too), yaw,
+    the inverse scale to its power and the place in the first disc are uniform (Kolmogorov–Smirnov),
+    torsos equally often; all cells together have the prior's mass; an attempt takes seven random numbers: the
+    cell, three angles, the scale and two for the place. False alarm 1e-3 over all."""
+    rng, number, power = np.random.default_rng(0), 20_000, 6.0
+    torsos, reach = rng.normal(size=(2, 3, 3)), np.array([2.0, 50.0, 50.0])
+    keypoints = rng.normal(size=(3, 2))
+    problem = TorsoProblem(torsos, keypoints, reach, power)
+    cells, table, state = cut_roots(problem), root_table(number), seeded([1], 1)
+    assert cells.mass == pytest.approx(1 / power)
+    before = int(state[3])
+    assert attempt_roots(state, number, problem, cells, table) == (number, number)
+    assert int(state[3]) - before == 7 * number
+    first = np.einsum("nij,nj->ni", rotations_of(table)[:, :2], torsos[table.torso, 0])
+    offset = first + table.plane - keypoints[0] * table.inverse[:, None]
+    roll, tilt, yaw = table.angles.T
+    uniform = [roll / (2 * np.pi), (1 - np.cos(tilt)) / 2, yaw / (2 * np.pi)]
+    uniform += [table.inverse**power, np.sum(offset**2, axis=1) / reach[0] ** 2]
+    uniform += [np.arctan2(*offset.T) / (2 * np.pi) + 0.5]
+    half = tilt[tilt < np.pi / 2]  # beyond, the cosine bends the other way
+    above = np.cos(half // WIDTH * WIDTH)
+    uniform += [(above - np.cos(half)) / (above - np.cos((half // WIDTH + 1) * WIDTH))]
+    p_values = [stats.kstest(column, "uniform").pvalue for column in uniform]
+    p_values.append(stats.binomtest(int(table.torso.sum()), number).pvalue)
+    assert min(p_values) * len(p_values) > 1e-3
+
+
+def test_few_roots_estimate_the_torsos_evidence_without_bias():
+    """The mean of 200 estimates from three roots each is that from 3,000 (4 standard errors);
+    successes over attempts, where the attempts end with a success, would be half too large."""
+    model, frame = small_case()
+    posterior = frame.uncertain(model)
+
+    def drawn(words: list[int], number: int) -> TorsoDraws:
+        return draw_roots(posterior, Faults.none(), words, number, Budget(10**9))
+
+    truth = drawn([0, 0], 3000)
+    logs = np.array([drawn([1, seed], 3).log_evidence for seed in range(200)])
+    ratio = np.exp(logs - truth.log_evidence)
+    error = math.hypot(ratio.std() / math.sqrt(200), math.sqrt(truth.variance))
+    assert abs(ratio.mean() - 1) < 4 * error < 0.4
+
+
+def test_no_root_goes_below_the_lowest_scale():
+    """By hand: joints at a distance of one limb, detected 34 pixels apart, each within its own
+    reach of 0.2 and 0.5 limbs, are seen at 20 pixels a limb at least; a third joint that is near
+    changes nothing."""
+    torsos = np.array([[[0.0, 0.0, 0.0], [0.6, 0.0, 0.8], [0.0, 5.0, 0.0]]])
+    keypoints, reach = np.array([[0.0, 0.0], [34.0, 0.0], [0.0, 1.0]]), np.array([0.2, 0.5, 0.2])
+    assert lowest_scale(torsos, keypoints, reach) == pytest.approx(20.0)
+
+
+def test_draws_of_a_root_are_taken_evenly():
+    """Each of five as often as the others, to one, and any of them first (binomial, four standard
+    errors)."""
+    rng = np.random.default_rng(0)
+    many = np.array([picks(rng, 5, 13) for _ in range(500)])
+    counts = np.array([np.bincount(row, minlength=5) for row in many])
+    assert ((counts == 2) | (counts == 3)).all()
+    first = np.bincount(many[:, 0], minlength=5) / 500
+    assert (np.abs(first - 0.2) < 4 * math.sqrt(0.16 / 500)).all()
+
+
+def test_effective_roots_and_the_error_of_the_evidence_by_hand():
+    """Four equal weights among seven are worth four; weights 3 and 1 are worth 16/10. The evidence
+    is a mean of independent weights times the torso's, which errs by itself."""
+
+    class Proposed:
+        """Stands for roots whose torso's evidence has a relative variance of 1 %."""
+
+        def relative_variance(self, share: np.ndarray) -> float:
+            return 0.01
+
+    def weighted(*weights: float) -> WeightedRoots:
+        with np.errstate(divide="ignore"):
+            return WeightedRoots(None, Proposed(), [], np.log(np.array(weights)), 0)
+
+    assert weighted(2, 2, 2, 2, 0, 0, 0).effective == pytest.approx(4)
+    roots = weighted(3, 1)
+    assert roots.effective == pytest.approx(1.6)
+    of_mean = np.var([3, 1]) / 2 / np.mean([3, 1]) ** 2
+    assert roots.log_evidence_se == pytest.approx(math.sqrt(of_mean + 0.01))
+
+
+def test_a_root_goes_to_the_side_that_it_faces():
+    """The candidate to which the smallest turn leads, by SciPy's angles."""
+    model, frame = small_case()
+    cameras = Rotation.random(3, rng=np.random.default_rng(0))
+    (one,) = frame.candidates
+    candidates = tuple(
+        dataclasses.replace(one, camera=one.camera._replace(rotation=rotation))
+        for rotation in cameras.as_matrix()
+    )
+    posterior = dataclasses.replace(frame, candidates=candidates).uncertain(model)
+    roots = Rotation.random(50, rng=np.random.default_rng(1))
+    points = RootPoint(np.zeros(50, int), roots.as_matrix(), np.zeros(50), np.zeros((50, 2)))
+    turns = np.array([(camera * roots.inv()).magnitude() for camera in cameras])
+    np.testing.assert_array_equal(sides(posterior, points), turns.argmin(axis=0))
 
 
 def test_cells_hold_every_root_that_explains_the_torso():

@@ -57,6 +57,13 @@ def test_alignment_undoes_a_turn() -> None:
     np.testing.assert_allclose(found, turns.swapaxes(1, 2), atol=1e-12)
 
 
+def test_torsos_are_not_reflected() -> None:
+    """Onto its own mirror image a torso is turned as well as that goes, by a proper rotation."""
+    torso = body(1.0)[:, list(TORSO_INDEX)] - body(1.0)[:, :1]
+    found = align_torsos(torso * np.array([-1.0, 1.0, 1.0]), torso[0])
+    np.testing.assert_allclose(np.linalg.det(found), 1.0)
+
+
 def test_the_mean_torso_stands_in_body_axes() -> None:
     """y along the back, x towards the left, whatever way the torsos that are averaged look."""
     torso = np.array(

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from probmodel.camera import WeakPerspective
 from probmodel.kinematics import (
@@ -16,7 +17,7 @@ from probmodel.kinematics import (
     unit,
     upper_axes,
 )
-from probmodel.skeleton import BONES, JOINT_INDEX, MIRROR, NUM_JOINTS, TORSO_INDEX
+from probmodel.skeleton import BONES, JOINT_INDEX, MIRROR, NUM_JOINTS, TORSO_INDEX, UPPER_BONES
 from tests.instances import random_triple
 
 RNG = np.random.default_rng(0)
@@ -121,6 +122,25 @@ def test_an_upright_person_has_the_published_axes() -> None:
     upper = np.asarray(articulation(joints, REFERENCE, FALLBACK).upper)
     assert (np.abs(upper[:, 2]) > 0.99).all()
     np.testing.assert_allclose(upper, np.broadcast_to(upper[0], upper.shape), atol=1e-12)
+
+
+def test_legs_turn_with_the_hips_and_arms_with_the_shoulders() -> None:
+    """Hips turned by 40° against the shoulders: a leg that points along the hips, and an arm along
+    the shoulders, have the same local direction."""
+    turn = Rotation.from_euler("y", 40, degrees=True).as_matrix()
+    joints = np.zeros((NUM_JOINTS, 3))
+    for name, place in {
+        "thorax": (0.0, 1.5, 0.0),
+        "right_shoulder": (-0.5, 1.5, 0.0),
+        "left_shoulder": (0.5, 1.5, 0.0),
+        "right_hip": turn @ (-0.3, 0.0, 0.0),
+        "left_hip": turn @ (0.3, 0.0, 0.0),
+    }.items():
+        joints[JOINT_INDEX[name]] = place
+    axes = dict(zip(UPPER_BONES, upper_axes(joints[list(TORSO_INDEX)]), strict=True))
+    for bone, frame in axes.items():
+        along = turn[:, 0] if "leg" in bone.name else np.eye(3)[0]
+        np.testing.assert_allclose(frame[:, 0], -along, atol=1e-12)
 
 
 def test_mirror_is_an_involution_that_keeps_the_parents() -> None:

@@ -306,6 +306,18 @@ def test_lengths_have_the_moments_of_the_subjects(walker: Anatomy) -> None:
     assert len(walker.lengths.low) == len(LENGTH_GROUPS)
 
 
+def test_lengths_have_the_spread_of_the_subjects() -> None:
+    """Six rigid people: the learned law's standard deviation is theirs (or a twentieth, where they
+    are more alike)."""
+    people = some_poses(6, 3)
+    people = np.stack([pose / body_unit(pose[None]) for pose in people])
+    prior = learn_lengths(Poses(np.repeat(people, 2, axis=0), np.repeat(np.arange(6), 2)))
+    spread = (prior.high - prior.low) * scipy.stats.beta(prior.alpha, prior.beta).std()
+    head = bone_lengths(people)[:, 0]
+    assert head.std(ddof=1) > 0.05 * head.mean()
+    assert spread[0] == pytest.approx(head.std(ddof=1))
+
+
 def test_learned_limbs_average_one_body_unit_whatever_the_head() -> None:
     """Two people whose heads differ by much: limbs of each are one body unit long on average, and
     so are those of the prior."""

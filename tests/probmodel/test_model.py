@@ -152,6 +152,25 @@ def test_predictive_draws_the_prior_and_the_keypoints(model, observation) -> Non
     assert np.isfinite(log_prior).all()
 
 
+def test_every_part_of_a_drawn_pose_has_a_key_of_its_own() -> None:
+    """Lengths, upper and lower bones are drawn in turn, no two of them with one key, nor with the
+    key that was given."""
+    used = [KEY]
+
+    class Recorder:
+        """Stands for a model, and for its laws."""
+
+        def compose(self, step):
+            return [step(site, self) for site in SITES]
+
+        def sample(self, key, sample_shape):
+            used.append(key)
+
+    PoseModel.draw(Recorder(), KEY, 3)
+    words = {tuple(jax.random.key_data(key).tolist()) for key in used}
+    assert len(words) == len(used) == 4
+
+
 def test_condition_and_substitute_hold_a_site(model, latents, observation) -> None:
     for handler in (condition, substitute):
         sites = trace(seed(handler(model.posterior, {"upper": latents["upper"]}), KEY)).get_trace(

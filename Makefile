@@ -8,7 +8,7 @@ NEED_PYTHON = test -n "$(PYTHON)" || { echo "poseterior needs Python 3.12 or new
 # wait for a core that another process has make them six times slower.
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
-.PHONY: demo test test-all lint bench docs notebooks dist fuzz mutants lock clean
+.PHONY: demo test test-all lint bench docs notebooks dist fuzz mutants kills lock clean
 
 demo: $(VENV)/.done
 	$(BIN)/poseterior demo
@@ -67,6 +67,10 @@ fuzz: $(VENV)/.done
 # MUTANTS_NAMES=root,alias says which faults, MUTANTS_SECONDS how long.
 mutants: $(VENV)/.done
 	$(BIN)/python -m tests.mutants
+
+# KILLS says how many of each command (or KILLS_SECONDS how long in all), KILLS_SEED which.
+kills: $(VENV)/.done
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.kills
 
 lock: $(VENV)/.done
 	$(BIN)/python -m pip freeze --exclude-editable > requirements.lock

@@ -42,7 +42,8 @@ class Machines:
     workers
         Processes of this machine; one means this process itself.
     scheduler
-        The address of a dask scheduler whose workers do it instead, such as ``tcp://host:8786``.
+        The address of a dask scheduler whose workers do it instead, such as ``tcp://host:8786``,
+        or ``tls://host:8786`` with the certificates that dask is configured with.
     """
 
     workers: int = 1
@@ -95,6 +96,9 @@ class Machines:
     def _client(self) -> Iterator[Any]:
         distributed = _library()
         if self.scheduler is None:
+            # Whoever reaches a worker may have it run anything, and other users of this machine
+            # reach it: all sides show certificates that are made here, for this run alone.
+            certificates = _certificates()
             cache = jax.config.jax_compilation_cache_dir or os.environ.get(
                 "JAX_COMPILATION_CACHE_DIR"
             )
@@ -105,13 +109,15 @@ class Machines:
                     processes=True,
                     # Nobody but this machine is listened to, and there is no dashboard: dask's
                     # pages ask nobody who they are.
+                    protocol="tls://",
+                    security=certificates,
                     host="127.0.0.1",
                     dashboard_address="127.0.0.1:0",
                     env=ONE_THREAD | ({"JAX_COMPILATION_CACHE_DIR": cache} if cache else {}),
                     silence_logs="CRITICAL",
                     scheduler_kwargs={"allowed_failures": DEATHS, "dashboard": False},
                 ) as cluster,
-                distributed.Client(cluster) as client,
+                distributed.Client(cluster, security=certificates) as client,
             ):
                 yield client
             return
@@ -215,7 +221,17 @@ def _library() -> Any:
     try:
         import distributed
     except ImportError:
-        raise BadInput(
-            "worker processes need distributed; pip install 'poseterior[evaluate]'"
-        ) from None
+        raise _not_installed("distributed") from None
     return distributed
+
+
+def _certificates() -> Any:
+    """Of dask's own kind: they never leave the memory of this process and of those it starts."""
+    try:
+        return _library().Security.temporary()
+    except ImportError:
+        raise _not_installed("cryptography") from None
+
+
+def _not_installed(package: str) -> BadInput:
+    return BadInput(f"worker processes need {package}; pip install 'poseterior[evaluate]'")

@@ -81,8 +81,13 @@ class Store:
         for block in sorted(folder.rglob("block-*.nc")):  # the settings were lost, blocks have them
             if block.parent == folder or not (block.parent / SETTINGS).exists():
                 cls(block.parent, store.settings)._read(block, None)
-        with replacing(path) as partial:
+        try:
             folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise BadInput(
+                f"cannot make {folder} ({error.strerror}); choose another folder"
+            ) from None
+        with replacing(path) as partial:
             _write_settings(partial, store.settings, None)
         return store
 
@@ -168,7 +173,6 @@ class Store:
             "made_of": _canonical(block.made_of),
         }
         path = self.path(block.number)
-        path.parent.mkdir(parents=True, exist_ok=True)
         plain = {name: _plain_texts(group) for name, group in groups.items()}
         tree = xr.DataTree.from_dict(
             {
@@ -177,9 +181,11 @@ class Store:
             }
         )
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             save_tree(tree, path)
-        except RuntimeError as error:  # how netCDF says that the disk is full
-            raise BadInput(f"cannot write {path} ({error}); make room, and run again") from None
+        except (OSError, RuntimeError) as error:  # RuntimeError: how netCDF says that there is none
+            reason = getattr(error, "strerror", None) or error
+            raise BadInput(f"cannot write {path} ({reason}); make room, and run again") from None
 
     def finish(self, blocks: int) -> None:
         """Notes that the run has so many blocks. Raises `BadInput` where there are more: then they

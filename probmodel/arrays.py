@@ -9,6 +9,7 @@ its content, never by its name."""
 import io
 import math
 import os
+import re
 import sys
 import warnings
 import zipfile
@@ -239,6 +240,8 @@ class ArrayFile:
             data = bytearray()
             while len(data) < needed and (chunk := file.read(min(_CHUNK, needed - len(data)))):
                 data += chunk
+            if file.read(1):  # a zip's sums, too, are looked at where its end is reached
+                raise ValueError("more than one array")
             flat = np.frombuffer(data, dtype) if needed else np.zeros(count, dtype)
             if dtype.kind == "U" and flat.view(dtype.str[0] + "u4").max(initial=0) > sys.maxunicode:
                 raise ValueError
@@ -248,9 +251,11 @@ class ArrayFile:
     def _hdf5_file(self) -> Iterator[Any]:
         import h5py
 
-        self.file.seek(0)
-        with self._damage(self.source), h5py.File(self.file, "r") as file:
-            yield file
+        with self._damage(self.source):
+            _require_ends(self.file)
+            self.file.seek(0)
+            with h5py.File(self.file, "r") as file:
+                yield file
 
     def _datasets(self) -> list[str]:
         """The datasets of the file itself: soft and external links are not followed."""
@@ -287,6 +292,42 @@ def _header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype]:
         if np.lib.format.read_magic(file) == (1, 0):
             return np.lib.format.read_array_header_1_0(file)
         return np.lib.format.read_array_header_2_0(file)
+
+
+def _require_ends(file: BinaryIO) -> None:
+    """Raises `ValueError` where a node of a tree in an HDF5 file comes after itself: the library
+    goes from each node to the next, and would never come to an end."""
+    file.seek(0)
+    head = file.read(16)
+    width = head[13] if head[8] < 2 else head[9]  # bytes of an address
+    after: dict[int, int] = {}
+    for place in _found(file, b"TREE"):
+        file.seek(place + 8 + width)
+        after[place] = int.from_bytes(file.read(width), "little")
+    ends: set[int] = set()
+    for start in after:
+        chain: dict[int, None] = {}
+        place = start
+        while place in after and place not in ends:
+            if place in chain:
+                raise ValueError("a tree without an end")
+            chain[place] = None
+            place = after[place]
+        ends.update(chain)
+
+
+def _found(file: BinaryIO, word: bytes) -> Iterator[int]:
+    """Where a word stands in a file."""
+    start, rest = 0, b""
+    file.seek(0)
+    while chunk := file.read(_CHUNK):
+        after = file.tell()
+        text = rest + chunk
+        for match in re.finditer(re.escape(word), text):
+            yield start + match.start()
+        rest = text[1 - len(word) :]
+        start += len(text) - len(rest)
+        file.seek(after)
 
 
 def _weight(dtype: np.dtype, count: int) -> int:

@@ -108,8 +108,10 @@ def replacing(
         raise BadInput(f"cannot write {path} ({error}); {advice}") from None
     UNFINISHED.add(partial)
     try:
-        # What a killed process left, or a link that somebody laid there: never written through.
+        # What a killed process left, or a link that somebody laid there: never written through. The
+        # new file is this process's own, before anything is written.
         partial.unlink(missing_ok=True)
+        os.close(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         yield partial
         os.replace(partial, target)
     except (OSError, RuntimeError) as error:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
 from probmodel.skeleton import (
@@ -22,7 +23,7 @@ from probmodel.skeleton import (
     UPPER_BONES,
 )
 
-_IS_LEG = jnp.array(
+_IS_LEG = np.array(
     [bone.start in (JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]) for bone in UPPER_BONES], int
 )
 PARALLEL = 1e-8

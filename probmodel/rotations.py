@@ -5,6 +5,7 @@ bijection sends a vector x to the rotation of the quaternion (1, x) (the Rodrigu
 map); it leaves out the half turns alone, which have no mass.
 """
 
+import math
 from typing import Any
 
 import jax
@@ -13,7 +14,7 @@ from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
 from numpyro.distributions.transforms import Transform, biject_to
 
-LOG_HALF_SPHERE = float(jnp.log(jnp.pi) * 2)
+LOG_HALF_SPHERE = 2 * math.log(math.pi)
 """Log of the surface of half the sphere of quaternions, π²."""
 
 

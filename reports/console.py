@@ -28,6 +28,8 @@ from reports.signals import Signals
 
 LONGEST = 600
 """Most characters of a sentence; the middle of a longer one is left out."""
+_CUT_OFF = re.compile(r"Error reading persistent compilation cache entry for '([\w.<>-]+)'")
+"""What JAX says of compiled code in its folder that cannot be read."""
 _UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 """What would steer a terminal, or turn the direction of writing."""
 
@@ -239,7 +241,7 @@ def guarded(app: typer.Typer) -> None:
     code."""
     _prepare_streams()
     with Signals() as signals, warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_: warn(str(message))
+        warnings.showwarning = lambda message, *_: _heed(str(message))
         try:
             code = app(sys.argv[1:] or ["--help"], prog_name="poseterior", standalone_mode=False)
             sys.stdout.flush()
@@ -256,6 +258,22 @@ def guarded(app: typer.Typer) -> None:
         if code == 130:  # how typer reports a KeyboardInterrupt
             signals.leave()
         raise SystemExit(code or 0)
+
+
+def _heed(message: str) -> None:
+    """Passes a library's warning on. JAX never replaces compiled code that was cut off, by a full
+    disk or by a kill, and would compile it anew in every run: it is taken away."""
+    broken = _CUT_OFF.match(message)
+    if broken is None:
+        warn(message)
+        return
+    import jax
+
+    kept = jax.config.jax_compilation_cache_dir
+    for path in Path(kept).glob(f"{broken[1]}-*-cache") if kept else ():
+        with suppress(OSError):
+            path.unlink()
+    warn(f"compiled code that was kept of {broken[1]} is damaged; it is made anew")
 
 
 def _prepare_streams() -> None:

@@ -39,12 +39,15 @@ class Signals:
         self._read, self._write = os.pipe()
         os.set_blocking(self._write, False)
         self._wakeup = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
+        self._unheard = sys.unraisablehook
+        sys.unraisablehook = self._report
         threading.Thread(target=self._watch, daemon=True).start()
         return self
 
     def __exit__(self, *error: object) -> None:
         self._over.set()
         signal.set_wakeup_fd(self._wakeup)
+        sys.unraisablehook = self._unheard
         for number, handler in self._before.items():
             signal.signal(number, handler)
         os.close(self._write)
@@ -63,6 +66,12 @@ class Signals:
         if self._caught is None:
             self._caught = number
             raise KeyboardInterrupt
+
+    def _report(self, failure: "sys.UnraisableHookArgs") -> None:
+        """A signal may arrive while Python collects garbage, where nothing can be raised: there is
+        nothing to show then, and `_watch` ends the process."""
+        if self._caught is None or failure.exc_type is not KeyboardInterrupt:
+            self._unheard(failure)
 
     def _watch(self) -> None:
         """Python answers signals in its main thread only, between two of its own steps; the file

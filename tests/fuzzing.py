@@ -4,23 +4,28 @@
     FUZZ_SECONDS=600 make fuzz                       or so long
     python -m tests.fuzzing 1 4711                   one case again: its seed and its number
 
-A case is a file of `targets`, damaged (its inside too, where it is packed). It may be read or
-refused with `BadInput`, one sentence; it must not raise anything else, warn, take longer than
-`SLOWEST` or more memory than `MEMORY`. Case n of a seed is the same for ever. Workers are processes
+A case is a file of `targets`, damaged (its inside too, where it is packed), or a damaged command
+line, of which every option and every file is read and nothing computed. It may be read or refused
+with `BadInput`, one sentence; it must not raise anything else, warn, take longer than `SLOWEST` or
+more memory than `MEMORY`. Case n of a seed is the same for ever. Workers are processes
 of their own, so that what crashes or hangs one is found as well."""
 
+import contextlib
+import functools
 import io
 import json
 import multiprocessing
 import os
 import re
 import resource
+import shlex
 import signal
 import struct
 import sys
 import tempfile
 import time
 import traceback
+import types
 import warnings
 import zipfile
 import zlib
@@ -30,18 +35,25 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from typer.models import OptionInfo
 
+from inference.baselines.run import _Save as SavedRun
 from inference.roots.external import read_poses
+from inference.store import Block, Store
+from inference.stream import draws_of, open_stream
 from inference.studies.calibration.posteriors import _read as read_draws
 from probmodel import Anatomy, BadInput, read_frames
 from probmodel.datasets import from_motions, read_data_set, write_plain
 from probmodel.datasets.cases import DataSet
+from probmodel.example import example
 from probmodel.formats import read_detections
 from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.motion import read_motion
 from probmodel.skeleton import JOINTS
+from reports import cli, console
 from reports.commands import check
 from reports.commands.detect import read_boxes
+from reports.exports.results import Wanted, read_clip
 from reports.figures import read_image
 from reports.options import Detected
 from tests.probmodel import test_motion
@@ -108,6 +120,20 @@ def targets() -> dict[str, Target]:
         "boxes": Target("a.json", lambda path: read_boxes(path, 0.5), [_boxes()]),
         "names": Target("a.json", _names, [b'{"LHip": "left_hip", "RHip": "right_hip"}']),
         "image": Target("a.png", read_image, _images()),
+        "export .json": Target("a.json", _exported, [_hypotheses()]),
+        "export .nc": Target("a.nc", _exported, [_tree()]),
+        "saved run": Target("a.npz", _taken_up, [_saved()]),
+        "block of a stream": Target("block-000000.nc", _stream, [_block()], {"run.json": _RUN}),
+        "settings of a stream": Target("run.json", _stream, [_RUN], {"block-000000.nc": _block()}),
+        **{
+            f"command line: {name}": Target(
+                "words",
+                _command,
+                _lines(name),
+                {"frame.json": example().path.read_bytes(), "few.npz": _plain(few)},
+            )
+            for name in cli.COMMANDS
+        },
     }
 
 
@@ -141,6 +167,98 @@ def _checked(path: Path) -> object:
 
 def _names(path: Path) -> object:
     return Detected(names=path)._names()
+
+
+def _exported(path: Path) -> object:
+    return read_clip(path, Wanted(1.75, k=2))
+
+
+def _taken_up(path: Path) -> object:
+    taken: list[object] = []
+    method: Any = types.SimpleNamespace(restore=taken.append)
+    return [SavedRun(path, "fingerprint").load(method), taken]
+
+
+def _saved() -> bytes:
+    about = {"_fingerprint": np.array("fingerprint"), "_clock": np.array([2.0, 1.0])}
+    return npz(**about, _history=np.ones((2, 3)), leaf0=np.arange(9.0), kept=np.ones((2, 4)))
+
+
+_RUN = b'{"settings": {"study": "stream of frames", "seed": "0 0", "k": 2}, "blocks": 1}'
+
+
+def _stream(path: Path) -> object:
+    return [open_stream(path.parent), draws_of(path.parent, "one")]
+
+
+@functools.cache
+def _block() -> bytes:
+    import xarray as xr
+
+    names = {"frame": ["one", "two"]}
+    joints = (("frame", "draw", "joint", "axis"), np.zeros((2, 3, 15, 3)))
+    number = ("frame", np.array([3, 3]))
+    groups = {
+        "summary": xr.Dataset({"num_draws": number}, coords=names),
+        "hypotheses": xr.Dataset({"joints": joints}, coords=names),
+        "posterior": xr.Dataset({"joints": joints}, coords=names),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store(Path(folder), json.loads(_RUN)["settings"])
+        store.write(Block(0, "frames", {"frames": "some"}, 2, None), groups)
+        return store.path(0).read_bytes()
+
+
+def _lines(name: str) -> list[bytes]:
+    """Command lines of a command, among them one with its options and their values."""
+    kind = cli.COMMANDS[name]
+    options = [
+        f"{next(iter(info.param_decls), '--' + one.name.replace('_', '-'))} {one.default}"
+        for one in cli.declared(kind)
+        if isinstance(info := one.annotation.__metadata__[0], OptionInfo)
+        and isinstance(one.default, int | float | str)
+        and not isinstance(one.default, bool)
+    ]
+    lines = [
+        re.sub(
+            r"(?:actions_train|recordings)\.npz|h36m/|mocap/",
+            "few.npz",
+            re.sub(r"\S+\.json|walk/", "frame.json", line),
+        )
+        for line in kind.EXAMPLES
+    ]
+    return [line.encode() for line in [*lines, " ".join([lines[0], *options])]]
+
+
+def _command(path: Path) -> None:
+    """What the command line says is read, and every file that it names; its work is not done."""
+    text = path.read_bytes().replace(b"\0", b"").decode("utf-8", "replace")
+    try:
+        words = shlex.split(text)
+    except ValueError:  # no shell would take it
+        words = text.split()
+    # Files are the case's own, whatever the words say.
+    words = [word for word in words if not word.startswith(("/", "~", ".."))]
+    idle = types.SimpleNamespace(run=lambda wanted, screen: None)
+    out, err, before = io.StringIO(), io.StringIO(), (sys.argv, cli.import_module)
+    sys.argv, cli.import_module = ["poseterior", *words], lambda name: idle  # type: ignore[assignment]
+    code: Any = 0
+    try:
+        with (
+            contextlib.chdir(path.parent),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+        ):
+            console.guarded(cli.app)
+    except SystemExit as ended:
+        code = ended.code
+    finally:
+        sys.argv, cli.import_module = before
+    said = err.getvalue().removesuffix("\n")
+    assert code in (0, 2), said
+    if code:
+        assert said.startswith("poseterior: "), said
+        raise BadInput(said.removeprefix("poseterior: "))
 
 
 def _written(save: Callable[[Path], None], *_: object) -> bytes:
@@ -310,8 +428,7 @@ def _lines_changed(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _rezipped(data: bytes, rng: np.random.Generator) -> bytes:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
+    members = dict(_members(data))
     names = list(members)
     name = names[int(rng.integers(len(names)))]
     match int(rng.integers(8)):
@@ -325,10 +442,18 @@ def _rezipped(data: bytes, rng: np.random.Generator) -> bytes:
             for _ in range(int(rng.integers(1, 4))):
                 members[name] = _hurt(members[name], rng)
     file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+    packing = zipfile.ZIP_DEFLATED if rng.random() < 0.2 else zipfile.ZIP_STORED  # it takes time
+    with zipfile.ZipFile(file, "w", packing, compresslevel=1) as archive:
         for name, content in members.items():
             archive.writestr(name, content)
     return file.getvalue()
+
+
+@functools.cache
+def _members(data: bytes) -> dict[str, bytes]:
+    """The members of an archive, unpacked once."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
 
 
 def _repacked_mat(data: bytes, rng: np.random.Generator) -> bytes:
@@ -345,7 +470,7 @@ def _repacked_mat(data: bytes, rng: np.random.Generator) -> bytes:
     for _ in range(int(rng.integers(1, 4))):
         head, tail = part[:300], part[300:]
         part = _hurt(head, rng) + tail if rng.random() < 0.7 else head + _hurt(tail, rng)
-    if rng.random() < 0.5:
+    if rng.random() < 0.2:
         part = zlib.compress(part, 1)
         part = struct.pack("<II", 15, len(part)) + part
     parts[chosen] = part

@@ -8,7 +8,6 @@ budget ends, shows progress, and saves, so that an interrupted run goes on to th
 
 import hashlib
 import time
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 
 from inference.baselines.target import Target
 from inference.results import COMPLETE, OUT_OF_BUDGET, Cost
+from probmodel.arrays import read_tables
 from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
 from probmodel.files import replacing
@@ -304,18 +304,15 @@ class _Save:
     def load(self, method: Method) -> tuple[float, float, list[Checkpoint]]:
         if not self.path.exists():
             return 0.0, 0.0, []
-        try:
-            with self.path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-                found = {name: file[name] for name in file.files}
-            fingerprint, clock = str(found.pop("_fingerprint")), found.pop("_clock")
-            history = [
-                Checkpoint(float(row[0]), int(row[1]), int(row[2])) for row in found.pop("_history")
-            ]
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            raise BadInput(
-                f"{self.path} is not a saved run, or was cut off; delete it to begin this sampler"
-                " anew"
-            ) from None
+        advice = "delete it to begin this sampler anew"
+        found = read_tables(self.path, "saved run", advice)
+        lacking = {"_fingerprint", "_clock", "_history"} - found.keys()
+        if lacking:
+            raise BadInput(f"{self.path} is no saved run (it lacks {min(lacking)}); {advice}")
+        fingerprint, clock = str(found.pop("_fingerprint")), found.pop("_clock")
+        history = [
+            Checkpoint(float(row[0]), int(row[1]), int(row[2])) for row in found.pop("_history")
+        ]
         if fingerprint != self.fingerprint:
             raise BadInput(
                 f"{self.path} belongs to another run (sampler, seed, starts or detection); choose"

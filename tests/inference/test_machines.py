@@ -1,6 +1,7 @@
 """Worker processes: who listens where, what they are told, and what if there are none."""
 
 import os
+import socket
 from pathlib import Path
 
 import pytest
@@ -23,8 +24,8 @@ def test_work_is_done_here_in_order_unless_asked():
     assert in_threads(pow, [2, 3], [3, 2]) == [8, 9]
 
 
-def listening(pid: int) -> set[str]:
-    """The addresses at which a process and its children listen, as /proc has them."""
+def listening(pid: int) -> set[tuple[str, int]]:
+    """The addresses and ports at which a process and its children listen, as /proc has them."""
     pids, sockets = {pid}, set()
     for path in sorted(Path("/proc").glob("[0-9]*/stat"), key=lambda path: int(path.parent.name)):
         try:
@@ -44,21 +45,58 @@ def listening(pid: int) -> set[str]:
         for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
             fields = line.split()
             if fields[3] == "0A" and f"socket:[{fields[9]}]" in sockets:
-                found.add(fields[1].split(":")[0])
+                address, port = fields[1].split(":")
+                found.add((address, int(port, 16)))
     return found
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="sockets are found through /proc")
-def test_workers_are_listened_to_by_this_machine_alone():
-    """Dask's pages ask nobody who they are: none is to be reached from elsewhere."""
+def test_workers_are_listened_to_by_this_machine_alone_and_only_with_certificates():
+    """Dask's pages ask nobody who they are: none is to be reached from elsewhere; and who shares
+    the machine reaches every port, but is not let in."""
     pytest.importorskip("distributed")
-    found, addresses = [], set()
+    found, doors = [], set()
     for label, (payload, process, kind) in Machines(2).each(what_it_is, WORK):
         found.append((label, payload, kind))
         assert process != os.getpid()
-        addresses |= listening(os.getpid())
+        if not doors:
+            doors = listening(os.getpid())
+            said = [greeting(port) for _, port in doors if not is_locked(port)]
+            assert len(doors) - len(said) >= 5  # a scheduler, two workers and their nannies
+            assert {*said} <= {b"HTTP/"}  # pages of workers, which do nothing for anybody
     assert sorted(found) == [(number, 10 * number, "float64") for number in range(4)]
-    assert addresses == {"0100007F"}
+    assert {address for address, _ in doors} == {"0100007F"}
+
+
+def greeting(port: int) -> bytes:
+    """What somebody without a certificate is told at a port: dask's own words, a page, or (of who
+    speaks TLS alone) nothing or an alert."""
+    with socket.create_connection(("127.0.0.1", port), timeout=60) as line:
+        try:
+            line.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            return line.recv(5)
+        except ConnectionError:
+            return b""
+
+
+def is_locked(port: int) -> bool:
+    return greeting(port)[:1] in (b"", b"\x15")
+
+
+def test_a_door_without_a_lock_is_found_out():
+    """The same question put to dask without certificates."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=0,
+        processes=False,
+        host="127.0.0.1",
+        protocol="tcp://",
+        dashboard_address="127.0.0.1:0",
+        scheduler_kwargs={"dashboard": False},
+    ) as cluster:
+        port = int(cluster.scheduler_address.rsplit(":", 1)[1])
+        assert not is_locked(port)
+        assert greeting(port) != b"HTTP/"
 
 
 def fails(payload: int) -> int:

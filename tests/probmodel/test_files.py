@@ -74,3 +74,22 @@ def test_a_link_laid_where_something_will_be_written_is_not_followed(tmp_path: P
     assert victim.read_text() == "mine"
     assert place.read_text() == "new"
     assert not place.is_symlink()
+
+
+def test_a_link_laid_meanwhile_is_not_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By somebody who waits for the moment in which the name is free."""
+    victim, place = tmp_path / "victim", tmp_path / "result.txt"
+    victim.write_text("mine")
+    taken_away = Path.unlink
+
+    def laid(path: Path, missing_ok: bool = False) -> None:
+        taken_away(path, missing_ok)
+        if not path.exists():
+            path.symlink_to(victim)
+
+    monkeypatch.setattr(Path, "unlink", laid)
+    with pytest.raises(BadInput, match=r"cannot write .*result.txt \(File exists\)"):
+        write(place, "new")
+    assert victim.read_text() == "mine"

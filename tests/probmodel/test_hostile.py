@@ -8,6 +8,7 @@ import io
 import json
 import os
 import pickle
+import re
 import struct
 import tracemalloc
 import zipfile
@@ -265,6 +266,33 @@ def test_a_chunk_that_unpacks_to_more_than_it_says_is_refused(tmp_path: Path) ->
     assert taken(lambda: read_netcdf(path, ["a"], "file", "give another")) < 20_000_000
     with pytest.raises(BadInput, match="unpacks to more than it says"):
         read_netcdf(path, ["a"], "file", "give another")
+
+
+@pytest.mark.parametrize("steps", [1, 2])
+def test_a_tree_that_goes_round_is_refused(tmp_path: Path, steps: int) -> None:
+    """The library would go from node to node for ever."""
+    path = tmp_path / "a.nc"
+    with h5py.File(path, "w", libver="earliest") as file:
+        for number in range(steps):
+            file.create_group(f"group {number}")
+    data = bytearray(path.read_bytes())
+    nodes = [found.start() for found in re.finditer(b"TREE", data)]
+    assert len(nodes) == 1 + steps
+    chosen = nodes[:steps]
+    for node, following in zip(chosen, chosen[1:] + chosen[:1], strict=True):
+        data[node + 16 : node + 24] = struct.pack("<Q", following)
+    path.write_bytes(data)
+    with pytest.raises(BadInput, match="is no file, or is truncated"):
+        read_netcdf(path, None, "file", "give another")
+
+
+def test_a_tree_of_many_nodes_is_read(tmp_path: Path) -> None:
+    """Nodes that follow each other, and words in the data that look like nodes."""
+    values = np.frombuffer(b"TREE" * 900_000, np.uint8)
+    with h5py.File(tmp_path / "a.nc", "w", libver="earliest") as file:
+        file.create_dataset("a", data=values, chunks=(1000,))
+    assert (tmp_path / "a.nc").read_bytes().count(b"TREE") > 900_000
+    np.testing.assert_array_equal(read_netcdf(tmp_path / "a.nc", ["a"], "file", "")["a"], values)
 
 
 GZIP = {"compression": "gzip"}

@@ -157,7 +157,7 @@ def test_a_broken_file_loses_nothing_else(done: tuple[Path, str], detection: Pat
     out, _ = done
     kept = (out / "runs" / "emcee-one-flip.npz").read_bytes()
     (out / "runs" / "emcee-one-flip.npz").write_bytes(kept[:1000])
-    with pytest.raises(BadInput, match=r"emcee-one-flip.npz is not a saved run, or was cut off"):
+    with pytest.raises(BadInput, match=r"emcee-one-flip.npz is no saved run, or is truncated"):
         compare.run(asked(detection, out, "rejection,emcee"), JSON)
     (out / "runs" / "emcee-one-flip.npz").write_bytes(kept)
     tree = xr.open_datatree(out / "comparison.nc")

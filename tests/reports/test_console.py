@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from inference.results import save_tree
 from probmodel import BadInput
 from probmodel.example import example
 from reports import console
+from reports.signals import Signals
 from tests.conftest import Cli
 from tests.reports.test_cli import failing
 
@@ -210,3 +213,63 @@ def test_a_warning_of_a_library_is_one_sentence(
     with pytest.raises(SystemExit):
         console.guarded(app)  # type: ignore[arg-type]
     assert capsys.readouterr().err == "poseterior: compiled loops are kept nowhere\n"
+
+
+def test_a_signal_that_meets_the_garbage_collector_is_not_shown(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Nothing can be raised there: Python would print a traceback. Other failures it shows."""
+
+    class Collected:
+        def __init__(self, action: Callable[[], object]) -> None:
+            self.action = action
+
+        def __del__(self) -> None:
+            self.action()
+
+    def fails() -> None:
+        raise ValueError("a bug")
+
+    before = sys.unraisablehook
+    shown: list[str] = []
+    sys.unraisablehook = lambda failure: shown.append(str(failure.exc_value))
+    try:
+        with Signals() as signals:
+            del signals._before[signal.SIGTERM]  # nobody ends this very process
+            Collected(lambda: signal.raise_signal(signal.SIGTERM))
+            Collected(fails)
+        assert sys.unraisablehook is not before
+    finally:
+        sys.unraisablehook = before
+    assert shown == ["a bug"]
+
+
+def test_compiled_code_that_was_cut_off_is_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By a kill or a full disk: JAX itself never replaces what it has once kept."""
+    import jax
+
+    for name in ("jit_one-12ab-cache", "jit_one-34cd-cache", "jit_other-12ab-cache"):
+        (tmp_path / name).write_bytes(b"cut o")
+
+    def app(*_: object, **__: object) -> int:
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.warn(
+                "Error reading persistent compilation cache entry for 'jit_one': error: -5",
+                stacklevel=1,
+            )
+        return 0
+
+    monkeypatch.setattr("sys.argv", ["poseterior", "demo"])
+    monkeypatch.setattr(
+        jax, "config", SimpleNamespace(jax_compilation_cache_dir=str(tmp_path)), raising=True
+    )
+    with pytest.raises(SystemExit):
+        console.guarded(app)  # type: ignore[arg-type]
+    assert [path.name for path in tmp_path.iterdir()] == ["jit_other-12ab-cache"]
+    said = capsys.readouterr().err
+    assert said == (
+        "poseterior: compiled code that was kept of jit_one is damaged; it is made anew\n"
+    )

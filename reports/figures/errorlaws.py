@@ -8,7 +8,8 @@ from matplotlib.patches import Circle
 from inference.studies.errorlaws import Learned
 from inference.studies.errorlaws.mixture import log_density, quadratic
 from probmodel.skeleton import JOINTS, NUM_JOINTS
-from reports.figures.style import FAINT, INK, PALETTE, SMALL, TITLE, note, page, tidy
+from reports.figures.colours import PALETTE
+from reports.figures.style import FAINT, INK, SMALL, TITLE, note, page, tidy
 
 LEVELS = (0.5, 0.95)
 """Of the inliers, within the circles."""

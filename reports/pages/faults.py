@@ -22,7 +22,8 @@ from inference.studies.scenes import prior_scene
 from probmodel import Detection, Estimate, PoseModel
 from probmodel.faults import EXCHANGE_INDEX, EXCHANGES, ORDERS, FaultPrior
 from probmodel.skeleton import JOINT_INDEX, JOINTS
-from reports.figures.style import FAINT, INK, PALETTE, SMALL, TITLE, page
+from reports.figures.colours import PALETTE
+from reports.figures.style import FAINT, INK, SMALL, TITLE, page
 from reports.pages.page import in_doubles, write_page
 from reports.tables import Sheet, sheet_of
 

@@ -30,7 +30,8 @@ from inference.benchmark.verdicts import exact_sample
 from inference.exact.mixture import draw_mixture
 from inference.studies.comparison.sample import Sample
 from probmodel.files import replacing
-from reports.figures.style import PALETTE, tidy
+from reports.figures.colours import PALETTE
+from reports.figures.style import tidy
 from reports.figures.style import page as blank_page
 from reports.pages.page import Values, in_doubles, write_page
 from reports.tables import Column, Sheet

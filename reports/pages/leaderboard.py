@@ -31,8 +31,8 @@ from inference.exact.mixture import draw_mixture
 from inference.studies.comparison.sample import Sample
 from probmodel.files import replacing
 from reports.figures.colours import PALETTE
-from reports.figures.style import tidy
 from reports.figures.style import page as blank_page
+from reports.figures.style import tidy
 from reports.pages.page import Values, in_doubles, write_page
 from reports.tables import Column, Sheet
 from reports.tables.benchmark import verdict_record

@@ -363,8 +363,8 @@ def left_out(problem, torso, rotation, inverse) -> float:
 def test_attempts_at_a_root_are_draws_of_its_prior():
     """Discs so wide that every attempt passes: roll, cosine of the tilt (inside its cell too), yaw,
     the inverse scale to its power and the place in the first disc are uniform (Kolmogorov–Smirnov),
-    torsos equally often; all cells together have the prior's mass; an attempt takes seven random numbers: the
-    cell, three angles, the scale and two for the place. False alarm 1e-3 over all."""
+    torsos equally often; all cells together have the prior's mass; an attempt takes seven random
+    numbers: the cell, three angles, the scale and two for the place. False alarm 1e-3 over all."""
     rng, number, power = np.random.default_rng(0), 20_000, 6.0
     torsos, reach = rng.normal(size=(2, 3, 3)), np.array([2.0, 50.0, 50.0])
     keypoints = rng.normal(size=(3, 2))

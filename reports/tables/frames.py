@@ -10,7 +10,8 @@ from reports.tables.sheet import Column, Sheet, fixed, number
 
 
 def stream_json(summary: xr.Dataset) -> dict[str, Any]:
-    """How many frames came to what end, and each frame's draws and evidence."""
+    """How many frames came to what end, and each frame's draws, evidence and effective roots (None
+    where the root is fixed)."""
     status, counts = np.unique(summary.status.values, return_counts=True)
     rows = zip(
         summary.frame.values,
@@ -18,6 +19,7 @@ def stream_json(summary: xr.Dataset) -> dict[str, Any]:
         summary.sentence.values,
         summary.num_draws.values,
         summary.log_evidence.values,
+        summary.effective_roots.values,
         strict=True,
     )
     frames = [
@@ -27,14 +29,17 @@ def stream_json(summary: xr.Dataset) -> dict[str, Any]:
             "sentence": str(why),
             "num_draws": int(draws),
             "log_evidence": number(evidence),
+            "effective_roots": number(effective),
         }
-        for name, end, why, draws, evidence in rows
+        for name, end, why, draws, evidence, effective in rows
     ]
     return {"status": dict(zip(map(str, status), map(int, counts), strict=True)), "frames": frames}
 
 
 def stream_table(summary: xr.Dataset, most: int = 12) -> Sheet:
-    """The first frames: evidence, and how uncertain the depths of wrists and ankles are."""
+    """The first frames: evidence, and how uncertain the depths of wrists and ankles are; effective
+    roots where the root is uncertain."""
+    uncertain = bool(np.isfinite(summary.effective_roots.values).any())
     summary = summary.isel(frame=slice(most))
     depth = summary.sd.sel(axis="z")
     records = [
@@ -47,12 +52,14 @@ def stream_table(summary: xr.Dataset, most: int = 12) -> Sheet:
     columns = [
         Column("frame", left=True),
         Column("draws", "num_draws"),
+        *([Column("roots", "effective_roots", fixed(0))] if uncertain else []),
         Column("log evidence", "log_evidence", fixed(1)),
         Column("wrists sd", "wrist"),
         Column("ankles sd", "ankle"),
         Column("", "status", lambda end: "" if end == "complete" else end, left=True),
     ]
-    caption = f"sd: standard deviation of depth behind the pelvis. {UNIT_NOTE}."
+    roots = " Roots: effective number." if uncertain else ""
+    caption = f"sd: standard deviation of depth behind the pelvis. {UNIT_NOTE}.{roots}"
     return Sheet(columns, records, "Frames", caption)
 
 

@@ -161,8 +161,9 @@ def open_stream(folder: str | os.PathLike) -> xr.DataTree:
     Returns
     -------
     `/summary` by frame: status, sentence, num_draws, log_evidence with its standard error,
-    effective_roots (NaN where torso and camera are fixed), `mean` and `sd` of the joints `(frame, joint, axis)`; `/hypotheses`: `joints` `(frame, hypothesis,
-    joint, axis)`, `weight`, `draw`. The settings of the run are attributes.
+    effective_roots (NaN where torso and camera are fixed), `mean` and `sd` of the joints `(frame,
+    joint, axis)`; `/hypotheses`: `joints` `(frame, hypothesis, joint, axis)`, `weight`, `draw`. The
+    settings of the run are attributes.
 
     Raises
     ------

@@ -22,6 +22,7 @@ from reports.options import (
     Person,
     Prior,
     Rooting,
+    Roots,
     Sampling,
     Seed,
     Workforce,
@@ -294,13 +295,15 @@ class EvaluateSettings:
     """The paper's evaluation on a data set whose truth is known: tables, curves, which of its
     relations hold.
 
-    Of --estimator, --missing and --rotate it takes several with commas between them."""
+    Of --estimator, --missing, --rotate and --root it takes several with commas between them."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "evaluate actions_train.npz --frames 500 --missing 0,1,2 --rotate 0,30,60 --workers 2",
         "evaluate h36m/ --detections gt --frames 26385 --scheduler tcp://host:8786",
         "evaluate mocap/ --noise gaussian:0.02 --limits limits.npz --poses poses.npz"
         " --predictions chen.npz",
+        "evaluate actions_train.npz --frames 200 --noise gaussian:0.02 --estimator zhou"
+        " --root fixed,uncertain,true --no-bias",
     )
     dataset: Annotated[
         Path,
@@ -311,6 +314,13 @@ class EvaluateSettings:
     ]
     missing: Annotated[str, Option(help="Numbers of limb joints made missing, at random.")] = "0"
     rotate: Annotated[str, Option(help="Degrees by which the image is turned.")] = "0"
+    root: Annotated[
+        str,
+        Option(
+            help="Torso and camera: fixed (the estimators'), uncertain, or true (the truth's own)."
+        ),
+    ] = "fixed"
+    roots: Roots = MANY_ROOTED.roots
     k: Annotated[str, Option(help="Numbers of hypotheses of which the best counts.")] = "5,20"
     out: Annotated[
         Path, Option(help="Folder for the results; a run that was stopped goes on there.")

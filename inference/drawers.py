@@ -22,6 +22,7 @@ from inference.uncertain.weighted import MOST_ROOTS, verdict, weigh_roots
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
+from probmodel.roots import RootPoint
 
 ROOTS = (FIXED, UNCERTAIN)
 """What torso and camera may be: given by an estimator, or drawn with the pose."""
@@ -40,6 +41,7 @@ class Draws(NamedTuple):
     bone_length : `(n, 5)` body units.
     keypoints : `(n, 15, 2)` pixels, where the draws' joints fall in the image.
     scale : `(n,)` pixels a body unit, of each draw's root.
+    points : the roots `(n, ...)` of the draws; None where the root is fixed.
     log_evidence, log_evidence_se : as the attributes of a result with such a root.
     effective_roots : of how many equally good roots the draws are; NaN where the root is fixed.
     status, sentence : as in `inference.results.Result`.
@@ -49,6 +51,7 @@ class Draws(NamedTuple):
     bone_length: np.ndarray
     keypoints: np.ndarray
     scale: np.ndarray
+    points: RootPoint | None
     log_evidence: float
     log_evidence_se: float
     effective_roots: float
@@ -94,6 +97,7 @@ class FixedRoot:
         )
         return Draws(
             **joint_columns(posterior, mixture.parts, mixture.rng),
+            points=None,
             log_evidence=mixture.attributes["log_evidence"],
             log_evidence_se=mixture.attributes["log_evidence_se"],
             effective_roots=math.nan,
@@ -133,6 +137,7 @@ class UncertainRoot:
             **placed(self.model, points, poses),
             bone_length=poses.length,
             scale=np.exp(points.log_scale),
+            points=points,
             log_evidence=roots.log_evidence,
             log_evidence_se=roots.log_evidence_se,
             effective_roots=roots.effective,

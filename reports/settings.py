@@ -380,6 +380,7 @@ class CoverageSettings:
         "coverage --sampler draws.npz --num-simulations 200",
         "coverage --dataset recordings.npz --estimator zhou --noise gaussian:0.02 --missing 1"
         " --out real",
+        "coverage --root uncertain --num-simulations 1000 --out whole",
     )
     sampler: Annotated[
         str, Option(help="A name, or a file: `joints` (simulations, draws, 15, 3).")
@@ -420,6 +421,7 @@ class CoverageSettings:
     missing: Annotated[
         int, Option(min=0, help="Limb joints that are not seen.", rich_help_panel=REAL)
     ] = 0
+    rooting: Rooting = MANY_ROOTED
     factor: Factor = 0.25
     workforce: Workforce = Workforce()
     sampling: Sampling = Sampling(num_samples=1000, max_proposals=3_000_000)
@@ -430,7 +432,7 @@ class CoverageSettings:
         from probmodel import BadInput
 
         real = ["frames", "estimator", "noise", "missing"]
-        draws = ["sampler", "num_samples", "max_proposals"]
+        draws = ["sampler", "num_samples", "max_proposals", "root", "roots"]
         if self.dataset is not None:
             way, unknown = "with --dataset", ["simulate_only", "num_simulations"]
         elif self.simulate_only:

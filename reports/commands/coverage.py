@@ -4,7 +4,7 @@ not, why?"""
 from pathlib import Path
 from typing import Any
 
-from inference.results import save_tree
+from inference.results import FIXED, save_tree
 from inference.studies import calibration
 from inference.studies.calibration.coverage import CoverageSummary
 from inference.studies.calibration.record import instances_tree
@@ -98,6 +98,7 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
             noise=settings.noise,
             missing=settings.missing,
             likelihood=Likelihood(factor=settings.factor),
+            root=settings.rooting.root,
             seed=settings.sampling.seed,
         )
     with console.progress(f"posteriors by {settings.sampler}", screen.quiet) as step:
@@ -111,7 +112,8 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
         )
     found = calibration.summary(tree)
     simulation = tree["simulation"].to_dataset()
-    curves = coverage_figure({f"torso and camera: {settings.estimator}": simulation})
+    given = settings.estimator if settings.rooting.root == FIXED else "uncertain"
+    curves = coverage_figure({f"torso and camera: {given}": simulation})
     save_figure(curves, out / "coverage.png")
     if screen.json:
         console.show_json(summary_json(found) | {"out": str(out)})
@@ -127,6 +129,8 @@ def _asked(settings: CoverageSettings, out: Path) -> dict[str, Any]:
         "num_samples": settings.sampling.num_samples,
         "likelihood": Likelihood(factor=settings.factor),
         "max_proposals": settings.sampling.max_proposals,
+        "root": settings.rooting.root,
+        "num_roots": settings.rooting.roots,
         "machines": settings.workforce.machines(),
         "out": out,
     }

@@ -49,6 +49,8 @@ from reports.tables.words import duration
 MANY_FRAMES = 1_000_000
 PRINTED = ("table1", "table2", "relations", "best", "calibration", "sharpness")
 """Tables that a terminal shows; the others are written."""
+BY_ACTION = ("table1", "table2")
+"""Tables with a column for every action or number of joints, of which a terminal shows few."""
 
 
 class Predictions(NamedTuple):
@@ -135,7 +137,7 @@ def run(settings: EvaluateSettings, screen: Screen) -> None:
         return
     for sheet in found.sheets:
         if sheet.name in PRINTED:
-            console.OUT.print(narrow(sheet))
+            console.OUT.print(narrow(sheet) if sheet.name in BY_ACTION else sheet)
     if fresh:
         crew = settings.workforce
         console.say(throughput(fresh, seconds, None if crew.scheduler else crew.workers))

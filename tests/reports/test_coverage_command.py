@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 from inference.studies.calibration import judge, simulate
-from inference.studies.calibration.quantities import QUANTITIES
+from inference.studies.calibration.quantities import OF_BOTH, OF_POSE
 from probmodel import BadInput, PoseModel
 from probmodel.datasets import DataSet, write_plain
 from reports.commands import coverage
@@ -50,7 +50,7 @@ def test_the_run_is_written_and_said(done: tuple[Path, dict]) -> None:
     out, said = done
     assert said["verdict"] == "calibrated", said["sentence"]
     assert set(said["families"]) == {"ranks (SBC)", "highest density", "energy balls", "TARP"}
-    assert [one["quantity"] for one in said["tests"]] == list(QUANTITIES)
+    assert [one["quantity"] for one in said["tests"]] == [*OF_POSE, *OF_BOTH]
     assert {one["size"] for one in said["tests"]} == {100}
     tree = read(out / "coverage.nc")
     assert tree["prior_sbc"].joints.shape == (1, 100, 9, 3)
@@ -183,8 +183,9 @@ def test_tables_and_figures_show_every_quantity(done: tuple[Path, dict]) -> None
     simulation = tree["simulation"].to_dataset()
     figure = ranks_figure(simulation)
     drawn = {line.get_gid() for axis in figure.axes for line in axis.lines}
-    assert {f"ranks {name}" for name in QUANTITIES} <= drawn
-    shown = controls_figure({"one": simulation, "other": simulation}, QUANTITIES[-2:])
+    assert {f"ranks {name}" for name in (*OF_POSE, *OF_BOTH)} <= drawn
+    assert len(figure.axes) == 4  # nothing was asked of the root
+    shown = controls_figure({"one": simulation, "other": simulation}, OF_BOTH[-2:])
     assert len(shown.axes[0].lines) == 3
     rows = uniformity_table(judge(simulation)).rows
     assert len(rows) == 4 + WORST

@@ -45,7 +45,7 @@ def simulated(settings: CoverageSettings, screen: Screen) -> None:
         )
     out = console.output_folder(settings.out)
     model = settings.prior.model()
-    with console.progress(f"simulations by {settings.sampler}", screen.quiet) as step:
+    with console.progress(f"simulations by {_drawer(settings)}", screen.quiet) as step:
         tree = calibration.calibrate(
             model,
             num_simulations=num_simulations,
@@ -101,7 +101,7 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
             root=settings.rooting.root,
             seed=settings.sampling.seed,
         )
-    with console.progress(f"posteriors by {settings.sampler}", screen.quiet) as step:
+    with console.progress(f"posteriors by {_drawer(settings)}", screen.quiet) as step:
         tree = calibration.cover(
             model,
             cases,
@@ -119,6 +119,10 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
         console.show_json(summary_json(found) | {"out": str(out)})
     else:
         _say(found, out)
+
+
+def _drawer(settings: CoverageSettings) -> str:
+    return settings.sampler if settings.rooting.root == FIXED else "weighted roots"
 
 
 def _asked(settings: CoverageSettings, out: Path) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """`poseterior coverage`: what it writes and says, under the model and on real poses, and its
 refusals."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from probmodel import BadInput, PoseModel
 from probmodel.datasets import DataSet, write_plain
 from reports.commands import coverage
 from reports.figures.coverage import controls_figure, ranks_figure
-from reports.options import Sampling, Screen
+from reports.options import RootKind, Rooting, Sampling, Screen
 from reports.settings import CoverageSettings
 from reports.tables.coverage import WORST, families_table, p_text, uniformity_table
 from tests.conftest import Cli
@@ -129,6 +130,20 @@ def test_real_poses(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -
     assert (tmp_path / "coverage.png").exists()
 
 
+def test_real_poses_without_torso_and_camera(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    rooting = Rooting(root=RootKind.uncertain, roots=30)
+    real = asked(tmp_path, dataset=data, frames=2, noise="none", rooting=rooting)
+    coverage.run(real, JSON)
+    said = json.loads(capsys.readouterr().out)
+    assert said["poses"] == 2
+    tree = read(tmp_path / "coverage.nc")
+    assert (tree.attrs["root"], tree.attrs["num_roots"]) == ("uncertain", 30)
+    with pytest.raises(BadInput, match="leave the estimator zhou out"):
+        coverage.run(dataclasses.replace(real, estimator="zhou"), JSON)
+
+
 @pytest.mark.slow
 def test_estimated_torsos(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     real = asked(tmp_path, dataset=data, frames=8, noise="none", missing=1, estimator="zhou")
@@ -161,6 +176,7 @@ def test_bad_real_poses(data: Path, tmp_path: Path, change: dict, match: str) ->
         ("--missing 1", "--missing means nothing without --dataset"),
         ("--frames 100", "--frames means nothing without --dataset"),
         ("--simulate-only --sampler rejection", "--sampler means nothing with --simulate-only"),
+        ("--simulate-only --root uncertain", "--root means nothing with --simulate-only"),
         ("--simulate-only --noise none", "--noise means nothing with --simulate-only"),
         ("--dataset x.npz --num-simulations 9", "--num-simulations means nothing with --dataset"),
         ("--poses x.npz --simulate-only", "--simulate-only means nothing with --dataset"),

@@ -16,7 +16,7 @@ from probmodel import BadInput, PoseModel
 from probmodel.datasets import DataSet, write_plain
 from reports.commands import coverage
 from reports.figures.coverage import controls_figure, ranks_figure
-from reports.options import RootKind, Rooting, Sampling, Screen
+from reports.options import Rooting, RootKind, Sampling, Screen
 from reports.settings import CoverageSettings
 from reports.tables.coverage import WORST, families_table, p_text, uniformity_table
 from tests.conftest import Cli

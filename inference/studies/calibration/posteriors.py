@@ -110,7 +110,8 @@ def independent_roots(
     ones, at most `num_samples`, hardly ever two of one root.
 
     Where `num_roots` are worth too few, as under a detection that hardly any root explains, all is
-    drawn anew from four times as many, and again. `reweigh` is for controls that have to fail.
+    drawn anew from four times as many, with as many times `max_proposals`, and again. `reweigh` is
+    for controls that have to fail.
     """
 
     def draw(index: int, instance: Instance, key: jax.Array) -> Answer:

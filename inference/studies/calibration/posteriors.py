@@ -29,7 +29,7 @@ from inference.exact.loops.numbers import words_of
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS
 from inference.results import COMPLETE, FIXED
 from inference.sampler import SAMPLERS
-from inference.studies.calibration.assess import FAILED, FEWEST_DRAWS, Answer
+from inference.studies.calibration.assess import FAILED, Answer
 from inference.studies.calibration.quantities import of_pose
 from inference.studies.calibration.simulations import Instance
 from inference.studies.comparison.mixing import mean_ess, mixing
@@ -93,8 +93,8 @@ def _drawn(draw: Drawer, index: int, instance: Instance, key: jax.Array) -> Answ
 
 APART = 2
 """Effective roots for every draw that counts as independent of the others."""
-ROUNDS = (1, 4, 16)
-"""How many times as many roots are tried where fewer bring too few independent draws."""
+ROUNDS = (1, 4, 16, 64)
+"""How many times as many roots are tried where fewer bring too few effective ones."""
 Reweigh = Callable[[WeightedRoots], WeightedRoots]
 
 
@@ -126,12 +126,12 @@ def independent_roots(
                     max_proposals=times * max_proposals,
                 )
             )
-            if roots.effective >= APART * FEWEST_DRAWS:
+            status, sentence = verdict(roots, 0)
+            if status == COMPLETE:
                 break
         rng = np.random.default_rng(words_of(draws_key))
         points, poses, _ = roots.draw(rng, min(num_samples, int(roots.effective / APART)))
         joints = placed(model, points, poses, size=PLACED)["joints"]
-        status, sentence = verdict(roots, 0)
         return Answer(joints, roots.log_evidence, status, sentence, points)
 
     return draw

@@ -86,7 +86,8 @@ class FixedRoot:
         return {"root": FIXED} | {name: getattr(self, name) for name in names}
 
     def __call__(self, frame: Estimate, key: jax.Array) -> Draws:
-        """As of a `Drawer`."""
+        """As of a `Drawer`. Raises `BadInput` where the detection may have faults."""
+        require_no_faults(frame)
         posterior = frame.posterior(self.model)
         mixture = draw_mixture(
             posterior,
@@ -132,7 +133,7 @@ class UncertainRoot:
         )
         rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
         points, poses, _ = roots.draw(rng, self.num_samples)
-        status, sentence = verdict(roots, self.num_roots)
+        status, sentence = verdict(roots)
         return Draws(
             **placed(self.model, points, poses),
             bone_length=poses.length,
@@ -195,4 +196,13 @@ def require_root(root: str, sampler: str) -> None:
         raise BadInput(
             f"the sampler {sampler} holds torso and camera fixed; leave it out, or choose the"
             f" root {FIXED!r}"
+        )
+
+
+def require_no_faults(frame: Estimate) -> None:
+    """Raises `BadInput` where a detection whose root is fixed may have outliers or exchanges."""
+    if frame.likelihood.faults.any:
+        raise BadInput(
+            f"outliers and exchanges need torso and camera uncertain; choose the root"
+            f" {UNCERTAIN!r}, or leave them out"
         )

@@ -124,8 +124,8 @@ def _limb_grid(
     draws = GroupDraws(sizes, upper[:, None], lower[:, None])
     poses = Pose.blank(len(upper))
     draws.fill(poses, (limb,))
-    reached = np.asarray(observation.squares(model.joints(np.asarray(observation.view), *poses)))
-    kept = (reached[:, [bone.end for bone in limb.bones]] <= observation.law.reach**2).all(axis=1)
+    within = np.asarray(observation.within(model.joints(np.asarray(observation.view), *poses)))
+    kept = within[:, [bone.end for bone in limb.bones]].all(axis=1)
     return GroupDraws(*(part[kept] for part in draws))
 
 

@@ -1,12 +1,13 @@
 """What posterior draws say of the detection: new detections of each, and how likely the one that
 was made is; the groups posterior_predictive and log_likelihood of ArviZ."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 from probmodel.chunks import in_chunks
-from probmodel.detections import Detection
-from probmodel.likelihood import ErrorLaw
+from probmodel.likelihood import ErrorLaw, WithOutliers
 from probmodel.skeleton import JOINTS
 
 _STREAM = 1
@@ -15,7 +16,8 @@ _STREAM = 1
 
 def prediction_groups(
     law: ErrorLaw,
-    detection: Detection,
+    outlier: np.ndarray,
+    detected: np.ndarray,
     keypoints: np.ndarray,
     spread: np.ndarray,
     words: list[int],
@@ -25,7 +27,8 @@ def prediction_groups(
     Parameters
     ----------
     law : the errors' law.
-    detection : the one that was made.
+    outlier : `(n, 15)` bool, which joints' keypoints are outliers in each draw.
+    detected : `(n, 15, 2)`, where joints were detected as each draw reads it, pixels.
     keypoints : `(n, 15, 2)`, the draws projected, pixels.
     spread : `(n, 15)`, every joint's spread under the root of each draw, pixels; infinite where it
         does not count.
@@ -38,18 +41,18 @@ def prediction_groups(
     square pixel.
     """
     rng = np.random.default_rng([*words, _STREAM])
-    seen = np.flatnonzero(np.isfinite(spread).all(axis=0) if len(spread) else np.zeros(len(JOINTS)))
+    seen = np.flatnonzero(np.isfinite(spread).any(axis=0))
     units = {"units": "pixels"}
     dims = ("chain", "draw")
     coords = {"chain": [0], "draw": np.arange(len(keypoints))}
     made = (
         (*dims, "joint", "uv"),
-        _new_detections(law, keypoints, spread, rng)[None],
+        _new_detections(law, outlier, keypoints, spread, rng)[None],
         units,
     )
     likely = (
         (*dims, "detected"),
-        _log_likelihood(law, detection.keypoints[seen], keypoints[:, seen], spread[:, seen])[None],
+        _log_likelihood(law, outlier, detected, keypoints, spread)[None, :, seen],
         {"base_measure": "image area (px2)"},
     )
     return {
@@ -63,25 +66,44 @@ def prediction_groups(
 
 
 def _new_detections(
-    law: ErrorLaw, keypoints: np.ndarray, spread: np.ndarray, rng: np.random.Generator
+    law: ErrorLaw,
+    outlier: np.ndarray,
+    keypoints: np.ndarray,
+    spread: np.ndarray,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """`(n, 15, 2)`: the projected joints plus an error of the law each."""
     if not len(keypoints):
         return keypoints
-    distance = in_chunks(law.distance, rng.random(keypoints.shape[:2]))
+
+    def far(outlier: np.ndarray, uniform: np.ndarray) -> jax.Array:
+        return WithOutliers(law, outlier).distance(uniform)
+
+    distance = in_chunks(far, outlier, rng.random(keypoints.shape[:2]))
     angle = 2 * np.pi * rng.random(keypoints.shape[:2])
     errors = np.where(np.isfinite(spread), spread * distance, np.nan)
     return keypoints + errors[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def _log_likelihood(
-    law: ErrorLaw, detected: np.ndarray, keypoints: np.ndarray, spread: np.ndarray
+    law: ErrorLaw,
+    outlier: np.ndarray,
+    detected: np.ndarray,
+    keypoints: np.ndarray,
+    spread: np.ndarray,
 ) -> np.ndarray:
-    """`(n, seen)`: log density of each detected joint, given each draw."""
+    """`(n, 15)`: log density of each detected joint, given each draw; 0 where it does not count."""
     if not len(keypoints):
-        return np.empty((0, len(detected)))
-    square = np.sum(((detected - keypoints) / spread[..., None]) ** 2, axis=-1)
-    # Every draw lies within the reach: what is beyond it is so by rounding, from the camera's plane
-    # to pixels.
-    ratio = in_chunks(law.log_ratio, np.minimum(square, law.reach**2))
-    return law.log_peak + ratio - 2 * np.log(spread)
+        return np.empty(keypoints.shape[:2])
+    counts = np.isfinite(spread)
+    gap = np.where(counts[..., None], detected - keypoints, 0.0)
+    square = np.sum((gap / spread[..., None]) ** 2, axis=-1)
+
+    def density(outlier: np.ndarray, square: np.ndarray) -> jax.Array:
+        laws = WithOutliers(law, outlier)
+        # Every draw lies within the reach: what is beyond it is so by rounding, from the camera's
+        # plane to pixels.
+        return laws.log_peak + laws.log_ratio(jnp.minimum(square, laws.reach**2))
+
+    found = in_chunks(density, outlier, square) - 2 * np.log(np.where(counts, spread, 1.0))
+    return np.where(counts, found, 0.0)

@@ -26,7 +26,7 @@ from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
 from probmodel.pose import Pose
 from probmodel.posterior import Posterior
-from probmodel.skeleton import JOINTS, LENGTH_GROUPS
+from probmodel.skeleton import JOINTS, LENGTH_GROUPS, NUM_JOINTS
 from probmodel.uncertain import UncertainPosterior
 
 _PACKAGES = ("poseterior", "numpyro", "jax", "numpy", "scipy", "arviz", "xarray")
@@ -124,6 +124,8 @@ COLUMNS: dict[str, tuple[tuple[str, ...], str]] = {
     "scale": ((), "pixels per body unit"),
     "translation": (("uv",), "pixels"),
     "keypoints": (("joint", "uv"), "pixels"),
+    "outlier": (("joint",), ""),
+    "exchange": ((), ""),
 }
 """The variables of draws: what stands after chain and draw, and the unit."""
 NAMES = {
@@ -159,8 +161,9 @@ def assemble(
     base_measure: str,
     attributes: dict[str, Any],
 ) -> xr.DataTree:
-    """The DataTree of draws in columns `(n, ...)`: some of `COLUMNS`, spread of every joint's error
-    in pixels, and lp, log densities with respect to `base_measure`."""
+    """The DataTree of draws in columns `(n, ...)`: some of `COLUMNS`; of the detection as each draw
+    reads it, what was `detected` of every joint, the spread of its error in pixels, and whether it
+    is `astray`; and lp, log densities with respect to `base_measure`."""
     chain = ("chain", "draw")
     coords = {"chain": [0], "draw": np.arange(len(columns["joints"]))}
     draws: dict[str, Any] = {}
@@ -178,7 +181,8 @@ def assemble(
             "sample_stats": xr.Dataset({"lp": lp}, coords=coords),
             **prediction_groups(
                 posterior.likelihood.law,
-                posterior.detection,
+                columns["astray"],
+                columns["detected"],
                 columns["keypoints"],
                 columns["spread"],
                 words,
@@ -218,6 +222,8 @@ def pose_columns(
                 **seen,
                 "torso": np.full(number, root.torso_index),
                 "candidate": np.full(number, index),
+                "detected": np.broadcast_to(posterior.detection.keypoints, (number, NUM_JOINTS, 2)),
+                "astray": np.zeros((number, NUM_JOINTS), bool),
                 "spread": spread,
                 "lp": _each(density, part.poses, ()),
             }

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from inference.baselines.catalogue import BASELINES, sample_baseline
-from inference.drawers import require_root
+from inference.drawers import require_no_faults, require_root
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress, draw_mixture
 from inference.joined import joined
 from inference.results import FIXED, UNCERTAIN, Result, build_tree, key_words
@@ -79,6 +79,7 @@ def sample(
             max_proposals=max_proposals,
             progress=progress,
         )
+    require_no_faults(frame)
     if sampler not in PROPOSALS and sampler not in BASELINES:
         raise BadInput(f"there is no sampler {sampler!r}; choose one of {', '.join(SAMPLERS)}")
     if chains != 1:
@@ -184,7 +185,7 @@ def _sample_uncertain(
         progress=progress,
     )
     rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
-    status, sentence = verdict(roots, num_roots)
+    status, sentence = verdict(roots)
     attributes = {"sampler": "weighted roots", "seed": key_words(key), "num_samples": num_samples}
     tree = uncertain_tree(roots, rng, num_samples, attributes)
     tree.attrs.update(wall_time_s=time.perf_counter() - started, status=status)

@@ -46,6 +46,7 @@ if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors
         DetectedFrame,
         DetectedKeypoint,
         Detection,
+        DetectorErrors,
         Disc,
         ErrorLaw,
         Estimate,
@@ -69,6 +70,7 @@ if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors
     )
     from probmodel.datasets import DataSet, read_data_set
     from probmodel.motion import Motion, read_motion
+    from probmodel.sessions import Session, read_session
 
     __version__: str
 
@@ -76,6 +78,7 @@ _HOMES = (
     "probmodel",
     "probmodel.motion",
     "probmodel.datasets",
+    "probmodel.sessions",
     "inference",
     "inference.studies.comparison",
     "inference.studies.calibration",
@@ -95,6 +98,7 @@ __all__ = [
     "DetectedFrame",
     "DetectedKeypoint",
     "Detection",
+    "DetectorErrors",
     "Disc",
     "ErrorLaw",
     "Estimate",
@@ -114,6 +118,7 @@ __all__ = [
     "Root",
     "RootPoint",
     "RootPrior",
+    "Session",
     "Target",
     "TorsoDictionary",
     "UncertainPosterior",
@@ -136,6 +141,7 @@ __all__ = [
     "read_frames",
     "read_motion",
     "read_published",
+    "read_session",
     "sample",
     "sample_frames",
     "write_detections",

@@ -7,6 +7,7 @@ from .camera import WeakPerspective as WeakPerspective
 from .detections import Detection as Detection
 from .directions.distributions import HingedDirection as HingedDirection
 from .directions.distributions import OccupiedDirection as OccupiedDirection
+from .errorlaws import DetectorErrors as DetectorErrors
 from .failures import BadInput as BadInput
 from .failures import OutOfBudget as OutOfBudget
 from .formats import read_detections as read_detections

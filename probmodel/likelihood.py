@@ -10,6 +10,7 @@ with probability exp(`log_ratio`), so nothing else has to know it.
 
 import abc
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ from numpyro.distributions import Distribution, constraints
 from probmodel.detections import LARGEST_NUMBER, LIKELIHOOD_JOINTS, Detection
 from probmodel.directions.supports import disc, same_rank
 from probmodel.failures import BadInput
+from probmodel.faults import NO_FAULTS, FaultPrior
 from probmodel.observation import Observation
 from probmodel.skeleton import JOINTS, NUM_JOINTS, TORSO_INDEX
 
@@ -105,6 +107,50 @@ LAWS: dict[str, type[ErrorLaw]] = {"disc": Disc, "gaussian": Gaussian}
 """Error laws by name; the disc is the paper's."""
 
 
+@functools.partial(
+    jax.tree_util.register_dataclass, data_fields=("outlier",), meta_fields=("inlier",)
+)
+@dataclasses.dataclass(frozen=True, eq=False)
+class WithOutliers(ErrorLaw):
+    """Of several joints each its own law: outliers are uniform in a disc of one spread, and all
+    others have the `inlier` law. Numbers of this law are arrays, one for each joint.
+
+    Attributes
+    ----------
+    inlier : the law of the others.
+    outlier : `(..., joints)` bool, which are outliers.
+    """
+
+    inlier: ErrorLaw
+    outlier: np.ndarray | jax.Array
+
+    @property
+    def reach(self) -> jax.Array:  # type: ignore[override]
+        """`(..., joints)`."""
+        return self._each(Disc.reach, self.inlier.reach)
+
+    @property
+    def log_peak(self) -> jax.Array:  # type: ignore[override]
+        """`(..., joints)`."""
+        return self._each(Disc.log_peak, self.inlier.log_peak)
+
+    @property
+    def flat(self) -> bool:  # type: ignore[override]
+        """Whether the inliers' law is."""
+        return self.inlier.flat
+
+    def log_ratio(self, square: ArrayLike) -> jax.Array:
+        """`(..., joints)`."""
+        return self._each(Disc().log_ratio(square), self.inlier.log_ratio(square))
+
+    def distance(self, uniform: ArrayLike) -> jax.Array:
+        """`(..., joints)`."""
+        return self._each(Disc().distance(uniform), self.inlier.distance(uniform))
+
+    def _each(self, outliers: ArrayLike, others: ArrayLike) -> jax.Array:
+        return jnp.where(jnp.asarray(self.outlier), outliers, others)
+
+
 class DetectedKeypoint(Distribution):
     """Where a joint is detected: `centre` plus an error of the law, times `spread`.
 
@@ -160,16 +206,20 @@ class Likelihood:
     law : the law of the errors.
     factor : the paper's 0.25: the spread of a joint of average score, in mean limb lengths.
     joints : the joints that count where they are seen.
+    faults : how often keypoints are outliers or exchanged, where the root is uncertain; under fixed
+        roots there are none.
     """
 
     law: ErrorLaw = dataclasses.field(default_factory=Disc)
     factor: float = 0.25
     joints: tuple[int, ...] = LIKELIHOOD_JOINTS
+    faults: FaultPrior = NO_FAULTS
 
     @property
     def words(self) -> str:
         """What a result says of it, such as "disc, factor 0.25"."""
-        return f"{type(self.law).__name__.lower()}, factor {self.factor:g}"
+        found = f"{type(self.law).__name__.lower()}, factor {self.factor:g}"
+        return f"{found}, with faults" if self.faults.any else found
 
     def spread(
         self, detection: Detection, scale: float, joints: Sequence[int] | None = None

@@ -88,9 +88,14 @@ class Observation(NamedTuple):
 
     def misfit(self, joints: ArrayLike) -> jax.Array:
         """`(...)`: the largest distance of a seen joint from its target, in reaches."""
-        return jnp.sqrt(jnp.max(self.squares(joints), axis=-1)) / self.law.reach
+        return jnp.sqrt(jnp.max(self.squares(joints) / self.law.reach**2, axis=-1))
+
+    def within(self, joints: ArrayLike) -> jax.Array:
+        """`(..., 15)` bool: which joints of poses `(..., 15, 3)` in camera axes lie within their
+        reach; all that do not count do."""
+        return self.squares(joints) <= self.law.reach**2
 
     def explains(self, joints: ArrayLike) -> jax.Array:
         """`(...)` bool: whether poses `(..., 15, 3)` in camera axes put every seen joint within its
         reach."""
-        return jnp.all(self.squares(joints) <= self.law.reach**2, axis=-1)
+        return jnp.all(self.within(joints), axis=-1)

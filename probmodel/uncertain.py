@@ -2,7 +2,8 @@
 
 `UncertainPosterior` owns the NumPyro program of root, pose and detection and its log joint density.
 Every seen joint that counts carries the same error law, the torso's as well as the limbs', and
-their scores are normalised together. `Posterior`, whose roots are atoms, is the paper's method.
+their scores are normalised together. A detector's faults (`faults`), where the likelihood has
+some, are discrete sites of the program. `Posterior`, whose roots are atoms, is the paper's method.
 """
 
 import functools
@@ -15,7 +16,8 @@ import numpy as np
 import numpyro
 
 from probmodel.detections import Detection
-from probmodel.likelihood import Likelihood
+from probmodel.faults import ORDERS, OUTLIER_REACH, FaultPrior, Faults
+from probmodel.likelihood import Likelihood, WithOutliers
 from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
 from probmodel.pose import Pose
@@ -41,12 +43,36 @@ class DetectedJoints(NamedTuple):
     spread: np.ndarray | jax.Array
     law: "ErrorLaw"
 
-    def under(self, prior: RootPrior, point: RootPoint) -> Observation:
-        """The detection under one root; a formula of JAX."""
-        root = prior.root(point)
-        target = root.camera.to_plane(self.keypoints)
-        counts = jnp.isfinite(jnp.asarray(self.spread))[:, None]
-        return Observation(root, jnp.where(counts, target, 0.0), self.spread, self.law)
+    @property
+    def counts(self) -> jax.Array:
+        """`(15,)` bool: the keypoints that count."""
+        return jnp.isfinite(jnp.asarray(self.spread))
+
+    def read(self, faults: Faults) -> "DetectedJoints":
+        """The detection as a pattern of faults has it: what is exchanged put back, outliers with
+        their own spread and law; a formula of JAX."""
+        order = jnp.asarray(ORDERS)[faults.exchange]
+        spread = jnp.asarray(self.spread)[order]
+        outlier = jnp.asarray(faults.outlier)[order] & jnp.isfinite(spread)
+        return DetectedJoints(
+            jnp.asarray(self.keypoints)[order],
+            jnp.where(outlier, OUTLIER_REACH, spread),
+            WithOutliers(self.law, outlier),
+        )
+
+    def under(self, prior: RootPrior, point: RootPoint, faults: Faults) -> Observation:
+        """The detection under one root and a pattern of faults; a formula of JAX."""
+        root, read = prior.root(point), self.read(faults)
+        target = root.camera.to_plane(read.keypoints)
+        return Observation(
+            root, jnp.where(read.counts[:, None], target, 0.0), read.spread, read.law
+        )
+
+    def log_peak(self) -> jax.Array:
+        """`()`: log likelihood of a pose that projects onto every target under a root of scale 1;
+        under one of scale s it is lower by 2 log s for every joint that counts."""
+        spread = jnp.where(self.counts, jnp.asarray(self.spread), 1.0)
+        return jnp.sum(jnp.where(self.counts, self.law.log_peak - 2 * jnp.log(spread), 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,37 +109,50 @@ class UncertainPosterior:
         return DetectedJoints(keypoints, spread, self.likelihood.law)
 
     @property
-    def log_peak(self) -> float:
-        """Log likelihood of a pose that projects onto every target under a root of scale 1; under
-        one of scale s it is lower by 2 log s for every joint that counts."""
-        spread = self.detected.spread[np.isfinite(self.detected.spread)]
-        return float(np.sum(self.likelihood.law.log_peak - 2 * np.log(spread)))
+    def faults(self) -> FaultPrior:
+        """The prior of the detector's faults."""
+        return self.likelihood.faults
 
-    def observe(self, point: RootPoint) -> Observation:
-        """The detection under one root."""
-        return self.detected.under(self.prior, jax.tree.map(jnp.asarray, point))
+    @property
+    def log_peak(self) -> float:
+        """`DetectedJoints.log_peak` without any fault."""
+        return float(self.detected.log_peak())
 
     def program(self) -> jax.Array:
-        """NumPyro model of all: sites torso, rotation, log_scale, translation, then those of
+        """NumPyro model of all: sites torso, rotation, log_scale, translation; exchange,
+        torso_outlier and limb_outlier where there may be faults; then those of
         `PoseModel.posterior`. Returns the joints `(15, 3)` in camera axes, body units of the root
         drawn."""
-        return self.model.posterior(self.observe(self.prior.compose(numpyro.sample)))
+        point = self.prior.compose(numpyro.sample)
+        faults = Faults.none()
+        if self.faults.any:
+            faults = self.faults.compose(self.detected.counts, numpyro.sample)
+        return self.model.posterior(self.detected.under(self.prior, point, faults))
 
-    def log_joint(self, points: RootPoint, poses: Pose) -> jax.Array:
-        """`(n,)`: log joint density of roots and poses `(n, ...)` with the detection, that of the
-        program; -inf outside. With respect to counting (torso) × Haar's × log scale × area (pixels)
-        and the base measures of poses and detections."""
-        return log_joints(self.model, self.detected, points, poses)
+    def log_joint(self, points: RootPoint, poses: Pose, faults: Faults | None = None) -> jax.Array:
+        """`(n,)`: log joint density of roots, poses and patterns of faults `(n, ...)` (default:
+        none) with the detection, that of the program; -inf outside. With respect to counting
+        (torso, faults) × Haar's × log scale × area (pixels) and the base measures of poses and
+        detections."""
+        if faults is None:
+            faults = Faults.none(len(np.asarray(points.torso)))
+        return log_joints(self.model, self.detected, self.faults, points, poses, faults)
 
 
 @jax.jit
 def log_joints(
-    model: PoseModel, detected: DetectedJoints, points: RootPoint, poses: Pose
+    model: PoseModel,
+    detected: DetectedJoints,
+    faulty: FaultPrior,
+    points: RootPoint,
+    poses: Pose,
+    faults: Faults,
 ) -> jax.Array:
     """`UncertainPosterior.log_joint`, compiled once a shape."""
     prior = RootPrior(model.torsos)
 
-    def one(point: RootPoint, pose: Pose) -> jax.Array:
-        return prior.log_density(point) + log_joint(model, detected.under(prior, point), *pose)
+    def one(point: RootPoint, pose: Pose, faults: Faults) -> jax.Array:
+        log_prior = prior.log_density(point) + faulty.log_prob(detected.counts, faults)
+        return log_prior + log_joint(model, detected.under(prior, point, faults), *pose)
 
-    return jax.vmap(one)(jax.tree.map(jnp.asarray, points), jax.tree.map(jnp.asarray, poses))
+    return jax.vmap(one)(*jax.tree.map(jnp.asarray, (points, poses, faults)))

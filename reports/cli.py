@@ -28,6 +28,7 @@ COMMANDS: dict[str, type] = {
     "evaluate": settings.EvaluateSettings,
     "coverage": settings.CoverageSettings,
     "learn": settings.LearnSettings,
+    "calibrate": settings.CalibrateSettings,
 }
 app = typer.Typer(
     name="poseterior",

@@ -88,6 +88,13 @@ class Errors(enum.StrEnum):
     gaussian = "gaussian"
 
 
+class LearnedLaw(enum.StrEnum):
+    """What laws of a detector's errors are learned."""
+
+    gaussian = "gaussian"
+    student = "student"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Screen:
     """How a command speaks: with progress or without, in tables or JSON."""

@@ -16,6 +16,7 @@ from reports.options import (
     ExportFormat,
     Factor,
     Hypotheses,
+    LearnedLaw,
     LengthUnit,
     Limits,
     NumSamples,
@@ -30,6 +31,7 @@ from reports.options import (
 
 if TYPE_CHECKING:
     from probmodel.datasets import DataSet
+    from probmodel.sessions import Session
 
 MANY_ROOTED = Rooting(roots=200)
 """Where many people are drawn from, each has fewer roots: about a second of one core."""
@@ -308,7 +310,8 @@ class EvaluateSettings:
     dataset: Annotated[
         Path,
         Argument(
-            help="Motion capture, VideoPose3D's Human3.6M, or a plain .npz with truth.",
+            help="Motion capture, VideoPose3D's Human3.6M, calibrated cameras in Pose2Sim's"
+            " layout, or a plain .npz with truth.",
             show_default=False,
         ),
     ]
@@ -398,7 +401,7 @@ class CoverageSettings:
         Option(
             "--dataset",
             "--poses",
-            help="Real poses: motion capture, Human3.6M or a plain .npz.",
+            help="Real poses: motion capture, Human3.6M, calibrated cameras or a plain .npz.",
             rich_help_panel=REAL,
         ),
     ] = None
@@ -446,6 +449,79 @@ class CoverageSettings:
                     f"{option} means nothing {way}; leave it out, or choose another of the three"
                     " ways in `poseterior coverage --help`"
                 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrateSettings:
+    """Learn how a detector errs, joint by joint: spread, bias, outliers, exchanged sides, and what
+    its scores say of them.
+
+    It learns from detections beside their truth, or from a person filmed by three calibrated
+    cameras or more, without any truth: each is judged by what the others triangulate, whose own
+    error is taken into account. It writes the law, and a picture of the residuals against it."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "calibrate session/ --out errors.json",
+        "calibrate session/ --perspective --law student --out errors.json",
+        "calibrate h36m/ --detections cpn_ft_h36m_dbb --frames 5000 --out cpn.json",
+    )
+    dataset: Annotated[
+        Path,
+        Argument(
+            help="Calibrated cameras in Pose2Sim's layout, Human3.6M, or a plain .npz with truth.",
+            show_default=False,
+        ),
+    ]
+    out: Annotated[Path, Option(help="File to write; the picture lies beside it.")] = Path(
+        "errors.json"
+    )
+    law: Annotated[LearnedLaw, Option(help="Of errors that are no outliers.")] = LearnedLaw.gaussian
+    perspective: Annotated[
+        bool,
+        Option(
+            "--perspective",
+            help="Leave out of the law what weak perspective cannot explain: for a known focal"
+            " length.",
+        ),
+    ] = False
+    frames: Annotated[
+        int, Option(min=1, help="Most detected people to learn from, evenly over all.")
+    ] = 2000
+    noise: Annotated[
+        str,
+        Option(
+            help="Of synthetic cameras: none, gaussian:SIZE, heavy-tailed:SIZE (of body height)."
+        ),
+    ] = "none"
+    detections: Annotated[str, Option(help="Human3.6M's 2D file, data_2d_h36m_NAME.npz.")] = "gt"
+    seed: Seed = 0
+
+    @functools.cached_property
+    def data(self) -> "DataSet | Session":
+        """The session, or the data set. Raises `BadInput` where it is neither."""
+        from probmodel.datasets import Noise, read_data_set
+        from probmodel.sessions import is_session, read_session
+
+        if is_session(self.dataset):
+            return read_session(self.dataset)
+        noise = Noise.parse(self.noise)
+        return read_data_set(self.dataset, noise=noise, seed=self.seed, detections=self.detections)
+
+    def described(self) -> dict[str, str]:
+        """What the law's file says of how it was learned."""
+        from probmodel.sessions import Session
+
+        if not isinstance(self.data, Session):
+            return {"truth": "given"}
+        camera = "perspective" if self.perspective else "weak perspective"
+        return {
+            "truth": f"triangulated by the other cameras, seen in {camera}",
+            "detector": self.data.people[0][0].layout,
+        }
+
+    def check(self) -> None:
+        """Reads the data. Raises `BadInput` where they are none."""
+        self.data  # noqa: B018
 
 
 @dataclass(frozen=True, kw_only=True)

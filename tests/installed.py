@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 NEEDED = (
     *("poseterior/__init__.py", "poseterior/py.typed", "probmodel/py.typed", "inference/py.typed"),
     *("probmodel/data/limits.npz", "probmodel/data/poses.npz", "probmodel/data/example.json"),
+    "probmodel/data/errors.json",
     *("reports/cli.py", "reports/exports/bvh.py", "reports/pages/limits.md"),
 )
 """Files without which the wheel does not work, or says less than it should."""

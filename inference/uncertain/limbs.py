@@ -24,6 +24,7 @@ from inference.exact.loops.tables import Bodies
 from inference.exact.problem import limbs_of
 from inference.exact.rates import Rate
 from probmodel.chunks import in_chunks
+from probmodel.faults import Faults
 from probmodel.kinematics import upper_axes
 from probmodel.model import PoseModel
 from probmodel.pose import GroupDraws, Pose
@@ -55,52 +56,56 @@ class LimbDraws(NamedTuple):
 
 class Views(NamedTuple):
     """What limbs see of roots: local `axes` `(n, 5, 3, 3)` of the upper bones in camera axes, where
-    the torso's joints fall, `start` `(n, 6, 2)`, and the detections, `target` `(n, 15, 2)`; body
-    units."""
+    the torso's joints fall, `start` `(n, 6, 2)`, the detections, `target` `(n, 15, 2)`, and how far
+    from there joints may fall, `reach` `(n, 15)`; body units."""
 
     axes: Any
     start: Any
     target: Any
+    reach: Any
 
 
 def limb_draws(
-    posterior: UncertainPosterior, points: RootPoint, words: list[int]
+    posterior: UncertainPosterior, points: RootPoint, faults: Faults, words: list[int]
 ) -> Iterator[dict[str, LimbDraws]]:
-    """For each of the roots `(n, ...)`, the attempts at its limbs by group; root `i` has random
-    numbers of its own, whatever comes before it."""
+    """For each of the roots and patterns of faults `(n, ...)`, the attempts at its limbs by group;
+    root `i` has random numbers of its own, whatever comes before it."""
     tables, free = group_tables(posterior.model), _free_groups(posterior, words)
     for start in range(0, len(points.torso), BLOCK):
-        some = points.take(slice(start, start + BLOCK))
-        views = views_of(posterior, some)
-        rows = range(len(some.torso))
+        part = slice(start, start + BLOCK)
+        some = points.take(part), faults.take(part)
+        views = views_of(posterior, *some)
+        rows = range(len(views.target))
         numbers = [start + row for row in rows]
-        attempt = functools.partial(_attempt, posterior.detected, tables, free, words, views)
+        attempt = functools.partial(_attempt, tables, free, words, views)
         found = list(workers().map(attempt, rows, numbers, chunksize=1))
-        yield from _thinned(posterior, some, found, words, start)
+        yield from _thinned(posterior, *some, found, words, start)
 
 
-def views_of(posterior: UncertainPosterior, points: RootPoint) -> Views:
-    """The views of roots `(n, ...)`, compiled once."""
+def views_of(posterior: UncertainPosterior, points: RootPoint, faults: Faults) -> Views:
+    """The views of roots and patterns `(n, ...)`, compiled once."""
     look = functools.partial(_look, posterior.model, posterior.detected)
-    return in_chunks(look, *map(np.asarray, points), size=BLOCK)
+    return in_chunks(look, *map(np.asarray, points), *faults, size=BLOCK)
 
 
 @jax.jit
 def _look(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> Views:
     prior = RootPrior(model.torsos)
 
-    def one(point: RootPoint) -> Views:
-        observation = detected.under(prior, point)
+    def one(point: RootPoint, faults: Faults) -> Views:
+        observation = detected.under(prior, point, faults)
         view = observation.view
         return Views(
-            upper_axes(view), observation.root.camera.flatten(view), jnp.asarray(observation.target)
+            upper_axes(view),
+            observation.root.camera.flatten(view),
+            jnp.asarray(observation.target),
+            observation.law.reach * observation.spread,
         )
 
-    return jax.vmap(one)(RootPoint(*fields))
+    return jax.vmap(one)(RootPoint(*fields[:4]), Faults(*fields[4:]))
 
 
 def _attempt(
-    detected: DetectedJoints,
     tables: dict[str, GroupTables],
     free: dict[str, GroupDraws],
     words: list[int],
@@ -109,8 +114,7 @@ def _attempt(
     number: int,
 ) -> dict[str, tuple[Rate, GroupDraws]]:
     """All groups under one root: rates and draws within reach."""
-    axes, start, target = (np.array(part[row], float) for part in views)
-    problems = limbs_of(axes, start, target, detected.law.reach * np.asarray(detected.spread))
+    problems = limbs_of(*(np.array(part[row], float) for part in views))
     found = {}
     for index, (name, limbs) in enumerate(problems.items()):
         rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(number, index, 0)))
@@ -160,6 +164,7 @@ def _prior(model: PoseModel, key: jax.Array) -> Pose:
 def _thinned(
     posterior: UncertainPosterior,
     points: RootPoint,
+    faults: Faults,
     found: Sequence[dict[str, tuple[Rate, GroupDraws]]],
     words: list[int],
     first: int,
@@ -172,7 +177,7 @@ def _thinned(
         keeps = [np.ones(len(some.length), bool) for some in draws]
         if not posterior.detected.law.flat:
             rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(first, index, 2)))
-            keeps = _thin(posterior, points, name, draws, rng)
+            keeps = _thin(posterior, points, faults, name, draws, rng)
         for row, (some, keep) in enumerate(zip(draws, keeps, strict=True)):
             rate = found[row][name][0]._replace(accepted=int(keep.sum()))
             kept = GroupDraws(*(part[keep][:KEPT] for part in some))
@@ -183,6 +188,7 @@ def _thinned(
 def _thin(
     posterior: UncertainPosterior,
     points: RootPoint,
+    faults: Faults,
     name: str,
     draws: list[GroupDraws],
     rng: np.random.Generator,
@@ -196,10 +202,11 @@ def _thin(
     GroupDraws(*(np.concatenate(part) for part in zip(*draws, strict=True))).fill(
         poses, GROUPS[name]
     )
-    roots = points.take(np.repeat(np.arange(len(sizes)), sizes))
+    rows = np.repeat(np.arange(len(sizes)), sizes)
     ratios = in_chunks(
         functools.partial(_log_ratios, posterior.model, posterior.detected),
-        *map(np.asarray, roots),
+        *points.take(rows),
+        *faults.take(rows),
         *poses,
     )
     ends = [bone.end for limb in GROUPS[name] for bone in limb.bones]
@@ -212,11 +219,11 @@ def _log_ratios(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) 
     """`(n, 15)`: log likelihood of each joint over its peak, for roots and poses `(n, ...)`."""
     prior = RootPrior(model.torsos)
 
-    def one(point: RootPoint, pose: Pose) -> jax.Array:
-        observation = detected.under(prior, point)
+    def one(point: RootPoint, faults: Faults, pose: Pose) -> jax.Array:
+        observation = detected.under(prior, point, faults)
         return observation.log_ratios(model.joints(observation.view, *pose))
 
-    return jax.vmap(one)(RootPoint(*fields[:4]), Pose(*fields[4:]))
+    return jax.vmap(one)(RootPoint(*fields[:4]), Faults(*fields[4:6]), Pose(*fields[6:]))
 
 
 def log_evidence(found: dict[str, LimbDraws]) -> float:

@@ -27,7 +27,8 @@ from inference.exact.loops.roots import (
 )
 from inference.exact.rates import Budget
 from probmodel.chunks import in_chunks
-from probmodel.likelihood import ErrorLaw
+from probmodel.faults import Faults
+from probmodel.likelihood import WithOutliers
 from probmodel.roots import RootPoint
 from probmodel.skeleton import TORSO_INDEX
 from probmodel.uncertain import UncertainPosterior
@@ -41,10 +42,12 @@ THINNING = 101
 
 
 class Posed(NamedTuple):
-    """A torso's `problem`, and what leads back to pixels: the `origin` `(2,)` of its keypoints, and
-    the scale `lowest`, pixels a body unit, that is their unit."""
+    """A torso's `problem`, the `law` of its joints' errors, and what leads back to pixels: the
+    `origin` `(2,)` of its keypoints, and the scale `lowest`, pixels a body unit, that is their
+    unit."""
 
     problem: TorsoProblem
+    law: WithOutliers
     origin: np.ndarray
     lowest: float
 
@@ -67,30 +70,32 @@ class TorsoDraws(NamedTuple):
     variance: float
 
 
-def torso_problem(posterior: UncertainPosterior) -> Posed:
-    """What the torso's joints ask of a root.
+def torso_problem(posterior: UncertainPosterior, faults: Faults) -> Posed:
+    """What the torso's joints ask of a root under a pattern of faults.
 
     The joint with the smallest disc comes first, then the others from far to near: most attempts
     fail early.
     """
-    detected, torsos = posterior.detected, np.asarray(posterior.model.torsos, float)
+    detected = jax.tree.map(np.asarray, posterior.detected.read(faults))
+    torsos = np.asarray(posterior.model.torsos, float)
     rows = [row for row, joint in enumerate(TORSO_INDEX) if np.isfinite(detected.spread[joint])]
     joints = [TORSO_INDEX[row] for row in rows]
-    reach = detected.law.reach * np.asarray(detected.spread)[joints]
-    keypoints = np.asarray(detected.keypoints)[joints]
+    reach = (np.asarray(detected.law.reach) * detected.spread)[joints]
+    keypoints = detected.keypoints[joints]
     first = int(np.argmin(reach))
     distance = np.linalg.norm(keypoints - keypoints[first], axis=1)
     distance[first] = np.inf
     order = np.argsort(-distance, kind="stable")
     points = np.ascontiguousarray(torsos[:, rows][:, order])
     origin = keypoints[first]
+    law = WithOutliers(posterior.detected.law, detected.law.outlier[joints][order])
     keypoints, reach = keypoints[order] - origin, np.ascontiguousarray(reach[order])
     lowest = lowest_scale(points, keypoints, reach)
     # Every seen joint contributes scale⁻², and the translation takes one of them.
     problem = TorsoProblem(
         points, np.ascontiguousarray(keypoints / lowest), reach, 2.0 * len(rows) - 2
     )
-    return Posed(problem, origin, lowest)
+    return Posed(problem, law, origin, lowest)
 
 
 def lowest_scale(torsos: np.ndarray, keypoints: np.ndarray, reach: np.ndarray) -> float:
@@ -111,18 +116,23 @@ def lowest_scale(torsos: np.ndarray, keypoints: np.ndarray, reach: np.ndarray) -
 
 
 def draw_roots(
-    posterior: UncertainPosterior, words: list[int], number: int, budget: Budget
+    posterior: UncertainPosterior,
+    faults: Faults,
+    words: list[int],
+    number: int,
+    budget: Budget,
 ) -> TorsoDraws:
     """`number` roots given the torso's joints, or as many as the budget allows.
 
     Parameters
     ----------
     posterior : whose detection shows enough of the torso to determine a camera.
+    faults : one pattern, of which those of the torso count.
     words : of the key.
     number : how many roots.
-    budget : of attempts.
+    budget : of attempts; "as many as it allows" has an unbiased evidence too.
     """
-    posed = torso_problem(posterior)
+    posed = torso_problem(posterior, faults)
     cells = cut_roots(posed.problem)
     parts = [root_table(0)]
     found, made, batch = 0, 0, 0
@@ -133,7 +143,7 @@ def draw_roots(
         if not numbers:
             break
         tables = workers().map(
-            functools.partial(_batch, posterior.detected.law, posed.problem, cells, words, number),
+            functools.partial(_batch, posed, cells, words, number),
             numbers,
         )
         for table, attempts in tables:
@@ -141,21 +151,21 @@ def draw_roots(
             found, made = found + len(table.torso), made + attempts
         batch += len(numbers)
     whole = RootTable(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    if found >= number:
+    if number and found >= number:
         whole = RootTable(*(column[:number] for column in whole))
         made = int(whole.attempt[-1]) + 1
-    return _named(posed, cells.mass, whole, made, found >= number)
+    return _named(posed, cells.mass, whole, made, bool(number) and found >= number)
 
 
 def _batch(
-    law: ErrorLaw,
-    problem: TorsoProblem,
+    posed: Posed,
     cells: RootCells,
     words: list[int],
     number: int,
     batch: int,
 ) -> tuple[RootTable, int]:
     """The roots that one batch of attempts finds, and how many attempts it made."""
+    problem, law = posed.problem, posed.law
     table = root_table(min(number, BATCH))
     found, attempts = attempt_roots(seeded(words, batch), BATCH, problem, cells, table)
     table = RootTable(*(column[:found] for column in table))
@@ -173,9 +183,9 @@ def _batch(
     return table, attempts
 
 
-@functools.partial(jax.jit, static_argnums=0)
+@jax.jit
 def _log_ratio(
-    law: ErrorLaw,
+    law: WithOutliers,
     problem: TorsoProblem,
     torso: jax.Array,
     rotation: jax.Array,

@@ -15,6 +15,7 @@ from inference.results import NAMES, UNCERTAIN, Columns, assemble
 from inference.uncertain.limbs import log_evidence
 from inference.uncertain.weighted import WeightedRoots, log_mean
 from probmodel.chunks import CHUNK, in_chunks
+from probmodel.faults import ORDERS, OUTLIER_REACH, FaultPrior, Faults
 from probmodel.model import PoseModel
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint, RootPrior
@@ -33,7 +34,8 @@ def uncertain_tree(
     every result has, `roots` holds all that were weighed, with their weights."""
     posterior = roots.posterior
     points, poses, chosen = roots.draw(rng, number)
-    columns = draw_columns(posterior, points, poses) | {"root_index": chosen}
+    faults = roots.proposed.faults.take(chosen)
+    columns = draw_columns(posterior, points, poses, faults) | {"root_index": chosen}
     columns["candidate"] = sides(posterior, points)
     about = {
         "root": UNCERTAIN,
@@ -52,16 +54,22 @@ def uncertain_tree(
     return tree
 
 
-def draw_columns(posterior: UncertainPosterior, points: RootPoint, poses: Pose) -> Columns:
-    """Draws `(n, ...)` as columns: the root's, and joints, bone_length, keypoints, spread of every
-    joint's error in pixels, lp."""
+def draw_columns(
+    posterior: UncertainPosterior, points: RootPoint, poses: Pose, faults: Faults
+) -> Columns:
+    """Draws `(n, ...)` as columns: the root's, the detection as each reads it, joints, bone_length,
+    keypoints, lp; and outlier and exchange, where there may be faults."""
     lp = np.empty(0)
     if len(poses.length):
-        density = functools.partial(_log_joints, posterior.model, posterior.detected)
-        lp = in_chunks(density, *map(np.asarray, points), *poses)
+        density = functools.partial(
+            _log_joints, posterior.model, posterior.detected, posterior.faults
+        )
+        lp = in_chunks(density, *map(np.asarray, points), *poses, *faults)
     scale = np.exp(points.log_scale)
+    named = {"outlier": faults.outlier, "exchange": faults.exchange}
     return {
-        "spread": scale[:, None] * np.asarray(posterior.detected.spread),
+        **(named if posterior.faults.any else {}),
+        **_read(posterior, scale, faults),
         "torso": np.asarray(points.torso),
         "rotation": np.asarray(points.rotation),
         "scale": scale,
@@ -69,6 +77,19 @@ def draw_columns(posterior: UncertainPosterior, points: RootPoint, poses: Pose) 
         "bone_length": poses.length,
         "lp": lp,
         **placed(posterior.model, points, poses),
+    }
+
+
+def _read(posterior: UncertainPosterior, scale: np.ndarray, faults: Faults) -> Columns:
+    """The detection as each pattern of faults `(n, ...)` has it: keypoints and spreads in pixels,
+    and which are astray."""
+    order = ORDERS[faults.exchange]
+    spread = np.asarray(posterior.detected.spread)[order]
+    astray = np.take_along_axis(faults.outlier, order, axis=1) & np.isfinite(spread)
+    return {
+        "detected": posterior.detection.keypoints[order],
+        "spread": scale[:, None] * np.where(astray, OUTLIER_REACH, spread),
+        "astray": astray,
     }
 
 
@@ -81,8 +102,11 @@ def placed(model: PoseModel, points: RootPoint, poses: Pose, *, size: int = CHUN
     return in_chunks(place, *map(np.asarray, points), *poses, size=size)
 
 
-def _log_joints(model: PoseModel, detected: DetectedJoints, *fields: np.ndarray) -> jax.Array:
-    return log_joints(model, detected, RootPoint(*fields[:4]), Pose(*fields[4:]))
+def _log_joints(
+    model: PoseModel, detected: DetectedJoints, faulty: FaultPrior, *fields: np.ndarray
+) -> jax.Array:
+    points, poses, faults = RootPoint(*fields[:4]), Pose(*fields[4:7]), Faults(*fields[7:])
+    return log_joints(model, detected, faulty, points, poses, faults)
 
 
 @jax.jit
@@ -106,7 +130,7 @@ def sides(posterior: UncertainPosterior, points: RootPoint) -> np.ndarray:
 
 
 def _weighed(roots: WeightedRoots) -> xr.Dataset:
-    points, one = roots.torso.points, ("root",)
+    points, one = roots.points, ("root",)
     limbs = np.array([log_evidence(found) for found in roots.limbs])
     return xr.Dataset(
         {
@@ -126,7 +150,7 @@ def _weighed(roots: WeightedRoots) -> xr.Dataset:
 
 def _constant_data(roots: WeightedRoots) -> xr.Dataset:
     """What the posterior says of each side: its share and evidence, and the mean of its cameras."""
-    posterior, points = roots.posterior, roots.torso.points
+    posterior, points = roots.posterior, roots.points
     side, number = sides(posterior, points), max(1, len(posterior.candidates))
     means = [_mean_camera(roots, np.flatnonzero(side == index), index) for index in range(number)]
     columns = {name: np.array([mean[name] for mean in means]) for name in means[0]}
@@ -145,13 +169,13 @@ def _constant_data(roots: WeightedRoots) -> xr.Dataset:
 def _mean_camera(roots: WeightedRoots, rows: np.ndarray, index: int) -> dict[str, Any]:
     """Of the roots in `rows`, a side's: share, evidence, mean camera and its spread, and the
     torso that has most of it. The estimator's candidate where they have no weight."""
-    share, points = roots.share[rows], roots.torso.points.take(rows)
+    share, points = roots.share[rows], roots.points.take(rows)
     weight, total = share.sum(), len(roots.log_weight)
     found: dict[str, Any] = {
         "weight": float(weight),
-        "log_evidence": roots.posterior.log_peak
-        + roots.torso.log_evidence
-        + log_mean(np.where(np.isin(np.arange(total), rows), roots.log_weight, -np.inf)),
+        "log_evidence": log_mean(
+            np.where(np.isin(np.arange(total), rows), roots.log_weight, -np.inf)
+        ),
         "log_evidence_se": np.inf,
         "reprojection_error": np.nan,
         "scale_sd": np.nan,
@@ -161,6 +185,8 @@ def _mean_camera(roots: WeightedRoots, rows: np.ndarray, index: int) -> dict[str
     if not weight:
         return found | _of_candidate(roots.posterior, index)
     share = share / weight
+    whole = np.zeros(total)
+    whole[rows] = share
     relative = total * np.sum((roots.share[rows] / weight) ** 2) - 1
     scale = np.exp(points.log_scale)
     mean = float(share @ scale)
@@ -169,7 +195,9 @@ def _mean_camera(roots: WeightedRoots, rows: np.ndarray, index: int) -> dict[str
     turn = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     by_torso = np.bincount(points.torso, weights=share)
     return found | {
-        "log_evidence_se": float(np.sqrt(max(relative, 0.0) / total + roots.torso.variance)),
+        "log_evidence_se": float(
+            np.sqrt(max(relative, 0.0) / total + roots.proposed.relative_variance(whole))
+        ),
         "scale": mean,
         "scale_sd": float(np.sqrt(share @ (scale - mean) ** 2)),
         "rotation": rotation,

@@ -23,8 +23,9 @@ from inference.exact.rates import Budget
 from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.roots.points import require_camera
 from inference.uncertain.limbs import ATTEMPTS, LimbDraws, limb_draws, log_evidence, picks
-from inference.uncertain.torsos import TorsoDraws, draw_roots
+from inference.uncertain.proposals import ProposedRoots, propose_roots, systematic
 from probmodel.failures import BadInput
+from probmodel.faults import LIMB_INDEX
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint
 from probmodel.skeleton import GROUPS
@@ -46,18 +47,23 @@ class WeightedRoots:
     Attributes
     ----------
     posterior : what they are drawn from.
-    torso : the roots, and how probable the torso is.
+    proposed : the roots, with their patterns of faults.
     limbs : for each root, what attempts at its limbs brought.
-    log_weight : `(n,)` log of scale⁻² for every seen joint that is not the torso's × the estimated
-        evidence of the limbs; -inf where no draw was accepted.
+    log_weight : `(n,)` log of each root's weight, whose mean is the evidence; -inf where no draw
+        was accepted.
     proposals : how many attempts all that took.
     """
 
     posterior: UncertainPosterior
-    torso: TorsoDraws
+    proposed: ProposedRoots
     limbs: Sequence[dict[str, LimbDraws]]
     log_weight: np.ndarray
     proposals: int
+
+    @property
+    def points(self) -> RootPoint:
+        """The roots `(n, ...)`."""
+        return self.proposed.points
 
     @functools.cached_property
     def share(self) -> np.ndarray:
@@ -74,8 +80,7 @@ class WeightedRoots:
     def log_evidence(self) -> float:
         """Log of an unbiased estimate of the density of the detection, per square pixel of every
         joint but one (a flat translation has no mass); -inf where no root has any weight."""
-        mean = log_mean(self.log_weight)
-        return self.posterior.log_peak + self.torso.log_evidence + mean
+        return log_mean(self.log_weight)
 
     @property
     def log_evidence_se(self) -> float:
@@ -84,7 +89,7 @@ class WeightedRoots:
             return math.inf
         number = len(self.log_weight)
         relative = (number / self.effective - 1) / number
-        return math.sqrt(relative + self.torso.variance)
+        return math.sqrt(relative + self.proposed.relative_variance(self.share))
 
     def draw(self, rng: np.random.Generator, number: int) -> tuple[RootPoint, Pose, np.ndarray]:
         """`number` roots and poses, in random order, and which `(number,)` of the roots each has;
@@ -109,7 +114,7 @@ class WeightedRoots:
             start = rows.stop
         order = rng.permutation(number)
         chosen, poses = chosen[order], Pose(*(column[order] for column in poses))
-        return self.torso.points.take(chosen), poses, chosen
+        return self.points.take(chosen), poses, chosen
 
 
 def shares(log_weight: np.ndarray) -> np.ndarray:
@@ -125,17 +130,6 @@ def log_mean(log_weight: np.ndarray) -> float:
     if not np.isfinite(log_weight).any():
         return -math.inf
     return float(np.logaddexp.reduce(log_weight)) - math.log(len(log_weight))
-
-
-def systematic(rng: np.random.Generator, share: np.ndarray, number: int) -> np.ndarray:
-    """`(n,)`: how often each of n comes among `number`, in the mean its share of them, and never
-    off by one."""
-    if not number:
-        return np.zeros(len(share), int)
-    ends = np.cumsum(share) / share.sum() * number
-    points = np.minimum(np.ceil(ends - rng.uniform()).astype(int), number)
-    points[-1] = number
-    return np.diff(np.maximum.accumulate(np.maximum(points, 0)), prepend=0)
 
 
 def weigh_roots(
@@ -169,45 +163,43 @@ def weigh_roots(
     require_camera(posterior.detection)
     torso_key, limb_key = jax.random.split(key)
     budget = Budget(max_proposals)
-    torso = draw_roots(posterior, words_of(torso_key), num_roots, budget)
+    proposed = propose_roots(posterior, torso_key, num_roots, budget)
     each = sum(ATTEMPTS.values())
-    afforded = min(len(torso.points.torso), (max_proposals - torso.attempts) // each)
-    points = torso.points.take(slice(0, max(afforded, 0)))
-    torso = torso._replace(points=points)
+    afforded = max(max_proposals - proposed.attempts, 0) // each
+    proposed = proposed.at(slice(0, afforded))
     limbs: list[dict[str, LimbDraws]] = []
-    for found in limb_draws(posterior, points, words_of(limb_key)):
+    for found in limb_draws(posterior, proposed.points, proposed.faults, words_of(limb_key)):
         limbs.append(found)
         if progress:
             progress(len(limbs), num_roots)
     return WeightedRoots(
         posterior,
-        torso,
+        proposed,
         limbs,
-        log_weights(posterior, points, limbs),
-        torso.attempts + each * len(limbs),
+        proposed.log_weight + _log_limbs(posterior, proposed.points, limbs),
+        proposed.attempts + each * len(limbs),
     )
 
 
-def log_weights(
+def _log_limbs(
     posterior: UncertainPosterior, points: RootPoint, limbs: Sequence[dict[str, LimbDraws]]
 ) -> np.ndarray:
-    """`(n,)`: `WeightedRoots.log_weight`. Roots given the torso have scale⁻² for the torso's joints
-    already."""
-    counted = np.flatnonzero(np.isfinite(posterior.detected.spread)).tolist()
-    ends = {bone.end for members in GROUPS.values() for limb in members for bone in limb.bones}
-    of_limbs = len(ends.intersection(counted))
+    """`(n,)`: log of scale⁻² for every seen joint that is not the torso's × the estimated evidence
+    of the limbs. Roots given the torso have scale⁻² for the torso's joints already."""
+    counted = np.asarray(posterior.detected.counts)
     evidence = np.array([log_evidence(found) for found in limbs])
-    return evidence - 2 * of_limbs * np.asarray(points.log_scale)
+    return evidence - 2 * counted[list(LIMB_INDEX)].sum() * np.asarray(points.log_scale)
 
 
-def verdict(roots: WeightedRoots, num_roots: int) -> tuple[str, str]:
+def verdict(roots: WeightedRoots) -> tuple[str, str]:
     """The status of draws from these roots, and, where it is not complete, a sentence that says why
     and what to do."""
     where, weighed = roots.posterior.detection.where, len(roots.log_weight)
-    if not len(roots.torso.points.torso):
+    wanted = roots.proposed.wanted
+    if not len(roots.points.torso):
         return OUT_OF_BUDGET, (
             f"no torso brings all its seen joints within reach of their detections in"
-            f" {roots.torso.attempts:,} attempts for {where}; mend or drop one of"
+            f" {roots.proposed.attempts:,} attempts for {where}; mend or drop one of"
             " shoulders, hips, thorax and pelvis, or raise the factor of the radii"
         )
     if not roots.effective:
@@ -222,9 +214,9 @@ def verdict(roots: WeightedRoots, num_roots: int) -> tuple[str, str]:
             f" too few for an answer (at least {FEWEST_EFFECTIVE}); ask for some"
             f" {_enough(roots):,} roots, or mend the detection that hardly any root explains"
         )
-    if weighed < num_roots:
+    if weighed < wanted:
         return OUT_OF_BUDGET, (
-            f"{weighed:,} of {num_roots:,} roots after {roots.proposals:,} proposals for {where};"
+            f"{weighed:,} of {wanted:,} roots after {roots.proposals:,} proposals for {where};"
             " ask for fewer roots, or allow more proposals"
         )
     return COMPLETE, ""

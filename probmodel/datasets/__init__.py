@@ -1,7 +1,8 @@
 """Data sets of poses whose truth is known, each with a 2D detection: one reader whatever the file.
 
 Motion capture (ASF/AMC, BVH, .npz of recordings) is seen by synthetic cameras, with true or noisy
-2D; Human3.6M comes with its own (VideoPose3D's two files); and a plain .npz holds anything else.
+2D; Human3.6M comes with its own (VideoPose3D's two files), and so does a session of calibrated
+cameras, each judged by the others; a plain .npz holds anything else.
 
     data = read_data_set("actions_train.npz", frames=2000, noise=Noise("gaussian", 0.02))
     case = data.case(7).hiding(2).turned(30)     # a pose, its detection without two joints, turned
@@ -15,9 +16,11 @@ from probmodel.datasets.cases import Case, DataSet, body_height
 from probmodel.datasets.human36m import is_human36m, read_human36m
 from probmodel.datasets.noise import EXACT, Noise
 from probmodel.datasets.plain import is_plain, read_plain, write_plain
+from probmodel.datasets.sessions import from_session
 from probmodel.datasets.views import VIEWS, View
 from probmodel.failures import BadInput
 from probmodel.motion import read_motion
+from probmodel.sessions import is_session, read_session
 
 __all__ = [
     "EXACT",
@@ -29,6 +32,7 @@ __all__ = [
     "body_height",
     "brings_detections",
     "from_motions",
+    "from_session",
     "read_data_set",
     "read_human36m",
     "write_plain",
@@ -37,7 +41,7 @@ __all__ = [
 
 def brings_detections(path: Path) -> bool:
     """Whether a data set has 2D joints of its own, so that no synthetic camera is needed."""
-    return is_human36m(path) or is_plain(path)
+    return is_human36m(path) or is_session(path) or is_plain(path)
 
 
 def read_data_set(
@@ -53,8 +57,8 @@ def read_data_set(
     Parameters
     ----------
     path
-        Motion capture, Human3.6M (the folder of VideoPose3D's files, or its 3D file), or a plain
-        .npz.
+        Motion capture, Human3.6M (the folder of VideoPose3D's files, or its 3D file), a session of
+        calibrated cameras (Pose2Sim's folder), or a plain .npz.
     frames
         How many are taken, as many of each action as of any other. By default all; of motion
         capture each frame is then seen once, by the views in turn.
@@ -80,4 +84,5 @@ def read_data_set(
         )
     if is_human36m(path):
         return read_human36m(path, detections, frames)
-    return read_plain(path) if frames is None else read_plain(path).spread(frames)
+    data = from_session(read_session(path)) if is_session(path) else read_plain(path)
+    return data if frames is None else data.spread(frames)

@@ -82,10 +82,11 @@ def sorted_files(folder: Path) -> list[Path]:
         raise BadInput(
             f"{folder} cannot be read ({error.strerror}); check its permissions."
         ) from None
-    return [Path(name) for name in sorted(found, key=_by_number)]
+    return [Path(name) for name in sorted(found, key=natural_order)]
 
 
-def _by_number(name: str) -> tuple[list[str], list[int], str]:
+def natural_order(name: str) -> tuple[list[str], list[int], str]:
+    """By which names are sorted so that `frame_2` comes before `frame_10`."""
     return re.split(r"\d+", name), [int(digits) for digits in re.findall(r"\d{1,18}", name)], name
 
 

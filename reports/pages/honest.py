@@ -22,16 +22,17 @@ from inference.hypothesis import diverse
 from inference.results import FIXED, UNCERTAIN
 from inference.studies.intervals import Interval, of_share
 from inference.uncertain.weighted import FEWEST_EFFECTIVE
-from probmodel import PoseModel
+from probmodel import Detection, PoseModel
 from probmodel.layouts import corrected
+from probmodel.sessions import Session, read_session
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
 from reports.figures.style import FAINT, INK, PALETTE, SMALL, TITLE, page
-from reports.pages.filmed import HIPS, FilmedCase, read_cases
 from reports.pages.page import in_doubles, write_page
 from reports.tables import Sheet, sheet_of
 
 FRAMES = range(10, 100, 24)
 DRAWS, ROOTS, BEST = 4000, 1000, 5
+HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
 LIMB = 338.0
 """Millimetres: the person's mean limb bone."""
 JUDGED = [
@@ -41,6 +42,15 @@ JUDGED = [
 """The joints of the errors: those that detector and skeleton define alike."""
 WAYS = tuple(itertools.product((FIXED, UNCERTAIN), (False, True)))
 """Root, and whether midpoints are moved to the skeleton's thorax and pelvis."""
+
+
+class FilmedCase(NamedTuple):
+    """What one camera detected, and the truth `(15, 3)` from the others: body units of the person,
+    the hips' midpoint at the origin, z along the line of sight to it."""
+
+    camera: int
+    detection: Detection
+    truth: np.ndarray
 
 
 class Judged(NamedTuple):
@@ -68,6 +78,19 @@ class Judged(NamedTuple):
 NOWHERE = np.full((8, 3), np.nan)
 LOST = Judged(NOWHERE, NOWHERE, np.nan, np.nan, np.nan, np.nan, False)
 """Where there is no draw."""
+
+
+def cases_of(session: Session, frames: Sequence[int]) -> list[FilmedCase]:
+    """Every camera in some frames of a session, judged by the others."""
+    truth = [
+        session.along_sight(number, session.without(number).points) / session.unit
+        for number in range(len(session.cameras))
+    ]
+    return [
+        FilmedCase(number, session.people[number][frame], truth[number][frame])
+        for frame in frames
+        for number in range(len(session.cameras))
+    ]
 
 
 def judge(model: PoseModel, case: FilmedCase, root: str, correct: bool, seed: int) -> Judged:
@@ -222,7 +245,7 @@ def main(data: Path) -> None:
             f"{data} has no folder `multicamera`: this page needs the shared data pack"
         )
     in_doubles()
-    cases = read_cases(data / "multicamera", FRAMES)
+    cases = cases_of(read_session(data / "multicamera"), FRAMES)
     outcomes = study(PoseModel(), cases)
     values: dict[str, str | int | Sheet] = {
         "cases": len(cases),

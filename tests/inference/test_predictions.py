@@ -51,7 +51,8 @@ def bent_groups(bent: Posterior, example_result: Result) -> dict[str, xr.Dataset
     )
     return prediction_groups(
         bent.likelihood.law,
-        bent.detection,
+        np.zeros(draws.keypoints.shape[1:3], bool),
+        np.broadcast_to(bent.detection.keypoints, draws.keypoints.shape[1:]),
         draws.keypoints.values[0],
         spreads[draws.candidate.values[0]],
         [0, 1],

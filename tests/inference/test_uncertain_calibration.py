@@ -103,7 +103,7 @@ def stand(
             num_roots=num_roots,
             max_proposals=most,
         )
-        scale = np.asarray(roots.torso.points.log_scale)
+        scale = np.asarray(roots.points.log_scale)
         wrong = dataclasses.replace(roots, log_weight=roots.log_weight + 2 * len(seen) * scale)
         found["right"].append(standing(roots, truth, seen, seed))
         found["without s^-2"].append(standing(wrong, truth, seen, seed))

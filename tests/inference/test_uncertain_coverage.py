@@ -31,6 +31,7 @@ from inference.studies.calibration.simulations import Instance
 from inference.studies.calibration.verdict import MISCALIBRATED
 from probmodel import BadInput, PoseModel
 from probmodel.datasets import Case
+from probmodel.faults import Faults
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint
 from probmodel.skeleton import JOINT_INDEX
@@ -97,7 +98,10 @@ def test_numbers_of_draws_are_the_samplers_own() -> None:
     assert draws.points is not None
     *_, density, misfit = of_rooted(posterior, draws.points, draws.joints).T
     observed = [
-        posterior.observe(RootPoint(*(part[row] for part in draws.points))) for row in (0, 7)
+        posterior.detected.under(
+            posterior.prior, RootPoint(*(part[row] for part in draws.points)), Faults.none()
+        )
+        for row in (0, 7)
     ]
     for row, observation in zip((0, 7), observed, strict=True):
         pose = model().pose_of(draws.joints[row], draws.bone_length[row])

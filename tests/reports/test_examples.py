@@ -117,9 +117,9 @@ OF_THEIR_OWN = {
     "person": {"export"},  # of a stream, not of a file of detections
     "estimator": {"evaluate", "coverage"},
     "missing": {"evaluate", "coverage"},
-    "frames": {"evaluate", "coverage"},
+    "frames": {"evaluate", "coverage", "calibrate"},
     "noise": {"evaluate", "coverage"},
-    "dataset": {"evaluate", "coverage"},
+    "dataset": {"evaluate", "coverage", "calibrate"},
     "sampler": {"coverage"},  # draws in a file, too
 }
 """Options whose type, help or default is another one in some commands, and why."""

@@ -98,7 +98,7 @@ def forgetting_scale(roots: WeightedRoots) -> WeightedRoots:
     """The roots with weights that lack scale⁻² for every seen joint: they prefer cameras that are
     too near. For `posteriors.independent_roots`."""
     seen = np.isfinite(roots.posterior.detected.spread).sum()
-    scale = np.asarray(roots.torso.points.log_scale)[: len(roots.log_weight)]
+    scale = np.asarray(roots.points.log_scale)
     return dataclasses.replace(roots, log_weight=roots.log_weight + 2 * seen * scale)
 
 

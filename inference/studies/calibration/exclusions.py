@@ -18,6 +18,7 @@ from inference.studies.calibration.real import true_candidate
 from inference.studies.calibration.simulations import Instance
 from probmodel.anatomy.limits import LIMITS
 from probmodel.datasets import Case
+from probmodel.faults import Faults
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
 from probmodel.posterior import Estimate
@@ -158,8 +159,10 @@ def _of_limbs(model: PoseModel, frame: Estimate, candidate: Candidate) -> Observ
 def _of_all(model: PoseModel, frame: Estimate, candidate: Candidate) -> Observation:
     camera = candidate.camera
     point = RootPoint(0, camera.rotation, np.log(float(camera.scale)), camera.translation)
+    posterior = frame.uncertain(model)
     # Where joints are seen depends on the camera alone; the true torso is in no dictionary.
-    return frame.uncertain(model).observe(point)._replace(root=candidate.root)
+    seen = posterior.detected.under(posterior.prior, point, Faults.none())
+    return seen._replace(root=candidate.root)
 
 
 OBSERVED = {FIXED: _of_limbs, UNCERTAIN: _of_all}

@@ -126,7 +126,7 @@ def independent_roots(
                     max_proposals=times * max_proposals,
                 )
             )
-            status, sentence = verdict(roots, 0)
+            status, sentence = verdict(roots)
             if status == COMPLETE:
                 break
         rng = np.random.default_rng(words_of(draws_key))

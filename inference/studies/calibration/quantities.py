@@ -11,6 +11,7 @@ import numpy as np
 
 from inference.studies.flips import FLIPPING, away
 from probmodel.chunks import in_chunks
+from probmodel.faults import Faults
 from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
 from probmodel.roots import RootPoint, RootPrior
@@ -80,7 +81,7 @@ def _of_both(
 
 def of_rooted(posterior: UncertainPosterior, points: RootPoint, joints: np.ndarray) -> np.ndarray:
     """`(n, 6)`: as `of_both`, of poses `(n, 15, 3)` each with its own root `(n, ...)`: the log
-    joint density is that of root and pose."""
+    joint density is that of root and pose, without any fault of the detector."""
     look = functools.partial(_of_rooted, posterior.model, posterior.detected)
     rows = in_chunks(look, *map(np.asarray, points), joints, lengths(joints), size=CHUNK)
     return np.concatenate([rows[0], np.stack(rows[1:], axis=1)], axis=1)
@@ -95,7 +96,7 @@ def _of_rooted(
     def one(
         point: RootPoint, joints: jax.Array, length: jax.Array
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        observation = detected.under(prior, point)
+        observation = detected.under(prior, point, Faults.none())
         sine, density, misfit = _of_both(model, observation, joints[None], length[None])
         return sine[0], density[0] + prior.log_density(point), misfit[0]
 

@@ -1,0 +1,209 @@
+"""Learning a law: the mixture, its standard errors by leaving recordings out, and the record."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from inference.studies.errorlaws.mixture import Fit, Mixture, fit, start
+from inference.studies.errorlaws.pairs import Pairs
+from probmodel.errorlaws import OUTLIER_RADIUS, DetectorErrors, Exchange, ScoreFactor
+from probmodel.failures import BadInput
+from probmodel.skeleton import JOINTS
+
+LEAST_PAIRS = 20
+"""Of a joint, below which nothing is said of it."""
+MOST_GROUPS, FEWEST_GROUPS = 20, 4
+"""Groups of recordings that are left out in turn; where recordings are fewer, stretches of them."""
+SCORE_CLASSES = 3
+LAWS = ("gaussian", "student")
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """A law, and what it was learned from.
+
+    Attributes
+    ----------
+    errors : the record, with standard errors.
+    fit : the mixture, and what is latent in the pairs.
+    truth_fit : that of the detections from which the truth was triangulated; None where it is the
+        same.
+    pairs : those.
+    exchange_se : `(3,)` standard errors of the probabilities of exchange.
+    df_se : of the degrees of freedom.
+    """
+
+    errors: DetectorErrors
+    fit: Fit
+    truth_fit: Fit | None
+    pairs: Pairs
+    exchange_se: np.ndarray
+    df_se: float
+
+
+def learn(
+    pairs: Pairs,
+    *,
+    law: str = "gaussian",
+    truth: Pairs | None = None,
+    about: dict[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> Learned:
+    """The error law of a detector.
+
+    Parameters
+    ----------
+    pairs
+        Detections and truth.
+    law
+        `gaussian` or `student`.
+    truth
+        The same pairs with the truth as the calibrated cameras see it, for `pairs` whose truth
+        weak-perspective cameras see: the truth's own error goes by the detector's, without what
+        perspective adds to it.
+    about
+        What the record says of where it comes from, beside what this knows.
+    progress
+        Called with how many fits are done, and of how many.
+
+    Raises
+    ------
+    BadInput
+        On another law, or where no joint has `LEAST_PAIRS` pairs.
+    """
+    if law not in LAWS:
+        raise BadInput(f"there is no law {law!r} to be learned; choose among {', '.join(LAWS)}")
+    count = pairs.seen.sum(axis=0)
+    if count.max(initial=0) < LEAST_PAIRS:
+        raise BadInput(
+            f"{pairs.name} has {count.max(initial=0)} detections of a joint at most; a law needs"
+            f" {LEAST_PAIRS}: take more frames"
+        )
+    edges = score_edges(pairs)
+    groups = jackknife_groups(pairs.recording)
+    said = progress or (lambda done, wanted: None)
+    said(0, 1 + groups.max() + 1)
+    whole = _fitted(pairs, truth, law, edges, (None, None))
+    parts = []
+    for group in range(groups.max() + 1):
+        said(1 + group, 1 + groups.max() + 1)
+        kept = np.flatnonzero(groups != group)
+        some = None if truth is None else truth.take(kept)
+        parts.append(_fitted(pairs.take(kept), some, law, edges, whole)[0].mixture)
+    errors = _record(pairs, whole[0].mixture, parts, law, edges, count, about or {})
+    return Learned(
+        errors,
+        whole[0],
+        whole[1],
+        pairs,
+        _standard_error([part.pattern[1:] for part in parts]),
+        float(_standard_error([np.array(part.df) for part in parts])) if law == "student" else 0.0,
+    )
+
+
+def _fitted(
+    pairs: Pairs,
+    truth: Pairs | None,
+    law: str,
+    edges: tuple[float, ...],
+    before: tuple[Fit | None, Fit | None],
+) -> tuple[Fit, Fit | None]:
+    """The mixture, from those `before` on, and that of the truth's detections where it is
+    another."""
+
+    def fitted(some: Pairs, last: Fit | None, sigma: np.ndarray | None) -> Fit:
+        score_class = np.searchsorted(np.asarray(edges), some.score, side="right")
+        first = start(some, law, len(edges) + 1) if last is None else last.mixture
+        return fit(some, first, score_class, sigma)
+
+    if truth is None:
+        return fitted(pairs, before[0], None), None
+    own = fitted(truth, before[1], None)
+    return fitted(pairs, before[0], own.mixture.sigma), own
+
+
+def _record(
+    pairs: Pairs,
+    mixture: Mixture,
+    parts: list[Mixture],
+    law: str,
+    edges: tuple[float, ...],
+    count: np.ndarray,
+    about: dict[str, Any],
+) -> DetectorErrors:
+    known = count >= LEAST_PAIRS
+    columns = [_columns(part) for part in parts]
+    return DetectorErrors(
+        law,
+        np.where(known, mixture.sigma, np.nan),
+        np.where(known, mixture.inlier, np.nan),
+        np.where(known[:, None], mixture.bias, np.nan),
+        df=mixture.df,
+        exchange=Exchange(*mixture.pattern[1:].tolist()),
+        score=ScoreFactor(edges, tuple(mixture.factor.tolist())),
+        outlier_radius=OUTLIER_RADIUS,
+        pairs=np.where(known, count, 0),
+        se=np.where(known[:, None], _standard_error(columns), np.nan),
+        learned={
+            "from": pairs.name,
+            "people": len(pairs),
+            "recordings": len(np.unique(pairs.recording)),
+            "pairs": int(count.sum()),
+            "sha256": pairs.sha256,
+            **about,
+        },
+    )
+
+
+def _columns(mixture: Mixture) -> np.ndarray:
+    """`(15, 4)`: sigma, inlier and the two of bias."""
+    return np.column_stack([mixture.sigma, mixture.inlier, mixture.bias])
+
+
+def _standard_error(parts: list[np.ndarray]) -> np.ndarray:
+    """Of what was estimated with one group left out, group by group (Tukey's jackknife)."""
+    values, number = np.stack(parts), len(parts)
+    return np.sqrt((number - 1) * np.var(values, axis=0))
+
+
+def jackknife_groups(recording: np.ndarray) -> np.ndarray:
+    """`(n,)` groups 0, 1, …: whole recordings, `MOST_GROUPS` at most; stretches of equal length
+    where recordings are fewer than `FEWEST_GROUPS`."""
+    names, owner = np.unique(recording, return_inverse=True)
+    if len(names) >= FEWEST_GROUPS:
+        return owner % MOST_GROUPS
+    groups = min(MOST_GROUPS, len(recording))
+    return np.arange(len(recording)) * groups // len(recording)
+
+
+def score_edges(pairs: Pairs) -> tuple[float, ...]:
+    """Where scores are cut into `SCORE_CLASSES` classes of the same size; none where they are all
+    alike."""
+    scores = pairs.score[pairs.seen]
+    if np.ptp(scores) == 0:
+        return ()
+    levels = np.linspace(0, 1, SCORE_CLASSES + 1)[1:-1]
+    edges = np.unique(np.quantile(scores, levels))
+    # An edge at the least score would leave a class empty.
+    return tuple(edges[edges > scores.min()].tolist())
+
+
+def known_joints(errors: DetectorErrors) -> list[str]:
+    """The names of the joints that a law knows."""
+    return [name for name, known in zip(JOINTS, errors.known, strict=True) if known]
+
+
+def mixture_of(errors: DetectorErrors) -> Mixture:
+    """A record as a mixture; joints that it does not know have NaN."""
+    exchange = np.array(errors.exchange)
+    return Mixture(
+        sigma=np.array(errors.sigma),
+        inlier=np.array(errors.inlier),
+        bias=np.array(errors.bias),
+        df=errors.df,
+        pattern=np.array([1 - exchange.sum(), *exchange]),
+        factor=np.array(errors.score.sigma_factor),
+    )

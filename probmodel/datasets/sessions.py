@@ -1,0 +1,102 @@
+"""A session of calibrated cameras as a data set: each camera's detection of each frame, whose truth
+the other cameras triangulate.
+
+Poses are in the axes of the weak-perspective camera that explains the truth's projections best, as
+for Human3.6M; what it leaves unexplained is perspective. Keypoints are without the lens'
+distortion. A camera's film is a recording."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from probmodel.datasets.cases import DataSet
+from probmodel.datasets.views import resection
+from probmodel.failures import BadInput
+from probmodel.sessions import Session, Triangulated
+from probmodel.skeleton import JOINTS, TORSO_INDEX
+
+FEWEST_CAMERAS = 3
+"""So that two are left to see depth where one is judged."""
+
+
+class JudgedView(NamedTuple):
+    """One camera, and what the others say.
+
+    Attributes
+    ----------
+    camera : its number.
+    rows : `(n,)` the frames in which the others see the whole torso.
+    world : their joints `(n, 15, 3)`, with covariance; NaN where fewer than two see one.
+    seen : `(n, 15, 2)` straightened pixels where the camera would see these joints.
+    rotation, scale, translation : `(n, …)` of the weak-perspective cameras that explain `seen` best
+        by poses in mm with the pelvis at the origin.
+    """
+
+    camera: int
+    rows: np.ndarray
+    world: Triangulated
+    seen: np.ndarray
+    rotation: np.ndarray
+    scale: np.ndarray
+    translation: np.ndarray
+
+    @property
+    def poses(self) -> np.ndarray:
+        """`(n, 15, 3)` mm, the pelvis at the origin, in the weak-perspective cameras' axes."""
+        points = self.world.points - self.world.points[:, :1]
+        return points @ np.swapaxes(self.rotation, -1, -2)
+
+
+def judged_views(session: Session) -> Iterator[JudgedView]:
+    """Every camera of a session with the others' truth. Raises `BadInput` where they are too few,
+    or do not see the whole person."""
+    if len(session.cameras) < FEWEST_CAMERAS:
+        raise BadInput(
+            f"{session.name} has {len(session.cameras)} cameras; to judge one of them by the"
+            f" others needs {FEWEST_CAMERAS}"
+        )
+    for number, camera in enumerate(session.straight):
+        world = session.without(number)
+        rows = np.flatnonzero(np.isfinite(world.points[:, TORSO_INDEX]).all(axis=(1, 2)))
+        if not len(rows):
+            raise BadInput(
+                f"without {session.labels[number]} no frame of {session.name} shows the torso to"
+                " two cameras; give a session with more cameras, or more of the person"
+            )
+        points = world.points[rows]
+        some = Triangulated(points, world.covariance[rows], world.weight[:, rows])
+        seen = camera.project(points)
+        yield JudgedView(
+            number, rows, some, seen, *resection(np.nan_to_num(points - points[:, :1]), seen)
+        )
+
+
+def from_session(session: Session) -> DataSet:
+    """The cases of a session whose truth is whole, camera by camera. Raises `BadInput` as
+    `judged_views`, and where no case is whole."""
+    parts = [_of_view(session, view) for view in judged_views(session)]
+    poses, keypoints, score, scale, translation, recording = (
+        np.concatenate(column) for column in zip(*parts, strict=True)
+    )
+    if not len(poses):
+        raise BadInput(
+            f"{session.name} has no frame in which two cameras beside the judged one see every"
+            f" joint; a data set needs {', '.join(JOINTS)}: detect with a layout that has them"
+        )
+    who = np.full(len(poses), session.name)
+    return DataSet(session.name, poses, keypoints, score, scale, translation, who, who, recording)
+
+
+def _of_view(session: Session, view: JudgedView) -> tuple[np.ndarray, ...]:
+    """Poses, keypoints, scores, scales, translations and recordings of a camera's cases."""
+    whole = np.isfinite(view.world.points).all(axis=(1, 2))
+    rows = view.rows[whole]
+    return (
+        view.poses[whole],
+        session.keypoints[view.camera][rows],
+        session.score[view.camera][rows],
+        view.scale[whole],
+        view.translation[whole],
+        np.full(len(rows), f"{session.name} {session.labels[view.camera]}"),
+    )

@@ -1,0 +1,155 @@
+"""Files of calibrated cameras: Qualisys's `.qca.txt` (XML) and Pose2Sim's `.toml`.
+
+Qualisys: with R the nine numbers r11 … r33 row by row, a point X of the world (mm) is at
+diag(1, -1, -1) R (X - c) in camera axes; `intrinsic` is in 64ths of a pixel. Pose2Sim: OpenCV's
+conventions, a Rodrigues vector and a translation in metres from the world to the camera."""
+
+import itertools
+import tomllib
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from probmodel.detections import LARGEST_NUMBER
+from probmodel.documents import read_text
+from probmodel.failures import BadInput, shown
+from probmodel.sessions.pinhole import Pinhole
+
+LARGEST_CALIBRATION = 10_000_000
+"""Bytes; a calibration has some thousand for each camera."""
+SUFFIXES = (".qca.txt", ".toml")
+SUBPIXELS = 64
+FLIP = np.diag([1.0, -1.0, -1.0])
+_PLACES = [f"r{row}{column}" for row, column in itertools.product("123", "123")]
+_WHAT, _ADVICE = "calibration", "give a Qualisys .qca.txt or a Pose2Sim .toml"
+
+
+def is_calibration(path: Path) -> bool:
+    """Whether it is called like one."""
+    return path.name.lower().endswith(SUFFIXES)
+
+
+def read_cameras(path: Path) -> list[Pinhole]:
+    """The cameras of a calibration, in its order.
+
+    Raises
+    ------
+    BadInput
+        Where it cannot be read, is none, or a camera's numbers are none of a camera.
+    """
+    text = read_text(path, _WHAT, _ADVICE, largest=LARGEST_CALIBRATION)
+    cameras = _toml(text, path) if path.name.lower().endswith(".toml") else _qualisys(text, path)
+    if len(cameras) < 2:
+        raise BadInput(
+            f"{path} calibrates {len(cameras)} cameras; two at least are needed to see depth"
+        )
+    return cameras
+
+
+def _qualisys(text: str, path: Path) -> list[Pinhole]:
+    if "<!" in text:  # entities, which could grow without end
+        raise BadInput(f"{path} holds a declaration that a calibration does not need; {_ADVICE}")
+    try:
+        root = ElementTree.fromstring(text.encode())
+    except (ElementTree.ParseError, RecursionError) as error:
+        raise BadInput(f"{path} is no XML ({error}); {_ADVICE}") from None
+    return [
+        _qualisys_camera(camera, f"camera {number} of {path}")
+        for number, camera in enumerate(root.iter("camera"), start=1)
+    ]
+
+
+def _qualisys_camera(camera: ElementTree.Element, where: str) -> Pinhole:
+    place = _numbers(camera, "transform", [*_PLACES, *"xyz"], where)
+    names = ["focalLengthU", "focalLengthV", "centerPointU", "centerPointV"]
+    inner = _numbers(camera, "intrinsic", names, where) / SUBPIXELS
+    bends = ["radialDistortion1", "radialDistortion2", "tangentalDistortion1"]
+    bends += ["tangentalDistortion2", "radialDistortion3"]
+    k1, k2, p1, p2, k3 = _numbers(camera, "intrinsic", bends, where, missing="0").tolist()
+    rotation = FLIP @ place[:9].reshape(3, 3)
+    return _camera(rotation, place[9:], inner[:2], inner[2:], (k1, k2, p1, p2, k3), where)
+
+
+def _numbers(
+    camera: ElementTree.Element,
+    part: str,
+    names: list[str],
+    where: str,
+    missing: str | None = None,
+) -> np.ndarray:
+    """Attributes of a camera's part, as numbers; `missing` stands for those that are not there."""
+    found = camera.find(part)
+    if found is None:
+        raise BadInput(f"{where} has no <{part}>; {_ADVICE}")
+    texts = [found.get(name, missing) for name in names]
+    if None in texts:
+        raise BadInput(f"{where}: <{part}> lacks {names[texts.index(None)]}; {_ADVICE}")
+    try:
+        return np.array([float(str(text)) for text in texts])
+    except ValueError:
+        raise BadInput(f"{where}: <{part}> holds a text where a number must stand") from None
+
+
+def _toml(text: str, path: Path) -> list[Pinhole]:
+    try:
+        tables = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
+        raise BadInput(f"{path} is no TOML ({shown(str(error))}); {_ADVICE}") from None
+    return [
+        _toml_camera(table, f"{shown(name)} of {path}")
+        for name, table in tables.items()
+        if isinstance(table, dict) and "matrix" in table
+    ]
+
+
+def _toml_camera(table: dict[str, Any], where: str) -> Pinhole:
+    if table.get("fisheye", False):
+        raise BadInput(
+            f"{where} is a fisheye camera, which this program does not know; undistort its videos"
+            " first"
+        )
+    matrix = _array(table, "matrix", (3, 3), where)
+    rotation = Rotation.from_rotvec(_array(table, "rotation", (3,), where)).as_matrix()
+    centre = -1000 * rotation.T @ _array(table, "translation", (3,), where)
+    bends = np.atleast_1d(np.asarray(table.get("distortions", [0.0] * 4), object))
+    if bends.shape not in ((4,), (5,)):
+        raise BadInput(f"{where}: distortions must be four or five numbers")
+    padded = {"distortions": [*bends.tolist(), 0.0][:5]}
+    k1, k2, p1, p2, k3 = _array(padded, "distortions", (5,), where).tolist()
+    focal, principal = np.diag(matrix)[:2], matrix[:2, 2]
+    return _camera(rotation, centre, focal, principal, (k1, k2, p1, p2, k3), where)
+
+
+def _array(table: dict[str, Any], name: str, shape: tuple[int, ...], where: str) -> np.ndarray:
+    try:
+        found = np.array(table.get(name), dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        found = np.empty(0)
+    if found.shape != shape:
+        wanted = " × ".join(map(str, shape))
+        raise BadInput(f"{where}: {name} must be {wanted} numbers; {_ADVICE}")
+    return found
+
+
+def _camera(
+    rotation: np.ndarray,
+    centre: np.ndarray,
+    focal: np.ndarray,
+    principal: np.ndarray,
+    distortion: tuple[float, float, float, float, float],
+    where: str,
+) -> Pinhole:
+    """Raises `BadInput` on numbers that are none of a camera."""
+    every = np.concatenate([rotation.ravel(), centre, focal, principal, distortion])
+    if not (np.abs(every) <= LARGEST_NUMBER).all() or not (focal > 0).all():  # true for NaN too
+        raise BadInput(
+            f"{where} has a number that is not finite, or a focal length that is not positive;"
+            " calibrate anew"
+        )
+    proper = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
+    if not proper or np.linalg.det(rotation) < 0:
+        raise BadInput(f"{where}: its rotation is none (orthogonal, determinant 1); {_ADVICE}")
+    return Pinhole(rotation, centre, focal, principal, distortion)

@@ -1,0 +1,342 @@
+"""A session: what several calibrated, synchronised cameras detected of one person.
+
+Pose2Sim's layout: a calibration in the folder or in `calibration/`, and a folder of detections for
+each camera in it or in `pose/`, which sorted by name are the calibration's cameras in its order.
+Frames are matched by the last number in their names.
+
+    session = read_session("S01/")
+    session.world.points         joints (frames, 15, 3), mm
+    session.without(0).points    the same from the other cameras, to judge the first
+"""
+
+import dataclasses
+import itertools
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from probmodel.body import bone_lengths
+from probmodel.detections import Detection
+from probmodel.failures import BadInput, shown
+from probmodel.formats.frames import DetectedFrame, natural_order, read_frames, sorted_files
+from probmodel.sessions.calibrations import is_calibration, read_cameras
+from probmodel.sessions.pinhole import Pinhole
+from probmodel.sessions.triangulation import Triangulated, residuals, triangulate
+from probmodel.skeleton import BONES, JOINT_INDEX
+
+HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
+FIRST_SCALE = 0.4
+"""Pixels a mm, until it is known where the person is."""
+BEYOND = 0.25
+"""Body units: views whose median residual is larger are not of one person, or not calibrated."""
+MOST_COMBINATIONS = 256
+"""Of the people in a frame's views that are tried."""
+_LIMBS = [row for row, bone in enumerate(BONES) if bone.name != "head"]
+_ADVICE = (
+    "give a folder with a calibration (.qca.txt or .toml) and a folder of detections for each"
+    " camera"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """One person in the views of several cameras.
+
+    Attributes
+    ----------
+    name : what it is called.
+    cameras, labels : the cameras, and the names of their folders.
+    numbers : `(F,)` of the frames.
+    people : by camera and frame, the person's detections.
+    left_out : how many frames lack the person in a view, or have views that do not agree.
+    """
+
+    name: str
+    cameras: tuple[Pinhole, ...]
+    labels: tuple[str, ...]
+    numbers: tuple[int, ...]
+    people: tuple[tuple[Detection, ...], ...]
+    left_out: int = 0
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @cached_property
+    def straight(self) -> tuple[Pinhole, ...]:
+        """The cameras without their lenses' distortion, which `keypoints` lack too."""
+        return tuple(camera.straight for camera in self.cameras)
+
+    @cached_property
+    def keypoints(self) -> np.ndarray:
+        """`(C, F, 15, 2)` straightened pixels, NaN where missing."""
+        views = zip(self.cameras, self.people, strict=True)
+        return np.stack([_straightened(camera, people) for camera, people in views])
+
+    @cached_property
+    def score(self) -> np.ndarray:
+        """`(C, F, 15)`, 0 where missing."""
+        return np.array([[person.score for person in people] for people in self.people])
+
+    @cached_property
+    def unit(self) -> float:
+        """Millimetres of the person's body unit: the median over the frames."""
+        return float(np.median(_units(self.world.points)))
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """`(C, F)` pixels a mm where the person's hips are."""
+        return _scale(self.straight, self.world.points)
+
+    @cached_property
+    def world(self) -> Triangulated:
+        """The joints by all cameras; arrays as `Triangulated` has them, with axes for frames and
+        joints in the place of its `n`."""
+        return _joints(self.straight, self.keypoints, self.score)
+
+    def without(self, camera: int) -> Triangulated:
+        """`world` by all cameras but one."""
+        kept = [number for number in range(len(self.cameras)) if number != camera]
+        cameras = [self.straight[number] for number in kept]
+        return _joints(cameras, self.keypoints[kept], self.score[kept])
+
+    @cached_property
+    def apart(self) -> np.ndarray:
+        """`(C, F, 15)` mm: how far detections are from the projected joints of all cameras."""
+        return _apart(self.straight, self.world.points, self.keypoints)
+
+    def along_sight(self, camera: int, world: np.ndarray) -> np.ndarray:
+        """Joints `(F, 15, 3)` of the world in axes whose z is the camera's line of sight to the
+        hips' midpoint, the origin."""
+        view = self.cameras[camera].view(world)
+        middle = view[:, HIPS].mean(axis=1)
+        turned = [
+            (joints - centre) @ turn_to_sight(centre).T
+            for joints, centre in zip(view, middle, strict=True)
+        ]
+        return np.stack(turned)
+
+    def take(self, rows: Sequence[int]) -> "Session":
+        """Some of the frames."""
+        return dataclasses.replace(
+            self,
+            numbers=tuple(self.numbers[row] for row in rows),
+            people=tuple(tuple(people[row] for row in rows) for people in self.people),
+        )
+
+
+def turn_to_sight(middle: np.ndarray) -> np.ndarray:
+    """`(3, 3)`: the smallest turn that brings the line of sight to `middle` `(3,)`, in camera axes,
+    onto z."""
+    sight = middle / np.linalg.norm(middle)
+    axis = np.cross(sight, [0.0, 0.0, 1.0])
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + sight[2])
+
+
+def _straightened(camera: Pinhole, people: Sequence[Detection]) -> np.ndarray:
+    return camera.straighten(np.array([person.keypoints for person in people]))
+
+
+def _joints(cameras: Sequence[Pinhole], xy: np.ndarray, score: np.ndarray) -> Triangulated:
+    """Joints from views `(C, F, 15, 2)`, their scores over the mean of a person's seen joints."""
+    shape = score.shape
+    seen = score > 0
+    mean = score.sum(axis=-1, keepdims=True) / np.maximum(seen.sum(axis=-1, keepdims=True), 1)
+    trust = (score / np.where(mean > 0, mean, 1.0)) ** 2
+    views = xy.reshape(shape[0], -1, 2)
+    scale = np.full(shape, FIRST_SCALE)
+    for _ in range(2):
+        flat = scale.reshape(shape[0], -1)
+        found = triangulate(cameras, views, trust.reshape(shape[0], -1), flat)
+        points = found.points.reshape(*shape[1:], 3)
+        known = _scale(cameras, points)[..., None]
+        scale = np.broadcast_to(np.where(known > 0, known, FIRST_SCALE), shape)
+    return Triangulated(
+        points,
+        found.covariance.reshape(*shape[1:], 3, 3),
+        found.weight.reshape(shape),
+    )
+
+
+def _scale(cameras: Sequence[Pinhole], points: np.ndarray) -> np.ndarray:
+    """`(C, F)` pixels a mm at the hips' midpoint of joints `(F, 15, 3)`; NaN where they are not
+    known, negative behind a camera."""
+    middle = points[:, HIPS].mean(axis=1)
+    return np.stack([camera.focal.mean() / camera.view(middle)[:, 2] for camera in cameras])
+
+
+def _apart(cameras: Sequence[Pinhole], points: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """`(C, F, 15)` mm: how far `xy` `(C, F, 15, 2)` are from projections of `points`."""
+    scale = np.broadcast_to(_scale(cameras, points)[..., None], xy.shape[:3])
+    return np.linalg.norm(residuals(cameras, points, xy, scale), axis=-1)
+
+
+def _units(points: np.ndarray) -> np.ndarray:
+    """`(F,)` mm: mean limb bones of joints `(F, 15, 3)`, of the bones that are known."""
+    with np.errstate(invalid="ignore"):
+        lengths = bone_lengths(points)[:, _LIMBS]
+    known = np.isfinite(lengths)
+    return np.where(known, lengths, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+
+
+def is_session(path: Path) -> bool:
+    """Whether it is a folder with a calibration in it, or in its folder `calibration`."""
+    return path.is_dir() and bool(_calibrations(path))
+
+
+def read_session(path: Path, frames: int | None = None) -> Session:
+    """The session in a folder.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    frames
+        How many, evenly over the film; by default all.
+
+    Raises
+    ------
+    BadInput
+        Where a file is missing or damaged, folders and cameras, or the frames of two cameras, are
+        not the same number, or the calibration does not fit the detections.
+    """
+    calibration = _only(_calibrations(path), path)
+    cameras = read_cameras(calibration)
+    folders = _view_folders(path)
+    if len(folders) != len(cameras):
+        raise BadInput(
+            f"{path} has {len(folders)} folders of detections, but {calibration.name} calibrates"
+            f" {len(cameras)} cameras; one folder must belong to each"
+        )
+    views = [_by_number(folder) for folder in folders]
+    _require_same_frames(views, folders)
+    numbers = sorted(views[0])
+    if frames is not None and frames < len(numbers):
+        rows = np.linspace(0, len(numbers) - 1, frames).round().astype(int)
+        numbers = [numbers[row] for row in rows]
+    labels = tuple(folder.name for folder in folders)
+    session = _matched(path, tuple(cameras), labels, numbers, views)
+    _require_fit(session, calibration)
+    return session
+
+
+def _calibrations(path: Path) -> list[Path]:
+    places = [place for place in (path, path / "calibration") if place.is_dir()]
+    return [file for place in places for file in sorted_files(place) if is_calibration(file)]
+
+
+def _only(found: list[Path], path: Path) -> Path:
+    if len(found) != 1:
+        names = ", ".join(file.name for file in found) or "none"
+        raise BadInput(f"{path} must hold one calibration, but has {names}; {_ADVICE}")
+    return found[0]
+
+
+def _view_folders(path: Path) -> list[Path]:
+    """The folders that hold detections, sorted by name."""
+    place = path / "pose" if (path / "pose").is_dir() else path
+    folders = [one for one in place.iterdir() if one.is_dir() and not one.name.startswith(".")]
+    found = [one for one in folders if any(file.suffix == ".json" for file in sorted_files(one))]
+    return sorted(found, key=lambda folder: natural_order(folder.name))
+
+
+def _by_number(folder: Path) -> dict[int, DetectedFrame]:
+    found: dict[int, DetectedFrame] = {}
+    for frame in read_frames(folder):
+        digits = re.findall(r"\d{1,18}", frame.name)
+        if not digits:
+            raise BadInput(f"{folder}: the frame {shown(frame.name)} has no number in its name")
+        if int(digits[-1]) in found:
+            raise BadInput(f"{folder}: two frames have the number {digits[-1]}; keep one of them")
+        found[int(digits[-1])] = frame
+    return found
+
+
+def _require_same_frames(views: Sequence[dict[int, DetectedFrame]], folders: list[Path]) -> None:
+    first = views[0]
+    for folder, view in zip(folders, views, strict=True):
+        if set(view) != set(first):
+            odd = min(set(view) ^ set(first))
+            raise BadInput(
+                f"{folder.name} has {len(view)} frames and {folders[0].name} has {len(first)}, and"
+                f" frame {odd} is only in one of them; synchronised cameras have the same frames"
+            )
+
+
+def _matched(
+    path: Path,
+    cameras: tuple[Pinhole, ...],
+    labels: tuple[str, ...],
+    numbers: list[int],
+    views: Sequence[dict[int, DetectedFrame]],
+) -> Session:
+    """One person through all frames: the first people in the files, or the first others, whose
+    views agree."""
+    complete = [number for number in numbers if all(view[number].people for view in views)]
+    first = [[view[number].people[0] for number in complete] for view in views]
+    agreed = dict(zip(complete, _agree(cameras, first), strict=True)) if complete else {}
+    kept, people = [], []
+    for number in complete:
+        there = [view[number].people for view in views]
+        chosen = tuple(one[0] for one in there) if agreed[number] else _others(cameras, there)
+        if chosen is not None:
+            kept.append(number)
+            people.append(chosen)
+    if 2 * len(kept) < len(numbers) or not kept:
+        raise BadInput(
+            f"in {len(numbers) - len(kept)} of {len(numbers)} frames of {path} no person is where"
+            " the cameras' views meet; check that the calibration is of these cameras, in the order"
+            " of the folders' names, and that they are synchronised"
+        )
+    by_camera = tuple(zip(*people, strict=True))
+    return Session(
+        path.resolve().name,
+        cameras,
+        labels,
+        tuple(kept),
+        by_camera,
+        left_out=len(numbers) - len(kept),
+    )
+
+
+def _others(
+    cameras: Sequence[Pinhole], there: list[list[Detection]]
+) -> tuple[Detection, ...] | None:
+    """The people, one a view, of the first combination that agrees; None where there is none."""
+    most = max(2, int(MOST_COMBINATIONS ** (1 / len(there))))
+    choices = itertools.product(*(range(min(len(people), most)) for people in there))
+    chosen = sorted(choices, key=sum)[:MOST_COMBINATIONS]
+    people = [[view[one[place]] for one in chosen] for place, view in enumerate(there)]
+    agreed = np.flatnonzero(_agree(cameras, people))
+    return tuple(view[agreed[0]] for view in people) if len(agreed) else None
+
+
+def _agree(cameras: Sequence[Pinhole], people: Sequence[Sequence[Detection]]) -> np.ndarray:
+    """`(F,)`: whether people, by camera and frame, can be one: in front of every camera, and near
+    to where the views meet."""
+    straight = [camera.straight for camera in cameras]
+    views = zip(cameras, people, strict=True)
+    xy = np.stack([_straightened(camera, seen) for camera, seen in views])
+    score = np.array([[person.score for person in seen] for seen in people])
+    points = _joints(straight, xy, score).points
+    in_front = (_scale(straight, points) > 0).all(axis=0)  # false for NaN too
+    apart = np.where(score > 0, _apart(straight, points, xy), np.nan)
+    known = np.isfinite(apart).any(axis=2)
+    middle = np.nanmedian(np.where(known[..., None], apart, np.inf), axis=2)
+    return in_front & (middle <= BEYOND * _units(points)).all(axis=0)
+
+
+def _require_fit(session: Session, calibration: Path) -> None:
+    """Raises `BadInput` where one camera stands apart from the others."""
+    for label, apart in zip(session.labels, session.apart, strict=True):
+        middle = np.nanmedian(apart)
+        if not middle <= BEYOND * session.unit:  # true for NaN too
+            raise BadInput(
+                f"the detections of {label} are {middle:.0f} mm (median) from where the other"
+                f" cameras see the joints: {calibration.name} does not fit them; check the order of"
+                " the folders, and that the cameras are synchronised"
+            )

@@ -1,0 +1,68 @@
+"""`poseterior calibrate`: how a detector errs, learned from what it says beside the truth."""
+
+import numpy as np
+
+from inference.studies.errorlaws import Learned, Pairs, learn, pairs_of_data, pairs_of_session
+from probmodel import BadInput
+from probmodel.sessions import Session
+from reports import console
+from reports.figures import save_figure
+from reports.figures.errorlaws import residuals_figure
+from reports.options import Screen
+from reports.settings import CalibrateSettings
+from reports.tables.errorlaws import errors_table, summary_lines
+
+
+def run(settings: CalibrateSettings, screen: Screen) -> None:
+    """Writes the law, and beside it a picture of residuals against it. Raises `BadInput` on bad
+    input, and where pairs are too few."""
+    out = console.output_file(settings.out)
+    picture = out.with_suffix(".png")
+    if picture == out:
+        raise BadInput(f"{out} would be overwritten by its own picture; name it NAME.json")
+    console.output_file(picture)
+    pairs, truth = pairs_of(settings)
+    with console.progress("fits", screen.quiet) as step:
+        found = learn(
+            pairs, law=settings.law, truth=truth, about=settings.described(), progress=step
+        )
+    found.errors.write(out)
+    save_figure(residuals_figure(found), picture)
+    if not found.fit.converged:
+        console.warn("the fit did not come to rest; its last step is written: take more frames")
+    show(found, screen)
+    if not screen.json:
+        console.say(f"Written to {out} and {picture}")
+
+
+def show(found: Learned, screen: Screen) -> None:
+    """The law on stdout."""
+    if screen.json:
+        console.show_json(found.errors.document())
+        return
+    console.OUT.print(errors_table(found))
+    for line in summary_lines(found):
+        console.say(line)
+
+
+def pairs_of(settings: CalibrateSettings) -> tuple[Pairs, Pairs | None]:
+    """The pairs, and those that say how far the truth errs where they are others. Raises `BadInput`
+    where perspective is asked of data that have no calibrated cameras."""
+    if isinstance(settings.data, Session):
+        exact = pairs_of_session(settings.data, perspective=True)
+        rows = thinned(len(exact), settings.frames)
+        if settings.perspective:
+            return exact.take(rows), None
+        return pairs_of_session(settings.data).take(rows), exact.take(rows)
+    if settings.perspective:
+        raise BadInput(
+            f"--perspective needs calibrated cameras, which {settings.dataset} has not; leave it"
+            " out"
+        )
+    pairs = pairs_of_data(settings.data)
+    return pairs.take(thinned(len(pairs), settings.frames)), None
+
+
+def thinned(number: int, wanted: int) -> np.ndarray:
+    """`wanted` rows of so many, evenly; all where there are no more."""
+    return np.linspace(0, number - 1, min(number, wanted)).round().astype(int)

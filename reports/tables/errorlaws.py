@@ -1,0 +1,46 @@
+"""Tables of a detector's error law."""
+
+import numpy as np
+
+from inference.studies.errorlaws import Learned
+from probmodel.errorlaws import Exchange
+from probmodel.skeleton import JOINTS
+from reports.tables.sheet import Column, Sheet, sheet_of
+
+
+def errors_table(found: Learned) -> Sheet:
+    """A line a joint: spread, share of inliers and bias, with standard errors."""
+    errors = found.errors
+    rows = []
+    for joint in np.flatnonzero(errors.known):
+        values = (errors.sigma[joint], errors.inlier[joint], *errors.bias[joint])
+        cells = [_with_error(*one) for one in zip(values, errors.se[joint], strict=True)]
+        rows.append([JOINTS[joint], int(errors.pairs[joint]), *cells])
+    head = ["joint", "pairs", "sigma", "inliers", "bias right", "bias down"]
+    caption = (
+        f"{errors.law}; lengths in body units (the mean limb bone is 1). In parentheses the"
+        " standard errors of the last digits, from leaving recordings out in turn."
+    )
+    columns = [Column(one) for one in head]
+    return sheet_of(columns, rows, name="errors", title="The error law", caption=caption)
+
+
+def _with_error(value: float, error: float) -> str:
+    """Such as 0.059(17): the standard error is of the last digits."""
+    return f"{value:.3f}({1000 * error:.0f})".replace("-", "−")
+
+
+def summary_lines(found: Learned) -> list[str]:
+    """What holds for all joints, in sentences."""
+    errors = found.errors
+    lines = []
+    if errors.law == "student":
+        lines.append(f"Degrees of freedom: {errors.df:.1f} ± {found.df_se:.1f}")
+    shares = zip(Exchange._fields, errors.exchange, found.exchange_se, strict=True)
+    said = ", ".join(f"{name} {100 * p:.1f} ± {100 * se:.1f} %" for name, p, se in shares)
+    lines.append(f"Exchanged sides: {said}")
+    if errors.score.edges:
+        edges = ", ".join(f"{edge:.3g}" for edge in errors.score.edges)
+        factors = ", ".join(f"{factor:.2f}" for factor in errors.score.sigma_factor)
+        lines.append(f"Scores cut at {edges}: sigma times {factors}")
+    return lines

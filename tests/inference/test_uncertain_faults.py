@@ -1,0 +1,340 @@
+"""A detector's faults, outliers and exchanged sides, in the posterior with an uncertain root:
+against brute force in NumPy, which sums over no patterns but integrates mixtures, and shares no
+code with it; by simulation; and on detections that were spoilt.
+
+False alarms: evidence and every moment are held to 4 standard errors, 6e-5 each; seeds are fixed.
+"""
+
+import dataclasses
+import functools
+import itertools
+import math
+
+import jax
+import numpy as np
+import pytest
+from numpyro.infer.util import log_density
+from scipy.spatial.transform import Rotation
+
+import inference
+from inference.uncertain.weighted import WeightedRoots, log_mean, weigh_roots
+from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel
+from probmodel.faults import (
+    EXCHANGE_INDEX,
+    EXCHANGES,
+    LIMB_INDEX,
+    ORDERS,
+    OUTLIER_REACH,
+    FaultPrior,
+    Faults,
+)
+from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
+from tests.brute_force import propose_group
+from tests.scenes import key, prior_scene
+
+FACTOR = 0.5
+TORSO = ("right_hip", "right_shoulder", "left_shoulder", "left_hip")
+ARM = ("right_elbow", "right_wrist")
+OUTLIER = {"right_shoulder": 0.1, "left_hip": 0.2, "right_elbow": 0.3, "right_wrist": 0.2}
+ARMS_EXCHANGED = 0.25
+ARMS_EACH = 60
+
+
+def faults() -> FaultPrior:
+    exchange = tuple(ARMS_EXCHANGED if name == "arms" else 0.0 for name in EXCHANGES)[1:]
+    return FaultPrior(tuple(OUTLIER.get(name, 0.0) for name in JOINTS), exchange)
+
+
+@functools.cache
+def small_case() -> tuple[PoseModel, Estimate]:
+    """Two shoulders, two hips and one arm seen, its wrist moved a little too far."""
+    whole = PoseModel()
+    model = PoseModel(torsos=np.asarray(whole.torsos)[[0, 17, 40]])
+    missing = tuple(name for name in JOINTS if name not in (*TORSO, *ARM))
+    scene = prior_scene(model, 11, factor=FACTOR, missing=missing)
+    keypoints = np.array(scene.detection.keypoints)
+    keypoints[JOINT_INDEX["right_wrist"]] += 130.0
+    detection = dataclasses.replace(scene.detection, keypoints=keypoints)
+    return model, dataclasses.replace(
+        scene, detection=detection, likelihood=Likelihood(factor=FACTOR, faults=faults())
+    )
+
+
+def density(gap: np.ndarray, radius: float) -> np.ndarray:
+    """`(n,)`: uniform in a disc, per square body unit, at errors `(n, 2)`."""
+    return (np.sum(gap**2, axis=-1) <= radius**2) / (math.pi * radius**2)
+
+
+def mixture(gap: np.ndarray, outlier: float) -> np.ndarray:
+    """The same with outliers, whose disc is large."""
+    return (1 - outlier) * density(gap, FACTOR) + outlier * density(gap, OUTLIER_REACH)
+
+
+def torso_mixture(gaps: dict[str, np.ndarray]) -> np.ndarray:
+    """`(n,)`: the torso's density, one outlier at most."""
+    near = {name: density(gap, FACTOR) for name, gap in gaps.items()}
+    total = np.prod(list(near.values()), axis=0)
+    odds = {name: OUTLIER.get(name, 0.0) / (1 - OUTLIER.get(name, 0.0)) for name in gaps}
+    for name, gap in gaps.items():
+        others = np.prod([near[other] for other in near if other != name], axis=0)
+        total = total + odds[name] * density(gap, OUTLIER_REACH) * others
+    return total / (1 + sum(odds.values()))
+
+
+@functools.cache
+def brute_force(attempts: int = 1_500_000, seed: int = 5) -> dict:
+    """Log evidence with its standard error; posterior probabilities that the wrist is an outlier,
+    that the left hip is, and that the arms are exchanged, and the mean log scale, with theirs."""
+    model, frame = small_case()
+    rng, at = np.random.default_rng(seed), frame.detection.keypoints
+    torsos = np.asarray(model.torsos)
+    row = {name: TORSO_INDEX.index(JOINT_INDEX[name]) for name in TORSO}
+    low, high = math.log(15.0), math.log(800.0)
+    pools = [
+        propose_group(model.limits, model.lengths, torso, "arms", 20_000, rng)[1]
+        for torso in torsos
+    ]
+    weights, values = [], []
+    number = 500_000
+    for _ in range(attempts // number):
+        torso = rng.integers(len(torsos), size=number)
+        rotation = Rotation.random(number, rng=rng).as_matrix()
+        scale = np.exp(rng.uniform(low, high, number))
+        hip = np.einsum("nij,nj->ni", rotation[:, :2], torsos[torso, row["right_hip"]])
+        error = rng.uniform(-FACTOR, FACTOR, (number, 2))
+        shift = at[JOINT_INDEX["right_hip"]] / scale[:, None] - hip + error
+        gaps = {}
+        for name in TORSO:
+            image = np.einsum("nij,nj->ni", rotation[:, :2], torsos[torso, row[name]]) + shift
+            gaps[name] = image - at[JOINT_INDEX[name]] / scale[:, None]
+        fit = torso_mixture(gaps)
+        near = np.prod([density(gaps[name], FACTOR) for name in TORSO if name != "left_hip"], 0)
+        odds = OUTLIER["left_hip"] / (1 - OUTLIER["left_hip"])
+        odd = sum(OUTLIER.get(name, 0) / (1 - OUTLIER.get(name, 0)) for name in TORSO)
+        hip_out = odds * density(gaps["left_hip"], OUTLIER_REACH) * near / (1 + odd)
+        weight = (high - low) * (2 * FACTOR * scale) ** 2 * scale ** (-2.0 * 6)
+        for n in np.flatnonzero(fit):
+            pool, pick = pools[torso[n]], rng.integers(20_000, size=ARMS_EACH)
+            sides = {}
+            for side in ("right", "left"):
+                near_wrist = 1.0
+                ends = {}
+                for part in ("elbow", "wrist"):
+                    point = pool[JOINT_INDEX[f"{side}_{part}"]][pick] @ rotation[n].T
+                    ends[part] = (
+                        point[:, :2] + shift[n] - at[JOINT_INDEX[f"right_{part}"]] / scale[n]
+                    )
+                elbow = mixture(ends["elbow"], OUTLIER["right_elbow"])
+                wrist = mixture(ends["wrist"], OUTLIER["right_wrist"])
+                near_wrist = (1 - OUTLIER["right_wrist"]) * density(ends["wrist"], FACTOR)
+                sides[side] = (elbow * wrist).mean(), (elbow * (wrist - near_wrist)).mean()
+            right, left = sides["right"], sides["left"]
+            arm = (1 - ARMS_EXCHANGED) * right[0] + ARMS_EXCHANGED * left[0]
+            arm_out = (1 - ARMS_EXCHANGED) * right[1] + ARMS_EXCHANGED * left[1]
+            weights.append(weight[n] * fit[n] * arm)
+            values.append(
+                [
+                    arm_out / arm if arm else 0.0,
+                    hip_out[n] / fit[n],
+                    ARMS_EXCHANGED * left[0] / arm if arm else 0.0,
+                    math.log(scale[n]),
+                ]
+            )
+    weight, total = np.array(weights), attempts // number * number
+    mean = weight.sum() / total
+    error = math.sqrt((np.sum(weight**2) / total - mean**2) / total)
+    return {"log": math.log(mean), "se": error / mean, **moments(weight, np.array(values))}
+
+
+def moments(weight: np.ndarray, values: np.ndarray) -> dict:
+    """Weighted means of values `(n, m)` with their standard errors."""
+    share = weight / weight.sum()
+    mean = share @ values
+    return {"mean": mean, "mean_se": np.sqrt(share**2 @ (values - mean) ** 2)}
+
+
+@functools.cache
+def weighed() -> WeightedRoots:
+    model, frame = small_case()
+    return weigh_roots(frame.uncertain(model), key=key(3), num_roots=1500)
+
+
+def fast_moments(roots: WeightedRoots, log_weight: np.ndarray) -> dict:
+    pattern = roots.proposed.faults
+    values = np.stack(
+        [
+            pattern.outlier[:, JOINT_INDEX["right_wrist"]],
+            pattern.outlier[:, JOINT_INDEX["left_hip"]],
+            pattern.exchange == EXCHANGE_INDEX["arms"],
+            roots.points.log_scale,
+        ],
+        axis=1,
+    )
+    return moments(np.exp(log_weight - log_weight.max()), values.astype(float))
+
+
+def off(one: dict, other: dict) -> float:
+    """The largest difference of two sets of moments, in standard errors."""
+    error = np.hypot(one["mean_se"], other["mean_se"])
+    return float(np.max(np.abs(one["mean"] - other["mean"]) / error))
+
+
+@pytest.mark.slow
+def test_patterns_against_brute_force():
+    brute, roots = brute_force(), weighed()
+    error = math.hypot(brute["se"], roots.log_evidence_se)
+    assert error < 0.15
+    assert abs(roots.log_evidence - brute["log"]) < 4 * error
+    fast = fast_moments(roots, roots.log_weight)
+    assert 0.02 < brute["mean"][0] < 0.98  # there is something to be told
+    assert off(fast, brute) < 4
+
+
+@pytest.mark.slow
+def test_patterns_weighed_by_their_prior_alone_are_found_out():
+    """Negative control: the proposal's probabilities left out of the weights."""
+    brute, roots = brute_force(), weighed()
+    posterior, pattern = roots.posterior, roots.proposed.faults
+    prior = np.array([_log_prior(posterior, pattern.take(row)) for row in range(len(roots.limbs))])
+    wrong = roots.log_weight - prior
+    assert off(fast_moments(roots, wrong), brute) > 5
+    assert abs(log_mean(wrong) - brute["log"]) > 12 * math.hypot(brute["se"], roots.log_evidence_se)
+
+
+def _log_prior(posterior, pattern: Faults) -> float:
+    """By hand."""
+    outlier = np.array(posterior.faults.outlier) * np.asarray(posterior.detected.counts)
+    found = math.log(
+        {0: 1 - ARMS_EXCHANGED, EXCHANGE_INDEX["arms"]: ARMS_EXCHANGED}[int(pattern.exchange)]
+    )
+    for joint in LIMB_INDEX:
+        found += math.log(outlier[joint] if pattern.outlier[joint] else 1 - outlier[joint])
+    odds = outlier[list(TORSO_INDEX)] / (1 - outlier[list(TORSO_INDEX)])
+    torso = pattern.outlier[list(TORSO_INDEX)]
+    return found + math.log((odds[torso].prod() if torso.any() else 1.0) / (1 + odds.sum()))
+
+
+def test_the_prior_of_patterns_is_one_in_all():
+    """Every pattern of the joints that can be outliers, six exchanges: the prior by NumPyro's laws
+    sums to one, and is that by hand."""
+    prior = FaultPrior.of(0.3, 0.2)
+    joints = [JOINT_INDEX[name] for name in ("right_hip", "left_hip", "head", "left_wrist")]
+    counts = np.isin(np.arange(NUM_JOINTS), joints)
+    log_prob = jax.jit(prior.log_prob)
+    total = 0.0
+    for exchange, flags in itertools.product(
+        range(len(EXCHANGES)), itertools.product([False, True], repeat=4)
+    ):
+        outlier = np.zeros(NUM_JOINTS, bool)
+        outlier[joints] = flags
+        total += math.exp(float(log_prob(counts, Faults(exchange, outlier))))
+        hips, moved = sum(flags[:2]), exchange >= EXCHANGE_INDEX["upper half"]
+        if hips == 2 or (hips and moved):
+            assert float(log_prob(counts, Faults(exchange, outlier))) == -math.inf
+    assert total == pytest.approx(1, abs=1e-9)
+    astray = np.arange(NUM_JOINTS) == JOINT_INDEX["left_knee"]
+    assert float(log_prob(counts, Faults(0, astray))) == -math.inf
+
+
+def test_the_program_is_the_log_joint():
+    """Density of the NumPyro program, with its discrete sites = that of the draws' lp, and = prior
+    by hand + peaks."""
+    model, frame = small_case()
+    posterior = frame.uncertain(model)
+    result = inference.sample(
+        model, frame, key=key(1), root="uncertain", num_roots=200, num_samples=40
+    )
+    draws = result.tree["posterior"]
+    seen = set()
+    for row in range(40):
+        pattern = Faults(draws.exchange.values[0, row], draws.outlier.values[0, row])
+        kind = (int(pattern.exchange), tuple(np.flatnonzero(pattern.outlier)))
+        if kind in seen:
+            continue
+        seen.add(kind)
+        at = {name: draws[name].values[0, row] for name in ("torso", "rotation", "translation")}
+        scale = draws.scale.values[0, row]
+        joints = draws.joints.values[0, row]
+        pose = model.pose_of(joints, draws.bone_length.values[0, row])
+        torso = pattern.outlier[list(TORSO_INDEX)]
+        sites = (
+            at
+            | {"log_scale": np.log(scale), "exchange": pattern.exchange}
+            | {"torso_outlier": int(np.argmax(torso)) + 1 if torso.any() else 0}
+            | {"limb_outlier": pattern.outlier[list(LIMB_INDEX)].astype(int)}
+            | dict(zip(("bone_length", "upper", "lower"), pose, strict=True))
+        )
+        found, _ = log_density(posterior.program, (), {}, sites)
+        radii = [
+            OUTLIER_REACH if pattern.outlier[JOINT_INDEX[name]] else FACTOR
+            for name in (*TORSO, *ARM)
+        ]
+        by_hand = -np.log(3) + model.log_prior(*pose) + _log_prior(posterior, pattern)
+        by_hand -= sum(math.log(math.pi * (radius * scale) ** 2) for radius in radii)
+        assert float(found) == pytest.approx(float(by_hand), rel=1e-9)
+        assert float(found) == pytest.approx(result.tree["sample_stats"].lp.values[0, row])
+    assert len(seen) > 2
+
+
+def test_exchanges_put_keypoints_where_they_belong():
+    """Twice exchanged is not exchanged; the name says which joints move."""
+    for name, order in zip(EXCHANGES, ORDERS, strict=True):
+        np.testing.assert_array_equal(order[order], np.arange(NUM_JOINTS))
+        moved = {JOINTS[joint] for joint in np.flatnonzero(order != np.arange(NUM_JOINTS))}
+        assert moved == {f"{side}_{part}" for part in EXCHANGES[name] for side in ("left", "right")}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (((1.0,) * 15,), "probability of an outlier must lie between 0 and 1, below 1, not 1.0"),
+        (((math.nan,) * 15,), "probability of an outlier"),
+        (((0.0,) * 15, (0.3, 0.3, 0.3, 0.1, 0.0)), "below 1 together"),
+        (((0.0,) * 15, (-0.1, 0.0, 0.0, 0.0, 0.0)), "must not be negative"),
+    ],
+)
+def test_what_is_no_probability_is_refused(arguments, words):
+    with pytest.raises(BadInput, match=words):
+        FaultPrior(*arguments)
+
+
+def test_faults_need_an_uncertain_root():
+    model, frame = small_case()
+    with pytest.raises(BadInput, match="outliers and exchanges need"):
+        inference.sample(model, frame, key=key(0))
+
+
+def whole_body(seed: int) -> Detection:
+    """A person of the prior, all joints detected."""
+    return prior_scene(PoseModel(), seed, factor=0.2, missing=()).detection
+
+
+def found_faults(detection: Detection, seed: int, num_roots: int = 300) -> tuple[np.ndarray, ...]:
+    """Posterior probabilities of outliers `(15,)` and exchanges `(6,)`."""
+    model = PoseModel()
+    likelihood = Likelihood(factor=0.25, faults=FaultPrior.of(0.05, 0.05))
+    frame = dataclasses.replace(
+        inference.estimate_torso(detection, torsos=np.asarray(model.torsos)), likelihood=likelihood
+    )
+    roots = weigh_roots(frame.uncertain(model), key=key(seed), num_roots=num_roots)
+    pattern = roots.proposed.faults
+    return (
+        roots.share @ pattern.outlier,
+        np.bincount(pattern.exchange, roots.share, minlength=len(EXCHANGES)),
+    )
+
+
+@pytest.mark.slow
+def test_a_wrist_that_was_moved_away_is_found():
+    """By one body length, five body units, in four people; it is the only one."""
+    wrist = JOINT_INDEX["left_wrist"]
+    for seed in range(4):
+        detection = whole_body(seed)
+        keypoints = np.array(detection.keypoints)
+        extent = np.ptp(keypoints, axis=0).max()
+        keypoints[wrist] += extent * np.array([0.8, -0.6])
+        outlier, _ = found_faults(dataclasses.replace(detection, keypoints=keypoints), seed)
+        assert outlier[wrist] > 0.95
+        assert np.delete(outlier, wrist).max() < 0.5
+        calm, _ = found_faults(detection, seed)
+        assert calm[wrist] < 0.5

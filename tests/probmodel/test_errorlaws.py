@@ -1,0 +1,153 @@
+"""Files of error laws: what is written is read, and what is none is refused in one sentence."""
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from probmodel import BadInput
+from probmodel.errorlaws import ANY_SCORE, FORMAT, NO_EXCHANGE, DetectorErrors, Exchange
+from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+
+WRIST, HEAD = JOINT_INDEX["left_wrist"], JOINT_INDEX["head"]
+DOCUMENT: dict[str, Any] = {
+    "format": FORMAT,
+    "law": "student",
+    "df": 4,
+    "joints": {
+        "left_wrist": {"sigma": 0.06, "inlier": 0.9, "bias": [0.01, -0.02]},
+        "head": {"sigma": 0.1},
+    },
+    "exchange": {"legs": 0.01, "arms": 0.005},
+    "score": {"edges": [0.3, 0.6], "sigma_factor": [2, 1.3, 1]},
+    "learned": {"detector": "body_25b"},
+}
+
+
+def changed(path: tuple[str, ...], value: Any) -> dict[str, Any]:
+    """The document with one entry changed; `...` takes it away."""
+    document = copy.deepcopy(DOCUMENT)
+    place = document
+    for name in path[:-1]:
+        place = place[name]
+    if value is ...:
+        del place[path[-1]]
+    else:
+        place[path[-1]] = value
+    return document
+
+
+def test_a_document_becomes_arrays_in_the_skeletons_order():
+    errors = DetectorErrors.from_document(DOCUMENT, "x")
+    assert (errors.law, errors.df, errors.exchange) == ("student", 4.0, Exchange(0.01, 0.005, 0.0))
+    assert np.flatnonzero(errors.known).tolist() == [WRIST, HEAD]
+    assert errors.sigma[[WRIST, HEAD]].tolist() == [0.06, 0.1]
+    assert errors.inlier[[WRIST, HEAD]].tolist() == [0.9, 1.0]
+    assert errors.bias[WRIST].tolist() == [0.01, -0.02]
+    assert errors.bias[HEAD].tolist() == [0.0, 0.0]
+    assert np.isnan(errors.se).all()
+
+
+def test_the_spread_depends_on_the_score():
+    errors = DetectorErrors.from_document(DOCUMENT, "x")
+    at = [errors.spread(np.full(NUM_JOINTS, score))[WRIST] for score in (0.1, 0.3, 0.59, 0.6, 1.0)]
+    assert at == pytest.approx([0.12, 0.078, 0.078, 0.06, 0.06])
+    assert np.isnan(errors.spread(np.ones(NUM_JOINTS))[0])
+
+
+def test_what_is_written_is_read(tmp_path: Path):
+    errors = DetectorErrors.from_document(
+        changed(("joints", "head"), {"sigma": 0.1, "se": [0.1, 0.2, 0.3, 0.4], "pairs": 17}), "x"
+    )
+    errors.write(tmp_path / "errors.json")
+    again = DetectorErrors.read(tmp_path / "errors.json")
+    for name in ("sigma", "inlier", "bias", "se", "pairs"):
+        assert np.array_equal(getattr(again, name), getattr(errors, name), equal_nan=True)
+    for name in ("law", "df", "exchange", "score", "outlier_radius", "learned"):
+        assert getattr(again, name) == getattr(errors, name)
+    assert (again.pairs[HEAD], again.se[HEAD].tolist()) == (17, [0.1, 0.2, 0.3, 0.4])
+
+
+def test_a_gaussian_needs_nothing_but_joints():
+    errors = DetectorErrors.from_document(
+        {"format": FORMAT, "law": "gaussian", "joints": {"head": {"sigma": 0.1}}}, "x"
+    )
+    assert (errors.df, errors.exchange, errors.score) == (np.inf, NO_EXCHANGE, ANY_SCORE)
+
+
+def test_a_joint_that_is_seen_must_be_known():
+    errors, seen = DetectorErrors.from_document(DOCUMENT, "x"), np.zeros(NUM_JOINTS, bool)
+    seen[[WRIST, HEAD]] = True
+    errors.require(seen, "person 0 of x.json")
+    seen[JOINT_INDEX["left_knee"]] = True
+    with pytest.raises(BadInput, match=r"knows no left_knee, which is seen in person 0 of x\.json"):
+        errors.require(seen, "person 0 of x.json")
+
+
+WRIST_PATH = ("joints", "left_wrist")
+REFUSALS = [
+    (("format",), "poseterior error law 2", 'does not begin with "format"'),
+    (("format",), ..., 'does not begin with "format"'),
+    (("law",), ..., "lacks 'law'"),
+    (("law",), "cauchy", "there is no error law 'cauchy'; choose among gaussian, student, disc"),
+    (("law",), ["disc"], r"there is no error law \['disc'\]"),
+    (("law",), "gaussian", "a positive df where it is student, and only there"),
+    (("df",), ..., "a positive df where it is student"),
+    (("df",), 0, "a positive df where it is student"),
+    (("df",), float("nan"), "df must be a finite number, not nan"),
+    (("df",), 10**400, "df must be a finite number"),
+    (("units",), "pixels", "units must be .body units"),
+    (("axes",), "body", "axes must be 'image: right, down', not 'body'"),
+    (("sigma",), 0.1, "an error law has no 'sigma'; it may have axes, df"),
+    (("joints",), [], r"joints must be an object, not \[\]"),
+    (("joints",), {}, "must know at least one joint"),
+    (("joints", "left_hand"), {"sigma": 1}, "has a joint 'left_hand', which the skeleton has not"),
+    (WRIST_PATH, 0.1, "left_wrist must be an object, not 0.1"),
+    ((*WRIST_PATH, "sigma"), ..., "left_wrist lacks 'sigma'"),
+    ((*WRIST_PATH, "sigma"), 0, "sigma of left_wrist must be positive .* not 0"),
+    ((*WRIST_PATH, "sigma"), -0.1, "sigma of left_wrist must be positive .* not -0.1"),
+    ((*WRIST_PATH, "sigma"), 1e9, "sigma of left_wrist must be positive and at most 100"),
+    ((*WRIST_PATH, "sigma"), float("nan"), "sigma of left_wrist must be a finite number, not nan"),
+    ((*WRIST_PATH, "sigma"), "0.1", "sigma of left_wrist must be a number, not '0.1'"),
+    ((*WRIST_PATH, "sigma"), True, "sigma of left_wrist must be a number, not True"),
+    ((*WRIST_PATH, "inlier"), 1.1, "inlier of left_wrist must lie between 0 and 1, not 1.1"),
+    ((*WRIST_PATH, "inlier"), -0.1, "inlier of left_wrist must lie between 0 and 1, not -0.1"),
+    ((*WRIST_PATH, "bias"), [1], r"bias of left_wrist must be 2 numbers, not \[1\]"),
+    ((*WRIST_PATH, "bias"), [0, 1e6], "bias of left_wrist must be two numbers within ±100"),
+    ((*WRIST_PATH, "tau"), 1, "left_wrist has no 'tau'; it may have bias, inlier"),
+    ((*WRIST_PATH, "pairs"), -1, "pairs of left_wrist must be a whole number, not -1"),
+    ((*WRIST_PATH, "se"), [1, 2], "se of left_wrist must be 4 numbers"),
+    (("exchange", "head"), 0.1, "exchange has no 'head'; it may have arms, body, legs"),
+    (("exchange", "legs"), 0.999, "together stay below 1, not 0.999, 0.005, 0"),
+    (("exchange", "legs"), -0.1, "must each lie between 0 and 1"),
+    (("score", "edges"), [0.5], "has 1 edges and 3 factors"),
+    (("score", "edges"), [0.5, 0.5], "must be rising numbers"),
+    (("score", "sigma_factor"), [1, 0, 1], "must be positive and at most 100"),
+    (("score", "sigma_factor"), ..., "score sigma_factor must be a list of numbers, not None"),
+    (("outlier_radius",), 0, "outlier_radius must lie between 0 and 100 body units, not 0"),
+    (("learned",), "here", "learned must be an object, not 'here'"),
+]
+
+
+@pytest.mark.parametrize(("path", "value", "words"), REFUSALS)
+def test_what_is_no_error_law_is_refused(path: tuple[str, ...], value: Any, words: str):
+    with pytest.raises(BadInput, match=words) as refusal:
+        DetectorErrors.from_document(changed(path, value), "law.json")
+    assert str(refusal.value).startswith("law.json")
+
+
+def test_files_that_are_none_are_refused(tmp_path: Path):
+    with pytest.raises(BadInput, match="there is no error law at"):
+        DetectorErrors.read(tmp_path / "none.json")
+    (tmp_path / "list.json").write_text(json.dumps([1]))
+    with pytest.raises(BadInput, match="does not begin with"):
+        DetectorErrors.read(tmp_path / "list.json")
+
+
+def test_arrays_of_another_shape_are_refused():
+    errors = DetectorErrors.from_document(DOCUMENT, "x")
+    with pytest.raises(BadInput, match=r"sigma of an error law must have the shape \(15,\)"):
+        DetectorErrors("disc", errors.sigma[:3], errors.inlier, errors.bias)

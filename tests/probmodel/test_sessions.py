@@ -1,0 +1,327 @@
+"""Sessions of calibrated cameras: what is known in 3D is found again within its covariance, files
+are read as they were written, and calibrations that do not fit are refused."""
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from probmodel import BadInput, Detection
+from probmodel.body import body_unit
+from probmodel.datasets import brings_detections, from_session, read_data_set
+from probmodel.datasets.sessions import judged_views
+from probmodel.sessions import Pinhole, Session, is_session, read_session
+from probmodel.sessions.session import HIPS
+from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from tests.filmed import cameras, filmed, moving, openpose, write_qualisys, write_session
+
+HEAD = JOINT_INDEX["head"]
+JOINTS_3D = moving(30)
+MIDWAY = 1.5
+"""Millimetres: readers take midpoints in the distorted image."""
+EXACT = np.zeros((4, 30, NUM_JOINTS, 2))
+
+
+@pytest.fixture(scope="module")
+def exact() -> Session:
+    return filmed(JOINTS_3D, EXACT)
+
+
+@pytest.fixture(scope="module")
+def folder(exact: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short session in Pose2Sim's layout."""
+    place = tmp_path_factory.mktemp("film")
+    write_session(exact.take(range(6)), place)
+    return place
+
+
+@pytest.fixture
+def copied(folder: Path, tmp_path: Path) -> Path:
+    """A copy of it, to be damaged."""
+    return Path(shutil.copytree(folder, tmp_path / "film"))
+
+
+# --- one camera
+
+
+def test_a_camera_sees_right_below_and_ahead():
+    """By hand: from 2 m in front, a point 0.5 m to its right and 0.2 m down."""
+    rotation = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+    camera = Pinhole(rotation, np.array([2000.0, 0, 1000]), np.full(2, 1000.0), np.full(2, 500.0))
+    assert camera.project(np.array([0.0, 500.0, 800.0])) == pytest.approx([750.0, 600.0])
+
+
+def test_distortion_is_taken_away_again_and_is_opencvs():
+    """By hand for one point; back and forth for all of the image."""
+    camera = cameras()[0]
+    k1, k2, p1, p2, k3 = camera.distortion
+    view = np.array([0.2, -0.1, 1.0])
+    square = 0.05
+    radial = 1 + k1 * square + k2 * square**2 + k3 * square**3
+    x = 0.2 * radial + 2 * p1 * 0.2 * -0.1 + p2 * (square + 2 * 0.04)
+    y = -0.1 * radial + p1 * (square + 2 * 0.01) + 2 * p2 * 0.2 * -0.1
+    seen = camera.project(camera.centre + camera.rotation.T @ view * 2000)
+    assert seen == pytest.approx(camera.focal * [x, y] + camera.principal)
+    grid = np.stack(np.meshgrid(np.linspace(0, 1080, 9), np.linspace(0, 1920, 9)), axis=-1)
+    straight = camera.straighten(grid)
+    rays = np.concatenate([(straight - camera.principal) / camera.focal, np.ones((9, 9, 1))], -1)
+    assert camera.project(camera.centre + rays @ camera.rotation) == pytest.approx(grid, abs=1e-6)
+    assert np.abs(straight - grid).max() > 5
+
+
+def test_the_slope_is_the_projections_derivative():
+    camera, points = cameras()[1].straight, JOINTS_3D[0]
+    step = 0.01
+    by_differences = np.stack(
+        [
+            (camera.project(points + step * axis) - camera.project(points - step * axis)) / step / 2
+            for axis in np.eye(3)
+        ],
+        axis=-1,
+    )
+    assert camera.slope(points) == pytest.approx(by_differences, abs=1e-6)
+
+
+# --- triangulation
+
+
+def test_without_errors_the_truth_is_found(exact: Session):
+    assert exact.world.points == pytest.approx(JOINTS_3D, abs=1e-6)
+    assert exact.without(2).points == pytest.approx(JOINTS_3D, abs=1e-6)
+    assert exact.apart.max() < 1e-6
+
+
+def test_errors_of_known_size_leave_errors_of_the_covariance_that_is_said():
+    """Squared distances in units of the covariance against chi² with three degrees of freedom:
+    1,500 points, errors of 3 mm; false alarm 1e-3. A covariance half as large must fail."""
+    joints = moving(100)
+    rng = np.random.default_rng(1)
+    found = filmed(joints, 3.0 * rng.normal(size=(4, 100, NUM_JOINTS, 2))).world
+    apart = (found.points - joints)[..., None]
+    square = np.swapaxes(apart, -1, -2) @ np.linalg.inv(9.0 * found.covariance) @ apart
+    assert stats.kstest(square.ravel(), "chi2", args=(3,)).pvalue > 1e-3
+    assert stats.kstest(2 * square.ravel(), "chi2", args=(3,)).pvalue < 1e-9
+
+
+def test_a_wild_detection_is_not_trusted(exact: Session):
+    errors = EXACT.copy()
+    errors[1, :, 7] = 800.0
+    found = filmed(JOINTS_3D, errors).world
+    assert np.linalg.norm(found.points - JOINTS_3D, axis=-1).max() < 12
+    assert found.weight[1, :, 7].max() < 0.01
+    # Without it the joint is less sure.
+    assert (
+        np.linalg.det(found.covariance)[:, 7] > 1.5 * np.linalg.det(exact.world.covariance)[:, 7]
+    ).all()
+
+
+def test_a_joint_that_one_camera_alone_sees_is_not_known(exact: Session):
+    people = [list(views) for views in exact.people]
+    for views in people[1:]:
+        keypoints, score = views[0].keypoints.copy(), views[0].score.copy()
+        keypoints[4], score[4] = np.nan, 0.0
+        views[0] = dataclasses.replace(views[0], keypoints=keypoints, score=score)
+    found = dataclasses.replace(exact, people=tuple(map(tuple, people))).world
+    assert np.argwhere(np.isnan(found.points).any(axis=-1)).tolist() == [[0, 4]]
+    assert np.isnan(found.covariance[0, 4]).all()
+
+
+def test_along_the_line_of_sight_depth_is_away_from_the_camera(exact: Session):
+    turned = exact.along_sight(1, JOINTS_3D)
+    assert turned[:, HIPS].mean(axis=1) == pytest.approx(0.0, abs=1e-9)
+    far = np.linalg.norm(JOINTS_3D - exact.cameras[1].centre, axis=-1)
+    middle = np.linalg.norm(JOINTS_3D[:, HIPS].mean(axis=1) - exact.cameras[1].centre, axis=-1)
+    along = turned + np.array([0.0, 0.0, 1.0]) * middle[:, None, None]
+    assert np.linalg.norm(along, axis=-1) == pytest.approx(far)
+    assert exact.unit == pytest.approx(np.median([body_unit(one[None]) for one in JOINTS_3D]))
+
+
+# --- files
+
+
+@pytest.mark.parametrize("name", ["calibration.qca.txt", "Calib_scene.toml"])
+def test_a_session_that_is_written_is_read(name: str, exact: Session, tmp_path: Path):
+    write_session(exact.take(range(4)), tmp_path, name)
+    assert is_session(tmp_path)
+    assert brings_detections(tmp_path)
+    found = read_session(tmp_path)
+    assert found.labels == ("cam1_json", "cam2_json", "cam3_json", "cam4_json")
+    assert (len(found), found.numbers, found.left_out) == (4, (0, 1, 2, 3), 0)
+    assert found.world.points == pytest.approx(JOINTS_3D[:4], abs=MIDWAY)
+    for one, other in zip(found.cameras, exact.cameras, strict=True):
+        assert one.rotation == pytest.approx(other.rotation)
+        assert one.centre == pytest.approx(other.centre)
+        assert one.distortion == pytest.approx(other.distortion)
+
+
+def test_the_persons_views_are_matched_where_files_name_another_first(exact: Session, copied: Path):
+    """A bystander, two metres away, is the first person of two cameras in one frame."""
+    beside = filmed(JOINTS_3D + np.array([0.0, 2000.0, 0.0]), EXACT)
+    for camera in (0, 2):
+        both = [beside.people[camera][3].keypoints, exact.people[camera][3].keypoints]
+        path = copied / "pose" / f"cam{camera + 1}_json" / f"cam{camera + 1}_000003.json"
+        path.write_text(json.dumps(openpose(both)))
+    found = read_session(copied)
+    assert [found.people[camera][3].person for camera in range(4)] == [1, 0, 1, 0]
+    assert found.world.points == pytest.approx(JOINTS_3D[:6], abs=MIDWAY)
+
+
+def test_a_frame_without_the_person_is_left_out(copied: Path):
+    (copied / "pose" / "cam2_json" / "cam2_000004.json").write_text(json.dumps(openpose([])))
+    found = read_session(copied)
+    assert (found.numbers, found.left_out) == ((0, 1, 2, 3, 5), 1)
+
+
+def test_frames_are_thinned_evenly(folder: Path):
+    assert read_session(folder, frames=3).numbers == (0, 2, 5)
+
+
+def test_a_session_is_a_data_set(folder: Path):
+    """Poses are the truth's, turned; the camera's own axes are near."""
+    data = read_data_set(folder, frames=12)
+    assert (len(data), len(set(data.recording.tolist()))) == (12, 4)
+    whole = read_data_set(folder)
+    assert len(whole) == 24
+    truth = JOINTS_3D[0] - JOINTS_3D[0, 0]
+    seen = whole.poses[0]
+    assert np.linalg.norm(seen, axis=-1) == pytest.approx(
+        np.linalg.norm(truth, axis=-1), abs=MIDWAY
+    )
+    upright = cameras()[0].rotation @ truth.T
+    assert np.linalg.norm(upright.T - seen, axis=-1).max() < 150
+    # What weak perspective leaves of a person at 3.5 m.
+    left = whole.keypoints - whole.scale[:, None, None] * whole.poses[..., :2]
+    left = (left - whole.translation[:, None]) / whole.scale[:, None, None]
+    assert 3 < np.median(np.linalg.norm(left, axis=-1)) < 60
+
+
+def test_a_joint_that_no_camera_sees_leaves_pairs_but_no_data_set(exact: Session):
+    people = tuple(tuple(map(headless, views)) for views in exact.people)
+    session = dataclasses.replace(exact, people=people)
+    assert np.isnan(session.world.points[:, HEAD]).all()
+    assert len(list(judged_views(session))) == 4
+    with pytest.raises(
+        BadInput, match=r"simulated has no frame in which two cameras beside the ju"
+    ):
+        from_session(session)
+
+
+def headless(person: Detection) -> Detection:
+    """Without the head, which many detectors do not have."""
+    keypoints, score = person.keypoints.copy(), person.score.copy()
+    keypoints[HEAD], score[HEAD] = np.nan, 0.0
+    return dataclasses.replace(person, keypoints=keypoints, score=score)
+
+
+def test_two_cameras_judge_nobody(exact: Session):
+    two = dataclasses.replace(
+        exact, cameras=exact.cameras[:2], labels=exact.labels[:2], people=exact.people[:2]
+    )
+    with pytest.raises(BadInput, match="has 2 cameras; to judge one of them by the others needs 3"):
+        from_session(two)
+
+
+# --- refusals
+
+
+def test_a_wrong_sign_is_refused(exact: Session, copied: Path):
+    """The camera's axes without the flip, or with another, look away from the person."""
+    path = copied / "calibration" / "calibration.qca.txt"
+    for flip in ((1, 1, 1), (-1, -1, 1)):
+        write_qualisys(exact.cameras, path, flip)
+        with pytest.raises(BadInput, match=r"in 6 of 6 frames .* no person is where the cameras'"):
+            read_session(copied)
+
+
+def test_cameras_in_another_order_are_refused(exact: Session, copied: Path):
+    write_qualisys(exact.cameras[::-1], copied / "calibration" / "calibration.qca.txt")
+    with pytest.raises(
+        BadInput, match=r"calibration\.qca\.txt does not fit them|no person is where"
+    ):
+        read_session(copied)
+
+
+def test_other_frame_counts_are_refused(copied: Path):
+    (copied / "pose" / "cam3_json" / "cam3_000005.json").unlink()
+    words = "cam3_json has 5 frames and cam1_json has 6, and frame 5 is only in one of them"
+    with pytest.raises(BadInput, match=words):
+        read_session(copied)
+
+
+def test_other_numbers_of_cameras_are_refused(copied: Path):
+    shutil.rmtree(copied / "pose" / "cam4_json")
+    with pytest.raises(BadInput, match=r"has 3 folders of detections, but .* calibrates 4 cameras"):
+        read_session(copied)
+
+
+def test_two_calibrations_are_refused(copied: Path):
+    shutil.copy(copied / "calibration" / "calibration.qca.txt", copied / "old.qca.txt")
+    with pytest.raises(BadInput, match=r"must hold one calibration, but has old\.qca\.txt, calibr"):
+        read_session(copied)
+
+
+def test_frames_without_numbers_are_refused(copied: Path):
+    place = copied / "pose" / "cam1_json"
+    (place / "cam1_000005.json").rename(place / "last.json")
+    with pytest.raises(BadInput, match="the frame 'last' has no number in its name"):
+        read_session(copied)
+
+
+QUALISYS = [
+    ("", "is no XML"),
+    ("<calibration>", "is no XML"),
+    ("<!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>", "holds a declaration that a calibration does not"),
+    ("<calibration/>", "calibrates 0 cameras; two at least"),
+    ("<c><camera/></c>", "camera 1 of .* has no <transform>"),
+    ("<c><camera><transform r11='1'/></camera></c>", "<transform> lacks r12"),
+]
+CAMERA = """[c]
+matrix = [[1500.0, 0.0, 500.0], [0.0, 1500.0, 900.0], [0.0, 0.0, 1.0]]
+distortions = [0.0, 0.0, 0.0, 0.0]
+rotation = [0.1, 0.2, 0.3]
+translation = [0.0, 0.0, 4.0]
+"""
+TOML = [
+    ("a = [", "is no TOML"),
+    ("a = 1", "calibrates 0 cameras"),
+    (CAMERA, "calibrates 1 cameras"),
+    (CAMERA + "fisheye = true", "is a fisheye camera, which this program does not know"),
+    (CAMERA.replace("[0.1, 0.2, 0.3]", "[0.1, 0.2]"), "rotation must be 3 numbers"),
+    (CAMERA.replace("[0.1, 0.2, 0.3]", "'text'"), "rotation must be 3 numbers"),
+    (CAMERA.replace("[0.0, 0.0, 4.0]", "[0.0, 0.0, inf]"), "has a number that is not finite"),
+    (CAMERA.replace("[[1500.0", "[[-1500.0"), "a focal length that is not positive"),
+    (CAMERA.replace("[0.0, 0.0, 0.0, 0.0]", "[0.0]"), "distortions must be four or five numbers"),
+    (CAMERA.replace("[[1500.0, 0.0, 500.0]", "[[1500.0, 0.0]"), "matrix must be 3 × 3 numbers"),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [("c.qca.txt", *case) for case in QUALISYS] + [("c.toml", *case) for case in TOML],
+)
+def test_what_is_no_calibration_is_refused(name: str, text: str, words: str, tmp_path: Path):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(BadInput, match=words):
+        read_session(tmp_path)
+
+
+def test_numbers_that_are_no_rotation_are_refused(exact: Session, tmp_path: Path):
+    mirrored = [dataclasses.replace(one, rotation=-one.rotation) for one in exact.cameras]
+    write_qualisys(tuple(mirrored), tmp_path / "c.qca.txt")
+    with pytest.raises(BadInput, match="its rotation is none"):
+        read_session(tmp_path)
+
+
+# --- shared data
+
+
+def test_real_cameras_meet_where_the_person_is(shared_data: Path):
+    """Five frames of a real film: some 12 pixels (median), bones of a grown person."""
+    session = read_session(shared_data / "multicamera", frames=5)
+    pixels = session.apart * session.scale[..., None]
+    assert 5 < np.median(pixels) < 20
+    assert 300 < session.unit < 380

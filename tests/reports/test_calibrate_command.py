@@ -1,0 +1,93 @@
+"""`poseterior calibrate`: what it writes, says and refuses; sessions in the other studies."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probmodel import DetectorErrors
+from probmodel.errorlaws import FORMAT
+from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from tests.conftest import Cli
+from tests.filmed import filmed, moving, write_session
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session of 24 frames with errors of 10 mm."""
+    place = tmp_path_factory.mktemp("session")
+    rng = np.random.default_rng(3)
+    write_session(filmed(moving(24), 10 * rng.normal(size=(4, 24, NUM_JOINTS, 2))), place)
+    return place
+
+
+def test_it_writes_a_law_and_a_picture_and_says_what_it_found(
+    film: Path, poseterior: Cli, tmp_path: Path
+) -> None:
+    out = tmp_path / "errors.json"
+    run = poseterior("calibrate", film, "--perspective", "--out", out, "--quiet")
+    assert (run.code, run.err) == (0, "")
+    for words in ("The error law", "left_wrist", "Exchanged sides: legs 0.0", f"{out}"):
+        assert words in run.out.replace("\n", "")
+    errors = DetectorErrors.read(out)
+    assert errors.learned["detector"] == "body_25b"
+    assert errors.learned["people"] == 96
+    wrist = JOINT_INDEX["left_wrist"]
+    assert errors.sigma[wrist] * 305 == pytest.approx(10, rel=0.3)
+    assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_json_is_the_file(film: Path, poseterior: Cli, tmp_path: Path) -> None:
+    out = tmp_path / "errors.json"
+    run = poseterior("calibrate", film, "--frames", "40", "--out", out, "--json", "--quiet")
+    assert run.code == 0
+    assert json.loads(run.out) == json.loads(out.read_text())
+    assert json.loads(run.out)["format"] == FORMAT
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--out", "no/folder.json"), "the folder no does not exist"),
+        (("--out", "law.png"), "would be overwritten by its own picture"),
+        (("--frames", "12"), "has 12 detections of a joint at most; a law needs 20"),
+        (("--law", "disc"), "'disc' is not one of"),
+    ],
+)
+def test_what_cannot_be_done_is_refused(
+    options: tuple[str, str], words: str, film: Path, poseterior: Cli, monkeypatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = poseterior("calibrate", film, *options, "--quiet")
+    assert run.code == 2
+    assert words in run.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_perspective_needs_cameras(poseterior: Cli, tmp_path: Path) -> None:
+    from probmodel.datasets import from_motions, write_plain
+    from probmodel.motion import Motion
+
+    motion = Motion(moving(30)[..., [0, 2, 1]] * [1, 1, -1], 30.0, "walking/one", "a")
+    write_plain(from_motions([motion], "x", frames=20), tmp_path / "x.npz")
+    run = poseterior("calibrate", tmp_path / "x.npz", "--perspective", "--quiet")
+    assert run.code == 2
+    assert "--perspective needs calibrated cameras" in run.err
+
+
+def test_the_embedded_law_knows_every_joint() -> None:
+    errors = DetectorErrors.default()
+    assert errors.known.all()
+    assert 0.03 < errors.sigma.min() < errors.sigma.max() < 0.15
+    assert errors.learned["inlier"].startswith("Chang")
+
+
+@pytest.mark.slow
+def test_the_embedded_law_is_rebuilt(shared_data: Path) -> None:
+    from inference.studies.errorlaws.embedded import embedded
+    from probmodel.sessions import read_session
+
+    found = embedded(read_session(shared_data / "multicamera"))
+    assert found.sigma == pytest.approx(DetectorErrors.default().sigma, abs=0.0011)
+    assert found.exchange == DetectorErrors.default().exchange

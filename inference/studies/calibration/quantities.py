@@ -14,6 +14,7 @@ from probmodel.chunks import in_chunks
 from probmodel.faults import Faults
 from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
+from probmodel.pose import Pose
 from probmodel.roots import RootPoint, RootPrior
 from probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS, LOWER_BONES
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
@@ -75,8 +76,12 @@ def _of_both(
     model: PoseModel, observation: Observation, joints: jax.Array, length: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     poses = model.pose_of(joints, length)
-    sine = -jnp.sum(model.hinges_at(poses.upper).triple[..., 0, :] * poses.lower, axis=-1)
-    return sine, log_joint(model, observation, *poses), observation.misfit(joints)
+    return _sines(model, poses), log_joint(model, observation, *poses), observation.misfit(joints)
+
+
+def _sines(model: PoseModel, poses: Pose) -> jax.Array:
+    """`(n, 4)`: of lower bones from their planes."""
+    return -jnp.sum(model.hinges_at(poses.upper).triple[..., 0, :] * poses.lower, axis=-1)
 
 
 def of_rooted(posterior: UncertainPosterior, points: RootPoint, joints: np.ndarray) -> np.ndarray:
@@ -97,8 +102,10 @@ def _of_rooted(
         point: RootPoint, joints: jax.Array, length: jax.Array
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
         observation = detected.under(prior, point, Faults.none())
-        sine, density, misfit = _of_both(model, observation, joints[None], length[None])
-        return sine[0], density[0] + prior.log_density(point), misfit[0]
+        poses = model.pose_of(joints[None], length[None])
+        pose = jax.tree.map(lambda part: part[0], poses)
+        density = prior.log_density(point) + log_joint(model, observation, *pose)
+        return _sines(model, poses)[0], density, observation.misfit(joints)
 
     return jax.vmap(one)(RootPoint(*fields[:4]), *fields[4:])
 

@@ -232,19 +232,16 @@ def pose_columns(
     ):
         number = len(part.poses.length)
         density = functools.partial(log_joint, posterior.model, observation)
-        joints = _joints_of(posterior.model, observation, part.poses)
-        image = functools.partial(_image, root.camera)
-        spread = np.asarray(observation.spread) * float(root.camera.scale)
+        seen = _seen(posterior.model, observation, part.poses)
+        spread = seen.pop("scale")[:, None] * np.asarray(observation.spread)
         columns.append(
             {
-                "joints": joints,
-                "bone_length": part.poses.length,
+                **seen,
                 "torso": np.full(number, root.torso_index),
                 "candidate": np.full(number, index),
-                "keypoints": _each(image, (joints,), (len(JOINTS), 2)),
                 "read_detected": _tiled(posterior.detection.keypoints, number),
                 "read_bias": _tiled(posterior.likelihood.bias * float(root.camera.scale), number),
-                "read_spread": _tiled(spread, number),
+                "read_spread": spread,
                 "read_outlier": np.zeros((number, NUM_JOINTS), bool),
                 "lp": _each(density, part.poses, ()),
             }
@@ -260,16 +257,25 @@ def _tiled(row: np.ndarray, number: int) -> np.ndarray:
 def joint_columns(
     posterior: Posterior, parts: list[RootDraws], rng: np.random.Generator
 ) -> Columns:
-    """Draws under all roots in the same random order: joints `(n, 15, 3)` and bone_length `(n, 5)`
-    only."""
+    """Draws under all roots in the same random order: joints `(n, 15, 3)`, bone_length `(n, 5)`,
+    keypoints `(n, 15, 2)` and the root's scale `(n,)` in pixels a body unit only."""
     columns = [
-        {
-            "joints": _joints_of(posterior.model, observation, part.poses),
-            "bone_length": part.poses.length,
-        }
+        _seen(posterior.model, observation, part.poses)
         for observation, part in zip(posterior.observations, parts, strict=True)
     ]
     return _shuffled(columns, rng)
+
+
+def _seen(model: PoseModel, observation: Observation, poses: Pose) -> Columns:
+    """Draws under one root, and where its camera sees them."""
+    camera = observation.root.camera
+    joints = _joints_of(model, observation, poses)
+    return {
+        "joints": joints,
+        "bone_length": poses.length,
+        "keypoints": _each(functools.partial(_image, camera), (joints,), (len(JOINTS), 2)),
+        "scale": np.full(len(joints), float(camera.scale)),
+    }
 
 
 def _joints_of(model: PoseModel, observation: Observation, poses: Pose) -> np.ndarray:

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from inference.baselines.catalogue import BASELINES, sample_baseline
+from inference.drawers import require_root
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress, draw_mixture
 from inference.joined import joined
 from inference.results import FIXED, UNCERTAIN, Result, build_tree, key_words
@@ -18,8 +19,6 @@ from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
 
-ROOTS = (FIXED, UNCERTAIN)
-"""What torso and camera may be: given by an estimator, or drawn with the pose."""
 SAMPLERS = (*PROPOSALS, *BASELINES)
 """Every sampler by its name: exact rejection first, then the baselines."""
 
@@ -59,8 +58,9 @@ def sample(
         How many independent runs of exact rejection, each with a key and its share of the proposals
         of its own, so that diagnostics which compare chains have some.
     root
-        One of `ROOTS`. "fixed" is the paper's method, a mixture over the candidates; "uncertain"
-        draws torso and camera too, and takes no more of the candidates than the names of the sides.
+        One of `drawers.ROOTS`. "fixed" is the paper's method, a mixture over the candidates;
+        "uncertain" draws torso and camera too, and takes no more of the candidates than the names
+        of the sides.
     num_roots
         From how many roots draws are made where the root is uncertain.
     progress
@@ -78,14 +78,8 @@ def sample(
         shall be uncertain, a number of samples or chains that cannot be, and where the torso's seen
         joints do not determine a camera.
     """
-    if root not in ROOTS:
-        raise BadInput(f"there is no root {root!r}; choose one of {', '.join(ROOTS)}")
+    require_root(root, sampler)
     if root == UNCERTAIN:
-        if sampler != SAMPLERS[0]:
-            raise BadInput(
-                f"the sampler {sampler} holds torso and camera fixed; leave it out, or choose the"
-                f" root {FIXED!r}"
-            )
         if chains != 1:
             raise BadInput(
                 f"several chains are runs under fixed roots; leave their number out, or choose the"

@@ -22,10 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from inference.exact.mixture import MAX_PROPOSALS, draw_mixture
+from inference.drawers import NUM_ROOTS, SAMPLER, Drawer, drawer
+from inference.exact.mixture import MAX_PROPOSALS
 from inference.hypothesis import diverse
 from inference.machines import HERE, Machines, in_threads
-from inference.results import joint_columns, key_words, provenance
+from inference.results import FIXED, key_words, provenance
 from inference.store import Block, Groups, Store, fill, locked
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
@@ -69,6 +70,7 @@ class FrameDraws(NamedTuple):
     num_draws: int
     log_evidence: float
     log_evidence_se: float
+    effective_roots: float
     mean: np.ndarray
     sd: np.ndarray
     depth: np.ndarray
@@ -85,7 +87,9 @@ def sample_frames(
     *,
     key: jax.Array,
     out: str | os.PathLike,
-    sampler: str = "rejection",
+    sampler: str = SAMPLER,
+    root: str = FIXED,
+    num_roots: int = NUM_ROOTS,
     num_samples: int = 10_000,
     k: int = 5,
     keep: int | None = None,
@@ -96,8 +100,8 @@ def sample_frames(
     """Draws poses of every frame, chooses hypotheses among them, and writes both to a folder, where
     a run that was stopped is resumed.
 
-    A frame that is a sentence, or whose budget ends, is recorded with its reason. Damaged blocks
-    are made anew.
+    A frame that is a sentence, whose budget of `max_proposals` ends, or whose draws rest on too few
+    roots, is recorded with its reason. Damaged blocks are made anew.
 
     Parameters
     ----------
@@ -109,10 +113,8 @@ def sample_frames(
         Of all draws: the same key, the same bits, whoever draws.
     out
         The folder.
-    sampler
-        One of `SAMPLERS`.
-    num_samples
-        How many draws of each frame.
+    sampler, root, num_roots, num_samples, max_proposals
+        As `inference.drawers.drawer` takes them: what is drawn of every frame.
     k
         How many hypotheses of each frame.
     keep
@@ -132,8 +134,8 @@ def sample_frames(
     Raises
     ------
     BadInput
-        Where `out` holds another run, or another process is writing to it, and where the numbers
-        do not go together.
+        Where `out` holds another run, or another process is writing to it, where the numbers do not
+        go together, and as `drawer` does.
     """
     keep = num_samples if keep is None else min(keep, num_samples)
     if num_samples < 1 or not 1 <= k <= num_samples or keep < 0:
@@ -145,8 +147,24 @@ def sample_frames(
     size = BLOCK_BYTES // (4 * (3 * NUM_JOINTS + NUM_LENGTHS) * max(keep, 1))
     size = max(1, min(MOST_FRAMES, size))
     words = np.asarray(jax.random.key_data(key))
-    task = _Drawing(model, words, sampler, num_samples, k, keep, max_proposals)
-    settings = {"study": "stream of frames", "seed": key_words(key), "block": size}
+    draw = drawer(
+        model,
+        root=root,
+        sampler=sampler,
+        num_samples=num_samples,
+        num_roots=num_roots,
+        max_proposals=max_proposals,
+    )
+    task = _Drawing(draw, words, k, keep)
+    settings = {
+        "study": "stream of frames",
+        "seed": key_words(key),
+        "block": size,
+        **draw.settings,
+        "k": k,
+        "keep": keep,
+        **provenance(model),
+    }
     taken: list[int] = []
 
     def take(block: Block, groups: Groups) -> None:
@@ -155,7 +173,7 @@ def sample_frames(
             progress(sum(taken))
 
     with locked(folder):
-        store = Store.begin(folder, settings | task.settings)
+        store = Store.begin(folder, settings)
         fill(store, machines, task, _blocks(frames, size), take)
         store.finish(len(taken))
     return folder
@@ -174,9 +192,9 @@ def open_stream(folder: str | os.PathLike) -> xr.DataTree:
     -------
     DataTree
         `/summary` by frame: status, sentence, num_draws, log_evidence with its standard error,
-        `mean` and `sd` of the joints `(frame, joint, axis)`, quantiles of their `depth`
-        `(frame, joint, level)`; `/hypotheses`: `joints`
-        `(frame, hypothesis, joint, axis)`, `weight`, `draw`. The settings of the run are
+        effective_roots (NaN where torso and camera are fixed), `mean` and `sd` of the joints
+        `(frame, joint, axis)`, quantiles of their `depth` `(frame, joint, level)`; `/hypotheses`:
+        `joints` `(frame, hypothesis, joint, axis)`, `weight`, `draw`. The settings of the run are
         attributes.
 
     Raises
@@ -285,55 +303,40 @@ class _Drawing:
     """The task of a block: draws and hypotheses of its frames, of which it is told the number of
     the first; `words` are those of the run's key."""
 
-    model: PoseModel
+    draw: Drawer
     words: np.ndarray
-    sampler: str
-    num_samples: int
     k: int
     keep: int
-    max_proposals: int
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What the draws depend on, beside the key."""
-        names = ("sampler", "num_samples", "k", "keep", "max_proposals")
-        return {name: getattr(self, name) for name in names} | {
-            "levels": list(LEVELS),
-            **provenance(self.model),
-        }
 
     def __call__(self, block: tuple[int, list[Item]]) -> Groups:
         first, items = block
-        rows = in_threads(self._draw, range(first, first + len(items)), items)
+        rows = in_threads(self._drawn, range(first, first + len(items)), items)
         return _groups(rows, self.k)
 
-    def _draw(self, index: int, item: Item) -> FrameDraws:
+    def _drawn(self, index: int, item: Item) -> FrameDraws:
         name, frame = item
         if isinstance(frame, str):
             return self._nothing(name, BAD_INPUT, frame)
         key = jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(self.words)), index)
-        posterior = frame.posterior(self.model)
-        mixture = draw_mixture(
-            posterior,
-            key=key,
-            sampler=self.sampler,
-            num_samples=self.num_samples,
-            max_proposals=self.max_proposals,
+        try:
+            draws = self.draw(frame, key)
+        except BadInput as error:  # a torso of which too little is seen for a root of its own
+            return self._nothing(name, BAD_INPUT, str(error))
+        joints, number = draws.joints, len(draws.joints)
+        drawn = self._nothing(name, draws.status, draws.sentence)._replace(
+            log_evidence=draws.log_evidence,
+            log_evidence_se=draws.log_evidence_se,
+            effective_roots=draws.effective_roots,
         )
-        columns = joint_columns(posterior, mixture.parts, mixture.rng)
-        joints, number = columns["joints"], len(columns["joints"])
-        drawn = self._nothing(name, mixture.status, mixture.sentence)
         if number == 0:
             return drawn
         chosen = diverse(joints.astype(np.float32), min(self.k, number))
         for row, (pose, weight, draw) in enumerate(chosen):
             drawn.hypotheses[row], drawn.weight[row], drawn.chosen[row] = pose, weight, draw
         kept = min(self.keep, number)
-        drawn.joints[:kept], drawn.bone_length[:kept] = joints[:kept], columns["bone_length"][:kept]
+        drawn.joints[:kept], drawn.bone_length[:kept] = joints[:kept], draws.bone_length[:kept]
         return drawn._replace(
             num_draws=number,
-            log_evidence=mixture.attributes["log_evidence"],
-            log_evidence_se=mixture.attributes["log_evidence_se"],
             mean=joints.mean(axis=0),
             sd=joints.std(axis=0),
             depth=np.quantile(joints[:, :, 2], LEVELS, axis=0).T,
@@ -348,6 +351,7 @@ class _Drawing:
             num_draws=0,
             log_evidence=-np.inf,
             log_evidence_se=np.inf,
+            effective_roots=np.nan,
             mean=blank,
             sd=blank,
             depth=np.full((NUM_JOINTS, len(LEVELS)), np.nan),
@@ -362,7 +366,8 @@ class _Drawing:
 def _groups(rows: list[FrameDraws], k: int) -> Groups:
     fields = {name: [getattr(row, name) for row in rows] for name in FrameDraws._fields}
     names = {"frame": fields["name"], "joint": list(JOINTS), "axis": list("xyz")}
-    by_frame = ("status", "sentence", "num_draws", "log_evidence", "log_evidence_se")
+    scalars = ("num_draws", "log_evidence", "log_evidence_se", "effective_roots")
+    by_frame = ("status", "sentence", *scalars)
     units = {"units": "body units"}
 
     def column(field: str, *dims: str, **attributes: str) -> tuple[Any, ...]:

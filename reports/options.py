@@ -43,6 +43,9 @@ Limits = Annotated[
 ]
 NumSamples = Annotated[int, Option(min=1, max=10_000_000, help="How many poses to draw.")]
 Seed = Annotated[int, Option(min=0, max=2**32 - 1, help="The same seed gives the same draws.")]
+Roots = Annotated[
+    int, Option(min=1, max=100_000, help="From how many torsos and cameras, if uncertain.")
+]
 Hypotheses = Annotated[int, Option(help="How many diverse hypotheses of each person.")]
 
 Open = Annotated[bool, Option("--open", help="Open the page in a browser.")]
@@ -385,9 +388,7 @@ class Rooting:
             )
         ),
     ] = RootKind.fixed
-    roots: Annotated[
-        int, Option(min=1, max=100_000, help="From how many torsos and cameras, if uncertain.")
-    ] = 2000
+    roots: Roots = 2000
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,7 @@ from reports.options import (
     PersonOrResult,
     Prior,
     Rooting,
+    Roots,
     Sampling,
     Seed,
     Workforce,
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from probmodel.datasets import DataSet
     from probmodel.sessions import Session
 
+MANY_ROOTED = Rooting(roots=200)
+"""Where many people are drawn from, each has fewer roots: about a second of one core."""
 REAL = "Real poses (with --dataset)"
 """The part of the help for options of `coverage` that mean nothing without a data set."""
 
@@ -107,6 +110,7 @@ class FramesSettings:
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "frames walk/ --out walk-posterior",
         "frames video.json --out result --num-samples 1000 --keep 100",
+        "frames walk/ --out walk-posterior --correct --root uncertain --roots 400",
     )
     path: Annotated[
         Path,
@@ -128,6 +132,7 @@ class FramesSettings:
     sampling: Sampling = Sampling()
     detected: Detected = Detected()
     estimation: Estimation = Estimation()
+    rooting: Rooting = MANY_ROOTED
     prior: Prior = Prior()
 
     @functools.cached_property
@@ -373,13 +378,15 @@ class EvaluateSettings:
     """The paper's evaluation on a data set whose truth is known: tables, curves, which of its
     relations hold.
 
-    Of --estimator, --missing and --rotate it takes several with commas between them."""
+    Of --estimator, --missing, --rotate and --root it takes several with commas between them."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "evaluate actions_train.npz --frames 500 --missing 0,1,2 --rotate 0,30,60 --workers 2",
         "evaluate h36m/ --detections gt --frames 26385 --scheduler tcp://host:8786",
         "evaluate mocap/ --noise gaussian:0.02 --limits limits.npz --poses poses.npz"
         " --predictions chen.npz",
+        "evaluate actions_train.npz --frames 200 --noise gaussian:0.02 --estimator zhou"
+        " --root fixed,uncertain,true --no-bias",
     )
     dataset: Annotated[
         Path,
@@ -391,6 +398,13 @@ class EvaluateSettings:
     ]
     missing: Annotated[str, Option(help="Numbers of limb joints made missing, at random.")] = "0"
     rotate: Annotated[str, Option(help="Degrees by which the image is turned.")] = "0"
+    root: Annotated[
+        str,
+        Option(
+            help="Torso and camera: fixed (the estimators'), uncertain, or true (the truth's own)."
+        ),
+    ] = "fixed"
+    roots: Roots = MANY_ROOTED.roots
     k: Annotated[str, Option(help="Numbers of hypotheses of which the best counts.")] = "5,20"
     out: Annotated[
         Path, Option(help="Folder for the results; a run that was stopped goes on there.")
@@ -450,6 +464,7 @@ class CoverageSettings:
         "coverage --sampler draws.npz --num-simulations 200",
         "coverage --dataset recordings.npz --estimator zhou --noise gaussian:0.02 --missing 1"
         " --out real",
+        "coverage --root uncertain --num-simulations 1000 --out whole",
     )
     sampler: Annotated[
         str, Option(help="A name, or a file: `joints` (simulations, draws, 15, 3).")
@@ -490,6 +505,7 @@ class CoverageSettings:
     missing: Annotated[
         int, Option(min=0, help="Limb joints that are not seen.", rich_help_panel=REAL)
     ] = 0
+    rooting: Rooting = MANY_ROOTED
     factor: Factor = 0.25
     workforce: Workforce = Workforce()
     sampling: Sampling = Sampling(num_samples=1000, max_proposals=3_000_000)
@@ -500,7 +516,7 @@ class CoverageSettings:
         from probmodel import BadInput
 
         real = ["frames", "estimator", "noise", "missing"]
-        draws = ["sampler", "num_samples", "max_proposals"]
+        draws = ["sampler", "num_samples", "max_proposals", "root", "roots"]
         if self.dataset is not None:
             way, unknown = "with --dataset", ["simulate_only", "num_simulations"]
         elif self.simulate_only:

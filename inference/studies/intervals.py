@@ -8,6 +8,7 @@ from scipy import stats
 
 RESAMPLES = 1000
 TAIL = 0.025
+"""What a central interval of 95 % leaves on either side."""
 ROUNDING = 1e-12
 
 

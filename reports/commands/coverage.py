@@ -4,7 +4,7 @@ not, why?"""
 from pathlib import Path
 from typing import Any
 
-from inference.results import save_tree
+from inference.results import FIXED, save_tree
 from inference.studies import calibration
 from inference.studies.calibration.coverage import CoverageSummary
 from inference.studies.calibration.record import instances_tree
@@ -45,7 +45,7 @@ def simulated(settings: CoverageSettings, screen: Screen) -> None:
         )
     out = console.output_folder(settings.out)
     model = settings.prior.model()
-    with console.progress(f"simulations by {settings.sampler}", screen.quiet) as step:
+    with console.progress(f"simulations by {_drawer(settings)}", screen.quiet) as step:
         tree = calibration.calibrate(
             model,
             num_simulations=num_simulations,
@@ -98,9 +98,10 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
             noise=settings.noise,
             missing=settings.missing,
             likelihood=Likelihood(factor=settings.factor),
+            root=settings.rooting.root,
             seed=settings.sampling.seed,
         )
-    with console.progress(f"posteriors by {settings.sampler}", screen.quiet) as step:
+    with console.progress(f"posteriors by {_drawer(settings)}", screen.quiet) as step:
         tree = calibration.cover(
             model,
             cases,
@@ -111,12 +112,17 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
         )
     found = calibration.summary(tree)
     simulation = tree["simulation"].to_dataset()
-    curves = coverage_figure({f"torso and camera: {settings.estimator}": simulation})
+    given = settings.estimator if settings.rooting.root == FIXED else "uncertain"
+    curves = coverage_figure({f"torso and camera: {given}": simulation})
     save_figure(curves, out / "coverage.png")
     if screen.json:
         console.show_json(summary_json(found) | {"out": str(out)})
     else:
         _say(found, out)
+
+
+def _drawer(settings: CoverageSettings) -> str:
+    return settings.sampler if settings.rooting.root == FIXED else "weighted roots"
 
 
 def _asked(settings: CoverageSettings, out: Path) -> dict[str, Any]:
@@ -127,6 +133,8 @@ def _asked(settings: CoverageSettings, out: Path) -> dict[str, Any]:
         "num_samples": settings.sampling.num_samples,
         "likelihood": Likelihood(factor=settings.factor),
         "max_proposals": settings.sampling.max_proposals,
+        "root": settings.rooting.root,
+        "num_roots": settings.rooting.roots,
         "machines": settings.workforce.machines(),
         "out": out,
     }

@@ -16,6 +16,8 @@ from inference.studies.evaluation.conditions import Condition, conditions
 from inference.studies.evaluation.outcome import Protocol
 from inference.studies.evaluation.relations import Relation, relations
 from inference.studies.evaluation.run import Results, evaluate
+from inference.studies.evaluation.samples import of_predictions
+from inference.studies.evaluation.scores import Values
 from probmodel.datasets import DataSet, brings_detections, read_data_set
 from probmodel.failures import BadInput
 from probmodel.learning.dictionaries import PoseDictionary
@@ -30,17 +32,54 @@ from reports.tables.bias import actions_table, visits_table
 from reports.tables.evaluation import (
     PAPERS_FRAMES,
     Labels,
+    best_table,
+    calibration_table,
     frames_table,
     metrics_table,
     narrow,
     pck_table,
     relations_table,
+    scores_of,
+    sharpness_table,
     table_1,
     table_2,
 )
 from reports.tables.words import duration
 
 MANY_FRAMES = 1_000_000
+PRINTED = ("table1", "table2", "relations", "best", "calibration", "sharpness")
+"""Tables that a terminal shows; the others are written."""
+BY_ACTION = ("table1", "table2")
+"""Tables with a column for every action or number of joints, of which a terminal shows few."""
+
+
+class Predictions(NamedTuple):
+    """Another method's poses for the frames of a data set.
+
+    Attributes
+    ----------
+    errors : `(N,)` mm, mean joint errors after limb scaling and similarity alignment; the best
+        where there are several for a frame.
+    samples : what `samples.of_samples` says of them.
+    """
+
+    errors: np.ndarray
+    samples: Values
+
+    @classmethod
+    def read(cls, path: Path, data: DataSet) -> "Predictions":
+        """Of a file. Raises `BadInput` where its poses are not those of the data set's frames."""
+        poses = read_poses(path)
+        if len(poses) != len(data):
+            raise BadInput(
+                f"{path} holds predictions for {len(poses)} frames, but {data.name} has {len(data)}"
+                " of them"
+            )
+        try:
+            errors = np.asarray(mean_joint_error(poses, data.poses[:, None])).min(axis=1)
+        except BadInput as error:
+            raise BadInput(f"{path}: {error}") from None
+        return cls(errors, of_predictions(poses, data))
 
 
 class Findings(NamedTuple):
@@ -58,7 +97,7 @@ def run(settings: EvaluateSettings, screen: Screen) -> None:
     wanted, protocol, seed = _conditions(settings), _protocol(settings), settings.sampling.seed
     with console.progress("reading", screen.quiet):
         data = settings.data
-        external = {path.stem: external_errors(path, data) for path in settings.predictions or ()}
+        external = {path.stem: Predictions.read(path, data) for path in settings.predictions or ()}
     out = console.output_folder(settings.out)
     started, begun = time.monotonic(), -1
     with console.progress("frames", screen.quiet) as step:
@@ -97,8 +136,8 @@ def run(settings: EvaluateSettings, screen: Screen) -> None:
         console.show_json(_json(found, out))
         return
     for sheet in found.sheets:
-        if sheet.name in ("table1", "table2", "relations"):
-            console.OUT.print(narrow(sheet))
+        if sheet.name in PRINTED:
+            console.OUT.print(narrow(sheet) if sheet.name in BY_ACTION else sheet)
     if fresh:
         crew = settings.workforce
         console.say(throughput(fresh, seconds, None if crew.scheduler else crew.workers))
@@ -109,7 +148,8 @@ def _conditions(settings: EvaluateSettings) -> list[Condition]:
     """Raises `BadInput` where a list holds what it must not."""
     names = [name.strip() for name in settings.estimation.estimator.split(",") if name.strip()]
     missing = _listed(settings.missing, int, "--missing")
-    return conditions(names, missing, _listed(settings.rotate, float, "--rotate"))
+    roots = [name.strip() for name in settings.root.split(",") if name.strip()]
+    return conditions(names, missing, _listed(settings.rotate, float, "--rotate"), roots)
 
 
 def _protocol(settings: EvaluateSettings) -> Protocol:
@@ -126,6 +166,7 @@ def _protocol(settings: EvaluateSettings) -> Protocol:
         ks=tuple(_listed(settings.k, int, "--k")),
         max_proposals=settings.sampling.max_proposals,
         seed=settings.sampling.seed,
+        num_roots=settings.roots,
     )
 
 
@@ -134,17 +175,24 @@ def findings(
     data: DataSet,
     base: Condition,
     protocol: Protocol,
-    external: Mapping[str, np.ndarray],
+    external: Mapping[str, Predictions],
     bias: Bias | None,
     caption: str,
 ) -> Findings:
     """Tables and pictures from what came out of every frame."""
     labels, ks, few = Labels(data.action, data.recording), protocol.ks, min(protocol.ks)
     related = relations(results, data.recording, ks, base)
+    scored = scores_of(
+        results, base, data.recording, {name: one.samples for name, one in external.items()}
+    )
+    errors = {name: one.errors for name, one in external.items()}
     sheets = [
-        table_1(results, base, labels, ks, external, caption),
+        table_1(results, base, labels, ks, errors, caption),
         table_2(results, base, labels, few, caption),
         relations_table(related),
+        best_table(scored),
+        calibration_table(scored),
+        sharpness_table(scored),
         metrics_table(results, base, ks),
         frames_table(results),
     ]
@@ -188,21 +236,6 @@ def described(settings: EvaluateSettings, data: DataSet, protocol: Protocol) -> 
         " candidate(s). Errors after limb scaling and similarity alignment, ± half a 95 % interval"
         " over recordings. The paper's are of another data set, Human3.6M."
     )
-
-
-def external_errors(path: Path, data: DataSet) -> np.ndarray:
-    """`(N,)`: mean joint errors of the poses of a file (the best, where it has several for a
-    frame). Raises `BadInput` where they are not those of the data set's frames."""
-    poses = read_poses(path)
-    if len(poses) != len(data):
-        raise BadInput(
-            f"{path} holds predictions for {len(poses)} frames, but {data.name} has {len(data)} of"
-            " them"
-        )
-    try:
-        return np.asarray(mean_joint_error(poses, data.poses[:, None])).min(axis=1)
-    except BadInput as error:
-        raise BadInput(f"{path}: {error}") from None
 
 
 def throughput(frames: int, seconds: float, workers: int | None) -> str:

@@ -30,6 +30,8 @@ def run(settings: FramesSettings, screen: Screen) -> None:
             items,
             key=jax.random.key(sampling.seed),
             out=out,
+            root=settings.rooting.root,
+            num_roots=settings.rooting.roots,
             num_samples=sampling.num_samples,
             k=settings.k,
             keep=settings.keep,

@@ -14,6 +14,7 @@ from inference.studies.calibration.quantities import (
     LOG_DENSITY,
     MISFIT,
     OF_POSE,
+    OF_ROOT,
     TARP,
 )
 from inference.studies.calibration.uniformity import LEVELS as POINTS
@@ -24,6 +25,8 @@ from reports.tables.words import spoken
 
 BAND = "#BBBBBB"
 PROBABILITY = 0.95
+MOST_NAMED = 9
+"""Quantities of a panel that are named beside it."""
 PANELS = {
     "joints, to the side": [name for name in OF_POSE if name.endswith((" x", " y"))],
     "joints, depth": [name for name in OF_POSE if name.endswith(" z")],
@@ -31,21 +34,29 @@ PANELS = {
         name for name in OF_POSE if name.startswith("length") or name.endswith("away")
     ],
     "pose and model": [*HINGES, LOG_DENSITY, MISFIT, ENERGY_BALL, TARP],
+    "root": list(OF_ROOT),
 }
+"""The quantities of every panel; that of the root is shown where it was asked for."""
 
 
 def ranks_figure(simulation: xr.Dataset, title: str = "") -> Figure:
-    """Empirical minus uniform distribution function of every quantity's levels, in four panels,
+    """Empirical minus uniform distribution function of every quantity's levels, a panel a kind,
     with the band in which 95 % of right posteriors stay everywhere (for one quantity)."""
-    figure = page(12, 2.7)
-    axes = figure.subplots(1, len(PANELS), sharey=True)
-    for axis, (name, quantities) in zip(axes, PANELS.items(), strict=True):
-        table = simulation["level"].sel(quantity=quantities).values
+    level = simulation["level"]
+    known = {
+        name: quantities
+        for name, quantities in PANELS.items()
+        if np.isfinite(level.sel(quantity=quantities).values).any()
+    }
+    figure = page(3 * len(known), 2.7)
+    axes = figure.subplots(1, len(known), sharey=True, squeeze=False)[0]
+    for axis, (name, quantities) in zip(axes, known.items(), strict=True):
+        table = level.sel(quantity=quantities).values
         table = table[np.isfinite(table).any(axis=1)]
         _band(axis, len(table))
         for column, (values, quantity) in enumerate(zip(table.T, quantities, strict=True)):
             if np.isfinite(values).all() and len(values):
-                few = len(quantities) < 9
+                few = len(quantities) <= MOST_NAMED
                 colour = PALETTE[column % len(PALETTE)]
                 axis.plot(
                     POINTS,
@@ -55,7 +66,7 @@ def ranks_figure(simulation: xr.Dataset, title: str = "") -> Figure:
                     color=colour,
                     label=spoken(quantity) if few else None,
                 )
-        if len(quantities) < 9:
+        if len(quantities) <= MOST_NAMED:
             axis.legend(frameon=False, fontsize=6.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
         axis.set_title(name, fontsize=9)
         axis.set_xlabel("level", fontsize=8)

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from inference.studies.evaluation.conditions import Condition
+from inference.studies.evaluation.conditions import Condition, alike
 from inference.studies.evaluation.metrics import pck
 from inference.studies.evaluation.scores import (
     Interval,
@@ -40,8 +40,7 @@ def errors_figure(
 ) -> Figure:
     """Mean error of every row by action and, where joints were made missing, by their number."""
     levels = sorted({condition.missing for condition in results if condition.rotate == base.rotate})
-    estimators = list(dict.fromkeys(condition.estimator for condition in results))
-    own = {name: results[base._replace(estimator=name)] for name in estimators}
+    own = {one.way: results[one] for one in alike(results, base)}
     if len(levels) == 1:
         figure = page(8.5, 4.2, dpi=DPI)
         _actions_panel(figure.subplots(), own, labels, ks)
@@ -50,8 +49,8 @@ def errors_figure(
     left, right = figure.subplots(1, 2, width_ratios=(2.2, 1))
     _actions_panel(left, own, labels, ks)
     by_level = {
-        name: [results[Condition(name, level, base.rotate)] for level in levels]
-        for name in estimators
+        one.way: [results[one._replace(missing=level)] for level in levels]
+        for one in alike(results, base)
     }
     _missing_panel(right, by_level, levels, labels, min(ks))
     return figure
@@ -87,7 +86,7 @@ def _missing_panel(
     labels: Labels,
     k: int,
 ) -> None:
-    """`results` by estimator, in the order of the `levels`."""
+    """`results` by way, in the order of the `levels`."""
     for index, (name, many) in enumerate(results.items()):
         own, colour = common(many), _colour(name)
         at = np.array(levels) + 0.05 * (index - (len(results) - 1) / 2)
@@ -126,14 +125,14 @@ def _finish(axes: Axes, columns: int) -> None:
 def pck_curves(
     results: Mapping[Condition, Values], base: Condition, k: int
 ) -> dict[tuple[str, float, str], np.ndarray]:
-    """Share of joints within 0, 1, … mm, by estimator, angle and row, over the frames that all
-    angles share."""
+    """Share of joints within 0, 1, … mm, by way, angle and row, over the frames that all angles
+    share."""
     curves, thresholds = {}, np.arange(FURTHEST + 1)
-    for name in dict.fromkeys(condition.estimator for condition in results):
+    for name in dict.fromkeys(condition.way for condition in results):
         turned = {
             condition.rotate: values
             for condition, values in results.items()
-            if condition.estimator == name and condition.missing == base.missing
+            if condition.way == name and condition.missing == base.missing
         }
         own = common(list(turned.values()))
         for angle, values in turned.items():

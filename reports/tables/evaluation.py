@@ -5,16 +5,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from inference.studies.evaluation.conditions import Condition
+from inference.results import FIXED
+from inference.studies.evaluation.conditions import Condition, alike
 from inference.studies.evaluation.metrics import THRESHOLD
 from inference.studies.evaluation.relations import Relation
+from inference.studies.evaluation.samples import BESTS
 from inference.studies.evaluation.scores import (
     Interval,
+    SampleScores,
     Values,
     clustered,
     common,
     lost,
     pose_errors,
+    sample_scores,
     summary,
     usable,
 )
@@ -54,10 +58,33 @@ RELATIONS_CAPTION = (
 )
 
 
-def row_name(estimator: str, row: str | int) -> str:
-    """A row of a condition in words."""
-    name = NAMES.get(estimator, estimator)
+BEST_CAPTION = (
+    "Per pose: each frame's least mean error over 15 joints among its first N samples, in random"
+    " order, mean over frames. Root-aligned: the pelvises are one point, nothing else is moved, and"
+    " a body unit is the person's true mean limb length. Procrustes: moved, turned and scaled."
+    " Others' predictions are taken in the order of their file; root-aligned only if they are in"
+    " millimetres. Under the true root torso and camera are the truth's own."
+)
+CALIBRATION_CAPTION = (
+    "ECE: Pierzchlewicz et al. (2022), of 200 samples, all joints but the pelvis; its floor is what"
+    " a right posterior has with as many frames. x, y, depth: how often central 95 % intervals hold"
+    " the coordinates of elbows, wrists, knees and ankles, pelvis at the origin; beyond all: share"
+    " of these that lie beyond every sample. In brackets 95 % intervals over recordings. Published"
+    " ECE on Human3.6M: Sharma 0.36, Wehrbein 0.18, cGNF 0.08, all rooted at the true pelvis."
+)
+SHARPNESS_CAPTION = (
+    "2D error: mean distance of samples of seen joints from the truth in the image, at the person's"
+    " distance. Width: of the 95 % intervals of limb joints. Effective roots: median over frames."
+)
+
+
+def row_name(way: Condition, row: str | int) -> str:
+    """A row of a condition in words; beside a root that depends on no estimator stands an
+    estimator's single estimate."""
+    if row == "single" and way.root != FIXED:
+        return f"{way.way} ({NAMES.get(way.estimator, way.estimator)}, single estimate)"
     words = {"single": "single estimate", "all": "all samples"}
+    name = NAMES.get(way.way, way.way)
     return f"{name}, {words[row] if isinstance(row, str) else f'best of {row}'}"
 
 
@@ -94,7 +121,7 @@ def table_1(
     results
         What came out of every frame, by condition.
     base
-        The condition whose rows are shown, for every estimator.
+        The condition whose rows are shown, for every estimator and root.
     labels
         Actions and recordings of the frames.
     ks
@@ -106,12 +133,12 @@ def table_1(
     """
     actions = sorted(set(labels.action.tolist()))
     rows: list[list[Any]] = []
-    for estimator in dict.fromkeys(condition.estimator for condition in results):
-        values = results[base._replace(estimator=estimator)]
+    for way in alike(results, base):
+        values = results[way]
         for row in rows_of(ks):
             errors = np.where(usable(values), pose_errors(values, row), np.nan)
-            paper = PAPER_TABLE_1.get((estimator, row))
-            rows.append([row_name(estimator, row), *_by_action(errors, labels, actions), paper])
+            paper = PAPER_TABLE_1.get((way.way, row))
+            rows.append([row_name(way, row), *_by_action(errors, labels, actions), paper])
     rows += [
         [name, *_by_action(errors, labels, actions), None] for name, errors in external.items()
     ]
@@ -140,17 +167,17 @@ def table_2(
     """Errors by number of missing joints, over the frames that all of them share."""
     levels = sorted({condition.missing for condition in results if condition.rotate == base.rotate})
     rows: list[list[Any]] = []
-    for estimator in dict.fromkeys(condition.estimator for condition in results):
-        many = [results[Condition(estimator, level, base.rotate)] for level in levels]
+    for way in alike(results, base):
+        many = [results[way._replace(missing=level)] for level in levels]
         own = common(many)
         recording = labels.recording[own]
         for row in ("single", k, "all"):
             errors = (clustered(pose_errors(one, row)[own], recording) for one in many)
-            rows.append([row_name(estimator, row), *errors, int(own.sum())])
-        if estimator == "akhter-black":
+            rows.append([row_name(way, row), *errors, int(own.sum())])
+        if way.way == "akhter-black":
             for row in ("single", k):
                 paper = dict(enumerate(PAPER_TABLE_2.get(row, ())))
-                name = f"  the paper's: {row_name(estimator, row)}"
+                name = f"  the paper's: {row_name(way, row)}"
                 rows.append([name, *(paper.get(level) for level in levels), None])
     title = "Table 2: mean joint error with limb joints missing, mm"
     head = ["", *(f"{level} missing" for level in levels), "frames"]
@@ -160,12 +187,12 @@ def table_2(
 def metrics_table(results: Mapping[Condition, Values], base: Condition, ks: Sequence[int]) -> Sheet:
     """All metrics of the base condition, each under its own name."""
     rows: list[list[Any]] = []
-    for estimator in dict.fromkeys(condition.estimator for condition in results):
-        values = results[base._replace(estimator=estimator)]
+    for way in alike(results, base):
+        values = results[way]
         for row in rows_of(ks) if usable(values).any() else ():
             found = summary(values, row)
             in_percent = {name: 100 * getattr(found, name) for name in ("pck", "pck_area", "valid")}
-            rows.append([row_name(estimator, row), *found._replace(**in_percent)])
+            rows.append([row_name(way, row), *found._replace(**in_percent)])
     head = [
         "",
         "per pose",
@@ -180,6 +207,75 @@ def metrics_table(results: Mapping[Condition, Values], base: Condition, ks: Sequ
         "possible %",
     ]
     return sheet_of(head, rows, name="metrics", title="Metrics", caption=METRICS_CAPTION)
+
+
+def scores_of(
+    results: Mapping[Condition, Values],
+    base: Condition,
+    recording: np.ndarray,
+    external: Mapping[str, Values],
+) -> dict[str, SampleScores]:
+    """What the samples of every way are worth, and those of others' predictions, by name."""
+    ours = {
+        NAMES.get(way.way, way.way): sample_scores(results[way], recording)
+        for way in alike(results, base)
+    }
+    return ours | {name: sample_scores(values, recording) for name, values in external.items()}
+
+
+def best_table(found: Mapping[str, SampleScores]) -> Sheet:
+    """The best of N samples, root-aligned and after a similarity."""
+    rows = [
+        [f"{name}, {words}", *getattr(one, field), one.frames]
+        for name, one in found.items()
+        for words, field in (("root-aligned", "best_root"), ("Procrustes", "best_procrustes"))
+    ]
+    head = ["", *(f"N = {number}" for number in BESTS), "frames"]
+    title = "Best of N samples: mean joint error, mm"
+    return sheet_of(head, rows, name="best", title=title, caption=BEST_CAPTION)
+
+
+def calibration_table(found: Mapping[str, SampleScores]) -> Sheet:
+    """Do samples mean what they say: the field's ECE, and coverage by axis."""
+    rows = [
+        [
+            name,
+            one.ece and one.ece.whole,
+            one.ece and one.ece.floor,
+            *(one.axes or (None,) * 3),
+            one.beyond,
+        ]
+        for name, one in found.items()
+    ]
+    errors = [Column(head, form=_ece) for head in ("ECE", "its floor")]
+    shares = [Column(head, form=_percents) for head in ("x", "y", "depth", "beyond all")]
+    head = [Column(""), *errors, *shares]
+    title = "Calibration of the samples"
+    return sheet_of(head, rows, name="calibration", title=title, caption=CALIBRATION_CAPTION)
+
+
+def sharpness_table(found: Mapping[str, SampleScores]) -> Sheet:
+    """What calibration alone does not say: how wide intervals are, how far samples lie from what
+    was seen, on how many roots they rest."""
+    rows = [[name, one.across, *one.width, one.effective] for name, one in found.items()]
+    head = ("", "2D error", "width x", "width y", "width depth", "effective roots")
+    title = "Sharpness of the samples, mm"
+    return sheet_of(head, rows, name="sharpness", title=title, caption=SHARPNESS_CAPTION)
+
+
+def _percents(value: Interval | float | None) -> str:
+    """A share with its interval, in percent."""
+    if value is None or isinstance(value, float):
+        return NOTHING if value is None or np.isnan(value) else f"{value:.1%}".replace("%", " %")
+    return f"{100 * value.value:.0f} % ({100 * value.low:.0f}–{100 * value.high:.0f})"
+
+
+def _ece(value: Interval | float | None) -> str:
+    if value is None or isinstance(value, float):
+        return NOTHING if value is None or np.isnan(value) else f"{value:.3f}"
+    if np.isnan(value.low):
+        return f"{value.value:.3f}"
+    return f"{value.value:.3f} ({value.low:.3f}–{value.high:.3f})"
 
 
 def relations_table(found: Sequence[Relation], caption: str = RELATIONS_CAPTION) -> Sheet:

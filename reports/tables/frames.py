@@ -17,7 +17,8 @@ LIMB_ENDS = tuple(sorted(bone.end for bone in BONES))
 
 
 def stream_json(summary: xr.Dataset) -> dict[str, Any]:
-    """How many frames came to what end, and each frame's draws and evidence."""
+    """How many frames came to what end, and each frame's draws, evidence and effective roots (None
+    where the root is fixed)."""
     status, counts = np.unique(summary.status.values, return_counts=True)
     rows = zip(
         summary.frame.values,
@@ -25,6 +26,7 @@ def stream_json(summary: xr.Dataset) -> dict[str, Any]:
         summary.sentence.values,
         summary.num_draws.values,
         summary.log_evidence.values,
+        summary.effective_roots.values,
         strict=True,
     )
     frames = [
@@ -34,26 +36,31 @@ def stream_json(summary: xr.Dataset) -> dict[str, Any]:
             "sentence": str(why),
             "num_draws": int(draws),
             "log_evidence": number(evidence),
+            "effective_roots": number(effective),
         }
-        for name, end, why, draws, evidence in rows
+        for name, end, why, draws, evidence, effective in rows
     ]
     return {"status": dict(zip(map(str, status), map(int, counts), strict=True)), "frames": frames}
 
 
 def people_of_film(summary: xr.Dataset) -> Sheet:
-    """Each person: in how many frames, with how many poses, and how well these are explained."""
+    """Each person: in how many frames, with how many poses, how well these are explained, and by
+    how many effective roots where torso and camera are uncertain."""
     owner = np.array([person for _, person in _names(summary)])
     there = summary.num_draws.values > 0
+    uncertain = bool(np.isfinite(summary.effective_roots.values).any())
     records = []
     for person in sorted(set(owner.tolist()), key=lambda name: (len(name), name)):
         own = owner == person
         evidence = summary.log_evidence.values[own & there]
+        effective = summary.effective_roots.values[own & there]
         records.append(
             {
                 "person": person,
                 "frames": int(own.sum()),
                 "poses": int((own & there).sum()),
                 "log_evidence": number(np.median(evidence)) if len(evidence) else None,
+                "effective_roots": number(np.median(effective)) if len(effective) else None,
             }
         )
     columns = [
@@ -61,6 +68,7 @@ def people_of_film(summary: xr.Dataset) -> Sheet:
         Column("frames"),
         Column("with a pose", "poses"),
         Column("log evidence, median", "log_evidence", fixed(1)),
+        *([Column("roots, median", "effective_roots", fixed(0))] if uncertain else []),
     ]
     return Sheet(columns, records, "People")
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import pytest
 
 import inference
+from inference.drawers import drawer
 from probmodel import Estimate, PoseModel
 from tests.scenes import key
 
@@ -29,3 +30,18 @@ def test_another_key_compiles_nothing(
         assert compiled(caplog) == []
         jnp.asarray([1.0] * 1237) + 1.0  # the control: a shape that nobody else has
         assert compiled(caplog)
+
+
+def test_a_stream_under_an_uncertain_root_compiles_for_its_first_frame_alone(
+    example_estimate: Estimate, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Frames bring other numbers of roots and of draws; programs are as many as for one."""
+    draw = drawer(PoseModel(), root="uncertain", num_samples=50, num_roots=20)
+    draw(example_estimate, key(0))
+    with jax.log_compiles():
+        for seed in (1, 2):
+            draw(example_estimate, key(seed))
+        assert compiled(caplog) == []
+        other = drawer(draw.model, root="uncertain", num_samples=51, num_roots=23)
+        other(example_estimate, key(3))
+        assert compiled(caplog) == []

@@ -22,7 +22,7 @@ from probmodel.datasets import from_motions
 from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.motion import Motion
 from probmodel.skeleton import BONE_NAMES
-from reports.commands.evaluate import external_errors, findings
+from reports.commands.evaluate import Predictions, findings
 from reports.tables import Sheet
 
 RNG = np.random.default_rng(0)
@@ -313,7 +313,7 @@ def test_tables_say_what_came_out(judged, tmp_path):
     results = {Condition("zhou"): judged, Condition("zhou", 1): judged}
     predictions = np.stack([case.pose for case in DATA]) * 2 + 7
     np.save(tmp_path / "perfect.npy", predictions)
-    external = {"perfect": external_errors(tmp_path / "perfect.npy", DATA)}
+    external = {"perfect": Predictions.read(tmp_path / "perfect.npy", DATA)}
     found = findings(results, DATA, Condition("zhou"), PROTOCOL, external, None, "six frames")
     sheets = {sheet.name: sheet for sheet in found.sheets}
     rows = {str(row[0]): row for row in sheets["table1"].rows}
@@ -336,10 +336,10 @@ def test_tables_say_what_came_out(judged, tmp_path):
 def test_predictions_for_other_frames_are_refused(tmp_path):
     np.save(tmp_path / "few.npy", np.ones((4, 15, 3)))
     with pytest.raises(BadInput, match="predictions for 4 frames, but two has 6"):
-        external_errors(tmp_path / "few.npy", DATA)
+        Predictions.read(tmp_path / "few.npy", DATA)
     np.save(tmp_path / "flat.npy", np.ones((6, 15, 3)))
     with pytest.raises(BadInput, match=r"flat\.npy: a pose has its thorax on the joint before it"):
-        external_errors(tmp_path / "flat.npy", DATA)
+        Predictions.read(tmp_path / "flat.npy", DATA)
 
 
 # --- bias

@@ -107,6 +107,88 @@ def test_a_run_that_was_killed_goes_on_to_the_same_bits(model, items, tmp_path):
     assert not list(tmp_path.rglob("*.partial"))
 
 
+# --- an uncertain root
+
+
+UNCERTAIN = SETTINGS | {"root": "uncertain", "num_roots": 60}
+
+
+@pytest.fixture(scope="module")
+def uncertain(model, items, tmp_path_factory) -> Path:
+    """A stream of two blocks."""
+    folder = tmp_path_factory.mktemp("uncertain") / "stream"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stream, "MOST_FRAMES", 2)
+        sample_frames(model, items[:4], key=key(0), out=folder, **UNCERTAIN)
+    return folder
+
+
+def test_draws_under_an_uncertain_root_are_those_of_sample(model, items, uncertain):
+    import jax
+
+    tree, name = open_stream(uncertain), items[1].name
+    result = inference.sample(
+        model,
+        items[1].frame,
+        key=jax.random.fold_in(key(0), 1),
+        num_samples=SETTINGS["num_samples"],
+        root="uncertain",
+        num_roots=UNCERTAIN["num_roots"],
+    )
+    ours = draws_of(uncertain, name).joints.values
+    assert np.array_equal(ours, result.tree["posterior"].joints.values.astype(np.float32))
+    row = tree["summary"].sel(frame=name)
+    assert float(row.effective_roots) == result.tree.attrs["effective_roots"]
+    assert float(row.log_evidence) == result.tree.attrs["log_evidence"]
+    assert (str(row.status.item()), str(row.sentence.item())) == (result.status, result.sentence)
+    assert tree.attrs["root"] == "uncertain"
+    assert tree.attrs["num_roots"] == 60
+    assert np.isnan(tree["summary"].effective_roots.values[2])
+    thorax = ours[0, :, 1]
+    assert thorax.std(axis=0).max() > 0.01  # with a fixed root, zero
+
+
+def test_too_few_roots_are_no_answer_for_a_frame(model, items, tmp_path):
+    few = UNCERTAIN | {"num_roots": 3}
+    sample_frames(model, items[:1], key=key(0), out=tmp_path, **few)
+    row = open_stream(tmp_path)["summary"].isel(frame=0)
+    assert row.status.item() == "out of budget"
+    assert 0 <= float(row.effective_roots) <= 3
+    assert "roots" in row.sentence.item()
+
+
+def test_an_uncertain_stream_goes_on_to_the_same_bits(model, items, uncertain, tmp_path):
+    out = tmp_path / "killed"
+
+    def breaking():
+        yield from items[:2]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sample_frames(model, breaking(), key=key(0), out=out, **UNCERTAIN)
+    sample_frames(model, items[:4], key=key(0), out=out, **UNCERTAIN)
+    assert content(out) == content(uncertain)
+    with pytest.raises(BadInput, match="its root is 'uncertain', not 'fixed'"):
+        sample_frames(model, items[:4], key=key(0), out=out, **SETTINGS)
+    with pytest.raises(BadInput, match="its num_roots is 60, not 61"):
+        sample_frames(model, items[:4], key=key(0), out=out, **(UNCERTAIN | {"num_roots": 61}))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        ({"root": "free"}, "there is no root 'free'"),
+        ({"root": "uncertain", "sampler": "rejection-prior"}, "holds torso and camera fixed"),
+        ({"root": "uncertain", "num_roots": 0}, "roots must lie between 1 and"),
+        ({"sampler": "emcee"}, "there is no exact sampler 'emcee'"),
+    ],
+)
+def test_roots_that_cannot_be_are_refused(model, tmp_path, arguments, match):
+    with pytest.raises(BadInput, match=match):
+        sample_frames(model, [], key=key(0), out=tmp_path, **arguments)
+    assert not list(tmp_path.iterdir())
+
+
 def test_only_so_many_draws_are_kept(model, items, tmp_path):
     sample_frames(model, items[:1], key=key(0), out=tmp_path, keep=7, **SETTINGS)
     assert draws_of(tmp_path, items[0].name).sizes["draw"] == 7

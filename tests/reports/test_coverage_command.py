@@ -1,6 +1,7 @@
 """`poseterior coverage`: what it writes and says, under the model and on real poses, and its
 refusals."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,12 @@ import pytest
 import xarray as xr
 
 from inference.studies.calibration import judge, simulate
-from inference.studies.calibration.quantities import QUANTITIES
+from inference.studies.calibration.quantities import OF_BOTH, OF_POSE
 from probmodel import BadInput, PoseModel
 from probmodel.datasets import DataSet, write_plain
 from reports.commands import coverage
 from reports.figures.coverage import controls_figure, ranks_figure
-from reports.options import Sampling, Screen
+from reports.options import Rooting, RootKind, Sampling, Screen
 from reports.settings import CoverageSettings
 from reports.tables.coverage import WORST, families_table, p_text, uniformity_table
 from tests.conftest import Cli
@@ -50,7 +51,7 @@ def test_the_run_is_written_and_said(done: tuple[Path, dict]) -> None:
     out, said = done
     assert said["verdict"] == "calibrated", said["sentence"]
     assert set(said["families"]) == {"ranks (SBC)", "highest density", "energy balls", "TARP"}
-    assert [one["quantity"] for one in said["tests"]] == list(QUANTITIES)
+    assert [one["quantity"] for one in said["tests"]] == [*OF_POSE, *OF_BOTH]
     assert {one["size"] for one in said["tests"]} == {100}
     tree = read(out / "coverage.nc")
     assert tree["prior_sbc"].joints.shape == (1, 100, 9, 3)
@@ -129,6 +130,20 @@ def test_real_poses(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -
     assert (tmp_path / "coverage.png").exists()
 
 
+def test_real_poses_without_torso_and_camera(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    rooting = Rooting(root=RootKind.uncertain, roots=30)
+    real = asked(tmp_path, dataset=data, frames=2, noise="none", rooting=rooting)
+    coverage.run(real, JSON)
+    said = json.loads(capsys.readouterr().out)
+    assert said["poses"] == 2
+    tree = read(tmp_path / "coverage.nc")
+    assert (tree.attrs["root"], tree.attrs["num_roots"]) == ("uncertain", 30)
+    with pytest.raises(BadInput, match="leave the estimator zhou out"):
+        coverage.run(dataclasses.replace(real, estimator="zhou"), JSON)
+
+
 @pytest.mark.slow
 def test_estimated_torsos(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     real = asked(tmp_path, dataset=data, frames=8, noise="none", missing=1, estimator="zhou")
@@ -161,6 +176,7 @@ def test_bad_real_poses(data: Path, tmp_path: Path, change: dict, match: str) ->
         ("--missing 1", "--missing means nothing without --dataset"),
         ("--frames 100", "--frames means nothing without --dataset"),
         ("--simulate-only --sampler rejection", "--sampler means nothing with --simulate-only"),
+        ("--simulate-only --root uncertain", "--root means nothing with --simulate-only"),
         ("--simulate-only --noise none", "--noise means nothing with --simulate-only"),
         ("--dataset x.npz --num-simulations 9", "--num-simulations means nothing with --dataset"),
         ("--poses x.npz --simulate-only", "--simulate-only means nothing with --dataset"),
@@ -183,8 +199,9 @@ def test_tables_and_figures_show_every_quantity(done: tuple[Path, dict]) -> None
     simulation = tree["simulation"].to_dataset()
     figure = ranks_figure(simulation)
     drawn = {line.get_gid() for axis in figure.axes for line in axis.lines}
-    assert {f"ranks {name}" for name in QUANTITIES} <= drawn
-    shown = controls_figure({"one": simulation, "other": simulation}, QUANTITIES[-2:])
+    assert {f"ranks {name}" for name in (*OF_POSE, *OF_BOTH)} <= drawn
+    assert len(figure.axes) == 4  # nothing was asked of the root
+    shown = controls_figure({"one": simulation, "other": simulation}, OF_BOTH[-2:])
     assert len(shown.axes[0].lines) == 3
     rows = uniformity_table(judge(simulation)).rows
     assert len(rows) == 4 + WORST

@@ -87,6 +87,22 @@ def test_a_film_in_which_nobody_can_be_estimated_has_no_page(
     assert not (out / "hypotheses.html").exists()
 
 
+def test_an_uncertain_root_is_said_with_its_number(
+    poseterior: Cli, folder: Path, tmp_path: Path
+) -> None:
+    few = ("--root", "uncertain", "--roots", 40, "--num-samples", 50, "--k", 3, "--quiet")
+    run = poseterior("frames", folder, "--out", tmp_path / "out", *few, "--json")
+    assert run.code == 0, run
+    frames = json.loads(run.out)["frames"]
+    assert [frame["effective_roots"] is None for frame in frames] == [False, True, False]
+    again = poseterior("frames", folder, "--out", tmp_path / "out", *few)
+    assert "Roots: effective number." in " ".join(again.out.split())
+    assert max(map(len, again.out.splitlines()[:12])) <= 80
+    other = poseterior("frames", folder, "--out", tmp_path / "out", *OPTIONS)
+    assert other.code == 2
+    assert "its root is 'uncertain', not 'fixed'" in other.err
+
+
 def test_refusals(poseterior: Cli, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert poseterior("frames", folder, "--out", out, *OPTIONS).code == 0

@@ -18,14 +18,18 @@ from inference.studies.calibration.quantities import (
     MOVING,
     OF_MODEL,
     OF_POSE,
+    OF_ROOT,
     QUANTITIES,
     TARP,
     of_both,
     of_pose,
+    of_root,
+    of_rooted,
 )
 from inference.studies.calibration.simulations import Instance
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
+from probmodel.roots import Candidate, RootPoint
 from probmodel.skeleton import NUM_JOINTS
 
 FAILED = "failed"
@@ -42,12 +46,14 @@ like."""
 class Answer(NamedTuple):
     """What a sampler says of an instance: independent draws `joints` `(n, 15, 3)` in camera axes
     and body units, the log evidence or NaN; `status` as in `inference.results`, and where it is not
-    complete a `sentence` that says why."""
+    complete a `sentence` that says why; the roots `points` `(n, ...)` of the draws where these are
+    uncertain."""
 
     joints: np.ndarray
     log_evidence: float = np.nan
     status: str = COMPLETE
     sentence: str = ""
+    points: RootPoint | None = None
 
 
 class Standing(NamedTuple):
@@ -107,7 +113,8 @@ def assess(
     Parameters
     ----------
     model
-        Where the frame has one candidate, the true one: to rank by log density and misfit too.
+        Where the frame has one candidate, the true one: to rank by log density and misfit too, and
+        by numbers of the root where the draws have one each.
     reference
         A pose `(15, 3)` that depends on what was seen alone: to rank by the distance from it too.
 
@@ -128,9 +135,15 @@ def assess(
     both = np.concatenate([instance.joints[None], draws])
     values = of_pose(both)
     level.update(zip(OF_POSE, rank_level(values[0], values[1:], rng), strict=True))
-    if model is not None:
+    if model is not None and posterior.points is None:
         values = of_both(model, instance.frame.observation, both)
         level.update(zip(OF_MODEL, rank_level(values[0], values[1:], rng), strict=True))
+    elif model is not None and posterior.points is not None:
+        points = _with_truth(instance.frame.candidates[0], posterior.points)
+        values = of_rooted(instance.frame.uncertain(model), points, both)
+        level.update(zip(OF_MODEL, rank_level(values[0], values[1:], rng), strict=True))
+        values = of_root(points)
+        level.update(zip(OF_ROOT, rank_level(values[0], values[1:], rng), strict=True))
     moving = both[:, MOVING]
     flat = moving.reshape(len(moving), -1)
     level[ENERGY_BALL] = energy_level(flat[0], flat[1:], rng)
@@ -151,6 +164,15 @@ def assess(
         np.sqrt(np.mean(spread[:, :2] ** 2, axis=1)),
         spread[:, 2],
     )
+
+
+def _with_truth(candidate: Candidate, points: RootPoint) -> RootPoint:
+    """The true root before those of the draws."""
+    camera = candidate.camera
+    log_scale = np.log(float(camera.scale))
+    truth = RootPoint(candidate.torso_index, camera.rotation, log_scale, camera.translation)
+    both = zip(truth, points, strict=True)
+    return RootPoint(*(np.concatenate([np.asarray(one)[None], rest]) for one, rest in both))
 
 
 def check_draws(joints: np.ndarray, where: str) -> np.ndarray:

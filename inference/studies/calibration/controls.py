@@ -4,6 +4,7 @@ rejects these.
 A distortion takes right draws of one instance and spoils them; `ignoring` and
 `following_the_recipe` are samplers of their own."""
 
+import dataclasses
 import functools
 from collections.abc import Callable
 
@@ -16,6 +17,7 @@ from inference.studies.calibration.posteriors import Sampler
 from inference.studies.calibration.quantities import MOVING
 from inference.studies.calibration.recipe import RecipeDirection
 from inference.studies.calibration.simulations import Instance
+from inference.uncertain.weighted import WeightedRoots
 from probmodel.chunks import in_chunks
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
@@ -92,6 +94,14 @@ def _prior(model: PoseModel, view: jax.Array, cube: jax.Array) -> jax.Array:
     return model.joints(view, *from_cube(model, cube))
 
 
+def forgetting_scale(roots: WeightedRoots) -> WeightedRoots:
+    """The roots with weights that lack scale⁻² for every seen joint: they prefer cameras that are
+    too near. For `posteriors.independent_roots`."""
+    seen = np.isfinite(roots.posterior.detected.spread).sum()
+    scale = np.asarray(roots.points.log_scale)
+    return dataclasses.replace(roots, log_weight=roots.log_weight + 2 * seen * scale)
+
+
 TRIES = 1 << 13
 MOST_TRIES = 1 << 17
 """Bodies proposed at a time, and at most, by `following_the_recipe`."""
@@ -127,8 +137,6 @@ def following_the_recipe(model: PoseModel, number: int) -> Sampler:
 def _without_lower(frame: Estimate) -> Estimate:
     """The frame whose likelihood looks at head, elbows and knees alone; their radii are those of
     the whole."""
-    import dataclasses
-
     lower = [bone.end for bone in LOWER_BONES]
     keypoints, score = frame.detection.keypoints.copy(), frame.detection.score.copy()
     mean = score[[joint for joint in frame.likelihood.joints if score[joint] > 0]].mean()

@@ -12,14 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from inference.results import FIXED, UNCERTAIN
 from inference.studies.calibration.quantities import lengths
 from inference.studies.calibration.real import true_candidate
 from inference.studies.calibration.simulations import Instance
 from probmodel.anatomy.limits import LIMITS
 from probmodel.datasets import Case
+from probmodel.faults import Faults
 from probmodel.model import PoseModel
+from probmodel.observation import Observation
 from probmodel.posterior import Estimate
-from probmodel.roots import Candidate
+from probmodel.roots import Candidate, RootPoint
 from probmodel.skeleton import BONE_NAMES, BONES, JOINTS, LENGTH_GROUPS, NUM_JOINTS, TORSO_INDEX
 
 LIMIT, LENGTH, TAU, TORSO, CAMERA, BOTH = SOURCES = (
@@ -72,18 +75,18 @@ class Reason(NamedTuple):
 
 
 def exclusions(
-    model: PoseModel, cases: Sequence[Case], known: Sequence[Instance]
+    model: PoseModel, cases: Sequence[Case], known: Sequence[Instance], root: str = FIXED
 ) -> list[list[Reason]]:
     """The reasons why each case's posterior excludes its truth, none where it does not. Where there
     are several candidates each has to exclude it, and the one with the fewest reasons gives
-    them."""
+    them. Where the `root` is uncertain the torso's detections count too."""
     places, rows = [], []
     for number, (case, instance) in enumerate(zip(cases, known, strict=True)):
         right = true_candidate(case, model)
         for mine in instance.frame.candidates:
             places += [(case, instance.frame, one) for one in _combinations(mine, right)]
             rows.append(number)
-    broken = _broken(model, places)
+    broken = _broken(model, places, root)
     found: list[list[Reason] | None] = [None] * len(cases)
     for start, number in zip(range(0, len(places), 4), rows, strict=True):
         reasons = _reasons(*(broken[start + step] for step in range(4)))
@@ -107,7 +110,7 @@ def _combinations(mine: Candidate, right: Candidate) -> list[Candidate]:
 
 
 def _broken(
-    model: PoseModel, places: list[tuple[Case, Estimate, Candidate]]
+    model: PoseModel, places: list[tuple[Case, Estimate, Candidate]], root: str
 ) -> list[dict[tuple[str, str], Break]]:
     joints = np.stack([hung(case, candidate) for case, _, candidate in places])
     check = model.limits.check(joints)
@@ -125,7 +128,7 @@ def _broken(
             Break(LENGTH, LENGTH_GROUPS[group], float(beyond[row, group]))
             for group in np.flatnonzero(beyond[row] > 0)
         ]
-        far = _misfits(frame, candidate, joints[row])
+        far = _misfits(OBSERVED[root](model, frame, candidate), joints[row])
         breaks += [
             Break(TAU, JOINTS[joint], float(far[joint])) for joint in np.flatnonzero(far > 1)
         ]
@@ -144,10 +147,26 @@ def hung(case: Case, candidate: Candidate) -> np.ndarray:
     return joints
 
 
-def _misfits(frame: Estimate, candidate: Candidate, joints: np.ndarray) -> np.ndarray:
+def _misfits(observation: Observation, joints: np.ndarray) -> np.ndarray:
     """`(15,)`: distances from the detections in radii τ, 0 where a joint has no factor."""
-    observation = frame.likelihood.observe(frame.detection, candidate.root)
     return np.sqrt(np.asarray(observation.squares(joints))) / observation.law.reach
+
+
+def _of_limbs(model: PoseModel, frame: Estimate, candidate: Candidate) -> Observation:
+    return frame.likelihood.observe(frame.detection, candidate.root)
+
+
+def _of_all(model: PoseModel, frame: Estimate, candidate: Candidate) -> Observation:
+    camera = candidate.camera
+    point = RootPoint(0, camera.rotation, np.log(float(camera.scale)), camera.translation)
+    posterior = frame.uncertain(model)
+    # Where joints are seen depends on the camera alone; the true torso is in no dictionary.
+    seen = posterior.detected.under(posterior.prior, point, Faults.none())
+    return seen._replace(root=candidate.root)
+
+
+OBSERVED = {FIXED: _of_limbs, UNCERTAIN: _of_all}
+"""What a candidate's camera sees of a detection, by what the posterior holds of the root."""
 
 
 def _reasons(mine: dict, right: dict, with_camera: dict, with_torso: dict) -> list[Reason]:

@@ -24,13 +24,17 @@ from inference.baselines.catalogue import (
 )
 from inference.baselines.run import Allowance, check_packages, run
 from inference.baselines.target import Target
-from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, draw_mixture
-from inference.results import COMPLETE, pose_columns
+from inference.drawers import NUM_ROOTS, Drawer, drawer, require_root
+from inference.exact.loops.numbers import words_of
+from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS
+from inference.results import COMPLETE, FIXED
 from inference.sampler import SAMPLERS
 from inference.studies.calibration.assess import FAILED, Answer
 from inference.studies.calibration.quantities import of_pose
 from inference.studies.calibration.simulations import Instance
 from inference.studies.comparison.mixing import mean_ess, mixing
+from inference.uncertain.tree import placed
+from inference.uncertain.weighted import WeightedRoots, verdict, weigh_roots
 from probmodel.arrays import read_array, read_netcdf, read_tables
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
@@ -48,13 +52,24 @@ def sampler_of(
     *,
     max_proposals: int = MAX_PROPOSALS,
     start: str = DISPERSED,
+    root: str = FIXED,
+    num_roots: int = NUM_ROOTS,
 ) -> Sampler:
     """The sampler of that name, or the draws of a file. Raises `BadInput` where there is none such,
-    or its package is missing."""
+    its package is missing, or it holds the root fixed where it shall be uncertain."""
+    require_root(root, name)
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
     if name in PROPOSALS:
-        return functools.partial(_exact, name, model, num_samples, max_proposals)
+        draw = drawer(
+            model,
+            root=root,
+            sampler=name,
+            num_samples=num_samples,
+            num_roots=num_roots,
+            max_proposals=max_proposals,
+        )
+        return functools.partial(_drawn, draw)
     if name in BASELINES:
         check_packages(name, BASELINES[name])
         return functools.partial(_baseline, name, model, num_samples, max_proposals, start)
@@ -67,25 +82,63 @@ def sampler_of(
     )
 
 
-def _exact(
-    name: str,
+def _drawn(draw: Drawer, index: int, instance: Instance, key: jax.Array) -> Answer:
+    draws = draw(instance.frame, key)
+    joints = draws.joints
+    if draws.points is None:  # candidates differ in scale: all in the first one's body units
+        scale = draws.scale / float(instance.frame.candidates[0].camera.scale)
+        joints = joints * scale[:, None, None]
+    return Answer(joints, draws.log_evidence, draws.status, draws.sentence, draws.points)
+
+
+APART = 2
+"""Effective roots for every draw that counts as independent of the others."""
+ROUNDS = (1, 4, 16, 64)
+"""How many times as many roots are tried where fewer bring too few effective ones."""
+Reweigh = Callable[[WeightedRoots], WeightedRoots]
+
+
+def independent_roots(
     model: PoseModel,
-    number: int,
-    budget: int,
-    index: int,
-    instance: Instance,
-    key: jax.Array,
-) -> Answer:
-    posterior = instance.frame.posterior(model)
-    mixture = draw_mixture(
-        posterior, key=key, sampler=name, num_samples=number, max_proposals=budget
-    )
-    columns = pose_columns(posterior, mixture.parts, mixture.rng)
-    scale = np.array([float(candidate.camera.scale) for candidate in instance.frame.candidates])
-    joints = (
-        columns["joints"] * (scale / scale[0])[columns["candidate"]][:, None, None]
-    )  # the first one's body units
-    return Answer(joints, mixture.attributes["log_evidence"], mixture.status, mixture.sentence)
+    num_samples: int,
+    num_roots: int = NUM_ROOTS,
+    *,
+    max_proposals: int = MAX_PROPOSALS,
+    reweigh: Reweigh = lambda roots: roots,
+) -> Sampler:
+    """Draws with an uncertain root that ranks can be made of: as many as there are independent
+    ones, at most `num_samples`, hardly ever two of one root.
+
+    Where `num_roots` are worth too few, as under a detection that hardly any root explains, all is
+    drawn anew from four times as many, with as many times `max_proposals`, and again. `reweigh` is
+    for controls that have to fail.
+    """
+
+    def draw(index: int, instance: Instance, key: jax.Array) -> Answer:
+        posterior = instance.frame.uncertain(model)
+        for round_key, times in zip(jax.random.split(key, len(ROUNDS)), ROUNDS, strict=True):
+            roots_key, draws_key = jax.random.split(round_key)
+            roots = reweigh(
+                weigh_roots(
+                    posterior,
+                    key=roots_key,
+                    num_roots=times * num_roots,
+                    max_proposals=times * max_proposals,
+                )
+            )
+            status, sentence = verdict(roots)
+            if status == COMPLETE:
+                break
+        rng = np.random.default_rng(words_of(draws_key))
+        points, poses, _ = roots.draw(rng, min(num_samples, int(roots.effective / APART)))
+        joints = placed(model, points, poses, size=PLACED)["joints"]
+        return Answer(joints, roots.log_evidence, status, sentence, points)
+
+    return draw
+
+
+PLACED = 256
+"""Draws placed at a time: there are hardly ever more."""
 
 
 def _baseline(

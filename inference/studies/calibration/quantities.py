@@ -11,9 +11,13 @@ import numpy as np
 
 from inference.studies.flips import FLIPPING, away
 from probmodel.chunks import in_chunks
+from probmodel.faults import Faults
 from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
+from probmodel.pose import Pose
+from probmodel.roots import RootPoint, RootPrior
 from probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS, LOWER_BONES
+from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 MOVING = tuple(bone.end for bone in BONES)
 """The nine joints that move when the torso is given."""
@@ -30,7 +34,14 @@ bones differ most."""
 OF_MODEL = (*HINGES, LOG_DENSITY, MISFIT)
 """Known where the model is; `TARP` where there was a reference."""
 OF_BOTH = (*OF_MODEL, ENERGY_BALL, TARP)
-QUANTITIES = (*OF_POSE, *OF_BOTH)
+OF_ROOT = (
+    "log scale",
+    *(f"pelvis {axis} in the image" for axis in "xy"),
+    *(f"{name} {axis}" for name in ("back", "chest") for axis in "xyz"),
+)
+"""Known where the root is uncertain: how large and where the person is seen, and the ways back and
+chest point."""
+QUANTITIES = (*OF_POSE, *OF_BOTH, *OF_ROOT)
 CHUNK = 512
 
 
@@ -65,5 +76,42 @@ def _of_both(
     model: PoseModel, observation: Observation, joints: jax.Array, length: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     poses = model.pose_of(joints, length)
-    sine = -jnp.sum(model.hinges_at(poses.upper).triple[..., 0, :] * poses.lower, axis=-1)
-    return sine, log_joint(model, observation, *poses), observation.misfit(joints)
+    return _sines(model, poses), log_joint(model, observation, *poses), observation.misfit(joints)
+
+
+def _sines(model: PoseModel, poses: Pose) -> jax.Array:
+    """`(n, 4)`: of lower bones from their planes."""
+    return -jnp.sum(model.hinges_at(poses.upper).triple[..., 0, :] * poses.lower, axis=-1)
+
+
+def of_rooted(posterior: UncertainPosterior, points: RootPoint, joints: np.ndarray) -> np.ndarray:
+    """`(n, 6)`: as `of_both`, of poses `(n, 15, 3)` each with its own root `(n, ...)`: the log
+    joint density is that of root and pose, without any fault of the detector."""
+    look = functools.partial(_of_rooted, posterior.model, posterior.detected)
+    rows = in_chunks(look, *map(np.asarray, points), joints, lengths(joints), size=CHUNK)
+    return np.concatenate([rows[0], np.stack(rows[1:], axis=1)], axis=1)
+
+
+@jax.jit
+def _of_rooted(
+    model: PoseModel, detected: DetectedJoints, *fields: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    prior = RootPrior(model.torsos)
+
+    def one(
+        point: RootPoint, joints: jax.Array, length: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        observation = detected.under(prior, point, Faults.none())
+        poses = model.pose_of(joints[None], length[None])
+        pose = jax.tree.map(lambda part: part[0], poses)
+        density = prior.log_density(point) + log_joint(model, observation, *pose)
+        return _sines(model, poses)[0], density, observation.misfit(joints)
+
+    return jax.vmap(one)(RootPoint(*fields[:4]), *fields[4:])
+
+
+def of_root(points: RootPoint) -> np.ndarray:
+    """`(n, 9)`: numbers of roots `(n, ...)`, in the order of `OF_ROOT`."""
+    ways = np.swapaxes(np.asarray(points.rotation)[:, :, 1:], 1, 2).reshape(-1, 6)
+    scale = np.asarray(points.log_scale)[:, None]
+    return np.concatenate([scale, np.asarray(points.translation), ways], axis=1)

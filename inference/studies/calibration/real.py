@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from inference.results import FIXED
 from inference.roots import estimate_torsos
-from inference.studies.calibration.simulations import Instance, detected
+from inference.studies.calibration.simulations import SPREADS, Instance, detected
 from probmodel.body import align_torsos
 from probmodel.camera import WeakPerspective
 from probmodel.datasets import Case, Noise, read_data_set
@@ -39,6 +40,7 @@ def read_cases(
     noise: str = LIKELIHOOD,
     missing: int = 0,
     likelihood: Likelihood = PAPER,
+    root: str = FIXED,
     seed: int = 0,
 ) -> tuple[list[Case], dict[str, Any]]:
     """Poses of a data set as they are seen, and what `run.cover` records of where they come from.
@@ -55,6 +57,9 @@ def read_cases(
         Limb joints of each that are not seen, at random.
     likelihood
         How detections err, where the noise is the likelihood's own.
+    root
+        What the posterior will hold of the root: whether the torso's joints have the likelihood's
+        law too, where detections are drawn from it.
     seed
         Of noise and of what is hidden.
 
@@ -73,16 +78,19 @@ def read_cases(
     data = read_data_set(path, frames=frames, noise=kind, seed=seed)
     cases = [case.hiding(missing, seed) for case in data]
     if drawn:
-        cases = [by_the_likelihood(case, likelihood, seed) for case in cases]
+        cases = [by_the_likelihood(case, likelihood, seed, root) for case in cases]
     return cases, {"data": f"{path.name} {data.sha256}", "noise": noise, "missing": missing}
 
 
-def by_the_likelihood(case: Case, likelihood: Likelihood = PAPER, seed: int = 0) -> Case:
+def by_the_likelihood(
+    case: Case, likelihood: Likelihood = PAPER, seed: int = 0, root: str = FIXED
+) -> Case:
     """The case with its detection drawn from the likelihood instead, scores and missing joints as
     they are."""
     rng = np.random.default_rng([seed, 2, case.number])
     exact, score = case.pixels[:, :2], case.detection.score
-    found = detected(exact, score, case.scale * case.unit, likelihood, rng, source="likelihood")
+    spread = case.scale * case.unit * SPREADS[root](score, likelihood)
+    found = detected(exact, score, spread, likelihood, rng, source="likelihood")
     return dataclasses.replace(
         case, detection=dataclasses.replace(case.detection, keypoints=found.keypoints)
     )

@@ -11,7 +11,13 @@ import numpy as np
 import xarray as xr
 
 from inference.studies.calibration.assess import Standing
-from inference.studies.calibration.quantities import MOVING_NAMES, OF_BOTH, OF_POSE, QUANTITIES
+from inference.studies.calibration.quantities import (
+    MOVING_NAMES,
+    OF_BOTH,
+    OF_POSE,
+    OF_ROOT,
+    QUANTITIES,
+)
 from inference.studies.calibration.simulations import Instance
 from inference.studies.flips import FLIPPING
 from probmodel.observation import Observation
@@ -65,8 +71,8 @@ def standings_table(
 
 def levels(simulation: xr.Dataset) -> xr.Dataset:
     """The levels of the simulations that were judged, quantities of a kind together: `joints`
-    `(chain, draw, joint, axis)`, `bone_length`, `away`, and those of pose and detection one by one,
-    where they were looked at."""
+    `(chain, draw, joint, axis)`, `bone_length`, `away`, and those of pose and detection, and of the
+    root, one by one, where they were looked at."""
     found = simulation["level"]
     judged = np.isfinite(found.values).any(axis=1)
     values = found.values[judged][None]
@@ -79,7 +85,7 @@ def levels(simulation: xr.Dataset) -> xr.Dataset:
         "bone_length": (("chain", "draw", "length_group"), rest[..., : len(LENGTH_GROUPS)]),
         "away": (("chain", "draw", "bone"), rest[..., len(LENGTH_GROUPS) :]),
     }
-    for name in OF_BOTH:
+    for name in (*OF_BOTH, *OF_ROOT):
         column = values[..., QUANTITIES.index(name)]
         if np.isfinite(column).any():
             data[name.replace(" ", "_")] = (("chain", "draw"), column)

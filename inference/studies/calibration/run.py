@@ -22,15 +22,21 @@ import jax
 import numpy as np
 import xarray as xr
 
+from inference.drawers import NUM_ROOTS, require_root
 from inference.machines import HERE, Machines, in_threads
-from inference.results import provenance, save_tree
+from inference.results import FIXED, UNCERTAIN, provenance, save_tree
 from inference.roots import estimate_torsos
 from inference.sampler import MAX_PROPOSALS
 from inference.store import Block, Groups, Store, fill, locked
 from inference.studies.calibration import real
 from inference.studies.calibration.assess import Standing, assess
 from inference.studies.calibration.exclusions import as_text, exclusions
-from inference.studies.calibration.posteriors import FromFile, Sampler, sampler_of
+from inference.studies.calibration.posteriors import (
+    FromFile,
+    Sampler,
+    independent_roots,
+    sampler_of,
+)
 from inference.studies.calibration.quantities import QUANTITIES
 from inference.studies.calibration.record import coverage_tree, standings_table
 from inference.studies.calibration.simulations import BLOCK, Instance, simulate
@@ -55,6 +61,8 @@ def calibrate(
     num_samples: int = NUM_SAMPLES,
     reference: str = REFERENCE,
     likelihood: Likelihood = PAPER,
+    root: str = FIXED,
+    num_roots: int = NUM_ROOTS,
     max_proposals: int = MAX_PROPOSALS,
     out: Path | None = None,
     machines: Machines = HERE,
@@ -78,6 +86,9 @@ def calibrate(
         How detections err, in simulations and posteriors.
     max_proposals
         Most proposals for a simulation.
+    root, num_roots
+        What torso and camera are in simulations and posteriors, and from how many roots draws are
+        made where they are uncertain: as many draws, then, as are independent.
     out
         The file to write; an earlier run of the same settings there is resumed.
     machines
@@ -98,9 +109,14 @@ def calibrate(
     """
     if num_simulations < 1:
         raise BadInput(f"the number of simulations must be at least 1, not {num_simulations}")
-    draw = _sampler(sampler, model, num_samples, max_proposals)
+    if root == UNCERTAIN and isinstance(sampler, str):
+        require_root(root, sampler)
+        draw = independent_roots(model, num_samples, num_roots, max_proposals=max_proposals)
+    else:
+        draw = _sampler(sampler, model, num_samples, max_proposals)
     settings = _settings(model, sampler, draw, seed, num_samples, likelihood, max_proposals) | {
         "study": "calibration",
+        **_rooted(root, num_roots),
         "reference": reference,
         "quantities": len(QUANTITIES),
     }
@@ -114,7 +130,7 @@ def calibrate(
         )
         for number, first in enumerate(range(0, num_simulations, BLOCK))
     ]
-    task = _Simulated(model, draw, seed, reference, likelihood)
+    task = _Simulated(model, draw, seed, reference, likelihood, root)
     return _run(task, blocks, settings, out, machines, progress)
 
 
@@ -127,6 +143,8 @@ def cover(
     seed: int = 0,
     num_samples: int = real.NUM_SAMPLES,
     likelihood: Likelihood = PAPER,
+    root: str = FIXED,
+    num_roots: int = NUM_ROOTS,
     max_proposals: int = real.MAX_PROPOSALS,
     source: Mapping[str, Any] | None = None,
     out: Path | None = None,
@@ -143,7 +161,11 @@ def cover(
     cases
         Poses whose truth is known, with their detections (`real.read_cases`).
     estimator
-        Whose torso and camera are given: an estimator's, or the true ones.
+        Whose torso and camera are given: an estimator's, or the true ones. Nobody's where the root
+        is uncertain: then truths are excluded by what the model itself holds impossible.
+    root, num_roots
+        What torso and camera are in the posteriors, and from how many roots draws are made where
+        they are uncertain.
     sampler, seed, num_samples, likelihood, max_proposals
         As in `calibrate`.
     source
@@ -159,14 +181,20 @@ def cover(
     Raises
     ------
     BadInput
-        As `calibrate`, and on an unknown estimator.
+        As `calibrate`, on an unknown estimator, and on one where the root is uncertain.
     """
     if not cases:
         raise BadInput("there are no poses to cover; give at least one")
-    draw = _sampler(sampler, model, num_samples, max_proposals)
+    if root == UNCERTAIN and estimator != real.TRUE:
+        raise BadInput(
+            f"where the root is uncertain nobody's torso and camera are given; leave the estimator"
+            f" {estimator} out"
+        )
+    draw = _sampler(sampler, model, num_samples, max_proposals, root, num_roots)
     settings = _settings(model, sampler, draw, seed, num_samples, likelihood, max_proposals) | {
         "study": "coverage of real poses",
         "estimator": estimator,
+        **_rooted(root, num_roots),
         "poses": len(cases),
         **(source or {}),
     }
@@ -176,7 +204,7 @@ def cover(
         words = f"poses {first} to {first + len(some) - 1}"
         made_of = {"poses": _fingerprint(some)}
         blocks.append(Block(number, words, made_of, len(some), (first, some)))
-    task = _Covered(model, draw, seed, estimator, likelihood)
+    task = _Covered(model, draw, seed, estimator, likelihood, root)
     return _run(task, blocks, settings, out, machines, progress)
 
 
@@ -189,10 +217,16 @@ class _Simulated:
     seed: int
     reference: str
     likelihood: Likelihood
+    root: str
 
     def __call__(self, numbers: range) -> Groups:
         some = simulate(
-            self.model, self.seed, numbers.start, len(numbers), likelihood=self.likelihood
+            self.model,
+            self.seed,
+            numbers.start,
+            len(numbers),
+            likelihood=self.likelihood,
+            root=self.root,
         )
         poses = references(some, self.reference)
         found = stand(self.draw, some, self.seed, numbers.start, model=self.model, poses=poses)
@@ -208,12 +242,13 @@ class _Covered:
     seed: int
     estimator: str
     likelihood: Likelihood
+    root: str
 
     def __call__(self, block: tuple[int, Sequence[Case]]) -> Groups:
         first, cases = block
         known = real.instances(cases, self.model, self.estimator, likelihood=self.likelihood)
         found = stand(self.draw, known, self.seed, first)
-        reasons = exclusions(self.model, cases, known)
+        reasons = exclusions(self.model, cases, known, self.root)
         columns = {
             "recording": np.array([case.recording for case in cases]),
             "unit_mm": np.array([case.unit for case in cases]),
@@ -292,10 +327,23 @@ def _run(
     return tree()
 
 
-def _sampler(sampler: str | Sampler, model: PoseModel, number: int, budget: int) -> Sampler:
+def _sampler(
+    sampler: str | Sampler,
+    model: PoseModel,
+    number: int,
+    budget: int,
+    root: str = FIXED,
+    num_roots: int = NUM_ROOTS,
+) -> Sampler:
     if isinstance(sampler, str):
-        return sampler_of(sampler, model, number, max_proposals=budget)
+        return sampler_of(
+            sampler, model, number, max_proposals=budget, root=root, num_roots=num_roots
+        )
     return sampler
+
+
+def _rooted(root: str, num_roots: int) -> dict[str, Any]:
+    return {"root": root} | ({"num_roots": num_roots} if root == UNCERTAIN else {})
 
 
 def _settings(

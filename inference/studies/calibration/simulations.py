@@ -1,17 +1,24 @@
 """Poses whose truth is known, and what is seen of them: drawn from the model itself, prior ×
 likelihood.
 
-Torso, camera, scores and missing joints are drawn anew for each simulation and then held fixed, as
-the posterior holds them; they say nothing of the limbs, so the limbs' posterior given them is the
-model's own."""
+Torso, camera, scores and missing joints are drawn anew for each simulation. Where the posterior
+holds torso and camera fixed they say nothing of the limbs, so that any law of theirs will do.
+
+Where the root is uncertain it has to come from its prior: torso uniform, rotation by Haar's
+measure. From flat priors of log scale and translation nothing can be drawn; but the posterior moves
+and grows with the image (`docs/model.md`, § 9), so any fixed scale and place will do for questions
+whose answers do the same.
+"""
 
 import functools
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from inference.results import FIXED, UNCERTAIN
 from probmodel.camera import WeakPerspective
 from probmodel.chunks import in_chunks
 from probmodel.detections import Detection
@@ -19,7 +26,7 @@ from probmodel.likelihood import PAPER, Likelihood
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
 from probmodel.roots import Candidate
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from probmodel.transport import CUBE_DIM, from_cube
 
 UPRIGHT = np.diag([1.0, -1.0, -1.0])
@@ -34,6 +41,25 @@ BLOCK = 50
 """Simulations made, and saved, at once."""
 
 
+def _sideways(rng: np.random.Generator) -> np.ndarray:
+    """A rotation under which an upright person is seen from some side."""
+    turn = Rotation.from_euler("yx", [rng.uniform(0, 360), rng.uniform(-TILT, TILT)], degrees=True)
+    return UPRIGHT @ turn.as_matrix()
+
+
+def _anyhow(rng: np.random.Generator) -> np.ndarray:
+    """A rotation of the uniform law on SO(3)."""
+    return Rotation.random(rng=rng).as_matrix()
+
+
+ROTATIONS = {FIXED: _sideways, UNCERTAIN: _anyhow}
+"""How simulated people are turned, by what the posterior holds of the root."""
+
+
+Spread = Callable[[np.ndarray, Likelihood], np.ndarray]
+"""Scores `(15,)` and a likelihood → the spread `(15,)` of each joint's error, body units."""
+
+
 class Instance(NamedTuple):
     """What is seen of a person, and the truth behind it: the pose `joints` `(15, 3)`, pelvis at the
     origin, camera axes, in the body units of the frame's first candidate."""
@@ -43,20 +69,28 @@ class Instance(NamedTuple):
 
 
 def simulate(
-    model: PoseModel, seed: int, first: int, number: int, *, likelihood: Likelihood = PAPER
+    model: PoseModel,
+    seed: int,
+    first: int,
+    number: int,
+    *,
+    likelihood: Likelihood = PAPER,
+    root: str = FIXED,
 ) -> list[Instance]:
     """Simulations `first`, …, `first + number - 1` of a seed, each the same whichever others are
-    made with it; `factor` is that of the radius τ."""
+    made with it, for posteriors with such a `root`. The frame's candidate is the true root."""
     rngs = [np.random.default_rng([seed, index]) for index in range(first, first + number)]
     cubes = np.stack([rng.uniform(size=CUBE_DIM) for rng in rngs])
-    torsos = np.asarray(model.torsos)[[rng.integers(len(model.torsos)) for rng in rngs]]
+    indices = [int(rng.integers(len(model.torsos))) for rng in rngs]
+    torsos = np.asarray(model.torsos)[indices]
     joints = in_chunks(functools.partial(_poses, model), cubes, torsos, size=BLOCK)
-    return [
-        _instance(pose, torso, HIDDEN[index % len(HIDDEN)], likelihood, rng)
-        for index, pose, torso, rng in zip(
-            range(first, first + number), joints, torsos, rngs, strict=True
-        )
-    ]
+    some = []
+    for row, (rng, index, torso) in enumerate(zip(rngs, indices, torsos, strict=True)):
+        camera = WeakPerspective(SCALE, ROTATIONS[root](rng), MIDDLE)
+        missing = HIDDEN[(first + row) % len(HIDDEN)]
+        candidate = Candidate(index, torso, camera, 0.0)
+        some.append(_instance(joints[row], candidate, missing, likelihood, SPREADS[root], rng))
+    return some
 
 
 @jax.jit
@@ -66,43 +100,58 @@ def _poses(model: PoseModel, cube: jax.Array, torso: jax.Array) -> jax.Array:
 
 def _instance(
     pose: np.ndarray,
-    torso: np.ndarray,
+    candidate: Candidate,
     missing: tuple[str, ...],
     likelihood: Likelihood,
+    spread: Spread,
     rng: np.random.Generator,
 ) -> Instance:
-    turn = Rotation.from_euler("yx", [rng.uniform(0, 360), rng.uniform(-TILT, TILT)], degrees=True)
-    camera = WeakPerspective(SCALE, UPRIGHT @ turn.as_matrix(), MIDDLE)
+    camera = candidate.camera
     score = rng.uniform(LEAST_SCORE, 1.0, NUM_JOINTS)
     score[[JOINT_INDEX[name] for name in missing]] = 0.0
-    detection = detected(np.asarray(camera.project(pose)), score, SCALE, likelihood, rng)
-    candidate = Candidate(0, torso, camera, 0.0)
+    exact = np.asarray(camera.project(pose))
+    detection = detected(exact, score, SCALE * spread(score, likelihood), likelihood, rng)
     return Instance(
         Estimate(detection, (candidate,), likelihood, estimator="truth"),
         np.asarray(camera.view(pose)),
     )
 
 
+def _spread(score: np.ndarray, likelihood: Likelihood, joints: Sequence[int]) -> np.ndarray:
+    keypoints = np.where(score[:, None] > 0, np.zeros((NUM_JOINTS, 2)), np.nan)
+    blank = Detection(keypoints, score, "simulation", "a pose", 0)
+    spread = likelihood.spread(blank, 1.0, joints)
+    return np.where(np.isfinite(spread), spread, likelihood.factor / 2)
+
+
+def limbs_spread(score: np.ndarray, likelihood: Likelihood) -> np.ndarray:
+    """`(15,)` of each joint's error, body units, where the root is fixed. The joints that do not
+    count, those of the torso, err by half the factor; estimators look at them."""
+    return _spread(score, likelihood, likelihood.joints)
+
+
+def joint_spread(score: np.ndarray, likelihood: Likelihood) -> np.ndarray:
+    """`(15,)` of each joint's error, body units, where the root is uncertain: those of the torso
+    have the same law as the limbs'."""
+    return _spread(score, likelihood, sorted({*TORSO_INDEX, *likelihood.joints}))
+
+
+SPREADS: dict[str, Spread] = {FIXED: limbs_spread, UNCERTAIN: joint_spread}
+"""How far detections stray, by what the posterior holds of the root."""
+
+
 def detected(
     exact: np.ndarray,
     score: np.ndarray,
-    scale: float,
+    spread: np.ndarray,
     likelihood: Likelihood,
     rng: np.random.Generator,
     *,
     source: str = "simulation",
 ) -> Detection:
-    """A detection by the likelihood: keypoints uniform in their discs around the projections
-    `exact` `(15, 2)`, those of the torso too (estimators look at them); `scale` in pixels a body
-    unit."""
-    seen = score > 0
-    where = "a pose"
-    blank = Detection(np.where(seen[:, None], exact, np.nan), score, source, where, 0)
-    spread = likelihood.spread(blank, scale)
-    spread = np.where(np.isfinite(spread), spread, likelihood.factor * scale / 2)
-    far, angle = (
-        spread * np.asarray(likelihood.law.distance(rng.uniform(size=NUM_JOINTS))),
-        rng.uniform(0, 2 * np.pi, NUM_JOINTS),
-    )
+    """A detection by the likelihood: keypoints around the projections `exact` `(15, 2)`, those of
+    the torso too, with errors of the law at each joint's `spread` `(15,)`, in pixels."""
+    far = spread * np.asarray(likelihood.law.distance(rng.uniform(size=NUM_JOINTS)))
+    angle = rng.uniform(0, 2 * np.pi, NUM_JOINTS)
     shifted = exact + far[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return Detection(np.where(seen[:, None], shifted, np.nan), score, source, where, 0)
+    return Detection(np.where(score[:, None] > 0, shifted, np.nan), score, source, "a pose", 0)

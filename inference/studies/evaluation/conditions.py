@@ -1,40 +1,70 @@
-"""Conditions: which estimator, how many limb joints missing, how far the image is turned."""
+"""Conditions: which estimator, how many limb joints missing, how far the image is turned, and what
+torso and camera are."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from inference import drawers
+from inference.results import FIXED
 from inference.roots import ESTIMATORS
+from inference.studies.calibration.real import TRUE
 from probmodel.failures import BadInput
 from probmodel.skeleton import LIMB_JOINTS
+
+ROOTS = (*drawers.ROOTS, TRUE)
+"""What torso and camera may be: the estimator's, drawn with the pose, or the truth's own."""
 
 
 class Condition(NamedTuple):
     """What a data set is evaluated under. `missing`: limb joints, at random; `rotate`: degrees, in
-    the image."""
+    the image; `root`: one of `ROOTS`."""
 
     estimator: str
     missing: int = 0
     rotate: float = 0.0
+    root: str = FIXED
+
+    @property
+    def way(self) -> str:
+        """Whose draws these are: the estimator's, or those of a root that depends on none."""
+        return self.estimator if self.root == FIXED else f"{self.root} root"
 
     @property
     def name(self) -> str:
         """As files call it."""
-        return f"{self.estimator}-missing-{self.missing}-rotate-{self.rotate:g}"
+        name = f"{self.estimator}-missing-{self.missing}-rotate-{self.rotate:g}"
+        return name if self.root == FIXED else f"{name}-root-{self.root}"
+
+
+def alike(some: Iterable[Condition], base: Condition) -> list[Condition]:
+    """Those with as many joints missing, and turned as far, as the base: one for each way."""
+    return [one for one in some if (one.missing, one.rotate) == (base.missing, base.rotate)]
 
 
 def conditions(
-    estimators: Sequence[str], missing: Sequence[int], rotate: Sequence[float]
+    estimators: Sequence[str],
+    missing: Sequence[int],
+    rotate: Sequence[float],
+    roots: Sequence[str] = (FIXED,),
 ) -> list[Condition]:
     """Every estimator with every number of missing joints (the image turned by the first angle),
-    and turned by every angle (with the first number missing).
+    and turned by every angle (with the first number missing); the same under every root.
+
+    Draws under a root that is not an estimator's do not depend on it: they stand beside the single
+    estimate of the first.
 
     Raises
     ------
     BadInput
-        On an unknown estimator, a number of joints that cannot be missing, an angle beyond a full
-        turn, or where something is named twice or not at all.
+        On an unknown estimator or root, a number of joints that cannot be missing, an angle beyond
+        a full turn, or where something is named twice or not at all.
     """
-    for name, listed in (("estimators", estimators), ("missing", missing), ("rotate", rotate)):
+    for name, listed in (
+        ("estimators", estimators),
+        ("missing", missing),
+        ("rotate", rotate),
+        ("roots", roots),
+    ):
         if not listed or len(set(listed)) != len(listed):
             raise BadInput(
                 f"{name} must name at least one, and none twice, not"
@@ -46,6 +76,9 @@ def conditions(
             f"there is no estimator {unknown[0]!r} to evaluate; choose among"
             f" {', '.join(ESTIMATORS)}"
         )
+    for root in roots:
+        if root not in ROOTS:
+            raise BadInput(f"there is no root {root!r}; choose among {', '.join(ROOTS)}")
     for number in missing:
         if not 0 <= number <= len(LIMB_JOINTS):
             raise BadInput(f"{number} limb joints cannot be missing; there are {len(LIMB_JOINTS)}")
@@ -55,4 +88,9 @@ def conditions(
     own = [(number, rotate[0]) for number in missing] + [
         (missing[0], angle) for angle in rotate[1:]
     ]
-    return [Condition(estimator, *one) for estimator in estimators for one in own]
+    return [
+        Condition(estimator, *one, root)
+        for root in roots
+        for estimator in (estimators if root == FIXED else estimators[:1])
+        for one in own
+    ]

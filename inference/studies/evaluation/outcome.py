@@ -14,13 +14,15 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.exact.mixture import draw_mixture
+from inference.drawers import NUM_ROOTS, Drawer, drawer
 from inference.hypothesis import diverse
-from inference.results import joint_columns
+from inference.results import FIXED
 from inference.roots import estimate_torsos
+from inference.studies.calibration.real import TRUE, true_candidate
 from inference.studies.errors import aligned_errors, joint_errors
 from inference.studies.evaluation.conditions import Condition
 from inference.studies.evaluation.metrics import distinct_flips, spread
+from inference.studies.evaluation.samples import SHAPES, of_samples
 from probmodel.anatomy.population import Anatomy
 from probmodel.datasets import Case, DataSet
 from probmodel.failures import BadInput
@@ -28,7 +30,7 @@ from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.likelihood import PAPER, Likelihood
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
-from probmodel.skeleton import BONES, NUM_JOINTS
+from probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
 
 BAD_INPUT, FAILED = "bad input", "failed"
 LONGEST = 400
@@ -60,6 +62,8 @@ class Protocol:
         How detections err, and which joints count.
     num_samples, max_proposals, ks
         Draws, the budget for them, and how many hypotheses are chosen among them.
+    num_roots
+        From how many roots draws are made where the root is uncertain.
     """
 
     anatomy: Anatomy
@@ -72,6 +76,7 @@ class Protocol:
     ks: tuple[int, ...] = (5, 20)
     max_proposals: int = 20_000_000
     seed: int = 0
+    num_roots: int = NUM_ROOTS
 
     def __post_init__(self) -> None:
         if (
@@ -89,16 +94,28 @@ class Protocol:
         """The model of it."""
         return PoseModel.from_anatomy(self.anatomy, upper=self.upper, lower=self.lower)
 
+    def drawer(self, root: str) -> Drawer:
+        """What draws under one of `conditions.ROOTS`; the true root is a fixed one."""
+        return drawer(
+            self.model,
+            root=FIXED if root == TRUE else root,
+            num_samples=self.num_samples,
+            num_roots=self.num_roots,
+            max_proposals=self.max_proposals,
+        )
+
     @functools.cached_property
     def fields(self) -> dict[str, Field]:
         """What is kept of a frame, by name. Errors in mm; `hypotheses_k` are heaviest cluster
-        first; `_unscaled`: by similarity alone, mean over joints."""
+        first; `_unscaled`: by similarity alone, mean over joints; `effective_roots` where the root
+        is uncertain; what `samples.of_samples` says."""
         by_joint = Field("f4", joint=NUM_JOINTS)
         found = {
             "status": Field("O"),
             "sentence": Field("O"),
             "num_draws": Field("i4"),
             "log_evidence": Field("f8"),
+            "effective_roots": Field("f8"),
             "single": by_joint,
             "single_unscaled": Field("f4"),
             "single_valid": Field("u1", bone=len(BONES)),
@@ -109,6 +126,7 @@ class Protocol:
             "spread": Field("f4"),
             "flips": Field("i4"),
             "seconds": Field("f4"),
+            **{name: Field("f8", **sizes) for name, sizes in SHAPES.items()},
         }
         for k in self.ks:
             found |= {
@@ -145,7 +163,7 @@ def judge_block(
     frames = _estimated(protocol, condition.estimator, cases)
     for row, (case, frame) in enumerate(zip(cases, frames, strict=True)):
         started = time.perf_counter()
-        status, sentence, values = _judged(protocol, case, frame)
+        status, sentence, values = _judged(protocol, condition.root, case, frame)
         values["seconds"] = time.perf_counter() - started
         values |= {"status": status, "sentence": sentence[:LONGEST]}
         for name, value in values.items():
@@ -189,13 +207,15 @@ def _estimated(
 
 
 def _judged(
-    protocol: Protocol, case: Case | Exception, frame: Estimate | Exception
+    protocol: Protocol, root: str, case: Case | Exception, frame: Estimate | Exception
 ) -> tuple[str, str, dict[str, Any]]:
     if isinstance(case, Exception) or isinstance(frame, Exception):
         return *_reason(frame), {}
     try:
         values = _single(protocol, case, frame)
-        status, sentence, drawn = _drawn(protocol, case, frame)
+        if root == TRUE:
+            frame = _truth(protocol, case)
+        status, sentence, drawn = _drawn(protocol, root, case, frame)
     except (
         Exception
     ) as error:  # one frame of a million must not stop the others; it is counted, and says why
@@ -221,19 +241,34 @@ def _single(protocol: Protocol, case: Case, frame: Estimate) -> dict[str, Any]:
     }
 
 
-def _drawn(protocol: Protocol, case: Case, frame: Estimate) -> tuple[str, str, dict[str, Any]]:
-    key = jax.random.fold_in(jax.random.key(protocol.seed), case.number)
-    posterior = frame.posterior(protocol.model)
-    mixture = draw_mixture(
-        posterior,
-        key=key,
-        num_samples=protocol.num_samples,
-        max_proposals=protocol.max_proposals,
+def _truth(protocol: Protocol, case: Case) -> Estimate:
+    """The true torso in front of the true camera, in place of an estimate."""
+    root = true_candidate(case, protocol.model)
+    return Estimate(case.detection, (root,), protocol.likelihood, estimator=TRUE)
+
+
+def _drawn(
+    protocol: Protocol, root: str, case: Case, frame: Estimate
+) -> tuple[str, str, dict[str, Any]]:
+    draws = protocol.drawer(root)(
+        frame, jax.random.fold_in(jax.random.key(protocol.seed), case.number)
     )
-    joints = joint_columns(posterior, mixture.parts, mixture.rng)["joints"]
-    values = {"num_draws": len(joints), "log_evidence": mixture.attributes["log_evidence"]}
+    joints = draws.joints
+    values: dict[str, Any] = {
+        "num_draws": len(joints),
+        "log_evidence": draws.log_evidence,
+        "effective_roots": draws.effective_roots,
+    }
     if len(joints) < max(protocol.ks):
-        return mixture.status, mixture.sentence, values
+        return draws.status, draws.sentence, values
+    values |= of_samples(
+        joints * case.unit,
+        (draws.keypoints - case.translation) / case.scale,
+        case.pose,
+        case.detection.score > 0,
+        np.random.default_rng([protocol.seed, 3, case.number]),
+        given=TORSO_INDEX if root == TRUE else (),
+    )
     scaled, plain = joint_errors(joints, case.pose), aligned_errors(joints, case.pose).mean(axis=-1)
     means = scaled.mean(axis=-1)
     values |= {
@@ -255,4 +290,4 @@ def _drawn(protocol: Protocol, case: Case, frame: Estimate) -> tuple[str, str, d
             f"hypotheses_{k}_unscaled": plain[rows],
             f"flips_{k}": distinct_flips(joints[rows]),
         }
-    return mixture.status, mixture.sentence, values
+    return draws.status, draws.sentence, values

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.studies.evaluation.conditions import Condition
+from inference.results import FIXED
+from inference.studies.evaluation.conditions import Condition, alike
 from inference.studies.evaluation.scores import (
     Interval,
     Values,
@@ -56,39 +57,36 @@ def relations(
     """Those relations that the conditions at hand allow; `base` is the first of them, its estimator
     aside."""
     few, many = min(ks), max(ks)
-    names = list(dict.fromkeys(condition.estimator for condition in results))
-    found: list[Relation] = []
-    for estimator in names:
-        values = results[base._replace(estimator=estimator)]
-        found.append(_against_single(estimator, values, recording, few))
-    for estimator in names:
-        values = results[base._replace(estimator=estimator)]
+    ways = alike(results, base)
+    found = [_against_single(way, results[way], recording, few) for way in ways]
+    for way in ways:
+        values = results[way]
         if many > few:
-            words = f"{estimator}: the best of {many} is better than the best of {few}"
+            words = f"{way.way}: the best of {many} is better than the best of {few}"
             found.append(_gain(words, "7 % (Zhou)", values, few, many, recording))
-        words = f"{estimator}: the best of all draws is better than the best of {many}"
+        words = f"{way.way}: the best of all draws is better than the best of {many}"
         found.append(_gain(words, "18 % (Zhou)", values, many, "all", recording))
-    for estimator in names:
-        levels = sorted(
-            {c.missing for c in results if c.estimator == estimator and c.rotate == base.rotate}
-        )
+    for way in ways:
+        levels = sorted(one.missing for one in results if one._replace(missing=way.missing) == way)
         for one, more in itertools.pairwise(levels):
-            pair = [results[Condition(estimator, number, base.rotate)] for number in (one, more)]
-            found.append(_growth(estimator, one, more, pair, recording, few))
+            pair = [results[way._replace(missing=number)] for number in (one, more)]
+            found.append(_growth(way.way, one, more, pair, recording, few))
     return found
 
 
-def _against_single(estimator: str, values: Values, recording: np.ndarray, k: int) -> Relation:
+def _against_single(way: Condition, values: Values, recording: np.ndarray, k: int) -> Relation:
     gain = _gain("", "", values, "single", k, recording)
-    if estimator == "akhter-black":
-        words = f"{estimator}: the best of {k} beats the single estimate by 15 % or more"
+    single = "the single estimate"
+    if way.root != FIXED:
+        single = f"the single estimate of {way.estimator}"
+    if way.estimator == "akhter-black":
+        words = f"{way.way}: the best of {k} beats {single} by 15 % or more"
         return gain._replace(words=words, paper="18 %", low=LEAST_GAIN)
-    if estimator == "zhou":
-        words = f"{estimator}: the best of {k} about equals the single estimate (within 5 %)"
+    if way == way._replace(estimator="zhou", root=FIXED):
+        words = f"{way.way}: the best of {k} about equals {single} (within 5 %)"
         return gain._replace(words=words, paper="0.3 %", low=-ABOUT, high=ABOUT)
-    return gain._replace(
-        words=f"{estimator}: the best of {k} beats the single estimate", paper="(not in the paper)"
-    )
+    words = f"{way.way}: the best of {k} beats {single}"
+    return gain._replace(words=words, paper="(not in the paper)")
 
 
 def _gain(
@@ -113,11 +111,11 @@ _PAPER_GAIN = {(0, 1): "+21.5 mm", (1, 2): "+13.4 mm", (0, 2): "+34.9 mm"}
 
 
 def _growth(
-    estimator: str, one: int, more: int, pair: Sequence[Values], recording: np.ndarray, k: int
+    way: str, one: int, more: int, pair: Sequence[Values], recording: np.ndarray, k: int
 ) -> Relation:
     rows = common(pair)
     gains = [(pose_errors(values, "single") - pose_errors(values, k))[rows] for values in pair]
     estimate = clustered(gains[1] - gains[0], recording[rows])
-    words = f"{estimator}: the gain of the best of {k} grows from {one} to {more} missing joints"
+    words = f"{way}: the gain of the best of {k} grows from {one} to {more} missing joints"
     paper = f"{_PAPER_GAIN[one, more]} (A&B)" if (one, more) in _PAPER_GAIN else "–"
     return Relation(words, paper, estimate, 0.0, INF, "mm", int(rows.sum()))

@@ -159,6 +159,7 @@ def settings(data: DataSet, protocol: Protocol) -> dict[str, Any]:
         "candidates": protocol.candidates,
         "likelihood": repr(protocol.likelihood),
         "num_samples": protocol.num_samples,
+        "num_roots": protocol.num_roots,
         "k": list(protocol.ks),
         "max_proposals": protocol.max_proposals,
         "seed": protocol.seed,

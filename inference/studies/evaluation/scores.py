@@ -11,8 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from inference.studies.calibration.ece import Ece, ece
 from inference.studies.evaluation import metrics
-from inference.studies.intervals import TAIL, Interval
+from inference.studies.evaluation.samples import JUDGED
+from inference.studies.intervals import TAIL, Interval, of_share
+from probmodel.skeleton import LIMB_JOINTS
 
 SAMPLES = 2000
 """Bootstrap samples."""
@@ -122,6 +125,72 @@ def summary(values: Values, row: str | int) -> Metrics:
         spread,
         valid,
     )
+
+
+class SampleScores(NamedTuple):
+    """What `samples.of_samples` says of many poses, summed up; None, or NaN, where there are too
+    few samples of each to say.
+
+    Attributes
+    ----------
+    frames : how many poses.
+    best_root, best_procrustes : mm, for every N of `BESTS`.
+    ece : the field's calibration error, over all joints of which something was asked.
+    axes : how often central intervals of 95 % hold the limb joints' x, y and depth.
+    beyond : the share of the limb joints' coordinates that lie beyond all samples.
+    across : mm, distance of samples from the truth in the image, seen joints.
+    width : mm, of the limb joints' intervals in x, y and depth.
+    effective : the median number of effective roots; NaN where the root is fixed.
+    """
+
+    frames: int
+    best_root: tuple[Interval, ...]
+    best_procrustes: tuple[Interval, ...]
+    ece: Ece | None
+    axes: tuple[Interval, ...] | None
+    beyond: float
+    across: Interval
+    width: tuple[float, ...]
+    effective: float
+
+
+LIMBS = [JUDGED.index(joint) for joint in LIMB_JOINTS]
+"""Where the limb joints stand among the judged ones."""
+
+
+def sample_scores(values: Values, recording: np.ndarray) -> SampleScores:
+    """Of the frames `(n,)` of whose samples something is known, with intervals over recordings."""
+    rows = np.isfinite(values["best_procrustes"][:, 0])
+    found, recording = {name: values[name][rows] for name in values}, recording[rows]
+    bests = {
+        name: tuple(clustered(column, recording) for column in found[name].T)
+        for name in ("best_root", "best_procrustes")
+    }
+    judged = np.isfinite(found["standing"][:, LIMBS]).all(axis=(1, 2))
+    standing, width = (found[name][judged][:, LIMBS] for name in ("standing", "width"))
+    held = (standing >= TAIL) & (standing <= 1 - TAIL)
+    clusters, some = recording[judged], bool(judged.any())
+    effective = found.get("effective_roots", np.full(len(recording), np.nan))
+    return SampleScores(
+        len(recording),
+        best_root=bests["best_root"],
+        best_procrustes=bests["best_procrustes"],
+        ece=_ece(found["level"][judged], found["stand_in"][judged], clusters) if some else None,
+        axes=tuple(of_share(held[..., axis], clusters) for axis in range(3)) if some else None,
+        beyond=float(found["beyond"][judged][:, LIMBS].mean()) if some else np.nan,
+        across=clustered(found["across"], recording),
+        width=tuple(width.mean(axis=(0, 1)).tolist()) if some else (np.nan,) * 3,
+        effective=float(np.median(effective)) if len(effective) else np.nan,
+    )
+
+
+def _ece(levels: np.ndarray, stand_in: np.ndarray, recording: np.ndarray) -> Ece:
+    """Over the joints of which something was asked; its floor over those that move at all."""
+    asked = np.isfinite(levels).all(axis=0)
+    found = ece(levels[:, asked], stand_in[:, :, (stand_in > 0).any(axis=(0, 1))], recording)
+    if len(np.unique(recording)) > 1:
+        return found
+    return found._replace(whole=Interval(found.whole.value, np.nan, np.nan))
 
 
 class Lost(NamedTuple):

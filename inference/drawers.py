@@ -1,0 +1,198 @@
+"""Who draws, where many detections are drawn from one after the other: a stream, an evaluation, a
+study of coverage.
+
+A drawer is made once, for one kind of root, and takes a detection's estimate and a key. What it
+returns is the same for every kind, so that nobody who draws needs to know which one it is.
+
+    draw = drawer(model, root="uncertain", num_samples=1000, num_roots=200)
+    draw(frame, key).joints
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import numpy as np
+
+from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, draw_mixture
+from inference.results import FIXED, UNCERTAIN, joint_columns
+from inference.uncertain.tree import placed
+from inference.uncertain.weighted import MOST_ROOTS, verdict, weigh_roots
+from probmodel.failures import BadInput
+from probmodel.model import PoseModel
+from probmodel.posterior import Estimate
+from probmodel.roots import RootPoint
+
+ROOTS = (FIXED, UNCERTAIN)
+"""What torso and camera may be: given by an estimator, or drawn with the pose."""
+NUM_ROOTS = 200
+"""Roots of each detection where there are many of them: about a second of one core."""
+SAMPLER = next(iter(PROPOSALS))
+"""Exact rejection by strata."""
+
+
+class Draws(NamedTuple):
+    """Draws of one detection, in random order.
+
+    Attributes
+    ----------
+    joints : `(n, 15, 3)` camera axes, the pelvis at the origin, body units of each draw's root.
+    bone_length : `(n, 5)` body units.
+    keypoints : `(n, 15, 2)` pixels, where the draws' joints fall in the image.
+    scale : `(n,)` pixels a body unit, of each draw's root.
+    points : the roots `(n, ...)` of the draws; None where the root is fixed.
+    log_evidence, log_evidence_se : as the attributes of a result with such a root.
+    effective_roots : of how many equally good roots the draws are; NaN where the root is fixed.
+    status, sentence : as in `inference.results.Result`.
+    """
+
+    joints: np.ndarray
+    bone_length: np.ndarray
+    keypoints: np.ndarray
+    scale: np.ndarray
+    points: RootPoint | None
+    log_evidence: float
+    log_evidence_se: float
+    effective_roots: float
+    status: str
+    sentence: str
+
+
+class Drawer(Protocol):
+    """What draws from the posterior of a detection."""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the draws depend on beside model, detection and key: plain JSON values."""
+
+    def __call__(self, frame: Estimate, key: jax.Array) -> Draws:
+        """Draws of one detection, those of `inference.sample` for this key, in the same order."""
+
+
+@dataclass(frozen=True)
+class FixedRoot:
+    """Exact draws from the mixture over an estimator's candidates."""
+
+    model: PoseModel
+    sampler: str
+    num_samples: int
+    max_proposals: int
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """As of a `Drawer`."""
+        names = ("sampler", "num_samples", "max_proposals")
+        return {"root": FIXED} | {name: getattr(self, name) for name in names}
+
+    def __call__(self, frame: Estimate, key: jax.Array) -> Draws:
+        """As of a `Drawer`. Raises `BadInput` where the detection may have faults."""
+        posterior = frame.posterior(self.model)
+        mixture = draw_mixture(
+            posterior,
+            key=key,
+            sampler=self.sampler,
+            num_samples=self.num_samples,
+            max_proposals=self.max_proposals,
+        )
+        return Draws(
+            **joint_columns(posterior, mixture.parts, mixture.rng),
+            points=None,
+            log_evidence=mixture.attributes["log_evidence"],
+            log_evidence_se=mixture.attributes["log_evidence_se"],
+            effective_roots=math.nan,
+            status=mixture.status,
+            sentence=mixture.sentence,
+        )
+
+
+@dataclass(frozen=True)
+class UncertainRoot:
+    """Draws of torso, camera and pose together, from weighted roots."""
+
+    model: PoseModel
+    num_samples: int
+    num_roots: int
+    max_proposals: int
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """As of a `Drawer`."""
+        names = ("num_samples", "num_roots", "max_proposals")
+        return {"root": UNCERTAIN} | {name: getattr(self, name) for name in names}
+
+    def __call__(self, frame: Estimate, key: jax.Array) -> Draws:
+        """As of a `Drawer`. Raises `BadInput` where the seen joints of the torso do not determine
+        a camera."""
+        roots = weigh_roots(
+            frame.uncertain(self.model),
+            key=jax.random.fold_in(key, 0),
+            num_roots=self.num_roots,
+            max_proposals=self.max_proposals,
+        )
+        rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
+        points, poses, _ = roots.draw(rng, self.num_samples)
+        status, sentence = verdict(roots)
+        return Draws(
+            **placed(self.model, points, poses),
+            bone_length=poses.length,
+            scale=np.exp(points.log_scale),
+            points=points,
+            log_evidence=roots.log_evidence,
+            log_evidence_se=roots.log_evidence_se,
+            effective_roots=roots.effective,
+            status=status,
+            sentence=sentence,
+        )
+
+
+def drawer(
+    model: PoseModel,
+    *,
+    root: str = FIXED,
+    sampler: str = SAMPLER,
+    num_samples: int = 10_000,
+    num_roots: int = NUM_ROOTS,
+    max_proposals: int = MAX_PROPOSALS,
+) -> Drawer:
+    """The drawer for one kind of root.
+
+    Parameters
+    ----------
+    model : the prior of poses.
+    root : one of `ROOTS`.
+    sampler : how exact rejection proposes where the root is fixed: one of `PROPOSALS`.
+    num_samples : draws of each detection.
+    num_roots : from how many roots they are made where the root is uncertain.
+    max_proposals : most proposals for each detection.
+
+    Raises
+    ------
+    BadInput
+        On an unknown root or sampler, a sampler that holds the root fixed where it shall be
+        uncertain, and numbers that cannot be.
+    """
+    require_root(root, sampler)
+    if num_samples < 1:
+        raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
+    if root == UNCERTAIN:
+        if not 1 <= num_roots <= MOST_ROOTS:
+            raise BadInput(
+                f"the number of roots must lie between 1 and {MOST_ROOTS:,}, not {num_roots}"
+            )
+        return UncertainRoot(model, num_samples, num_roots, max_proposals)
+    if sampler not in PROPOSALS:
+        raise BadInput(f"there is no exact sampler {sampler!r}; choose from {', '.join(PROPOSALS)}")
+    return FixedRoot(model, sampler, num_samples, max_proposals)
+
+
+def require_root(root: str, sampler: str) -> None:
+    """Raises `BadInput` on an unknown root, and on a sampler that holds the root fixed where it
+    shall be uncertain."""
+    if root not in ROOTS:
+        raise BadInput(f"there is no root {root!r}; choose one of {', '.join(ROOTS)}")
+    if root == UNCERTAIN and sampler != SAMPLER:
+        raise BadInput(
+            f"the sampler {sampler} holds torso and camera fixed; leave it out, or choose the"
+            f" root {FIXED!r}"
+        )

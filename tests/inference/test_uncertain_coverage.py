@@ -1,0 +1,231 @@
+"""Calibration and coverage with an uncertain root: simulations, what is asked of them, and whether
+the ranks tell right draws from wrong ones.
+
+False-alarm rates stand beside every statistical test; seeds are fixed.
+"""
+
+import dataclasses
+import functools
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+from scipy import stats
+
+from inference.drawers import drawer
+from inference.studies.calibration import calibrate, cover, judge, simulate
+from inference.studies.calibration.assess import Answer, assess
+from inference.studies.calibration.controls import forgetting_scale
+from inference.studies.calibration.exclusions import TAU, from_text
+from inference.studies.calibration.posteriors import independent_roots
+from inference.studies.calibration.quantities import (
+    LOG_DENSITY,
+    OF_ROOT,
+    QUANTITIES,
+    of_root,
+    of_rooted,
+)
+from inference.studies.calibration.real import by_the_likelihood
+from inference.studies.calibration.simulations import Instance
+from inference.studies.calibration.verdict import MISCALIBRATED
+from probmodel import BadInput, PoseModel
+from probmodel.datasets import Case
+from probmodel.faults import Faults
+from probmodel.pose import Pose
+from probmodel.roots import RootPoint
+from probmodel.skeleton import JOINT_INDEX
+from tests.scenes import key
+
+ROOTS = 40
+
+
+@functools.cache
+def model() -> PoseModel:
+    return PoseModel()
+
+
+@functools.cache
+def simulations() -> list[Instance]:
+    return simulate(model(), 0, 0, 100, root="uncertain")
+
+
+def truth(instance: Instance) -> tuple[RootPoint, np.ndarray]:
+    one = instance.frame.candidates[0]
+    log_scale = np.log(one.camera.scale)
+    point = RootPoint(one.torso_index, one.camera.rotation, log_scale, one.camera.translation)
+    return RootPoint(*(np.asarray(part)[None] for part in point)), instance.joints[None]
+
+
+# --- simulations
+
+
+def test_simulated_roots_are_draws_of_their_prior() -> None:
+    """Haar's measure: every entry of a rotation is uniform on (-1, 1) (Archimedes); torsos come as
+    often as each other. Three tests at 1e-3 in all. Control: people seen from some side."""
+    rotations = [one.frame.candidates[0].camera.rotation for one in simulations()]
+    entries = np.array([[turn[2, 2], turn[1, 1]] for turn in rotations])
+    for column in entries.T:
+        assert stats.kstest(column, "uniform", (-1, 2)).pvalue > 1e-3 / 3
+    torsos = np.bincount([one.frame.candidates[0].torso_index for one in simulations()])
+    assert torsos.max() < stats.poisson.isf(1e-3 / 3 / len(torsos), 100 / len(torsos)) + 1
+    upright = [one.frame.candidates[0].camera.rotation for one in simulate(model(), 0, 0, 100)]
+    control = stats.kstest([turn[1, 1] for turn in upright], "uniform", (-1, 2))
+    assert control.pvalue < 1e-9
+
+
+def test_simulated_truths_are_possible_under_their_own_root() -> None:
+    """Every seen joint, the torso's too, lies in its disc, whose radius is the posterior's own."""
+    worst = []
+    for instance in simulations()[:8]:
+        posterior = instance.frame.uncertain(model())
+        *_, density, misfit = of_rooted(posterior, *truth(instance))[0]
+        assert np.isfinite(density)
+        worst.append(misfit)
+        assert instance.frame.detection.seen.sum() >= 12
+    assert 0.5 < min(worst) <= max(worst) <= 1
+
+
+# --- what is asked
+
+
+def test_numbers_of_draws_are_the_samplers_own() -> None:
+    """Log density and misfit by way of the joints against the posterior's, of root and pose."""
+    instance = simulations()[0]
+    posterior = instance.frame.uncertain(model())
+    draw = drawer(model(), root="uncertain", num_samples=30, num_roots=ROOTS)
+    draws = draw(instance.frame, key(3))
+    assert draws.points is not None
+    *_, density, misfit = of_rooted(posterior, draws.points, draws.joints).T
+    observed = [
+        posterior.detected.under(
+            posterior.prior, RootPoint(*(part[row] for part in draws.points)), Faults.none()
+        )
+        for row in (0, 7)
+    ]
+    for row, observation in zip((0, 7), observed, strict=True):
+        pose = model().pose_of(draws.joints[row], draws.bone_length[row])
+        point = RootPoint(*(part[row][None] for part in draws.points))
+        own = posterior.log_joint(point, Pose(*(np.asarray(part)[None] for part in pose)))
+        assert density[row] == pytest.approx(float(own[0]), abs=1e-6)
+        assert misfit[row] == pytest.approx(float(observation.misfit(draws.joints[row])))
+    assert (misfit <= 1 + 1e-9).all()
+    scale, *_, x, y, z = of_root(draws.points).T
+    np.testing.assert_allclose(np.exp(scale), draws.scale)
+    thorax = JOINT_INDEX["thorax"]
+    pixels = draws.scale[:, None] * draws.joints[:, thorax, :2] + draws.points.translation
+    np.testing.assert_allclose(pixels, draws.keypoints[:, thorax], atol=1e-9)
+    np.testing.assert_allclose(x**2 + y**2 + z**2, 1)
+
+
+def test_roots_are_ranked_where_draws_have_them() -> None:
+    """The truth among twenty copies of itself is a tie in everything; without roots nothing is
+    asked of them."""
+    instance = simulations()[1]
+    points, joints = truth(instance)
+    many = RootPoint(*(np.repeat(part, 20, axis=0) for part in points))
+    answer = Answer(np.repeat(joints, 20, axis=0), points=many)
+    found = assess(instance, answer, np.random.default_rng(0), model=model())
+    level = dict(zip(QUANTITIES, found.level, strict=True))
+    assert all(0 <= level[name] <= 1 for name in (*OF_ROOT, LOG_DENSITY))
+    moved = many._replace(log_scale=many.log_scale + 1.0)
+    far = assess(instance, answer._replace(points=moved), np.random.default_rng(0), model=model())
+    assert dict(zip(QUANTITIES, far.level, strict=True))["log scale"] <= 1 / 21
+    without = assess(instance, answer._replace(points=None), np.random.default_rng(0))
+    assert np.isnan(dict(zip(QUANTITIES, without.level, strict=True))["log scale"])
+
+
+# --- draws
+
+
+def test_draws_are_as_many_as_are_independent() -> None:
+    draw = independent_roots(model(), 500, 10)
+    answer = draw(0, simulations()[2], key(0))
+    assert answer.points is not None
+    assert 9 <= len(answer.joints) < 500  # ten roots are worth too few: there were more of them
+    different = len(np.unique(answer.points.log_scale))
+    assert different >= 0.8 * len(answer.joints)
+    few = independent_roots(model(), 5, 100)(0, simulations()[2], key(0))
+    assert len(few.joints) == 5
+
+
+def test_a_sampler_under_fixed_roots_is_refused() -> None:
+    with pytest.raises(BadInput, match="the sampler emcee holds torso and camera fixed"):
+        calibrate(model(), "emcee", root="uncertain", num_simulations=1)
+    with pytest.raises(BadInput, match="there is no root 'free'"):
+        cover(model(), [cases()[0]], root="free")
+    with pytest.raises(BadInput, match="nobody's torso and camera are given"):
+        cover(model(), [cases()[0]], root="uncertain", estimator="zhou")
+
+
+# --- real poses
+
+
+UNIT = 330.0
+"""mm of a body unit."""
+
+
+@functools.cache
+def cases() -> list[Case]:
+    """Poses of the prior as a data set has them, their detections drawn from the likelihood."""
+    some = []
+    for number, instance in enumerate(simulate(model(), 5, 0, 2)):
+        camera = instance.frame.candidates[0].camera
+        pose, labels = UNIT * instance.joints, ("walking", "a", f"recording {number}")
+        detection, scale = instance.frame.detection, float(camera.scale) / UNIT
+        case = Case(number, pose, detection, scale, np.asarray(camera.translation), *labels)
+        some.append(by_the_likelihood(case, root="uncertain"))
+    return some
+
+
+def test_real_poses_are_covered_without_torso_and_camera() -> None:
+    tree = cover(model(), cases(), root="uncertain", num_samples=60, num_roots=ROOTS)
+    found = tree["simulation"].to_dataset()
+    assert tree.attrs["root"] == "uncertain"
+    assert tree.attrs["num_roots"] == ROOTS
+    assert (found.num_draws.values == 60).all()
+    assert np.isfinite(found.whole.values).all()
+    fixed = cover(model(), cases(), num_samples=60)["simulation"].to_dataset()
+    assert (found.spread_depth.values.mean() > fixed.spread_depth.values.mean()).all()
+
+
+def test_a_torso_that_is_detected_elsewhere_excludes_the_truth() -> None:
+    """Under a fixed root nobody asks for the torso's detections."""
+    case = cases()[0]
+    keypoints = case.detection.keypoints.copy()
+    keypoints[JOINT_INDEX["left_hip"]] += 3 * case.scale * case.unit
+    detection = dataclasses.replace(case.detection, keypoints=keypoints)
+    moved = dataclasses.replace(case, detection=detection)
+    draws: list = []
+
+    def nobody(index: int, instance: Instance, key: jax.Array) -> Answer:
+        draws.append(index)
+        return Answer(np.repeat(instance.joints[None], 20, axis=0))
+
+    def reasons(root: str) -> list:
+        found = cover(model(), [moved], sampler=nobody, root=root)["simulation"].reasons
+        return [one for one in from_text(found.values[0]) if one.broken.part == "left_hip"]
+
+    assert reasons("fixed") == []
+    assert [one.source for one in reasons("uncertain")] == [TAU]
+
+
+# --- the whole
+
+
+@pytest.mark.slow
+def test_the_whole_posterior_is_calibrated_and_the_control_is_not() -> None:
+    """Thirty simulations, 1 % false alarms over all questions (Holm); weights without scale⁻² for
+    every seen joint are found out."""
+    number = 30
+
+    def standings(sampler) -> xr.Dataset:
+        tree = calibrate(model(), sampler, root="uncertain", num_simulations=number)
+        return tree["simulation"].to_dataset()
+
+    right = judge(standings(independent_roots(model(), 200, 150)), fewest=number // 2)
+    assert right.verdict != MISCALIBRATED, right.sentence
+    assert {"log scale", LOG_DENSITY} <= set(right.tests.quantity.values)
+    wrong = independent_roots(model(), 200, 150, reweigh=forgetting_scale)
+    control = judge(standings(wrong), fewest=number // 2)
+    assert control.verdict == MISCALIBRATED, control.sentence

@@ -86,7 +86,7 @@ class FixedRoot:
         return {"root": FIXED} | {name: getattr(self, name) for name in names}
 
     def __call__(self, frame: Estimate, key: jax.Array) -> Draws:
-        """As of a `Drawer`. Raises `BadInput` where the detection may have faults."""
+        """As of a `Drawer`. Raises `BadInput` where its likelihood has faults."""
         posterior = frame.posterior(self.model)
         mixture = draw_mixture(
             posterior,

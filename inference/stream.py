@@ -113,7 +113,7 @@ def sample_frames(
         Of all draws: the same key, the same bits, whoever draws.
     out
         The folder.
-    sampler, root, num_roots, num_samples, max_proposals
+    sampler, root, num_roots, num_samples
         As `inference.drawers.drawer` takes them: what is drawn of every frame.
     k
         How many hypotheses of each frame.

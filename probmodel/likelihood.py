@@ -250,8 +250,25 @@ class Likelihood:
     def of(
         cls, errors: DetectorErrors, joints: tuple[int, ...] = LIKELIHOOD_JOINTS
     ) -> "Likelihood":
-        """The likelihood that a detector's errors say, its outliers and exchanges included. Raises
-        `BadInput` on a law that samplers have not."""
+        """The likelihood that a detector's errors say, its outliers and exchanges included.
+
+        Parameters
+        ----------
+        errors
+            Learned, or read from a file.
+        joints
+            The joints that count where they are seen.
+
+        Returns
+        -------
+        Likelihood
+            One that needs an uncertain root where there are outliers or exchanges.
+
+        Raises
+        ------
+        BadInput
+            On a law that samplers have not.
+        """
         if errors.law not in LAWS:
             raise BadInput(
                 f"samplers have no {errors.law} law, only {' and '.join(LAWS)}; learn one of these"

@@ -111,8 +111,24 @@ class Estimate:
     estimator: str = ""
 
     def posterior(self, model: PoseModel) -> Posterior:
-        """The posterior under a model of poses. Raises `BadInput` where the likelihood has outliers
-        or exchanged sides, which fixed roots leave no room for."""
+        """The posterior under a model of poses, roots held fixed.
+
+        Parameters
+        ----------
+        model
+            The prior of poses.
+
+        Returns
+        -------
+        Posterior
+            The mixture over the candidates.
+
+        Raises
+        ------
+        BadInput
+            Where the likelihood has outliers or exchanged sides, which fixed roots leave no room
+            for.
+        """
         if self.likelihood.faults.any:
             raise BadInput(
                 "outliers and exchanges need torso and camera to be uncertain; choose the root"

@@ -200,7 +200,6 @@ def main(people: int) -> None:
         "roots": ROOTS,
         "outliers": f"{100 * OUTLIERS:.0f} %",
         "exchanges": f"{100 * EXCHANGED:.0f} %",
-        "sure": f"{SURE}",
         "table": table(outcomes, without),
     }
     print(write_page("faults", values, {"faults": probabilities_figure(outcomes)}))

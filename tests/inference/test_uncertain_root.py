@@ -368,7 +368,7 @@ def test_attempts_at_a_root_are_draws_of_its_prior():
     rng, number, power = np.random.default_rng(0), 20_000, 6.0
     torsos, reach = rng.normal(size=(2, 3, 3)), np.array([2.0, 50.0, 50.0])
     keypoints = rng.normal(size=(3, 2))
-    problem = TorsoProblem(torsos, keypoints, reach, power)
+    problem = TorsoProblem(torsos, keypoints, np.zeros((3, 2)), reach, power)
     cells, table, state = cut_roots(problem), root_table(number), seeded([1], 1)
     assert cells.mass == pytest.approx(1 / power)
     before = int(state[3])

@@ -84,11 +84,11 @@ def calibrate(
         The estimator of TARP's reference poses.
     likelihood
         How detections err, in simulations and posteriors.
-    max_proposals
-        Most proposals for a simulation.
     root, num_roots
         What torso and camera are in simulations and posteriors, and from how many roots draws are
         made where they are uncertain: as many draws, then, as are independent.
+    max_proposals
+        Most proposals for a simulation.
     out
         The file to write; an earlier run of the same settings there is resumed.
     machines
@@ -163,10 +163,12 @@ def cover(
     estimator
         Whose torso and camera are given: an estimator's, or the true ones. Nobody's where the root
         is uncertain: then truths are excluded by what the model itself holds impossible.
+    sampler, seed, num_samples, likelihood
+        As in `calibrate`.
     root, num_roots
         What torso and camera are in the posteriors, and from how many roots draws are made where
         they are uncertain.
-    sampler, seed, num_samples, likelihood, max_proposals
+    max_proposals
         As in `calibrate`.
     source
         What the tree shall say of where the cases come from.

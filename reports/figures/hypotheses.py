@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from probmodel.skeleton import JOINTS, NUM_JOINTS
+from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 from reports.figures.body import draw_detection, draw_image
 from reports.figures.colours import (
     COLOURS,
@@ -38,7 +38,7 @@ from reports.figures.style import (
     page,
 )
 from reports.figures.window import MAX_DRAWS, Window, cropped, window_of
-from reports.tables.posterior import heaviest, is_uncertain, values
+from reports.tables.posterior import LIKELY, faults_of, heaviest, is_uncertain, values
 from reports.tables.sheet import percent
 from reports.tables.words import spoken
 
@@ -243,6 +243,11 @@ def _draw_detections(
         cloud = axis.scatter(u, v, s=3, color=COLOURS[joint], alpha=0.22, zorder=1)
         cloud.set(linewidths=0, gid=f"cloud {JOINTS[joint]}")
     draw_detection(axis, keypoints, radius, 1.3)
+    faults = faults_of(tree)
+    wrong = [name for name, share in faults.outlier.items() if share > LIKELY] if faults else []
+    for name in wrong:
+        at = keypoints[JOINT_INDEX[name]]
+        axis.plot(*at, "x", color=INK, ms=9, mew=1.6, zorder=6, gid=f"outlier {name}")
     axis.set_xlim(window.low[0], window.high[0])
     axis.set_ylim(window.high[1], window.low[1])
     axis.spines[:].set_visible(True)
@@ -250,6 +255,7 @@ def _draw_detections(
     lost = [spoken(JOINTS[joint]) for joint in LIMB_OF if not np.isfinite(keypoints[joint]).all()]
     sentences = ["purple: right, green: left"]
     sentences += [] if is_uncertain(tree) else ["torso and camera: held fixed"]
+    sentences += faults.lines if faults else []
     footnote(axis, *sentences, *(["missing: " + ", ".join(lost)] if lost else []))
 
 

@@ -6,12 +6,13 @@ columns.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from inference.results import UNCERTAIN
+from probmodel.faults import EXCHANGES
 from probmodel.skeleton import JOINT_INDEX, JOINTS, TORSO_INDEX
 from reports.tables.sheet import (
     NOTHING,
@@ -38,6 +39,8 @@ UNIT_NOTE = f"1 body unit = mean limb length, about {MILLIMETRES:.0f} mm for a p
 STILL = 1e-9
 """Body units within which nothing moves: rounding, not spread."""
 HELD = "held fixed"
+LIKELY = 0.5
+"""Posterior probability above which a fault of the detector is spoken of."""
 _ENDS = ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
 
 
@@ -100,7 +103,7 @@ def posterior_table(tree: xr.DataTree) -> Sheet:
     radius = values(tree, "constant_data", "radius")[heaviest(tree)]
     spread = joints.std(axis=0) if len(joints) else np.full(joints.shape[1:], np.nan)
     lateral = np.sqrt((spread[:, :2] ** 2).mean(axis=1))
-    fixed_joints = still(tree)
+    fixed_joints, faults = still(tree), faults_of(tree)
     records = [
         {
             "joint": name,
@@ -112,6 +115,7 @@ def posterior_table(tree: xr.DataTree) -> Sheet:
             "depth_sd_mm": number(spread[joint, 2] * MILLIMETRES),
             "lateral_sd": number(lateral[joint]),
             "lateral_sd_mm": number(lateral[joint] * MILLIMETRES),
+            **({"outlier": faults.outlier[name]} if faults else {}),
         }
         for joint, name in enumerate(JOINTS)
         if name != "pelvis"
@@ -124,9 +128,46 @@ def posterior_table(tree: xr.DataTree) -> Sheet:
         Column("mm", _unless_held("depth_sd_mm", ""), _whole),
         Column("sd across", _unless_held("lateral_sd", HELD), _spread),
         Column("mm", _unless_held("lateral_sd_mm", ""), _whole),
+        *([Column("wrong", "outlier", percent)] if faults else []),
     ]
-    caption = f"sd: standard deviation relative to the pelvis. {UNIT_NOTE}."
+    wrong = " wrong: that its keypoint is an outlier." if faults else ""
+    caption = f"sd: standard deviation relative to the pelvis. {UNIT_NOTE}.{wrong}"
     return Sheet(columns, records, "Posterior, joint by joint", caption)
+
+
+class FaultProbabilities(NamedTuple):
+    """Posterior probabilities of a detector's faults: that each joint's keypoint is an `outlier`,
+    and of each `exchange` of left and right, by name."""
+
+    outlier: dict[str, float]
+    exchange: dict[str, float]
+
+    @property
+    def lines(self) -> list[str]:
+        """What is more probable than not, in words."""
+        found = [
+            f"the {spoken(joint)}'s keypoint is an outlier ({100 * share:.0f} %)"
+            for joint, share in self.outlier.items()
+            if share > LIKELY
+        ]
+        return found + [
+            f"left and right are exchanged: {name} ({100 * share:.0f} %)"
+            for name, share in self.exchange.items()
+            if share > LIKELY and name != "none"
+        ]
+
+
+def faults_of(tree: xr.DataTree) -> FaultProbabilities | None:
+    """The faults of a posterior that may have some; None where there are no draws or no faults."""
+    if "outlier" not in tree["posterior"] or not tree["posterior"].sizes["draw"]:
+        return None
+    outlier = values(tree, "posterior", "outlier").mean(axis=0)
+    exchange = values(tree, "posterior", "exchange")
+    counts = np.bincount(exchange.astype(int), minlength=len(EXCHANGES))
+    return FaultProbabilities(
+        dict(zip(JOINTS, outlier.tolist(), strict=True)),
+        dict(zip(EXCHANGES, (counts / len(exchange)).tolist(), strict=True)),
+    )
 
 
 def _unless_held(key: str, instead: str) -> Callable[[Record], float | str | None]:
@@ -272,6 +313,7 @@ def summary_json(result: "Result") -> dict[str, Any]:
         "limits": limits,
         "limits_sha256": digest,
         "measures": str(given["measures"]),
+        **({"faults": faults._asdict()} if (faults := faults_of(result.tree)) else {}),
     }
 
 
@@ -292,6 +334,8 @@ def summary_lines(result: "Result") -> list[str]:
     if uncertain:
         roots = f"{row['effective_roots']:,.0f} effective roots of {row['num_roots']:,.0f}"
         lines[1] = f"{row['num_proposals']:,} proposals, {roots}"
+    faults = faults_of(result.tree)
+    lines += faults.lines if faults else []
     return lines + ([f"{row['status']}: {row['sentence']}"] if row["sentence"] else [])
 
 

@@ -38,6 +38,7 @@ def test_there_are_pages() -> None:
         "estimators",
         "evaluation",
         "facing",
+        "faults",
         "honest",
         "leaderboard",
         "limits",

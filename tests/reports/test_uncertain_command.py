@@ -89,3 +89,33 @@ def test_a_sampler_under_fixed_roots_is_refused(poseterior: Cli, folder: Path) -
     run = poseterior("sample", EXAMPLE, "--out", folder / "x.nc", *UNCERTAIN, "--sampler", "emcee")
     assert run.code == 2, run
     assert "the sampler emcee holds torso and camera fixed" in run.err
+
+
+def test_an_outlier_stands_in_table_files_and_picture(poseterior: Cli, folder: Path) -> None:
+    """The left wrist moved to a corner of the image, farther than an arm is long."""
+    document = json.loads(EXAMPLE.read_text())
+    document["people"][0]["keypoints"]["left_wrist"][:2] = [445.0, 30.0]
+    file = folder / "moved.json"
+    file.write_text(json.dumps(document))
+    out, faults = folder / "moved", ("--outliers", 0.05, "--exchanges", 0.02)
+    run = poseterior("hypotheses", file, "--out", out, *UNCERTAIN, "--roots", 200, *faults)
+    assert run.code == 0, run
+    assert "the left wrist's keypoint is an outlier" in run.out
+    assert max(map(len, run.out.splitlines())) <= 80
+    with xr.open_datatree(out / "posterior.nc", engine="netcdf4") as tree:
+        draws = tree["posterior"]
+        outlier = draws.outlier.sel(joint="left_wrist").values
+        assert outlier.mean() > 0.95
+        assert draws.exchange.values.max() < 6
+        assert "with faults" in tree.attrs["errors"]
+    calm = poseterior("sample", EXAMPLE, "--out", folder / "c.nc", *UNCERTAIN, "--json", *faults)
+    assert json.loads(calm.out)["summary"]["faults"]["outlier"]["left_wrist"] < 0.5
+
+
+def test_outliers_need_an_uncertain_root(poseterior: Cli, folder: Path) -> None:
+    run = poseterior("hypotheses", EXAMPLE, "--out", folder / "no", "--outliers", 0.1)
+    assert run.code == 2
+    assert "outliers and exchanges need torso and camera to be uncertain" in run.err
+    run = poseterior("hypotheses", EXAMPLE, "--out", folder / "no", "--outliers", 1.5)
+    assert run.code == 2
+    assert "probability of an outlier must lie between 0 and 1" in run.err

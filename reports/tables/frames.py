@@ -44,23 +44,19 @@ def stream_json(summary: xr.Dataset) -> dict[str, Any]:
 
 
 def people_of_film(summary: xr.Dataset) -> Sheet:
-    """Each person: in how many frames, with how many poses, how well these are explained, and by
-    how many effective roots where torso and camera are uncertain."""
+    """Each person: in how many frames, with how many poses, and how well these are explained."""
     owner = np.array([person for _, person in _names(summary)])
     there = summary.num_draws.values > 0
-    uncertain = bool(np.isfinite(summary.effective_roots.values).any())
     records = []
     for person in sorted(set(owner.tolist()), key=lambda name: (len(name), name)):
         own = owner == person
         evidence = summary.log_evidence.values[own & there]
-        effective = summary.effective_roots.values[own & there]
         records.append(
             {
                 "person": person,
                 "frames": int(own.sum()),
                 "poses": int((own & there).sum()),
                 "log_evidence": number(np.median(evidence)) if len(evidence) else None,
-                "effective_roots": number(np.median(effective)) if len(effective) else None,
             }
         )
     columns = [
@@ -68,7 +64,6 @@ def people_of_film(summary: xr.Dataset) -> Sheet:
         Column("frames"),
         Column("with a pose", "poses"),
         Column("log evidence, median", "log_evidence", fixed(1)),
-        *([Column("roots, median", "effective_roots", fixed(0))] if uncertain else []),
     ]
     return Sheet(columns, records, "People")
 
@@ -117,6 +112,13 @@ def stream_lines(summary: xr.Dataset, fragments: Sequence[str] = ()) -> list[str
     reasons = zip(failed.frame.values, failed.sentence.values, strict=True)
     together = f", {people:,} times somebody" if len(owners) > 1 else ""
     lines = [f"{_count(len(frames), 'frame')} of {said}{together}: {ends}"]
+    effective = summary.effective_roots.values
+    effective = effective[np.isfinite(effective)]
+    if len(effective):
+        lines.append(
+            f"effective roots of a frame: {np.median(effective):.0f}, the median; the fewest"
+            f" {effective.min():.0f}"
+        )
     lines += [f"{name}: {why}" for name, why in reasons]
     if fragments:
         lines.append(

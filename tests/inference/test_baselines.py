@@ -372,7 +372,7 @@ def test_a_broken_or_foreign_file_is_refused(tmp_path):
     with pytest.raises(BadInput, match="another run"):
         draw("emcee", 1000, save_to=path, key=key(99))
     path.write_bytes(path.read_bytes()[:2000])
-    with pytest.raises(BadInput, match="cut off"):
+    with pytest.raises(BadInput, match="truncated"):
         draw("emcee", 1000, save_to=path)
 
 

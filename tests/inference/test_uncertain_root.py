@@ -410,7 +410,10 @@ def test_no_root_goes_below_the_lowest_scale():
     changes nothing."""
     torsos = np.array([[[0.0, 0.0, 0.0], [0.6, 0.0, 0.8], [0.0, 5.0, 0.0]]])
     keypoints, reach = np.array([[0.0, 0.0], [34.0, 0.0], [0.0, 1.0]]), np.array([0.2, 0.5, 0.2])
-    assert lowest_scale(torsos, keypoints, reach) == pytest.approx(20.0)
+    none = np.zeros((3, 2))
+    assert lowest_scale(torsos, keypoints, none, reach) == pytest.approx(20.0)
+    aside = np.array([[0.0, 0.3], [0.0, 0.0], [0.0, 0.0]])
+    assert lowest_scale(torsos, keypoints, aside, reach) == pytest.approx(17.0)
 
 
 def test_draws_of_a_root_are_taken_evenly():

@@ -106,7 +106,8 @@ def test_every_command_that_reads_detections_has_all_of_its_options() -> None:
 
 OF_THEIR_OWN = {
     "out": set(cli.COMMANDS),  # what is written differs
-    "file": {"check"},  # poses, not detections
+    "file": {"check", "benchmark", "show"},  # poses, draws, results, not detections alone
+    "draws": {"export"},  # how many; elsewhere a file of them
     "poses": {"learn"},  # the file that the others read is written
     "layout": {"detect"},  # of a network, which has to say it
     "threshold": {"detect"},  # a network's scores are its heatmaps' means
@@ -119,6 +120,8 @@ OF_THEIR_OWN = {
     "estimator": {"evaluate", "coverage"},
     "missing": {"evaluate", "coverage"},
     "frames": {"evaluate", "coverage", "calibrate"},
+    "root": {"evaluate"},
+    "roots": {"frames", "evaluate", "coverage"},
     "noise": {"evaluate", "coverage"},
     "dataset": {"evaluate", "coverage", "calibrate"},
     "sampler": {"coverage"},  # draws in a file, too

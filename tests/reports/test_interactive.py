@@ -100,6 +100,7 @@ def film_tree(names: list[str], k: int = 2, seed: int = 0) -> xr.DataTree:
         "sentence": ("frame", np.where(some, "", f"too little of {EVIL}")),
         "num_draws": ("frame", 10 * some),
         "log_evidence": ("frame", np.where(some, -20.0, -np.inf)),
+        "effective_roots": ("frame", np.full(len(names), np.nan)),
         "mean": (("frame", "joint", "axis"), mean),
         "sd": (("frame", "joint", "axis"), np.abs(mean)),
         "depth": (("frame", "joint", "level"), depth),

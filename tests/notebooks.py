@@ -78,24 +78,28 @@ def execute(
     return notebook
 
 
-def tidy(notebook: nbformat.NotebookNode, folder: str) -> None:
+TEMPORARY = re.compile(rf"{re.escape(tempfile.gettempdir())}/[^/\s]+/")
+"""Folders that a run makes for itself."""
+
+
+def tidy(notebook: nbformat.NotebookNode) -> None:
     """Leaves out of the outputs what differs from run to run, or what nobody sees, and makes
-    pictures small. `folder` is where the notebook ran."""
+    pictures small."""
     for cell in notebook.cells:
         cell.metadata.pop("execution", None)
         if cell.cell_type == "code":
             cell.execution_count = None
             cell.outputs = [one for one in cell.outputs if one.get("name") != "stderr"]
             for output in cell.outputs:
-                _tidy_output(output, folder)
+                _tidy_output(output)
     notebook.metadata.language_info = {"name": "python"}
 
 
-def _tidy_output(output: nbformat.NotebookNode, folder: str) -> None:
+def _tidy_output(output: nbformat.NotebookNode) -> None:
     if "execution_count" in output:
         output.execution_count = None
     if "text" in output:
-        output.text = output.text.replace(f"{folder}/", "")
+        output.text = TEMPORARY.sub("", output.text)
     data = output.get("data", {})
     if len(data) > 1:
         data.pop("text/plain", None)  # a picture or a table says it better
@@ -117,7 +121,7 @@ def store(path: Path, of_product: str) -> None:
     notebook = load(path)
     with tempfile.TemporaryDirectory() as folder:
         execute(notebook, Path(folder))
-        tidy(notebook, folder)
+    tidy(notebook)
     notebook.metadata[KEY] = {"fingerprint": fingerprint(notebook, of_product)}
     nbformat.validate(notebook)
     nbformat.write(notebook, path)

@@ -8,16 +8,20 @@ NEED_PYTHON = test -n "$(PYTHON)" || { echo "poseterior needs Python 3.12 or new
 # wait for a core that another process has make them six times slower.
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
-.PHONY: demo test test-all lint bench docs notebooks dist fuzz mutants kills lock clean
+.PHONY: demo test test-all sweeps lint bench docs notebooks dist fuzz mutants kills lock clean
 
 demo: $(VENV)/.done
 	$(BIN)/poseterior demo
 
 test: $(VENV)/.done
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow and not sweep"
 
 test-all: $(VENV)/.done
 	$(PYTEST) -m slow
+
+# Minutes a test: wrong samplers on the benchmark, guests, kills, the commands of the how-to pages.
+sweeps: $(VENV)/.done
+	$(PYTEST) -m sweep
 
 lint: $(VENV)/.done
 	$(BIN)/ruff check .

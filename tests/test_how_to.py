@@ -76,7 +76,7 @@ def test_pages_have_steps() -> None:
         assert steps(page.name, page.read_text(encoding="utf-8")), page
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 @pytest.mark.filterwarnings("ignore")  # of plots and samplers; commands and snippets may warn
 def test_page_runs(

@@ -13,7 +13,7 @@ from tests import kills
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_killed_command_goes_on_to_the_same_bits() -> None:
     """In a process of its own: XLA's threads would not come along into forks of this one."""
     run = subprocess.run(

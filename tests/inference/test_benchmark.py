@@ -472,7 +472,7 @@ def ensemble(move: emcee.moves.Move) -> np.ndarray:
     return np.stack(chains)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_emcee_s_snooker_move_is_caught_and_its_stretch_move_is_not() -> None:
     snooker = verdict("arm", points=ensemble(emcee.moves.DESnookerMove()))
     assert snooker.judgement.verdict == DIFFERS
@@ -513,7 +513,7 @@ def splitting(misfit: np.ndarray, count_the_setter: bool, rng: np.random.Generat
         inside = int(np.searchsorted(misfit, level))
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize(("count_the_setter", "words"), [(True, DIFFERS), (False, AGREES)])
 def test_counting_the_particle_that_sets_a_level_is_caught(
     count_the_setter: bool, words: str
@@ -536,7 +536,7 @@ def test_counting_the_particle_that_sets_a_level_is_caught(
     assert found.judgement.verdict == words
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", GUESTS)
 def test_guests_draw_from_the_target(name: str) -> None:
     pytest.importorskip(name)

@@ -213,7 +213,7 @@ def test_a_torso_that_is_detected_elsewhere_excludes_the_truth() -> None:
 # --- the whole
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_whole_posterior_is_calibrated_and_the_control_is_not() -> None:
     """Thirty simulations, 1 % false alarms over all questions (Holm); weights without scale⁻² for
     every seen joint are found out."""

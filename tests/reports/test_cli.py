@@ -1182,7 +1182,7 @@ def test_progress_in_a_log(
     words = [word for word in hypotheses_of_example(tmp_path / "out") if word != "--quiet"]
     run = poseterior(*words)
     assert run.code == 0
-    for what in ("torso and camera", "exact draws", "hypotheses and their picture"):
+    for what in ("torso and camera", "exact draws", "hypotheses and their pictures"):
         assert re.search(rf"^{what}: .*\d s$", run.err, re.MULTILINE), run.err
     assert poseterior(*words, "--quiet").err == ""
 

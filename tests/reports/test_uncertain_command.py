@@ -101,7 +101,8 @@ def test_an_outlier_stands_in_table_files_and_picture(poseterior: Cli, folder: P
     run = poseterior("hypotheses", file, "--out", out, *UNCERTAIN, "--roots", 200, *faults)
     assert run.code == 0, run
     assert "the left wrist's keypoint is an outlier" in run.out
-    assert max(map(len, run.out.splitlines())) <= 80
+    lines = [line for line in run.out.splitlines() if str(out) not in line]
+    assert max(map(len, lines)) <= 80
     with xr.open_datatree(out / "posterior.nc", engine="netcdf4") as tree:
         draws = tree["posterior"]
         outlier = draws.outlier.sel(joint="left_wrist").values

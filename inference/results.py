@@ -215,6 +215,7 @@ def assemble(
         person=posterior.detection.person,
         estimator=posterior.estimator,
         errors=posterior.likelihood.words,
+        moved=" ".join(posterior.detection.moved),
         body_unit="mean limb length",
     )
     return tree

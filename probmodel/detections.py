@@ -69,6 +69,9 @@ class Detection:
     face : `(5, 3)`
         x, y, score of the points of `FACE` in the same manner, None where the detector has none;
         the likelihood has no use for it.
+    moved
+        Which of thorax and pelvis `probmodel.layouts.corrected` has moved from a midpoint to where
+        the skeleton has them.
 
     Raises
     ------
@@ -85,6 +88,7 @@ class Detection:
     image_id: str | None = None
     image_size: tuple[int, int] | None = None
     face: FloatArray | None = None
+    moved: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         keypoints = _owned(self.keypoints, (NUM_JOINTS, 2), f"the keypoints of {self.where}")

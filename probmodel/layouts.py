@@ -3,8 +3,8 @@ the face.
 
 `LAYOUTS` is the table, by name. A point that is a joint of the skeleton, or of the face, bears that
 name; the others are not used. Where a layout has no thorax or pelvis, or defines them as midpoints,
-they are the midpoints of shoulders and hips; `corrected` moves them to where the skeleton has them.
-Offsets and their sources: reports/detectors.md."""
+they are the midpoints of shoulders and hips; `corrected` moves them to where the skeleton has them,
+as every command that reads detections does. Offsets and their sources: reports/detectors.md."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -25,6 +25,10 @@ TOWARDS_THE_OTHER = {"thorax": 0.125, "pelvis": 0.192}
 over the embedded torsos, projected onto that line (a test derives them again). The thorax lies
 below the shoulders' midpoint and the pelvis above the hips'; under weak perspective a share of a
 line stays the same share in every view."""
+
+STRAY = {"thorax": 0.030, "pelvis": 0.097}
+"""How far from there they lie, body units: the standard deviation along any one axis over the
+embedded torsos, seen from all sides (the same test). The pelvis lies behind the line."""
 
 _MIDDLE_ROWS = tuple(
     (JOINT_INDEX[middle], JOINT_INDEX[right], JOINT_INDEX[left])
@@ -222,6 +226,7 @@ MPII_16 = Layout(
         "right_shoulder",
         *_LEFT_ARM,
     ),
+    _BOTH,
 )
 H36M_17 = Layout(
     "h36m_17",
@@ -236,6 +241,7 @@ H36M_17 = Layout(
         *_LEFT_ARM,
         *_RIGHT_ARM,
     ),
+    ("pelvis",),
 )
 MEDIAPIPE_33 = Layout(
     "mediapipe_33",
@@ -321,21 +327,32 @@ LAYOUTS = MappingProxyType(
 
 
 def corrected(detection: Detection) -> Detection:
-    """`detection` with the thorax and pelvis where the skeleton has them, if its layout makes them
-    midpoints.
+    """`detection` with the thorax and pelvis where the skeleton has them, if they are midpoints.
 
-    A midpoint without its counterpart cannot be moved and stays.
-    """
+    They are where the detection's layout says so, and where they lie exactly midway because they
+    were missed. A midpoint whose counterpart is not seen cannot be moved and stays; what has been
+    moved (`Detection.moved`) is not moved again. Shares: `TOWARDS_THE_OTHER`."""
     layout = LAYOUTS.get(detection.layout)
-    names = [] if layout is None else list(layout.midpoints)
+    defined = () if layout is None else layout.midpoints
+    halfway = {
+        name: np.mean([detection.keypoints[JOINT_INDEX[side]] for side in sides], axis=0)
+        for name, sides in MIDPOINTS.items()
+    }
+    own = {name: detection.keypoints[JOINT_INDEX[name]] for name in MIDPOINTS}
+    midpoints = [name for name in MIDPOINTS if name in defined or _same(own[name], halfway[name])]
+    middle = {name: own[name] if name in midpoints else halfway[name] for name in MIDPOINTS}
+    line = middle["pelvis"] - middle["thorax"]
+    if detection.moved or not np.isfinite(line).all():
+        return detection
     keypoints = np.array(detection.keypoints)
-    thorax, pelvis = (JOINT_INDEX[name] for name in ("thorax", "pelvis"))
-    if detection.seen[thorax] and detection.seen[pelvis]:
-        for name in names:
-            start, end = (thorax, pelvis) if name == "thorax" else (pelvis, thorax)
-            step = detection.keypoints[end] - detection.keypoints[start]
-            keypoints[start] = detection.keypoints[start] + TOWARDS_THE_OTHER[name] * step
-    return dataclasses.replace(detection, keypoints=keypoints)
+    for name in midpoints:
+        way = line if name == "thorax" else -line
+        keypoints[JOINT_INDEX[name]] += TOWARDS_THE_OTHER[name] * way
+    return dataclasses.replace(detection, keypoints=keypoints, moved=tuple(midpoints))
+
+
+def _same(point: FloatArray, other: FloatArray) -> bool:
+    return bool(np.allclose(point, other, rtol=1e-9, atol=0.0))
 
 
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}

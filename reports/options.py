@@ -159,8 +159,11 @@ class Detected:
     ] = None
     correct: Annotated[
         bool,
-        Option("--correct", help="Move midpoints to where the skeleton's thorax and pelvis are."),
-    ] = False
+        Option(
+            "--correct/--as-detected",
+            help="Move midpoints to where the skeleton's thorax and pelvis are.",
+        ),
+    ] = True
 
     @functools.cached_property
     def photo(self) -> "np.ndarray | None":

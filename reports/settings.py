@@ -63,7 +63,7 @@ class HypothesesSettings:
         "hypotheses people.json --person 3 --image photo.jpg --k 8",
         "hypotheses frame.json --limits limits.npz --candidates 1",
         "hypotheses frame.json --estimator zhou",
-        "hypotheses frame.json --correct --root uncertain",
+        "hypotheses frame.json --root uncertain",
     )
     person: Person
     out: Annotated[
@@ -110,7 +110,7 @@ class FramesSettings:
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "frames walk/ --out walk-posterior",
         "frames video.json --out result --num-samples 1000 --keep 100",
-        "frames walk/ --out walk-posterior --correct --root uncertain --roots 400",
+        "frames walk/ --out walk-posterior --root uncertain --roots 400",
     )
     path: Annotated[
         Path,

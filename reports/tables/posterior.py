@@ -313,6 +313,7 @@ def summary_json(result: "Result") -> dict[str, Any]:
         "limits": limits,
         "limits_sha256": digest,
         "measures": str(given["measures"]),
+        "moved": str(given.get("moved", "")).split(),
         **({"faults": faults._asdict()} if (faults := faults_of(result.tree)) else {}),
     }
 
@@ -334,6 +335,8 @@ def summary_lines(result: "Result") -> list[str]:
     if uncertain:
         roots = f"{row['effective_roots']:,.0f} effective roots of {row['num_roots']:,.0f}"
         lines[1] = f"{row['num_proposals']:,} proposals, {roots}"
+    if moved := row["moved"]:
+        lines.append(f"{' and '.join(moved)} moved from the midpoints that the detector gives")
     faults = faults_of(result.tree)
     lines += faults.lines if faults else []
     return lines + ([f"{row['status']}: {row['sentence']}"] if row["sentence"] else [])

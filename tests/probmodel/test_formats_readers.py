@@ -33,7 +33,9 @@ from probmodel.layouts import (
     LAYOUTS,
     MEDIAPIPE_33,
     MPII_16,
+    STRAY,
     TOWARDS_THE_OTHER,
+    Layout,
     corrected,
     layout_of_names,
     spoken_name,
@@ -749,30 +751,71 @@ def test_correction_moves_midpoints_to_where_the_skeleton_has_them() -> None:
     torsos = Anatomy.default().torsos  # pelvis, thorax, shoulders, hips
     shoulders, hips = (torsos[:, 2] + torsos[:, 3]) / 2, (torsos[:, 4] + torsos[:, 5]) / 2
     line = (hips - shoulders).mean(axis=0)
-    for joint, midpoint, step in ((torsos[:, 1], shoulders, line), (torsos[:, 0], hips, -line)):
-        share = (joint - midpoint).mean(axis=0) @ step / (step @ step)
-        assert share == pytest.approx(
-            TOWARDS_THE_OTHER["thorax" if step is line else "pelvis"], abs=2e-3
-        )
-
-
-def test_correction_touches_midpoints_only() -> None:
-    for layout, moved in (
-        (COCO_17, {"thorax", "pelvis"}),
-        (MPII_16, set()),
-        (HALPE_26, {"thorax", "pelvis"}),
+    for name, joint, midpoint, other in (
+        ("thorax", torsos[:, 1], shoulders, hips),
+        ("pelvis", torsos[:, 0], hips, shoulders),
     ):
-        person = layout.detection(points(layout), 0.0, "a file", 0)
-        after = corrected(person)
-        different = {
-            name
-            for name, one, other in zip(JOINTS, person.keypoints, after.keypoints, strict=True)
-            if not np.array_equal(one, other, equal_nan=True)
-        }
-        assert different == moved
+        step = line if name == "thorax" else -line
+        share = (joint - midpoint).mean(axis=0) @ step / (step @ step)
+        assert share == pytest.approx(TOWARDS_THE_OTHER[name], abs=2e-3)
+        left = joint - midpoint - TOWARDS_THE_OTHER[name] * (other - midpoint)
+        stray = np.sqrt(np.mean(np.sum(left**2, axis=1)) / 3)
+        assert stray == pytest.approx(STRAY[name], abs=1e-3)
+
+
+BOTH = ("thorax", "pelvis")
+OWN_17 = Layout("own", H36M_17.points)
+
+
+def leaning(layout: Layout) -> Detection:
+    """A person whose thorax and pelvis, if the layout has them, lie beside the midpoints."""
+    rows = points(layout)
+    for name in set(BOTH) & set(layout.points):
+        rows[layout.points.index(name), 0] += 3.0
+    return layout.detection(rows, 0.0, "a file", 0)
+
+
+@pytest.mark.parametrize(
+    ("layout", "moved"),
+    [(COCO_17, BOTH), (MPII_16, BOTH), (HALPE_26, BOTH), (H36M_17, ("pelvis",)), (OWN_17, ())],
+    ids=lambda value: value.name if isinstance(value, Layout) else "",
+)
+def test_correction_touches_midpoints_only(layout: Layout, moved: tuple[str, ...]) -> None:
+    person = leaning(layout)
+    after = corrected(person)
+    different = [
+        name
+        for name, one, other in zip(JOINTS, person.keypoints, after.keypoints, strict=True)
+        if not np.array_equal(one, other, equal_nan=True)
+    ]
+    assert after.moved == moved
+    assert sorted(different) == sorted(moved)
+    np.testing.assert_array_equal(corrected(after).keypoints, after.keypoints)
+
+
+def test_correction_by_hand() -> None:
     person = corrected(COCO_17.detection(points(COCO_17), 0.0, "a file", 0))
     np.testing.assert_allclose(person.keypoints[JOINT_INDEX["thorax"]], [50, 30 + 0.125 * 50])
     np.testing.assert_allclose(person.keypoints[JOINT_INDEX["pelvis"]], [50, 80 - 0.192 * 50])
+
+
+def test_a_missed_pelvis_is_a_midpoint_whatever_its_layout_says(tmp_path: Path) -> None:
+    """And so it is in a file of ours, which does not name the detector's layout."""
+    given = points(OWN_17)
+    given[OWN_17.points.index("pelvis"), 2] = 0.0
+    given[OWN_17.points.index("thorax"), 0] += 3.0
+    person = OWN_17.detection(given, 0.0, "a file", 0)
+    assert corrected(person).moved == ("pelvis",)
+    write_detections(tmp_path / "ours.json", [person])
+    (again,) = read_detections(tmp_path / "ours.json")
+    assert corrected(again).moved == ("pelvis",)
+
+
+def test_a_midpoint_without_its_counterpart_stays() -> None:
+    given = points(COCO_17)
+    given[COCO_17.points.index("left_hip"), 2] = 0.0
+    person = COCO_17.detection(given, 0.0, "a file", 0)
+    assert corrected(person) is person
 
 
 # The face, and writing.

@@ -25,8 +25,9 @@ from probmodel.directions.supports import disc, same_rank
 from probmodel.errorlaws import DetectorErrors
 from probmodel.failures import BadInput
 from probmodel.faults import EXCHANGES, NO_FAULTS, FaultPrior
+from probmodel.layouts import STRAY
 from probmodel.observation import Observation
-from probmodel.skeleton import JOINTS, NUM_JOINTS, TORSO_INDEX
+from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 
 if TYPE_CHECKING:
     from probmodel.roots import Root
@@ -46,11 +47,15 @@ class ErrorLaw(abc.ABC):
     flat
         Whether the density is the same everywhere within the reach, so that the indicator is all
         there is.
+    deviation
+        The standard deviation either way, where within the reach the law is a Gaussian's: compiled
+        loops may then thin by it. None for other laws.
     """
 
     reach: float
     log_peak: float
     flat: bool = False
+    deviation: float | None = None
 
     @abc.abstractmethod
     def log_ratio(self, square: ArrayLike) -> jax.Array:
@@ -298,7 +303,8 @@ class Likelihood:
     ) -> np.ndarray:
         """How far joints may lie from their projections: the paper's τ = `factor` · `scale` · (mean
         limb length) / α, where the mean limb length is one body unit and α is the joint's score
-        over the mean score. Twice the learned σ, where there is one.
+        over the mean score. Twice the learned σ, where there is one; where a midpoint was moved,
+        how far it may lie from there adds to it (`probmodel.layouts.STRAY`).
 
         Parameters
         ----------
@@ -330,8 +336,12 @@ class Likelihood:
         if self.learned is not None:
             counts = ~np.isnan(alpha)
             self.learned.require(counts, detection.where)
+            own, stray = self.learned.spread(detection.score), np.zeros(NUM_JOINTS)
+            stray[[JOINT_INDEX[name] for name in detection.moved]] = [
+                STRAY[name] for name in detection.moved
+            ]
             # Of every law the standard deviation either way is half a spread.
-            return np.where(counts, 2 * scale * self.learned.spread(detection.score), np.inf)
+            return np.where(counts, 2 * scale * np.hypot(own, stray), np.inf)
         with np.errstate(over="ignore", divide="ignore"):  # reported below, by name
             spread = self.factor * scale / alpha
         for joint in np.flatnonzero(np.isinf(spread)):

@@ -14,9 +14,9 @@ import numpy as np
 
 from inference.baselines.chains import Walk
 from inference.baselines.ensemble import NumPyroKernel
-from inference.baselines.resampling import systematic
 from inference.baselines.run import Baseline, Drawn, Method
 from inference.baselines.target import Target
+from inference.resampling import systematic
 from probmodel.chunks import in_chunks
 
 CHAINS = 16

@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.baselines.resampling import systematic
 from inference.baselines.run import Baseline, Drawn, Method
 from inference.baselines.target import Target
+from inference.resampling import systematic
 from probmodel.chunks import in_chunks
 
 LIVE = 500

@@ -17,10 +17,10 @@ HOPELESS = 1 << 24
 
 class Rate(NamedTuple):
     """Accepted out of proposed, and the mass of the proposal: probability = mass · accepted /
-    proposed."""
+    proposed. A success may count in part, with its likelihood over the peak."""
 
     proposed: int
-    accepted: int
+    accepted: float
     mass: float = 1.0
 
     @property
@@ -46,7 +46,7 @@ class Pooled(NamedTuple):
     rates: tuple[Rate, ...]
 
     @property
-    def accepted(self) -> int:
+    def accepted(self) -> float:
         """Successes of all of them."""
         return sum(rate.accepted for rate in self.rates)
 

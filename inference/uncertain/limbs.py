@@ -23,6 +23,7 @@ from inference.exact.loops.strata import Resolution
 from inference.exact.loops.tables import Bodies
 from inference.exact.problem import limbs_of
 from inference.exact.rates import Rate
+from inference.resampling import systematic
 from probmodel.chunks import in_chunks
 from probmodel.faults import Faults
 from probmodel.kinematics import upper_axes
@@ -47,8 +48,8 @@ BLOCK = 512
 
 
 class LimbDraws(NamedTuple):
-    """What attempts at one group brought under one root: the `rate` of successes, and the first
-    `draws`, in random order."""
+    """What attempts at one group brought under one root: the `rate` of successes, each counted with
+    its likelihood over the peak, and `draws`, in random order, as often as that says."""
 
     rate: Rate
     draws: GroupDraws
@@ -79,7 +80,7 @@ def limb_draws(
         numbers = [start + row for row in rows]
         attempt = functools.partial(_attempt, tables, free, words, views)
         found = list(workers().map(attempt, rows, numbers, chunksize=1))
-        yield from _thinned(posterior, *some, found, words, start)
+        yield from _weighed(posterior, *some, found, words, start)
 
 
 def views_of(posterior: UncertainPosterior, points: RootPoint, faults: Faults) -> Views:
@@ -161,7 +162,7 @@ def _prior(model: PoseModel, key: jax.Array) -> Pose:
     return model.draw(key, POOL)
 
 
-def _thinned(
+def _weighed(
     posterior: UncertainPosterior,
     points: RootPoint,
     faults: Faults,
@@ -169,35 +170,49 @@ def _thinned(
     words: list[int],
     first: int,
 ) -> list[dict[str, LimbDraws]]:
-    """Draws of a block of roots, thinned where the error law is not flat, with the rates of what is
-    left."""
+    """Draws of a block of roots with their rates.
+
+    Where the error law is not flat, a success counts with its likelihood over the peak, and draws
+    are taken anew by it. To keep each or not, by the same ratio, would be as right: but four joints
+    of a Gaussian keep one draw in 400, and the rate is then hardly ever known.
+    """
     results: list[dict[str, LimbDraws]] = [{} for _ in found]
     for index, name in enumerate(GROUPS):
         draws = [one[name][1] for one in found]
-        keeps = [np.ones(len(some.length), bool) for some in draws]
+        rates = [one[name][0] for one in found]
         if not posterior.detected.law.flat:
             rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(first, index, 2)))
-            keeps = _thin(posterior, points, faults, name, draws, rng)
-        for row, (some, keep) in enumerate(zip(draws, keeps, strict=True)):
-            rate = found[row][name][0]._replace(accepted=int(keep.sum()))
-            kept = GroupDraws(*(part[keep][:KEPT] for part in some))
+            ratios = _ratios(posterior, points, faults, name, draws)
+            rates = [
+                rate._replace(accepted=float(own.sum()))
+                for rate, own in zip(rates, ratios, strict=True)
+            ]
+            draws = [_anew(some, own, rng) for some, own in zip(draws, ratios, strict=True)]
+        for row, (some, rate) in enumerate(zip(draws, rates, strict=True)):
+            kept = GroupDraws(*(part[:KEPT] for part in some))
             results[row][name] = LimbDraws(rate, kept)
     return results
 
 
-def _thin(
+def _anew(draws: GroupDraws, ratio: np.ndarray, rng: np.random.Generator) -> GroupDraws:
+    """`KEPT` draws, each as often as its ratio says, in random order; none where there are none."""
+    if not ratio.any():
+        return GroupDraws(*(part[:0] for part in draws))
+    rows = rng.permutation(systematic(ratio, KEPT, rng.uniform()))
+    return GroupDraws(*(part[rows] for part in draws))
+
+
+def _ratios(
     posterior: UncertainPosterior,
     points: RootPoint,
     faults: Faults,
     name: str,
     draws: list[GroupDraws],
-    rng: np.random.Generator,
 ) -> list[np.ndarray]:
-    """Which draws of a group, a part for each root, an error law keeps: each with the ratio of its
-    likelihood to the peak."""
+    """Of each draw of a group, a part for each root, the likelihood over the peak."""
     sizes = [len(some.length) for some in draws]
     if not sum(sizes):
-        return [np.zeros(0, bool) for _ in sizes]
+        return [np.zeros(0) for _ in sizes]
     poses = Pose.blank(sum(sizes))
     GroupDraws(*(np.concatenate(part) for part in zip(*draws, strict=True))).fill(
         poses, GROUPS[name]
@@ -210,8 +225,8 @@ def _thin(
         *poses,
     )
     ends = [bone.end for limb in GROUPS[name] for bone in limb.bones]
-    keep = np.log1p(-rng.uniform(size=sum(sizes))) <= ratios[:, ends].sum(axis=1)
-    return np.split(keep, np.cumsum(sizes)[:-1])
+    whole = np.exp(ratios[:, ends].sum(axis=1, dtype=float))
+    return np.split(whole, np.cumsum(sizes)[:-1])
 
 
 @jax.jit

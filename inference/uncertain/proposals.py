@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 
 from inference.exact.loops.numbers import words_of
 from inference.exact.rates import Budget
+from inference.resampling import times
 from inference.uncertain.patterns import (
     Stratum,
     fit_of,
@@ -105,7 +106,7 @@ def _with_faults(
     pilots = _draw(posterior, strata, pilot_key, [PILOT] * len(strata), most, budget)
     share = _shares(posterior, pool, strata, pilots)
     rng = np.random.default_rng(words_of(order_key))
-    counts = systematic(rng, share, number)
+    counts = times(share, number, rng.uniform())
     hopeful = [len(pilot.points.torso) > 0 for pilot in pilots]
     most = [budget.proposals if hope else FEW_ATTEMPTS for hope in hopeful]
     torsos = _draw(posterior, strata, torso_key, counts.tolist(), most, budget)
@@ -190,14 +191,3 @@ def _log_prior(posterior: UncertainPosterior, stratum: Stratum) -> float:
     outlier = np.stack([stratum.faults.outlier, np.zeros(NUM_JOINTS, bool)])
     own, none = log_priors(posterior, Faults(exchange, outlier))
     return float(own - none)
-
-
-def systematic(rng: np.random.Generator, share: np.ndarray, number: int) -> np.ndarray:
-    """`(n,)`: how often each of n comes among `number`, in the mean its share of them, and never
-    off by one."""
-    if not number:
-        return np.zeros(len(share), int)
-    ends = np.cumsum(share) / share.sum() * number
-    points = np.minimum(np.ceil(ends - rng.uniform()).astype(int), number)
-    points[-1] = number
-    return np.diff(np.maximum.accumulate(np.maximum(points, 0)), prepend=0)

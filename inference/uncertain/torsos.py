@@ -97,8 +97,18 @@ def torso_problem(posterior: UncertainPosterior, faults: Faults) -> Posed:
     bias = np.ascontiguousarray(detected.bias[joints][order])
     lowest = lowest_scale(points, keypoints, bias, reach)
     # Every seen joint contributes scale⁻², and the translation takes one of them.
+    precision = np.zeros(len(rows))
+    if law.inlier.deviation is not None:
+        precision[~law.outlier] = (
+            law.inlier.reach / law.inlier.deviation / reach[~law.outlier]
+        ) ** 2
     problem = TorsoProblem(
-        points, np.ascontiguousarray(keypoints / lowest), bias, reach, 2.0 * len(rows) - 2
+        points,
+        np.ascontiguousarray(keypoints / lowest),
+        bias,
+        reach,
+        precision,
+        2.0 * len(rows) - 2,
     )
     return Posed(problem, law, origin, lowest)
 
@@ -187,7 +197,7 @@ def _batch(
     table = root_table(min(number, BATCH))
     found, attempts = attempt_roots(seeded(words, batch), BATCH, problem, cells, table)
     table = RootTable(*(column[:found] for column in table))
-    if not law.flat and found:
+    if found and not law.flat and law.inlier.deviation is None:
         rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(batch, THINNING)))
         test = np.log1p(-rng.uniform(size=found))
         kept = test <= in_chunks(
@@ -239,6 +249,6 @@ def _named(posed: Posed, mass: float, table: RootTable, made: int, enough: bool)
     rate = (found - 1) / max(made - 1, 1) if enough else found / max(made, 1)
     if not rate:
         return TorsoDraws(points, made, -math.inf, math.inf)
-    log_mass = math.log(np.pi * problem.reach[0] ** 2 * mass)
+    log_mass = math.log(problem.first_area * mass)
     log_mass -= problem.power * math.log(posed.lowest)
     return TorsoDraws(points, made, log_mass + math.log(rate), (1 - rate) / found)

@@ -20,10 +20,11 @@ import numpy as np
 from inference.exact.loops.numbers import words_of
 from inference.exact.mixture import MAX_PROPOSALS
 from inference.exact.rates import Budget
+from inference.resampling import times
 from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.roots.points import require_camera
 from inference.uncertain.limbs import ATTEMPTS, LimbDraws, limb_draws, log_evidence, picks
-from inference.uncertain.proposals import ProposedRoots, propose_roots, systematic
+from inference.uncertain.proposals import ProposedRoots, propose_roots
 from probmodel.failures import BadInput
 from probmodel.faults import LIMB_INDEX
 from probmodel.pose import Pose
@@ -105,7 +106,7 @@ class WeightedRoots:
         """
         if not self.effective:
             number = 0
-        counts = systematic(rng, self.share, number)
+        counts = times(self.share, number, rng.uniform())
         chosen = np.repeat(np.arange(len(counts)), counts)
         poses, start = Pose.blank(number), 0
         for root in np.flatnonzero(counts).tolist():

@@ -7,7 +7,7 @@ is triangulated from the other three. Everything is in the person's own body uni
 the hips' midpoint at the origin, z along the line of sight, without any alignment.
 """
 
-import itertools
+import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,10 +20,13 @@ from matplotlib.figure import Figure
 import inference
 from inference.hypothesis import diverse
 from inference.results import FIXED, UNCERTAIN
+from inference.studies.errorlaws.embedded import embedded
 from inference.studies.intervals import Interval, of_share
 from inference.uncertain.weighted import FEWEST_EFFECTIVE
-from probmodel import Detection, PoseModel
+from probmodel import Detection, Likelihood, PoseModel
+from probmodel.faults import NO_FAULTS
 from probmodel.layouts import corrected
+from probmodel.likelihood import Gaussian
 from probmodel.sessions import Session, read_session
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
 from reports.figures.colours import PALETTE
@@ -31,18 +34,44 @@ from reports.figures.style import FAINT, INK, SMALL, TITLE, page
 from reports.pages.page import in_doubles, write_page
 from reports.tables import Sheet, sheet_of
 
-FRAMES = range(10, 100, 24)
+UNSEEN = 50
+"""The first frame that the learned law has not seen."""
+FRAMES = range(UNSEEN, 100, 4)
 DRAWS, ROOTS, BEST = 4000, 1000, 5
 HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
 LIMB = 338.0
 """Millimetres: the person's mean limb bone."""
+DISC, GAUSSIAN, LEARNED = "disc", "Gaussian", "learned"
 JUDGED = [
     *LIMB_JOINTS,
     *(JOINT_INDEX[name] for name in ("right_shoulder", "left_shoulder", "right_hip", "left_hip")),
 ]
 """The joints of the errors: those that detector and skeleton define alike."""
-WAYS = tuple(itertools.product((FIXED, UNCERTAIN), (False, True)))
-"""Root, and whether midpoints are moved to the skeleton's thorax and pelvis."""
+
+
+class Way(NamedTuple):
+    """One way to a posterior: its root, the error law's name, and whether midpoints are moved to
+    the skeleton's thorax and pelvis."""
+
+    root: str
+    errors: str = DISC
+    moved: bool = True
+
+    def __str__(self) -> str:
+        given = "" if self.moved else ", `--as-detected`"
+        return f"{self.root}, {self.errors}{given}"
+
+
+WAYS = (
+    Way(FIXED, moved=False),
+    Way(FIXED),
+    Way(UNCERTAIN, moved=False),
+    Way(UNCERTAIN),
+    Way(UNCERTAIN, GAUSSIAN),
+    Way(UNCERTAIN, LEARNED),
+)
+Found = dict[Way, list["Judged"]]
+"""By way, what was found in each case."""
 
 
 class FilmedCase(NamedTuple):
@@ -94,10 +123,24 @@ def cases_of(session: Session, frames: Sequence[int]) -> list[FilmedCase]:
     ]
 
 
-def judge(model: PoseModel, case: FilmedCase, root: str, correct: bool, seed: int) -> Judged:
+def likelihoods(session: Session) -> dict[str, Likelihood]:
+    """By name: the paper's, its Gaussian, and the one learned from the frames before `UNSEEN`, all
+    without faults."""
+    law = embedded(session.take(range(UNSEEN)))
+    return {
+        DISC: Likelihood(),
+        GAUSSIAN: Likelihood(Gaussian()),
+        LEARNED: dataclasses.replace(Likelihood.of(law), faults=NO_FAULTS),
+    }
+
+
+def judge(
+    model: PoseModel, case: FilmedCase, root: str, likelihood: Likelihood, seed: int
+) -> Judged:
     """Draws for one camera's detection, against the truth."""
-    detection = corrected(case.detection) if correct else case.detection
-    frame = inference.estimate_torso(detection, torsos=np.asarray(model.torsos))
+    frame = inference.estimate_torso(
+        case.detection, torsos=np.asarray(model.torsos), likelihood=likelihood
+    )
     result = inference.sample(
         model,
         frame,
@@ -130,11 +173,6 @@ def error(joints: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return LIMB * np.nanmean(apart, axis=1)
 
 
-def words(root: str, correct: bool) -> str:
-    """A way, in words."""
-    return f"{root} root{', `--correct`' if correct else ''}"
-
-
 def coverage(standing: np.ndarray, cluster: np.ndarray) -> Interval:
     """How often central intervals of 95 % hold the truth, `standing` `(n, ...)`, with an interval
     from drawing cameras anew."""
@@ -143,7 +181,7 @@ def coverage(standing: np.ndarray, cluster: np.ndarray) -> Interval:
     return of_share(held[known].reshape(known.sum(), -1), cluster[known])
 
 
-def table(outcomes: dict[tuple[str, bool], list[Judged]], camera: np.ndarray) -> Sheet:
+def table(outcomes: Found, camera: np.ndarray) -> Sheet:
     """A line a way: coverage by axis, truths beyond all draws, widths, errors."""
     lines: list[tuple[Any, ...]] = []
     for way, found in outcomes.items():
@@ -153,7 +191,7 @@ def table(outcomes: dict[tuple[str, bool], list[Judged]], camera: np.ndarray) ->
         spread = LIMB * np.nanmean([one.spread for one in found], axis=(0, 1))
         lines.append(
             (
-                words(*way),
+                str(way),
                 *(share(coverage(standing[:, :, axis], camera)) for axis in range(3)),
                 f"{100 * beyond.mean():.0f} %",
                 f"{100 * beyond.any(axis=(1, 2)).mean():.0f} %",
@@ -182,16 +220,16 @@ def share(interval: Interval) -> str:
     return f"{100 * interval.value:.0f} % ({low:.0f}–{high:.0f})"
 
 
-def costs(outcomes: dict[tuple[str, bool], list[Judged]]) -> Sheet:
+def costs(outcomes: Found) -> Sheet:
     """A line a way: time a frame, effective roots, cases without draws."""
     lines = []
     for way, found in outcomes.items():
         drawn = [one for one in found if one.drawn]
         seconds = np.median([one.seconds for one in drawn])
         effective = [one.effective for one in drawn]
-        few = "–" if way[0] == FIXED else f"{np.median(effective):.0f} ({min(effective):.0f})"
+        few = "–" if way.root == FIXED else f"{np.median(effective):.0f} ({min(effective):.0f})"
         too_few = sum(one.effective < FEWEST_EFFECTIVE for one in drawn)
-        lines.append((words(*way), f"{seconds:.1f}", few, too_few, len(found) - len(drawn)))
+        lines.append((str(way), f"{seconds:.1f}", few, too_few, len(found) - len(drawn)))
     head = (
         "torso and camera",
         "seconds",
@@ -202,7 +240,7 @@ def costs(outcomes: dict[tuple[str, bool], list[Judged]]) -> Sheet:
     return sheet_of(head, lines)
 
 
-def standings_figure(outcomes: dict[tuple[str, bool], list[Judged]]) -> Figure:
+def standings_figure(outcomes: Found) -> Figure:
     """By axis: how the truths' standings among the draws are distributed; uniform is right."""
     figure = page(8.4, 3.0, dpi=150)
     for axis, name in zip(figure.subplots(1, 3), ("x", "y", "depth"), strict=True):
@@ -212,7 +250,7 @@ def standings_figure(outcomes: dict[tuple[str, bool], list[Judged]]) -> Figure:
             standing = np.stack([one.standing[:, row] for one in found if one.drawn]).ravel()
             at = np.sort(standing)
             level = np.arange(1, len(at) + 1) / len(at)
-            style = "--" if way[1] else "-"
+            style = "-" if way.moved else "--"
             axis.step(
                 at,
                 level,
@@ -220,7 +258,7 @@ def standings_figure(outcomes: dict[tuple[str, bool], list[Judged]]) -> Figure:
                 lw=1.3,
                 ls=style,
                 where="post",
-                label=words(*way).replace("`", ""),
+                label=str(way).replace("`", ""),
             )
         axis.set_title(name, loc="left", fontsize=TITLE, fontweight="bold", color=INK)
         axis.set_xlabel("share of draws below the truth", fontsize=SMALL)
@@ -232,11 +270,16 @@ def standings_figure(outcomes: dict[tuple[str, bool], list[Judged]]) -> Figure:
     return figure
 
 
-def study(model: PoseModel, cases: Sequence[FilmedCase]) -> dict[tuple[str, bool], list[Judged]]:
+def study(session: Session, cases: Sequence[FilmedCase]) -> Found:
     """All ways on all cases."""
-    return {
-        way: [judge(model, case, *way, seed) for seed, case in enumerate(cases)] for way in WAYS
-    }
+    model, likelihood, found = PoseModel(), likelihoods(session), {}
+    for way in WAYS:
+        seen = [case._replace(detection=corrected(case.detection)) for case in cases]
+        found[way] = [
+            judge(model, case, way.root, likelihood[way.errors], seed)
+            for seed, case in enumerate(seen if way.moved else cases)
+        ]
+    return found
 
 
 def main(data: Path) -> None:
@@ -246,11 +289,13 @@ def main(data: Path) -> None:
             f"{data} has no folder `multicamera`: this page needs the shared data pack"
         )
     in_doubles()
-    cases = cases_of(read_session(data / "multicamera"), FRAMES)
-    outcomes = study(PoseModel(), cases)
+    session = read_session(data / "multicamera")
+    cases = cases_of(session, FRAMES)
+    outcomes = study(session, cases)
     values: dict[str, str | int | Sheet] = {
         "cases": len(cases),
         "frames": len(FRAMES),
+        "seen": UNSEEN,
         "draws": f"{DRAWS:,}",
         "roots": f"{ROOTS:,}",
         "table": table(outcomes, np.array([case.camera for case in cases])),

@@ -25,9 +25,9 @@ from inference.exact.loops.roots import (
     root_table,
 )
 from inference.exact.rates import Budget
+from inference.resampling import times
 from inference.results import OUT_OF_BUDGET
 from inference.uncertain.limbs import log_evidence, picks
-from inference.uncertain.proposals import systematic
 from inference.uncertain.torsos import (
     TorsoDraws,
     draw_roots,
@@ -176,6 +176,7 @@ def both_routes() -> tuple[dict, WeightedRoots]:
     )
 
 
+@pytest.mark.slow
 def test_evidence_and_moments_against_brute_force():
     brute, roots = both_routes()
     error = math.hypot(brute["se"], roots.log_evidence_se)
@@ -224,7 +225,7 @@ def test_systematic_resampling_is_even():
     rng = np.random.default_rng(0)
     for number in (0, 1, 7, 1000):
         share = rng.dirichlet(np.full(50, 0.2))
-        many = np.array([systematic(rng, share, number) for _ in range(400)])
+        many = np.array([times(share, number, rng.uniform()) for _ in range(400)])
         assert (many.sum(axis=1) == number).all()
         assert (np.abs(many - share * number) < 1).all()
         error = 4.5 * np.sqrt(0.25 / 400)  # false alarm 7e-6 a root
@@ -368,7 +369,7 @@ def test_attempts_at_a_root_are_draws_of_its_prior():
     rng, number, power = np.random.default_rng(0), 20_000, 6.0
     torsos, reach = rng.normal(size=(2, 3, 3)), np.array([2.0, 50.0, 50.0])
     keypoints = rng.normal(size=(3, 2))
-    problem = TorsoProblem(torsos, keypoints, np.zeros((3, 2)), reach, power)
+    problem = TorsoProblem(torsos, keypoints, np.zeros((3, 2)), reach, np.zeros(3), power)
     cells, table, state = cut_roots(problem), root_table(number), seeded([1], 1)
     assert cells.mass == pytest.approx(1 / power)
     before = int(state[3])

@@ -13,8 +13,9 @@ PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 demo: $(VENV)/.done
 	$(BIN)/poseterior demo
 
+# Compiled without optimisation: most of what these tests wait for is XLA's compiler.
 test: $(VENV)/.done
-	$(PYTEST) -m "not slow and not sweep"
+	XLA_FLAGS=--xla_backend_optimization_level=0 $(PYTEST) -m "not slow and not sweep"
 
 test-all: $(VENV)/.done
 	$(PYTEST) -m slow

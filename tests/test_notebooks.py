@@ -44,6 +44,7 @@ def test_another_cell_or_product_makes_outputs_stale() -> None:
     assert fingerprint(spoken, "a product") == fingerprint(notebook, "a product")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("default")  # of nbclient and zmq in this process; the kernel is strict
 def test_notebook_runs(

@@ -27,10 +27,10 @@ from inference.baselines.catalogue import (
     starting_points,
 )
 from inference.baselines.ensemble import snooker
-from inference.baselines.resampling import systematic
 from inference.baselines.run import Allowance, Baseline, Drawn, run
 from inference.baselines.target import Target
 from inference.baselines.tempering import next_multiple
+from inference.resampling import systematic
 from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.studies.comparison import contest
 from inference.studies.comparison.judge import DIFFERS
@@ -199,6 +199,7 @@ def test_systematic_resampling_follows_the_weights():
     np.testing.assert_allclose(counts, 8 * weight / 4, atol=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*QUICK, *HEAVY])
 def test_every_baseline_has_the_same_face(name, tmp_path):
     """Draws in chains, all inside; cost; a tree of the contract; and a run that was broken off and
@@ -394,6 +395,7 @@ def normal_variance(move) -> float:
     )
 
 
+@pytest.mark.slow
 def test_our_snooker_keeps_a_normal_law_and_emcee_s_does_not():
     """Autocorrelation times of about 90 leave 700 effective draws × 10 coordinates: standard error
     0.017. The second half is the negative control; once it fails, emcee has been mended (its pull

@@ -327,6 +327,7 @@ def test_blocks_are_drawn_to_the_same_bits_and_kept(
 # --- verdicts
 
 
+@pytest.mark.slow
 def test_exact_draws_agree_and_shifted_ones_do_not() -> None:
     points = drawn("arm")
     known = benchmark.reference("arm")

@@ -58,6 +58,7 @@ def model() -> PoseModel:
 # --- uniformity
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1, 20, 300])
 def test_p_values_are_what_simulation_says(size: int) -> None:
     """The law of the statistic by its Markov chain against 1,000 simulated samples; five standard
@@ -368,6 +369,7 @@ def test_distorted_posteriors_fail(model: PoseModel, name: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_posterior_that_ignores_the_image_fails(model: PoseModel) -> None:
     """TARP and the misfit see it."""
     found = judge(
@@ -499,6 +501,7 @@ def test_bad_input(model: PoseModel, call: object, match: str) -> None:
         call(model)  # type: ignore[operator]
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_to_the_same_bits(model: PoseModel, tmp_path: Path) -> None:
     settings = {"num_samples": 12, "seed": 2}
     whole = calibrate(model, "rejection", num_simulations=110, **settings)  # type: ignore[arg-type]

@@ -347,6 +347,7 @@ def test_where_all_agree_the_interval_is_that_of_so_many_trials(
     assert found == pytest.approx((float(held), low, high))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("power", [1.0, 1.2, 2.0])
 def test_the_interval_of_the_ece_holds_the_truth(power: float) -> None:
     """Levels uniform to a power, so that the truth is known, 20 times: 95 % intervals hold it at

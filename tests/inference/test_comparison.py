@@ -463,6 +463,7 @@ def test_the_half_updated_slice_sampler_is_caught_too():
     assert of_normal(ESS(potential_fn=normal_potential, randomize_split=False)).verdict != DIFFERS
 
 
+@pytest.mark.slow
 def test_emcee_started_in_one_point_is_caught():
     target, starts = low_target()
     import emcee

@@ -73,6 +73,7 @@ def by_the_law(joints, camera, keypoints, spread):
     return np.log1p(-rng.uniform(size=len(log_keep))) <= log_keep
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampler", ["rejection", "rejection-group"])
 def test_draws_and_evidence_follow_the_law(sampler):
     """Both arms and their lengths; and the disc that has the same reach, which must fail."""

@@ -206,6 +206,7 @@ def undisturbed(data, tmp_path_factory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_the_command_writes_tables_and_pictures(undisturbed):
     names = {path.name for path in undisturbed.iterdir()}
     assert names == {*TABLES, "errors.png", "pck.png", STORE}

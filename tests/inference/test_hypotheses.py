@@ -87,6 +87,7 @@ def test_the_grid_is_possible_explains_the_detection_and_lies_on_the_grid():
     assert np.abs(step - np.round(step)).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_limb_that_the_grid_cannot_explain_leaves_no_pose():
     model = PoseModel()
     frame = prior_scene(model, 1, factor=0.01)

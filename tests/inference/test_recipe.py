@@ -176,6 +176,7 @@ def test_recipe_has_no_density_and_says_why(published_hinges) -> None:
         law.log_prob(law.sample(KEY))
 
 
+@pytest.mark.slow
 def test_recipe_is_a_distribution_otherwise(published_hinges) -> None:
     law = RecipeDirection(published_hinges)
     leaves, structure = jax.tree.flatten(law)

@@ -254,6 +254,7 @@ def _violations(limb, radius, target, upper, lower):
     return jnp.stack([dropped, outside, above])
 
 
+@pytest.mark.slow
 def test_bounds_test_can_fail():
     """Negative control of the test above: bounds made for too short a range of lengths are
     caught."""

@@ -400,6 +400,7 @@ def test_bounds_are_bounds_where_cells_are_cut():
         assert not any(violations(PoseModel(), 20, factor, Resolution(6, 5, 2)))
 
 
+@pytest.mark.slow
 def test_a_bound_two_percent_too_tight_is_caught():
     """Negative control of the tests above: strata made for discs 2 % too small."""
     assert any(violations(PoseModel(), 0, 0.05, RESOLUTIONS[0], tighten=0.98))
@@ -453,6 +454,7 @@ def dependence(columns) -> float:
     return values.min() * len(values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pieces", [False, True])
 @pytest.mark.parametrize(("upper", "lower"), [("angle", "area"), ("area", "box")])
 def test_where_nothing_is_seen_draws_are_draws_of_the_prior(upper, lower, pieces):

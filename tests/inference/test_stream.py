@@ -123,6 +123,7 @@ def uncertain(model, items, tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_draws_under_an_uncertain_root_are_those_of_sample(model, items, uncertain):
     import jax
 

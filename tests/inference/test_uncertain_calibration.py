@@ -127,6 +127,7 @@ def torso_and_an_arm() -> dict[str, np.ndarray]:
     return stand(40, 80, ARM)
 
 
+@pytest.mark.slow
 def test_torso_camera_and_an_arm_are_calibrated():
     found = torso_and_an_arm()
     assert np.median(found["effective"]) > 20
@@ -138,6 +139,7 @@ def test_without_the_factors_of_the_scale_nothing_is():
     assert p_value(torso_and_an_arm()["without s^-2"]) < FAMILY / 1000
 
 
+@pytest.mark.slow
 def test_an_error_law_that_is_too_narrow_is_found_out():
     """Negative control: detections stray twice as far as the likelihood believes."""
     found = stand(15, 40, ARM, factor=FACTOR / 2, most=1_000_000)

@@ -62,6 +62,7 @@ def test_shapes(name: str) -> None:
     assert in_support(law, value).shape == (4, 2, *law.batch_shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_same_key_same_draws_and_another_key_others(name: str) -> None:
     law = TABLE[name]
@@ -77,6 +78,7 @@ def test_draws_are_in_the_support(name: str) -> None:
     assert np.isfinite(law.log_prob(value)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_expand(name: str) -> None:
     law = TABLE[name]
@@ -88,6 +90,7 @@ def test_expand(name: str) -> None:
     assert in_support(wide, value).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_to_event_sums_the_log_density(name: str) -> None:
     law, value = TABLE[name], draws(name)
@@ -96,6 +99,7 @@ def test_to_event_sums_the_log_density(name: str) -> None:
     np.testing.assert_allclose(joint.log_prob(value), expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_jit_with_the_law_as_an_argument(name: str) -> None:
     """A distribution is a pytree: it passes through jit, in and out, and draws the same."""
@@ -122,6 +126,7 @@ def test_pytree_round_trip(name: str) -> None:
     assert jax.tree.structure(doubled) == structure
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_vmap_over_values_and_keys(name: str) -> None:
     law, value = TABLE[name], draws(name)
@@ -205,6 +210,7 @@ def test_support_and_density_agree_everywhere(name: str) -> None:
     np.testing.assert_array_equal(np.isfinite(law.log_prob(u)), in_support(law, u))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_single_precision(name: str) -> None:
     """Without 64 bits all is float32 and still finite; rounding may push at most 1 % of draws over
@@ -244,6 +250,7 @@ def test_torsos_are_drawn_evenly() -> None:
     np.testing.assert_array_equal(law.enumerate_support(), np.arange(7))
 
 
+@pytest.mark.slow
 def test_lengths_are_stretched_beta() -> None:
     """10,000 draws of five groups: Kolmogorov–Smirnov against scipy's Beta, false alarm 1e-4 over
     ten tests (sample and transport); the density against scipy's to 1e-10, and it integrates to
@@ -285,6 +292,7 @@ def test_discs_are_filled_evenly() -> None:
     )
 
 
+@pytest.mark.slow
 def test_sample_and_transport_of_directions_are_one_law() -> None:
     """`sample` is `transport` of a uniform square: its inverse is uniform. 4,000 draws of each,
     false alarm 1e-4."""

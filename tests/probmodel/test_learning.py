@@ -86,6 +86,7 @@ def test_limits_of_walking_reject_climbing(walker: Anatomy, climbing: np.ndarray
     assert check.valid.mean(axis=0)[1:3].max() < 0.8, "arms overhead"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mirror", [True, False])
 def test_random_training_poses_are_valid(mirror: bool) -> None:
     """Without any tolerance too: directions on the very edge stay in by the rounding of tables, or
@@ -465,6 +466,7 @@ def sources(shared_data: Path) -> list[Path]:
     ]
 
 
+@pytest.mark.slow
 def test_all_frames_of_the_data_are_valid_under_the_embedded_limits(shared_data: Path) -> None:
     joints = gather(
         [motion for path in sources(shared_data) for motion in read_motion(path)]

@@ -137,6 +137,7 @@ def test_joints_without_a_spread_have_no_factor(model, latents, observation) -> 
     np.testing.assert_allclose(found, by_hand(model, latents, observation), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_predictive_draws_the_prior_and_the_keypoints(model, observation) -> None:
     """Posterior program with the keypoints unconditioned: new keypoints lie in the discs around the
     new poses."""
@@ -268,6 +269,7 @@ def test_nuts_runs_from_a_possible_start(model, latents, observation) -> None:
     assert np.isfinite(log_joint(model, wide, *parts)).all()
 
 
+@pytest.mark.slow
 def test_initialise_without_values_where_discs_are_wide(model, observation) -> None:
     wide = observation._replace(spread=np.full(NUM_JOINTS, 100.0))
     info = initialize_model(KEY, model.posterior, model_args=(wide,))
@@ -292,6 +294,7 @@ def test_measures_are_named_choices(model) -> None:
         PoseModel(model.limits, model.lengths, model.torsos, lower="recipe")
 
 
+@pytest.mark.slow
 def test_log_prior_in_batches(model) -> None:
     sample = Predictive(model.prior, num_samples=6)(KEY)
     parts = [jnp.asarray(sample[name]) for name in SITES]

@@ -104,6 +104,7 @@ def test_agrees_with_an_independent_checker(
     assert 0.5 < theirs.all(axis=-1).mean() < 0.95
 
 
+@pytest.mark.slow
 def test_agrees_with_an_independent_checker_on_random_poses(
     published: AnatomicalLimits, mat_path: Path
 ) -> None:

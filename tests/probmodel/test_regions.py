@@ -88,6 +88,7 @@ def assert_totals(hinge: Hinge, measure: str) -> None:
     np.testing.assert_allclose(np.asarray(hinge.total), expected, rtol=1e-9, atol=2e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", LOWER_MEASURES)
 def test_constant_of_a_hinge_equals_quadrature_about_another_axis(measure: str) -> None:
     assert_totals(hinges(measure), measure)
@@ -103,6 +104,7 @@ def test_constants_of_published_hinges(measure: str, published_limits) -> None:
     assert_totals(Hinge.build(*hinges_of(published_limits, 100), measure), measure)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", BOX_LATER)
 def test_density_of_a_hinge_integrates_to_one_on_an_even_grid(measure: str) -> None:
     """The masked density itself, summed over 640,000 even points: exact but for the rim of the
@@ -197,18 +199,21 @@ def assert_hinges_fit(hinge: Hinge, measure: str) -> None:
     assert p_values.min() > floor(p_values.size), (p_values.argmin(), p_values.min())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", BOX_LATER)
 def test_draws_of_a_hinge_follow_its_density(measure: str) -> None:
     """10,000 draws of each of 40 hinges; false alarm 1e-4 over the 40."""
     assert_hinges_fit(hinges(measure), measure)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", BOX_LATER)
 def test_draws_of_default_hinges_follow_their_density(measure: str, default_limits) -> None:
     """10,000 draws of each of 80 hinges; false alarm 1e-4 over the 80."""
     assert_hinges_fit(Hinge.build(*hinges_of(default_limits, 80), measure), measure)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", LOWER_MEASURES)
 def test_draws_of_published_hinges_follow_their_density(measure: str, published_limits) -> None:
     """10,000 draws of each of 80 hinges; false alarm 1e-4 over the 80."""
@@ -318,6 +323,7 @@ def test_five_per_cent_too_little_spread_of_cells_is_found_out(
 # The inverse
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", LOWER_MEASURES)
 def test_inverse_of_a_hinge_returns_the_square(measure: str) -> None:
     hinge, square = hinges(measure), squares(len(NAMES))[:3000]
@@ -339,6 +345,7 @@ def test_inverse_of_cells_returns_the_square(measure: str) -> None:
     np.testing.assert_allclose(back, square, atol=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", BOX_LATER)
 def test_inverse_of_rejection_draws_is_uniform(measure: str) -> None:
     """Rosenblatt: draws made without the transport, by rejection from the sphere or the disc,
@@ -448,6 +455,7 @@ def test_area_element_of_the_transport_is_one_over_the_density(measure: str) -> 
     np.testing.assert_allclose(element * density, 1.0, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", UPPER_MEASURES)
 def test_area_element_of_the_cells_transport(measure: str) -> None:
     square = squares(len(TABLES))[:200]
@@ -461,6 +469,7 @@ def test_area_element_of_the_cells_transport(measure: str) -> None:
     np.testing.assert_allclose(element * density, 1.0, rtol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", BOX_LATER)
 def test_gradients_of_hinges_are_finite(measure: str) -> None:
     """Forward and backward, of transport, inverse and log density, at draws and at the corners of
@@ -505,6 +514,7 @@ def test_an_impossible_hinge_holds_nothing() -> None:
         assert (np.asarray(log_prob_hinge(hinge, grid)) == -np.inf).all()
 
 
+@pytest.mark.slow
 def test_quantiles_of_lengths_equal_another_library() -> None:
     """Beta quantiles, from J-shaped to narrow, against scipy (another algorithm) to 1e-12."""
     rng = np.random.default_rng(2)

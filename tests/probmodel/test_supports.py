@@ -25,6 +25,7 @@ def unconstrained(name: str, scale: float = 1.0) -> np.ndarray:
     return scale * np.random.default_rng(4).normal(size=size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_bijection(name: str) -> None:
     """Shapes, codomain and inverse at sample shapes (6,) and (2, 3), and at far points of the

@@ -63,6 +63,7 @@ def test_a_wrong_measure_is_found_out(model, ancestral) -> None:
     assert uniform_each(to_cube(other, configuration)).min() < floor(CUBE_DIM)
 
 
+@pytest.mark.slow
 def test_poses_from_the_cube_equal_ancestral_poses_in_law(model, ancestral) -> None:
     """Energy-distance permutation test on 1,000 + 1,000 poses of 45 numbers, 999 permutations:
     false alarm 0.001."""
@@ -92,6 +93,7 @@ def test_gradient_equals_finite_differences(model) -> None:
     assert np.mean(error < 1e-4) > 0.95, np.sort(error)[-20:]
 
 
+@pytest.mark.slow
 def test_jacobian_is_one_over_the_prior(model) -> None:
     """Log of the volume element of (lengths, directions) per unit of the cube, by autodiff, is
     minus the log prior. The Jacobian is block triangular: within a cell a lower bone's law does not

@@ -737,6 +737,7 @@ def _flattest(model: PoseModel, torso: np.ndarray, upper: np.ndarray, bone: int)
     return int(np.argmin(np.abs(joints[:, bones[bone], 2] - joints[:, starts[bone], 2])))
 
 
+@pytest.mark.slow
 def test_two_arms_that_no_shared_length_explains(poseterior: Cli, tmp_path: Path) -> None:
     detections, limits_file = conflict(tmp_path)
     options = (
@@ -765,6 +766,7 @@ def test_two_arms_that_no_shared_length_explains(poseterior: Cli, tmp_path: Path
     assert not (tmp_path / "p.nc").exists()
 
 
+@pytest.mark.slow
 def test_what_a_budget_sufficed_for_is_saved(poseterior: Cli, tmp_path: Path) -> None:
     out = tmp_path / "out"
     run = poseterior(
@@ -1018,6 +1020,7 @@ def test_every_sampler_draws(sampler: str, poseterior: Cli, tmp_path: Path) -> N
     assert sorted(files(tmp_path)) == ["f.json", "posterior.html", "posterior.nc"]
 
 
+@pytest.mark.slow
 def test_samplers_say_the_same(poseterior: Cli, tmp_path: Path) -> None:
     """Log evidences of three ways of proposing agree to five standard errors of their
     difference."""
@@ -1044,6 +1047,7 @@ def test_samplers_say_the_same(poseterior: Cli, tmp_path: Path) -> None:
         assert abs(value - found[0][0]) < 5 * np.hypot(error, found[0][1]), found
 
 
+@pytest.mark.slow
 def test_prior_is_possible(poseterior: Cli, tmp_path: Path) -> None:
     out = tmp_path / "prior.nc"
     run = poseterior("prior", "--num-samples", 300, "--out", out, "--quiet", "--json")
@@ -1118,6 +1122,7 @@ def test_a_folder_that_must_not_be_looked_into(
     assert f"cannot look into the folder {tmp_path}/shut (Permission denied); give" in run.err
 
 
+@pytest.mark.slow
 def test_what_was_learned_is_used(shared_data: Path, poseterior: Cli, tmp_path: Path) -> None:
     limits_file = tmp_path / "limits.npz"
     walk = shared_data / "bvh" / "cmu_12_01_walk.bvh"

@@ -83,6 +83,7 @@ def test_too_few_simulations_are_refused_before_any_work(tmp_path: Path) -> None
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_draws_from_elsewhere(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """Simulations are written, somebody draws (here: always the truth of the next one), and is
     found out."""

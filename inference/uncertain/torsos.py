@@ -8,6 +8,7 @@ too large; (m - 1)/(n - 1) is unbiased (Haldane 1945).
 import functools
 import math
 import os
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -16,9 +17,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from inference.exact.groups import workers
+from inference.exact.loops.fits import attempt_fits, balance, cut_fits
 from inference.exact.loops.numbers import seeded
 from inference.exact.loops.roots import (
-    RootCells,
     RootTable,
     TorsoProblem,
     attempt_roots,
@@ -161,17 +162,17 @@ def draw_roots(
         Of attempts; "as many as it allows" has an unbiased evidence too.
     """
     posed = torso_problem(posterior, faults)
-    cells = cut_roots(posed.problem)
+    proposal = _proposal(posed)
     parts = [root_table(0)]
     found, made, batch = 0, 0, 0
-    while cells.mass and found < number and (found or made < HOPELESS):
+    while proposal.mass and found < number and (found or made < HOPELESS):
         numbers = [
             one for one in range(batch, batch + (os.cpu_count() or 1)) if budget.spend(BATCH)
         ]
         if not numbers:
             break
         tables = workers().map(
-            functools.partial(_batch, posed, cells, words, number),
+            functools.partial(_batch, posed, proposal, words, number),
             numbers,
         )
         for table, attempts in tables:
@@ -182,12 +183,42 @@ def draw_roots(
     if number and found >= number:
         whole = RootTable(*(column[:number] for column in whole))
         made = int(whole.attempt[-1]) + 1
-    return _named(posed, cells.mass, whole, made, bool(number) and found >= number)
+    return _named(posed, proposal.mass, whole, made, bool(number) and found >= number)
+
+
+class Proposal(NamedTuple):
+    """How attempts at a torso's roots are made: their `mass`, which times the rate of success is
+    the evidence; a batch of them, by a stream of random numbers into a table: roots found, attempts
+    made; and whether what they find still has to be thinned by the error law."""
+
+    mass: float
+    attempt: Callable[[np.ndarray, RootTable], tuple[int, int]]
+    thinned: bool
+
+
+def _proposal(posed: Posed) -> Proposal:
+    """By least squares where joints whose errors are Gaussian determine a scale, by discs
+    otherwise."""
+    problem = posed.problem
+    if len(np.unique(problem.keypoints[problem.precision > 0], axis=0)) > 1:
+        known = balance(problem)
+        fits = cut_fits(problem, known)
+        return Proposal(
+            fits.mass,
+            lambda state, table: attempt_fits(state, BATCH, problem, known, fits, table),
+            thinned=False,
+        )
+    cells = cut_roots(problem)
+    return Proposal(
+        cells.mass,
+        lambda state, table: attempt_roots(state, BATCH, problem, cells, table),
+        thinned=not posed.law.flat,
+    )
 
 
 def _batch(
     posed: Posed,
-    cells: RootCells,
+    proposal: Proposal,
     words: list[int],
     number: int,
     batch: int,
@@ -195,9 +226,9 @@ def _batch(
     """The roots that one batch of attempts finds, and how many attempts it made."""
     problem, law = posed.problem, posed.law
     table = root_table(min(number, BATCH))
-    found, attempts = attempt_roots(seeded(words, batch), BATCH, problem, cells, table)
+    found, attempts = proposal.attempt(seeded(words, batch), table)
     table = RootTable(*(column[:found] for column in table))
-    if found and not law.flat and law.inlier.deviation is None:
+    if found and proposal.thinned:
         rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(batch, THINNING)))
         test = np.log1p(-rng.uniform(size=found))
         kept = test <= in_chunks(
@@ -249,6 +280,6 @@ def _named(posed: Posed, mass: float, table: RootTable, made: int, enough: bool)
     rate = (found - 1) / max(made - 1, 1) if enough else found / max(made, 1)
     if not rate:
         return TorsoDraws(points, made, -math.inf, math.inf)
-    log_mass = math.log(problem.first_area * mass)
+    log_mass = math.log(mass)
     log_mass -= problem.power * math.log(posed.lowest)
     return TorsoDraws(points, made, log_mass + math.log(rate), (1 - rate) / found)

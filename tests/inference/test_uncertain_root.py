@@ -371,7 +371,7 @@ def test_attempts_at_a_root_are_draws_of_its_prior():
     keypoints = rng.normal(size=(3, 2))
     problem = TorsoProblem(torsos, keypoints, np.zeros((3, 2)), reach, np.zeros(3), power)
     cells, table, state = cut_roots(problem), root_table(number), seeded([1], 1)
-    assert cells.mass == pytest.approx(1 / power)
+    assert cells.mass == pytest.approx(math.pi * reach[0] ** 2 / power)
     before = int(state[3])
     assert attempt_roots(state, number, problem, cells, table) == (number, number)
     assert int(state[3]) - before == 7 * number

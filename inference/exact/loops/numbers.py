@@ -29,6 +29,7 @@ SOURCES = (
     "inference/exact/loops/bins.py",
     "inference/exact/loops/blocks.py",
     "inference/exact/loops/bounds.py",
+    "inference/exact/loops/fits.py",
     "inference/exact/loops/numbers.py",
     "inference/exact/loops/rectangles.py",
     "inference/exact/loops/roots.py",

@@ -7,9 +7,8 @@ their images are farther apart than detected by no more than both reaches, and b
 the cell can add. A cell that no scale is left in is dropped. Nothing is estimated.
 
 An attempt draws a cell by its prior mass times that of its scales, a rotation in it, a scale, and
-puts the first joint where its error law says. So every attempt has the same weight
-(`docs/model.md`, § 9), and what passes the other joints' discs, thinned where their law is a
-Gaussian's, is an exact draw."""
+puts the first joint uniformly into its disc. So every attempt has the same weight (`docs/model.md`,
+§ 9), and what passes the other discs is an exact draw."""
 
 import math
 from typing import NamedTuple
@@ -38,7 +37,7 @@ class TorsoProblem(NamedTuple):
     bias : `(n, 2)` of the keypoints, body units: how far beside their joints they lie in the mean
     reach : `(n,)` how far from there they may fall, body units
     precision : `(n,)` one over the variance of joints whose errors are Gaussian within the
-        reach; 0 where the density is the same all over the disc
+        reach, of which `loops.fits` makes use; 0 for others
     power : of the scales' density: that of the inverse scale v is v^(power - 1)
     """
 
@@ -48,14 +47,6 @@ class TorsoProblem(NamedTuple):
     reach: np.ndarray
     precision: np.ndarray
     power: float
-
-    @property
-    def first_area(self) -> float:
-        """Square body units: the first joint's likelihood over its peak, integrated."""
-        reach, precision = float(self.reach[0]), float(self.precision[0])
-        if not precision:
-            return math.pi * reach**2
-        return -2 * math.pi / precision * math.expm1(-precision * reach**2 / 2)
 
 
 class RootCells(NamedTuple):
@@ -93,7 +84,8 @@ def root_table(most: int) -> RootTable:
 
 
 def cut_roots(problem: TorsoProblem) -> RootCells:
-    """The cells in which a root may explain the torso."""
+    """The cells in which a root may explain the torso; their mass has the area of the first
+    disc in it."""
     number = _find_cells(problem, np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
     code, low, high = np.zeros(number, np.int64), np.zeros(number), np.zeros(number)
     _find_cells(problem, code, low, high)
@@ -101,8 +93,9 @@ def cut_roots(problem: TorsoProblem) -> RootCells:
     tilt = code // (2 * TILTS) % TILTS
     share = (edges[tilt] - edges[tilt + 1]) / 2 / (2 * TILTS) ** 2 / len(problem.torsos)
     weight = share * (high**problem.power - low**problem.power) / problem.power
-    alias = np.zeros(number, ALIAS)
-    return RootCells(code, low, high, alias, float(alias_table(weight, alias)) if number else 0.0)
+    alias, area = np.zeros(number, ALIAS), math.pi * float(problem.reach[0]) ** 2
+    mass = area * float(alias_table(weight, alias)) if number else 0.0
+    return RootCells(code, low, high, alias, mass)
 
 
 @compiled
@@ -180,7 +173,7 @@ def attempt_roots(
     """Makes attempts, up to a number of them or until the table is full. Returns how many roots
     were found, and how many attempts were made."""
     torsos, keypoints, reach = problem.torsos, problem.keypoints, problem.reach
-    bias, precision = problem.bias, problem.precision
+    bias = problem.bias
     stream, found, joints, power = load(state), 0, reach.size, problem.power
     for attempt in range(attempts):
         at, stream = uniform(stream)
@@ -213,7 +206,7 @@ def attempt_roots(
         inverse = (low + (cells.high[entry] ** power - low) * (1 - part)) ** (1 / power)
         radius, stream = uniform(stream)
         angle, stream = uniform(stream)
-        radius, angle = _distance(radius, reach[0], precision[0]), 2 * np.pi * angle
+        radius, angle = reach[0] * math.sqrt(radius), 2 * np.pi * angle
         p0, p1, p2 = torsos[torso, 0, 0], torsos[torso, 0, 1], torsos[torso, 0, 2]
         t0 = keypoints[0, 0] * inverse - bias[0, 0] + radius * math.cos(angle)
         t1 = keypoints[0, 1] * inverse - bias[0, 1] + radius * math.sin(angle)
@@ -226,15 +219,9 @@ def attempt_roots(
             off1 = m10 * p0 + m11 * p1 + m12 * p2 + t1 + bias[joint, 1]
             off0 -= keypoints[joint, 0] * inverse
             off1 -= keypoints[joint, 1] * inverse
-            square = off0 * off0 + off1 * off1
-            if square > reach[joint] * reach[joint]:
+            if off0 * off0 + off1 * off1 > reach[joint] * reach[joint]:
                 inside = False
                 break
-            if precision[joint] > 0:
-                part, stream = uniform(stream)
-                if part >= math.exp(-precision[joint] * square / 2):
-                    inside = False
-                    break
         if inside:
             table.torso[found], table.inverse[found] = torso, inverse
             table.angles[found, 0], table.angles[found, 2] = alpha, gamma
@@ -247,12 +234,3 @@ def attempt_roots(
                 return found, attempt + 1
     store(state, stream)
     return found, attempts
-
-
-@compiled
-def _distance(part: float, reach: float, precision: float) -> float:
-    """The quantile of the length of an error at `part`, from 0 to 1."""
-    if precision > 0:
-        most = -math.expm1(-precision * reach * reach / 2)
-        return math.sqrt(-2 * math.log1p(-most * part) / precision)
-    return reach * math.sqrt(part)

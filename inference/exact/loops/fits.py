@@ -1,0 +1,308 @@
+"""Attempts at a root where the torso's joints err by Gaussians: a torso and a rotation, and then
+the scale and the translation that fit them. Compiled.
+
+Where joints fall is linear in the inverse scale v and in the translation over the scale p. So under
+a torso and a rotation the likelihood is a Gaussian in (v, p) times exp(-χ²/2), where χ² is what
+least squares leave unexplained, and its widths are the same under all of them. An attempt draws a
+torso and a cell of rotations by a bound on its share, a rotation in it, v and p from the Gaussian,
+and passes with what the bound was too large by, if the joints lie within their reach. What passes
+is an exact draw (`docs/model.md`, § 9).
+
+Bounds: χ is a distance from a subspace, so it changes by no more than the joints move; that is d at
+most in a cell. The density of v has a factor v^m, which lies below its tangent at a `star`, an
+exponential, which moves the Gaussian of v and leaves its width."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from inference.exact.loops.bins import alias_table
+from inference.exact.loops.numbers import compiled, load, store, uniform
+from inference.exact.loops.roots import RootTable, TorsoProblem
+from inference.exact.loops.tables import ALIAS
+
+TILTS = 6
+"""Cells of the tilt that are looked at first, from 0 to π; twice as many of roll and of yaw."""
+LEVELS = 4
+"""How often cells are cut into eight."""
+WORTH = 0.999
+"""Share of the mass whose cells are cut again."""
+MOST_CUT = 15_000
+"""Most cells that are cut again, those with the greatest mass, which bounds memory."""
+SLACK = 1e-9
+"""For rounding, of the bounds."""
+
+
+class FitCells(NamedTuple):
+    """Cells of rotations in which a torso may fit.
+
+    Attributes
+    ----------
+    torso : `(m,)` the torso's number
+    corner : `(m, 3)` the least roll, tilt and yaw
+    width : `(m, 3)` of the cell
+    least : `(m,)` bound on χ², from below
+    top : `(m,)` bound on the inverse scale that fits best, from above
+    star : `(m,)` where the tangent of v^m touches
+    alias : `(m,)` table of the masses
+    mass : of all of them
+    """
+
+    torso: np.ndarray
+    corner: np.ndarray
+    width: np.ndarray
+    least: np.ndarray
+    top: np.ndarray
+    star: np.ndarray
+    alias: np.ndarray
+    mass: float
+
+
+class Balance(NamedTuple):
+    """What a problem's keypoints and precisions say before any rotation: the `total` precision,
+    the keypoints `(n, 2)` around their `middle` `(2,)`, the `lever`, by which an inverse scale is
+    known, the `torsos` `(J, n, 3)` around their middles, the middles `(J, 3)` themselves, and the
+    mean `bias` `(2,)` with the biases `(n, 2)` around it. Middles are weighed by the precisions."""
+
+    total: float
+    middle: np.ndarray
+    keypoints: np.ndarray
+    lever: float
+    torsos: np.ndarray
+    middles: np.ndarray
+    bias: np.ndarray
+    biases: np.ndarray
+
+
+def balance(problem: TorsoProblem) -> Balance:
+    """The balance of a problem in which two joints at least have a precision."""
+    weight = problem.precision / problem.precision.sum()
+    middle, bias = weight @ problem.keypoints, weight @ problem.bias
+    keypoints = problem.keypoints - middle
+    middles = np.einsum("n,jnx->jx", weight, problem.torsos)
+    return Balance(
+        float(problem.precision.sum()),
+        middle,
+        keypoints,
+        float(problem.precision @ np.sum(keypoints**2, axis=1)),
+        np.ascontiguousarray(problem.torsos - middles[:, None]),
+        middles,
+        bias,
+        np.ascontiguousarray(problem.bias - bias),
+    )
+
+
+def cut_fits(problem: TorsoProblem, known: Balance) -> FitCells:
+    """The cells in which a root may explain the torso, finest where most of the mass is."""
+    torso, corner, width = _first_cells(len(problem.torsos))
+    kept: list[tuple[np.ndarray, ...]] = []
+    for level in range(LEVELS + 1):
+        bounds = np.empty((len(torso), 3))
+        log_mass = np.empty(len(torso))
+        _bound(problem, known, torso, corner, width, bounds, log_mass)
+        rows = np.isfinite(log_mass)
+        torso, corner, width = torso[rows], corner[rows], width[rows]
+        bounds, log_mass = bounds[rows], log_mass[rows]
+        cut = _worth_cutting(log_mass) if level < LEVELS else np.zeros(len(torso), bool)
+        kept.append(tuple(part[~cut] for part in (torso, corner, width, bounds, log_mass)))
+        torso, corner, width = _eighths(torso[cut], corner[cut], width[cut])
+    torso, corner, width, bounds, log_mass = (
+        np.ascontiguousarray(np.concatenate(column)) for column in zip(*kept, strict=True)
+    )
+    alias, mass = np.zeros(len(torso), ALIAS), 0.0
+    if len(torso):
+        highest = log_mass.max()
+        mass = float(alias_table(np.exp(log_mass - highest), alias)) * math.exp(highest)
+    least, top, star = (np.ascontiguousarray(column) for column in bounds.T)
+    return FitCells(torso, corner, width, least, top, star, alias, mass)
+
+
+def _first_cells(torsos: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    side = math.pi / TILTS
+    lattice = np.indices((torsos, 2 * TILTS, TILTS, 2 * TILTS)).reshape(4, -1).T
+    corner = np.ascontiguousarray(lattice[:, 1:] * side)
+    return np.ascontiguousarray(lattice[:, 0]), corner, np.full(corner.shape, side)
+
+
+def _worth_cutting(log_mass: np.ndarray) -> np.ndarray:
+    """`(m,)`: the cells that hold nearly all of the mass, but not too many."""
+    order = np.argsort(-log_mass, kind="stable")
+    mass = np.exp(log_mass[order] - log_mass.max(initial=-math.inf))
+    held = np.cumsum(mass) - mass
+    wanted = order[held < WORTH * mass.sum()][:MOST_CUT]
+    chosen = np.zeros(len(log_mass), bool)
+    chosen[wanted] = True
+    return chosen
+
+
+def _eighths(
+    torso: np.ndarray, corner: np.ndarray, width: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    half = np.repeat(width / 2, 8, axis=0)
+    step = np.tile(np.indices((2, 2, 2)).reshape(3, 8).T, (len(torso), 1))
+    return np.repeat(torso, 8), np.repeat(corner, 8, axis=0) + step * half, half
+
+
+@compiled
+def _bound(
+    problem: TorsoProblem,
+    known: Balance,
+    torso: np.ndarray,
+    corner: np.ndarray,
+    width: np.ndarray,
+    bounds: np.ndarray,
+    log_mass: np.ndarray,
+) -> None:
+    """Writes each cell's bounds, least χ², highest best inverse scale and the tangent's point, and
+    the log of its mass, -inf where no root of the cell can explain the torso."""
+    joints, power, precision = problem.reach.size, problem.power, problem.precision
+    farthest = 0.0
+    for joint in range(joints):
+        farthest += precision[joint] * problem.reach[joint] ** 2
+    lever, exponent = known.lever, power - 1
+    constant = math.log(2 * math.pi / known.total) + math.log(2 * math.pi / lever) / 2
+    constant -= math.log(len(problem.torsos))
+    for cell in range(torso.size):
+        roll, tilt, yaw = corner[cell, 0], corner[cell, 1], corner[cell, 2]
+        share = width[cell, 0] * width[cell, 2] / (2 * math.pi) ** 2
+        share *= (math.cos(tilt) - math.cos(tilt + width[cell, 1])) / 2
+        chi, best, moves = _fit(
+            known,
+            precision,
+            torso[cell],
+            roll + width[cell, 0] / 2,
+            tilt + width[cell, 1] / 2,
+            yaw + width[cell, 2] / 2,
+            width[cell],
+        )
+        least = max(0.0, math.sqrt(chi) - moves - SLACK) ** 2
+        top = best + moves / math.sqrt(lever) + SLACK
+        # No joint beyond its reach, so v is no farther from the best than this.
+        reached = top + math.sqrt(max(0.0, farthest - least) / lever)
+        if least > farthest * (1 + SLACK) or reached <= 0:
+            log_mass[cell] = -math.inf
+            continue
+        star = (top + math.sqrt(top * top + 4 * exponent / lever)) / 2
+        bounds[cell, 0], bounds[cell, 1], bounds[cell, 2] = least, top, star
+        tangent = exponent * (math.log(star) - 1 + top / star)
+        tangent += exponent * exponent / (2 * lever * star * star)
+        log_mass[cell] = math.log(share) + constant - least / 2 + tangent
+
+
+@compiled
+def _fit(
+    known: Balance,
+    precision: np.ndarray,
+    torso: int,
+    roll: float,
+    tilt: float,
+    yaw: float,
+    width: np.ndarray,
+) -> tuple[float, float, float]:
+    """χ² and the inverse scale that fits best, under one rotation, and how far the joints may move,
+    weighed, when the rotation moves by half of `width` either way."""
+    cos_a, sin_a, cos_b, sin_b = math.cos(roll), math.sin(roll), math.cos(tilt), math.sin(tilt)
+    cos_c, sin_c = math.cos(yaw), math.sin(yaw)
+    by_roll, by_tilt = 2 * math.sin(width[0] / 4), 2 * math.sin(width[1] / 4)
+    by_yaw = 2 * math.sin(width[2] / 4)
+    square, product, moves = 0.0, 0.0, 0.0
+    for joint in range(precision.size):
+        weight = precision[joint]
+        if weight > 0:
+            x, y = known.torsos[torso, joint, 0], known.torsos[torso, joint, 1]
+            z = known.torsos[torso, joint, 2]
+            turned, along = cos_c * x - sin_c * y, sin_c * x + cos_c * y
+            across = cos_b * turned + sin_b * z
+            image0 = cos_a * across - sin_a * along + known.biases[joint, 0]
+            image1 = sin_a * across + cos_a * along + known.biases[joint, 1]
+            square += weight * (image0 * image0 + image1 * image1)
+            product += weight * (
+                known.keypoints[joint, 0] * image0 + known.keypoints[joint, 1] * image1
+            )
+            step = by_roll * math.sqrt(across * across + along * along)
+            step += by_tilt * math.sqrt(turned * turned + z * z)
+            step += by_yaw * math.sqrt(x * x + y * y)
+            moves += weight * step * step
+    best = product / known.lever
+    return max(0.0, square - product * best), best, math.sqrt(moves)
+
+
+@compiled
+def attempt_fits(
+    state: np.ndarray,
+    attempts: int,
+    problem: TorsoProblem,
+    known: Balance,
+    cells: FitCells,
+    table: RootTable,
+) -> tuple[int, int]:
+    """Makes attempts, up to a number of them or until the table is full. Returns how many roots
+    were found, and how many attempts were made."""
+    stream, found, still = load(state), 0, np.zeros(3)
+    exponent, lever, total = problem.power - 1, known.lever, known.total
+    precision, middles = problem.precision, known.middles
+    for attempt in range(attempts):
+        at, stream = uniform(stream)
+        at *= cells.torso.size
+        column = int(at)
+        own = cells.alias[column]
+        entry = own.partner + (column - own.partner) * int(at - column < own.share)
+        torso, star = cells.torso[entry], cells.star[entry]
+        part, stream = uniform(stream)
+        roll = cells.corner[entry, 0] + part * cells.width[entry, 0]
+        part, stream = uniform(stream)
+        low = cells.corner[entry, 1]
+        cos_b = (1 - part) * math.cos(low) + part * math.cos(low + cells.width[entry, 1])
+        tilt = math.acos(min(1.0, max(-1.0, cos_b)))
+        part, stream = uniform(stream)
+        yaw = cells.corner[entry, 2] + part * cells.width[entry, 2]
+        chi, best, _ = _fit(known, precision, torso, roll, tilt, yaw, still)
+        radius, stream = uniform(stream)
+        angle, stream = uniform(stream)
+        normal = math.sqrt(-2 * math.log1p(-radius)) * math.cos(2 * math.pi * angle)
+        inverse = best + exponent / (lever * star) + normal / math.sqrt(lever)
+        part, stream = uniform(stream)
+        radius, stream = uniform(stream)
+        angle, stream = uniform(stream)
+        if inverse <= 0 or inverse > 1:
+            continue
+        log_ratio = (cells.least[entry] - chi) / 2
+        log_ratio += exponent * (best - cells.top[entry]) / star
+        log_ratio += exponent * (math.log(inverse / star) - (inverse - star) / star)
+        if math.log1p(-part) > log_ratio:
+            continue
+        radius, angle = math.sqrt(-2 * math.log1p(-radius) / total), 2 * math.pi * angle
+        cos_a, sin_a, sin_b = math.cos(roll), math.sin(roll), math.sin(tilt)
+        cos_b, cos_c, sin_c = math.cos(tilt), math.cos(yaw), math.sin(yaw)
+        m00, m01 = cos_a * cos_b * cos_c - sin_a * sin_c, -cos_a * cos_b * sin_c - sin_a * cos_c
+        m10, m11 = sin_a * cos_b * cos_c + cos_a * sin_c, -sin_a * cos_b * sin_c + cos_a * cos_c
+        m02, m12 = cos_a * sin_b, sin_a * sin_b
+        q0, q1, q2 = middles[torso, 0], middles[torso, 1], middles[torso, 2]
+        t0 = known.middle[0] * inverse - (m00 * q0 + m01 * q1 + m02 * q2) - known.bias[0]
+        t1 = known.middle[1] * inverse - (m10 * q0 + m11 * q1 + m12 * q2) - known.bias[1]
+        t0 += radius * math.cos(angle)
+        t1 += radius * math.sin(angle)
+        inside = True
+        for joint in range(precision.size):
+            p0, p1 = problem.torsos[torso, joint, 0], problem.torsos[torso, joint, 1]
+            p2 = problem.torsos[torso, joint, 2]
+            off0 = m00 * p0 + m01 * p1 + m02 * p2 + t0 + problem.bias[joint, 0]
+            off1 = m10 * p0 + m11 * p1 + m12 * p2 + t1 + problem.bias[joint, 1]
+            off0 -= problem.keypoints[joint, 0] * inverse
+            off1 -= problem.keypoints[joint, 1] * inverse
+            if off0 * off0 + off1 * off1 > problem.reach[joint] ** 2:
+                inside = False
+                break
+        if inside:
+            table.torso[found], table.inverse[found] = torso, inverse
+            table.angles[found, 0], table.angles[found, 1] = roll, tilt
+            table.angles[found, 2] = yaw
+            table.plane[found, 0], table.plane[found, 1] = t0, t1
+            table.attempt[found] = attempt
+            found += 1
+            if found == table.torso.size:
+                store(state, stream)
+                return found, attempt + 1
+    store(state, stream)
+    return found, attempts

@@ -1,0 +1,157 @@
+"""Roots by least squares, where the torso's joints err by Gaussians, against roots by discs that
+are thinned; and the bounds that they rest on.
+
+False alarms: 1e-4 for each law that is compared, 6e-5 for the evidence; seeds are fixed."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from inference.exact.loops import fits
+from inference.exact.loops.fits import FitCells, balance, cut_fits
+from inference.exact.loops.roots import TorsoProblem
+from inference.exact.rates import Budget
+from inference.uncertain import torsos
+from inference.uncertain.torsos import TorsoDraws, draw_roots, torso_problem
+from probmodel import Likelihood, PoseModel
+from probmodel.faults import Faults
+from probmodel.likelihood import Gaussian
+from probmodel.uncertain import UncertainPosterior
+from tests.scenes import prior_scene
+
+ALARM = 1e-4
+
+
+def posterior(factor: float = 0.6) -> UncertainPosterior:
+    """All of a torso, three torsos in the dictionary, and errors so wide that discs find roots."""
+    model = PoseModel(torsos=np.asarray(PoseModel().torsos)[[0, 17, 40]])
+    frame = prior_scene(model, 11, factor=factor)
+    law = Likelihood(Gaussian(), factor=factor)
+    return dataclasses.replace(frame, likelihood=law).uncertain(model)
+
+
+def by_discs(whole: UncertainPosterior, number: int, monkeypatch: pytest.MonkeyPatch) -> TorsoDraws:
+    """As if nothing were known of the law but its ratio."""
+
+    def plain(posterior: UncertainPosterior, faults: Faults) -> torsos.Posed:
+        posed = torso_problem(posterior, faults)
+        none = np.zeros_like(posed.problem.precision)
+        return posed._replace(problem=posed.problem._replace(precision=none))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(torsos, "torso_problem", plain)
+        return draw_roots(whole, Faults.none(), [3, 4], number, Budget(1 << 30))
+
+
+def columns(draws: TorsoDraws) -> dict[str, np.ndarray]:
+    """Quantities of roots `(n,)`, among them those of a turn that no angle of the cells is."""
+    turn = np.asarray(draws.points.rotation)
+    return {
+        "log scale": draws.points.log_scale,
+        "x": draws.points.translation[:, 0],
+        "y": draws.points.translation[:, 1],
+        "facing": turn[:, 2, 1],
+        "up": turn[:, 1, 2],
+        "across": turn[:, 0, 0],
+    }
+
+
+def smallest_p(one: TorsoDraws, other: TorsoDraws) -> float:
+    """Of all quantities (Kolmogorov–Smirnov) and of the torsos (χ²), times their number."""
+    pairs = zip(columns(one).values(), columns(other).values(), strict=True)
+    p = [stats.ks_2samp(*pair).pvalue for pair in pairs]
+    counts = [np.bincount(draws.points.torso, minlength=3) for draws in (one, other)]
+    p.append(stats.chi2_contingency(counts)[1])
+    return len(p) * min(p)
+
+
+@pytest.mark.slow
+def test_roots_by_least_squares_are_those_by_discs(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = posterior()
+    fitted = draw_roots(whole, Faults.none(), [1, 2], 2500, Budget(1 << 30))
+    discs = by_discs(whole, 2500, monkeypatch)
+    assert discs.attempts > 100 * fitted.attempts
+    assert smallest_p(fitted, discs) > ALARM
+    error = math.sqrt(fitted.variance + discs.variance)
+    assert abs(fitted.log_evidence - discs.log_evidence) < 4 * error < 0.2
+
+
+@pytest.mark.slow
+def test_a_factor_of_the_scale_that_is_lost_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Negative control: the inverse scale's density without two of its powers."""
+    whole = posterior()
+    discs = by_discs(whole, 2500, monkeypatch)
+
+    def flatter(posterior: UncertainPosterior, faults: Faults) -> torsos.Posed:
+        posed = torso_problem(posterior, faults)
+        return posed._replace(problem=posed.problem._replace(power=posed.problem.power - 2))
+
+    monkeypatch.setattr(torsos, "torso_problem", flatter)
+    fitted = draw_roots(whole, Faults.none(), [1, 2], 2500, Budget(1 << 30))
+    assert smallest_p(fitted, discs) < ALARM / 100
+
+
+def broken_bounds(problem: TorsoProblem, cells: FitCells, shrunk: float) -> int:
+    """In how many of 3,000 places, in cells made `1 / shrunk` times as wide, χ² or the best inverse
+    scale is beyond its bound. Least squares are NumPy's."""
+    rng = np.random.default_rng(5)
+    root = np.sqrt(problem.precision)
+    broken = 0
+    for row in rng.integers(len(cells.torso), size=3000):
+        middle = cells.corner[row] + cells.width[row] / 2
+        angles = middle + (rng.choice([-0.5, 0.5], 3) / shrunk) * cells.width[row]
+        image = (
+            problem.torsos[cells.torso[row]] @ Rotation.from_euler("ZYZ", angles).as_matrix()[:2].T
+        )
+        image = image + problem.bias
+        design = np.zeros((2 * len(image), 3))
+        design[::2, 0] = design[1::2, 1] = root
+        design[:, 2] = -(root[:, None] * problem.keypoints).ravel()
+        target = -(root[:, None] * image).ravel()
+        found, *_ = np.linalg.lstsq(design, target, rcond=None)
+        chi = np.sum((design @ found - target) ** 2)
+        broken += chi < cells.least[row] - 1e-6 or found[2] > cells.top[row] + 1e-6
+    return broken
+
+
+def test_bounds_are_bounds() -> None:
+    """At the corners of cells, where joints move most; corners one and a half cells away break
+    them, or they would be too wide to be of use."""
+    problem = torso_problem(posterior(0.25), Faults.none()).problem
+    cells = cut_fits(problem, balance(problem))
+    assert broken_bounds(problem, cells, 1.0) == 0
+    assert broken_bounds(problem, cells, 1 / 3) > 30
+
+
+def test_cells_that_are_cut_finer_have_less_mass_and_the_same_evidence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole = posterior(0.25)
+    fine = draw_roots(whole, Faults.none(), [1, 2], 3000, Budget(1 << 30))
+    monkeypatch.setattr(fits, "LEVELS", 2)
+    coarse = draw_roots(whole, Faults.none(), [1, 2], 3000, Budget(1 << 30))
+    assert coarse.attempts > 2 * fine.attempts
+    error = math.sqrt(fine.variance + coarse.variance)
+    assert abs(fine.log_evidence - coarse.log_evidence) < 4 * error < 0.2
+
+
+def test_a_torso_that_hardly_fits_has_hardly_any_mass() -> None:
+    """A joint detected ten torsos away."""
+    problem = torso_problem(posterior(0.1), Faults.none()).problem
+    keypoints = problem.keypoints.copy()
+    keypoints[1] += 10 * np.ptp(keypoints)
+    far = problem._replace(keypoints=keypoints)
+    mass = [cut_fits(one, balance(one)).mass for one in (problem, far)]
+    assert 0 <= mass[1] < 1e-9 * mass[0]
+
+
+def test_the_same_key_gives_the_same_roots() -> None:
+    whole = posterior()
+    one, again = (draw_roots(whole, Faults.none(), [7], 50, Budget(1 << 24)) for _ in range(2))
+    other = draw_roots(whole, Faults.none(), [8], 50, Budget(1 << 24))
+    np.testing.assert_array_equal(one.points.log_scale, again.points.log_scale)
+    assert np.any(one.points.log_scale != other.points.log_scale)

@@ -221,16 +221,18 @@ def sides_table(tree: xr.DataTree) -> Sheet:
         Column("", "candidate", form=lambda index: str(index + 1)),
         Column("faces", "facing", left=True, whole=True),
         Column("torsos", form=fixed(0)),
-        Column("px/unit", "scale_px", fixed(1)),
-        Column("± px", "scale_sd_px", fixed(1)),
-        Column("turns", "turn_sd_degrees", fixed(0, "°")),
+        Column(
+            "px", lambda row: f"{row['scale_px']:.0f} ± {row['scale_sd_px']:.0f}", str, whole=True
+        ),
+        Column("turn", "turn_sd_degrees", fixed(0, "°")),
         Column("log evidence", _evidence, plus_minus, whole=True),
         Column("share", "weight", percent),
     ]
     effective, weighed = tree.attrs["effective_roots"], tree.attrs["num_roots"]
     caption = (
         f"Torso and camera are uncertain: {effective:,.0f} effective of {weighed:,} roots weighed,"
-        " each counted to the side it faces. ± px and turns: standard deviations."
+        " each counted to the side it faces. px: a body unit, in pixels; ± and turn: standard"
+        " deviations."
     )
     return Sheet(shown, records, "Torso and camera", caption)
 

@@ -36,7 +36,7 @@ from reports.tables import Sheet, sheet_of
 
 UNSEEN = 50
 """The first frame that the learned law has not seen."""
-FRAMES = range(UNSEEN, 100, 4)
+FRAMES = range(UNSEEN, 100, 6)
 DRAWS, ROOTS, BEST = 4000, 1000, 5
 HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
 LIMB = 338.0

@@ -22,6 +22,7 @@ from inference.uncertain.tree import placed
 from inference.uncertain.weighted import WeightedRoots, weigh_roots
 from probmodel import Candidate, Estimate, Likelihood, PoseModel, WeakPerspective
 from probmodel.detections import Detection
+from probmodel.likelihood import Gaussian
 from probmodel.rotations import UniformRotation
 from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_JOINTS
 from tests.scenes import key
@@ -39,7 +40,22 @@ def model() -> PoseModel:
     return PoseModel()
 
 
-def simulate(seed: int, seen: tuple[str, ...]) -> tuple[Estimate, dict[str, np.ndarray]]:
+def errors_of(law: str, rng: np.random.Generator) -> np.ndarray:
+    """`(15, 2)` pixels: uniform in discs, or normal with half their radius for standard deviation,
+    drawn anew where they are beyond three of them."""
+    radius = FACTOR * SCALE
+    if law == "disc":
+        length, angle = np.sqrt(rng.uniform(size=NUM_JOINTS)), rng.uniform(0, 2 * np.pi, NUM_JOINTS)
+        return radius * length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    error = rng.normal(scale=radius / 2, size=(NUM_JOINTS, 2))
+    while (far := np.linalg.norm(error, axis=1) > 1.5 * radius).any():
+        error[far] = rng.normal(scale=radius / 2, size=(far.sum(), 2))
+    return error
+
+
+def simulate(
+    seed: int, seen: tuple[str, ...], law: str = "disc"
+) -> tuple[Estimate, dict[str, np.ndarray]]:
     """A root and a pose of the prior at a fixed scale and place, and their detections; the truth as
     draws have it."""
     rng = np.random.default_rng(seed)
@@ -48,8 +64,7 @@ def simulate(seed: int, seen: tuple[str, ...]) -> tuple[Estimate, dict[str, np.n
     pose = jax.tree.map(lambda leaf: leaf[0], model().draw(key(10_000 + seed), 1))
     camera = WeakPerspective(SCALE, rotation, PLACE)
     joints = np.asarray(model().joints(np.asarray(camera.view(torso)), *pose))
-    radius, angle = np.sqrt(rng.uniform(size=NUM_JOINTS)), rng.uniform(0, 2 * np.pi, NUM_JOINTS)
-    error = FACTOR * SCALE * radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    error = errors_of(law, rng)
     score = np.array([float(name in seen) for name in JOINTS])
     keypoints = np.where(score[:, None] > 0, np.asarray(camera.image(joints)) + error, np.nan)
     detection = Detection(keypoints, score, "synthetic", f"simulation {seed}", 0)
@@ -87,16 +102,18 @@ def stand(
     number: int,
     num_roots: int,
     seen: tuple[str, ...],
-    factor: float = FACTOR,
+    believed: Likelihood | None = None,
+    law: str = "disc",
     most: int = 10**8,
 ) -> dict[str, np.ndarray]:
     """`(number, questions)` by right weights, and by weights without scale⁻²; and how many
-    effective roots there were. `most` proposals: where the law is too narrow, some torsos have no
+    effective roots there were, for a likelihood that is `believed` where the errors follow a `law`.
+    `most` proposals: where the law is too narrow, some torsos have no
     root at all."""
     found: dict[str, list] = {"right": [], "without s^-2": [], "effective": []}
     for seed in range(number):
-        frame, truth = simulate(seed, seen)
-        frame = dataclasses.replace(frame, likelihood=Likelihood(factor=factor))
+        frame, truth = simulate(seed, seen, law)
+        frame = dataclasses.replace(frame, likelihood=believed or frame.likelihood)
         roots = weigh_roots(
             frame.uncertain(model()),
             key=key(20_000 + seed),
@@ -142,7 +159,7 @@ def test_without_the_factors_of_the_scale_nothing_is():
 @pytest.mark.slow
 def test_an_error_law_that_is_too_narrow_is_found_out():
     """Negative control: detections stray twice as far as the likelihood believes."""
-    found = stand(15, 40, ARM, factor=FACTOR / 2, most=1_000_000)
+    found = stand(15, 40, ARM, Likelihood(factor=FACTOR / 2), most=1_000_000)
     assert p_value(found["right"]) < FAMILY / 1000
     assert outside(found["right"]) > 2 * outside(torso_and_an_arm()["right"])
 
@@ -153,3 +170,17 @@ def test_the_whole_body_is_calibrated():
     assert np.median(found["effective"]) > 40
     assert p_value(found["right"]) > FAMILY
     assert p_value(found["without s^-2"]) < FAMILY / 1000
+
+
+@pytest.mark.slow
+def test_a_gaussian_is_calibrated_and_a_narrower_one_is_not():
+    """Torso, camera and an arm, whose roots come by least squares; the control believes errors to
+    be half as large as they are."""
+    law = Likelihood(Gaussian(), factor=FACTOR)
+    found = stand(40, 100, ARM, law, law="gaussian")
+    assert np.median(found["effective"]) > 20
+    assert p_value(found["right"]) > FAMILY
+    assert p_value(found["without s^-2"]) < FAMILY / 1000
+    believed = Likelihood(Gaussian(), factor=FACTOR / 2)
+    narrow = stand(15, 40, ARM, believed, law="gaussian", most=1_000_000)
+    assert p_value(narrow["right"]) < FAMILY / 1000

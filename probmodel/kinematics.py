@@ -97,7 +97,7 @@ def upper_axes(torso: ArrayLike) -> jax.Array:
             _left_handed(right_hip - left_hip, back),
         ]
     )
-    return jnp.moveaxis(axes[_IS_LEG], 0, -3)
+    return jnp.moveaxis(axes[jnp.asarray(_IS_LEG)], 0, -3)
 
 
 def lower_axes(parent: ArrayLike, reference: ArrayLike, fallback: ArrayLike) -> jax.Array:

@@ -199,7 +199,7 @@ def test_systematic_resampling_follows_the_weights():
     np.testing.assert_allclose(counts, 8 * weight / 4, atol=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", [*QUICK, *HEAVY])
 def test_every_baseline_has_the_same_face(name, tmp_path):
     """Draws in chains, all inside; cost; a tree of the contract; and a run that was broken off and

@@ -385,7 +385,7 @@ def test_a_posterior_that_ignores_the_image_fails(model: PoseModel) -> None:
     assert min(coordinates) > 1e-4, "ranks of the pose alone cannot see it"
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_literal_recipe_fails_under_equation_8(model: PoseModel) -> None:
     found = judge(
         calibrate(model, following_the_recipe(model, 60), num_simulations=300)[

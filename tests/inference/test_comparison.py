@@ -108,7 +108,7 @@ def test_tests_of_independent_draws_reject_at_their_level():
     assert all(between(count, 0.05) for count in rejected.values()), rejected
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_verdict_on_exact_draws_is_wrong_at_its_level():
     """200 whole judgements at 5 %; Holm is conservative, so only too many are a fault."""
     wrong = 0

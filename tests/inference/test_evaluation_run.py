@@ -294,7 +294,7 @@ def workers(pid: int) -> list[int]:
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.skipif(
     not Path("/proc/self/stat").exists(), reason="worker processes are found through /proc"
 )

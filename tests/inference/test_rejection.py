@@ -359,7 +359,7 @@ def test_every_sampler_has_the_same_face(model, sampler):
     assert 0 < result.tree.attrs["log_evidence_se"] < 1
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_proposals_agree():
     """Whole body, per group, pruned, by strata: the same coordinates (one family) and the same
     evidence within 3 standard errors, in every pair of measures, where the whole body can run: five

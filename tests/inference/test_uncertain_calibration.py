@@ -164,7 +164,7 @@ def test_an_error_law_that_is_too_narrow_is_found_out():
     assert outside(found["right"]) > 2 * outside(torso_and_an_arm()["right"])
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_whole_body_is_calibrated():
     found = stand(40, 1000, JOINTS)
     assert np.median(found["effective"]) > 40
@@ -173,14 +173,10 @@ def test_the_whole_body_is_calibrated():
 
 
 @pytest.mark.slow
-def test_a_gaussian_is_calibrated_and_a_narrower_one_is_not():
-    """Torso, camera and an arm, whose roots come by least squares; the control believes errors to
-    be half as large as they are."""
+def test_a_gaussian_is_calibrated():
+    """Torso, camera and an arm, whose roots come by least squares."""
     law = Likelihood(Gaussian(), factor=FACTOR)
     found = stand(40, 100, ARM, law, law="gaussian")
     assert np.median(found["effective"]) > 20
     assert p_value(found["right"]) > FAMILY
     assert p_value(found["without s^-2"]) < FAMILY / 1000
-    believed = Likelihood(Gaussian(), factor=FACTOR / 2)
-    narrow = stand(15, 40, ARM, believed, law="gaussian", most=1_000_000)
-    assert p_value(narrow["right"]) < FAMILY / 1000

@@ -486,7 +486,7 @@ def equal_cells(one: AnatomicalLimits, other: AnatomicalLimits) -> np.ndarray:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_embedded_anatomy_can_be_rebuilt(shared_data: Path) -> None:
     """To the last bit but for cells with straight knees and elbows: those lie on the very borders
     of the cubes by which a cell's directions are thinned, so rounding, which differs between

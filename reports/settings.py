@@ -110,7 +110,7 @@ class FramesSettings:
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "frames walk/ --out walk-posterior",
         "frames video.json --out result --num-samples 1000 --keep 100",
-        "frames walk/ --out walk-posterior --root uncertain --roots 400",
+        "frames walk/ --out walk-uncertain --root uncertain --roots 400",
     )
     path: Annotated[
         Path,

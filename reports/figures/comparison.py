@@ -175,10 +175,13 @@ def _modes(axes: Axes, tree: xr.DataTree, runs: Sequence[Run]) -> None:
 
 
 def _course(axes: Axes, course: xr.Dataset, epsilon: float, runs: Sequence[Run]) -> None:
-    for run in runs:
+    own = [run for run in runs if np.isfinite(course.seconds.sel(sampler=run.label)).any()]
+    if not own:
+        note(axes, "no draws to compare")
+        return
+    for run in own:
         one = course.sel(sampler=run.label)
-        if np.isfinite(one.seconds).any():
-            axes.loglog(one.seconds, one.distance, **run.dot | run.line)
+        axes.loglog(one.seconds, one.distance, **run.dot | run.line)
     axes.axhline(epsilon, color=EXACT, lw=1, ls=":")
     axes.set(xlabel="seconds", ylabel="sliced Wasserstein distance, standard deviations")
     axes.minorticks_off()

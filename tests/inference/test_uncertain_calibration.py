@@ -173,10 +173,14 @@ def test_the_whole_body_is_calibrated():
 
 
 @pytest.mark.slow
-def test_a_gaussian_is_calibrated():
-    """Torso, camera and an arm, whose roots come by least squares."""
+def test_a_gaussian_is_calibrated_and_a_narrower_one_is_not():
+    """Torso, camera and an arm, whose roots come by least squares; the control believes errors to
+    be half as large as they are."""
     law = Likelihood(Gaussian(), factor=FACTOR)
     found = stand(40, 100, ARM, law, law="gaussian")
     assert np.median(found["effective"]) > 20
     assert p_value(found["right"]) > FAMILY
     assert p_value(found["without s^-2"]) < FAMILY / 1000
+    believed = Likelihood(Gaussian(), factor=FACTOR / 2)
+    narrow = stand(45, 40, ARM, believed, law="gaussian", most=1_000_000)
+    assert p_value(narrow["right"]) < FAMILY / 1000

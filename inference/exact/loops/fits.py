@@ -19,7 +19,14 @@ import numpy as np
 
 from inference.exact.loops.bins import alias_table
 from inference.exact.loops.numbers import compiled, load, store, uniform
-from inference.exact.loops.roots import RootTable, TorsoProblem
+from inference.exact.loops.roots import (
+    RootTable,
+    TorsoProblem,
+    explains,
+    image,
+    turned,
+    write_root,
+)
 from inference.exact.loops.tables import ALIAS
 
 TILTS = 6
@@ -62,8 +69,9 @@ class FitCells(NamedTuple):
 class Balance(NamedTuple):
     """What a problem's keypoints and precisions say before any rotation: the `total` precision,
     the keypoints `(n, 2)` around their `middle` `(2,)`, the `lever`, by which an inverse scale is
-    known, the `torsos` `(J, n, 3)` around their middles, the middles `(J, 3)` themselves, and the
-    mean `bias` `(2,)` with the biases `(n, 2)` around it. Middles are weighed by the precisions."""
+    known, the `torsos` `(J, n, 3)` around their middles, the middles `(J, 1, 3)` themselves, and
+    the mean `bias` `(2,)` with the biases `(n, 2)` around it. Middles are weighed by the
+    precisions."""
 
     total: float
     middle: np.ndarray
@@ -87,7 +95,7 @@ def balance(problem: TorsoProblem) -> Balance:
         keypoints,
         float(problem.precision @ np.sum(keypoints**2, axis=1)),
         np.ascontiguousarray(problem.torsos - middles[:, None]),
-        middles,
+        np.ascontiguousarray(middles[:, None]),
         bias,
         np.ascontiguousarray(problem.bias - bias),
     )
@@ -241,7 +249,7 @@ def attempt_fits(
     were found, and how many attempts were made."""
     stream, found, still = load(state), 0, np.zeros(3)
     exponent, lever, total = problem.power - 1, known.lever, known.total
-    precision, middles = problem.precision, known.middles
+    precision = problem.precision
     for attempt in range(attempts):
         at, stream = uniform(stream)
         at *= cells.torso.size
@@ -275,31 +283,12 @@ def attempt_fits(
         radius, angle = math.sqrt(-2 * math.log1p(-radius) / total), 2 * math.pi * angle
         cos_a, sin_a, sin_b = math.cos(roll), math.sin(roll), math.sin(tilt)
         cos_b, cos_c, sin_c = math.cos(tilt), math.cos(yaw), math.sin(yaw)
-        m00, m01 = cos_a * cos_b * cos_c - sin_a * sin_c, -cos_a * cos_b * sin_c - sin_a * cos_c
-        m10, m11 = sin_a * cos_b * cos_c + cos_a * sin_c, -sin_a * cos_b * sin_c + cos_a * cos_c
-        m02, m12 = cos_a * sin_b, sin_a * sin_b
-        q0, q1, q2 = middles[torso, 0], middles[torso, 1], middles[torso, 2]
-        t0 = known.middle[0] * inverse - (m00 * q0 + m01 * q1 + m02 * q2) - known.bias[0]
-        t1 = known.middle[1] * inverse - (m10 * q0 + m11 * q1 + m12 * q2) - known.bias[1]
-        t0 += radius * math.cos(angle)
-        t1 += radius * math.sin(angle)
-        inside = True
-        for joint in range(precision.size):
-            p0, p1 = problem.torsos[torso, joint, 0], problem.torsos[torso, joint, 1]
-            p2 = problem.torsos[torso, joint, 2]
-            off0 = m00 * p0 + m01 * p1 + m02 * p2 + t0 + problem.bias[joint, 0]
-            off1 = m10 * p0 + m11 * p1 + m12 * p2 + t1 + problem.bias[joint, 1]
-            off0 -= problem.keypoints[joint, 0] * inverse
-            off1 -= problem.keypoints[joint, 1] * inverse
-            if off0 * off0 + off1 * off1 > problem.reach[joint] ** 2:
-                inside = False
-                break
-        if inside:
-            table.torso[found], table.inverse[found] = torso, inverse
-            table.angles[found, 0], table.angles[found, 1] = roll, tilt
-            table.angles[found, 2] = yaw
-            table.plane[found, 0], table.plane[found, 1] = t0, t1
-            table.attempt[found] = attempt
+        turn = turned(cos_a, sin_a, cos_b, sin_b, cos_c, sin_c)
+        x, y = image(turn, known.middles, torso, 0)
+        t0 = known.middle[0] * inverse - x - known.bias[0] + radius * math.cos(angle)
+        t1 = known.middle[1] * inverse - y - known.bias[1] + radius * math.sin(angle)
+        if explains(problem, torso, turn, inverse, t0, t1, 0):
+            write_root(table, found, torso, roll, tilt, yaw, inverse, t0, t1, attempt)
             found += 1
             if found == table.torso.size:
                 store(state, stream)

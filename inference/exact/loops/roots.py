@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from inference.exact.loops.bins import alias_table
-from inference.exact.loops.numbers import compiled, load, store, uniform
+from inference.exact.loops.numbers import compiled, inlined, load, store, uniform
 from inference.exact.loops.tables import ALIAS
 
 TILTS = 12
@@ -24,6 +24,8 @@ TILTS = 12
 WIDTH = math.pi / TILTS
 SLACK = 1e-9
 """Body units, for rounding."""
+Turn = tuple[float, float, float, float, float, float]
+"""The first two rows of a rotation."""
 
 
 class TorsoProblem(NamedTuple):
@@ -166,6 +168,73 @@ def _inverse_scales(
     return least, most
 
 
+@inlined
+def turned(
+    cos_a: float, sin_a: float, cos_b: float, sin_b: float, cos_c: float, sin_c: float
+) -> Turn:
+    """The first two rows of Rz(a) Ry(b) Rz(c)."""
+    return (
+        cos_a * cos_b * cos_c - sin_a * sin_c,
+        -cos_a * cos_b * sin_c - sin_a * cos_c,
+        cos_a * sin_b,
+        sin_a * cos_b * cos_c + cos_a * sin_c,
+        -sin_a * cos_b * sin_c + cos_a * cos_c,
+        sin_a * sin_b,
+    )
+
+
+@inlined
+def image(turn: Turn, points: np.ndarray, torso: int, joint: int) -> tuple[float, float]:
+    """Where a point of `points` `(J, n, 3)` falls, before any translation."""
+    p0, p1, p2 = points[torso, joint, 0], points[torso, joint, 1], points[torso, joint, 2]
+    return turn[0] * p0 + turn[1] * p1 + turn[2] * p2, turn[3] * p0 + turn[4] * p1 + turn[5] * p2
+
+
+@inlined
+def explains(
+    problem: TorsoProblem,
+    torso: int,
+    turn: Turn,
+    inverse: float,
+    t0: float,
+    t1: float,
+    first: int,
+) -> bool:
+    """Whether the joints from the `first` on lie within reach."""
+    torsos, keypoints, bias, reach = (
+        problem.torsos,
+        problem.keypoints,
+        problem.bias,
+        problem.reach,
+    )
+    for joint in range(first, reach.size):
+        x, y = image(turn, torsos, torso, joint)
+        off0 = x + t0 + bias[joint, 0] - keypoints[joint, 0] * inverse
+        off1 = y + t1 + bias[joint, 1] - keypoints[joint, 1] * inverse
+        if off0 * off0 + off1 * off1 > reach[joint] * reach[joint]:
+            return False
+    return True
+
+
+@inlined
+def write_root(
+    table: RootTable,
+    row: int,
+    torso: int,
+    roll: float,
+    tilt: float,
+    yaw: float,
+    inverse: float,
+    t0: float,
+    t1: float,
+    attempt: int,
+) -> None:
+    """Writes a root into a row of the table."""
+    table.torso[row], table.inverse[row], table.attempt[row] = torso, inverse, attempt
+    table.angles[row, 0], table.angles[row, 1], table.angles[row, 2] = roll, tilt, yaw
+    table.plane[row, 0], table.plane[row, 1] = t0, t1
+
+
 @compiled
 def attempt_roots(
     state: np.ndarray, attempts: int, problem: TorsoProblem, cells: RootCells, table: RootTable
@@ -174,7 +243,7 @@ def attempt_roots(
     were found, and how many attempts were made."""
     torsos, keypoints, reach = problem.torsos, problem.keypoints, problem.reach
     bias = problem.bias
-    stream, found, joints, power = load(state), 0, reach.size, problem.power
+    stream, found, power = load(state), 0, problem.power
     for attempt in range(attempts):
         at, stream = uniform(stream)
         at *= cells.code.size
@@ -198,36 +267,20 @@ def attempt_roots(
             math.cos(gamma),
             math.sin(gamma),
         )
-        m00, m01 = cos_a * cos_b * cos_c - sin_a * sin_c, -cos_a * cos_b * sin_c - sin_a * cos_c
-        m10, m11 = sin_a * cos_b * cos_c + cos_a * sin_c, -sin_a * cos_b * sin_c + cos_a * cos_c
-        m02, m12 = cos_a * sin_b, sin_a * sin_b
+        turn = turned(cos_a, sin_a, cos_b, sin_b, cos_c, sin_c)
         part, stream = uniform(stream)
         low = cells.low[entry] ** power
         inverse = (low + (cells.high[entry] ** power - low) * (1 - part)) ** (1 / power)
         radius, stream = uniform(stream)
         angle, stream = uniform(stream)
         radius, angle = reach[0] * math.sqrt(radius), 2 * np.pi * angle
-        p0, p1, p2 = torsos[torso, 0, 0], torsos[torso, 0, 1], torsos[torso, 0, 2]
-        t0 = keypoints[0, 0] * inverse - bias[0, 0] + radius * math.cos(angle)
-        t1 = keypoints[0, 1] * inverse - bias[0, 1] + radius * math.sin(angle)
-        t0 -= m00 * p0 + m01 * p1 + m02 * p2
-        t1 -= m10 * p0 + m11 * p1 + m12 * p2
-        inside = inverse > 0
-        for joint in range(1, joints):
-            p0, p1, p2 = torsos[torso, joint, 0], torsos[torso, joint, 1], torsos[torso, joint, 2]
-            off0 = m00 * p0 + m01 * p1 + m02 * p2 + t0 + bias[joint, 0]
-            off1 = m10 * p0 + m11 * p1 + m12 * p2 + t1 + bias[joint, 1]
-            off0 -= keypoints[joint, 0] * inverse
-            off1 -= keypoints[joint, 1] * inverse
-            if off0 * off0 + off1 * off1 > reach[joint] * reach[joint]:
-                inside = False
-                break
-        if inside:
-            table.torso[found], table.inverse[found] = torso, inverse
-            table.angles[found, 0], table.angles[found, 2] = alpha, gamma
-            table.angles[found, 1] = math.acos(cos_b)
-            table.plane[found, 0], table.plane[found, 1] = t0, t1
-            table.attempt[found] = attempt
+        x, y = image(turn, torsos, torso, 0)
+        t0 = keypoints[0, 0] * inverse - bias[0, 0] + radius * math.cos(angle) - x
+        t1 = keypoints[0, 1] * inverse - bias[0, 1] + radius * math.sin(angle) - y
+        if inverse > 0 and explains(problem, torso, turn, inverse, t0, t1, 1):
+            write_root(
+                table, found, torso, alpha, math.acos(cos_b), gamma, inverse, t0, t1, attempt
+            )
             found += 1
             if found == table.torso.size:
                 store(state, stream)

@@ -6,7 +6,7 @@ PYTHON := $(shell for p in python3.12 python3.13 python3.14 python3; do \
 NEED_PYTHON = test -n "$(PYTHON)" || { echo "poseterior needs Python 3.12 or newer on the PATH (as python3.12 or python3); install one and run make again." >&2; exit 2; }
 # One thread of BLAS and OpenMP a process: the tests already run one process a core, and threads that
 # wait for a core that another process has make them six times slower.
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 .PHONY: demo test test-all sweeps lint bench docs notebooks dist fuzz mutants kills lock clean
 
@@ -28,6 +28,7 @@ lint: $(VENV)/.done
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python -m tests.notebooks check
 
 bench: $(VENV)/.done
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only

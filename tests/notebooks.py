@@ -2,6 +2,7 @@
 
     python -m tests.notebooks            those whose outputs are stale
     python -m tests.notebooks all        all of them
+    python -m tests.notebooks check      none: says which are stale, and ends with 1 if any is
 
 Outputs are stored small: pictures at `DPI`, and nothing that a run cannot repeat (times, paths,
 counts of executions). Beside them stands a `fingerprint` of what they were made of: the code of the
@@ -17,6 +18,7 @@ import re
 import sys
 import tempfile
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 
 import nbformat
@@ -89,10 +91,21 @@ def tidy(notebook: nbformat.NotebookNode) -> None:
         cell.metadata.pop("execution", None)
         if cell.cell_type == "code":
             cell.execution_count = None
-            cell.outputs = [one for one in cell.outputs if one.get("name") != "stderr"]
+            cell.outputs = _joined(one for one in cell.outputs if one.get("name") != "stderr")
             for output in cell.outputs:
                 _tidy_output(output)
     notebook.metadata.language_info = {"name": "python"}
+
+
+def _joined(outputs: Iterable[nbformat.NotebookNode]) -> list[nbformat.NotebookNode]:
+    """Outputs, neighbouring texts of one stream as one: where a text is cut is up to the clock."""
+    found: list[nbformat.NotebookNode] = []
+    for output in outputs:
+        if output.output_type == "stream" and found and found[-1].get("name") == output.name:
+            found[-1].text += output.text
+        else:
+            found.append(output)
+    return found
 
 
 def _tidy_output(output: nbformat.NotebookNode) -> None:
@@ -139,10 +152,13 @@ def main(wanted: list[str]) -> None:
         filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])
     )
     of_product = product()
-    for path in names():
-        if "all" in wanted or is_stale(path, of_product):
-            print(f"executing {path.name}", flush=True)
-            store(path, of_product)
+    stale = [path for path in names() if is_stale(path, of_product)]
+    if "check" in wanted:
+        named = ", ".join(path.name for path in stale)
+        sys.exit(f"stale: {named}; run `make notebooks`" if stale else 0)
+    for path in names() if "all" in wanted else stale:
+        print(f"executing {path.name}", flush=True)
+        store(path, of_product)
 
 
 if __name__ == "__main__":

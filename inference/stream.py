@@ -7,6 +7,8 @@ blocks are made on. Memory holds a few blocks, however many frames there are.
 
     sample_frames(model, frames, key=jax.random.key(0), out="walk", num_samples=10_000, k=5)
     tree = open_stream("walk")          # summaries and hypotheses of all frames
+
+Draws are written only where they are asked for (`keep`): ten thousand of a frame are 2 MB.
 """
 
 import hashlib
@@ -35,6 +37,8 @@ from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS, NUM_JOINTS, NUM_LENGTHS
 
+DRAW_BYTES = 4 * (3 * NUM_JOINTS + NUM_LENGTHS)
+"""Of a draw that is kept, in single precision."""
 BLOCK_BYTES = 64_000_000
 """About how much a block holds; more frames a block where fewer draws are kept."""
 MOST_FRAMES = 64
@@ -92,7 +96,7 @@ def sample_frames(
     num_roots: int = NUM_ROOTS,
     num_samples: int = 10_000,
     k: int = 5,
-    keep: int | None = None,
+    keep: int = 0,
     max_proposals: int = MAX_PROPOSALS,
     machines: Machines = HERE,
     progress: Progress | None = None,
@@ -118,7 +122,7 @@ def sample_frames(
     k
         How many hypotheses of each frame.
     keep
-        How many draws of each frame are written (default: all).
+        How many draws of each frame are written, of `DRAW_BYTES` each, for `draws_of`.
     max_proposals
         Most proposals for a frame.
     machines
@@ -137,14 +141,14 @@ def sample_frames(
         Where `out` holds another run, or another process is writing to it, where the numbers do not
         go together, and as `drawer` does.
     """
-    keep = num_samples if keep is None else min(keep, num_samples)
+    keep = min(keep, num_samples)
     if num_samples < 1 or not 1 <= k <= num_samples or keep < 0:
         raise BadInput(
             f"{num_samples} samples, {k} hypotheses and {keep} kept do not go together; choose at"
             " least one sample, at most as many hypotheses, and no negative number to keep"
         )
     folder = Path(out)
-    size = BLOCK_BYTES // (4 * (3 * NUM_JOINTS + NUM_LENGTHS) * max(keep, 1))
+    size = BLOCK_BYTES // (DRAW_BYTES * max(keep, 1))
     size = max(1, min(MOST_FRAMES, size))
     words = np.asarray(jax.random.key_data(key))
     draw = drawer(
@@ -234,9 +238,14 @@ def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
     Raises
     ------
     BadInput
-        As `open_stream`, and where there is no such frame.
+        As `open_stream`, and where there is no such frame, or no draw was kept of any.
     """
     store = Store.open(Path(folder), _STREAM)
+    if not store.settings.get("keep"):
+        raise BadInput(
+            f"no draws were kept in {folder}; draw again into another folder with `keep`"
+            " (--keep), the number of draws that are written of each frame"
+        )
     for number in store.numbers():
         summary = store.read(number, "summary")
         index = np.flatnonzero(summary.frame.values == name)

@@ -126,8 +126,8 @@ class FramesSettings:
     open: Open = False
     k: Hypotheses = 5
     keep: Annotated[
-        int | None, Option(help="How many draws of each person are written.", show_default="all")
-    ] = None
+        int, Option(help="How many draws of each person are written, 200 bytes each.")
+    ] = 0
     workforce: Workforce = Workforce()
     sampling: Sampling = Sampling()
     detected: Detected = Detected()

@@ -184,7 +184,7 @@ def _saved() -> bytes:
     return npz(**about, _history=np.ones((2, 3)), leaf0=np.arange(9.0), kept=np.ones((2, 4)))
 
 
-_RUN = b'{"settings": {"study": "stream of frames", "seed": "0 0", "k": 2}, "blocks": 1}'
+_RUN = b'{"settings": {"study": "stream of frames", "seed": "0 0", "k": 2, "keep": 3}, "blocks": 1}'
 
 
 def _stream(path: Path) -> object:

@@ -1,8 +1,10 @@
 """`poseterior frames`: draws and hypotheses of everyone in many frames, a stream that is resumed
 where it was stopped, and its film as a page."""
 
+from rich.filesize import decimal
+
 from inference.roots import estimate_torso
-from inference.stream import Estimated, open_stream, sample_frames
+from inference.stream import DRAW_BYTES, Estimated, open_stream, sample_frames
 from reports import console, figures, tables
 from reports.interactive.film import film_page
 from reports.interactive.page import write_page
@@ -20,6 +22,10 @@ def run(settings: FramesSettings, screen: Screen) -> None:
     with console.progress("limits and torsos", screen.quiet):
         model = settings.prior.model()
     known = estimation.settings(model)
+    kept = min(settings.keep, sampling.num_samples)
+    if kept > 0 and not screen.json:
+        size = decimal(settings.people * kept * DRAW_BYTES)
+        console.say(f"{kept:,} draws are kept of each person: at most {size} in {out}")
     items = Estimated(
         settings.detected.frames(settings.path),
         lambda detection: estimate_torso(detection, estimation.estimator, **known),
@@ -56,6 +62,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
             console.OUT.print(sheet)
         pictures = "depth.png, hypotheses.html"
         said = f": {pictures}" if filmed else f", without {pictures}: no frame has a pose"
-        console.say(f"Written to {out}{said}; poseterior.open_stream opens the draws")
+        opens = "open_stream opens it" + (", draws_of its draws" if kept else "")
+        console.say(f"Written to {out}{said}; poseterior.{opens}")
     if settings.open and filmed:
         console.open_page(page)

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import inference
-from inference.roots import ESTIMATORS, external
+from inference.roots import ESTIMATORS, dictionary, external
 from inference.roots.points import Points
 from inference.roots.zhou import fit_zhou
 from inference.studies.errors import mean_joint_error
@@ -349,6 +349,34 @@ def test_the_fit_is_the_least_squares_fit():
     off = np.asarray(fitted.camera.project(fitted.torso)) - target
     by_camera = np.average(np.sum(off**2, axis=1), weights=scores)
     assert by_camera == pytest.approx(best, rel=1e-4)
+
+
+def test_a_spinor_is_a_scaled_rotation():
+    """Images, their derivatives, the mirror twin and the angle between two, by SciPy's rotations
+    and by differences."""
+    rng = np.random.default_rng(7)
+    spinor = rng.normal(size=(20, 2)) + 1j * rng.normal(size=(20, 2))
+    points = rng.normal(size=(20, 5, 3))
+    plane, height = points[..., 0] + 1j * points[..., 1], points[..., 2]
+
+    def turn(spinor: np.ndarray) -> Rotation:
+        alpha, beta = spinor.T
+        return Rotation.from_quat(np.stack([alpha.real, alpha.imag, beta.imag, beta.real], axis=1))
+
+    scale = np.linalg.norm(spinor, axis=1) ** 2
+    seen = scale[:, None, None] * points @ turn(spinor).as_matrix().swapaxes(1, 2)
+    image = dictionary._images(plane, height, spinor)
+    np.testing.assert_allclose(image, seen[..., 0] + 1j * seen[..., 1], atol=1e-12)
+    for number, slope in enumerate(dictionary._slopes(plane, height, spinor).swapaxes(0, 1)):
+        step = 1e-6 * np.eye(2)[number]
+        ahead = dictionary._images(plane, height, spinor + step)
+        behind = dictionary._images(plane, height, spinor - step)
+        np.testing.assert_allclose(slope, (ahead - behind) / 2e-6, atol=1e-7)
+    mirror = np.diag([1.0, 1.0, -1.0])
+    twin = turn(spinor * dictionary.TWIN).as_matrix()
+    np.testing.assert_allclose(twin, mirror @ turn(spinor).as_matrix() @ mirror, atol=1e-12)
+    apart = (turn(spinor).inv() * turn(spinor[:1])).magnitude()
+    np.testing.assert_allclose(dictionary._angle(spinor, spinor[0]), apart, atol=1e-7)
 
 
 def test_points_are_centred_and_sized_by_their_scores():

@@ -15,7 +15,7 @@ from inference import Item, draws_of, open_stream, sample_frames, store, stream
 from probmodel import BadInput, Likelihood, PoseModel
 from tests.scenes import key, prior_scene
 
-SETTINGS = {"num_samples": 40, "k": 3}
+SETTINGS = {"num_samples": 40, "k": 3, "keep": 40}
 
 
 @pytest.fixture(scope="module")
@@ -191,9 +191,24 @@ def test_roots_that_cannot_be_are_refused(model, tmp_path, arguments, match):
 
 
 def test_only_so_many_draws_are_kept(model, items, tmp_path):
-    sample_frames(model, items[:1], key=key(0), out=tmp_path, keep=7, **SETTINGS)
-    assert draws_of(tmp_path, items[0].name).sizes["draw"] == 7
-    assert int(open_stream(tmp_path)["summary"].num_draws[0]) == 40
+    folders = {keep: tmp_path / str(keep) for keep in (0, 7, 40)}
+    for keep, folder in folders.items():
+        some = SETTINGS | {"keep": keep}
+        sample_frames(model, items[:1], key=key(0), out=folder, **some)
+        summary = open_stream(folder)["summary"]
+        assert int(summary.num_draws[0]) == 40
+        xr.testing.assert_identical(summary, open_stream(folders[0])["summary"])
+    assert draws_of(folders[7], items[0].name).sizes["draw"] == 7
+    with pytest.raises(BadInput, match="no draws were kept in"):
+        draws_of(folders[0], items[0].name)
+
+
+def test_what_is_kept_is_as_large_as_is_said(model, items, tmp_path):
+    """The values of one frame's draws, in bytes."""
+    sample_frames(model, items[:1], key=key(0), out=tmp_path, **SETTINGS)
+    draws = draws_of(tmp_path, items[0].name)
+    values = draws.joints.nbytes + draws.bone_length.nbytes
+    assert values == SETTINGS["keep"] * stream.DRAW_BYTES
 
 
 def test_other_runs_and_other_frames_are_refused_and_nothing_is_overwritten(model, items, tmp_path):
@@ -202,7 +217,9 @@ def test_other_runs_and_other_frames_are_refused_and_nothing_is_overwritten(mode
     with pytest.raises(BadInput, match=r"holds another run .its seed is"):
         sample_frames(model, items[:2], key=key(1), out=tmp_path, **SETTINGS)
     with pytest.raises(BadInput, match="its num_samples is 40, not 41"):
-        sample_frames(model, items[:2], key=key(0), out=tmp_path, num_samples=41, k=3)
+        sample_frames(
+            model, items[:2], key=key(0), out=tmp_path, **(SETTINGS | {"num_samples": 41})
+        )
     moved = dataclasses.replace(items[0].frame, likelihood=Likelihood(factor=0.7))
     with pytest.raises(BadInput, match=r"made of other frames"):
         sample_frames(

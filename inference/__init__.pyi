@@ -8,6 +8,7 @@ from .hypothesis import hypotheses as hypotheses
 from .machines import Machines as Machines
 from .results import Result as Result
 from .roots import ESTIMATORS as ESTIMATORS
+from .roots import Estimating as Estimating
 from .roots import estimate_torso as estimate_torso
 from .roots import estimate_torsos as estimate_torsos
 from .sampler import SAMPLERS as SAMPLERS

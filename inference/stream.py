@@ -29,6 +29,7 @@ from inference.exact.mixture import MAX_PROPOSALS
 from inference.hypothesis import diverse
 from inference.machines import HERE, Machines, in_threads
 from inference.results import FIXED, key_words, provenance
+from inference.roots import Estimating
 from inference.store import Block, Groups, Store, fill, locked
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
@@ -58,11 +59,12 @@ class Item(NamedTuple):
     name
         Unlike any other's.
     frame
-        The estimate or, where there is none, the sentence that says why.
+        The estimate; or the detection, which is estimated where its block is made, and not again;
+        or, where there is no pose to be told, the sentence that says why.
     """
 
     name: str
-    frame: Estimate | str
+    frame: Estimate | Detection | str
 
 
 class FrameDraws(NamedTuple):
@@ -91,6 +93,7 @@ def sample_frames(
     *,
     key: jax.Array,
     out: str | os.PathLike,
+    estimating: Estimating | None = None,
     sampler: str = SAMPLER,
     root: str = FIXED,
     num_roots: int = NUM_ROOTS,
@@ -117,6 +120,8 @@ def sample_frames(
         Of all draws: the same key, the same bits, whoever draws.
     out
         The folder.
+    estimating
+        How detections are estimated; not needed where all frames are estimates.
     sampler, root, num_roots, num_samples
         As `inference.drawers.drawer` takes them: what is drawn of every frame.
     k
@@ -139,7 +144,7 @@ def sample_frames(
     ------
     BadInput
         Where `out` holds another run, or another process is writing to it, where the numbers do not
-        go together, and as `drawer` does.
+        go together, where a detection comes without `estimating`, and as that and `drawer` do.
     """
     keep = min(keep, num_samples)
     if num_samples < 1 or not 1 <= k <= num_samples or keep < 0:
@@ -147,6 +152,8 @@ def sample_frames(
             f"{num_samples} samples, {k} hypotheses and {keep} kept do not go together; choose at"
             " least one sample, at most as many hypotheses, and no negative number to keep"
         )
+    if estimating:
+        estimating([])  # refuses what would fail for everybody
     folder = Path(out)
     size = BLOCK_BYTES // (DRAW_BYTES * max(keep, 1))
     size = max(1, min(MOST_FRAMES, size))
@@ -159,12 +166,13 @@ def sample_frames(
         num_roots=num_roots,
         max_proposals=max_proposals,
     )
-    task = _Drawing(draw, words, k, keep)
+    task = _Drawing(draw, estimating, words, k, keep)
     settings = {
         "study": "stream of frames",
         "seed": key_words(key),
         "block": size,
         **draw.settings,
+        **(estimating.settings if estimating else {}),
         "k": k,
         "keep": keep,
         **provenance(model),
@@ -178,7 +186,7 @@ def sample_frames(
 
     with locked(folder):
         store = Store.begin(folder, settings)
-        fill(store, machines, task, _blocks(frames, size), take)
+        fill(store, machines, task, _blocks(_possible(frames, estimating), size), take)
         store.finish(len(taken))
     return folder
 
@@ -244,7 +252,7 @@ def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
     if not store.settings.get("keep"):
         raise BadInput(
             f"no draws were kept in {folder}; draw again into another folder with `keep`"
-            " (--keep), the number of draws that are written of each frame"
+            " (on the command line --keep), how many draws of each frame are written"
         )
     for number in store.numbers():
         summary = store.read(number, "summary")
@@ -259,19 +267,20 @@ def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
 
 
 @dataclass
-class Estimated:
+class People:
     """Everyone in frames of detections as items of a stream, named `frame/person`.
 
-    A person of whom too little is seen is left out where somebody else in the frame can be
-    estimated: detectors find fragments of people at the edges and behind others. Where nobody can,
-    the one of whom most is seen becomes the sentence that says why, and the others are left out.
+    A person of whom too little is seen is left out where enough is seen of somebody else in the
+    frame: detectors find fragments of people at the edges and behind others. Where there is nobody
+    else, the one of whom most is seen becomes the sentence that says why, and the others are left
+    out.
 
     Parameters
     ----------
     frames
         Read as they are needed.
-    estimate
-        Torso and camera of a person; raises `BadInput` where they cannot be told.
+    require
+        Raises `BadInput` where too little is seen of a person.
 
     Attributes
     ----------
@@ -279,7 +288,7 @@ class Estimated:
     """
 
     frames: Iterable[DetectedFrame]
-    estimate: Callable[[Detection], Estimate]
+    require: Callable[[Detection], None]
     fragments: list[str] = field(default_factory=list)
 
     def __iter__(self) -> Iterator[Item]:
@@ -296,9 +305,10 @@ class Estimated:
     def _item(self, frame: DetectedFrame, detection: Detection) -> Item:
         name = f"{frame.name}/{detection.person}"
         try:
-            return Item(name, self.estimate(detection))
+            self.require(detection)
         except BadInput as error:
             return Item(name, str(error))
+        return Item(name, detection)
 
 
 def frame_and_person(name: str) -> tuple[str, str]:
@@ -313,17 +323,30 @@ class _Drawing:
     the first; `words` are those of the run's key."""
 
     draw: Drawer
+    estimating: Estimating | None
     words: np.ndarray
     k: int
     keep: int
 
     def __call__(self, block: tuple[int, list[Item]]) -> Groups:
         first, items = block
-        rows = in_threads(self._drawn, range(first, first + len(items)), items)
+        names, frames = [item.name for item in items], self._estimates(items)
+        rows = in_threads(self._drawn, range(first, first + len(items)), names, frames)
         return _groups(rows, self.k)
 
-    def _drawn(self, index: int, item: Item) -> FrameDraws:
-        name, frame = item
+    def _estimates(self, items: list[Item]) -> list[Estimate | str]:
+        """Detections are estimated together, or one by one where that fails for one of them."""
+        estimating = self.estimating
+        people = [item.frame for item in items if isinstance(item.frame, Detection)]
+        found: Iterator[Estimate | str] = iter(())
+        if estimating is not None and people:
+            try:
+                found = iter(estimating(people))
+            except BadInput:
+                found = (_alone(estimating, person) for person in people)
+        return [next(found) if isinstance(item.frame, Detection) else item.frame for item in items]
+
+    def _drawn(self, index: int, name: str, frame: Estimate | str) -> FrameDraws:
         if isinstance(frame, str):
             return self._nothing(name, BAD_INPUT, frame)
         key = jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(self.words)), index)
@@ -372,6 +395,13 @@ class _Drawing:
         )
 
 
+def _alone(estimating: Estimating, person: Detection) -> Estimate | str:
+    try:
+        return estimating([person])[0]
+    except BadInput as error:
+        return str(error)
+
+
 def _groups(rows: list[FrameDraws], k: int) -> Groups:
     fields = {name: [getattr(row, name) for row in rows] for name in FrameDraws._fields}
     names = {"frame": fields["name"], "joint": list(JOINTS), "axis": list("xyz")}
@@ -402,6 +432,17 @@ def _groups(rows: list[FrameDraws], k: int) -> Groups:
     }
 
 
+def _possible(frames: Iterable[Item], estimating: Estimating | None) -> Iterator[Item]:
+    """Frames, as they are read. Raises `BadInput` on a detection that nobody can estimate."""
+    for item in frames:
+        if estimating is None and isinstance(item.frame, Detection):
+            raise BadInput(
+                f"{item.name} is a detection; say how it is estimated (`estimating`), or give its"
+                " estimate"
+            )
+        yield item
+
+
 def _blocks(frames: Iterable[Item], size: int) -> Iterator[Block]:
     for number, some in enumerate(itertools.batched(frames, size)):
         items, first = list(some), number * size
@@ -417,11 +458,14 @@ def _fingerprint(items: list[Item]) -> str:
         if isinstance(frame, str):
             digest.update(frame.encode("utf-8", "backslashreplace"))
             continue
-        digest.update(repr(frame.likelihood).encode())
-        arrays: list[Any] = [frame.detection.keypoints, frame.detection.score]
-        for candidate in frame.candidates:
-            camera = candidate.camera
-            arrays += [candidate.torso, camera.scale, camera.rotation, camera.translation]
+        detection = frame if isinstance(frame, Detection) else frame.detection
+        digest.update(repr(detection.moved).encode())
+        arrays: list[Any] = [detection.keypoints, detection.score]
+        if isinstance(frame, Estimate):
+            digest.update(frame.likelihood.sha256.encode())
+            for candidate in frame.candidates:
+                camera = candidate.camera
+                arrays += [candidate.torso, camera.scale, camera.rotation, camera.translation]
         for array in arrays:
             digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
     return digest.hexdigest()

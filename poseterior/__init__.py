@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors
     from inference import (
         ESTIMATORS,
         SAMPLERS,
+        Estimating,
         Evidence,
         Hypothesis,
         Item,
@@ -102,6 +103,7 @@ __all__ = [
     "Disc",
     "ErrorLaw",
     "Estimate",
+    "Estimating",
     "Evidence",
     "HingedDirection",
     "Hypothesis",

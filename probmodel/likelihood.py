@@ -11,6 +11,8 @@ with probability exp(`log_ratio`), so nothing else has to know it.
 import abc
 import dataclasses
 import functools
+import hashlib
+import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -297,6 +299,18 @@ class Likelihood:
         width = f"factor {self.factor:g}" if self.learned is None else "learned"
         found = f"{type(self.law).__name__.lower()}, {width}"
         return f"{found}, with faults" if self.faults.any else found
+
+    @functools.cached_property
+    def sha256(self) -> str:
+        """Hash of all that it says, to the last digit; `words` leave most of it out."""
+        said = {
+            "law": type(self.law).__name__,
+            "factor": float(self.factor),
+            "joints": [int(joint) for joint in self.joints],
+            "faults": [self.faults.outlier, self.faults.exchange, self.faults.reach],
+            "learned": None if self.learned is None else self.learned.document(),
+        }
+        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
     def spread(
         self, detection: Detection, scale: float, joints: Sequence[int] | None = None

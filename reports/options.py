@@ -20,6 +20,7 @@ from reports import console
 if TYPE_CHECKING:
     import numpy as np
 
+    from inference import Estimating
     from inference.machines import Machines
     from probmodel import Anatomy, DetectedFrame, Detection, Estimate, Likelihood, PoseModel
 
@@ -341,27 +342,26 @@ class Estimation:
             return Likelihood.of(DetectorErrors.default(), joints)
         return Likelihood.of(DetectorErrors.read(self.errors), joints)
 
-    def settings(self, model: "PoseModel") -> dict[str, Any]:
-        """How `inference.estimate_torso` is to be called. Raises `BadInput` on a bad factor or a
-        bad file of poses."""
+    def estimating(self, model: "PoseModel") -> "Estimating":
+        """How people are estimated. Raises `BadInput` on a bad factor or a bad file of poses."""
         import numpy as np
 
+        from inference import Estimating
         from probmodel.learning.dictionaries import PoseDictionary
 
-        return {
-            "torsos": np.asarray(model.torsos),
-            "limits": model.limits,
-            "poses": None if self.poses == "default" else PoseDictionary.load(self.poses),
-            "num_candidates": self.candidates,
-            "likelihood": self.likelihood(),
-        }
+        return Estimating(
+            self.estimator,
+            np.asarray(model.torsos),
+            model.limits,
+            None if self.poses == "default" else PoseDictionary.load(self.poses),
+            self.candidates,
+            self.likelihood(),
+        )
 
     def estimate(self, detection: "Detection", model: "PoseModel") -> "Estimate":
         """Torso and camera candidates of a person; warns where the estimator did not converge.
         Raises `BadInput` where the torso is not seen well enough."""
-        from inference import estimate_torso
-
-        frame = estimate_torso(detection, self.estimator, **self.settings(model))
+        (frame,) = self.estimating(model)([detection])
         if not frame.converged:
             console.warn(
                 f"the estimator {self.estimator} did not converge for {detection.where}; its best"

@@ -4,15 +4,18 @@
 The usual way in: `estimate_torso(detection)`, or `estimate_torsos(detections)` for many at once.
 """
 
+import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from inference.roots.akhter_black import fit_akhter_black
 from inference.roots.dictionary import fit_dictionary
 from inference.roots.external import SUFFIXES, fit_poses, read_poses
+from inference.roots.points import require_camera, require_pose
 from inference.roots.zhou import fit_zhou
 from probmodel.anatomy.limits import AnatomicalLimits
 from probmodel.anatomy.population import Anatomy
@@ -122,6 +125,83 @@ def estimate_torso(
         On an unknown method, and where too little was detected for a camera or a pose.
     """
     return estimate_torsos([detection], method, **settings)[0]  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Estimating:
+    """An estimator with all its settings, as one value: how people are estimated, one after the
+    other, wherever that is done.
+
+    Attributes
+    ----------
+    method, torsos, limits, poses, num_candidates, likelihood
+        As `estimate_torsos` takes them.
+    """
+
+    method: str = "dictionary"
+    torsos: np.ndarray | None = None
+    limits: AnatomicalLimits | None = None
+    poses: PoseDictionary | None = None
+    num_candidates: int = 2
+    likelihood: Likelihood = PAPER
+
+    def __call__(self, detections: Sequence[Detection]) -> list[Estimate]:
+        """What `estimate_torsos` finds.
+
+        Parameters
+        ----------
+        detections
+            The people.
+
+        Returns
+        -------
+        list of Estimate
+            One a person.
+
+        Raises
+        ------
+        BadInput
+            As `estimate_torsos` does.
+        """
+        return estimate_torsos(
+            detections,
+            self.method,
+            torsos=self.torsos,
+            limits=self.limits,
+            poses=self.poses,
+            num_candidates=self.num_candidates,
+            likelihood=self.likelihood,
+        )
+
+    def require(self, detection: Detection) -> None:
+        """Refuses people whom no estimate is tried for.
+
+        Parameters
+        ----------
+        detection
+            A person.
+
+        Raises
+        ------
+        BadInput
+            Where too little is seen of the person.
+        """
+        (require_camera if self.method == "dictionary" else require_pose)(detection)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What estimates depend on beside the detection: plain JSON values."""
+        learned = _learned(self.torsos, self.limits, self.poses)
+        digest = hashlib.sha256(np.ascontiguousarray(learned.torsos, "<f8").tobytes())
+        digest.update((learned.poses.sha256 + learned.limits.sha256).encode())
+        if self.method not in ESTIMATORS:
+            digest.update(Path(self.method).read_bytes())
+        return {
+            "estimator": self.method,
+            "candidates": self.num_candidates,
+            "bodies": digest.hexdigest(),
+            "likelihood": f"{self.likelihood.words} {self.likelihood.sha256}",
+        }
 
 
 def _estimator(method: str) -> Estimator:

@@ -7,6 +7,8 @@ non-negative sum (Zhou et al. 2015). The usual way in: `PoseDictionary.default()
 `PoseDictionary.load(path)`, `learn_dictionary(motions)`."""
 
 import dataclasses
+import functools
+import hashlib
 import os
 import warnings
 from collections.abc import Sequence
@@ -56,6 +58,14 @@ class PoseDictionary:
     atoms: np.ndarray
     lengths: np.ndarray
     torso: np.ndarray
+
+    @functools.cached_property
+    def sha256(self) -> str:
+        """Hash of the tables themselves, however they were stored."""
+        digest = hashlib.sha256()
+        for table in (self.mean, self.bases, self.atoms, self.lengths, self.torso):
+            digest.update(np.ascontiguousarray(table, "<f8").tobytes())
+        return digest.hexdigest()
 
     @classmethod
     def default(cls) -> "PoseDictionary":

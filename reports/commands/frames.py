@@ -3,8 +3,7 @@ where it was stopped, and its film as a page."""
 
 from rich.filesize import decimal
 
-from inference.roots import estimate_torso
-from inference.stream import DRAW_BYTES, Estimated, open_stream, sample_frames
+from inference.stream import DRAW_BYTES, People, open_stream, sample_frames
 from reports import console, figures, tables
 from reports.interactive.film import film_page
 from reports.interactive.page import write_page
@@ -21,21 +20,19 @@ def run(settings: FramesSettings, screen: Screen) -> None:
     console.output_folder(out)
     with console.progress("limits and torsos", screen.quiet):
         model = settings.prior.model()
-    known = estimation.settings(model)
+    estimating = estimation.estimating(model)
     kept = min(settings.keep, sampling.num_samples)
     if kept > 0 and not screen.json:
         size = decimal(settings.people * kept * DRAW_BYTES)
         console.say(f"{kept:,} draws are kept of each person: at most {size} in {out}")
-    items = Estimated(
-        settings.detected.frames(settings.path),
-        lambda detection: estimate_torso(detection, estimation.estimator, **known),
-    )
+    items = People(settings.detected.frames(settings.path), estimating.require)
     with console.progress("people", screen.quiet) as step:
         sample_frames(
             model,
             items,
             key=jax.random.key(sampling.seed),
             out=out,
+            estimating=estimating,
             root=settings.rooting.root,
             num_roots=settings.rooting.roots,
             num_samples=sampling.num_samples,

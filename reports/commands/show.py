@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from inference import estimate_torsos
 from inference.readings import Judge, Verdict, together
 from probmodel import BadInput, Detection, PoseModel
 from probmodel.layouts import MEDIAPIPE_33
@@ -97,7 +96,7 @@ def _others(people: list[Detection], person: Detection) -> list[Detection]:
 def _radius(person: Detection, estimation: Estimation, model: PoseModel) -> np.ndarray | None:
     """`(15,)` pixels; None where the torso is not seen well enough for a scale."""
     # Without anybody, so that only settings are refused.
-    estimate_torsos([], estimation.estimator, **estimation.settings(model))
+    estimation.estimating(model)([])
     try:
         frame = estimation.estimate(person, model)
     except BadInput:

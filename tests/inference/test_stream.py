@@ -1,6 +1,7 @@
 """Many frames as one stream: resumed to the same bits, bad frames recorded, other runs refused."""
 
 import dataclasses
+import json
 import os
 import shutil
 from pathlib import Path
@@ -11,8 +12,9 @@ import pytest
 import xarray as xr
 
 import inference
-from inference import Item, draws_of, open_stream, sample_frames, store, stream
-from probmodel import BadInput, Likelihood, PoseModel
+from inference import Estimating, Item, draws_of, open_stream, sample_frames, store, stream
+from probmodel import Anatomy, BadInput, Likelihood, PoseModel
+from probmodel.learning.dictionaries import PoseDictionary
 from tests.scenes import key, prior_scene
 
 SETTINGS = {"num_samples": 40, "k": 3, "keep": 40}
@@ -346,6 +348,106 @@ def test_names_that_no_file_can_hold_are_written_in_others(model, tmp_path):
 def test_numbers_that_do_not_go_together_are_refused(model, tmp_path, arguments, match):
     with pytest.raises(BadInput, match=match):
         sample_frames(model, [], key=key(0), out=tmp_path, **arguments)
+
+
+# --- people who are estimated by the stream
+
+
+class Counting(Estimating):
+    """Counts who is estimated; the dictionary estimator, which refuses whoever stands first."""
+
+    refused, asked = "nobody", 0
+
+    def __call__(self, detections):
+        type(self).asked += len(detections)
+        if any(detection.source == self.refused for detection in detections):
+            raise BadInput(f"{self.refused} is nobody's")
+        return super().__call__(detections)
+
+
+@pytest.fixture
+def people(model, items) -> list[Item]:
+    """The detections of the items."""
+    return [
+        item if isinstance(item.frame, str) else Item(item.name, item.frame.detection)
+        for item in items
+    ]
+
+
+@pytest.fixture
+def counting(monkeypatch) -> Counting:
+    monkeypatch.setattr(Counting, "asked", 0)
+    return Counting(likelihood=Likelihood(factor=0.6))
+
+
+def test_people_are_estimated_where_their_block_is_made_and_not_again(
+    model, people, counting, tmp_path
+):
+    out, estimated = tmp_path / "people", tmp_path / "estimated"
+    known = {"key": key(0), "estimating": counting} | SETTINGS
+    sample_frames(model, people[:4], out=out, **known)
+    assert counting.asked == 3
+    sample_frames(model, people, out=out, **known)
+    assert counting.asked == 5
+    sample_frames(model, people, out=out, **known)
+    assert counting.asked == 5
+    given = [
+        item if isinstance(item.frame, str) else Item(item.name, counting([item.frame])[0])
+        for item in people
+    ]
+    sample_frames(model, given, key=key(0), out=estimated, **SETTINGS)
+    assert content(estimated) == content(out)
+    with pytest.raises(BadInput, match="its candidates is 2, not 1"):
+        sample_frames(
+            model, people, out=out, **known | {"estimating": Estimating(num_candidates=1)}
+        )
+
+
+def test_who_cannot_be_estimated_takes_nobody_along(model, people, counting, monkeypatch, tmp_path):
+    lost = dataclasses.replace(people[0].frame, source="a lost file")
+    monkeypatch.setattr(Counting, "refused", lost.source)
+    some = [Item("lost", lost), *people[1:2]]
+    sample_frames(model, some, key=key(0), out=tmp_path, estimating=counting, **SETTINGS)
+    summary = open_stream(tmp_path)["summary"]
+    assert summary.status.values.tolist() == ["bad input", "complete"]
+    assert str(summary.sentence[0].item()) == "a lost file is nobody's"
+
+
+def test_people_whom_nothing_can_estimate_are_refused(model, people, tmp_path):
+    with pytest.raises(BadInput, match=r"frame 0 is a detection; .* \(`estimating`\)"):
+        sample_frames(model, people, key=key(0), out=tmp_path / "x", **SETTINGS)
+    with pytest.raises(BadInput, match="there is no estimator 'oracle'"):
+        sample_frames(
+            model,
+            people,
+            key=key(0),
+            out=tmp_path / "y",
+            estimating=Estimating("oracle"),
+            **SETTINGS,
+        )
+    assert not (tmp_path / "y").exists()
+
+
+def test_what_estimates_depend_on_is_told_apart(tmp_path):
+    """Settings of estimators that differ in one thing, a file's content among them."""
+    torsos, poses = Anatomy.default().torsos, PoseDictionary.default()
+    np.savez(tmp_path / "one.npz", joints=np.eye(15, 3)[None])
+    np.savez(tmp_path / "two.npz", joints=2 * np.eye(15, 3)[None])
+    files = []
+    for name in ("one", "two"):
+        shutil.copy(tmp_path / f"{name}.npz", tmp_path / "poses.npz")
+        files.append(Estimating(str(tmp_path / "poses.npz")).settings)
+    others = [
+        Estimating(),
+        Estimating("zhou"),
+        Estimating(torsos=torsos[:-1]),
+        Estimating(poses=dataclasses.replace(poses, mean=poses.mean * 1.01)),
+        Estimating(num_candidates=1),
+        Estimating(likelihood=Likelihood(factor=0.6)),
+    ]
+    found = [json.dumps(one) for one in [*files, *(other.settings for other in others)]]
+    assert len(set(found)) == len(found)
+    assert Estimating(torsos=torsos, poses=poses).settings == Estimating().settings
 
 
 def test_what_is_not_a_stream_is_named(tmp_path):

@@ -1,13 +1,17 @@
 """The likelihood's spreads, error laws and observations: by hand, and against other routes."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from probmodel.detections import LIMB_JOINTS
+from probmodel.errorlaws import DetectorErrors
 from probmodel.failures import BadInput
-from probmodel.likelihood import Likelihood
+from probmodel.faults import FaultPrior
+from probmodel.likelihood import Gaussian, Likelihood
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from tests.probmodel.test_detections import (
     ELBOW,
@@ -62,3 +66,21 @@ def test_a_spread_that_is_not_finite_is_refused_by_name() -> None:
         BadInput, match=r"score of right_elbow in person 0 of f is 5e-324, too far below"
     ):
         Likelihood().spread(detection(with_entry(ONES * 1e9, ELBOW, 5e-324)), 1)
+
+
+def test_likelihoods_that_differ_in_anything_have_other_hashes() -> None:
+    """Down to the last digit of one joint's learned spread, which words leave out."""
+    learned = DetectorErrors.default()
+    sigma = learned.sigma.copy()
+    sigma[4] = np.nextafter(sigma[4], 1)
+    others = [
+        Likelihood(),
+        Likelihood(Gaussian()),
+        Likelihood(factor=np.nextafter(0.25, 1)),
+        Likelihood(joints=LIMB_JOINTS),
+        Likelihood(faults=FaultPrior.of(0.01, 0.0)),
+        Likelihood.of(learned),
+        Likelihood.of(dataclasses.replace(learned, sigma=sigma)),
+    ]
+    assert len({one.sha256 for one in others}) == len(others)
+    assert Likelihood().sha256 == Likelihood().sha256

@@ -364,7 +364,7 @@ def _settings(
         **({"draws": draw.sha256} if isinstance(draw, FromFile) else {}),
         "seed": seed,
         "num_samples": num_samples,
-        "likelihood": repr(likelihood),
+        "likelihood": f"{likelihood.words} {likelihood.sha256}",
         "max_proposals": max_proposals,
         **provenance(model),
     }

@@ -8,7 +8,6 @@ A run that was stopped, or whose workers died, is resumed and ends with the same
     tree = open_evaluation("out")       # the same, for xarray
 """
 
-import hashlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -24,7 +23,6 @@ from inference.store import Block, Groups, Store, fill, locked
 from inference.studies.evaluation.conditions import Condition
 from inference.studies.evaluation.outcome import Protocol, judge_block
 from probmodel.datasets import DataSet
-from probmodel.learning.dictionaries import PoseDictionary
 
 STORE, GROUP = "frames", "frames"
 """The store's folder, with a folder in it for each condition, and what a block of it holds."""
@@ -155,9 +153,9 @@ def settings(data: DataSet, protocol: Protocol) -> dict[str, Any]:
         "block": BLOCK,
         "limits": f"{protocol.anatomy.limits.name} {protocol.anatomy.limits.sha256}",
         "measures": f"upper {protocol.upper}, lower {protocol.lower}",
-        "pose dictionaries": _digest(protocol.dictionary),
+        "pose dictionaries": protocol.dictionary.sha256,
         "candidates": protocol.candidates,
-        "likelihood": repr(protocol.likelihood),
+        "likelihood": f"{protocol.likelihood.words} {protocol.likelihood.sha256}",
         "num_samples": protocol.num_samples,
         "num_roots": protocol.num_roots,
         "k": list(protocol.ks),
@@ -165,16 +163,3 @@ def settings(data: DataSet, protocol: Protocol) -> dict[str, Any]:
         "seed": protocol.seed,
         "versions": versions(),
     }
-
-
-def _digest(dictionary: PoseDictionary) -> str:
-    digest = hashlib.sha256()
-    for table in (
-        dictionary.mean,
-        dictionary.bases,
-        dictionary.atoms,
-        dictionary.lengths,
-        dictionary.torso,
-    ):
-        digest.update(np.ascontiguousarray(table, "<f8").tobytes())
-    return digest.hexdigest()

@@ -151,6 +151,7 @@ def test_torso_camera_and_an_arm_are_calibrated():
     assert p_value(found["right"]) > FAMILY
 
 
+@pytest.mark.slow
 def test_without_the_factors_of_the_scale_nothing_is():
     """Negative control: weights without scale⁻² for every seen joint."""
     assert p_value(torso_and_an_arm()["without s^-2"]) < FAMILY / 1000

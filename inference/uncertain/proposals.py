@@ -1,7 +1,12 @@
 """Roots given the torso, each with a pattern of faults, before anything is asked of the limbs.
 
-Where the detector has no faults these are exact draws of `torsos`. Where it has, every stratum of
-the torso's faults gets a share of the roots: a pilot run guesses what it has of the posterior.
+More roots are drawn than are weighed, since a root that explains the torso costs next to nothing,
+and its limbs' evidence a thousand times as much. How well draws of the prior fit the limbs says
+which roots are promising; each is taken by a probability that this decides, and weighed by its
+inverse, so that a wrong guess costs effective roots and nothing else.
+
+Where the detector has faults, every stratum of the torso's faults gets a share of the roots: a
+pilot run guesses what it has of the posterior.
 """
 
 from typing import Any, NamedTuple
@@ -12,8 +17,9 @@ from scipy.special import logsumexp
 
 from inference.exact.loops.numbers import words_of
 from inference.exact.rates import Budget
-from inference.resampling import times
+from inference.resampling import systematic, times
 from inference.uncertain.patterns import (
+    Fit,
     Stratum,
     fit_of,
     log_priors,
@@ -35,6 +41,14 @@ FEW_ATTEMPTS = 1 << 21
 """Attempts of a stratum of which the pilot run brought no root."""
 EVEN = 0.1
 """What is shared out evenly among the strata, whatever the pilot run says."""
+MOST = 8
+"""Roots of the torso that are looked at, where they come easily, for one that is weighed."""
+FURTHER = 1 << 17
+"""So many roots are looked at altogether, if not more are to be weighed: it bounds the memory."""
+TRUST = 0.85
+"""The power of what the prior's draws say of a root by which it is taken."""
+CHANCE = 0.05
+"""What is shared out evenly among roots, whatever they say."""
 
 
 class ProposedRoots(NamedTuple):
@@ -48,6 +62,8 @@ class ProposedRoots(NamedTuple):
         × the peak of the limbs' likelihood and without the factors of the scale that they bring.
     stratum : `(n,)`: which of the strata each is of.
     variance : `(strata,)`, of the log of each stratum's evidence of the torso.
+    doubt : what the relative variance of the evidence has of the number of roots that these were
+        taken from.
     wanted : how many roots there would be, had the budget been large enough.
     attempts : how many were made.
     """
@@ -57,6 +73,7 @@ class ProposedRoots(NamedTuple):
     log_weight: np.ndarray
     stratum: np.ndarray
     variance: np.ndarray
+    doubt: float
     wanted: int
     attempts: int
 
@@ -81,60 +98,79 @@ def propose_roots(
     posterior: UncertainPosterior, key: jax.Array, number: int, budget: Budget
 ) -> ProposedRoots:
     """`number` roots, in random order, or as many as the budget allows."""
-    if not posterior.faults.any:
-        torso = draw_roots(posterior, Faults.none(), words_of(key), number, budget)
-        faults = Faults.none(len(torso.points.torso))
-        found = len(faults.exchange)
-        return ProposedRoots(
-            torso.points,
-            faults,
-            log_weight=np.full(found, torso.log_evidence + posterior.log_peak),
-            stratum=np.zeros(found, int),
-            variance=np.array([torso.variance]),
-            wanted=number,
-            attempts=torso.attempts,
-        )
-    return _with_faults(posterior, key, number, budget)
-
-
-def _with_faults(
-    posterior: UncertainPosterior, key: jax.Array, number: int, budget: Budget
-) -> ProposedRoots:
     pool_key, pilot_key, torso_key, order_key = jax.random.split(key, 4)
     strata, pool = strata_of(posterior), pool_of(posterior.model, words_of(pool_key))
-    most = [PILOT_ATTEMPTS] * len(strata)
-    pilots = _draw(posterior, strata, pilot_key, [PILOT] * len(strata), most, budget)
-    share = _shares(posterior, pool, strata, pilots)
     rng = np.random.default_rng(words_of(order_key))
+    share, hopeful, attempts = np.ones(1), [True], 0
+    if len(strata) > 1:
+        most = [PILOT_ATTEMPTS] * len(strata)
+        pilots = _draw(posterior, strata, pilot_key, [PILOT] * len(strata), most, budget, spare=1)
+        share = _shares(posterior, pool, strata, pilots)
+        hopeful = [len(pilot.points.torso) > 0 for pilot in pilots]
+        attempts = sum(pilot.attempts for pilot in pilots)
     counts = times(share, number, rng.uniform())
-    hopeful = [len(pilot.points.torso) > 0 for pilot in pilots]
     most = [budget.proposals if hope else FEW_ATTEMPTS for hope in hopeful]
-    torsos = _draw(posterior, strata, torso_key, counts.tolist(), most, budget)
+    torsos = _draw(posterior, strata, torso_key, counts.tolist(), most, budget, spare=MOST)
     parts, wanted = [], 0
     for index, (stratum, torso) in enumerate(zip(strata, torsos, strict=True)):
         found = len(torso.points.torso)
-        wanted += int(counts[index]) if hopeful[index] else found
+        taken = min(found, int(counts[index]))
+        wanted += int(counts[index]) if hopeful[index] else taken
         if found:
             fit = fit_of(posterior, pool, stratum, torso.points)
-            faults, log_proposal = propose(fit, stratum, rng)
-            weight = torso.log_evidence + log_priors(posterior, faults)
-            weight += np.log(counts[index] / found / share[index]) - log_proposal
-            parts.append((torso.points, faults, weight, np.full(found, index)))
-    attempts = sum(torso.attempts for torso in (*pilots, *torsos))
+            rows, inclusion = _promising(_log_limbs(posterior, fit, torso), taken, rng)
+            points = torso.points.take(rows)
+            faults, log_proposal = propose(fit.take(rows), stratum, rng)
+            weight = torso.log_evidence + log_priors(posterior, faults) - log_proposal
+            weight += np.log(counts[index] / share[index] / found) - np.log(inclusion)
+            parts.append((points, faults, weight, np.full(taken, index), inclusion))
+    attempts += sum(torso.attempts for torso in torsos)
     variance = np.array([torso.variance for torso in torsos])
     if not parts:
-        none = np.zeros(0, int)
-        return ProposedRoots(
-            torsos[0].points, Faults.none(0), np.zeros(0), none, variance, number, attempts
-        )
-    points, faults, weight, stratum_of = (
+        none, points = np.zeros(0, int), torsos[0].points
+        empty = points, Faults.none(0), np.zeros(0), none
+        return ProposedRoots(*empty, variance, 0.0, number, attempts)
+    points, faults, weight, stratum_of, inclusion = (
         jax.tree.map(lambda *rows: np.concatenate(rows), *column)
         for column in zip(*parts, strict=True)
     )
     # The mean over the roots there are, not over those asked for, is to be the evidence.
     weight += np.log(len(weight) / number)
-    whole = ProposedRoots(points, faults, weight, stratum_of, variance, wanted, attempts)
+    # If promises were kept, weights would have the relative variance of the inclusions.
+    looked_at = sum(len(torso.points.torso) for torso in torsos)
+    doubt = float(inclusion.mean()) / len(weight) - 1 / looked_at
+    whole = ProposedRoots(points, faults, weight, stratum_of, variance, doubt, wanted, attempts)
     return whole.at(rng.permutation(len(weight)))
+
+
+def _log_limbs(posterior: UncertainPosterior, fit: Fit, torso: TorsoDraws) -> np.ndarray:
+    """`(n,)`: about what the limbs say of roots given the torso, but for a constant."""
+    counted = np.asarray(posterior.detected.counts)
+    of_limbs = int(counted.sum()) - sum(counted[list(TORSO_INDEX)])
+    return fit.total - 2 * of_limbs * np.asarray(torso.points.log_scale)
+
+
+def _promising(
+    score: np.ndarray, number: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """`number` rows of log evidences `(n,)`, and the probability that each had of being taken.
+    None is taken twice, so that the effective number of what is taken is never more than that of
+    the whole."""
+    share = (1 - CHANCE) * _normal(TRUST * score) + CHANCE / len(score)
+    probability, certain = np.ones(len(share)), np.zeros(len(share), bool)
+    while not certain.all():
+        rest = ~certain
+        probability[rest] = share[rest] * (number - certain.sum()) / share[rest].sum()
+        if not (probability > 1).any():
+            break
+        certain |= probability >= 1
+        probability[certain] = 1.0
+    rows = systematic(probability, number, rng.uniform())
+    return rows, probability[rows]
+
+
+def _normal(score: np.ndarray) -> np.ndarray:
+    return np.exp(score - logsumexp(score))
 
 
 def _draw(
@@ -144,8 +180,9 @@ def _draw(
     counts: list[int],
     most: list[int],
     budget: Budget,
+    spare: int,
 ) -> list[TorsoDraws]:
-    """So many roots of each stratum, by so many attempts at most."""
+    """So many roots of each stratum, or `spare` times as many, by so many attempts at most."""
     return [
         draw_roots(
             posterior,
@@ -153,6 +190,7 @@ def _draw(
             words_of(jax.random.fold_in(key, index)),
             counts[index],
             Budget(most[index], whole=budget),
+            most=max(counts[index], min(spare * counts[index], FURTHER)),
         )
         for index, stratum in enumerate(strata)
     ]
@@ -165,13 +203,11 @@ def _shares(
     pilots: list[TorsoDraws],
 ) -> np.ndarray:
     """`(strata,)`: what each gets of the roots: about what it has of the posterior."""
-    counted = np.asarray(posterior.detected.counts)
-    of_limbs = int(counted.sum()) - sum(counted[list(TORSO_INDEX)])
     score = np.full(len(strata), -np.inf)
     for index, (stratum, pilot) in enumerate(zip(strata, pilots, strict=True)):
         if len(pilot.points.torso):
             fit = fit_of(posterior, pool, stratum, pilot.points)
-            evidence = fit.total - 2 * of_limbs * pilot.points.log_scale
+            evidence = _log_limbs(posterior, fit, pilot)
             score[index] = (
                 logsumexp(evidence)
                 - np.log(len(evidence))

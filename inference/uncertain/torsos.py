@@ -36,6 +36,9 @@ from probmodel.uncertain import UncertainPosterior
 
 BATCH = 1 << 17
 """Attempts made at a time by one thread: some 20 ms."""
+PATIENCE = 8192
+"""Attempts at the torso for each root that is wanted, in search of more: they take a third of the
+time that a root's limbs take."""
 HOPELESS = 1 << 26
 """Attempts without one success after which a torso is given up."""
 THINNING = 101
@@ -145,8 +148,11 @@ def draw_roots(
     words: list[int],
     number: int,
     budget: Budget,
+    *,
+    most: int | None = None,
 ) -> TorsoDraws:
-    """`number` roots given the torso's joints, or as many as the budget allows.
+    """`number` roots given the torso's joints, or as many as the budget allows; up to `most` where
+    they come easily.
 
     Parameters
     ----------
@@ -160,19 +166,25 @@ def draw_roots(
         How many roots.
     budget
         Of attempts; "as many as it allows" has an unbiased evidence too.
+    most
+        So many are drawn, if `number * PATIENCE` attempts are enough for them; else as many as
+        these brought, or `number`, whichever is more (default: `number`).
     """
+    most, patience = most or number, number * PATIENCE
     posed = torso_problem(posterior, faults)
     proposal = _proposal(posed)
     parts = [root_table(0)]
     found, made, batch = 0, 0, 0
-    while proposal.mass and found < number and (found or made < HOPELESS):
+    while proposal.mass and found < (most if made < patience else number):
+        if not found and made >= HOPELESS:
+            break
         numbers = [
             one for one in range(batch, batch + (os.cpu_count() or 1)) if budget.spend(BATCH)
         ]
         if not numbers:
             break
         tables = workers().map(
-            functools.partial(_batch, posed, proposal, words, number),
+            functools.partial(_batch, posed, proposal, words, most),
             numbers,
         )
         for table, attempts in tables:
@@ -180,10 +192,14 @@ def draw_roots(
             found, made = found + len(table.torso), made + attempts
         batch += len(numbers)
     whole = RootTable(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    if number and found >= number:
-        whole = RootTable(*(column[:number] for column in whole))
-        made = int(whole.attempt[-1]) + 1
-    return _named(posed, proposal.mass, whole, made, bool(number) and found >= number)
+    early = int(np.searchsorted(whole.attempt, patience))
+    if not number or found < number or (number <= early < most and made < patience):
+        return _named(posed, proposal.mass, whole, made, enough=False)
+    if number <= early < most:  # patience ended first: a fixed number of attempts
+        whole = RootTable(*(column[:early] for column in whole))
+        return _named(posed, proposal.mass, whole, patience, enough=False)
+    whole = RootTable(*(column[: min(max(early, number), most)] for column in whole))
+    return _named(posed, proposal.mass, whole, int(whole.attempt[-1]) + 1, enough=True)
 
 
 class Proposal(NamedTuple):

@@ -93,8 +93,7 @@ class WeightedRoots:
         """Standard error of `log_evidence`, by the delta method."""
         if not self.effective:
             return math.inf
-        number = len(self.log_weight)
-        relative = (number / self.effective - 1) / number
+        relative = 1 / self.effective - 1 / len(self.log_weight) + self.proposed.doubt
         return math.sqrt(relative + self.proposed.relative_variance(self.share))
 
     def draw(self, rng: np.random.Generator, number: int) -> tuple[RootPoint, Pose, np.ndarray]:

@@ -243,11 +243,11 @@ def test_the_program_is_the_log_joint():
     model, frame = small_case()
     posterior = frame.uncertain(model)
     result = inference.sample(
-        model, frame, key=key(1), root="uncertain", num_roots=200, num_samples=40
+        model, frame, key=key(1), root="uncertain", num_roots=200, num_samples=400
     )
     draws = result.tree["posterior"]
     seen = set()
-    for row in range(40):
+    for row in range(400):
         pattern = Faults(draws.exchange.values[0, row], draws.outlier.values[0, row])
         kind = (int(pattern.exchange), tuple(np.flatnonzero(pattern.outlier)))
         if kind in seen:

@@ -18,7 +18,7 @@ test: $(VENV)/.done
 	XLA_FLAGS=--xla_backend_optimization_level=0 $(PYTEST) -m "not slow and not sweep"
 
 test-all: $(VENV)/.done
-	$(PYTEST) -m slow
+	$(PYTEST) -m "slow and not sweep"
 
 # Minutes a test: wrong samplers on the benchmark, guests, kills, the commands of the how-to pages.
 sweeps: $(VENV)/.done

@@ -391,7 +391,7 @@ class Rooting:
             )
         ),
     ] = RootKind.fixed
-    roots: Roots = 2000
+    roots: Roots = 1000
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,7 @@
 """The fast route: roots drawn given the torso, weighed by unbiased estimates of their limbs'
 evidence, and drawn anew by their weights.
 
-    roots = weigh_roots(posterior, key=key, num_roots=2000)
+    roots = weigh_roots(posterior, key=key, num_roots=1000)
     roots.effective                      # of how many equally good roots they are worth
     roots.draw(rng, 10_000)              # roots and poses
 
@@ -32,7 +32,7 @@ from probmodel.roots import RootPoint
 from probmodel.skeleton import GROUPS
 from probmodel.uncertain import UncertainPosterior
 
-NUM_ROOTS = 2000
+NUM_ROOTS = 1000
 """Roots, where nothing else is said."""
 MOST_ROOTS = 100_000
 """More would not fit the memory of a small machine."""

@@ -1,7 +1,7 @@
 """Roots given the torso, each with a pattern of faults, before anything is asked of the limbs.
 
-More roots are drawn than are weighed, since a root that explains the torso costs next to nothing,
-and its limbs' evidence a thousand times as much. How well draws of the prior fit the limbs says
+More roots are drawn than are weighed, since a root that explains the torso costs a tenth of what
+its limbs' evidence costs. How well draws of the prior fit the limbs says
 which roots are promising; each is taken by a probability that this decides, and weighed by its
 inverse, so that a wrong guess costs effective roots and nothing else.
 
@@ -18,6 +18,7 @@ from scipy.special import logsumexp
 from inference.exact.loops.numbers import words_of
 from inference.exact.rates import Budget
 from inference.resampling import systematic, times
+from inference.uncertain.limbs import ATTEMPTS
 from inference.uncertain.patterns import (
     Fit,
     Stratum,
@@ -27,7 +28,7 @@ from inference.uncertain.patterns import (
     propose,
     strata_of,
 )
-from inference.uncertain.torsos import TorsoDraws, draw_roots
+from inference.uncertain.torsos import PATIENCE, TorsoDraws, draw_roots
 from probmodel.faults import Faults
 from probmodel.roots import RootPoint
 from probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
@@ -104,13 +105,17 @@ def propose_roots(
     share, hopeful, attempts = np.ones(1), [True], 0
     if len(strata) > 1:
         most = [PILOT_ATTEMPTS] * len(strata)
-        pilots = _draw(posterior, strata, pilot_key, [PILOT] * len(strata), most, budget, spare=1)
+        pilots = _draw(posterior, strata, pilot_key, [PILOT] * len(strata), most, budget, 1)
         share = _shares(posterior, pool, strata, pilots)
         hopeful = [len(pilot.points.torso) > 0 for pilot in pilots]
         attempts = sum(pilot.attempts for pilot in pilots)
     counts = times(share, number, rng.uniform())
+    # Attempts at roots that may not be weighed are not taken away from limbs.
+    ample = budget.proposals >= 2 * number * (PATIENCE + sum(ATTEMPTS.values()))
     most = [budget.proposals if hope else FEW_ATTEMPTS for hope in hopeful]
-    torsos = _draw(posterior, strata, torso_key, counts.tolist(), most, budget, spare=MOST)
+    torsos = _draw(
+        posterior, strata, torso_key, counts.tolist(), most, budget, MOST if ample else 1
+    )
     parts, wanted = [], 0
     for index, (stratum, torso) in enumerate(zip(strata, torsos, strict=True)):
         found = len(torso.points.torso)

@@ -118,6 +118,17 @@ def test_more_roots_are_effective(monkeypatch: pytest.MonkeyPatch) -> None:
     assert promised.effective > 3 * plain.effective
 
 
+def test_a_small_budget_is_not_spent_on_promises(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was enough for roots as they come is enough."""
+    with monkeypatch.context() as patch:
+        patch.setattr(proposals, "MOST", 1)
+        plain = weigh_roots(an_arm(), key=key(5), num_roots=100)
+    enough = plain.proposals + 4 * torsos.BATCH  # attempts are allowed in batches
+    tight = weigh_roots(an_arm(), key=key(5), num_roots=100, max_proposals=enough)
+    assert len(tight.log_weight) == 100
+    np.testing.assert_array_equal(tight.log_weight, plain.log_weight)
+
+
 @pytest.mark.slow
 def test_the_evidence_is_as_uncertain_as_it_says() -> None:
     """Sixty evidences of forty roots each stray around that of many roots as their standard errors

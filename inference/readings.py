@@ -153,7 +153,7 @@ UPSIDE_DOWN = -0.5
 """Cosine between the spine, head to pelvis, and the image's down: beyond it a person stands on the
 head."""
 
-_SENTENCES = {
+SENTENCES = {
     "arms": "left and right arm seem to be exchanged",
     "legs": "left and right leg seem to be exchanged",
     "limbs": "the left limbs seem to hang on the right side of the torso",
@@ -176,6 +176,7 @@ _SENTENCES = {
         " joints of one person?"
     ),
 }
+"""What is said of each thing that can be noticed."""
 
 
 class Verdict(NamedTuple):
@@ -217,7 +218,7 @@ class Verdict(NamedTuple):
     @property
     def warnings(self) -> tuple[str, ...]:
         """The same as sentences."""
-        return tuple(_SENTENCES[name] for name in self.noticed)
+        return tuple(SENTENCES[name] for name in self.noticed)
 
 
 class Judge:

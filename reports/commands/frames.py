@@ -1,10 +1,13 @@
 """`poseterior frames`: draws and hypotheses of everyone in many frames, a stream that is resumed
 where it was stopped, and its film as a page."""
 
+import itertools
+
 from rich.filesize import decimal
 
 from inference.stream import DRAW_BYTES, People, open_stream, sample_frames
-from reports import console, figures, tables
+from probmodel import Detection
+from reports import console, doubts, figures, tables
 from reports.interactive.film import film_page
 from reports.interactive.page import write_page
 from reports.options import Screen
@@ -20,6 +23,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
     console.output_folder(out)
     with console.progress("limits and torsos", screen.quiet):
         model = settings.prior.model()
+        warnings = doubts.about_the_size(_first_people(settings), settings.detected, model)
     estimating = estimation.estimating(model)
     kept = min(settings.keep, sampling.num_samples)
     if kept > 0 and not screen.json:
@@ -61,5 +65,13 @@ def run(settings: FramesSettings, screen: Screen) -> None:
         said = f": {pictures}" if filmed else f", without {pictures}: no frame has a pose"
         opens = "open_stream opens it" + (", draws_of its draws" if kept else "")
         console.say(f"Written to {out}{said}; poseterior.{opens}")
+    for sentence in warnings:
+        console.warn(sentence)
     if settings.open and filmed:
         console.open_page(page)
+
+
+def _first_people(settings: FramesSettings) -> list[Detection]:
+    """Those by whom the size of all images is judged."""
+    everyone = (one for frame in settings.detected.frames(settings.path) for one in frame.people)
+    return list(itertools.islice(everyone, doubts.MOST_PEOPLE))

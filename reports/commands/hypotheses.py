@@ -11,8 +11,7 @@ from inference.hypothesis import Hypothesis, hypotheses
 from inference.results import COMPLETE, FIXED
 from inference.sampler import sample
 from probmodel.failures import BadInput, OutOfBudget
-from reports import console, figures, tables
-from reports.figures.window import about_the_image
+from reports import console, doubts, figures, tables
 from reports.interactive.page import write_page
 from reports.interactive.person import person_page
 from reports.options import Screen
@@ -31,6 +30,7 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
     with console.progress("torso and camera", screen.quiet):
         model = settings.prior.model()
         frame = settings.estimation.estimate(settings.person.detection, model)
+        warnings = doubts.about(settings.person, model)
     out = console.output_folder(settings.out)
     with console.progress(_task(settings), screen.quiet) as step:
         result = sample(
@@ -51,13 +51,14 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         console.write_text(out / "hypotheses.json", _as_text(chosen, result, sampling.seed))
         picture = figures.hypotheses_figure(result.tree, chosen, image=photo, truth=truth)
         figures.save_figure(picture, out / "hypotheses.png")
-        warnings = about_the_image(settings.person.detection, photo)
         page = person_page(result, chosen, image=photo, truth=truth, warnings=warnings)
         write_page(page, out / "hypotheses.html")
     if screen.json:
         console.show_json(summary(chosen, result, out))
     else:
         show(chosen, result, out)
+    for sentence in warnings:
+        console.warn(sentence)
     if settings.open:
         console.open_page(out / "hypotheses.html")
     if result.status != COMPLETE:

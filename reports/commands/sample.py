@@ -4,8 +4,7 @@ from inference.hypothesis import hypotheses
 from inference.results import COMPLETE, FIXED
 from inference.sampler import sample
 from probmodel.failures import BadInput, OutOfBudget
-from reports import console, tables
-from reports.figures.window import about_the_image
+from reports import console, doubts, tables
 from reports.interactive.page import write_page
 from reports.interactive.person import person_page
 from reports.options import Screen
@@ -32,6 +31,7 @@ def run(settings: SampleSettings, screen: Screen) -> None:
     with console.progress("torso and camera", screen.quiet):
         model = settings.prior.model()
         frame = settings.estimation.estimate(settings.person.detection, model)
+        warnings = doubts.about(settings.person, model)
     with console.progress(_task(settings), screen.quiet) as step:
         result = sample(
             model,
@@ -52,12 +52,7 @@ def run(settings: SampleSettings, screen: Screen) -> None:
         photo = settings.person.detected.photo
         chosen = hypotheses(result, min(NUM_HYPOTHESES, result.num_draws), seed=sampling.seed)
         write_page(
-            person_page(
-                result,
-                chosen,
-                image=photo,
-                warnings=about_the_image(settings.person.detection, photo),
-            ),
+            person_page(result, chosen, image=photo, warnings=warnings),
             page,
         )
     if screen.json:
@@ -72,6 +67,8 @@ def run(settings: SampleSettings, screen: Screen) -> None:
             console.say(line)
         console.OUT.print(tables.candidates_table(result.tree))
         console.say(f"Written to {out} and {page.name}")
+    for sentence in warnings:
+        console.warn(sentence)
     if settings.open:
         console.open_page(page)
     if result.status != COMPLETE:

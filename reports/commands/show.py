@@ -7,17 +7,11 @@ import numpy as np
 
 from inference.readings import Judge, Verdict, together
 from probmodel import BadInput, Detection, PoseModel
-from probmodel.layouts import MEDIAPIPE_33
 from probmodel.skeleton import JOINTS
-from reports import console, figures, tables
-from reports.figures.window import about_the_image
+from reports import console, doubts, figures, tables
 from reports.interactive.page import write_page
 from reports.options import Estimation, Screen
 from reports.settings import ShowSettings
-
-MOST_PEOPLE = 8
-"""People of a file by whom its reading is judged, evenly spread, the one that is shown among
-them."""
 
 
 def run(settings: ShowSettings, screen: Screen) -> None:
@@ -57,10 +51,10 @@ def _show_reading(settings: ShowSettings, screen: Screen) -> Path:
         people, person = settings.person.people, settings.person.detection
         model = settings.prior.model()
     with console.progress("weighing other readings", screen.quiet):
-        judge, sizes = Judge(model), _size_is_open(person, settings)
+        judge, sizes = Judge(model), doubts.size_is_open(person, settings.person.detected)
         alone = judge.file([person], sizes=sizes)
-        verdict = together([alone, judge.file(_others(people, person), sizes=sizes)])
-    warnings = [*about_the_image(person, shown), *verdict.warnings]
+        verdict = together([alone, judge.file(doubts.others(people, person), sizes=sizes)])
+    warnings = [*doubts.about_the_image(person, shown), *verdict.warnings]
     own = [sentence for sentence in alone.warnings if sentence not in warnings]
     warnings += [f"{sentence} (person {person.person} alone)" for sentence in own]
     radius = _radius(person, settings.estimation, model)
@@ -78,19 +72,6 @@ def _show_reading(settings: ShowSettings, screen: Screen) -> Path:
     for sentence in warnings:
         console.warn(sentence)
     return out
-
-
-def _size_is_open(person: Detection, settings: ShowSettings) -> bool:
-    """Whether the image's size is what the user says, and the joints lie where they do because of
-    it: MediaPipe's are fractions in any file, others' where they need a size."""
-    given = settings.person.detected.image_size is not None and person.image_size is not None
-    return given or person.layout == MEDIAPIPE_33.name
-
-
-def _others(people: list[Detection], person: Detection) -> list[Detection]:
-    others = [other for other in people if other.person != person.person and other.seen.any()]
-    step = max(1, -(-len(others) // (MOST_PEOPLE - 1)))
-    return others[::step]
 
 
 def _radius(person: Detection, estimation: Estimation, model: PoseModel) -> np.ndarray | None:

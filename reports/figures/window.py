@@ -1,12 +1,11 @@
-"""The image beside a detection: whether it is the right one, and the part of it that is shown of a
-posterior, the same in pictures and on pages that turn."""
+"""The part of an image that is shown of a posterior, the same in pictures and on pages that
+turn."""
 
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from reports.tables.posterior import heaviest, values
 
@@ -76,23 +75,3 @@ def _image_size(image: np.ndarray) -> tuple[int, int]:
     if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
         raise BadInput(f"an image is an array of shape (height, width, 3), not {image.shape}.")
     return image.shape[1], image.shape[0]
-
-
-def about_the_image(person: Detection, image: np.ndarray | None) -> list[str]:
-    """What the image itself says: whether its size is the detection's, and whether the joints lie
-    in it."""
-    if image is None:
-        return []
-    size = (image.shape[1], image.shape[0])
-    if person.image_size not in (None, size):
-        was = "x".join(map(str, person.image_size or ()))
-        return [
-            f"the detection was made on an image of {was} pixels, but this one has"
-            f" {size[0]}x{size[1]}"
-        ]
-    points = person.keypoints[person.seen]
-    outside = ((points < 0) | (points > size)).any(axis=1)
-    if outside.sum() > len(points) / 2:
-        said = f"{outside.sum()} of {len(points)} joints lie outside the image"
-        return [f"{said}: is it the right one, in its full size?"]
-    return []

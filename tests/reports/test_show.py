@@ -15,10 +15,10 @@ from probmodel import Detection, Likelihood, read_detections, write_detections
 from probmodel.detections import FACE
 from probmodel.layouts import COCO_17
 from probmodel.skeleton import BONES, JOINTS
+from reports.doubts import about_the_image
 from reports.figures import read_image
 from reports.figures.colours import LIMB_COLOURS
 from reports.figures.overlay import _spread, overlay_figure
-from reports.figures.window import about_the_image
 from reports.options import Detected
 from tests.conftest import Cli
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, landmarks, points, table
@@ -176,10 +176,19 @@ REAL_FILES = {
 }
 
 
+COMMANDS = {
+    "show": ("show",),
+    "hypotheses": ("hypotheses", "--num-samples", "20", "--k", "2"),
+    "sample": ("sample", "--num-samples", "20"),
+    "frames": ("frames", "--num-samples", "20", "--k", "2"),
+}
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize(("size", "doubted"), [("1000x667", False), ("1778x667", True)])
 def test_a_wrong_size_for_fractions_is_doubted(
-    shared_data: Path, tmp_path: Path, poseterior: Cli, size: str, doubted: bool
+    shared_data: Path, tmp_path: Path, poseterior: Cli, command: str, size: str, doubted: bool
 ) -> None:
     """A lunge, arms spread, as YOLO writes it, on an image that is said to be 16/9 times too
     wide."""
@@ -190,11 +199,20 @@ def test_a_wrong_size_for_fractions_is_doubted(
     rows = [[*(joints[name] / (1000, 667)), 1.0] for name in COCO_17.points]
     line = " ".join(f"{number:.6f}" for number in np.ravel(rows))
     (tmp_path / "a.txt").write_text(f"0 0.5 0.5 1 1 {line}\n")
-    done = poseterior(
-        "show", tmp_path / "a.txt", "--image-size", size, "--out", tmp_path / "a.png", "--quiet"
-    )
+    out = tmp_path / {"show": "a.png", "sample": "a.nc"}.get(command, "out")
+    words = ("--image-size", size, "--out", out, "--quiet")
+    done = poseterior(*COMMANDS[command], tmp_path / "a.txt", *words)
     assert done.code == 0
     assert ("too wide or too narrow" in " ".join(done.err.split())) == doubted
+
+
+def test_an_image_that_is_another_one_is_spoken_of(tmp_path: Path, poseterior: Cli) -> None:
+    Image.new("RGB", (320, 200)).save(tmp_path / "a.png")
+    words = ("--image", tmp_path / "a.png", "--num-samples", "20", "--k", "2")
+    skier = Path(__file__).parents[2] / "examples" / "skier.json"
+    done = poseterior("hypotheses", skier, *words, "--out", tmp_path / "out", "--quiet")
+    assert done.code == 0
+    assert "the detection was made on an image of 640x425 pixels" in " ".join(done.err.split())
 
 
 @pytest.mark.slow

@@ -1,0 +1,66 @@
+"""Doubts about what was given with a detection: whether it is the right image, and whether the
+image has the size that the user says."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from probmodel import Detection, PoseModel
+from probmodel.layouts import MEDIAPIPE_33
+from reports.options import Detected, Person
+
+MOST_PEOPLE = 8
+"""People of a file by whom its reading is judged, evenly spread, the one that is shown among
+them."""
+
+
+def about_the_image(person: Detection, image: np.ndarray | None) -> list[str]:
+    """What the image itself says: whether its size is the detection's, and whether the joints lie
+    in it."""
+    if image is None:
+        return []
+    size = (image.shape[1], image.shape[0])
+    if person.image_size not in (None, size):
+        was = "x".join(map(str, person.image_size or ()))
+        return [
+            f"the detection was made on an image of {was} pixels, but this one has"
+            f" {size[0]}x{size[1]}"
+        ]
+    points = person.keypoints[person.seen]
+    outside = ((points < 0) | (points > size)).any(axis=1)
+    if outside.sum() > len(points) / 2:
+        said = f"{outside.sum()} of {len(points)} joints lie outside the image"
+        return [f"{said}: is it the right one, in its full size?"]
+    return []
+
+
+def size_is_open(person: Detection, detected: Detected) -> bool:
+    """Whether the image's size is what the user says, and the joints lie where they do because of
+    it: MediaPipe's are fractions in any file, others' where they need a size."""
+    given = detected.image_size is not None and person.image_size is not None
+    return given or person.layout == MEDIAPIPE_33.name
+
+
+def others(people: list[Detection], person: Detection) -> list[Detection]:
+    """The people by whom, beside this one, a file's reading is judged."""
+    rest = [other for other in people if other.person != person.person and other.seen.any()]
+    step = max(1, -(-len(rest) // (MOST_PEOPLE - 1)))
+    return rest[::step]
+
+
+def about_the_size(people: Sequence[Detection], detected: Detected, model: PoseModel) -> list[str]:
+    """Whether bodies say that the size in `--image-size` is another image's. It takes seconds, so
+    they are asked only where somebody gave a size by hand, and the joints hang on it."""
+    if detected.image_size is None or not any(size_is_open(one, detected) for one in people):
+        return []
+    from inference.readings import SENTENCES, Judge
+
+    noticed = Judge(model).file(people, sizes=True).noticed
+    return [SENTENCES["size"]] if "size" in noticed else []
+
+
+def about(given: Person, model: PoseModel) -> list[str]:
+    """All doubts about the image of one person of a file. Raises `BadInput` on a bad file."""
+    person, detected = given.detection, given.detected
+    people = [person, *others(given.people, person)]
+    return [*about_the_image(person, detected.photo), *about_the_size(people, detected, model)]

@@ -42,6 +42,7 @@ myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 4
 nb_execution_mode = "off"  # notebooks bring the outputs that `make notebooks` stored in them
 nb_merge_streams = True
+nb_render_markdown_format = "gfm"  # the tables among those outputs
 
 # The interface.
 autodoc_member_order = "bysource"

@@ -123,4 +123,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
         fetched = [one for one in addresses if re.match(r"(https?:)?//.*\.(js|css|woff2?)", one)]
         assert not fetched, page
     assert "<math" in (site / "docs" / "model.html").read_text(encoding="utf-8")
+    notebook = (site / "notebooks" / "01_from_one_detection_to_its_posterior.html").read_text()
+    assert "<table" in notebook
+    assert "| faces |" not in notebook
     shutil.rmtree(site)

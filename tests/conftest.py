@@ -1,6 +1,7 @@
 """A strict session: 64-bit floats, no implicit promotion of ranks, warnings are errors (see
 pyproject)."""
 
+import gc
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -29,6 +30,9 @@ for name, value in SETTINGS.items():
     if name != "jax_enable_x64":  # what tests start keeps its programs there too
         os.environ[name.upper()] = str(value)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+# Compilers leave millions of objects that live as long as the process; to look through them all as
+# often as Python does by itself takes a thirtieth of the time.
+gc.set_threshold(100_000, 20, 50)
 
 
 class Run(NamedTuple):

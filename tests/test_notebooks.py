@@ -59,6 +59,7 @@ def test_notebook_runs(
     assert any("image/png" in output.data for output in shown)
 
 
+@pytest.mark.slow
 def test_a_warning_in_a_notebook_fails_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     cell = nbformat.v4.new_code_cell("import warnings\nwarnings.warn('look', stacklevel=1)")

@@ -15,8 +15,8 @@ from probmodel.example import example
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 """Those of docs/how-to run in `tests/test_how_to.py`, with the commands between their snippets."""
-SLOW = ("NUTS", "emcee", "Predictive")
-"""Words of snippets that compile whole programs, which takes some ten seconds each."""
+SLOW = ("NUTS", "emcee", "Predictive", "judge")
+"""Words of snippets that compile whole programs, or judge draws: some ten seconds each."""
 FENCED = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
 

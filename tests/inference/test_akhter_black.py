@@ -104,6 +104,7 @@ def test_a_mirror_twin_shows_a_flat_body_alike():
 # --- the pursuit
 
 
+@pytest.mark.slow
 def test_the_objective_never_rises(monkeypatch):
     """At no step of the pursuit, whether the term is kept or not, nor when it settles; and it falls
     by far in all."""
@@ -225,6 +226,7 @@ def test_a_pose_in_the_span_is_recovered(dictionary):
         assert pytest.approx(100 * (pose - pose[0])[list(TORSO_INDEX)], abs=0.3) == turned.T
 
 
+@pytest.mark.slow
 def test_a_turned_image_gives_a_turned_pose():
     """By 30° and 60° in the image plane: the aligned error changes by less than 1 %, pose by
     pose."""

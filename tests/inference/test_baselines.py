@@ -235,6 +235,7 @@ def test_another_key_gives_other_draws():
     assert not np.isin(one.poses.upper[..., 1, 0], other.poses.upper[..., 1, 0]).any()
 
 
+@pytest.mark.slow
 def test_a_run_ends_when_it_has_enough():
     done = draw("emcee", 10**9, num_samples=500)
     assert done.status == COMPLETE

@@ -115,6 +115,7 @@ def test_what_cannot_be_levels_is_refused(values: list) -> None:
 # --- levels on a toy
 
 
+@pytest.mark.slow
 def test_every_test_has_its_size_on_a_posterior_in_closed_form() -> None:
     """200 repetitions at level 0.05: at most 20 rejections (binomial, false alarm 0.002 for each of
     four tests)."""
@@ -268,6 +269,7 @@ def test_too_few_simulations_are_refused() -> None:
 # --- poses
 
 
+@pytest.mark.slow
 def test_quantities_of_draws_are_the_samplers_own(model: PoseModel) -> None:
     """Log density by way of the joints against the sampler's, lengths and depth against its
     columns."""
@@ -396,6 +398,7 @@ def test_the_literal_recipe_fails_under_equation_8(model: PoseModel) -> None:
     assert min(found.p_value(name) for name in HINGES) < 1e-4
 
 
+@pytest.mark.slow
 def test_the_recipes_draws_explain_the_detection(model: PoseModel) -> None:
     """Second route for the control itself: every pose puts every seen joint into its disc."""
     for index, instance in enumerate(simulate(model, 0, 0, 4)):
@@ -426,6 +429,7 @@ def test_chains_are_thinned_to_their_effective_number() -> None:
     )
 
 
+@pytest.mark.slow
 def test_failures_are_counted_and_said(model: PoseModel) -> None:
     right = sampler_of("rejection", model, 20)
 

@@ -268,6 +268,7 @@ def test_the_floor_is_what_right_posteriors_have() -> None:
     assert wide.whole.low > found.floor_95
 
 
+@pytest.mark.slow
 def test_the_ece_is_blind_where_less_than_half_of_the_joints_are_wrong() -> None:
     """The field's hole, shown: four of nine joints ten times too narrow go unseen; by joint they
     are seen."""
@@ -308,6 +309,7 @@ def test_poses_of_the_model_are_covered(model: PoseModel, cases: list[Case]) -> 
     assert found.ece.floor > 0
 
 
+@pytest.mark.slow
 def test_the_coverage_of_real_poses_is_resumed_to_the_same_bits(
     model: PoseModel, cases: list[Case], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

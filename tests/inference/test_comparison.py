@@ -90,6 +90,7 @@ def reference() -> Sample:
     return sample_of(joints[None, 5000:], length[None, 5000:])
 
 
+@pytest.mark.slow
 def test_tests_of_independent_draws_reject_at_their_level():
     """Energy, MMD, ranks of lengths and of joints, modes: 60 against 180 exact draws, 5 %."""
     rejected = dict.fromkeys(("energy", "mmd", "lengths", "joints", "modes"), 0)
@@ -126,6 +127,7 @@ def chains(rho: float, seed: int) -> np.ndarray:
     return lfilter([1.0], [1.0, -rho], noise, axis=1)
 
 
+@pytest.mark.slow
 def test_rank_tests_of_autocorrelated_chains_keep_their_size():
     """Autocorrelation 0.9: with the measured effective size 5 % (up to 10 %, for it is estimated);
     negative control: with the number of draws in its place more than half of the tests reject."""
@@ -393,6 +395,7 @@ def test_walkers_apart_for_good_are_worth_what_tells_them_apart(clouds):
     assert not found.known
 
 
+@pytest.mark.slow
 def test_chains_that_scatter_are_worth_what_they_agree_on(clouds):
     """640: less than four times as much in every one of 32 coordinates (a scatter of 15 degrees of
     freedom is too small by that in 1 of 640); ArviZ alone says 33,000 for one: the negative
@@ -555,6 +558,7 @@ def test_draws_that_are_not_finite_or_none_are_refused():
         sample_of(joints[None, :0], length[None, :0])
 
 
+@pytest.mark.slow
 def test_the_tree_of_a_comparison_holds_every_sampler(tmp_path):
     one, other = exact_pair(DRAWS, 5000, 6)
     verdict = judge(one, other, permutations=FEW)

@@ -32,6 +32,7 @@ def test_another_key_compiles_nothing(
         assert compiled(caplog)
 
 
+@pytest.mark.slow
 def test_a_stream_under_an_uncertain_root_compiles_for_its_first_frame_alone(
     example_estimate: Estimate, caplog: pytest.LogCaptureFixture
 ) -> None:

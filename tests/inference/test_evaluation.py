@@ -345,6 +345,7 @@ def test_predictions_for_other_frames_are_refused(tmp_path):
 # --- bias
 
 
+@pytest.mark.slow
 def test_how_much_is_visited_is_the_cap_of_a_sphere():
     """One pose visits, of one uniform direction, the cap (1 − cos a)/2; to four standard errors of
     4,000 draws."""

@@ -245,6 +245,7 @@ def test_roots_that_no_estimator_gives_stand_beside_the_first() -> None:
         conditions(("zhou",), (0,), (0.0,), ("free",))
 
 
+@pytest.mark.slow
 def test_an_uncertain_root_is_judged_by_the_same_scores() -> None:
     """Second route: the public functions, one frame, in a row."""
     from inference.studies.errors import aligned_errors, joint_errors

@@ -97,6 +97,7 @@ def gaussian() -> Learned:
     return learn(simulated(NUMBER, "gaussian", 1))
 
 
+@pytest.mark.slow
 def test_a_simulated_detectors_law_is_recovered_within_its_errors(gaussian: Learned) -> None:
     found = deviations(gaussian, "gaussian")
     assert np.abs(found).max() < bound(len(found))

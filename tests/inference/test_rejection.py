@@ -324,6 +324,7 @@ def test_what_a_pose_reaches_is_not_called_out_of_reach(model):
         assert {one.joint for one in out_of_reach(model, far.observation)} == {"left_wrist"}
 
 
+@pytest.mark.slow
 def test_where_the_bounds_leave_nothing_no_budget_is_blamed(model, monkeypatch):
     """One group is enough for that, and nobody has to say which joint is out of reach."""
     monkeypatch.setattr(mixture, "out_of_reach", lambda model, observation: [])
@@ -342,7 +343,7 @@ def test_an_exhausted_budget_returns_what_there_is(model):
     assert model.limits.check(result.tree["posterior"].joints.values).valid.all()
 
 
-@pytest.mark.parametrize("sampler", list(PROPOSALS))
+@pytest.mark.parametrize("sampler", sweep(PROPOSALS, ["rejection"]))
 def test_every_sampler_has_the_same_face(model, sampler):
     """Same arguments, same result: tree, status, sentence, evidence with its error."""
     seen = ("right_wrist", "left_knee")

@@ -151,6 +151,7 @@ def test_draws_under_an_uncertain_root_are_those_of_sample(model, items, uncerta
     assert thorax.std(axis=0).max() > 0.01  # with a fixed root, zero
 
 
+@pytest.mark.slow
 def test_too_few_roots_are_no_answer_for_a_frame(model, items, tmp_path):
     few = UNCERTAIN | {"num_roots": 3}
     sample_frames(model, items[:1], key=key(0), out=tmp_path, **few)
@@ -160,6 +161,7 @@ def test_too_few_roots_are_no_answer_for_a_frame(model, items, tmp_path):
     assert "roots" in row.sentence.item()
 
 
+@pytest.mark.slow
 def test_an_uncertain_stream_goes_on_to_the_same_bits(model, items, uncertain, tmp_path):
     out = tmp_path / "killed"
 
@@ -380,6 +382,7 @@ def counting(monkeypatch) -> Counting:
     return Counting(likelihood=Likelihood(factor=0.6))
 
 
+@pytest.mark.slow
 def test_people_are_estimated_where_their_block_is_made_and_not_again(
     model, people, counting, tmp_path
 ):

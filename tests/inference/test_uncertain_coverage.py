@@ -74,6 +74,7 @@ def test_simulated_roots_are_draws_of_their_prior() -> None:
     assert control.pvalue < 1e-9
 
 
+@pytest.mark.slow
 def test_simulated_truths_are_possible_under_their_own_root() -> None:
     """Every seen joint, the torso's too, lies in its disc, whose radius is the posterior's own."""
     worst = []
@@ -89,6 +90,7 @@ def test_simulated_truths_are_possible_under_their_own_root() -> None:
 # --- what is asked
 
 
+@pytest.mark.slow
 def test_numbers_of_draws_are_the_samplers_own() -> None:
     """Log density and misfit by way of the joints against the posterior's, of root and pose."""
     instance = simulations()[0]
@@ -138,6 +140,7 @@ def test_roots_are_ranked_where_draws_have_them() -> None:
 # --- draws
 
 
+@pytest.mark.slow
 def test_draws_are_as_many_as_are_independent() -> None:
     draw = independent_roots(model(), 500, 10)
     answer = draw(0, simulations()[2], key(0))

@@ -237,6 +237,7 @@ def test_the_prior_of_patterns_is_one_in_all():
     assert float(log_prob(counts, Faults(0, astray))) == -math.inf
 
 
+@pytest.mark.slow
 def test_the_program_is_the_log_joint():
     """Density of the NumPyro program, with its discrete sites = that of the draws' lp, and = prior
     by hand + peaks."""
@@ -314,6 +315,7 @@ def learned(**changes) -> DetectorErrors:
     )
 
 
+@pytest.mark.slow
 def test_a_learned_law_moves_keypoints_back_by_its_bias():
     """Every draw lies within three standard deviations of where the keypoint is, less its bias; and
     not of where it is."""

@@ -55,6 +55,7 @@ def test_where_all_are_wanted_all_are_taken() -> None:
     np.testing.assert_array_equal(chance, [1, 1, 1])
 
 
+@pytest.mark.slow
 def test_the_evidence_is_unbiased_wherever_attempts_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the last root looked for, with patience, or with the last root needed: each is how some
     of 600 searches end, and their mean is that of 3,000 roots (4 standard errors, 6e-5). That of
@@ -107,6 +108,7 @@ def test_promises_change_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
     assert abs(promised.log_evidence - wrong.log_evidence) > 8 * error
 
 
+@pytest.mark.slow
 def test_more_roots_are_effective(monkeypatch: pytest.MonkeyPatch) -> None:
     """All joints seen: three times as many, for a quarter of the roots' own cost."""
     model = PoseModel()

@@ -202,6 +202,7 @@ def test_another_error_law_against_brute_force():
     assert abs(wrong.log_evidence - brute["log"]) > 8 * error
 
 
+@pytest.mark.slow
 def test_a_biased_evidence_is_found_out(monkeypatch):
     """Negative controls, of roots as they come (promises leave weights so even that their mean log
     would nearly do): the mean of logs instead of the log of the mean; and every root that has a
@@ -392,6 +393,7 @@ def test_attempts_at_a_root_are_draws_of_its_prior():
     assert min(p_values) * len(p_values) > 1e-3
 
 
+@pytest.mark.slow
 def test_few_roots_estimate_the_torsos_evidence_without_bias():
     """The mean of 200 estimates from three roots each is that from 3,000 (4 standard errors);
     successes over attempts, where the attempts end with a success, would be half too large."""

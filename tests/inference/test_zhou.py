@@ -387,6 +387,7 @@ def test_limbs_that_are_missing_cost_little_where_the_rest_is_exact():
     assert np.mean(errors) < 0.2
 
 
+@pytest.mark.slow
 def test_the_penalty_at_which_nothing_is_left():
     """Just above it the optimum is nothing, just below it is not."""
     points = Points.gather([detection(seen(DICTIONARY.mean, 40, 10))])

@@ -69,6 +69,7 @@ def some_motion(count: int = 120, seed: int = 0) -> Motion:
 # --- the criterion
 
 
+@pytest.mark.slow
 def test_training_poses_and_their_mirror_images_are_valid(
     walking: list[Motion], walker: Anatomy
 ) -> None:
@@ -77,6 +78,7 @@ def test_training_poses_and_their_mirror_images_are_valid(
     assert walker.limits.check(np.concatenate([joints, mirror_pose(joints)])).valid.all()
 
 
+@pytest.mark.slow
 def test_limits_of_walking_reject_climbing(walker: Anatomy, climbing: np.ndarray) -> None:
     """The negative control."""
     default = Anatomy.default().limits.check(climbing)

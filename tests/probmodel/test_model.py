@@ -244,6 +244,7 @@ def test_potential_is_infinite_outside(model, latents, observation) -> None:
     assert energy(model, moved, unconstrained(model, latents)) == np.inf
 
 
+@pytest.mark.slow
 def test_gradient_of_the_potential_is_finite(model, latents, observation) -> None:
     gradient = jax.grad(energy, argnums=2)(model, observation, unconstrained(model, latents))
     assert all(np.isfinite(part).all() for part in gradient.values())

@@ -444,6 +444,7 @@ def test_bvh_agrees_with_the_same_capture_as_positions(shared_data: Path) -> Non
             assert abs(difference.mean()) < 5, names
 
 
+@pytest.mark.slow
 def test_known_defects_are_dropped(shared_data: Path) -> None:
     """The recordings' known jumps go, and next to nothing else."""
     lost = {

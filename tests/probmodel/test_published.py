@@ -94,6 +94,7 @@ def test_published_poses_are_valid_and_their_mirror_system_is_not(
     assert not published.check(left_handed).pose_valid
 
 
+@pytest.mark.slow
 def test_agrees_with_an_independent_checker(
     published: AnatomicalLimits, mat_path: Path, actions: dict[str, np.ndarray]
 ) -> None:

@@ -105,7 +105,7 @@ def test_constants_of_published_hinges(measure: str, published_limits) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("measure", BOX_LATER)
+@pytest.mark.parametrize("measure", LOWER_MEASURES)
 def test_density_of_a_hinge_integrates_to_one_on_an_even_grid(measure: str) -> None:
     """The masked density itself, summed over 640,000 even points: exact but for the rim of the
     region, whose share of the grid bounds the error; slivers, which hold few points, are left to
@@ -200,14 +200,14 @@ def assert_hinges_fit(hinge: Hinge, measure: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("measure", BOX_LATER)
+@pytest.mark.parametrize("measure", LOWER_MEASURES)
 def test_draws_of_a_hinge_follow_its_density(measure: str) -> None:
     """10,000 draws of each of 40 hinges; false alarm 1e-4 over the 40."""
     assert_hinges_fit(hinges(measure), measure)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("measure", BOX_LATER)
+@pytest.mark.parametrize("measure", LOWER_MEASURES)
 def test_draws_of_default_hinges_follow_their_density(measure: str, default_limits) -> None:
     """10,000 draws of each of 80 hinges; false alarm 1e-4 over the 80."""
     assert_hinges_fit(Hinge.build(*hinges_of(default_limits, 80), measure), measure)
@@ -225,6 +225,7 @@ WIDE = [
 ]
 
 
+@pytest.mark.slow
 def test_the_wrong_measure_is_found_out() -> None:
     """Negative control: draws of "box" against the masses of "area", in hinges wide enough to tell,
     10,000 draws."""
@@ -346,7 +347,7 @@ def test_inverse_of_cells_returns_the_square(measure: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("measure", BOX_LATER)
+@pytest.mark.parametrize("measure", LOWER_MEASURES)
 def test_inverse_of_rejection_draws_is_uniform(measure: str) -> None:
     """Rosenblatt: draws made without the transport, by rejection from the sphere or the disc,
     become uniform in the square. About 4,000 draws of each hinge that rejection can serve;
@@ -387,7 +388,8 @@ def test_inverse_of_rejection_draws_is_uniform(measure: str) -> None:
 # Insides, corners, gradients
 
 
-@pytest.mark.parametrize("measure", BOX_LATER)
+@pytest.mark.slow
+@pytest.mark.parametrize("measure", LOWER_MEASURES)
 def test_draws_of_hinges_lie_inside(measure: str) -> None:
     """Not one of 10,000 × 40 draws outside: rounding can push out only a share of about 1e-12."""
     hinge = hinges(measure)
@@ -441,7 +443,8 @@ def test_corners_of_the_square_stay_within_rounding_of_the_cells(measure: str) -
         assert nearest.max() < CELL * 0.75  # half the diagonal of a cell, rounded up
 
 
-@pytest.mark.parametrize("measure", BOX_LATER)
+@pytest.mark.slow
+@pytest.mark.parametrize("measure", LOWER_MEASURES)
 def test_area_element_of_the_transport_is_one_over_the_density(measure: str) -> None:
     """|∂u/∂s × ∂u/∂t| · density = 1: the transport differentiated, at 200 points of every hinge."""
     square = 0.01 + 0.98 * squares(len(NAMES))[:200]
@@ -470,7 +473,7 @@ def test_area_element_of_the_cells_transport(measure: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("measure", BOX_LATER)
+@pytest.mark.parametrize("measure", LOWER_MEASURES)
 def test_gradients_of_hinges_are_finite(measure: str) -> None:
     """Forward and backward, of transport, inverse and log density, at draws and at the corners of
     the square."""

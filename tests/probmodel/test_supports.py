@@ -46,7 +46,8 @@ def test_bijection(name: str) -> None:
     assert np.isfinite(transform.inv(transform(unconstrained(name, 100.0)))).all()
 
 
-@pytest.mark.parametrize("name", sweep(DIRECTIONS + DISCS, QUICK))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", DIRECTIONS + DISCS)
 def test_log_determinant_equals_autodiff(name: str) -> None:
     """Of directions: log of the area that a unit square of the plane sweeps on the sphere, |∂u/∂x₁
     × ∂u/∂x₂|."""

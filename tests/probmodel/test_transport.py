@@ -38,6 +38,7 @@ def test_round_trip_and_support(model) -> None:
     assert np.isfinite(model.log_prior(*configuration)).all()
 
 
+@pytest.mark.slow
 def test_shapes() -> None:
     model = PoseModel()
     one, many = (from_cube(model, cube) for cube in (CUBE[0], CUBE[:6].reshape(2, 3, CUBE_DIM)))
@@ -73,6 +74,7 @@ def test_poses_from_the_cube_equal_ancestral_poses_in_law(model, ancestral) -> N
     assert energy_p_value(*both, np.random.default_rng(0)) > 0.001
 
 
+@pytest.mark.slow
 def test_gradient_equals_finite_differences(model) -> None:
     """A smooth functional of the pose along random lines, at points away from the borders between
     cells."""

@@ -26,6 +26,7 @@ def test_the_list(poseterior: Cli) -> None:
     assert rows[0][:4] == ["single", "6", "disc", "-7.057 ± 0.003"]
 
 
+@pytest.mark.slow
 def test_exact_draws_are_judged_to_agree(poseterior: Cli, tmp_path: Path) -> None:
     out = tmp_path / "draws.npz"
     run = poseterior(

@@ -38,6 +38,7 @@ def test_it_writes_a_law_and_a_picture_and_says_what_it_found(
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_json_is_the_file(film: Path, poseterior: Cli, tmp_path: Path) -> None:
     out = tmp_path / "errors.json"
     run = poseterior("calibrate", film, "--frames", "40", "--out", out, "--json", "--quiet")

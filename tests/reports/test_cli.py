@@ -35,6 +35,7 @@ from probmodel.skeleton import JOINT_INDEX, JOINTS, LENGTH_GROUPS, NUM_JOINTS, N
 from reports import cli, console
 from tests.conftest import Cli, Run
 from tests.scenes import camera
+from tests.sweeps import sweep
 
 EXAMPLE = example().path
 DOCUMENT = json.loads(EXAMPLE.read_text(encoding="utf-8"))
@@ -1008,7 +1009,7 @@ def test_a_person_of_a_coco_or_openpose_file(poseterior: Cli, tmp_path: Path) ->
     assert strict_json(run.out)["person"] == 1
 
 
-@pytest.mark.parametrize("sampler", PROPOSALS)
+@pytest.mark.parametrize("sampler", sweep(PROPOSALS, ["rejection"]))
 def test_every_sampler_draws(sampler: str, poseterior: Cli, tmp_path: Path) -> None:
     (tmp_path / "f.json").write_text(native(**FEW))
     out = tmp_path / "posterior.nc"

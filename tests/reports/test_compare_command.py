@@ -54,6 +54,7 @@ def done(detection: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
     return out, said.getvalue()
 
 
+@pytest.mark.slow
 def test_the_comparison_is_written_and_said(done: tuple[Path, str]) -> None:
     out, said = done
     lines = json.loads(said)["samplers"]

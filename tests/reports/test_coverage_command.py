@@ -131,6 +131,7 @@ def test_real_poses(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -
     assert (tmp_path / "coverage.png").exists()
 
 
+@pytest.mark.slow
 def test_real_poses_without_torso_and_camera(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:

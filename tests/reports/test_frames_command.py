@@ -56,6 +56,7 @@ def test_a_folder_becomes_a_stream_and_a_second_call_goes_on(
     assert poseterior("show", out, "--quiet").code == 0
 
 
+@pytest.mark.slow
 def test_a_fragment_of_a_second_person_is_left_out_in_one_line(
     poseterior: Cli, tmp_path: Path
 ) -> None:
@@ -88,6 +89,7 @@ def test_a_film_in_which_nobody_can_be_estimated_has_no_page(
     assert not (out / "hypotheses.html").exists()
 
 
+@pytest.mark.slow
 def test_an_uncertain_root_is_said_with_its_number(
     poseterior: Cli, folder: Path, tmp_path: Path
 ) -> None:

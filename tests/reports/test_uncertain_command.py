@@ -67,6 +67,7 @@ def test_the_page_shows_every_hypothesis_by_its_own_camera(poseterior: Cli, fold
     assert "held fixed" not in (folder / "hypotheses.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_table_says_how_many_roots_count(poseterior: Cli, folder: Path) -> None:
     run = poseterior("sample", EXAMPLE, "--out", folder / "s.nc", *UNCERTAIN, "--roots", 400)
     assert run.code == 0, run

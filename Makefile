@@ -6,23 +6,24 @@ PYTHON := $(shell for p in python3.12 python3.13 python3.14 python3; do \
 NEED_PYTHON = test -n "$(PYTHON)" || { echo "poseterior needs Python 3.12 or newer on the PATH (as python3.12 or python3); install one and run make again." >&2; exit 2; }
 # One thread of BLAS and OpenMP a process: the tests already run one process a core, and threads that
 # wait for a core that another process has make them six times slower.
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
 .PHONY: demo test test-all sweeps lint bench docs notebooks dist fuzz mutants kills lock clean
 
 demo: $(VENV)/.done
 	$(BIN)/poseterior demo
 
-# Compiled without optimisation: most of what these tests wait for is XLA's compiler.
+# Compiled without optimisation: most of what these tests wait for is XLA's compiler. A file of tests
+# stays in one process, where its programs are traced and its fixtures made once.
 test: $(VENV)/.done
-	XLA_FLAGS=--xla_backend_optimization_level=0 $(PYTEST) -m "not slow and not sweep"
+	XLA_FLAGS=--xla_backend_optimization_level=0 $(PYTEST) --dist loadfile -m "not slow and not sweep"
 
 test-all: $(VENV)/.done
-	$(PYTEST) -m "slow and not sweep"
+	$(PYTEST) --dist worksteal -m "slow and not sweep"
 
 # Minutes a test: wrong samplers on the benchmark, guests, kills, the commands of the how-to pages.
 sweeps: $(VENV)/.done
-	$(PYTEST) -m sweep
+	$(PYTEST) --dist worksteal -m sweep
 
 lint: $(VENV)/.done
 	$(BIN)/ruff check .

@@ -370,6 +370,7 @@ def test_draws_are_thinned_along_paths():
     assert Drawn(points, math.nan, math.nan, {"steps": 10}).thinned(60).points.shape == (2, 30, 1)
 
 
+@pytest.mark.slow
 def test_a_broken_or_foreign_file_is_refused(tmp_path):
     path = tmp_path / "run.npz"
     draw("emcee", 1000, save_to=path)

@@ -259,6 +259,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", REFUSED)
 def test_bad_input_is_a_sentence_and_nothing_is_overwritten(
     case, data, undisturbed, monkeypatch, capsys

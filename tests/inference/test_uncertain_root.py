@@ -219,6 +219,7 @@ def test_a_biased_evidence_is_found_out(monkeypatch):
     assert off(fast_moments(roots, shares(flat)), brute) > 8
 
 
+@pytest.mark.slow
 def test_the_factors_of_the_scale_are_missed():
     """Negative control: weights without scale⁻² for every seen joint."""
     brute, roots = both_routes()

@@ -93,6 +93,7 @@ def test_another_call_goes_on_whoever_else_is_asked(
     assert after["ess_worst"] == before["ess_worst"]
 
 
+@pytest.mark.slow
 def test_the_table_and_the_picture(done: tuple[Path, str]) -> None:
     tree = xr.open_datatree(done[0] / "comparison.nc").load()
     sheet = comparison_table(tree)

@@ -53,6 +53,8 @@ ENOUGH = {
     "nautilus": 60_000,
 }
 """Evaluations after which each has what the judge needs on one arm."""
+LONGEST = ("ess", "nss", "nautilus")
+"""Those that take a minute for it."""
 NEEDED = {
     "emcee": 40_000,
     "emcee-de": 40_000,
@@ -460,8 +462,13 @@ def test_sample_adaptive_mcmc_keeps_a_normal_law_with_a_diagonal_covariance_only
     assert np.abs(updated @ updated.T - root @ root.T - np.outer(step, step)).max() > 0.1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ENOUGH)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.sweep if name in LONGEST else pytest.mark.slow)
+        for name in ENOUGH
+    ],
+)
 def test_correct_samplers_pass_on_one_arm(name):
     """From dispersed starts or the prior; judged by 10,000 exact draws at 0.1 %, on 100 effective
     draws at least. NUTS and HMC have some 20 after a million gradients, hardly more than their

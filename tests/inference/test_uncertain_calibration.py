@@ -173,7 +173,7 @@ def test_the_whole_body_is_calibrated():
     assert p_value(found["without s^-2"]) < FAMILY / 1000
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_gaussian_is_calibrated_and_a_narrower_one_is_not():
     """Torso, camera and an arm, whose roots come by least squares; the control believes errors to
     be half as large as they are."""

@@ -10,6 +10,7 @@ from .directions.distributions import OccupiedDirection as OccupiedDirection
 from .errorlaws import DetectorErrors as DetectorErrors
 from .failures import BadInput as BadInput
 from .failures import OutOfBudget as OutOfBudget
+from .faults import FaultPrior as FaultPrior
 from .formats import read_detections as read_detections
 from .formats import write_detections as write_detections
 from .formats.frames import DetectedFrame as DetectedFrame
@@ -17,6 +18,7 @@ from .formats.frames import read_frames as read_frames
 from .likelihood import DetectedKeypoint as DetectedKeypoint
 from .likelihood import Disc as Disc
 from .likelihood import ErrorLaw as ErrorLaw
+from .likelihood import Gaussian as Gaussian
 from .likelihood import Likelihood as Likelihood
 from .model import PoseModel as PoseModel
 from .observation import Observation as Observation

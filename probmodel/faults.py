@@ -117,8 +117,25 @@ class FaultPrior:
 
     @classmethod
     def of(cls, outlier: float = 0.0, exchange: float = 0.0) -> "FaultPrior":
-        """The same probability of an outlier for every joint, and one of an exchange, whatever is
-        exchanged, each as likely as the others."""
+        """The same for all joints.
+
+        Parameters
+        ----------
+        outlier
+            The probability that a keypoint is an outlier, for every joint.
+        exchange
+            That sides are exchanged, whatever is; each kind of exchange as likely as the others.
+
+        Returns
+        -------
+        FaultPrior
+            The prior.
+
+        Raises
+        ------
+        BadInput
+            Where a number is no probability.
+        """
         kinds = NUM_EXCHANGES - 1
         return cls((outlier,) * NUM_JOINTS, (exchange / kinds,) * kinds)
 
@@ -128,8 +145,20 @@ class FaultPrior:
         return any(self.outlier) or any(self.exchange)
 
     def compose(self, counts: ArrayLike, step: Callable[[str, Any], Any]) -> Faults:
-        """The prior, written once: `step(site, law)` says what becomes of each law. `counts`
-        `(15,)` says which keypoints there are: others cannot be outliers."""
+        """The prior, written once.
+
+        Parameters
+        ----------
+        counts : `(15,)` bool
+            Which keypoints there are: others cannot be outliers.
+        step
+            `step(site, law)` says what becomes of each law in turn.
+
+        Returns
+        -------
+        Faults
+            Made of what `step` returned.
+        """
         outlier = jnp.where(jnp.asarray(counts), jnp.asarray(self.outlier), 0.0)
         exchange = step(
             "exchange", CategoricalProbs(jnp.array([1 - sum(self.exchange), *self.exchange]))
@@ -142,7 +171,20 @@ class FaultPrior:
         return faults_of(exchange, torso, limbs)
 
     def log_prob(self, counts: ArrayLike, faults: Faults) -> jax.Array:
-        """`()`: log prior probability of one pattern; -inf where there is none."""
+        """Log prior probability of one pattern.
+
+        Parameters
+        ----------
+        counts : `(15,)` bool
+            Which keypoints there are.
+        faults
+            The pattern.
+
+        Returns
+        -------
+        Array
+            `()`; -inf where there is no such pattern.
+        """
         if not self.any:
             return jnp.where(
                 jnp.any(jnp.asarray(faults.outlier)) | (jnp.asarray(faults.exchange) > 0),

@@ -41,8 +41,8 @@ matter."""
 KEPT = 64
 """Most draws that are kept of a group under one root: any of them are as good as all."""
 POOL = 4096
-"""Draws of the prior for a group of which nothing was seen; such a group is the same under every
-root."""
+"""Draws of the prior that stand for it: for groups of which nothing was seen, which are the same
+under every root, and for what the others promise."""
 BLOCK = 512
 """Roots that are worked on at a time, which bounds the memory."""
 
@@ -152,9 +152,14 @@ def _free_groups(posterior: UncertainPosterior, words: list[int]) -> dict[str, G
     ]
     if not free:
         return {}
-    key = jax.random.wrap_key_data(jnp.asarray(words, jnp.uint32))
-    poses = Pose(*map(np.asarray, _prior(posterior.model, key)))
+    poses = prior_poses(posterior.model, words)
     return {name: GroupDraws.of(poses, GROUPS[name]) for name in free}
+
+
+def prior_poses(model: PoseModel, words: list[int]) -> Pose:
+    """`POOL` draws of the prior."""
+    key = jax.random.wrap_key_data(jnp.asarray(words, jnp.uint32))
+    return Pose(*map(np.asarray, _prior(model, key)))
 
 
 @jax.jit

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import logsumexp
 
-from inference.uncertain.limbs import Views, views_of
+from inference.uncertain.limbs import Views, prior_poses, views_of
 from probmodel.chunks import in_chunks
 from probmodel.faults import (
     LIMB_INDEX,
@@ -28,12 +28,11 @@ from probmodel.faults import (
 )
 from probmodel.kinematics import upper_axes
 from probmodel.model import PoseModel
+from probmodel.pose import Pose
 from probmodel.roots import RootPoint
 from probmodel.skeleton import GROUPS, TORSO_INDEX
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
-POOL = 4096
-"""Draws of the prior that stand for it."""
 BLUR = 0.06
 """Body units by which errors are widened, so that so few draws come near every detection."""
 DEFENSIVE = 0.1
@@ -121,16 +120,15 @@ def fit_of(
 
 
 def pool_of(model: PoseModel, words: list[int]) -> np.ndarray:
-    """`(3, 5, 2, POOL)`: where the joints of each limb lie from its start, in the local axes of its
-    upper bone, in draws of the prior; single precision."""
-    key = jax.random.wrap_key_data(jnp.asarray(words, jnp.uint32))
-    return np.asarray(_pool(model, key), np.float32)
+    """`(3, 5, 2, n)`: where the joints of each limb lie from its start, in the local axes of its
+    upper bone, in the `n` draws of `prior_poses`; single precision."""
+    return np.asarray(_pool(model, prior_poses(model, words)), np.float32)
 
 
 @jax.jit
-def _pool(model: PoseModel, key: jax.Array) -> jax.Array:
+def _pool(model: PoseModel, poses: Pose) -> jax.Array:
     torso = jnp.asarray(model.torsos)[0]
-    joints = model.joints(torso, *model.draw(key, POOL))
+    joints = model.joints(torso, *poses)
     starts = np.array([limb.bones[0].start for limb in LIMBS])
     axes = upper_axes(torso)[np.array([limb.upper for limb in LIMBS])]
     return jnp.einsum("lij,plei->jlep", axes, joints[:, ENDS] - joints[:, starts, None])

@@ -32,7 +32,7 @@ from probmodel.faults import Faults
 from probmodel.likelihood import WithOutliers
 from probmodel.roots import RootPoint
 from probmodel.skeleton import TORSO_INDEX
-from probmodel.uncertain import UncertainPosterior
+from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 BATCH = 1 << 17
 """Attempts made at a time by one thread: some 20 ms."""
@@ -84,7 +84,7 @@ def torso_problem(posterior: UncertainPosterior, faults: Faults) -> Posed:
     The joint with the smallest disc comes first, then the others from far to near: most attempts
     fail early.
     """
-    detected = jax.tree.map(np.asarray, posterior.detected.read(faults))
+    detected = jax.tree.map(np.asarray, _read(posterior.detected, faults))
     torsos = np.asarray(posterior.model.torsos, float)
     rows = [row for row, joint in enumerate(TORSO_INDEX) if np.isfinite(detected.spread[joint])]
     joints = [TORSO_INDEX[row] for row in rows]
@@ -115,6 +115,12 @@ def torso_problem(posterior: UncertainPosterior, faults: Faults) -> Posed:
         2.0 * len(rows) - 2,
     )
     return Posed(problem, law, origin, lowest)
+
+
+@jax.jit
+def _read(detected: DetectedJoints, faults: Faults) -> DetectedJoints:
+    """Compiled, or every operation of it would be by itself."""
+    return detected.read(faults)
 
 
 def lowest_scale(

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from inference.exact import ahead
 from inference.exact.loops.attempts import attempt_bodies
 from inference.exact.loops.bins import length_bins
 from inference.exact.loops.numbers import seeded, words_of
@@ -173,6 +174,7 @@ def attempt_group(
     """Attempts at a group by a plan that has mass: the draws within reach, in random order, their
     limbs in the group's order; and how many attempts passed the limb that is first in `order`.
     `rng` shares the attempts out, `state` is that of the loops' random numbers."""
+    ahead.wait()
     counts = rng.multinomial(attempts, plan.share)
     cut = [CutLimb(limbs[row], tables.builds[row], plan.strata[row]) for row in order]
     found, passed = attempt_bodies(state, counts, plan.bins, cut, plan.sub, _desk(attempts))

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from inference import Result
+from inference.exact import ahead
 from inference.hypothesis import Hypothesis, hypotheses
 from inference.results import COMPLETE, FIXED
 from inference.sampler import sample
@@ -22,6 +23,7 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
     """The main job. Raises `BadInput`, or `OutOfBudget` after saving what was drawn."""
     import jax
 
+    ahead.begin()
     k, sampling, photo = settings.k, settings.sampling, settings.person.detected.photo
     if k < 1:
         raise BadInput(f"the number of hypotheses must be at least 1, not {k}; give another --k")

@@ -110,7 +110,7 @@ def test_without_any_place_loops_are_compiled_and_not_kept(monkeypatch, tmp_path
     monkeypatch.setattr(numbers, "_places", lambda: [tmp_path / "file"])
     monkeypatch.setattr(numbers, "_temporary", lambda: None)
     with pytest.warns(UserWarning, match="anew"):
-        monkeypatch.setattr(numbers, "_FOLDER", numbers._kept_in("loops-0"))
+        monkeypatch.setattr(numbers, "FOLDER", numbers._kept_in("loops-0"))
     assert compiled(lambda number: number + 1)(1) == 2
 
 

@@ -114,17 +114,17 @@ def _source_state() -> str:
 
 def _njit(function: Callable, **options: Any) -> Callable:
     options |= {"nogil": True, "error_model": "numpy"}
-    if _FOLDER is None:
+    if FOLDER is None:
         return numba.njit(**options)(function)
     before = _settings.CACHE_DIR
-    _settings.CACHE_DIR = str(_FOLDER)  # read while numba looks for a place
+    _settings.CACHE_DIR = str(FOLDER)  # read while numba looks for a place
     try:
         return numba.njit(cache=True, **options)(function)
     finally:
         _settings.CACHE_DIR = before
 
 
-_FOLDER = _kept_in(f"loops-{_source_state()}")
+FOLDER = _kept_in(f"loops-{_source_state()}")
 
 
 def compiled(function: Callable) -> Callable:

@@ -1,0 +1,81 @@
+"""Loops that another process compiles: they are those that the engine calls, they are found where
+it looks for them, and nothing is started in vain."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import pytest
+
+import inference
+from inference.exact import ahead
+from inference.exact.loops import attempts
+from probmodel import PoseModel
+from tests.scenes import prior_scene
+
+
+def test_the_types_are_those_of_the_engine() -> None:
+    model = PoseModel()
+    inference.sample(model, prior_scene(model, 1), key=jax.random.key(0), num_samples=50)
+    for name, types in ahead.signatures().items():
+        assert types in getattr(attempts, name).signatures, name
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """The commands of processes that are started; they end at once."""
+    commands: list[list[str]] = []
+    start = subprocess.Popen
+
+    def recorded(command: list[str], **options: int) -> subprocess.Popen:
+        commands.append(command)
+        return start([sys.executable, "-c", ""], **options)
+
+    monkeypatch.setattr(subprocess, "Popen", recorded)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(ahead, "_other", None)
+    return commands
+
+
+def test_one_process_is_started_where_nothing_is_kept(
+    started: list[list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ahead, "FOLDER", tmp_path)
+    ahead.begin()
+    ahead.begin()
+    ahead.wait()
+    assert [command[1:] for command in started] == [["-P", "-m", "inference.exact.ahead"]]
+
+
+@pytest.mark.parametrize("why", ["kept", "no folder", "one core"])
+def test_no_process_is_started_in_vain(
+    why: str, started: list[list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ahead, "FOLDER", None if why == "no folder" else tmp_path)
+    if why == "kept":
+        (tmp_path / "attempts._attempt_limb-94.py312.nbi").touch()
+    if why == "one core":
+        monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    ahead.begin()
+    ahead.wait()
+    assert started == []
+
+
+@pytest.mark.slow
+def test_what_the_other_process_compiles_is_found(tmp_path: Path) -> None:
+    code = """
+from inference.exact import ahead
+from inference.exact.loops import attempts
+for name, types in ahead.signatures().items():
+    getattr(attempts, name).compile(types)
+    print(sum(getattr(attempts, name).stats.cache_hits.values()))
+"""
+    root = str(Path(attempts.__file__).parents[3])
+    options = {"env": {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": root}}
+    subprocess.run([sys.executable, "-P", "-m", "inference.exact.ahead"], check=True, **options)
+    found = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, **options
+    )
+    assert found.stdout.split() == ["1", "1"]

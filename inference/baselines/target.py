@@ -104,8 +104,17 @@ class Target:
         """`(...)`: log posterior density at points `(..., d)` of R^d, per unit of R^d, but for the
         evidence."""
         points = jnp.asarray(points)
-        ratios = self.observation.log_ratios(self._joints(self._pose(points)))
-        return self.log_base(points) + jnp.sum(ratios, axis=-1)
+        return self.log_base(points) + self.log_likelihood(points)
+
+    @jax.jit
+    def log_likelihood(self, points: ArrayLike) -> jax.Array:
+        """`(...)`: log of the likelihood over its peak at points `(..., d)` of R^d."""
+        return jnp.sum(self.observation.log_ratios(self.joints(points)), axis=-1)
+
+    def joints(self, points: ArrayLike) -> jax.Array:
+        """`(..., 15, 3)`: joints at points of R^d, camera axes, body units; what no seen joint
+        depends on lies anywhere."""
+        return self._joints(self._pose(jnp.asarray(points)))
 
     @jax.jit
     def log_smooth(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
@@ -130,7 +139,7 @@ class Target:
             `(...)`: the log of the walls, at most 0.
         """
 
-        squares = self.observation.squares(self._joints(self._pose(jnp.asarray(points))))
+        squares = self.observation.squares(self.joints(points))
         walls = jax.nn.log_sigmoid(sharpness * (1 - squares / self.observation.law.reach**2))
         return jnp.sum(jnp.where(self.observation.seen, walls, 0.0), axis=-1)
 
@@ -139,7 +148,7 @@ class Target:
         """`(...)`: log of a likelihood with slopes for walls at points of R^d: within reach the
         likelihood over its peak, beyond falling from there by `hardness` · (d²/reach² - 1) for
         every joint; a normalised prior is not in it."""
-        squares = self.observation.squares(self._joints(self._pose(jnp.asarray(points))))
+        squares = self.observation.squares(self.joints(points))
         law = self.observation.law
         within = jnp.minimum(squares, law.reach**2)
         beyond = (squares - within) / law.reach**2
@@ -150,7 +159,7 @@ class Target:
     def misfit(self, points: ArrayLike) -> jax.Array:
         """`(...)`: the largest distance of a seen joint from its detection, in reaches, at points
         of R^d; a pose explains the detection iff it is at most 1."""
-        return self.observation.misfit(self._joints(self._pose(jnp.asarray(points))))
+        return self.observation.misfit(self.joints(points))
 
     @jax.jit
     def misfit_in_cube(self, cube: ArrayLike) -> jax.Array:

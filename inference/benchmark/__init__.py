@@ -6,8 +6,9 @@ and hard walls, of which exact draws and evidences are known.
     draws = benchmark.submit(target, points=…)   # submission: draws of any sampler, looked through
     benchmark.verdict(target, draws)             # verdicts: judged by exact draws (references)
 
-What a sampler needs is plain NumPy on tables that are frozen with the targets (`anatomy`);
-`programs` has the same targets in JAX and NumPyro, `freeze` is how they were made."""
+What a sampler and its judge need is plain NumPy on tables that are frozen with the targets
+(`anatomy`); `programs` has the same targets in JAX and NumPyro, `gym` for the inference gym;
+`draws` makes more exact draws, and `freeze` is how all of it was made."""
 
 import lazy_loader
 

@@ -1,11 +1,13 @@
 from .catalogue import load as load
 from .catalogue import targets as targets
+from .draws import exact_points as exact_points
+from .draws import same_bits as same_bits
+from .gym import gym_model as gym_model
 from .programs import estimate as estimate
 from .programs import frozen_model as frozen_model
 from .references import Reference as Reference
-from .references import exact_points as exact_points
 from .references import reference as reference
-from .references import same_bits as same_bits
+from .references import shipped_points as shipped_points
 from .submission import Submission as Submission
 from .submission import read_submission as read_submission
 from .submission import submit as submit

@@ -27,10 +27,11 @@ STEPS = 50
 """Steps between two looks at the clock."""
 BURN_IN = 0.25
 CLOCK = time.process_time
-Guest = Callable[[FrozenTarget, int, Allowance], Submission]
+Guest = Callable[[FrozenTarget, int, Allowance], Submission | None]
+"""Draws of a target; None where none came inside the walls."""
 
 
-def dynesty(target: FrozenTarget, seed: int, allowance: Allowance) -> Submission:
+def dynesty(target: FrozenTarget, seed: int, allowance: Allowance) -> Submission | None:
     """dynesty's static sampler, everything as it comes."""
     import dynesty as package
 
@@ -49,7 +50,7 @@ def dynesty(target: FrozenTarget, seed: int, allowance: Allowance) -> Submission
     return _inside(target, np.asarray(found.samples), log_weights, error, cost)
 
 
-def reddemcee(target: FrozenTarget, seed: int, allowance: Allowance) -> Submission:
+def reddemcee(target: FrozenTarget, seed: int, allowance: Allowance) -> Submission | None:
     """reddemcee's adaptive parallel tempering, everything as it comes, in the cube."""
     from reddemcee import PTSampler
 
@@ -102,12 +103,14 @@ def _inside(
     log_weights: np.ndarray,
     error: float,
     cost: dict[str, float],
-) -> Submission:
+) -> Submission | None:
     """Draws of the graded likelihood as draws of the target: those outside weigh nothing. Where
     the error of the evidence is known, the weights of those inside add up to it."""
     inside = np.where(target.misfit(points) <= 1, log_weights, -np.inf)
+    if not np.isfinite(inside).any():
+        return None
     stated: dict[str, Any] = {name: np.array(value) for name, value in cost.items()}
-    if np.isfinite(error) and np.isfinite(inside).any():
+    if np.isfinite(error):
         stated["log_evidence"] = np.logaddexp.reduce(inside)
         stated["log_evidence_se"] = np.array(error)
     return submit(target, points=points, log_weights=inside, where="the draws", **stated)

@@ -217,10 +217,14 @@ class FrozenTarget:
             anatomy.lengths.alpha, anatomy.lengths.beta, (len(points), NUM_LENGTHS)
         )
         fractions[:, self.active] = self.box_of(points)
-        every = tuple(limb for limbs in GROUPS.values() for limb in limbs)
-        parts = np.split(fractions, range(CHUNK, len(fractions), CHUNK))
-        joints = np.concatenate([anatomy.joints(self.view, part, every) for part in parts])
-        return joints, anatomy.lengths.at(fractions[:, :NUM_LENGTHS])
+        return self._poses(fractions, tuple(limb for limbs in GROUPS.values() for limb in limbs))
+
+    def decided(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `poses`, but for what no seen joint depends on: such joints lie in the origin, and
+        such lengths are in the middle of their ranges."""
+        fractions = np.full((len(points), CUBE_DIM), 0.5)
+        fractions[:, self.active] = self.box_of(points)
+        return self._poses(fractions, self.limbs)
 
     @property
     def seen_joints(self) -> list[str]:
@@ -232,6 +236,15 @@ class FrozenTarget:
         """Which length groups are coordinates, and which coordinates `(d,)` bool are lengths."""
         free = self.active < NUM_LENGTHS
         return self.active[free], free
+
+    def _poses(
+        self, fractions: np.ndarray, limbs: tuple[Limb, ...]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Joints and lengths at fractions `(n, 23)`."""
+        anatomy = FrozenAnatomy.default()
+        parts = np.split(fractions, range(CHUNK, len(fractions), CHUNK))
+        joints = np.concatenate([anatomy.joints(self.view, part, limbs) for part in parts])
+        return joints, anatomy.lengths.at(fractions[:, :NUM_LENGTHS])
 
     def _squares_in_box(self, box: np.ndarray) -> np.ndarray:
         flat = box.reshape(-1, self.dim)

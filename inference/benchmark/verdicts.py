@@ -5,20 +5,17 @@ draws and the evidence of the target.
     judged.judgement.verdict, judged.sentence"""
 
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from inference.benchmark.references import BLOCKS, exact_block, reference, sample_at
+from inference.benchmark.references import reference, sample_at, shipped_points
 from inference.benchmark.submission import Submission
 from inference.benchmark.target import FrozenTarget
 from inference.studies.comparison.distances import standardised, wasserstein
 from inference.studies.comparison.judge import Judgement, judge
 from inference.studies.comparison.sample import NAMES, Sample
 
-EXACT = 20_000
-"""Exact draws that are compared with."""
 MOST = 20_000
 """Draws that are judged at most, taken evenly along every chain."""
 
@@ -51,11 +48,9 @@ class Assessment(NamedTuple):
     per_second: float
 
 
-def exact_sample(target: FrozenTarget, folder: Path | None = None) -> Sample:
-    """The exact draws that all are compared with: of the last block, which nobody comes to who
-    takes some of the first."""
-    points = exact_block(target, BLOCKS - 1, folder).points[:EXACT]
-    return sample_at(target, points[None], seed=0)
+def exact_sample(target: FrozenTarget) -> Sample:
+    """The exact draws that all are compared with: those that are in the package."""
+    return sample_at(target, shipped_points(target.name)[None])
 
 
 def verdict(
@@ -74,12 +69,12 @@ def verdict(
 
     Raises
     ------
-    BadInput, OutOfBudget
-        As `references.draw_block`, where exact draws are not yet in the cache.
+    BadInput
+        As `references.shipped_points`.
     """
     known = reference(target.name)
     exact = exact_sample(target) if exact is None else exact
-    sample = sample_at(target, _thinned(submission.points), seed=1)
+    sample = sample_at(target, _thinned(submission.points))
     stated = submission.log_evidence, submission.log_evidence_se
     judgement = judge(
         sample,

@@ -4,19 +4,20 @@ reports/leaderboard.md and its picture.
     python -m reports.pages.leaderboard --work build/leaderboard --seconds 10
 
 Every line is kept in the folder `--work`, and what is there is not run again; the page is made of
-the lines that are there. `--samplers` and `--targets` run some only.
+the lines that are there. `--samplers`, `--targets` and `--budgets` run some only.
 """
 
 import argparse
 import json
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 from matplotlib.figure import Figure
+from scipy import stats
 
 from inference.baselines.catalogue import BASELINES
 from inference.baselines.run import Allowance, check_packages
@@ -28,11 +29,12 @@ from inference.benchmark.submission import Submission
 from inference.benchmark.target import FrozenTarget
 from inference.benchmark.verdicts import exact_sample
 from inference.exact.mixture import draw_mixture
+from inference.studies.comparison.judge import CANNOT_TELL, DIFFERS
 from inference.studies.comparison.sample import Sample
 from probmodel.files import replacing
 from reports.figures.colours import PALETTE
+from reports.figures.style import TEXT, TITLE, blank, tidy
 from reports.figures.style import page as blank_page
-from reports.figures.style import tidy
 from reports.pages.page import Values, in_doubles, write_page
 from reports.tables import Column, Sheet
 from reports.tables.benchmark import verdict_record
@@ -41,7 +43,10 @@ from reports.tables.sheet import NOTHING, number
 EXACT, GIFT, PRIOR = "exact", "exact draws", "prior"
 """The engine, and the two starts: exact draws as a gift; draws of the prior, led downhill until
 they are inside, at the sampler's expense."""
-TARGETS = ("arm", "arms", "settled")
+TARGETS = (
+    *("single", "arm", "arm-soft", "arms", "legs", "four-missing", "settled"),
+    *("whole", "whole-soft", "cruel"),
+)
 EVALUATIONS, SECONDS = "evaluations", "seconds"
 """What runs are made equal in."""
 DRAWS = 10_000
@@ -50,6 +55,10 @@ STEP = 0.3
 """Of the walk downhill, in R^d."""
 PATIENCE = 4000
 """Most steps of the walk downhill."""
+SETS, SET = 200, 500
+"""Sets of exact draws that are judged, and draws of each."""
+COLUMNS = 5
+"""Panels in a row."""
 CLOCK = time.process_time
 WORK = Path("build") / "leaderboard"
 NEVER = {
@@ -145,7 +154,8 @@ def line(
     if name == EXACT:
         found: tuple[Submission, int] | None = exact_line(target)
     elif name in GUESTS:
-        found = GUESTS[name][0](target, 3, allowance), 0
+        guest = GUESTS[name][0](target, 3, allowance)
+        found = None if guest is None else (guest, 0)
     else:
         found = baseline_line(target, name, start, allowance)
     about: dict[str, Any] = {"target": target.name, "sampler": name, "start": start}
@@ -190,6 +200,47 @@ def measure(
                     with replacing(path) as partial:
                         partial.write_text(json.dumps(found), encoding="utf-8")
                     print(label, found["verdict"], flush=True)
+
+
+def false_alarms(targets: Iterable[str], work: Path) -> None:
+    """Judges sets of exact draws, of every target that is not yet in the folder."""
+    for one in targets:
+        path = work / f"exact-{one}.txt"
+        if path.exists():
+            continue
+        target, exact = load(one), exact_sample(load(one))
+        points = exact_points(target, SETS * SET).reshape(SETS, 1, SET, -1)
+        found = [verdict(target, Submission(each, SET), exact) for each in points]
+        with replacing(path) as partial:
+            partial.write_text("\n".join(each.judgement.verdict for each in found))
+        print("exact", one, flush=True)
+
+
+def alarms_in(work: Path) -> Sheet:
+    """How often exact draws are said to differ."""
+    records = []
+    for one in TARGETS:
+        path = work / f"exact-{one}.txt"
+        if not path.exists():
+            continue
+        said = path.read_text(encoding="utf-8").split("\n")
+        differ = said.count(DIFFERS)
+        interval = stats.binomtest(differ, len(said)).proportion_ci(0.95)
+        records.append(
+            {
+                "target": one,
+                "differ": f"{differ} of {len(said)}",
+                "rate": f"{differ / len(said):.1%} ({interval.low:.1%}–{interval.high:.1%})",
+                "cannot tell": said.count(CANNOT_TELL),
+            }
+        )
+    columns = (
+        Column("target", left=True),
+        Column("said to differ", "differ"),
+        Column("rate, 95 % interval", "rate"),
+        Column("cannot tell"),
+    )
+    return Sheet(columns, records)
 
 
 def lines_in(work: Path) -> list[dict[str, Any]]:
@@ -250,6 +301,25 @@ def _nats(value: float | None) -> str:
 
 def ratios(lines: list[dict[str, Any]]) -> Sheet:
     """By target: the exact row against the best of those that were given nothing."""
+    return Sheet(
+        (
+            Column("target", left=True),
+            Column("dim"),
+            Column("exact, earned/s", "exact", _rate),
+            Column("best other that agrees, from the prior", _best, left=True),
+            Column("ratio", form=_count),
+        ),
+        contests(lines),
+    )
+
+
+def _best(one: Mapping[str, Any]) -> str:
+    return NOTHING if one["best"] is None else f"{one['best']}: {_rate(one['pace'])}"
+
+
+def contests(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """By target: what exact draws and the best other earn a second, and their ratio; None where no
+    other agrees."""
     records = []
     for target in TARGETS:
         own = [one for one in lines if one["target"] == target and one["budget"] == SECONDS]
@@ -264,26 +334,45 @@ def ratios(lines: list[dict[str, Any]]) -> Sheet:
                 "target": target,
                 "dim": load(target).dim,
                 "exact": _pace(exact),
-                "best": NOTHING if best is None else f"{best['sampler']}: {_rate(_pace(best))}",
+                "best": None if best is None else best["sampler"],
+                "pace": None if best is None else _pace(best),
                 "ratio": None if best is None else number(_pace(exact) / _pace(best)),
             }
         )
-    columns = (
-        Column("target", left=True),
-        Column("dim"),
-        Column("exact, earned/s", "exact", _rate),
-        Column("best other that agrees, from the prior", "best", left=True),
-        Column("ratio", form=_count),
-    )
-    return Sheet(columns, records)
+    return records
+
+
+def growth(lines: list[dict[str, Any]]) -> Figure:
+    """What exact draws and the best other earn a second, against the dimension."""
+    figure = blank_page(6.4, 3.4)
+    axes = figure.subplots()
+    for one in contests(lines):
+        soft = one["target"].endswith("-soft")
+        fill = "none" if soft else "full"
+        axes.plot(one["dim"], one["exact"], "o", color=PALETTE[0], ms=5, fillstyle=fill)
+        place = one["dim"], one["exact"]
+        axes.annotate(one["target"], place, xytext=(4, 3), textcoords="offset points", fontsize=6)
+        if one["best"] is not None:
+            axes.plot(one["dim"], one["pace"], "s", color=PALETTE[1], ms=5, fillstyle=fill)
+            place = one["dim"], one["pace"]
+            label = f"{one['best']}, {one['target']}"
+            axes.annotate(label, place, xytext=(4, 3), textcoords="offset points", fontsize=6)
+    axes.set(yscale="log", xlabel="dimensions", ylabel="effective draws earned a CPU second")
+    axes.margins(x=0.15, y=0.1)
+    tidy(axes)
+    return figure
 
 
 def picture(lines: list[dict[str, Any]]) -> Figure:
     """A panel a target: how far the worst coordinate is off against what a second earns; names
     stand beside the points."""
     shown = [target for target in TARGETS if any(one["target"] == target for one in lines)]
-    figure = blank_page(3.4 * len(shown), 3.2)
-    for axes, target in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
+    rows = -(-len(shown) // COLUMNS)
+    figure = blank_page(2.7 * min(len(shown), COLUMNS), 2.8 * rows)
+    panels = figure.subplots(rows, min(len(shown), COLUMNS), squeeze=False).ravel()
+    for axes in panels[len(shown) :]:
+        blank(axes)
+    for axes, target in zip(panels, shown, strict=False):
         for one in lines:
             if (one["target"], one["budget"]) != (target, SECONDS) or "earned" not in one:
                 continue
@@ -298,15 +387,17 @@ def picture(lines: list[dict[str, Any]]) -> Figure:
             )
             label = one["sampler"] + (" (given)" if one["start"] == GIFT else "")
             axes.annotate(label, place, xytext=(4, 3), textcoords="offset points", fontsize=6)
-        axes.set(xscale="log", yscale="log", title=f"{target}, {load(target).dim} dimensions")
-        axes.set_xlabel("effective draws earned a CPU second")
-        axes.set_ylabel("W1 of the worst coordinate, sd")
+        axes.set(xscale="log", yscale="log")
+        axes.set_title(f"{target}, {load(target).dim} dimensions", fontsize=TITLE)
+    figure.supxlabel("effective draws earned a CPU second", fontsize=TEXT)
+    figure.supylabel("W1 of the worst coordinate, standard deviations", fontsize=TEXT)
+    for axes in panels:
         axes.margins(x=0.25, y=0.1)
         tidy(axes)
     return figure
 
 
-def values(lines: list[dict[str, Any]]) -> Values:
+def values(lines: list[dict[str, Any]], work: Path) -> Values:
     """What fills the page."""
     boards = [
         f"### {target}, {load(target).dim} dimensions: equal {words}\n\n{sheet.markdown()}"
@@ -319,6 +410,7 @@ def values(lines: list[dict[str, Any]]) -> Values:
     spent = [one["seconds"] for one in lines if one["budget"] == SECONDS and "seconds" in one]
     return {
         "ratios": ratios(lines),
+        "alarms": alarms_in(work),
         "boards": "\n\n".join(boards),
         "absent": "\n".join(f"- {words}." for words in NEVER.values()),
         "not_run": ", ".join(left) or "none",
@@ -343,6 +435,7 @@ def main() -> None:
     everyone = [EXACT, "emcee", "emcee-de", "aies", "random-walk", "sa", "smc", "nss", *GUESTS]
     parser.add_argument("--samplers", default=",".join(everyone))
     parser.add_argument("--targets", default=",".join(TARGETS))
+    parser.add_argument("--budgets", default=f"{SECONDS},{EVALUATIONS}")
     options = parser.parse_args()
     in_doubles()
     options.work.mkdir(parents=True, exist_ok=True)
@@ -355,9 +448,12 @@ def main() -> None:
         SECONDS: Allowance(seconds=options.seconds),
         EVALUATIONS: Allowance(evaluations=options.evaluations),
     }
+    budgets = {name: budgets[name] for name in options.budgets.split(",")}
     measure(names, options.targets.split(","), budgets, options.work)
+    false_alarms(options.targets.split(","), options.work)
     lines = lines_in(options.work)
-    write_page("leaderboard", values(lines), {"leaderboard": picture(lines)})
+    pictures = {"leaderboard": picture(lines), "leaderboard_growth": growth(lines)}
+    write_page("leaderboard", values(lines, options.work), pictures)
 
 
 if __name__ == "__main__":

@@ -9,13 +9,11 @@ NumPyro ≤ 0.21."""
 import functools
 import math
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from arviz_stats.base import array_stats
 from numpyro.infer import AIES, ESS
-from numpyro.infer.ensemble import EnsembleSamplerState
 from scipy.signal import lfilter
 from scipy.stats import binom
 
@@ -51,6 +49,7 @@ from inference.studies.comparison.sample import NAMES, Sample, read_sample, samp
 from inference.studies.flips import codes
 from probmodel import BadInput, PoseModel
 from tests.scenes import ALL_BUT_AN_ARM, key, prior_scene
+from tests.wrong_samplers import HalfUpdatedAIES, HalfUpdatedESS
 
 SEEN = [0, 4]
 """The bones of the seen arm among those that flip."""
@@ -195,7 +194,7 @@ def test_the_worst_coordinate_is_corrected_for_their_number():
     """64 p-values of nothing: the test of the worst of them rejects at 5 % in 5 % of 400 cases (too
     many: 0.1 %); without the correction it would in 96 %."""
     rng = np.random.default_rng(0)
-    said = [_coordinates(rng.uniform(size=(32, 2)), np.ones((32, 2))) for _ in range(400)]
+    said = [_coordinates(rng.uniform(size=(32, 2)), np.ones((32, 2)), 64) for _ in range(400)]
     assert sum(test.p_value < 0.05 for test in said) <= binom.ppf(0.999, 400, 0.05)
     assert any(test.p_value < 0.05 for test in said)
 
@@ -407,30 +406,6 @@ def test_chains_that_scatter_are_worth_what_they_agree_on(clouds):
     assert max(said) > 40 * 640
     assert max(mean_ess(one) for one in varies) < 4 * 640
     assert mean_ess(np.random.default_rng(1).normal(size=(16, 500))) > 4000
-
-
-class HalfUpdatedAIES(AIES):
-    """Affine-invariant ensembles as NumPyro ≤ 0.21 had them: the second half of the walkers finds
-    its partners among themselves, who move at the same time (mended in its pull request 2189)."""
-
-    def sample(self, state, model_args, model_kwargs):
-        return half_updated(self, state)
-
-
-class HalfUpdatedESS(ESS):
-    """Ensemble slice sampling of NumPyro ≤ 0.21, with the same fault."""
-
-    def sample(self, state, model_args, model_kwargs):
-        return half_updated(self, state)
-
-
-def half_updated(kernel, state):
-    z, inner, rng_key = state
-    rng_key, _ = jax.random.split(rng_key)
-    half = len(z) // 2
-    first, inner = kernel.update_active_chains(z[:half], z[half:], inner)
-    second, inner = kernel.update_active_chains(z[half:], z[half:], inner)
-    return EnsembleSamplerState(jnp.concatenate([first, second]), inner, rng_key)
 
 
 def of_normal(kernel) -> Judgement:

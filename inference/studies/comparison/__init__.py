@@ -7,18 +7,7 @@ Plain arrays first (`distances`, `permutation`, `ranks`, `modes`, `mixing`, `cos
 them (`judge`), and a thin layer that reads and writes DataTrees (`sample`, `record`). Every p-value
 comes with its sample size and what it takes for granted; "cannot tell" is an answer."""
 
-from inference.studies.comparison.contest import Comparison, compare
-from inference.studies.comparison.judge import Judgement, Test, judge
-from inference.studies.comparison.record import comparison_tree
-from inference.studies.comparison.sample import Sample, read_sample
+import lazy_loader
 
-__all__ = [
-    "Comparison",
-    "Judgement",
-    "Sample",
-    "Test",
-    "compare",
-    "comparison_tree",
-    "judge",
-    "read_sample",
-]
+# As in `inference`: the judge does not bring JAX along.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -97,7 +97,8 @@ def judge(
     if not mixed.stuck and worst >= FEWEST:
         thinned = sample if _independent(sample, worst) else sample.rows(_stride(sample, worst))
         tests, others = _tests(thinned, exact, rng, permutations)
-        tests.append(_coordinates(coordinate_p, ess))
+        varying = int(np.sum(np.ptp(exact.flat, axis=0) > 0))
+        tests.append(_coordinates(coordinate_p, ess, 2 * varying))
     if math.isfinite(evidence[0]) and math.isfinite(exact_evidence[0]):
         tests.append(_evidence(evidence, exact_evidence))
     found = modes(
@@ -170,14 +171,14 @@ def _tests(
     return tests, [Test("C2ST", *classifier_test(draws, known, rng), number, independent)]
 
 
-def _coordinates(p_values: np.ndarray, ess: np.ndarray) -> Test:
+def _coordinates(p_values: np.ndarray, ess: np.ndarray, number: int) -> Test:
     """The worst of all rank tests of single coordinates, corrected for their number."""
     worst = np.unravel_index(np.argmin(p_values), p_values.shape)
     name = f"ranks of {NAMES[worst[0]]}, {('shift', 'spread')[worst[1]]}"
-    corrected = min(1.0, float(p_values[worst] * p_values.size))
+    corrected = min(1.0, float(p_values[worst] * number))
     assumption = (
         "means of ranks are normal, with the effective size measured on them; corrected for"
-        f" {p_values.size} tests"
+        f" {number} tests"
     )
     return Test(
         name, float(stats.norm.isf(p_values[worst] / 2)), corrected, float(ess[worst]), assumption

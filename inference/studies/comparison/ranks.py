@@ -28,8 +28,8 @@ def scores(values: np.ndarray, exact: np.ndarray) -> np.ndarray:
 
 def each_coordinate(values: np.ndarray, exact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """p-values `(c, 2)` (shift, spread) of chains `(chain, draw, c)` against exact draws `(m, c)`,
-    and the effective sizes `(c, 2)` they rest on. Normal approximation: worth nothing below some
-    fifty effective draws."""
+    and the effective sizes `(c, 2)` they rest on; 1 where the exact draws do not vary. Normal
+    approximation: worth nothing below some fifty effective draws."""
     found = scores(values, exact)
     ess = np.array(
         [
@@ -38,7 +38,8 @@ def each_coordinate(values: np.ndarray, exact: np.ndarray) -> tuple[np.ndarray, 
         ]
     )
     z = found.mean(axis=(0, 1)) / np.sqrt(1 / ess + 1 / len(exact))
-    return 2 * stats.norm.sf(np.abs(z)), ess
+    varies = np.ptp(exact, axis=0)[:, None] > 0
+    return np.where(varies, 2 * stats.norm.sf(np.abs(z)), 1.0), ess
 
 
 def all_together(draws: np.ndarray, exact: np.ndarray) -> tuple[float, float]:

@@ -5,13 +5,16 @@ Coordinates are the five lengths and the joints that limbs end in, in camera axe
 together they are the whole pose, whatever a sampler walked in."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from inference.studies.flips import away
 from probmodel.failures import BadInput
 from probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS, NUM_LENGTHS
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 NAMES = (
     *(f"length of {group}" for group in LENGTH_GROUPS),
@@ -68,7 +71,7 @@ def sample_of(joints: np.ndarray, bone_length: np.ndarray, where: str = "the dra
     return Sample(np.concatenate([bone_length, ends], axis=-1), away(joints))
 
 
-def read_sample(tree: xr.DataTree, where: str = "the draws") -> Sample:
+def read_sample(tree: "xr.DataTree", where: str = "the draws") -> Sample:
     """From a tree with the group `posterior` of the contract. Raises `BadInput` where it has none,
     or bad numbers."""
     try:

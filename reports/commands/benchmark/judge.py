@@ -10,7 +10,7 @@ def run(settings: BenchmarkJudgeSettings, screen: Screen) -> None:
     from inference.benchmark import load, verdict
     from reports.tables.benchmark import tests_table, verdict_record, verdict_sentences
 
-    with console.progress(f"exact draws of {settings.target}, and tests", screen.quiet):
+    with console.progress(f"tests against exact draws of {settings.target}", screen.quiet):
         found = verdict(load(settings.target), settings.submission)
     if screen.json:
         console.show_json(verdict_record(found))

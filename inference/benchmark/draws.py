@@ -1,0 +1,168 @@
+"""A million exact draws of a target, made on demand in blocks and kept, and what the first of them
+say: what stands in the package as `references`.
+
+    points = exact_points(load("arm"), 100_000)  # (100000, 6), the first of a million
+
+A block has the same bits wherever the same compiled loops run on a processor of the same kind;
+elsewhere it has the same law, and `same_bits` says which."""
+
+import contextlib
+import hashlib
+import io
+import math
+import os
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from inference.baselines.target import Target
+from inference.benchmark.programs import estimate, frozen_model
+from inference.benchmark.references import SHIPPED, Moments, reference, sample_at
+from inference.benchmark.target import FrozenTarget
+from inference.exact.mixture import root_samplers
+from inference.exact.rates import Budget
+from inference.studies.flips import FLIPPING
+from probmodel.arrays import read_tables
+from probmodel.failures import BadInput, OutOfBudget
+from probmodel.files import replacing
+
+BLOCK = 50_000
+"""Draws of a block; a block is drawn as a whole, by a key of its own."""
+BLOCKS = 20
+"""Blocks of a target: a million draws."""
+MEASURED = {"disc": 4, "gaussian": 3}
+"""Blocks from which a target is measured, and whose checksums are kept, by its law: exact draws
+under soft walls are dearer."""
+MAX_PROPOSALS = 100_000_000_000
+"""Proposals for a block; soft walls turn down most."""
+MODES = 1e-4
+"""Modes of less mass are not listed; their masses are put together."""
+
+
+class DrawBlock(NamedTuple):
+    """Some exact draws: `points` `(BLOCK, d)` of R^d, and the log evidence that came along with its
+    standard error."""
+
+    points: np.ndarray
+    log_evidence: float
+    log_evidence_se: float
+
+    @property
+    def sha256(self) -> str:
+        """The checksum of the points."""
+        return hashlib.sha256(np.ascontiguousarray(self.points, "<f8").tobytes()).hexdigest()
+
+
+def draw_block(target: FrozenTarget, index: int) -> DrawBlock:
+    """Draws a block, always the same. Raises `BadInput` unless JAX has 64-bit floats, and
+    `OutOfBudget` where the engine cannot make it."""
+    if not jax.config.jax_enable_x64:
+        raise BadInput(
+            "exact draws need 64-bit floats; call jax.config.update('jax_enable_x64', True) first"
+        )
+    posterior = estimate(target).posterior(frozen_model())
+    words = np.frombuffer(hashlib.sha256(target.name.encode()).digest()[:4], "<u4")[0]
+    key = jax.random.fold_in(jax.random.key(int(words)), index)
+    (sampler,) = root_samplers(posterior, key, "rejection")
+    if not sampler.more(BLOCK, Budget(MAX_PROPOSALS)):
+        raise OutOfBudget(f"exact draws of {target.name} could not be made; the engine has changed")
+    points = Target.of(posterior).points_of(sampler.poses(BLOCK))
+    return DrawBlock(points, sampler.log_evidence, sampler.log_evidence_se)
+
+
+def cache_folder() -> Path:
+    """Where blocks are kept: the user's cache folder."""
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home) / "poseterior" / "benchmark"
+
+
+def exact_block(target: FrozenTarget, index: int, folder: Path | None = None) -> DrawBlock:
+    """A block from the cache, or drawn and kept there; a kept one that is damaged is drawn anew."""
+    path = (folder or cache_folder()) / f"{target.name}-{index:02}.npz"
+    if path.exists():
+        kept = _kept(path)
+        if kept is not None:
+            return kept
+    block = draw_block(target, index)
+    with contextlib.suppress(OSError, BadInput):  # without a cache it is slower, and no worse
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _keep(path, block)
+    return block
+
+
+def _keep(path: Path, block: DrawBlock) -> None:
+    evidence = np.array([block.log_evidence, block.log_evidence_se])
+    sha256 = np.array(block.sha256)
+    with replacing(path) as partial, partial.open("wb") as file:
+        np.savez(file, allow_pickle=False, points=block.points, evidence=evidence, sha256=sha256)
+
+
+def _kept(path: Path) -> DrawBlock | None:
+    """The block in a file; None where it is not what was written."""
+    try:
+        found = read_tables(path, "block of exact draws", "delete it")
+        block = DrawBlock(found["points"], *found["evidence"].tolist())
+    except (BadInput, KeyError, TypeError):
+        return None
+    return block if block.sha256 == str(found["sha256"]) else None
+
+
+def same_bits(target: FrozenTarget, folder: Path | None = None) -> bool:
+    """Whether this machine's draws have the bits that the reference was measured with, by the first
+    block. Where they have not, their law is the same."""
+    return exact_block(target, 0, folder).sha256 == reference(target.name).blocks[0]
+
+
+def exact_points(target: FrozenTarget, number: int, folder: Path | None = None) -> np.ndarray:
+    """The first `number` exact draws as points `(number, d)` of R^d, from the cache where they are
+    there. Raises `BadInput` where there are not so many."""
+    most = BLOCK * BLOCKS
+    if not 1 <= number <= most:
+        raise BadInput(f"a target has 1 to {most:,} exact draws, not {number:,}; ask for fewer")
+    blocks = [exact_block(target, index, folder) for index in range(-(-number // BLOCK))]
+    return np.concatenate([block.points for block in blocks])[:number]
+
+
+def measured(target: FrozenTarget) -> dict[str, Any]:
+    """The record of `reference.json`, from the first `MEASURED` blocks."""
+    blocks = [exact_block(target, index) for index in range(MEASURED[target.law])]
+    logs = np.array([block.log_evidence for block in blocks])
+    errors = np.array([block.log_evidence_se for block in blocks])
+    parts = [sample_at(target, block.points[None]) for block in blocks]
+    values = np.concatenate([part.flat for part in parts])
+    away = np.concatenate([part.away[0] for part in parts])
+    moments = Moments.of(values)
+    return {
+        "log_evidence": float(np.logaddexp.reduce(logs) - math.log(len(blocks))),
+        "log_evidence_se": float(np.sqrt(np.sum(errors**2)) / len(blocks)),
+        "modes": mode_masses(target, away),
+        **{field.name: getattr(moments, field.name).tolist() for field in fields(moments)},
+        "number": len(values),
+        "blocks": [block.sha256 for block in blocks],
+        "shipped": hashlib.sha256(shipped_file(target)).hexdigest(),
+    }
+
+
+def shipped_file(target: FrozenTarget) -> bytes:
+    """The file of draws that is in the package: the first of the last block, in single precision,
+    for which a joint at the rim of its disc may lie a millionth beyond."""
+    file = io.BytesIO()
+    np.save(file, exact_block(target, BLOCKS - 1).points[:SHIPPED].astype("<f4"))
+    return file.getvalue()
+
+
+def mode_masses(target: FrozenTarget, away: np.ndarray) -> dict[str, float]:
+    """Shares of the depth flips `(n, 8)` by their letters, commonest first, those of at least
+    `MODES`."""
+    decided = [bone for limb in target.limbs for bone in limb.bones]
+    flips = [number for number, bone in enumerate(FLIPPING) if bone in decided]
+    found, counts = np.unique(away[:, flips], axis=0, return_counts=True)
+    shares = {}
+    for row in np.argsort(-counts, kind="stable"):
+        letters = np.full(len(FLIPPING), ".")
+        letters[flips] = np.where(found[row], "a", "t")
+        shares["".join(letters)] = float(counts[row] / len(away))
+    return {letters: share for letters, share in shares.items() if share >= MODES}

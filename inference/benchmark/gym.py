@@ -1,0 +1,117 @@
+"""Frozen targets as models of TensorFlow Probability's inference gym, in JAX.
+
+    model = gym_model("arm-soft")
+    model.unnormalized_log_prob(model.default_event_space_bijector(jnp.zeros(6)))
+    model.sample_transformations["identity"].ground_truth_mean
+
+It needs `pip install 'poseterior[gym]'`: the gym, and TensorFlow Probability as it is built every
+night, because its last release does not run on this JAX."""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from inference.baselines.target import Target
+from inference.benchmark.anatomy import FrozenAnatomy
+from inference.benchmark.catalogue import load
+from inference.benchmark.programs import estimate, frozen_model
+from inference.benchmark.references import Moments, shipped_points
+from probmodel.skeleton import JOINTS, NUM_LENGTHS
+
+
+def gym_model(name: str, hardness: float = math.inf) -> Any:
+    """A target as the gym's `BayesianModel` on the box: fractions of the lengths' ranges, points of
+    the directions' squares.
+
+    Parameters
+    ----------
+    name
+        Of the target.
+    hardness
+        Of the walls, as in `FrozenTarget.log_graded`. Infinite, they are the target's, and the log
+        density is -inf outside of them, which a chain cannot start in; the ground truth is always
+        the target's.
+
+    Returns
+    -------
+    inference_gym.targets.BayesianModel
+        With the sample transformations `identity`, and `joints`: where those joints are that a
+        coordinate moves, `(k, 3)`, camera axes, body units. Their ground truth is from the exact
+        draws in the package.
+
+    Raises
+    ------
+    BadInput
+        On a target that does not exist.
+    ImportError
+        Where the extra `gym` is not installed.
+    """
+    from inference_gym import using_jax as gym
+    from tensorflow_probability.substrates.jax import bijectors, distributions
+
+    target = load(name)
+    in_jax = Target.of(estimate(target).posterior(frozen_model()))
+    ends = jnp.array([bone.end for limb in target.limbs for bone in limb.bones])
+    alpha, beta = _beta_parameters(target.active)
+
+    def joints(box: jax.Array) -> jax.Array:
+        return in_jax.joints(_logit(box))[..., ends, :]
+
+    class FrozenPosterior(gym.targets.BayesianModel):
+        def _prior_distribution(self) -> Any:
+            return distributions.Independent(distributions.Beta(alpha, beta), 1)
+
+        def _log_likelihood(self, box: jax.Array) -> jax.Array:
+            points = _logit(box)
+            if math.isinf(hardness):
+                return in_jax.log_likelihood(points)
+            return in_jax.log_graded(points, hardness)
+
+    exact = jnp.asarray(target.box_of(shipped_points(name)))
+    found = {"identity": (lambda box: box, "Box"), "joints": (joints, "Joints, body units")}
+    return FrozenPosterior(
+        default_event_space_bijector=bijectors.Sigmoid(),
+        event_shape=(target.dim,),
+        dtype=exact.dtype,
+        name=f"poseterior_{name.replace('-', '_')}",
+        pretty_name=f"poseterior: {target.about}",
+        sample_transformations={
+            label: _transformation(gym.targets.Model.SampleTransformation, function, words, exact)
+            for label, (function, words) in found.items()
+        },
+    )
+
+
+def joints_moved(name: str) -> list[str]:
+    """The names of the joints of the transformation `joints`, in its order."""
+    return [JOINTS[bone.end] for limb in load(name).limbs for bone in limb.bones]
+
+
+def _transformation(make: Any, function: Any, words: str, exact: jax.Array) -> Any:
+    """A sample transformation with its ground truth."""
+    values = np.asarray(jax.jit(function)(exact))
+    truth = Moments.of(values)
+    return make(
+        fn=function,
+        pretty_name=words,
+        ground_truth_mean=truth.mean,
+        ground_truth_mean_standard_error=truth.mean_se,
+        ground_truth_standard_deviation=truth.sd,
+        ground_truth_standard_deviation_standard_error=truth.sd_se,
+        dtype=exact.dtype,
+    )
+
+
+def _beta_parameters(active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Those `(d,)`, `(d,)` of the prior of the coordinates; directions are uniform."""
+    lengths, free = FrozenAnatomy.default().lengths, active < NUM_LENGTHS
+    alpha, beta = np.ones(len(active)), np.ones(len(active))
+    alpha[free], beta[free] = lengths.alpha[active[free]], lengths.beta[active[free]]
+    return alpha, beta
+
+
+def _logit(box: jax.Array) -> jax.Array:
+    return jnp.log(box) - jnp.log1p(-box)

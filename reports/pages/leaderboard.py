@@ -16,6 +16,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import stats
 
@@ -342,21 +343,32 @@ def contests(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return records
 
 
+def name_points(axes: Axes, named: list[tuple[float, float, str]]) -> None:
+    """Writes names beside points `(x, y, name)`, from below upwards, each above the last one where
+    the two would overprint each other."""
+    logs = np.log10([one[1] for one in named]) if named else np.zeros(0)
+    room = 0.06 * max(np.ptp(logs), 0.3) if named else 0.0
+    before, lift = -np.inf, 0.0
+    for row in np.argsort(logs, kind="stable"):
+        x, y, words = named[row]
+        lift = lift + 6 if logs[row] - before < room else 0.0
+        before = logs[row]
+        axes.annotate(words, (x, y), xytext=(5, lift - 2), textcoords="offset points", fontsize=6)
+
+
 def growth(lines: list[dict[str, Any]]) -> Figure:
     """What exact draws and the best other earn a second, against the dimension."""
     figure = blank_page(6.4, 3.4)
-    axes = figure.subplots()
+    axes, named = figure.subplots(), []
     for one in contests(lines):
         soft = one["target"].endswith("-soft")
         fill = "none" if soft else "full"
         axes.plot(one["dim"], one["exact"], "o", color=PALETTE[0], ms=5, fillstyle=fill)
-        place = one["dim"], one["exact"]
-        axes.annotate(one["target"], place, xytext=(4, 3), textcoords="offset points", fontsize=6)
+        named.append((one["dim"], one["exact"], f"exact, {one['target']}"))
         if one["best"] is not None:
             axes.plot(one["dim"], one["pace"], "s", color=PALETTE[1], ms=5, fillstyle=fill)
-            place = one["dim"], one["pace"]
-            label = f"{one['best']}, {one['target']}"
-            axes.annotate(label, place, xytext=(4, 3), textcoords="offset points", fontsize=6)
+            named.append((one["dim"], one["pace"], f"{one['best']}, {one['target']}"))
+    name_points(axes, named)
     axes.set(yscale="log", xlabel="dimensions", ylabel="effective draws earned a CPU second")
     axes.margins(x=0.15, y=0.1)
     tidy(axes)
@@ -373,6 +385,7 @@ def picture(lines: list[dict[str, Any]]) -> Figure:
     for axes in panels[len(shown) :]:
         blank(axes)
     for axes, target in zip(panels, shown, strict=False):
+        named = []
         for one in lines:
             if (one["target"], one["budget"]) != (target, SECONDS) or "earned" not in one:
                 continue
@@ -386,7 +399,8 @@ def picture(lines: list[dict[str, Any]]) -> Figure:
                 fillstyle="none" if one["start"] == GIFT else "full",
             )
             label = one["sampler"] + (" (given)" if one["start"] == GIFT else "")
-            axes.annotate(label, place, xytext=(4, 3), textcoords="offset points", fontsize=6)
+            named.append((*place, label))
+        name_points(axes, named)
         axes.set(xscale="log", yscale="log")
         axes.set_title(f"{target}, {load(target).dim} dimensions", fontsize=TITLE)
     figure.supxlabel("effective draws earned a CPU second", fontsize=TEXT)

@@ -117,12 +117,12 @@ class Gaussian(ErrorLaw):
     log_peak = float(-np.log(2 * np.pi * 0.5**2 * (1 - np.exp(-(1.5**2) / (2 * 0.5**2)))))
 
     def log_ratio(self, square: ArrayLike) -> jax.Array:
-        """-|e|²/2σ² within the reach."""
+        """`-|e|²/2σ²` within the reach."""
         square = jnp.asarray(square)
         return jnp.where(square <= self.reach**2, -square / (2 * self.deviation**2), -jnp.inf)
 
     def distance(self, uniform: ArrayLike) -> jax.Array:
-        """|e|²/2σ² is exponential, cut at 4.5."""
+        """`|e|²/2σ²` is exponential, cut at 4.5."""
         most = -jnp.expm1(-(self.reach**2) / (2 * self.deviation**2))
         return self.deviation * jnp.sqrt(-2 * jnp.log1p(-most * jnp.asarray(uniform)))
 

@@ -13,8 +13,7 @@ import jax
 import numpy as np
 
 from inference.baselines.run import Allowance
-from inference.baselines.target import Target
-from inference.benchmark.programs import estimate, frozen_model
+from inference.benchmark.programs import in_jax
 from inference.benchmark.submission import Submission, submit
 from inference.benchmark.target import FrozenTarget
 
@@ -86,8 +85,8 @@ GUESTS: dict[str, tuple[Guest, str]] = {
 
 def _graded(target: FrozenTarget) -> Callable[[np.ndarray], float]:
     """The graded likelihood of one point in JAX, compiled."""
-    in_jax = Target.of(estimate(target).posterior(frozen_model()))
-    compiled = jax.jit(lambda point: in_jax.log_graded(point, HARDNESS))
+    density = in_jax(target)
+    compiled = jax.jit(lambda point: density.log_graded(point, HARDNESS))
     compiled(np.zeros(target.dim))
     return lambda point: float(compiled(point))
 

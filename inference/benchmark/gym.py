@@ -14,12 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.baselines.target import Target
-from inference.benchmark.anatomy import FrozenAnatomy
 from inference.benchmark.catalogue import load
-from inference.benchmark.programs import estimate, frozen_model
+from inference.benchmark.programs import in_jax
 from inference.benchmark.references import Moments, shipped_points
-from probmodel.skeleton import JOINTS, NUM_LENGTHS
 
 
 def gym_model(name: str, hardness: float = math.inf) -> Any:
@@ -39,8 +36,8 @@ def gym_model(name: str, hardness: float = math.inf) -> Any:
     -------
     inference_gym.targets.BayesianModel
         With the sample transformations `identity`, and `joints`: where those joints are that a
-        coordinate moves, `(k, 3)`, camera axes, body units. Their ground truth is from the exact
-        draws in the package.
+        coordinate moves, `(k, 3)` in the order of `FrozenTarget.limbs`, camera axes, body units.
+        Their ground truth is from the exact draws in the package.
 
     Raises
     ------
@@ -53,27 +50,26 @@ def gym_model(name: str, hardness: float = math.inf) -> Any:
     from tensorflow_probability.substrates.jax import bijectors, distributions
 
     target = load(name)
-    in_jax = Target.of(estimate(target).posterior(frozen_model()))
+    density, to_box = in_jax(target), bijectors.Sigmoid()
     ends = jnp.array([bone.end for limb in target.limbs for bone in limb.bones])
-    alpha, beta = _beta_parameters(target.active)
 
     def joints(box: jax.Array) -> jax.Array:
-        return in_jax.joints(_logit(box))[..., ends, :]
+        return density.joints(to_box.inverse(box))[..., ends, :]
 
     class FrozenPosterior(gym.targets.BayesianModel):
         def _prior_distribution(self) -> Any:
-            return distributions.Independent(distributions.Beta(alpha, beta), 1)
+            return distributions.Independent(distributions.Beta(*target.prior_shape), 1)
 
         def _log_likelihood(self, box: jax.Array) -> jax.Array:
-            points = _logit(box)
+            points = to_box.inverse(box)
             if math.isinf(hardness):
-                return in_jax.log_likelihood(points)
-            return in_jax.log_graded(points, hardness)
+                return density.log_likelihood(points)
+            return density.log_graded(points, hardness)
 
     exact = jnp.asarray(target.box_of(shipped_points(name)))
     found = {"identity": (lambda box: box, "Box"), "joints": (joints, "Joints, body units")}
     return FrozenPosterior(
-        default_event_space_bijector=bijectors.Sigmoid(),
+        default_event_space_bijector=to_box,
         event_shape=(target.dim,),
         dtype=exact.dtype,
         name=f"poseterior_{name.replace('-', '_')}",
@@ -83,11 +79,6 @@ def gym_model(name: str, hardness: float = math.inf) -> Any:
             for label, (function, words) in found.items()
         },
     )
-
-
-def joints_moved(name: str) -> list[str]:
-    """The names of the joints of the transformation `joints`, in its order."""
-    return [JOINTS[bone.end] for limb in load(name).limbs for bone in limb.bones]
 
 
 def _transformation(make: Any, function: Any, words: str, exact: jax.Array) -> Any:
@@ -103,15 +94,3 @@ def _transformation(make: Any, function: Any, words: str, exact: jax.Array) -> A
         ground_truth_standard_deviation_standard_error=truth.sd_se,
         dtype=exact.dtype,
     )
-
-
-def _beta_parameters(active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Those `(d,)`, `(d,)` of the prior of the coordinates; directions are uniform."""
-    lengths, free = FrozenAnatomy.default().lengths, active < NUM_LENGTHS
-    alpha, beta = np.ones(len(active)), np.ones(len(active))
-    alpha[free], beta[free] = lengths.alpha[active[free]], lengths.beta[active[free]]
-    return alpha, beta
-
-
-def _logit(box: jax.Array) -> jax.Array:
-    return jnp.log(box) - jnp.log1p(-box)

@@ -1,8 +1,8 @@
 """Frozen targets as the product's own values: as an `Estimate`, a `Posterior`, a NumPyro program,
 and in JAX, where they have gradients.
 
+    in_jax(load("arm"))                            # log_density, with jax.grad
     model, frame = frozen_model(), estimate(load("arm"))
-    target = Target.of(frame.posterior(model))     # log_density, with jax.grad
     model.posterior                                # NumPyro program of frame.observation
 """
 
@@ -11,6 +11,7 @@ from importlib import resources
 
 import numpy as np
 
+from inference.baselines.target import Target
 from inference.benchmark.anatomy import FILE
 from inference.benchmark.target import FrozenTarget
 from probmodel.anatomy.population import Anatomy
@@ -37,3 +38,8 @@ def estimate(target: FrozenTarget) -> Estimate:
     camera = WeakPerspective(1.0, np.eye(3), np.zeros(2))
     likelihood = Likelihood(LAWS[target.law](), factor=target.factor)
     return Estimate(detection, (Candidate(-1, target.view, camera, 0.0),), likelihood)
+
+
+def in_jax(target: FrozenTarget) -> Target:
+    """The target in JAX, on R^d."""
+    return Target.of(estimate(target).posterior(frozen_model()))

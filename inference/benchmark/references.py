@@ -6,12 +6,14 @@ ten thousand exact draws. All of it is data in the package, and needs neither JA
 
 How they came about, and where there are more of them: `inference.benchmark.draws`."""
 
+import functools
 import hashlib
 import io
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib import resources
+from typing import Any
 
 import numpy as np
 
@@ -75,10 +77,14 @@ class Moments:
 
 def reference(name: str) -> Reference:
     """What is known of the target of that name."""
-    text = (resources.files(FOLDER) / "reference.json").read_text("utf-8")
-    record = json.loads(text)[name]
-    moments = {key: np.array(record.pop(key)) for key in ("mean", "mean_se", "sd", "sd_se")}
+    record = _records()[name]
+    moments = {field.name: np.array(record[field.name]) for field in fields(Moments)}
     return Reference(**record | moments | {"blocks": tuple(record["blocks"])})
+
+
+@functools.cache
+def _records() -> dict[str, dict[str, Any]]:
+    return json.loads((resources.files(FOLDER) / "reference.json").read_text("utf-8"))
 
 
 def shipped_points(name: str) -> np.ndarray:

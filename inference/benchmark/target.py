@@ -112,16 +112,23 @@ class FrozenTarget:
         """Their names."""
         return tuple(COORDINATES[index] for index in self.active)
 
-    def log_prior(self, points: np.ndarray) -> np.ndarray:
-        """`(...)`: normalised log density of the prior at points `(..., d)` of R^d."""
-        points = np.asarray(points, float)
+    @functools.cached_property
+    def prior_shape(self) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters alpha, beta `(d,)` of the prior on the box: Beta distributions of lengths, and
+        uniform ones, which are Beta(1, 1), of directions."""
         lengths, free = self._lengths
-        up = -np.logaddexp(0, -points)
-        down = -np.logaddexp(0, points)
         anatomy = FrozenAnatomy.default().lengths
         alpha, beta = np.ones(self.dim), np.ones(self.dim)
         alpha[free], beta[free] = anatomy.alpha[lengths], anatomy.beta[lengths]
-        constant = anatomy.log_constants[lengths].sum()
+        return alpha, beta
+
+    def log_prior(self, points: np.ndarray) -> np.ndarray:
+        """`(...)`: normalised log density of the prior at points `(..., d)` of R^d."""
+        points = np.asarray(points, float)
+        alpha, beta = self.prior_shape
+        up = -np.logaddexp(0, -points)
+        down = -np.logaddexp(0, points)
+        constant = FrozenAnatomy.default().lengths.log_constants[self._lengths[0]].sum()
         return np.sum(alpha * up + beta * down, axis=-1) + constant
 
     def log_likelihood(self, points: np.ndarray) -> np.ndarray:
@@ -222,9 +229,7 @@ class FrozenTarget:
     def decided(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As `poses`, but for what no seen joint depends on: such joints lie in the origin, and
         such lengths are in the middle of their ranges."""
-        fractions = np.full((len(points), CUBE_DIM), 0.5)
-        fractions[:, self.active] = self.box_of(points)
-        return self._poses(fractions, self.limbs)
+        return self._poses(self._complete(self.box_of(points)), self.limbs)
 
     @property
     def seen_joints(self) -> list[str]:
@@ -236,6 +241,12 @@ class FrozenTarget:
         """Which length groups are coordinates, and which coordinates `(d,)` bool are lengths."""
         free = self.active < NUM_LENGTHS
         return self.active[free], free
+
+    def _complete(self, box: np.ndarray) -> np.ndarray:
+        """All fractions `(n, 23)`; what no seen joint depends on lies in the middle."""
+        fractions = np.full((len(box), CUBE_DIM), 0.5)
+        fractions[:, self.active] = box
+        return fractions
 
     def _poses(
         self, fractions: np.ndarray, limbs: tuple[Limb, ...]
@@ -253,9 +264,7 @@ class FrozenTarget:
         return found.reshape(*box.shape[:-1], len(self.seen))
 
     def _squares_of(self, box: np.ndarray) -> np.ndarray:
-        fractions = np.full((len(box), CUBE_DIM), 0.5)
-        fractions[:, self.active] = box
-        joints = FrozenAnatomy.default().joints(self.view, fractions, self.limbs)
+        joints = FrozenAnatomy.default().joints(self.view, self._complete(box), self.limbs)
         offset = joints[:, self.seen, :2] - self.seen_at[self.seen]
         return np.sum(offset**2, axis=-1) / self.spread**2
 

@@ -24,7 +24,7 @@ from inference.baselines.catalogue import BASELINES
 from inference.baselines.run import Allowance, check_packages
 from inference.baselines.run import run as run_baseline
 from inference.baselines.target import Target
-from inference.benchmark import estimate, exact_points, frozen_model, load, verdict
+from inference.benchmark import estimate, exact_points, frozen_model, in_jax, load, verdict
 from inference.benchmark.guests import GUESTS
 from inference.benchmark.submission import Submission
 from inference.benchmark.target import FrozenTarget
@@ -113,7 +113,7 @@ def baseline_line(
     """The draws of one of our baselines, and how many exact draws it was given; None where it found
     no start, or has no draws."""
     baseline = BASELINES[name]
-    in_jax = Target.of(estimate(target).posterior(frozen_model()))
+    density = in_jax(target)
     starts, spent, started = None, 0, CLOCK()
     if baseline.starts and start == GIFT:
         starts = exact_points(target, baseline.starts)
@@ -129,7 +129,7 @@ def baseline_line(
     done = run_baseline(
         baseline,
         name,
-        in_jax,
+        density,
         key=jax.random.key(5),
         starts=starts,
         num_samples=1 << 40,
@@ -141,7 +141,7 @@ def baseline_line(
         return None
     chains, draws = done.poses.length.shape[:2]
     flat = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *leaf.shape[2:]), done.poses)
-    points = in_jax.points_of(flat).reshape(chains, draws, target.dim)
+    points = density.points_of(flat).reshape(chains, draws, target.dim)
     evidence = done.log_evidence, done.log_evidence_se
     cost = float(done.cost.num_proposals + spent), done.cost.wall_time + before
     given = baseline.starts if start == GIFT else 0
@@ -346,8 +346,10 @@ def contests(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def name_points(axes: Axes, named: list[tuple[float, float, str]]) -> None:
     """Writes names beside points `(x, y, name)`, from below upwards, each above the last one where
     the two would overprint each other."""
-    logs = np.log10([one[1] for one in named]) if named else np.zeros(0)
-    room = 0.06 * max(np.ptp(logs), 0.3) if named else 0.0
+    if not named:
+        return
+    logs = np.log10([one[1] for one in named])
+    room = 0.06 * max(np.ptp(logs), 0.3)
     before, lift = -np.inf, 0.0
     for row in np.argsort(logs, kind="stable"):
         x, y, words = named[row]

@@ -31,6 +31,7 @@ from inference.baselines.target import Target
 from inference.benchmark import catalogue, draws, references
 from inference.benchmark.draws import BLOCKS, exact_block
 from inference.benchmark.guests import GUESTS
+from inference.benchmark.programs import in_jax
 from inference.benchmark.references import SHIPPED, sample_at, shipped_points
 from inference.benchmark.target import CUBE_DIM, FrozenTarget
 from inference.benchmark.verdicts import exact_sample
@@ -214,17 +215,17 @@ def test_a_change_of_the_model_is_caught(change: Callable[[PoseModel], PoseModel
 @pytest.mark.parametrize("name", ["arm", "arm-soft", "cruel"])
 def test_the_density_in_jax(name: str) -> None:
     target = benchmark.load(name)
-    in_jax = Target.of(benchmark.estimate(target).posterior(benchmark.frozen_model()))
-    assert in_jax.active == tuple(target.active)
+    density = in_jax(target)
+    assert density.active == tuple(target.active)
     points = np.concatenate([drawn(name)[:200], near(target)])
-    ours, theirs = target.log_density(points), np.asarray(in_jax.log_density(points))
+    ours, theirs = target.log_density(points), np.asarray(density.log_density(points))
     # An exact draw may lie within rounding of a disc's rim: both forms need not see it inside.
     decided = np.abs(target.misfit(points) - 1) > AGREEMENT
     assert np.array_equal(np.isfinite(ours[decided]), np.isfinite(theirs[decided]))
     both = np.isfinite(ours) & np.isfinite(theirs)
     assert both.sum() >= 190
     np.testing.assert_allclose(ours[both], theirs[both], rtol=0, atol=AGREEMENT)
-    graded = np.asarray(in_jax.log_graded(points, 10.0))
+    graded = np.asarray(density.log_graded(points, 10.0))
     np.testing.assert_allclose(target.log_graded(points, 10.0), graded, rtol=0, atol=1e-9)
 
 
@@ -534,35 +535,33 @@ def test_emcee_s_snooker_move_is_caught_and_its_stretch_move_is_not() -> None:
     assert stretch.judgement.verdict != DIFFERS
 
 
-def walked(kernel: Callable[[Target], Kernel], number: int, steps: int, rounds: int) -> np.ndarray:
-    """`(chain, draw, 6)`: four ensembles, or walkers, of a kernel on one arm, started in exact
-    draws."""
-    in_jax = Target.of(
-        benchmark.estimate(benchmark.load("arm")).posterior(benchmark.frozen_model())
-    )
-    one = kernel(in_jax)
-    starts = drawn("arm", 6)[: 4 * number]
-    walk = Walk(one, jax.random.key(1), starts, runs=4, ensemble=number > 1, steps=steps)
-    for _ in range(rounds):
+def walked(kernel: Callable[[Target], Kernel], starts: int, **options: Any) -> np.ndarray:
+    """`(chain, draw, 6)`: 64 rounds of a kernel on one arm, started in so many exact draws."""
+    points = drawn("arm", 6)[:starts]
+    walk = Walk(kernel(in_jax(benchmark.load("arm"))), jax.random.key(1), points, **options)
+    for _ in range(64):
         walk.more()
-    points = walk.drawn(jax.random.key(0)).points
-    return points[:, :: max(1, points.shape[0] * points.shape[1] // 20_000)]
+    found = walk.drawn(jax.random.key(0)).points
+    return found[:, :: max(1, found.shape[0] * found.shape[1] // 20_000)]
 
 
-def affine(made: type[AIES]) -> Callable[[Target], Kernel]:
-    return lambda target: NumPyroKernel(
-        made(potential_fn=lambda point: -target.log_density(point)),
-        64,
-        0,
-        lambda before, after: jnp.asarray(64),
-    )
+def ensembles(made: type[AIES]) -> np.ndarray:
+    """Four ensembles of 64 walkers."""
+
+    def kernel(target: Target) -> Kernel:
+        def potential(point: jax.Array) -> jax.Array:
+            return -target.log_density(point)
+
+        return NumPyroKernel(made(potential_fn=potential), 64, 0, lambda *_: jnp.asarray(64))
+
+    return walked(kernel, 4 * 64, runs=4, ensemble=True, steps=32)
 
 
 @pytest.mark.sweep
 def test_the_half_updated_ensembles_of_numpyro_are_caught_and_the_mended_ones_are_not() -> None:
-    wrong = verdict("arm", points=walked(affine(HalfUpdatedAIES), 64, 64, 32))
+    wrong = verdict("arm", points=ensembles(HalfUpdatedAIES))
     assert wrong.judgement.verdict == DIFFERS
-    mended = verdict("arm", points=walked(affine(AIES), 64, 64, 32))
+    mended = verdict("arm", points=ensembles(AIES))
     assert mended.judgement.verdict != DIFFERS
 
 
@@ -574,16 +573,8 @@ def test_a_dense_sample_adaptive_chain_is_caught_and_a_diagonal_one_is_not() -> 
 
 
 def adaptive(kernel: type[AdaptiveKernel]) -> np.ndarray:
-    """`(chain, draw, 6)`: its sixteen chains on one arm, each with a cloud of exact draws."""
-    in_jax = Target.of(
-        benchmark.estimate(benchmark.load("arm")).posterior(benchmark.frozen_model())
-    )
-    starts = drawn("arm", 6)[: ADAPTIVE_WALKERS * 2 * in_jax.dim]
-    walk = Walk(kernel(in_jax), jax.random.key(1), starts, runs=1, ensemble=False, steps=256)
-    for _ in range(64):
-        walk.more()
-    points = walk.drawn(jax.random.key(0)).points
-    return points[:, :: max(1, points.shape[0] * points.shape[1] // 20_000)]
+    """Its sixteen chains, each with a cloud of twice as many draws as there are dimensions."""
+    return walked(kernel, ADAPTIVE_WALKERS * 2 * 6, runs=1, ensemble=False, steps=256)
 
 
 def test_a_gibbs_that_redraws_only_wrists_is_caught() -> None:

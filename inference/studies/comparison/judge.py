@@ -97,8 +97,7 @@ def judge(
     if not mixed.stuck and worst >= FEWEST:
         thinned = sample if _independent(sample, worst) else sample.rows(_stride(sample, worst))
         tests, others = _tests(thinned, exact, rng, permutations)
-        varying = int(np.sum(np.ptp(exact.flat, axis=0) > 0))
-        tests.append(_coordinates(coordinate_p, ess, 2 * varying))
+        tests.append(_coordinates(coordinate_p, ess))
     if math.isfinite(evidence[0]) and math.isfinite(exact_evidence[0]):
         tests.append(_evidence(evidence, exact_evidence))
     found = modes(
@@ -171,9 +170,10 @@ def _tests(
     return tests, [Test("C2ST", *classifier_test(draws, known, rng), number, independent)]
 
 
-def _coordinates(p_values: np.ndarray, ess: np.ndarray, number: int) -> Test:
+def _coordinates(p_values: np.ndarray, ess: np.ndarray) -> Test:
     """The worst of all rank tests of single coordinates, corrected for their number."""
-    worst = np.unravel_index(np.argmin(p_values), p_values.shape)
+    worst = np.unravel_index(np.nanargmin(p_values), p_values.shape)
+    number = int(np.isfinite(p_values).sum())
     name = f"ranks of {NAMES[worst[0]]}, {('shift', 'spread')[worst[1]]}"
     corrected = min(1.0, float(p_values[worst] * number))
     assumption = (

@@ -28,7 +28,7 @@ def scores(values: np.ndarray, exact: np.ndarray) -> np.ndarray:
 
 def each_coordinate(values: np.ndarray, exact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """p-values `(c, 2)` (shift, spread) of chains `(chain, draw, c)` against exact draws `(m, c)`,
-    and the effective sizes `(c, 2)` they rest on; 1 where the exact draws do not vary. Normal
+    and the effective sizes `(c, 2)` they rest on; NaN where the exact draws do not vary. Normal
     approximation: worth nothing below some fifty effective draws."""
     found = scores(values, exact)
     ess = np.array(
@@ -39,7 +39,7 @@ def each_coordinate(values: np.ndarray, exact: np.ndarray) -> tuple[np.ndarray, 
     )
     z = found.mean(axis=(0, 1)) / np.sqrt(1 / ess + 1 / len(exact))
     varies = np.ptp(exact, axis=0)[:, None] > 0
-    return np.where(varies, 2 * stats.norm.sf(np.abs(z)), 1.0), ess
+    return np.where(varies, 2 * stats.norm.sf(np.abs(z)), np.nan), ess
 
 
 def all_together(draws: np.ndarray, exact: np.ndarray) -> tuple[float, float]:

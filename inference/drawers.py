@@ -17,8 +17,9 @@ import numpy as np
 
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, draw_mixture
 from inference.results import FIXED, UNCERTAIN, joint_columns
+from inference.uncertain.routes import ROUTES, draw_uncertain
 from inference.uncertain.tree import placed
-from inference.uncertain.weighted import MOST_ROOTS, verdict, weigh_roots
+from inference.uncertain.weighted import require_number
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
@@ -108,9 +109,10 @@ class FixedRoot:
 
 @dataclass(frozen=True)
 class UncertainRoot:
-    """Draws of torso, camera and pose together, from weighted roots."""
+    """Draws of torso, camera and pose together."""
 
     model: PoseModel
+    sampler: str
     num_samples: int
     num_roots: int
     max_proposals: int
@@ -118,21 +120,22 @@ class UncertainRoot:
     @property
     def settings(self) -> dict[str, Any]:
         """As of a `Drawer`."""
-        names = ("num_samples", "num_roots", "max_proposals")
+        names = ("sampler", "num_samples", "num_roots", "max_proposals")
         return {"root": UNCERTAIN} | {name: getattr(self, name) for name in names}
 
     def __call__(self, frame: Estimate, key: jax.Array) -> Draws:
         """As of a `Drawer`. Raises `BadInput` where the seen joints of the torso do not determine
         a camera."""
-        roots = weigh_roots(
+        roots, status, sentence, _ = draw_uncertain(
             frame.uncertain(self.model),
+            self.sampler,
             key=jax.random.fold_in(key, 0),
+            num_samples=self.num_samples,
             num_roots=self.num_roots,
             max_proposals=self.max_proposals,
         )
         rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
         points, poses, _ = roots.draw(rng, self.num_samples)
-        status, sentence = verdict(roots)
         return Draws(
             **placed(self.model, points, poses),
             bone_length=poses.length,
@@ -150,7 +153,7 @@ def drawer(
     model: PoseModel,
     *,
     root: str = FIXED,
-    sampler: str = SAMPLER,
+    sampler: str | None = None,
     num_samples: int = 10_000,
     num_roots: int = NUM_ROOTS,
     max_proposals: int = MAX_PROPOSALS,
@@ -161,7 +164,8 @@ def drawer(
     ----------
     model : the prior of poses.
     root : one of `ROOTS`.
-    sampler : how exact rejection proposes where the root is fixed: one of `PROPOSALS`.
+    sampler : how exact rejection proposes where the root is fixed: one of `PROPOSALS`; one of
+        `ROUTES` where it is uncertain. By default the first of them.
     num_samples : draws of each detection.
     num_roots : from how many roots they are made where the root is uncertain.
     max_proposals : most proposals for each detection.
@@ -172,27 +176,33 @@ def drawer(
         On an unknown root or sampler, a sampler that holds the root fixed where it shall be
         uncertain, and numbers that cannot be.
     """
-    require_root(root, sampler)
+    sampler = sampler_under(root, sampler)
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
     if root == UNCERTAIN:
-        if not 1 <= num_roots <= MOST_ROOTS:
-            raise BadInput(
-                f"the number of roots must lie between 1 and {MOST_ROOTS:,}, not {num_roots}"
-            )
-        return UncertainRoot(model, num_samples, num_roots, max_proposals)
+        require_number(num_roots)
+        return UncertainRoot(model, sampler, num_samples, num_roots, max_proposals)
     if sampler not in PROPOSALS:
         raise BadInput(f"there is no exact sampler {sampler!r}; choose from {', '.join(PROPOSALS)}")
     return FixedRoot(model, sampler, num_samples, max_proposals)
 
 
-def require_root(root: str, sampler: str) -> None:
-    """Raises `BadInput` on an unknown root, and on a sampler that holds the root fixed where it
-    shall be uncertain."""
+def sampler_under(root: str, sampler: str | None) -> str:
+    """The sampler's name, or that which is meant under such a root where none is named. Raises
+    `BadInput` on an unknown root, and on a sampler that holds the root fixed where it shall be
+    uncertain or the other way round."""
     if root not in ROOTS:
         raise BadInput(f"there is no root {root!r}; choose one of {', '.join(ROOTS)}")
-    if root == UNCERTAIN and sampler != SAMPLER:
+    if sampler is None:
+        return ROUTES[0] if root == UNCERTAIN else SAMPLER
+    if root == UNCERTAIN and sampler not in ROUTES:
         raise BadInput(
-            f"the sampler {sampler} holds torso and camera fixed; leave it out, or choose the"
-            f" root {FIXED!r}"
+            f"the sampler {sampler} holds torso and camera fixed; choose {' or '.join(ROUTES)}, or"
+            f" the root {FIXED!r}"
         )
+    if root == FIXED and sampler == ROUTES[0]:
+        raise BadInput(
+            f"the sampler {sampler} needs torso and camera uncertain; choose another, or the root"
+            f" {UNCERTAIN!r}"
+        )
+    return sampler

@@ -9,18 +9,20 @@ import jax
 import numpy as np
 
 from inference.baselines.catalogue import BASELINES, sample_baseline
-from inference.drawers import require_root
+from inference.drawers import sampler_under
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress, draw_mixture
 from inference.joined import joined
 from inference.results import FIXED, UNCERTAIN, Result, build_tree, key_words
+from inference.uncertain.routes import draw_uncertain
 from inference.uncertain.tree import uncertain_tree
-from inference.uncertain.weighted import NUM_ROOTS, verdict, weigh_roots
+from inference.uncertain.weighted import NUM_ROOTS
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
 
 SAMPLERS = (*PROPOSALS, *BASELINES)
-"""Every sampler by its name: exact rejection first, then the baselines."""
+"""Every sampler under a fixed root by its name: exact rejection first, then the baselines. Under an
+uncertain one there are `ROUTES`."""
 
 
 def sample(
@@ -28,7 +30,7 @@ def sample(
     frame: Estimate,
     *,
     key: jax.Array,
-    sampler: str = "rejection",
+    sampler: str | None = None,
     num_samples: int = 10_000,
     max_proposals: int = MAX_PROPOSALS,
     chains: int = 1,
@@ -47,8 +49,10 @@ def sample(
     key
         Of all draws: the same key, the same draws.
     sampler
-        One of `SAMPLERS`. Exact rejection draws independently from the posterior itself; a baseline
-        draws chains under one candidate, started in exact draws.
+        One of `SAMPLERS`, "rejection" if none is named: exact rejection draws independently from
+        the posterior itself; a baseline draws chains under one candidate, started in exact draws.
+        Under an uncertain root one of `ROUTES`: "weighted-roots" if none is named, or "rejection",
+        some draws a second, which are independent.
     num_samples
         How many draws, of all chains together; each chain gets as many as the others.
     max_proposals
@@ -62,7 +66,8 @@ def sample(
         "uncertain" draws torso and camera too, and takes no more of the candidates than the names
         of the sides.
     num_roots
-        From how many roots draws are made where the root is uncertain.
+        From how many roots draws are made where the root is uncertain; by rejection: those of the
+        pilot run that finds its bound.
     progress
         Called now and then with the draws (or roots) made and wanted.
 
@@ -74,11 +79,11 @@ def sample(
     Raises
     ------
     BadInput
-        On an unknown sampler or root, a sampler or several chains that need the root fixed where it
-        shall be uncertain, a number of samples or chains that cannot be, and where the torso's seen
-        joints do not determine a camera.
+        On an unknown sampler or root, a sampler or several chains that need another root, a number
+        of samples or chains that cannot be, and where the torso's seen joints do not determine a
+        camera.
     """
-    require_root(root, sampler)
+    sampler = sampler_under(root, sampler)
     if root == UNCERTAIN:
         if chains != 1:
             raise BadInput(
@@ -88,6 +93,7 @@ def sample(
         return _sample_uncertain(
             model,
             frame,
+            sampler,
             key=key,
             num_samples=num_samples,
             num_roots=num_roots,
@@ -180,6 +186,7 @@ def _several(
 def _sample_uncertain(
     model: PoseModel,
     frame: Estimate,
+    sampler: str,
     *,
     key: jax.Array,
     num_samples: int,
@@ -187,20 +194,21 @@ def _sample_uncertain(
     max_proposals: int,
     progress: Progress | None,
 ) -> Result:
-    """`sample` where the root is uncertain, by weighted roots."""
+    """`sample` where the root is uncertain, by one of `ROUTES`."""
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
     started = time.perf_counter()
-    roots = weigh_roots(
+    route = draw_uncertain(
         frame.uncertain(model),
+        sampler,
         key=jax.random.fold_in(key, 0),
+        num_samples=num_samples,
         num_roots=num_roots,
         max_proposals=max_proposals,
         progress=progress,
     )
     rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
-    status, sentence = verdict(roots)
-    attributes = {"sampler": "weighted roots", "seed": key_words(key), "num_samples": num_samples}
-    tree = uncertain_tree(roots, rng, num_samples, attributes)
-    tree.attrs.update(wall_time_s=time.perf_counter() - started, status=status)
-    return Result(tree, status, sentence)
+    attributes = {"sampler": sampler, "seed": key_words(key), "num_samples": num_samples}
+    tree = uncertain_tree(route.roots, rng, num_samples, attributes | route.attributes)
+    tree.attrs.update(wall_time_s=time.perf_counter() - started, status=route.status)
+    return Result(tree, route.status, route.sentence)

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from inference.drawers import NUM_ROOTS, SAMPLER, Drawer, drawer
+from inference.drawers import NUM_ROOTS, Drawer, drawer
 from inference.exact.mixture import MAX_PROPOSALS
 from inference.hypothesis import diverse
 from inference.machines import HERE, Machines, in_threads
@@ -94,7 +94,7 @@ def sample_frames(
     key: jax.Array,
     out: str | os.PathLike,
     estimating: Estimating | None = None,
-    sampler: str = SAMPLER,
+    sampler: str | None = None,
     root: str = FIXED,
     num_roots: int = NUM_ROOTS,
     num_samples: int = 10_000,

@@ -31,6 +31,8 @@ SAMPLERS = (
 )
 """Those of `inference.SAMPLERS`, as a test makes sure: `--help` names them without importing
 JAX."""
+ROUTES = ("weighted-roots", "rejection")
+"""The samplers with an uncertain root, `inference.uncertain.routes.ROUTES`."""
 LARGEST_SIDE = 10**6
 """Pixels; no image is larger."""
 SMALLEST_FACTOR = 1e-6

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from typer import Argument, Option
 
 from reports.options import (
+    ROUTES,
     SAMPLERS,
     Detected,
     Estimation,
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
     from probmodel.datasets import DataSet
     from probmodel.sessions import Session
 
+CONTESTANTS = "rejection,emcee,aies,random-walk"
+"""Of `compare`, where nobody says whom."""
 MANY_ROOTED = Rooting(roots=200)
 """Where many people are drawn from, each has fewer roots: about a second of one core."""
 REAL = "Real poses (with --dataset)"
@@ -86,13 +89,20 @@ class SampleSettings:
         "sample frame.json --out posterior.nc --num-samples 100000",
         "sample frame.json --chains 4 --num-samples 4000 --out chains.nc",
         "sample frame.json --sampler emcee --candidates 1 --num-samples 1000",
+        "sample frame.json --root uncertain --sampler rejection --num-samples 20",
     )
     person: Person
     out: Annotated[
         Path, Option(help="File to write; the page has its name, with .html at the end.")
     ] = Path("posterior.nc")
     open: Open = False
-    sampler: Annotated[str, Option(help=f"One of {', '.join(SAMPLERS)}.")] = SAMPLERS[0]
+    sampler: Annotated[
+        str | None,
+        Option(
+            help=f"One of {', '.join(SAMPLERS)}; with --root uncertain {' or '.join(ROUTES)}.",
+            show_default=f"the first; with --root uncertain {ROUTES[0]}",
+        ),
+    ] = None
     chains: Annotated[
         int, Option(help="Independent runs of exact rejection, which share the samples.")
     ] = 1
@@ -294,11 +304,16 @@ class CompareSettings:
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "compare frame.json --samplers rejection,emcee,random-walk --out comparison",
         "compare frame.json --samplers smc,nss --seconds 120",
+        "compare frame.json --root uncertain --exact-draws 500",
     )
     person: Person
     samplers: Annotated[
-        str, Option(help="Names with commas between them; a wrong one lists them all.")
-    ] = "rejection,emcee,aies,random-walk"
+        str | None,
+        Option(
+            help="Names with commas between them; a wrong one lists them all.",
+            show_default=f"{CONTESTANTS}; with --root uncertain {ROUTES[0]}",
+        ),
+    ] = None
     out: Annotated[Path, Option(help="Folder for comparison.nc, comparison.png and the runs.")] = (
         Path("comparison")
     )
@@ -312,8 +327,18 @@ class CompareSettings:
         ),
     ] = None
     num_samples: NumSamples = 10_000
+    exact_draws: Annotated[
+        int | None,
+        Option(
+            min=100,
+            max=1_000_000,
+            help="By how many exact draws they are judged.",
+            show_default="20,000; with --root uncertain 1,000, some minutes",
+        ),
+    ] = None
     seed: Seed = 0
     estimation: Estimation = Estimation()
+    rooting: Rooting = Rooting()
     prior: Prior = Prior()
 
 
@@ -467,8 +492,12 @@ class CoverageSettings:
         "coverage --root uncertain --num-simulations 1000 --out whole",
     )
     sampler: Annotated[
-        str, Option(help="A name, or a file: `joints` (simulations, draws, 15, 3).")
-    ] = SAMPLERS[0]
+        str | None,
+        Option(
+            help="A name, as of `sample`, or a file: `joints` (simulations, draws, 15, 3).",
+            show_default=f"{SAMPLERS[0]}; with --root uncertain {ROUTES[0]}",
+        ),
+    ] = None
     out: Annotated[
         Path, Option(help="Folder for coverage.nc and coverage.png; a run goes on there.")
     ] = Path("coverage")

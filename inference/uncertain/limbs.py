@@ -71,7 +71,7 @@ def limb_draws(
 ) -> Iterator[dict[str, LimbDraws]]:
     """For each of the roots and patterns of faults `(n, ...)`, the attempts at its limbs by group;
     root `i` has random numbers of its own, whatever comes before it."""
-    tables, free = group_tables(posterior.model), _free_groups(posterior, words)
+    tables, free = group_tables(posterior.model), free_groups(posterior, words)
     for start in range(0, len(points.torso), BLOCK):
         part = slice(start, start + BLOCK)
         some = points.take(part), faults.take(part)
@@ -142,7 +142,7 @@ NOTHING = {
 """No draws, by the number of a group's limbs."""
 
 
-def _free_groups(posterior: UncertainPosterior, words: list[int]) -> dict[str, GroupDraws]:
+def free_groups(posterior: UncertainPosterior, words: list[int]) -> dict[str, GroupDraws]:
     """Draws of the prior for the groups of which no joint counts."""
     counts = np.isfinite(posterior.detected.spread)
     free = [

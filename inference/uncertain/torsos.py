@@ -178,7 +178,7 @@ def draw_roots(
     """
     most, patience = most or number, number * PATIENCE
     posed = torso_problem(posterior, faults)
-    proposal = _proposal(posed)
+    proposal = proposal_of(posed)
     parts = [root_table(0)]
     found, made, batch = 0, 0, 0
     while proposal.mass and found < (most if made < patience else number):
@@ -190,7 +190,7 @@ def draw_roots(
         if not numbers:
             break
         tables = workers().map(
-            functools.partial(_batch, posed, proposal, words, most),
+            functools.partial(_batch, posed, proposal, words, BATCH, most),
             numbers,
         )
         for table, attempts in tables:
@@ -214,11 +214,11 @@ class Proposal(NamedTuple):
     made; and whether what they find still has to be thinned by the error law."""
 
     mass: float
-    attempt: Callable[[np.ndarray, RootTable], tuple[int, int]]
+    attempt: Callable[[np.ndarray, int, RootTable], tuple[int, int]]
     thinned: bool
 
 
-def _proposal(posed: Posed) -> Proposal:
+def proposal_of(posed: Posed) -> Proposal:
     """By least squares where joints whose errors are Gaussian determine a scale, by discs
     otherwise."""
     problem = posed.problem
@@ -227,13 +227,13 @@ def _proposal(posed: Posed) -> Proposal:
         fits = cut_fits(problem, known)
         return Proposal(
             fits.mass,
-            lambda state, table: attempt_fits(state, BATCH, problem, known, fits, table),
+            lambda state, number, table: attempt_fits(state, number, problem, known, fits, table),
             thinned=False,
         )
     cells = cut_roots(problem)
     return Proposal(
         cells.mass,
-        lambda state, table: attempt_roots(state, BATCH, problem, cells, table),
+        lambda state, number, table: attempt_roots(state, number, problem, cells, table),
         thinned=not posed.law.flat,
     )
 
@@ -242,13 +242,14 @@ def _batch(
     posed: Posed,
     proposal: Proposal,
     words: list[int],
+    attempts: int,
     number: int,
     batch: int,
 ) -> tuple[RootTable, int]:
-    """The roots that one batch of attempts finds, and how many attempts it made."""
+    """The roots that one batch of attempts finds, `number` at most, and how many it made."""
     problem, law = posed.problem, posed.law
-    table = root_table(min(number, BATCH))
-    found, attempts = proposal.attempt(seeded(words, batch), table)
+    table = root_table(min(number, attempts))
+    found, attempts = proposal.attempt(seeded(words, batch), attempts, table)
     table = RootTable(*(column[:found] for column in table))
     if found and proposal.thinned:
         rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(batch, THINNING)))
@@ -295,13 +296,33 @@ def rotations_of(table: RootTable) -> np.ndarray:
 
 
 def _named(posed: Posed, mass: float, table: RootTable, made: int, enough: bool) -> TorsoDraws:
-    found, scale, problem = len(table.torso), posed.lowest / table.inverse, posed.problem
-    translation = posed.origin + scale[:, None] * table.plane
-    points = RootPoint(table.torso, rotations_of(table), np.log(scale), translation)
+    found, points = len(table.torso), _points(posed, table)
     # Counted to the last root wanted, or to the end of the budget.
     rate = (found - 1) / max(made - 1, 1) if enough else found / max(made, 1)
     if not rate:
         return TorsoDraws(points, made, -math.inf, math.inf)
-    log_mass = math.log(mass)
-    log_mass -= problem.power * math.log(posed.lowest)
-    return TorsoDraws(points, made, log_mass + math.log(rate), (1 - rate) / found)
+    log_evidence = log_mass(posed, mass) + math.log(rate)
+    return TorsoDraws(points, made, log_evidence, (1 - rate) / found)
+
+
+def log_mass(posed: Posed, mass: float) -> float:
+    """Log of the evidence if every attempt succeeded: a proposal's mass in pixels."""
+    return math.log(mass) - posed.problem.power * math.log(posed.lowest) if mass else -math.inf
+
+
+def _points(posed: Posed, table: RootTable) -> RootPoint:
+    """The roots of a table, in pixels."""
+    scale = posed.lowest / table.inverse
+    translation = posed.origin + scale[:, None] * table.plane
+    return RootPoint(table.torso, rotations_of(table), np.log(scale), translation)
+
+
+def attempted_roots(posed: Posed, proposal: Proposal, words: list[int], attempts: int) -> RootPoint:
+    """The roots `(n, ...)` that a fixed number of attempts finds."""
+    sizes = [min(BATCH, attempts - start) for start in range(0, attempts, BATCH)]
+    attempt = functools.partial(_batch, posed, proposal, words)
+    tables = [
+        root_table(0),
+        *(table for table, _ in workers().map(attempt, sizes, sizes, range(len(sizes)))),
+    ]
+    return _points(posed, RootTable(*(np.concatenate(part) for part in zip(*tables, strict=True))))

@@ -38,6 +38,8 @@ MOST_ROOTS = 100_000
 """More would not fit the memory of a small machine."""
 FEWEST_EFFECTIVE = 20
 """Effective roots below which draws are no answer: an interval would rest on one or two of them."""
+APART = 2
+"""Effective roots for every draw that counts as independent of the others."""
 Progress = Callable[[int, int], None]
 
 
@@ -166,10 +168,7 @@ def weigh_roots(
         Where the seen joints of the torso do not determine a camera, and where the number of roots
         is not from 1 to 100,000.
     """
-    if not 1 <= num_roots <= MOST_ROOTS:
-        raise BadInput(
-            f"the number of roots must lie between 1 and {MOST_ROOTS:,}, not {num_roots}"
-        )
+    require_number(num_roots)
     require_camera(posterior.detection)
     torso_key, limb_key = jax.random.split(key)
     budget = Budget(max_proposals)
@@ -186,12 +185,20 @@ def weigh_roots(
         posterior,
         proposed,
         limbs,
-        proposed.log_weight + _log_limbs(posterior, proposed.points, limbs),
+        proposed.log_weight + log_limbs(posterior, proposed.points, limbs),
         proposed.attempts + each * len(limbs),
     )
 
 
-def _log_limbs(
+def require_number(num_roots: int) -> None:
+    """Raises `BadInput` on a number of roots that cannot be."""
+    if not 1 <= num_roots <= MOST_ROOTS:
+        raise BadInput(
+            f"the number of roots must lie between 1 and {MOST_ROOTS:,}, not {num_roots}"
+        )
+
+
+def log_limbs(
     posterior: UncertainPosterior, points: RootPoint, limbs: Sequence[dict[str, LimbDraws]]
 ) -> np.ndarray:
     """`(n,)`: log of scale⁻² for every seen joint that is not the torso's × the estimated evidence

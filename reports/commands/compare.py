@@ -1,10 +1,18 @@
 """`poseterior compare`: samplers on one frame, judged by exact draws: a table, comparison.nc and a
 picture."""
 
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from inference.results import FIXED
 from probmodel.failures import BadInput
 from reports import console
-from reports.options import Screen
-from reports.settings import CompareSettings
+from reports.options import ROUTES, Screen
+from reports.settings import CONTESTANTS, CompareSettings
+
+if TYPE_CHECKING:
+    from inference.studies.comparison import Comparison
+    from probmodel import Estimate, PoseModel
 
 FEWEST = 100
 """Draws of exact rejection with which it can be judged."""
@@ -13,7 +21,7 @@ FEWEST = 100
 def run(settings: CompareSettings, screen: Screen) -> None:
     """Writes comparison.nc and comparison.png. What samplers have done is kept in `runs`: the next
     call takes it up. Raises `BadInput`, or `OutOfBudget` where there are no exact draws."""
-    from inference.studies.comparison import contest
+    from inference.studies.comparison import contest, routes
     from reports.figures import save_figure
     from reports.figures.comparison import comparison_figure
     from reports.tables.comparison import NARROW, WIDE, comparison_table
@@ -22,23 +30,18 @@ def run(settings: CompareSettings, screen: Screen) -> None:
         raise BadInput(f"--seconds must be more than 0, not {settings.seconds:g}")
     if settings.num_samples < FEWEST:
         raise BadInput(f"--num-samples must be at least {FEWEST}, not {settings.num_samples}")
-    samplers = [name.strip() for name in settings.samplers.split(",") if name.strip()]
-    contest.check_names(samplers)
+    fixed = settings.rooting.root == FIXED
+    said = settings.samplers or (CONTESTANTS if fixed else ROUTES[0])
+    samplers = [name.strip() for name in said.split(",") if name.strip()]
+    if fixed:
+        contest.check_names(samplers)
+    else:
+        routes.check_routes(samplers)
     out = console.output_folder(settings.out)
     with console.progress("torso and camera", screen.quiet):
         model = settings.prior.model()
         frame = settings.estimation.estimate(settings.person.detection, model)
-    found = contest.compare(
-        model,
-        frame,
-        samplers,
-        seed=settings.seed,
-        seconds=settings.seconds,
-        max_evaluations=settings.max_evaluations,
-        num_samples=settings.num_samples,
-        out=out,
-        stage=lambda words: console.progress(words, screen.quiet),
-    )
+    found = (_baselines if fixed else _routes)(settings, model, frame, samplers, out, screen)
     with console.progress("picture", screen.quiet):
         save_figure(comparison_figure(found.tree), out / "comparison.png")
     sheet = comparison_table(found.tree)
@@ -48,4 +51,57 @@ def run(settings: CompareSettings, screen: Screen) -> None:
         console.OUT.print(sheet if console.OUT.width >= WIDE else sheet.only(NARROW))
         for entry in found.entries:
             console.say(f"{entry.label}: {entry.sentence}")
-        console.say(f"Written to {out}: comparison.nc, comparison.png, runs")
+        console.say(f"Written to {out}: comparison.nc, comparison.png{', runs' if fixed else ''}")
+
+
+def _baselines(
+    settings: CompareSettings,
+    model: "PoseModel",
+    frame: "Estimate",
+    samplers: list[str],
+    out: Path,
+    screen: Screen,
+) -> "Comparison":
+    """Under one candidate."""
+    from inference.studies.comparison import contest
+
+    return contest.compare(
+        model,
+        frame,
+        samplers,
+        seconds=settings.seconds,
+        max_evaluations=settings.max_evaluations,
+        exact_draws=settings.exact_draws or contest.REFERENCE,
+        **_asked(settings, out, screen),
+    )
+
+
+def _routes(
+    settings: CompareSettings,
+    model: "PoseModel",
+    frame: "Estimate",
+    samplers: list[str],
+    out: Path,
+    screen: Screen,
+) -> "Comparison":
+    """With an uncertain root."""
+    from inference.studies.comparison import routes
+
+    return routes.compare_routes(
+        model,
+        frame,
+        samplers,
+        num_roots=settings.rooting.roots,
+        exact_draws=settings.exact_draws or routes.REFERENCE,
+        **_asked(settings, out, screen),
+    )
+
+
+def _asked(settings: CompareSettings, out: Path, screen: Screen) -> dict[str, Any]:
+    """What both take of the settings."""
+    return {
+        "seed": settings.seed,
+        "num_samples": settings.num_samples,
+        "out": out,
+        "stage": lambda words: console.progress(words, screen.quiet),
+    }

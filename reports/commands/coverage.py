@@ -13,7 +13,7 @@ from probmodel import BadInput, Likelihood
 from reports import console
 from reports.figures import save_figure
 from reports.figures.coverage import coverage_figure, ranks_figure
-from reports.options import Screen
+from reports.options import ROUTES, SAMPLERS, Screen
 from reports.settings import CoverageSettings
 from reports.tables.coverage import (
     brief_table,
@@ -122,7 +122,7 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
 
 
 def _drawer(settings: CoverageSettings) -> str:
-    return settings.sampler if settings.rooting.root == FIXED else "weighted roots"
+    return settings.sampler or (SAMPLERS[0] if settings.rooting.root == FIXED else ROUTES[0])
 
 
 def _asked(settings: CoverageSettings, out: Path) -> dict[str, Any]:

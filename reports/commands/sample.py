@@ -8,7 +8,7 @@ from probmodel.failures import BadInput, OutOfBudget
 from reports import console, doubts, tables
 from reports.interactive.page import write_page
 from reports.interactive.person import person_page
-from reports.options import Screen
+from reports.options import SAMPLERS, Screen
 from reports.settings import SampleSettings
 
 NUM_HYPOTHESES = 5
@@ -17,7 +17,7 @@ NUM_HYPOTHESES = 5
 
 def _task(settings: SampleSettings) -> str:
     fixed = settings.rooting.root == FIXED
-    return f"draws by {settings.sampler}" if fixed else "roots and their limbs"
+    return f"draws by {settings.sampler or SAMPLERS[0]}" if fixed else "roots and their limbs"
 
 
 def run(settings: SampleSettings, screen: Screen) -> None:

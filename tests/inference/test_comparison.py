@@ -194,7 +194,8 @@ def test_the_worst_coordinate_is_corrected_for_their_number():
     """64 p-values of nothing: the test of the worst of them rejects at 5 % in 5 % of 400 cases (too
     many: 0.1 %); without the correction it would in 96 %."""
     rng = np.random.default_rng(0)
-    said = [_coordinates(rng.uniform(size=(32, 2)), np.ones((32, 2))) for _ in range(400)]
+    ess = np.ones((32, 2))
+    said = [_coordinates(rng.uniform(size=(32, 2)), ess, NAMES) for _ in range(400)]
     assert sum(test.p_value < 0.05 for test in said) <= binom.ppf(0.999, 400, 0.05)
     assert any(test.p_value < 0.05 for test in said)
 

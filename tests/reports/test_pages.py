@@ -43,6 +43,7 @@ def test_there_are_pages() -> None:
         "leaderboard",
         "limits",
         "readings",
+        "routes",
         "samplers",
         "speed",
     ]

@@ -122,3 +122,23 @@ def test_outliers_need_an_uncertain_root(poseterior: Cli, folder: Path) -> None:
     run = poseterior("hypotheses", EXAMPLE, "--out", folder / "no", "--outliers", 1.5)
     assert run.code == 2
     assert "probability of an outlier must lie between 0 and 1" in run.err
+
+
+@pytest.mark.slow
+def test_draws_by_rejection_say_so(poseterior: Cli, folder: Path) -> None:
+    out, few = folder / "rejected.nc", ("--num-samples", 15, "--roots", 60, "--quiet")
+    by = ("--root", "uncertain", "--sampler", "rejection")
+    run = poseterior("sample", EXAMPLE, *by, *few, "--out", out, "--json")
+    assert run.code == 0, run
+    with xr.open_datatree(out, engine="netcdf4") as tree:
+        assert tree.attrs["sampler"] == "rejection"
+        assert tree.attrs["num_roots"] > 15
+        assert sorted(tree["posterior"].root_index.values[0]) == list(range(15))
+    assert json.loads(run.out)["effective_roots"] == pytest.approx(15)
+
+
+def test_a_sampler_that_holds_the_root_is_refused(poseterior: Cli, folder: Path) -> None:
+    for command, option in (("sample", "--sampler"), ("compare", "--samplers")):
+        run = poseterior(command, EXAMPLE, "--root", "uncertain", option, "emcee", "--quiet")
+        assert run.code == 2, run
+        assert "choose weighted-roots or rejection" in run.err

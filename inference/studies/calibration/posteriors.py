@@ -24,7 +24,7 @@ from inference.baselines.catalogue import (
 )
 from inference.baselines.run import Allowance, check_packages, run
 from inference.baselines.target import Target
-from inference.drawers import NUM_ROOTS, Drawer, drawer, require_root
+from inference.drawers import NUM_ROOTS, Drawer, drawer, sampler_under
 from inference.exact.loops.numbers import words_of
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS
 from inference.results import COMPLETE, FIXED
@@ -33,8 +33,9 @@ from inference.studies.calibration.assess import FAILED, Answer
 from inference.studies.calibration.quantities import of_pose
 from inference.studies.calibration.simulations import Instance
 from inference.studies.comparison.mixing import mean_ess, mixing
+from inference.uncertain.routes import ROUTES
 from inference.uncertain.tree import placed
-from inference.uncertain.weighted import WeightedRoots, verdict, weigh_roots
+from inference.uncertain.weighted import APART, WeightedRoots, verdict, weigh_roots
 from probmodel.arrays import read_array, read_netcdf, read_tables
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
@@ -46,7 +47,7 @@ SUFFIXES = (".nc", ".npz", ".npy")
 
 
 def sampler_of(
-    name: str,
+    name: str | None,
     model: PoseModel,
     num_samples: int,
     *,
@@ -57,10 +58,10 @@ def sampler_of(
 ) -> Sampler:
     """The sampler of that name, or the draws of a file. Raises `BadInput` where there is none such,
     its package is missing, or it holds the root fixed where it shall be uncertain."""
-    require_root(root, name)
+    name = sampler_under(root, name)
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
-    if name in PROPOSALS:
+    if name in PROPOSALS or name in ROUTES:
         draw = drawer(
             model,
             root=root,
@@ -91,8 +92,6 @@ def _drawn(draw: Drawer, index: int, instance: Instance, key: jax.Array) -> Answ
     return Answer(joints, draws.log_evidence, draws.status, draws.sentence, draws.points)
 
 
-APART = 2
-"""Effective roots for every draw that counts as independent of the others."""
 ROUNDS = (1, 4, 16, 64)
 """How many times as many roots are tried where fewer bring too few effective ones."""
 Reweigh = Callable[[WeightedRoots], WeightedRoots]

@@ -22,7 +22,7 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.drawers import NUM_ROOTS, require_root
+from inference.drawers import NUM_ROOTS, sampler_under
 from inference.machines import HERE, Machines, in_threads
 from inference.results import FIXED, UNCERTAIN, provenance, save_tree
 from inference.roots import estimate_torsos
@@ -40,6 +40,7 @@ from inference.studies.calibration.posteriors import (
 from inference.studies.calibration.quantities import QUANTITIES
 from inference.studies.calibration.record import coverage_tree, standings_table
 from inference.studies.calibration.simulations import BLOCK, Instance, simulate
+from inference.uncertain.routes import WEIGHTED
 from probmodel.datasets import Case
 from probmodel.failures import BadInput
 from probmodel.likelihood import PAPER, Likelihood
@@ -54,7 +55,7 @@ Progress = Callable[[int, int], None]
 
 def calibrate(
     model: PoseModel,
-    sampler: str | Sampler,
+    sampler: str | Sampler | None = None,
     *,
     seed: int = 0,
     num_simulations: int = 1000,
@@ -75,7 +76,8 @@ def calibrate(
     model
         The prior of poses.
     sampler
-        A name, a file of draws (`posteriors.sampler_of`), or a function.
+        A name, a file of draws (`posteriors.sampler_of`), or a function; by default what
+        `inference.sample` takes.
     seed
         Of simulations and draws.
     num_simulations, num_samples
@@ -86,7 +88,7 @@ def calibrate(
         How detections err, in simulations and posteriors.
     root, num_roots
         What torso and camera are in simulations and posteriors, and from how many roots draws are
-        made where they are uncertain: as many draws, then, as are independent.
+        made where they are uncertain: of weighted ones as many draws, then, as are independent.
     max_proposals
         Most proposals for a simulation.
     out
@@ -109,11 +111,11 @@ def calibrate(
     """
     if num_simulations < 1:
         raise BadInput(f"the number of simulations must be at least 1, not {num_simulations}")
-    if root == UNCERTAIN and isinstance(sampler, str):
-        require_root(root, sampler)
+    sampler = _named(sampler, root)
+    if sampler == WEIGHTED:
         draw = independent_roots(model, num_samples, num_roots, max_proposals=max_proposals)
     else:
-        draw = _sampler(sampler, model, num_samples, max_proposals)
+        draw = _sampler(sampler, model, num_samples, max_proposals, root, num_roots)
     settings = _settings(model, sampler, draw, seed, num_samples, likelihood, max_proposals) | {
         "study": "calibration",
         **_rooted(root, num_roots),
@@ -139,7 +141,7 @@ def cover(
     cases: Sequence[Case],
     *,
     estimator: str = real.TRUE,
-    sampler: str | Sampler = "rejection",
+    sampler: str | Sampler | None = None,
     seed: int = 0,
     num_samples: int = real.NUM_SAMPLES,
     likelihood: Likelihood = PAPER,
@@ -192,6 +194,7 @@ def cover(
             f"where the root is uncertain nobody's torso and camera are given; leave the estimator"
             f" {estimator} out"
         )
+    sampler = _named(sampler, root)
     draw = _sampler(sampler, model, num_samples, max_proposals, root, num_roots)
     settings = _settings(model, sampler, draw, seed, num_samples, likelihood, max_proposals) | {
         "study": "coverage of real poses",
@@ -329,13 +332,17 @@ def _run(
     return tree()
 
 
+def _named(sampler: str | Sampler | None, root: str) -> str | Sampler:
+    return sampler if callable(sampler) else sampler_under(root, sampler)
+
+
 def _sampler(
     sampler: str | Sampler,
     model: PoseModel,
     number: int,
     budget: int,
-    root: str = FIXED,
-    num_roots: int = NUM_ROOTS,
+    root: str,
+    num_roots: int,
 ) -> Sampler:
     if isinstance(sampler, str):
         return sampler_of(

@@ -4,5 +4,6 @@ from .judge import Judgement as Judgement
 from .judge import Test as Test
 from .judge import judge as judge
 from .record import comparison_tree as comparison_tree
+from .routes import compare_routes as compare_routes
 from .sample import Sample as Sample
 from .sample import read_sample as read_sample

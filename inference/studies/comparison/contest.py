@@ -22,7 +22,7 @@ from inference.baselines.catalogue import BASELINES, STARTS, baseline_tree, star
 from inference.baselines.run import Allowance, Clock, Run, check_packages, run
 from inference.baselines.target import Target
 from inference.exact.mixture import draw_mixture
-from inference.results import COMPLETE, save_tree
+from inference.results import COMPLETE, Result, save_tree
 from inference.sampler import SAMPLERS, sample
 from inference.store import locked
 from inference.studies.comparison.cost import course
@@ -155,6 +155,13 @@ def compare(
     return found
 
 
+def truth_of(frame: Estimate, result: Result) -> Truth:
+    """Exact draws to judge by. Raises `OutOfBudget` where they are not complete."""
+    if result.status != COMPLETE:
+        raise OutOfBudget(f"the exact draws to judge by are not complete: {result.sentence}")
+    return Truth(frame, result.tree, read_sample(result.tree, "the exact draws"))
+
+
 def _enter(
     model: PoseModel,
     known: Truth,
@@ -188,9 +195,7 @@ def truth(model: PoseModel, frame: Estimate, *, key: jax.Array, number: int = RE
         best = int(np.argmax(pilot.tree["constant_data"].weight.values))
         frame = dataclasses.replace(frame, candidates=(frame.candidates[best],))
     result = sample(model, frame, key=jax.random.fold_in(key, 1), num_samples=number)
-    if result.status != COMPLETE:
-        raise OutOfBudget(f"the exact draws to judge by are not complete: {result.sentence}")
-    return Truth(frame, result.tree, read_sample(result.tree, "the exact draws"))
+    return truth_of(frame, result)
 
 
 def check_names(names: list[str]) -> None:
@@ -232,7 +237,7 @@ def enter_exact(
     evidence = attributes["log_evidence"], attributes["log_evidence_se"]
     found = read_sample(result.tree, f"the draws of {name}")
     work = Work(attributes["num_proposals"], seconds, 1.0, found.num_draws, 0)
-    return _entry(name, "", found, known, result.sentence, work, evidence)
+    return entry_of(name, "", found, known, result.sentence, work, evidence)
 
 
 def enter_baseline(
@@ -272,7 +277,7 @@ def enter_baseline(
     tree = baseline_tree(posterior, done, key)
     found = read_sample(tree, f"the draws of {name}")
     return (
-        _entry(name, start, found, known, "", _work_of(done, BASELINES[name].starts), evidence),
+        entry_of(name, start, found, known, "", _work_of(done, BASELINES[name].starts), evidence),
         tree,
     )
 
@@ -300,7 +305,7 @@ def _work_of(done: Run, given: int) -> Work:
     )
 
 
-def _entry(
+def entry_of(
     name: str,
     start: str,
     found: Sample,

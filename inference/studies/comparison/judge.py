@@ -47,7 +47,7 @@ class Test(NamedTuple):
 
 class Judgement(NamedTuple):
     """All that the judge found. `tests` decide the verdict; `others` are reported beside it.
-    `coordinate_p` `(32, 2)`: rank tests of shift and spread; `joint_w1` `(9,)`: W1 of the joints'
+    `coordinate_p` `(c, 2)`: rank tests of shift and spread; `joint_w1` `(9,)`: W1 of the joints'
     depth in body units (× 350: millimetres of a person of 1.7 m); `distance`: sliced Wasserstein in
     standard deviations; `sentence` says why."""
 
@@ -97,7 +97,7 @@ def judge(
     if not mixed.stuck and worst >= FEWEST:
         thinned = sample if _independent(sample, worst) else sample.rows(_stride(sample, worst))
         tests, others = _tests(thinned, exact, rng, permutations)
-        tests.append(_coordinates(coordinate_p, ess))
+        tests.append(_coordinates(coordinate_p, ess, sample.names))
     if math.isfinite(evidence[0]) and math.isfinite(exact_evidence[0]):
         tests.append(_evidence(evidence, exact_evidence))
     found = modes(
@@ -170,11 +170,11 @@ def _tests(
     return tests, [Test("C2ST", *classifier_test(draws, known, rng), number, independent)]
 
 
-def _coordinates(p_values: np.ndarray, ess: np.ndarray) -> Test:
+def _coordinates(p_values: np.ndarray, ess: np.ndarray, names: tuple[str, ...]) -> Test:
     """The worst of all rank tests of single coordinates, corrected for their number."""
     worst = np.unravel_index(np.nanargmin(p_values), p_values.shape)
     number = int(np.isfinite(p_values).sum())
-    name = f"ranks of {NAMES[worst[0]]}, {('shift', 'spread')[worst[1]]}"
+    name = f"ranks of {names[worst[0]]}, {('shift', 'spread')[worst[1]]}"
     corrected = min(1.0, float(p_values[worst] * number))
     assumption = (
         "means of ranks are normal, with the effective size measured on them; corrected for"

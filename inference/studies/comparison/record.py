@@ -21,7 +21,7 @@ SHOWN, EXACT_SHOWN = 1000, 4000
 class Entry(NamedTuple):
     """One sampler's line: its name and start, the judgement (None where it brought no draws), its
     sentence, cost, course and pace, its log evidence with the standard error, and some `draws` `(n,
-    32)` for pictures."""
+    c)` for pictures."""
 
     sampler: str
     start: str
@@ -92,7 +92,7 @@ def comparison_tree(
     if judged:
         groups |= {
             "tests": _tests(entries),
-            "coordinates": _coordinates(entries),
+            "coordinates": _coordinates(entries, exact.names),
             "joints": _joints(entries),
             "modes": _modes(judged),
         }
@@ -157,7 +157,7 @@ def _course(entries: list[Entry]) -> xr.Dataset:
 
 def _draws(entries: list[Entry], exact: Sample) -> xr.Dataset:
     """Some draws of every sampler, NaN where it has fewer, and some exact ones."""
-    table = np.full((len(entries), SHOWN, len(NAMES)), np.nan, np.float32)
+    table = np.full((len(entries), SHOWN, len(exact.names)), np.nan, np.float32)
     for row, entry in enumerate(entries):
         table[row, : len(entry.draws)] = entry.draws[:SHOWN]
     known = exact.flat[:: max(1, exact.num_draws // EXACT_SHOWN)][:EXACT_SHOWN].astype(np.float32)
@@ -166,7 +166,7 @@ def _draws(entries: list[Entry], exact: Sample) -> xr.Dataset:
             "value": (("sampler", "draw", "coordinate"), table),
             "exact": (("exact_draw", "coordinate"), known),
         },
-        coords={"coordinate": list(NAMES)},
+        coords={"coordinate": list(exact.names)},
         attrs={"units": "body units"},
     )
 
@@ -201,8 +201,8 @@ def _tests(entries: list[Entry]) -> xr.Dataset:
     )
 
 
-def _coordinates(entries: list[Entry]) -> xr.Dataset:
-    blank = np.full(len(NAMES), np.nan)
+def _coordinates(entries: list[Entry], names: tuple[str, ...]) -> xr.Dataset:
+    blank = np.full(len(names), np.nan)
     columns = {
         "ess_bulk": [
             blank if one.judgement is None else one.judgement.mixing.bulk for one in entries
@@ -219,7 +219,7 @@ def _coordinates(entries: list[Entry]) -> xr.Dataset:
         ],
     }
     data = {name: (("sampler", "coordinate"), np.stack(values)) for name, values in columns.items()}
-    return xr.Dataset(data, coords={"coordinate": list(NAMES)})
+    return xr.Dataset(data, coords={"coordinate": list(names)})
 
 
 def _joints(entries: list[Entry]) -> xr.Dataset:

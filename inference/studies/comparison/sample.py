@@ -2,16 +2,17 @@
 flips of the limbs.
 
 Coordinates are the five lengths and the joints that limbs end in, in camera axes and body units:
-together they are the whole pose, whatever a sampler walked in."""
+together they are the whole pose, whatever a sampler walked in. Where torso and camera are drawn
+too, the torso's joints, the scale and the place are there as well."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from inference.studies.flips import away
 from probmodel.failures import BadInput
-from probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS, NUM_LENGTHS
+from probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS, NUM_LENGTHS, TORSO_INDEX
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -20,15 +21,24 @@ NAMES = (
     *(f"length of {group}" for group in LENGTH_GROUPS),
     *(f"{JOINTS[bone.end]} {axis}" for bone in BONES for axis in "xyz"),
 )
+_TORSO = tuple(joint for joint in TORSO_INDEX if JOINTS[joint] != "pelvis")
+"""Its joints but the pelvis, where the origin is."""
+ROOT_NAMES = (
+    *(f"{JOINTS[joint]} {axis}" for joint in _TORSO for axis in "xyz"),
+    "log scale",
+    "pelvis u",
+    "pelvis v",
+)
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Draws of one sampler: `values` `(chain, draw, 32)` in the order of `NAMES`, `away` `(chain,
+    """Draws of one sampler: `values` `(chain, draw, c)` in the order of `names`, `away` `(chain,
     draw, 8)` bool, whether a bone of `flips.FLIPPING` points away from the camera."""
 
     values: np.ndarray
     away: np.ndarray
+    names: tuple[str, ...] = NAMES
 
     @property
     def num_draws(self) -> int:
@@ -37,7 +47,7 @@ class Sample:
 
     @property
     def flat(self) -> np.ndarray:
-        """`(n, 32)`: draws, chain after chain."""
+        """`(n, c)`: draws, chain after chain."""
         return self.values.reshape(-1, self.values.shape[-1])
 
     @property
@@ -47,12 +57,19 @@ class Sample:
 
     def rows(self, every: int) -> "Sample":
         """Every so many draws of each chain."""
-        return Sample(self.values[:, ::every], self.away[:, ::every])
+        return replace(self, values=self.values[:, ::every], away=self.away[:, ::every])
 
     def first(self, share: float) -> "Sample":
         """The first share of every chain."""
         number = int(np.ceil(share * self.values.shape[1]))
-        return Sample(self.values[:, :number], self.away[:, :number])
+        return replace(self, values=self.values[:, :number], away=self.away[:, :number])
+
+    def with_roots(self, joints: np.ndarray, scale: np.ndarray, place: np.ndarray) -> "Sample":
+        """The same draws with their roots: joints `(chain, draw, 15, 3)`, scale `(chain, draw)` and
+        the pelvis in the image `(chain, draw, 2)`."""
+        torso = np.asarray(joints, float)[:, :, _TORSO].reshape(*self.values.shape[:2], -1)
+        parts = [self.values, torso, np.log(scale)[..., None], np.asarray(place, float)]
+        return replace(self, values=np.concatenate(parts, axis=-1), names=(*NAMES, *ROOT_NAMES))
 
 
 def sample_of(joints: np.ndarray, bone_length: np.ndarray, where: str = "the draws") -> Sample:
@@ -72,13 +89,17 @@ def sample_of(joints: np.ndarray, bone_length: np.ndarray, where: str = "the dra
 
 
 def read_sample(tree: "xr.DataTree", where: str = "the draws") -> Sample:
-    """From a tree with the group `posterior` of the contract. Raises `BadInput` where it has none,
-    or bad numbers."""
+    """From a tree with the group `posterior` of the contract, with the roots where they are drawn
+    too. Raises `BadInput` where it has none, or bad numbers."""
     try:
         posterior = tree["posterior"]
-        return sample_of(
+        found = sample_of(
             np.asarray(posterior["joints"]), np.asarray(posterior["bone_length"]), where
         )
+        if "translation" not in posterior:
+            return found
+        parts = (np.asarray(posterior[name]) for name in ("joints", "scale", "translation"))
+        return found.with_roots(*parts)
     except KeyError as error:
         raise BadInput(
             f"{where} lack {error}; they need posterior/joints and posterior/bone_length"

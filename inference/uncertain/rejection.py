@@ -1,0 +1,340 @@
+"""The slow route, by which the fast one is judged: root, faults and limbs by rejection.
+
+    roots = reject_roots(posterior, key=key, num_samples=1000)
+    roots.cut_off                        # what share of the posterior lies above the bound
+
+Patterns of faults come from their prior, roots from attempts at the torso, and each root has the
+weight that the fast route gives it: but it is taken or left, with probability weight over bound,
+and brings one draw. Such draws are independent and have equal weights; nothing is guessed, adapted
+or drawn anew.
+
+A bound that could be proven would be of no use, as weights scatter by some nats and bounds by many.
+So a pilot run finds one, with room above the largest weight that it saw. What later weights have
+above it is cut off; that share of the posterior, by which the law of the draws differs from it at
+most (in total variation), is estimated without bias.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from inference.exact.loops.numbers import words_of
+from inference.exact.mixture import MAX_PROPOSALS
+from inference.exact.rates import Rate
+from inference.results import COMPLETE, OUT_OF_BUDGET
+from inference.roots.points import require_camera
+from inference.uncertain.limbs import ATTEMPTS, LimbDraws, free_groups, limb_draws
+from inference.uncertain.patterns import Stratum, chances, draw_patterns, log_peaks, strata_of
+from inference.uncertain.proposals import ProposedRoots
+from inference.uncertain.torsos import (
+    HOPELESS,
+    Posed,
+    Proposal,
+    attempted_roots,
+    log_mass,
+    proposal_of,
+    torso_problem,
+)
+from inference.uncertain.weighted import (
+    NUM_ROOTS,
+    Progress,
+    WeightedRoots,
+    log_limbs,
+    require_number,
+)
+from probmodel.failures import BadInput
+from probmodel.faults import Faults
+from probmodel.pose import GroupDraws, Pose
+from probmodel.roots import RootPoint
+from probmodel.uncertain import UncertainPosterior
+
+ROOM = 3.0
+"""The bound over the largest weight of the pilot run."""
+TOLERATED = 0.01
+"""The share cut off above which draws are no answer."""
+ABOUT = 512
+"""Roots that a round of attempts shall bring, about."""
+FIRST = 1 << 14
+"""Attempts of the first round."""
+MOST = 1 << 24
+"""Attempts of any round."""
+EACH = sum(ATTEMPTS.values())
+"""Attempts at the limbs of one root."""
+
+
+@dataclass(frozen=True, eq=False)
+class RejectedRoots(WeightedRoots):
+    """Independent draws of the posterior, as roots of equal weight with one draw of their limbs.
+
+    Attributes
+    ----------
+    cut_off
+        An estimate of the share of the posterior that lies above the bound; draws lack it.
+    tried
+        How many roots were weighed for these, without those of the pilot run.
+    """
+
+    cut_off: float
+    tried: int
+
+    def draw(self, rng: np.random.Generator, number: int) -> tuple[RootPoint, Pose, np.ndarray]:
+        """As `WeightedRoots.draw`, but none twice: at most as many as there are."""
+        return super().draw(rng, min(number, len(self.limbs)))
+
+
+class Round(NamedTuple):
+    """Some attempts: the roots that they found, with patterns, limbs and the log of their weights
+    `(n,)`, whose sum over the number of `attempts` is the evidence; and the limbs' `free` groups,
+    by draws of the prior."""
+
+    points: RootPoint
+    faults: Faults
+    limbs: list[dict[str, LimbDraws]]
+    log_weight: np.ndarray
+    attempts: int
+    free: dict[str, GroupDraws]
+
+    def taken(self, rng: np.random.Generator, log_bound: float) -> "Round":
+        """The roots that are taken, each with one draw of its limbs, in random order."""
+        chance = np.log1p(-rng.uniform(size=len(self.log_weight)))
+        rows = rng.permutation(np.flatnonzero(chance < self.log_weight - log_bound))
+        limbs = [_one_draw(rng, self.limbs[row]) for row in rows.tolist()]
+        for name, draws in self.free.items():  # no two from the same draw of the prior
+            own = rng.permutation(len(draws.length))
+            for place, found in enumerate(limbs):
+                found[name] = _single(draws, int(own[place]))
+        return Round(
+            self.points.take(rows), self.faults.take(rows), limbs, self.log_weight[rows], 0, {}
+        )
+
+    def first(self, number: int) -> "Round":
+        """The first so many roots."""
+        rows = slice(0, number)
+        return self._replace(
+            points=self.points.take(rows),
+            faults=self.faults.take(rows),
+            limbs=self.limbs[rows],
+            log_weight=self.log_weight[rows],
+        )
+
+
+def _one_draw(rng: np.random.Generator, limbs: dict[str, LimbDraws]) -> dict[str, LimbDraws]:
+    """One of the draws that attempts at each group brought."""
+    return {
+        name: _single(found.draws, int(rng.integers(len(found.draws.length))))
+        for name, found in limbs.items()
+    }
+
+
+def _single(draws: GroupDraws, row: int) -> LimbDraws:
+    return LimbDraws(Rate(1, 1), GroupDraws(*(part[row : row + 1].copy() for part in draws)))
+
+
+class _Stratum(NamedTuple):
+    """A pattern of the torso's faults: how its roots are attempted, and how probable each of its
+    exchanges is beforehand."""
+
+    stratum: Stratum
+    chance: np.ndarray
+    posed: Posed
+    proposal: Proposal
+
+
+def _strata(posterior: UncertainPosterior) -> list[_Stratum]:
+    found = []
+    for stratum in strata_of(posterior):
+        posed = torso_problem(posterior, stratum.faults)
+        chance = chances(posterior, stratum)
+        found.append(_Stratum(stratum, chance, posed, proposal_of(posed)))
+    return found
+
+
+def _round(
+    posterior: UncertainPosterior, strata: list[_Stratum], key: jax.Array, attempts: int
+) -> Round:
+    """So many attempts, each at a pattern of faults that the prior draws."""
+    torso_key, limb_key, pattern_key = jax.random.split(key, 3)
+    rng = np.random.default_rng(words_of(pattern_key))
+    share = np.array([one.chance.sum() for one in strata])
+    parts = []
+    for index, number in enumerate(rng.multinomial(attempts, share / share.sum()).tolist()):
+        one = strata[index]
+        if not (number and one.proposal.mass):
+            continue
+        words = words_of(jax.random.fold_in(torso_key, index))
+        points = attempted_roots(one.posed, one.proposal, words, number)
+        found = len(points.torso)
+        if found:
+            faults = draw_patterns(rng, posterior, one.stratum, one.chance, found)
+            weight = np.full(found, log_mass(one.posed, one.proposal.mass))
+            parts.append((points, faults, weight + log_peaks(posterior, faults)))
+    if not parts:
+        nothing = RootPoint(np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 2)))
+        return Round(nothing, Faults.none(0), [], np.zeros(0), attempts, {})
+    points, faults, weight = (
+        jax.tree.map(lambda *rows: np.concatenate(rows), *column)
+        for column in zip(*parts, strict=True)
+    )
+    words = words_of(limb_key)
+    limbs = list(limb_draws(posterior, points, faults, words))
+    weight = weight + log_limbs(posterior, points, limbs)
+    return Round(points, faults, limbs, weight, attempts, free_groups(posterior, words))
+
+
+class _Rounds:
+    """One round after the other, each with as many attempts as about `ABOUT` roots take, until the
+    budget ends."""
+
+    def __init__(self, posterior: UncertainPosterior, key: jax.Array, max_proposals: int) -> None:
+        self.posterior, self.key = posterior, key
+        self.strata = _strata(posterior)
+        self.left, self.number, self.attempts = max_proposals, 0, FIRST
+        self.made = 0
+
+    @property
+    def spent(self) -> bool:
+        """Whether nothing is left of the budget for another round."""
+        return self.left < self.attempts + ABOUT * EACH
+
+    def __iter__(self) -> Iterator[Round]:
+        while not self.spent:
+            key = jax.random.fold_in(self.key, self.number)
+            found = _round(self.posterior, self.strata, key, self.attempts)
+            number = len(found.limbs)
+            cost = self.attempts + number * EACH
+            self.left, self.made = self.left - cost, self.made + cost
+            self.number += 1
+            wanted = self.attempts * ABOUT / max(number, 1)
+            self.attempts = int(min(max(wanted, FIRST), 8 * self.attempts, MOST))
+            yield found
+
+
+def reject_roots(
+    posterior: UncertainPosterior,
+    *,
+    key: jax.Array,
+    num_samples: int,
+    num_roots: int = NUM_ROOTS,
+    max_proposals: int = MAX_PROPOSALS,
+    progress: Progress | None = None,
+) -> RejectedRoots:
+    """Independent draws of root, faults and limbs together.
+
+    Parameters
+    ----------
+    posterior
+        What is to be drawn from.
+    key
+        Of all random numbers: the same key, the same draws.
+    num_samples
+        How many draws.
+    num_roots
+        Of the pilot run, which finds the bound.
+    max_proposals
+        Most attempts, at roots and limbs together; fewer draws where they end first.
+    progress
+        Called now and then with the draws made and wanted.
+
+    Returns
+    -------
+    RejectedRoots
+        The draws, or as many as the budget allowed.
+
+    Raises
+    ------
+    BadInput
+        Where the seen joints of the torso do not determine a camera, and where a number is out of
+        range.
+    """
+    require_number(num_roots)
+    if num_samples < 1:
+        raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
+    require_camera(posterior.detection)
+    round_key, choice_key = jax.random.split(key)
+    rounds, rng = (
+        _Rounds(posterior, round_key, max_proposals),
+        np.random.default_rng(words_of(choice_key)),
+    )
+    log_bound = _bound(rounds, num_roots)
+    weights, parts, attempts, held = [np.zeros(0)], [], 0, 0
+    if math.isfinite(log_bound):
+        for found in rounds:
+            parts.append(found.taken(rng, log_bound).first(num_samples - held))
+            weights.append(found.log_weight)
+            attempts, held = attempts + found.attempts, held + len(parts[-1].limbs)
+            if progress:
+                progress(held, num_samples)
+            if held == num_samples:
+                break
+    return _result(
+        posterior, parts, np.concatenate(weights), log_bound, attempts, num_samples, rounds.made
+    )
+
+
+def _bound(rounds: _Rounds, num_roots: int) -> float:
+    """Log of a bound of the weights, from a pilot run of so many roots at least; -inf where none
+    has any weight."""
+    largest, weighed, attempts = -math.inf, 0, 0
+    for found in rounds:
+        weighed, attempts = weighed + len(found.limbs), attempts + found.attempts
+        largest = max(largest, float(found.log_weight.max(initial=-math.inf)))
+        if weighed >= num_roots and math.isfinite(largest):
+            break
+        if not weighed and attempts >= HOPELESS:
+            break
+    return largest + math.log(ROOM)
+
+
+def _result(
+    posterior: UncertainPosterior,
+    parts: list[Round],
+    log_weight: np.ndarray,
+    log_bound: float,
+    attempts: int,
+    wanted: int,
+    made: int,
+) -> RejectedRoots:
+    held = np.isfinite(log_weight)
+    weight = np.exp(log_weight[held] - log_bound)
+    total = float(weight.sum())
+    parts = [part for part in parts if part.limbs]
+    if not parts:
+        points, faults = RootPoint(*(np.zeros(0),) * 4), Faults.none(0)
+        evidence, doubt, cut_off = -math.inf, 0.0, 0.0
+    else:
+        points, faults = (
+            jax.tree.map(lambda *rows: np.concatenate(rows), *column)
+            for column in zip(*((part.points, part.faults) for part in parts), strict=True)
+        )
+        evidence = math.log(total / attempts) + log_bound
+        doubt = float(np.sum(weight**2)) / total**2 - 1 / attempts
+        cut_off = float(np.maximum(weight - 1, 0).sum()) / total
+    limbs = [found for part in parts for found in part.limbs]
+    number = len(limbs)
+    equal = np.full(number, evidence)
+    proposed = ProposedRoots(
+        points, faults, equal, np.zeros(number, int), np.zeros(1), doubt, wanted, attempts
+    )
+    return RejectedRoots(posterior, proposed, limbs, equal, made, cut_off, len(log_weight))
+
+
+def verdict(roots: RejectedRoots) -> tuple[str, str]:
+    """The status of these draws, and, where it is not complete, a sentence that says why and what
+    to do."""
+    where, number, wanted = roots.posterior.detection.where, len(roots.limbs), roots.proposed.wanted
+    if number < wanted:
+        return OUT_OF_BUDGET, (
+            f"{number:,} of {wanted:,} draws by rejection after {roots.proposals:,} proposals for"
+            f" {where}; ask for fewer, allow more proposals, or take weighted roots"
+        )
+    if roots.cut_off > TOLERATED:
+        return OUT_OF_BUDGET, (
+            f"{roots.cut_off:.1%} of the posterior of {where} lies above the bound that a pilot run"
+            f" of too few roots found, and is cut off (at most {TOLERATED:.0%} may be); ask for"
+            " more roots"
+        )
+    return COMPLETE, ""

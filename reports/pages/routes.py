@@ -1,0 +1,230 @@
+"""The fast route to draws with an uncertain root, judged by the exact one on real frames: writes
+reports/routes.md.
+
+    python -m reports.pages.routes ../shared/data
+
+Controls are the same weighted roots with weights that are wrong.
+"""
+
+import dataclasses
+import math
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+
+from inference.results import COMPLETE
+from inference.studies.comparison.judge import AGREES, DIFFERS, LEVEL, Judgement, judge
+from inference.studies.comparison.sample import Sample, sample_of
+from inference.uncertain.rejection import RejectedRoots, reject_roots, verdict
+from inference.uncertain.tree import placed
+from inference.uncertain.weighted import APART, WeightedRoots, weigh_roots
+from probmodel import Detection, Estimate, Likelihood, PoseModel
+from probmodel.faults import FaultPrior
+from probmodel.layouts import corrected
+from probmodel.likelihood import Gaussian
+from probmodel.sessions import read_session
+from probmodel.skeleton import TORSO_INDEX
+from reports.figures.colours import PALETTE
+from reports.figures.style import FAINT, INK, SMALL, TITLE, page
+from reports.pages.page import in_doubles, write_page
+from reports.tables import Sheet, sheet_of
+
+FRAMES = (10, 30, 50, 70, 90)
+"""Of every camera."""
+EXACT, ROOTS = 400, 2000
+LAWS = {
+    "disc": Likelihood(),
+    "Gaussian": Likelihood(Gaussian()),
+    "disc, faults": Likelihood(faults=FaultPrior.of(0.02, 0.02)),
+}
+TURNS = ("disc", "Gaussian", "disc", "disc, faults", "disc")
+"""The error law of each of the frames."""
+FAST = "weighted roots"
+
+
+class Case(NamedTuple):
+    """What one camera detected in one frame, and the error law that is taken for it."""
+
+    name: str
+    law: str
+    detection: Detection
+
+
+class Found(NamedTuple):
+    """One case.
+
+    Attributes
+    ----------
+    exact : the exact draws.
+    seconds : that these took, and that the weighted roots took.
+    effective : of how many equally good roots the weighted ones are.
+    gap : difference of the log evidences in standard errors.
+    judged : by way, the judgement of its draws.
+    """
+
+    exact: RejectedRoots
+    seconds: tuple[float, float]
+    effective: float
+    gap: float
+    judged: dict[str, Judgement]
+
+
+def _without_scale(roots: WeightedRoots) -> np.ndarray:
+    """Weights without scale⁻² for every seen joint of the limbs."""
+    counted = np.asarray(roots.posterior.detected.counts)
+    limbs = int(counted.sum()) - int(counted[list(TORSO_INDEX)].sum())
+    return roots.log_weight + 2 * limbs * roots.points.log_scale
+
+
+def _alike(roots: WeightedRoots) -> np.ndarray:
+    """Every root alike that has a draw, as if one had been waited for."""
+    return np.where(np.isfinite(roots.log_weight), 0.0, -np.inf)
+
+
+WAYS: dict[str, Callable[[WeightedRoots], np.ndarray]] = {
+    FAST: lambda roots: roots.log_weight,
+    "control: without scale⁻²": _without_scale,
+    "control: every root alike": _alike,
+}
+
+
+def whole(roots: WeightedRoots, number: int, seed: int) -> Sample:
+    """`number` draws of pose and root."""
+    points, poses, _ = roots.draw(np.random.default_rng(seed), number)
+    joints = placed(roots.posterior.model, points, poses)["joints"]
+    found = sample_of(joints[None], poses.length[None])
+    return found.with_roots(joints[None], np.exp(points.log_scale)[None], points.translation[None])
+
+
+def study(model: PoseModel, case: Case, seed: int) -> Found:
+    """Both routes on one case, and the controls."""
+    posterior = Estimate(case.detection, (), LAWS[case.law]).uncertain(model)
+    exact_key, fast_key = jax.random.split(jax.random.key(seed))
+    started = time.perf_counter()
+    exact = reject_roots(posterior, key=exact_key, num_samples=EXACT)
+    between = time.perf_counter()
+    fast = weigh_roots(posterior, key=fast_key, num_roots=ROOTS)
+    seconds = between - started, time.perf_counter() - between
+    if verdict(exact)[0] != COMPLETE:
+        raise SystemExit(f"{case.name}: {verdict(exact)[1]}")
+    known, judged = whole(exact, EXACT, seed), {}
+    for name, weigh in WAYS.items():
+        roots = dataclasses.replace(fast, log_weight=weigh(fast))
+        sample = whole(roots, int(roots.effective / APART), seed)
+        # The evidence of a control is not what it is wrong about.
+        evidence = (fast.log_evidence, fast.log_evidence_se) if name == FAST else (math.nan,) * 2
+        judged[name] = judge(
+            sample,
+            known,
+            evidence=evidence,
+            exact_evidence=(exact.log_evidence, exact.log_evidence_se),
+        )
+    error = math.hypot(exact.log_evidence_se, fast.log_evidence_se)
+    gap = (fast.log_evidence - exact.log_evidence) / error
+    return Found(exact, seconds, fast.effective, gap, judged)
+
+
+def smallest(judgement: Judgement) -> float:
+    """The smallest p-value, corrected for the number of tests; NaN without any."""
+    tests = judgement.tests
+    return min(1.0, len(tests) * min(test.p_value for test in tests)) if tests else math.nan
+
+
+def table(cases: list[Case], found: list[Found]) -> Sheet:
+    """A line a case."""
+    lines = []
+    for case, one in zip(cases, found, strict=True):
+        fast = one.judged[FAST]
+        lines.append(
+            (
+                case.name,
+                case.law,
+                f"{EXACT / one.seconds[0]:.1f}",
+                f"{100 * one.exact.cut_off:.1f} %",
+                f"{one.effective:.0f}",
+                f"{one.gap:+.1f}",
+                f"{smallest(fast):.2g}",
+                fast.verdict,
+            )
+        )
+    head = (
+        "frame",
+        "errors",
+        "exact draws a second",
+        "cut off",
+        "effective roots",
+        "log evidences apart, se",
+        "smallest p, corrected",
+        "verdict",
+    )
+    return sheet_of(head, lines)
+
+
+def counts(found: list[Found]) -> Sheet:
+    """A line a way: how often it was said to differ."""
+    lines = []
+    for name in WAYS:
+        said = [one.judged[name].verdict for one in found]
+        other = len(said) - said.count(DIFFERS) - said.count(AGREES)
+        lines.append((name, said.count(AGREES), said.count(DIFFERS), other))
+    return sheet_of(("weights", "agrees", "differs", "cannot tell"), lines)
+
+
+def figure_of(cases: list[Case], found: list[Found]) -> Figure:
+    """The smallest p-value of every case, by way."""
+    figure = page(8.4, 3.4, dpi=150)
+    axes = figure.subplots()
+    place = np.arange(len(cases))
+    for colour, marker, name in zip(PALETTE, "osD", WAYS, strict=False):
+        values = [max(smallest(one.judged[name]), 1e-12) for one in found]
+        axes.semilogy(place, values, marker, color=colour, ms=5, label=name)
+    axes.axhline(LEVEL, color=INK, lw=0.8, ls=":")
+    axes.set_xticks(place, [case.name for case in cases], rotation=60, ha="right", fontsize=SMALL)
+    axes.tick_params(axis="y", labelsize=SMALL)
+    axes.set_ylabel("smallest p of all tests, corrected", fontsize=SMALL)
+    axes.set_title("Below the line: said to differ", loc="left", fontsize=TITLE, color=INK)
+    axes.spines[:].set_color(FAINT)
+    axes.legend(fontsize=SMALL, frameon=False, loc="lower left", ncols=3, bbox_to_anchor=(0, 1.08))
+    return figure
+
+
+def main(data: Path) -> None:
+    """Runs the study and writes the page."""
+    if not (data / "multicamera").is_dir():
+        raise SystemExit(
+            f"{data} has no folder `multicamera`: this page needs the shared data pack"
+        )
+    in_doubles()
+    session = read_session(data / "multicamera")
+    cases = [
+        Case(f"{frame}, camera {number + 1}", law, corrected(session.people[number][frame]))
+        for frame, law in zip(FRAMES, TURNS, strict=True)
+        for number in range(len(session.cameras))
+    ]
+    model, found = PoseModel(), []
+    for seed, case in enumerate(cases):
+        found.append(study(model, case, seed))
+        said = {name: one.verdict for name, one in found[-1].judged.items()}
+        print(case.name, found[-1].seconds, said, flush=True)
+    rates = [EXACT / one.seconds[0] for one in found]
+    values: dict[str, str | int | Sheet] = {
+        "cases": len(cases),
+        "exact": EXACT,
+        "roots": f"{ROOTS:,}",
+        "slowest": f"{min(rates):.1f}",
+        "middle": f"{np.median(rates):.1f}",
+        "fastest": f"{max(rates):.1f}",
+        "counts": counts(found),
+        "table": table(cases, found),
+    }
+    print(write_page("routes", values, {"routes": figure_of(cases, found)}))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

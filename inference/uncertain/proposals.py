@@ -123,7 +123,7 @@ def propose_roots(
         wanted += int(counts[index]) if hopeful[index] else taken
         if found:
             fit = fit_of(posterior, pool, stratum, torso.points)
-            rows, inclusion = _promising(_log_limbs(posterior, fit, torso), taken, rng)
+            rows, inclusion = _promising(log_promise(posterior, fit, torso.points), taken, rng)
             points = torso.points.take(rows)
             faults, log_proposal = propose(fit.take(rows), stratum, rng)
             weight = torso.log_evidence + log_priors(posterior, faults) - log_proposal
@@ -148,11 +148,11 @@ def propose_roots(
     return whole.at(rng.permutation(len(weight)))
 
 
-def _log_limbs(posterior: UncertainPosterior, fit: Fit, torso: TorsoDraws) -> np.ndarray:
+def log_promise(posterior: UncertainPosterior, fit: Fit, points: RootPoint) -> np.ndarray:
     """`(n,)`: about what the limbs say of roots given the torso, but for a constant."""
     counted = np.asarray(posterior.detected.counts)
     of_limbs = int(counted.sum()) - sum(counted[list(TORSO_INDEX)])
-    return fit.total - 2 * of_limbs * np.asarray(torso.points.log_scale)
+    return fit.total - 2 * of_limbs * np.asarray(points.log_scale)
 
 
 def _promising(
@@ -212,7 +212,7 @@ def _shares(
     for index, (stratum, pilot) in enumerate(zip(strata, pilots, strict=True)):
         if len(pilot.points.torso):
             fit = fit_of(posterior, pool, stratum, pilot.points)
-            evidence = _log_limbs(posterior, fit, pilot)
+            evidence = log_promise(posterior, fit, pilot.points)
             score[index] = (
                 logsumexp(evidence)
                 - np.log(len(evidence))

@@ -5,8 +5,9 @@
 
 Patterns of faults come from their prior, roots from attempts at the torso, and each root has the
 weight that the fast route gives it: but it is taken or left, with probability weight over bound,
-and brings one draw. Such draws are independent and have equal weights; nothing is guessed, adapted
-or drawn anew.
+and brings one draw. Such draws are independent and have equal weights; nothing is adapted to them,
+and nothing drawn twice. Roots that promise little are left before their limbs are asked, with a
+probability that is known, and those that stay count for them.
 
 A bound that could be proven would be of no use, as weights scatter by some nats and bounds by many.
 So a pilot run finds one, with room above the largest weight that it saw. What later weights have
@@ -28,8 +29,16 @@ from inference.exact.rates import Rate
 from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.roots.points import require_camera
 from inference.uncertain.limbs import ATTEMPTS, LimbDraws, free_groups, limb_draws
-from inference.uncertain.patterns import Stratum, chances, draw_patterns, log_peaks, strata_of
-from inference.uncertain.proposals import ProposedRoots
+from inference.uncertain.patterns import (
+    Stratum,
+    chances,
+    draw_patterns,
+    fit_of,
+    log_peaks,
+    pool_of,
+    strata_of,
+)
+from inference.uncertain.proposals import TRUST, ProposedRoots, log_promise
 from inference.uncertain.torsos import (
     HOPELESS,
     Posed,
@@ -62,6 +71,10 @@ FIRST = 1 << 14
 """Attempts of the first round."""
 MOST = 1 << 24
 """Attempts of any round."""
+LIKELY = 0.95
+"""The share of the first round's roots that promise too little to be asked for certain."""
+CHANCE = 0.02
+"""The least probability that a root's limbs are asked."""
 EACH = sum(ATTEMPTS.values())
 """Attempts at the limbs of one root."""
 
@@ -84,6 +97,10 @@ class RejectedRoots(WeightedRoots):
     def draw(self, rng: np.random.Generator, number: int) -> tuple[RootPoint, Pose, np.ndarray]:
         """As `WeightedRoots.draw`, but none twice: at most as many as there are."""
         return super().draw(rng, min(number, len(self.limbs)))
+
+
+NOWHERE = RootPoint(np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 2)))
+"""No roots."""
 
 
 class Round(NamedTuple):
@@ -153,47 +170,16 @@ def _strata(posterior: UncertainPosterior) -> list[_Stratum]:
     return found
 
 
-def _round(
-    posterior: UncertainPosterior, strata: list[_Stratum], key: jax.Array, attempts: int
-) -> Round:
-    """So many attempts, each at a pattern of faults that the prior draws."""
-    torso_key, limb_key, pattern_key = jax.random.split(key, 3)
-    rng = np.random.default_rng(words_of(pattern_key))
-    share = np.array([one.chance.sum() for one in strata])
-    parts = []
-    for index, number in enumerate(rng.multinomial(attempts, share / share.sum()).tolist()):
-        one = strata[index]
-        if not (number and one.proposal.mass):
-            continue
-        words = words_of(jax.random.fold_in(torso_key, index))
-        points = attempted_roots(one.posed, one.proposal, words, number)
-        found = len(points.torso)
-        if found:
-            faults = draw_patterns(rng, posterior, one.stratum, one.chance, found)
-            weight = np.full(found, log_mass(one.posed, one.proposal.mass))
-            parts.append((points, faults, weight + log_peaks(posterior, faults)))
-    if not parts:
-        nothing = RootPoint(np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 2)))
-        return Round(nothing, Faults.none(0), [], np.zeros(0), attempts, {})
-    points, faults, weight = (
-        jax.tree.map(lambda *rows: np.concatenate(rows), *column)
-        for column in zip(*parts, strict=True)
-    )
-    words = words_of(limb_key)
-    limbs = list(limb_draws(posterior, points, faults, words))
-    weight = weight + log_limbs(posterior, points, limbs)
-    return Round(points, faults, limbs, weight, attempts, free_groups(posterior, words))
-
-
 class _Rounds:
     """One round after the other, each with as many attempts as about `ABOUT` roots take, until the
     budget ends."""
 
     def __init__(self, posterior: UncertainPosterior, key: jax.Array, max_proposals: int) -> None:
-        self.posterior, self.key = posterior, key
+        pool_key, self.key = jax.random.split(key)
+        self.posterior, self.pool = posterior, pool_of(posterior.model, words_of(pool_key))
         self.strata = _strata(posterior)
         self.left, self.number, self.attempts = max_proposals, 0, FIRST
-        self.made = 0
+        self.made, self.promising = 0, -math.inf
 
     @property
     def spent(self) -> bool:
@@ -203,7 +189,7 @@ class _Rounds:
     def __iter__(self) -> Iterator[Round]:
         while not self.spent:
             key = jax.random.fold_in(self.key, self.number)
-            found = _round(self.posterior, self.strata, key, self.attempts)
+            found = self._round(key)
             number = len(found.limbs)
             cost = self.attempts + number * EACH
             self.left, self.made = self.left - cost, self.made + cost
@@ -211,6 +197,50 @@ class _Rounds:
             wanted = self.attempts * ABOUT / max(number, 1)
             self.attempts = int(min(max(wanted, FIRST), 8 * self.attempts, MOST))
             yield found
+
+    def _round(self, key: jax.Array) -> Round:
+        """So many attempts, each at a pattern of faults that the prior draws."""
+        posterior = self.posterior
+        torso_key, limb_key, pattern_key = jax.random.split(key, 3)
+        rng = np.random.default_rng(words_of(pattern_key))
+        share = np.array([one.chance.sum() for one in self.strata])
+        counts = rng.multinomial(self.attempts, share / share.sum()).tolist()
+        parts = []
+        for index, (one, number) in enumerate(zip(self.strata, counts, strict=True)):
+            if number and one.proposal.mass:
+                words = words_of(jax.random.fold_in(torso_key, index))
+                points = attempted_roots(one.posed, one.proposal, words, number)
+                parts.append(self._asked(rng, one, points))
+        parts = [part for part in parts if len(part[2])]
+        if not parts:
+            return Round(NOWHERE, Faults.none(0), [], np.zeros(0), self.attempts, {})
+        points, faults, weight = (
+            jax.tree.map(lambda *rows: np.concatenate(rows), *column)
+            for column in zip(*parts, strict=True)
+        )
+        words = words_of(limb_key)
+        limbs = list(limb_draws(posterior, points, faults, words))
+        weight = weight + log_limbs(posterior, points, limbs)
+        free = free_groups(posterior, words)
+        return Round(points, faults, limbs, weight, self.attempts, free)
+
+    def _asked(
+        self, rng: np.random.Generator, one: _Stratum, points: RootPoint
+    ) -> tuple[RootPoint, Faults, np.ndarray]:
+        """The roots whose limbs are asked, with patterns, and the log of what each counts."""
+        if not len(points.torso):
+            return NOWHERE, Faults.none(0), np.zeros(0)
+        fit = fit_of(self.posterior, self.pool, one.stratum, points)
+        promise = log_promise(self.posterior, fit, points)
+        if math.isinf(self.promising):
+            self.promising = float(np.quantile(promise, LIKELY))
+        chance = np.clip(np.exp(TRUST * (promise - self.promising)), CHANCE, 1.0)
+        rows = np.flatnonzero(rng.uniform(size=len(chance)) < chance)
+        if not len(rows):
+            return NOWHERE, Faults.none(0), np.zeros(0)
+        faults = draw_patterns(rng, self.posterior, one.stratum, one.chance, len(rows))
+        weight = log_mass(one.posed, one.proposal.mass) - np.log(chance[rows])
+        return points.take(rows), faults, weight + log_peaks(self.posterior, faults)
 
 
 def reject_roots(
@@ -303,7 +333,7 @@ def _result(
     total = float(weight.sum())
     parts = [part for part in parts if part.limbs]
     if not parts:
-        points, faults = RootPoint(*(np.zeros(0),) * 4), Faults.none(0)
+        points, faults = NOWHERE, Faults.none(0)
         evidence, doubt, cut_off = -math.inf, 0.0, 0.0
     else:
         points, faults = (

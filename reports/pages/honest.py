@@ -21,6 +21,8 @@ import inference
 from inference.hypothesis import diverse
 from inference.results import FIXED, UNCERTAIN
 from inference.studies.errorlaws.embedded import embedded
+from inference.studies.errorlaws.learn import learn
+from inference.studies.errorlaws.pairs import pairs_of_session
 from inference.studies.intervals import Interval, of_share
 from inference.uncertain.weighted import FEWEST_EFFECTIVE
 from probmodel import Detection, Likelihood, PoseModel
@@ -76,11 +78,19 @@ Found = dict[Way, list["Judged"]]
 
 class FilmedCase(NamedTuple):
     """What one camera detected, and the truth `(15, 3)` from the others: body units of the person,
-    the hips' midpoint at the origin, z along the line of sight to it."""
+    the hips' midpoint at the origin, z along the line of sight to it; with the covariances
+    `(15, 3, 3)` of the truth's own errors, those of one joint independent of another's."""
 
     camera: int
     detection: Detection
     truth: np.ndarray
+    doubt: np.ndarray
+
+    def errors(self, rng: np.random.Generator, number: int) -> np.ndarray:
+        """`(number, 15, 3)`: errors that the truth may have, rooted as it is."""
+        spread = np.linalg.cholesky(np.nan_to_num(self.doubt) + 1e-12 * np.eye(3))
+        free = np.einsum("jab,njb->nja", spread, rng.normal(size=(number, *self.truth.shape)))
+        return free - free[:, HIPS].mean(axis=1, keepdims=True)
 
 
 class Judged(NamedTuple):
@@ -88,7 +98,9 @@ class Judged(NamedTuple):
 
     Attributes
     ----------
-    standing : `(8, 3)` share of draws below the truth, limb joints × x, y, depth.
+    standing : `(8, 3)` share of draws below the truth, limb joints × x, y, depth; draws have errors
+        as the truth has them.
+    bare : `(8, 3)` the same of draws without.
     spread : `(8, 3)` standard deviations of the draws, body units.
     mean, best : mm, errors of the posterior's mean and of the best of five hypotheses.
     effective : roots; NaN where the root is fixed.
@@ -97,6 +109,7 @@ class Judged(NamedTuple):
     """
 
     standing: np.ndarray
+    bare: np.ndarray
     spread: np.ndarray
     mean: float
     best: float
@@ -106,21 +119,29 @@ class Judged(NamedTuple):
 
 
 NOWHERE = np.full((8, 3), np.nan)
-LOST = Judged(NOWHERE, NOWHERE, np.nan, np.nan, np.nan, np.nan, False)
+LOST = Judged(NOWHERE, NOWHERE, NOWHERE, np.nan, np.nan, np.nan, np.nan, False)
 """Where there is no draw."""
 
 
 def cases_of(session: Session, frames: Sequence[int]) -> list[FilmedCase]:
-    """Every camera in some frames of a session, judged by the others."""
-    truth = [
-        session.along_sight(number, session.without(number).points) / session.unit
-        for number in range(len(session.cameras))
-    ]
-    return [
-        FilmedCase(number, session.people[number][frame], truth[number][frame])
-        for frame in frames
-        for number in range(len(session.cameras))
-    ]
+    """Every camera in some frames of a session, judged by the others, whose detections err as in
+    the frames before `UNSEEN`."""
+    exact = pairs_of_session(session.take(range(UNSEEN)), perspective=True)
+    sigma = learn(exact).errors.sigma
+    found = []
+    for number in range(len(session.cameras)):
+        world = session.without(number)
+        truth = session.along_sight(number, world.points) / session.unit
+        axes = session.sight_axes(number, world.points)[:, None]
+        doubt = axes @ world.covariance @ np.swapaxes(axes, -1, -2)
+        doubt = doubt * sigma[:, None, None] ** 2
+        found.append(
+            [
+                FilmedCase(number, session.people[number][frame], truth[frame], doubt[frame])
+                for frame in frames
+            ]
+        )
+    return [case for cases in zip(*found, strict=True) for case in cases]
 
 
 def likelihoods(session: Session) -> dict[str, Likelihood]:
@@ -155,9 +176,11 @@ def judge(
     joints = result.tree["posterior"].joints.values[0]
     joints = joints - joints[:, HIPS].mean(axis=1, keepdims=True)
     limbs, truth = joints[:, LIMB_JOINTS], case.truth[list(LIMB_JOINTS)]
+    noise = case.errors(np.random.default_rng(seed), len(joints))[:, LIMB_JOINTS]
     hypotheses = np.array([one.joints for one in diverse(joints, min(BEST, len(joints)))])
     return Judged(
-        standing=np.mean(limbs < truth, axis=0),
+        standing=np.mean(limbs + noise < truth, axis=0),
+        bare=np.mean(limbs < truth, axis=0),
         spread=limbs.std(axis=0),
         mean=float(error(joints.mean(axis=0)[None], case.truth)[0]),
         best=float(error(hypotheses, case.truth).min()),
@@ -212,6 +235,24 @@ def table(outcomes: Found, camera: np.ndarray) -> Sheet:
         f"best of {BEST}, mm",
     )
     return sheet_of(head, lines)
+
+
+def bare_table(outcomes: Found, camera: np.ndarray) -> Sheet:
+    """A line a way: coverage by axis if the truth had no error of its own."""
+    lines = []
+    for way, found in outcomes.items():
+        standing = np.stack([one.bare for one in found])
+        lines.append(
+            (str(way), *(share(coverage(standing[:, :, axis], camera)) for axis in range(3)))
+        )
+    return sheet_of(("torso and camera", "x", "y", "depth"), lines)
+
+
+def doubts(cases: Sequence[FilmedCase]) -> tuple[float, float]:
+    """Medians of the standard errors of the truth's limb joints, mm: across and in depth."""
+    free = np.stack([case.errors(np.random.default_rng(0), 2000).std(axis=0) for case in cases])
+    across, _, depth = LIMB * np.median(free[:, LIMB_JOINTS], axis=(0, 1))
+    return float(across), float(depth)
 
 
 def share(interval: Interval) -> str:
@@ -299,6 +340,9 @@ def main(data: Path) -> None:
         "draws": f"{DRAWS:,}",
         "roots": f"{ROOTS:,}",
         "table": table(outcomes, np.array([case.camera for case in cases])),
+        "bare": bare_table(outcomes, np.array([case.camera for case in cases])),
+        "across": f"{doubts(cases)[0]:.0f}",
+        "depth": f"{doubts(cases)[1]:.0f}",
         "costs": costs(outcomes),
     }
     print(write_page("honest", values, {"honest": standings_figure(outcomes)}))

@@ -37,7 +37,7 @@ from reports.tables import Sheet, sheet_of
 
 FRAMES = (10, 30, 50, 70, 90)
 """Of every camera."""
-EXACT, ROOTS = 400, 2000
+EXACT, ROOTS = 200, 1500
 LAWS = {
     "disc": Likelihood(),
     "Gaussian": Likelihood(Gaussian()),

@@ -138,6 +138,9 @@ def test_along_the_line_of_sight_depth_is_away_from_the_camera(exact: Session):
     along = turned + np.array([0.0, 0.0, 1.0]) * middle[:, None, None]
     assert np.linalg.norm(along, axis=-1) == pytest.approx(far)
     assert exact.unit == pytest.approx(np.median([body_unit(one[None]) for one in JOINTS_3D]))
+    axes = exact.sight_axes(1, JOINTS_3D)
+    from_middle = JOINTS_3D - JOINTS_3D[:, HIPS].mean(axis=1, keepdims=True)
+    assert np.einsum("fab,fjb->fja", axes, from_middle) == pytest.approx(turned)
 
 
 # --- files

@@ -128,6 +128,7 @@ def provenance(model: PoseModel) -> dict[str, str]:
     return {
         "limits": f"{model.limits.name} {model.limits.sha256}",
         "measures": f"upper {model.upper}, lower {model.lower}",
+        **({"upright": f"{float(model.upright):.6g}"} if model.upright else {}),
         "versions": versions(),
     }
 

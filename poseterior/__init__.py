@@ -37,7 +37,7 @@ if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors
         sample_frames,
     )
     from inference.studies.calibration import calibrate, cover, read_cases
-    from inference.studies.comparison import Comparison, compare
+    from inference.studies.comparison import Comparison, compare, compare_routes
     from probmodel import (
         AnatomicalLimits,
         Anatomy,
@@ -132,6 +132,7 @@ __all__ = [
     "__version__",
     "calibrate",
     "compare",
+    "compare_routes",
     "cover",
     "diverse",
     "draws_of",

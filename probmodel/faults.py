@@ -170,6 +170,25 @@ class FaultPrior:
         limbs = step("limb_outlier", BernoulliProbs(outlier[jnp.array(LIMB_INDEX)]).to_event(1))
         return faults_of(exchange, torso, limbs)
 
+    def draw(self, counts: ArrayLike, key: jax.Array) -> Faults:
+        """One pattern.
+
+        Parameters
+        ----------
+        counts : `(15,)` bool
+            Which keypoints there are.
+        key
+            Of the draw.
+
+        Returns
+        -------
+        Faults
+            A pattern of the prior.
+        """
+        sites = ("exchange", "torso_outlier", "limb_outlier")
+        keys = dict(zip(sites, jax.random.split(key, len(sites)), strict=True))
+        return self.compose(counts, lambda site, law: law.sample(keys[site]))
+
     def log_prob(self, counts: ArrayLike, faults: Faults) -> jax.Array:
         """Log prior probability of one pattern.
 

@@ -56,6 +56,9 @@ class PoseModel:
         The measure in which upper bones are uniform: "angle", eq. 7, or "area".
     lower
         That of lower bones: "area", eq. 8, or "box", the recipe inside the disc.
+    upright
+        Where torso and camera are uncertain: the concentration of the back about the vertical
+        (`UprightRotation`); 0 for any rotation as probable as any other.
 
     Raises
     ------
@@ -70,6 +73,7 @@ class PoseModel:
     hinges: Hinge
     upper: str
     lower: str
+    upright: float | jax.Array
 
     def __init__(
         self,
@@ -79,6 +83,7 @@ class PoseModel:
         *,
         upper: str = "angle",
         lower: str = "area",
+        upright: float = 0.0,
     ) -> None:
         if limits is None or lengths is None or torsos is None:
             embedded = Anatomy.default()
@@ -92,6 +97,7 @@ class PoseModel:
             **_regions(limits, upper, lower),
             upper=upper,
             lower=lower,
+            upright=upright,
         )
 
     def _set(self, **fields: Any) -> None:
@@ -99,15 +105,13 @@ class PoseModel:
             object.__setattr__(self, name, value)  # the way to fill a frozen dataclass
 
     def tree_flatten(self) -> tuple[tuple, tuple[str, str]]:
-        return (self.limits, self.lengths, self.torsos, self.cells, self.hinges), (
-            self.upper,
-            self.lower,
-        )
+        children = self.limits, self.lengths, self.torsos, self.cells, self.hinges, self.upright
+        return children, (self.upper, self.lower)
 
     @classmethod
     def tree_unflatten(cls, measures: tuple[str, str], children: tuple) -> "PoseModel":
         model = object.__new__(cls)
-        limits, lengths, torsos, cells, hinges = children
+        limits, lengths, torsos, cells, hinges, upright = children
         upper, lower = measures
         model._set(
             limits=limits,
@@ -117,12 +121,18 @@ class PoseModel:
             hinges=hinges,
             upper=upper,
             lower=lower,
+            upright=upright,
         )
         return model
 
     @classmethod
     def from_anatomy(
-        cls, anatomy: Anatomy, *, upper: str = "angle", lower: str = "area"
+        cls,
+        anatomy: Anatomy,
+        *,
+        upper: str = "angle",
+        lower: str = "area",
+        upright: float = 0.0,
     ) -> "PoseModel":
         """The model with the limits, lengths and torsos of one learned file.
 
@@ -130,15 +140,16 @@ class PoseModel:
         ----------
         anatomy
             What is learned.
-        upper, lower
-            The measures, as in `PoseModel`.
+        upper, lower, upright
+            As in `PoseModel`.
 
         Returns
         -------
         PoseModel
             The model.
         """
-        return cls(anatomy.limits, anatomy.lengths, anatomy.torsos, upper=upper, lower=lower)
+        prior = anatomy.limits, anatomy.lengths, anatomy.torsos
+        return cls(*prior, upper=upper, lower=lower, upright=upright)
 
     def hinges_at(self, upper: ArrayLike) -> Hinge:
         """Regions of the four lower bones, given upper directions `(..., 5, 3)` (leaves start with

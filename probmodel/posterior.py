@@ -126,9 +126,14 @@ class Estimate:
         Raises
         ------
         BadInput
-            Where the likelihood has outliers or exchanged sides, which fixed roots leave no room
-            for.
+            Where the likelihood has outliers or exchanged sides, or the model a belief of how the
+            body is turned, which fixed roots leave no room for.
         """
+        if model.upright:
+            raise BadInput(
+                "a belief that people are upright needs torso and camera to be uncertain; choose"
+                " the root 'uncertain', or leave it out"
+            )
         if self.likelihood.faults.any:
             raise BadInput(
                 "outliers and exchanges need torso and camera to be uncertain; choose the root"

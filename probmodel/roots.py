@@ -16,7 +16,7 @@ from numpyro.distributions import ImproperUniform, constraints
 
 from probmodel.anatomy.torsos import TorsoDictionary
 from probmodel.camera import WeakPerspective
-from probmodel.rotations import UniformRotation
+from probmodel.rotations import UprightRotation
 
 
 class Root(NamedTuple):
@@ -112,7 +112,7 @@ class RootPoint(NamedTuple):
 @dataclass(frozen=True)
 class RootPrior:
     """What is believed of torso and camera: the torso uniform over a dictionary, the rotation
-    uniform on SO(3), log scale and translation flat.
+    uniform on SO(3), or upright bodies more probable, log scale and translation flat.
 
     The last two have no total mass, but every seen joint contributes scale⁻² to the posterior,
     which is proper as soon as two seen joints lie apart. Base measure: counting (torso) × Haar's ×
@@ -122,15 +122,18 @@ class RootPrior:
     ----------
     torsos : `(J, 6, 3)`
         Body axes, body units, pelvis at the origin.
+    upright
+        Concentration of `UprightRotation`.
     """
 
     torsos: np.ndarray | jax.Array
+    upright: float | jax.Array = 0.0
 
     def compose(self, step: Callable[[str, Any], Any]) -> RootPoint:
         """The prior, written once: `step(site, law)` says what becomes of each law."""
         return RootPoint(
             step("torso", TorsoDictionary(self.torsos)),
-            step("rotation", UniformRotation()),
+            step("rotation", UprightRotation(self.upright)),
             step("log_scale", ImproperUniform(constraints.real, (), ())),
             step("translation", ImproperUniform(constraints.real_vector, (), (2,))),
         )

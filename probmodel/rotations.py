@@ -1,4 +1,5 @@
-"""Rotations: the uniform law on SO(3), its support, and the bijection from R³.
+"""Rotations: a law of them, uniform on SO(3) or of upright bodies, its support, and the bijection
+from R³.
 
 Base measure of every density is Haar's, normalised to one: the uniform law has density one. The
 bijection sends a vector x to the rotation of the quaternion (1, x) (the Rodrigues vector, or Cayley
@@ -120,31 +121,63 @@ def _to_rotations(constraint: _Rotations) -> RotationTransform:
     return RotationTransform()
 
 
-class UniformRotation(Distribution):
-    """A rotation `(3, 3)`, uniform on SO(3): no turn of it changes its law.
+class UprightRotation(Distribution):
+    """A rotation `(3, 3)` from body axes to camera axes whose second column, the way the back
+    points, scatters about the image's vertical (von Mises & Fisher's law on the sphere); the way
+    that the chest points is uniform about it. At concentration 0 it is uniform on SO(3): no turn of
+    it changes its law.
 
     Parameters
     ----------
-    batch_shape : of independent ones.
+    concentration
+        κ ≥ 0: the tilt's standard deviation each way is about 1/√κ radians.
     """
 
-    arg_constraints: dict[str, Any] = {}  # noqa: RUF012 — NumPyro's own protocol
+    arg_constraints: dict[str, Any] = {  # noqa: RUF012 — NumPyro's own protocol
+        "concentration": constraints.nonnegative
+    }
     support = rotations
 
     def __init__(
-        self, batch_shape: tuple[int, ...] = (), *, validate_args: bool | None = None
+        self, concentration: ArrayLike = 0.0, *, validate_args: bool | None = None
     ) -> None:
-        super().__init__(batch_shape=batch_shape, event_shape=(3, 3), validate_args=validate_args)
+        self.concentration = jnp.asarray(concentration, float)
+        super().__init__(self.concentration.shape, (3, 3), validate_args=validate_args)
 
     def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
-        """Rotations `sample_shape + batch_shape + (3, 3)`: quaternions uniform on their sphere."""
-        shape = (*sample_shape, *self.batch_shape, 4)
-        return rotation_of(jax.random.normal(key, shape))
+        """Rotations `sample_shape + batch_shape + (3, 3)`."""
+        shape = (*sample_shape, *self.batch_shape)
+        level_key, turn_key, side_key = jax.random.split(key, 3)
+        level = jax.random.uniform(level_key, shape)
+        concentration = jnp.broadcast_to(self.concentration, shape)
+        k = jnp.where(concentration > NEARLY_FLAT, concentration, 1.0)
+        cosine = 1 + jnp.log(level + (1 - level) * jnp.exp(-2 * k)) / k
+        cosine = jnp.where(concentration > NEARLY_FLAT, cosine, 2 * level - 1)
+        turn = jax.random.uniform(turn_key, shape, maxval=2 * math.pi)
+        sine = jnp.sqrt(jnp.maximum(1 - cosine**2, 0.0))
+        up = jnp.stack([sine * jnp.cos(turn), -cosine, sine * jnp.sin(turn)], axis=-1)
+        left = jax.random.normal(side_key, (*shape, 3))
+        left = left - jnp.sum(left * up, axis=-1, keepdims=True) * up
+        left = left / jnp.linalg.norm(left, axis=-1, keepdims=True)
+        return jnp.stack([left, up, jnp.cross(left, up)], axis=-1)
 
     def log_prob(self, value: ArrayLike) -> jax.Array:
-        """0 on SO(3), -inf elsewhere."""
+        """Log density with respect to Haar's measure on SO(3), -inf elsewhere."""
         value = jnp.asarray(value)
-        inside = rotations(value)
-        inside = jnp.broadcast_to(inside, jnp.broadcast_shapes(inside.shape, self.batch_shape))
-        zero = jnp.zeros((), value.dtype)
-        return jnp.where(inside, zero, -jnp.inf)
+        shape = jnp.broadcast_shapes(value.shape[:-2], self.batch_shape)
+        concentration = jnp.broadcast_to(self.concentration, shape)
+        upright = jnp.broadcast_to(-value[..., 1, 1], shape)
+        found = log_upright_peak(concentration) + concentration * (upright - 1)
+        return jnp.where(jnp.broadcast_to(rotations(value), shape), found, -jnp.inf)
+
+
+NEARLY_FLAT = 1e-6
+"""Concentrations up to this are taken for 0."""
+
+
+def log_upright_peak(concentration: ArrayLike) -> jax.Array:
+    """Log of the largest density of `UprightRotation`, that of an upright body: 2κ / (1 -
+    exp(-2κ))."""
+    k = jnp.asarray(concentration, float)
+    safe = jnp.where(k > NEARLY_FLAT, k, 1.0)
+    return jnp.where(k > NEARLY_FLAT, jnp.log(2 * safe) - jnp.log(-jnp.expm1(-2 * safe)), 0.0)

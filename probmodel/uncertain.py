@@ -114,7 +114,7 @@ class UncertainPosterior:
     @property
     def prior(self) -> RootPrior:
         """The prior of the root."""
-        return RootPrior(self.model.torsos)
+        return RootPrior(self.model.torsos, self.model.upright)
 
     @functools.cached_property
     def detected(self) -> DetectedJoints:
@@ -181,7 +181,7 @@ def log_joints(
     faults: Faults,
 ) -> jax.Array:
     """`UncertainPosterior.log_joint`, compiled once a shape."""
-    prior = RootPrior(model.torsos)
+    prior = RootPrior(model.torsos, model.upright)
 
     def one(point: RootPoint, pose: Pose, faults: Faults) -> jax.Array:
         log_prior = prior.log_density(point) + faulty.log_prob(detected.counts, faults)

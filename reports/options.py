@@ -6,6 +6,7 @@ before it is needed, so that `--help` is quick."""
 
 import enum
 import functools
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -122,11 +123,13 @@ class Prior:
 
         return Anatomy.default() if self.limits == "default" else Anatomy.load(Path(self.limits))
 
-    def model(self) -> "PoseModel":
+    def model(self, *, upright: float = 0.0) -> "PoseModel":
         """The model. Raises `BadInput` on a limits file that is not one."""
         from probmodel import PoseModel
 
-        return PoseModel.from_anatomy(self.anatomy(), upper=self.upper, lower=self.lower)
+        return PoseModel.from_anatomy(
+            self.anatomy(), upper=self.upper, lower=self.lower, upright=upright
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -394,6 +397,24 @@ class Rooting:
         ),
     ] = RootKind.fixed
     roots: Roots = 1000
+    upright: Annotated[
+        float | None,
+        Option(
+            min=1,
+            max=90,
+            help=(
+                "How far a back is tilted from the image's vertical, standard deviation each way in"
+                " degrees (--root uncertain)."
+            ),
+            show_default="any way round is as probable as any other",
+        ),
+    ] = None
+
+    def model(self, prior: Prior) -> "PoseModel":
+        """The model of anatomy, with what is believed of the root. Raises `BadInput` on a limits
+        file that is not one."""
+        tilt = 0.0 if self.upright is None else math.radians(self.upright)
+        return prior.model(upright=1 / tilt**2 if tilt else 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

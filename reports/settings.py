@@ -66,7 +66,7 @@ class HypothesesSettings:
         "hypotheses people.json --person 3 --image photo.jpg --k 8",
         "hypotheses frame.json --limits limits.npz --candidates 1",
         "hypotheses frame.json --estimator zhou",
-        "hypotheses frame.json --root uncertain",
+        "hypotheses frame.json --root uncertain --upright 20",
     )
     person: Person
     out: Annotated[
@@ -545,7 +545,7 @@ class CoverageSettings:
         from probmodel import BadInput
 
         real = ["frames", "estimator", "noise", "missing"]
-        draws = ["sampler", "num_samples", "max_proposals", "root", "roots"]
+        draws = ["sampler", "num_samples", "max_proposals", "root", "roots", "upright"]
         if self.dataset is not None:
             way, unknown = "with --dataset", ["simulate_only", "num_simulations"]
         elif self.simulate_only:

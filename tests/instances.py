@@ -13,7 +13,7 @@ from probmodel.directions.cells import Cells
 from probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from probmodel.directions.hinges import Hinge
 from probmodel.likelihood import DetectedKeypoint, Disc
-from probmodel.rotations import UniformRotation
+from probmodel.rotations import UprightRotation
 
 NASTY_HINGES = {
     "published rounding": (1e-6, (-0.5, 0.6, -0.3, 0.4)),
@@ -150,8 +150,8 @@ def distributions() -> dict[str, dist.Distribution]:
     wide = [jnp.broadcast_to(field, (3, 5)) for field in LENGTHS]
     found["length three"] = BoneLength(LengthPrior(*wide))
     found["torso"] = TorsoDictionary(rng.normal(size=(7, 6, 3)))
-    found["rotation"] = UniformRotation()
-    found["rotation three"] = UniformRotation((3,))
+    found["rotation"] = UprightRotation()
+    found["rotation three"] = UprightRotation(np.array([0.0, 2.0, 50.0]))
     return found
 
 

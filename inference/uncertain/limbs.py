@@ -91,7 +91,7 @@ def views_of(posterior: UncertainPosterior, points: RootPoint, faults: Faults) -
 
 @jax.jit
 def _look(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> Views:
-    prior = RootPrior(model.torsos)
+    prior = RootPrior(model.torsos, model.upright)
 
     def one(point: RootPoint, faults: Faults) -> Views:
         observation = detected.under(prior, point, faults)
@@ -237,7 +237,7 @@ def _ratios(
 @jax.jit
 def _log_ratios(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> jax.Array:
     """`(n, 15)`: log likelihood of each joint over its peak, for roots and poses `(n, ...)`."""
-    prior = RootPrior(model.torsos)
+    prior = RootPrior(model.torsos, model.upright)
 
     def one(point: RootPoint, faults: Faults, pose: Pose) -> jax.Array:
         observation = detected.under(prior, point, faults)

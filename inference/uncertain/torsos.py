@@ -31,6 +31,7 @@ from probmodel.chunks import in_chunks
 from probmodel.faults import Faults
 from probmodel.likelihood import WithOutliers
 from probmodel.roots import RootPoint
+from probmodel.rotations import log_upright_peak
 from probmodel.skeleton import TORSO_INDEX
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
@@ -46,12 +47,13 @@ THINNING = 101
 
 
 class Posed(NamedTuple):
-    """A torso's `problem`, the `law` of its joints' errors, and what leads back to pixels: the
-    `origin` `(2,)` of its keypoints, and the scale `lowest`, pixels a body unit, that is their
-    unit."""
+    """A torso's `problem`, the `law` of its joints' errors, the concentration `upright` of its back
+    about the vertical, and what leads back to pixels: the `origin` `(2,)` of its keypoints, and the
+    scale `lowest`, pixels a body unit, that is their unit."""
 
     problem: TorsoProblem
     law: WithOutliers
+    upright: float
     origin: np.ndarray
     lowest: float
 
@@ -114,7 +116,7 @@ def torso_problem(posterior: UncertainPosterior, faults: Faults) -> Posed:
         precision,
         2.0 * len(rows) - 2,
     )
-    return Posed(problem, law, origin, lowest)
+    return Posed(problem, law, float(posterior.model.upright), origin, lowest)
 
 
 @jax.jit
@@ -251,17 +253,20 @@ def _batch(
     table = root_table(min(number, attempts))
     found, attempts = proposal.attempt(seeded(words, batch), attempts, table)
     table = RootTable(*(column[:found] for column in table))
-    if found and proposal.thinned:
+    if found and (proposal.thinned or posed.upright):
         rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(batch, THINNING)))
-        test = np.log1p(-rng.uniform(size=found))
-        kept = test <= in_chunks(
-            functools.partial(_log_ratio, law, problem),
-            table.torso,
-            rotations_of(table),
-            table.inverse,
-            table.plane,
-        )
-        table = RootTable(*(column[kept] for column in table))
+        test, rotation = np.log1p(-rng.uniform(size=found)), rotations_of(table)
+        test -= posed.upright * (-rotation[:, 1, 1] - 1)
+        ratio = 0.0
+        if proposal.thinned:
+            ratio = in_chunks(
+                functools.partial(_log_ratio, law, problem),
+                table.torso,
+                rotation,
+                table.inverse,
+                table.plane,
+            )
+        table = RootTable(*(column[test <= ratio] for column in table))
     return table, attempts
 
 
@@ -307,7 +312,10 @@ def _named(posed: Posed, mass: float, table: RootTable, made: int, enough: bool)
 
 def log_mass(posed: Posed, mass: float) -> float:
     """Log of the evidence if every attempt succeeded: a proposal's mass in pixels."""
-    return math.log(mass) - posed.problem.power * math.log(posed.lowest) if mass else -math.inf
+    if not mass:
+        return -math.inf
+    peak = float(log_upright_peak(posed.upright)) if posed.upright else 0.0
+    return math.log(mass) - posed.problem.power * math.log(posed.lowest) + peak
 
 
 def _points(posed: Posed, table: RootTable) -> RootPoint:

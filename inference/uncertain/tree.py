@@ -113,7 +113,7 @@ def _log_joints(
 
 @jax.jit
 def _place(model: PoseModel, *fields: jax.Array) -> dict[str, jax.Array]:
-    prior = RootPrior(model.torsos)
+    prior = RootPrior(model.torsos, model.upright)
 
     def one(point: RootPoint, pose: Pose) -> dict[str, jax.Array]:
         root = prior.root(point)

@@ -39,7 +39,7 @@ def run(settings: CompareSettings, screen: Screen) -> None:
         routes.check_routes(samplers)
     out = console.output_folder(settings.out)
     with console.progress("torso and camera", screen.quiet):
-        model = settings.prior.model()
+        model = settings.rooting.model(settings.prior)
         frame = settings.estimation.estimate(settings.person.detection, model)
     found = (_baselines if fixed else _routes)(settings, model, frame, samplers, out, screen)
     with console.progress("picture", screen.quiet):

@@ -44,7 +44,7 @@ def simulated(settings: CoverageSettings, screen: Screen) -> None:
             f"{num_simulations} simulations are too few: the tests need at least {FEWEST}"
         )
     out = console.output_folder(settings.out)
-    model = settings.prior.model()
+    model = settings.rooting.model(settings.prior)
     with console.progress(f"simulations by {_drawer(settings)}", screen.quiet) as step:
         tree = calibration.calibrate(
             model,
@@ -70,7 +70,7 @@ def write_simulations(settings: CoverageSettings, screen: Screen) -> None:
         raise BadInput(f"the number of simulations must be at least 1, not {num_simulations}")
     out = console.output_folder(settings.out)
     with console.progress("simulations", screen.quiet):
-        model, seed = settings.prior.model(), settings.sampling.seed
+        model, seed = settings.rooting.model(settings.prior), settings.sampling.seed
         likelihood = Likelihood(factor=settings.factor)
         some = calibration.simulate(model, seed, 0, num_simulations, likelihood=likelihood)
         tree = instances_tree(some)
@@ -90,7 +90,7 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
     Raises `BadInput` on a bad data set, noise or estimator."""
     assert settings.dataset is not None
     out = console.output_folder(settings.out)
-    model = settings.prior.model()
+    model = settings.rooting.model(settings.prior)
     with console.progress("poses", screen.quiet):
         cases, source = calibration.read_cases(
             settings.dataset,

@@ -24,7 +24,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
     out, sampling, estimation = settings.out, settings.sampling, settings.estimation
     console.output_folder(out)
     with console.progress("limits and torsos", screen.quiet):
-        model = settings.prior.model()
+        model = settings.rooting.model(settings.prior)
         warnings = doubts.about_the_size(_first_people(settings), settings.detected, model)
     estimating = estimation.estimating(model)
     kept = min(settings.keep, sampling.num_samples)

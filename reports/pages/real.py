@@ -189,8 +189,8 @@ class Variant(NamedTuple):
         limits = learned.limits
         if self.published:
             limits = read_published(data / "akhter_black" / "jointAngleModel_v2.mat")
-        torsos, measures = learned.torsos, {"upper": self.upper, "lower": self.lower}
-        return PoseModel(limits, learned.lengths, torsos, **measures)
+        believed = limits, learned.lengths, learned.torsos
+        return PoseModel(*believed, upper=self.upper, lower=self.lower)
 
 
 VARIANTS = (

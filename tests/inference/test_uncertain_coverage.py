@@ -14,6 +14,7 @@ import xarray as xr
 from scipy import stats
 
 from inference.drawers import drawer
+from inference.results import COMPLETE
 from inference.studies.calibration import calibrate, cover, judge, simulate
 from inference.studies.calibration.assess import Answer, assess
 from inference.studies.calibration.controls import forgetting_scale
@@ -29,12 +30,12 @@ from inference.studies.calibration.quantities import (
 from inference.studies.calibration.real import by_the_likelihood
 from inference.studies.calibration.simulations import Instance
 from inference.studies.calibration.verdict import MISCALIBRATED
-from probmodel import BadInput, PoseModel
+from probmodel import BadInput, Likelihood, PoseModel
 from probmodel.datasets import Case
-from probmodel.faults import Faults
+from probmodel.faults import EXCHANGES, LIMB_INDEX, OUTLIER_REACH, FaultPrior, Faults
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint
-from probmodel.skeleton import JOINT_INDEX
+from probmodel.skeleton import JOINT_INDEX, MIRROR, NUM_JOINTS, TORSO_INDEX
 from tests.scenes import key
 
 ROOTS = 40
@@ -213,6 +214,42 @@ def test_a_torso_that_is_detected_elsewhere_excludes_the_truth() -> None:
     assert [one.source for one in reasons("uncertain")] == [TAU]
 
 
+def strays(faults: FaultPrior, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """`(number, 15)`: body units from each keypoint to its own joint's projection, and to that of
+    the other side."""
+    likelihood = Likelihood(faults=faults)
+    own, other = [], []
+    for one in simulate(model(), 3, 0, number, likelihood=likelihood, root="uncertain"):
+        camera = one.frame.candidates[0].camera
+        exact = np.asarray(camera.image(one.joints))
+        for rows, found in ((np.arange(NUM_JOINTS), own), (MIRROR, other)):
+            gap = one.frame.detection.keypoints - exact[list(rows)]
+            found.append(np.linalg.norm(gap, axis=1) / camera.scale)
+    return np.array(own), np.array(other)
+
+
+def test_simulated_outliers_are_as_many_as_the_prior_says() -> None:
+    """Of the limbs' seen keypoints 30 % lie beyond the widest disc, of radius 0.5, but for 0.4 % of
+    the outliers; false alarm 1e-4. Of the torso's one at most."""
+    own, _ = strays(FaultPrior.of(outlier=0.3), 60)
+    limbs = own[:, LIMB_INDEX]
+    seen = np.isfinite(limbs)
+    assert stats.binomtest(int((limbs[seen] > 0.5).sum()), int(seen.sum()), 0.3).pvalue > 1e-4
+    assert np.nanmax(own) < OUTLIER_REACH
+    torso = (own[:, TORSO_INDEX] > 0.5).sum(axis=1)
+    assert 0 < torso.mean() < 1
+    assert torso.max() == 1
+
+
+def test_simulated_exchanges_put_one_side_where_the_other_is() -> None:
+    legs = tuple(0.999 if name == "legs" else 0.0 for name in EXCHANGES)[1:]
+    own, other = strays(FaultPrior(exchange=legs), 12)
+    for name, exchanged in (("left_knee", True), ("right_ankle", True), ("left_elbow", False)):
+        near = (other if exchanged else own)[:, JOINT_INDEX[name]]
+        assert np.nanmax(near) < 0.5
+    assert np.nanmax(own[:, JOINT_INDEX["right_ankle"]]) > 0.5
+
+
 # --- the whole
 
 
@@ -232,3 +269,29 @@ def test_the_whole_posterior_is_calibrated_and_the_control_is_not() -> None:
     wrong = independent_roots(model(), 200, 150, reweigh=forgetting_scale)
     control = judge(standings(wrong), fewest=number // 2)
     assert control.verdict == MISCALIBRATED, control.sentence
+
+
+@pytest.mark.sweep
+def test_the_posterior_with_faults_is_calibrated() -> None:
+    """Detections with outliers and exchanges, thirty simulations, 1 % false alarms; a likelihood
+    with a hundred times fewer outliers is found out, or explains hardly any of them."""
+    number, faults = 30, FaultPrior.of(outlier=0.1, exchange=0.1)
+    likelihood = Likelihood(faults=faults)
+    rare = Likelihood(faults=FaultPrior.of(outlier=0.001))
+    right = independent_roots(model(), 200, 300)
+
+    def mistaken(index: int, instance: Instance, key: jax.Array) -> Answer:
+        frame = dataclasses.replace(instance.frame, likelihood=rare)
+        return right(index, instance._replace(frame=frame), key)
+
+    def standings(sampler) -> xr.Dataset:
+        tree = calibrate(
+            model(), sampler, likelihood=likelihood, root="uncertain", num_simulations=number
+        )
+        return tree["simulation"].to_dataset()
+
+    found = judge(standings(right), fewest=number // 2)
+    assert found.verdict != MISCALIBRATED, found.sentence
+    control = standings(mistaken)
+    lost = np.mean(control.status.values != COMPLETE)
+    assert lost > 0.5 or judge(control, fewest=3).verdict == MISCALIBRATED

@@ -59,7 +59,7 @@ def test_evidence_and_moments_against_brute_force() -> None:
     assert sound.off(sound.fast_moments(roots, wrong / wrong.sum()), brute) > 6
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_a_bound_that_is_too_low_cuts_off_what_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """Then roots of little weight are taken too often: the moments show it, and the verdict.
     Promises, which leave weights nearly even, are turned off."""

@@ -42,6 +42,7 @@ from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, Root
 from probmodel.faults import Faults
 from probmodel.likelihood import Gaussian
 from probmodel.pose import Pose
+from probmodel.rotations import UprightRotation
 from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 from tests.brute_force import propose_group
 from tests.scenes import key, prior_scene
@@ -225,6 +226,31 @@ def test_the_factors_of_the_scale_are_missed():
     brute, roots = both_routes()
     wrong = shares(roots.log_weight + 2 * len(SEEN) * roots.points.log_scale)
     assert off(fast_moments(roots, wrong), brute) > 8
+
+
+@pytest.mark.slow
+def test_who_is_believed_upright_weighs_as_much_more():
+    """Roots of a prior of upright people against those of the uniform one, weighed by its density
+    afterwards: evidence and moments. Those without it are found out."""
+    model, frame = small_case()
+    _, plain = both_routes()
+    upright = PoseModel(torsos=model.torsos, upright=20.0)
+    roots = weigh_roots(frame.uncertain(upright), key=key(6), num_roots=1500)
+    density = UprightRotation(20.0).log_prob(np.asarray(plain.points.rotation))
+    weighed = dataclasses.replace(plain, log_weight=plain.log_weight + np.asarray(density))
+    error = math.hypot(roots.log_evidence_se, weighed.log_evidence_se)
+    assert abs(roots.log_evidence - weighed.log_evidence) < 4 * error < 0.5
+    found = fast_moments(roots, roots.share)
+    assert off(found, fast_moments(weighed, weighed.share)) < 4
+    assert off(found, fast_moments(plain, plain.share)) > 8
+    program = frame.uncertain(upright).log_joint(*roots.draw(np.random.default_rng(0), 5)[:2])
+    assert np.isfinite(program).all()
+
+
+def test_a_fixed_root_has_no_belief_of_its_rotation():
+    model, frame = small_case()
+    with pytest.raises(BadInput, match="a belief that people are upright needs"):
+        frame.posterior(PoseModel(torsos=model.torsos, upright=20.0))
 
 
 def test_systematic_resampling_is_even():

@@ -142,3 +142,16 @@ def test_a_sampler_that_holds_the_root_is_refused(poseterior: Cli, folder: Path)
         run = poseterior(command, EXAMPLE, "--root", "uncertain", option, "emcee", "--quiet")
         assert run.code == 2, run
         assert "choose weighted-roots or rejection" in run.err
+
+
+def test_who_is_believed_upright_needs_an_uncertain_root(poseterior: Cli, folder: Path) -> None:
+    run = poseterior("sample", EXAMPLE, "--upright", 20, "--num-samples", 5, "--quiet")
+    assert run.code == 2, run
+    assert "a belief that people are upright needs torso and camera to be uncertain" in run.err
+    out = folder / "upright.nc"
+    run = poseterior("sample", EXAMPLE, *UNCERTAIN, "--roots", 300, "--upright", 20, "--out", out)
+    assert run.code == 0, run
+    with xr.open_datatree(out, engine="netcdf4") as tree:
+        assert float(tree.attrs["upright"]) == pytest.approx((180 / np.pi / 20) ** 2, rel=1e-5)
+        tilt = np.degrees(np.arccos(-tree["posterior"].rotation.values[0, :, 1, 1]))
+        assert np.median(tilt) < 30

@@ -5,11 +5,12 @@ Torso, camera, scores and missing joints are drawn anew for each simulation. Whe
 holds torso and camera fixed they say nothing of the limbs, so that any law of theirs will do.
 
 Where the root is uncertain it has to come from its prior: torso uniform, rotation by Haar's
-measure. From flat priors of log scale and translation nothing can be drawn; but the posterior moves
-and grows with the image (`docs/model.md`, § 9), so any fixed scale and place will do for questions
-whose answers do the same.
+measure, or upright as the model believes. From flat priors of log scale and translation nothing can
+be drawn; but the posterior moves and grows with the image (`docs/model.md`, § 9), so any fixed
+scale and place will do for questions whose answers do the same.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -22,10 +23,12 @@ from inference.results import FIXED, UNCERTAIN
 from probmodel.camera import WeakPerspective
 from probmodel.chunks import in_chunks
 from probmodel.detections import Detection
+from probmodel.faults import ORDERS, FaultPrior
 from probmodel.likelihood import PAPER, Likelihood
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
 from probmodel.roots import Candidate
+from probmodel.rotations import UprightRotation
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from probmodel.transport import CUBE_DIM, from_cube
 
@@ -41,18 +44,21 @@ BLOCK = 50
 """Simulations made, and saved, at once."""
 
 
-def _sideways(rng: np.random.Generator) -> np.ndarray:
+def _sideways(rng: np.random.Generator, model: PoseModel) -> np.ndarray:
     """A rotation under which an upright person is seen from some side."""
     turn = Rotation.from_euler("yx", [rng.uniform(0, 360), rng.uniform(-TILT, TILT)], degrees=True)
     return UPRIGHT @ turn.as_matrix()
 
 
-def _anyhow(rng: np.random.Generator) -> np.ndarray:
-    """A rotation of the uniform law on SO(3)."""
-    return Rotation.random(rng=rng).as_matrix()
+def _believed(rng: np.random.Generator, model: PoseModel) -> np.ndarray:
+    """A rotation of the model's prior."""
+    if not model.upright:
+        return Rotation.random(rng=rng).as_matrix()
+    key = jax.random.key(int(rng.integers(2**32)))
+    return np.asarray(UprightRotation(model.upright).sample(key))
 
 
-ROTATIONS = {FIXED: _sideways, UNCERTAIN: _anyhow}
+ROTATIONS = {FIXED: _sideways, UNCERTAIN: _believed}
 """How simulated people are turned, by what the posterior holds of the root."""
 
 
@@ -78,7 +84,8 @@ def simulate(
     root: str = FIXED,
 ) -> list[Instance]:
     """Simulations `first`, …, `first + number - 1` of a seed, each the same whichever others are
-    made with it, for posteriors with such a `root`. The frame's candidate is the true root."""
+    made with it, for posteriors with such a `root`. The frame's candidate is the true root.
+    Where the likelihood has faults, so have detections."""
     rngs = [np.random.default_rng([seed, index]) for index in range(first, first + number)]
     cubes = np.stack([rng.uniform(size=CUBE_DIM) for rng in rngs])
     indices = [int(rng.integers(len(model.torsos))) for rng in rngs]
@@ -86,7 +93,7 @@ def simulate(
     joints = in_chunks(functools.partial(_poses, model), cubes, torsos, size=BLOCK)
     some = []
     for row, (rng, index, torso) in enumerate(zip(rngs, indices, torsos, strict=True)):
-        camera = WeakPerspective(SCALE, ROTATIONS[root](rng), MIDDLE)
+        camera = WeakPerspective(SCALE, ROTATIONS[root](rng, model), MIDDLE)
         missing = HIDDEN[(first + row) % len(HIDDEN)]
         candidate = Candidate(index, torso, camera, 0.0)
         some.append(_instance(joints[row], candidate, missing, likelihood, SPREADS[root], rng))
@@ -110,7 +117,10 @@ def _instance(
     score = rng.uniform(LEAST_SCORE, 1.0, NUM_JOINTS)
     score[[JOINT_INDEX[name] for name in missing]] = 0.0
     exact = np.asarray(camera.project(pose))
-    detection = detected(exact, score, SCALE * spread(score, likelihood), likelihood, rng)
+    strays = SCALE * spread(score, likelihood)
+    detection = detected(exact, score, strays, likelihood, rng)
+    if likelihood.faults.any:
+        detection = faulty(detection, exact, likelihood.faults, rng)
     return Instance(
         Estimate(detection, (candidate,), likelihood, estimator="truth"),
         np.asarray(camera.view(pose)),
@@ -150,8 +160,26 @@ def detected(
     source: str = "simulation",
 ) -> Detection:
     """A detection by the likelihood: keypoints around the projections `exact` `(15, 2)`, those of
-    the torso too, with errors of the law at each joint's `spread` `(15,)`, in pixels."""
+    the torso too, with errors of the law at each joint's `spread` `(15,)`, in pixels; without
+    faults."""
     far = spread * np.asarray(likelihood.law.distance(rng.uniform(size=NUM_JOINTS)))
     angle = rng.uniform(0, 2 * np.pi, NUM_JOINTS)
     shifted = exact + far[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return Detection(np.where(score[:, None] > 0, shifted, np.nan), score, source, "a pose", 0)
+
+
+def faulty(
+    detection: Detection, exact: np.ndarray, prior: FaultPrior, rng: np.random.Generator
+) -> Detection:
+    """The detection with a pattern of faults of the prior: an exchanged keypoint strays from the
+    other joint's projection as far as it strayed from its own, an outlier anywhere within reach."""
+    seen = detection.score > 0
+    key = jax.random.key(int(rng.integers(2**32)))
+    faults = jax.tree.map(np.asarray, prior.draw(seen, key))
+    about = exact[ORDERS[faults.exchange]]
+    far = SCALE * prior.reach * np.sqrt(rng.uniform(size=NUM_JOINTS))
+    angle = rng.uniform(0, 2 * np.pi, NUM_JOINTS)
+    astray = far[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    off = np.where(faults.outlier[:, None], astray, detection.keypoints - exact)
+    keypoints = np.where(seen[:, None], about + off, np.nan)
+    return dataclasses.replace(detection, keypoints=keypoints)

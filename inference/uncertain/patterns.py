@@ -73,30 +73,13 @@ def strata_of(posterior: UncertainPosterior) -> list[Stratum]:
     return found
 
 
-def chances(posterior: UncertainPosterior, stratum: Stratum) -> np.ndarray:
-    """`(e,)`: the prior probability of each of the stratum's exchanges together with its faults of
-    the torso, whatever is wrong with the limbs."""
+def prior_share(posterior: UncertainPosterior, stratum: Stratum) -> float:
+    """The prior probability of the stratum: of its faults of the torso with any of its exchanges,
+    whatever is wrong with the limbs."""
     prior, counts = posterior.faults, np.asarray(posterior.detected.counts)
     patterns = [stratum.faults._replace(exchange=np.asarray(one)) for one in stratum.exchanges]
     sound = np.log1p(-np.array(prior.outlier)[list(LIMB_INDEX)] * counts[list(LIMB_INDEX)]).sum()
-    return np.exp([float(prior.log_prob(counts, one)) - sound for one in patterns])
-
-
-def draw_patterns(
-    rng: np.random.Generator,
-    posterior: UncertainPosterior,
-    stratum: Stratum,
-    chance: np.ndarray,
-    number: int,
-) -> Faults:
-    """Patterns `(number, ...)` of the prior, given the stratum; `chance` of its exchanges."""
-    counts = np.asarray(posterior.detected.counts)
-    outlier = np.tile(np.asarray(stratum.faults.outlier), (number, 1))
-    limbs = list(LIMB_INDEX)
-    often = np.array(posterior.faults.outlier)[limbs] * counts[limbs]
-    outlier[:, limbs] = rng.uniform(size=(number, len(limbs))) < often
-    exchange = rng.choice(stratum.exchanges, size=number, p=chance / chance.sum())
-    return Faults(exchange, outlier)
+    return float(sum(np.exp(float(prior.log_prob(counts, one)) - sound) for one in patterns))
 
 
 def _pattern(exchange: int, torso: int, limbs: np.ndarray) -> Faults:
@@ -233,16 +216,6 @@ def log_priors(posterior: UncertainPosterior, faults: Faults) -> np.ndarray:
     """`(n,)`: for each pattern the log of its prior probability × the peak of the likelihood under
     it at scale one."""
     return in_chunks(functools.partial(_log_priors, posterior.faults, posterior.detected), *faults)
-
-
-def log_peaks(posterior: UncertainPosterior, faults: Faults) -> np.ndarray:
-    """`(n,)`: for each pattern the log of the peak of the likelihood under it at scale one."""
-    return in_chunks(functools.partial(_log_peaks, posterior.detected), *faults)
-
-
-@jax.jit
-def _log_peaks(detected: DetectedJoints, *fields: jax.Array) -> jax.Array:
-    return jax.vmap(lambda faults: detected.read(faults).log_peak())(Faults(*fields))
 
 
 @jax.jit

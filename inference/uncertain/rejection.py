@@ -3,7 +3,7 @@
     roots = reject_roots(posterior, key=key, num_samples=1000)
     roots.cut_off                        # what share of the posterior lies above the bound
 
-Patterns of faults come from their prior, roots from attempts at the torso, and each root has the
+Faults of the torso come from their prior, roots from attempts at the torso, and each root has the
 weight that the fast route gives it: but it is taken or left, with probability weight over bound,
 and brings one draw. Such draws are independent and have equal weights; nothing is adapted to them,
 and nothing drawn twice. Roots that promise little are left before their limbs are asked, with a
@@ -31,11 +31,11 @@ from inference.roots.points import require_camera
 from inference.uncertain.limbs import ATTEMPTS, LimbDraws, free_groups, limb_draws
 from inference.uncertain.patterns import (
     Stratum,
-    chances,
-    draw_patterns,
     fit_of,
-    log_peaks,
+    log_priors,
     pool_of,
+    prior_share,
+    propose,
     strata_of,
 )
 from inference.uncertain.proposals import TRUST, ProposedRoots, log_promise
@@ -71,6 +71,8 @@ FIRST = 1 << 14
 """Attempts of the first round."""
 MOST = 1 << 24
 """Attempts of any round."""
+PATIENCE = 16
+"""So many times the roots of the pilot run are weighed, while none has any weight."""
 LIKELY = 0.95
 """The share of the first round's roots that promise too little to be asked for certain."""
 CHANCE = 0.02
@@ -152,11 +154,11 @@ def _single(draws: GroupDraws, row: int) -> LimbDraws:
 
 
 class _Stratum(NamedTuple):
-    """A pattern of the torso's faults: how its roots are attempted, and how probable each of its
-    exchanges is beforehand."""
+    """A pattern of the torso's faults, its `share` of the prior, and how its roots are
+    attempted."""
 
     stratum: Stratum
-    chance: np.ndarray
+    share: float
     posed: Posed
     proposal: Proposal
 
@@ -165,8 +167,8 @@ def _strata(posterior: UncertainPosterior) -> list[_Stratum]:
     found = []
     for stratum in strata_of(posterior):
         posed = torso_problem(posterior, stratum.faults)
-        chance = chances(posterior, stratum)
-        found.append(_Stratum(stratum, chance, posed, proposal_of(posed)))
+        share = prior_share(posterior, stratum)
+        found.append(_Stratum(stratum, share, posed, proposal_of(posed)))
     return found
 
 
@@ -199,11 +201,11 @@ class _Rounds:
             yield found
 
     def _round(self, key: jax.Array) -> Round:
-        """So many attempts, each at a pattern of faults that the prior draws."""
+        """So many attempts, each at the faults of the torso that the prior draws."""
         posterior = self.posterior
         torso_key, limb_key, pattern_key = jax.random.split(key, 3)
         rng = np.random.default_rng(words_of(pattern_key))
-        share = np.array([one.chance.sum() for one in self.strata])
+        share = np.array([one.share for one in self.strata])
         counts = rng.multinomial(self.attempts, share / share.sum()).tolist()
         parts = []
         for index, (one, number) in enumerate(zip(self.strata, counts, strict=True)):
@@ -238,9 +240,10 @@ class _Rounds:
         rows = np.flatnonzero(rng.uniform(size=len(chance)) < chance)
         if not len(rows):
             return NOWHERE, Faults.none(0), np.zeros(0)
-        faults = draw_patterns(rng, self.posterior, one.stratum, one.chance, len(rows))
-        weight = log_mass(one.posed, one.proposal.mass) - np.log(chance[rows])
-        return points.take(rows), faults, weight + log_peaks(self.posterior, faults)
+        faults, log_proposal = propose(fit.take(rows), one.stratum, rng)
+        weight = log_priors(self.posterior, faults) - log_proposal - np.log(chance[rows])
+        mass = log_mass(one.posed, one.proposal.mass) - math.log(one.share)
+        return points.take(rows), faults, weight + mass
 
 
 def reject_roots(
@@ -314,7 +317,7 @@ def _bound(rounds: _Rounds, num_roots: int) -> float:
         largest = max(largest, float(found.log_weight.max(initial=-math.inf)))
         if weighed >= num_roots and math.isfinite(largest):
             break
-        if not weighed and attempts >= HOPELESS:
+        if (attempts >= HOPELESS and not weighed) or weighed >= PATIENCE * num_roots:
             break
     return largest + math.log(ROOM)
 

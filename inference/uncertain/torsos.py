@@ -252,7 +252,8 @@ def _batch(
     problem, law = posed.problem, posed.law
     table = root_table(min(number, attempts))
     found, attempts = proposal.attempt(seeded(words, batch), attempts, table)
-    table = RootTable(*(column[:found] for column in table))
+    # Copied, or every few roots would keep the memory of a whole table.
+    table = RootTable(*(column[:found].copy() for column in table))
     if found and (proposal.thinned or posed.upright):
         rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(batch, THINNING)))
         test, rotation = np.log1p(-rng.uniform(size=found)), rotations_of(table)

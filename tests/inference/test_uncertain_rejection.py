@@ -19,7 +19,7 @@ from inference.studies.comparison import compare_routes
 from inference.studies.comparison.judge import AGREES, DIFFERS
 from inference.studies.comparison.sample import NAMES, ROOT_NAMES
 from inference.uncertain import rejection, weighted
-from inference.uncertain.patterns import chances, strata_of
+from inference.uncertain.patterns import prior_share, strata_of
 from inference.uncertain.rejection import RejectedRoots, reject_roots, verdict
 from inference.uncertain.routes import ROUTES
 from inference.uncertain.weighted import log_mean
@@ -112,10 +112,10 @@ def test_the_same_key_the_same_draws() -> None:
     assert again.log_evidence == few().log_evidence
 
 
-def test_the_chances_of_all_patterns_are_one() -> None:
+def test_the_shares_of_all_strata_are_one() -> None:
     model, frame = faulty.small_case()
     posterior = frame.uncertain(model)
-    total = sum(chances(posterior, stratum).sum() for stratum in strata_of(posterior))
+    total = sum(prior_share(posterior, stratum) for stratum in strata_of(posterior))
     assert total == pytest.approx(1, abs=1e-9)
 
 

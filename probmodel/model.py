@@ -73,7 +73,7 @@ class PoseModel:
     hinges: Hinge
     upper: str
     lower: str
-    upright: float | jax.Array
+    upright: jax.Array
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ class PoseModel:
             **_regions(limits, upper, lower),
             upper=upper,
             lower=lower,
-            upright=upright,
+            upright=jnp.asarray(upright, float),
         )
 
     def _set(self, **fields: Any) -> None:

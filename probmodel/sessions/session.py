@@ -138,8 +138,20 @@ class Session:
         return np.stack(turned)
 
     def sight_axes(self, camera: int, world: np.ndarray) -> np.ndarray:
-        """`(F, 3, 3)`: what turns the world's axes into those of `along_sight`, for the same
-        arguments."""
+        """What turns the world's axes into those of `along_sight`.
+
+        Parameters
+        ----------
+        camera
+            Which camera.
+        world : `(F, 15, 3)`
+            Millimetres, the world's axes.
+
+        Returns
+        -------
+        ndarray
+            `(F, 3, 3)`, one for each frame.
+        """
         seen_by = self.cameras[camera]
         middle = seen_by.view(world)[:, HIPS].mean(axis=1)
         return np.stack([turn_to_sight(centre) @ seen_by.rotation for centre in middle])

@@ -52,14 +52,18 @@ def compare_routes(
 
     Parameters
     ----------
-    model, frame, seed, num_samples, out, stage
-        As in `compare`. Of weighted roots as many draws are judged as are independent.
+    model, frame
+        As in `compare`.
     samplers
         Names of `ROUTES`.
+    seed, num_samples
+        As in `compare`; of weighted roots as many draws are judged as are independent.
     num_roots
         From how many roots weighted ones draw; of the pilot run of rejection.
     exact_draws
         Draws that all are judged by.
+    out, stage
+        As in `compare`.
 
     Returns
     -------

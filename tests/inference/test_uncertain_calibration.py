@@ -23,7 +23,7 @@ from inference.uncertain.weighted import WeightedRoots, weigh_roots
 from probmodel import Candidate, Estimate, Likelihood, PoseModel, WeakPerspective
 from probmodel.detections import Detection
 from probmodel.likelihood import Gaussian
-from probmodel.rotations import UprightRotation
+from probmodel.rotations import rotation_of
 from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_JOINTS
 from tests.scenes import key
 
@@ -59,7 +59,7 @@ def simulate(
     """A root and a pose of the prior at a fixed scale and place, and their detections; the truth as
     draws have it."""
     rng = np.random.default_rng(seed)
-    rotation = np.asarray(UprightRotation().sample(key(seed)))
+    rotation = np.asarray(rotation_of(jax.random.normal(key(seed), (4,))))
     torso = np.asarray(model().torsos)[rng.integers(len(model().torsos))]
     pose = jax.tree.map(lambda leaf: leaf[0], model().draw(key(10_000 + seed), 1))
     camera = WeakPerspective(SCALE, rotation, PLACE)

@@ -129,13 +129,8 @@ class Session:
         ndarray
             `(F, 15, 3)`, millimetres.
         """
-        view = self.cameras[camera].view(world)
-        middle = view[:, HIPS].mean(axis=1)
-        turned = [
-            (joints - centre) @ turn_to_sight(centre).T
-            for joints, centre in zip(view, middle, strict=True)
-        ]
-        return np.stack(turned)
+        axes = self.sight_axes(camera, world)
+        return (world - world[:, HIPS].mean(axis=1, keepdims=True)) @ np.swapaxes(axes, 1, 2)
 
     def sight_axes(self, camera: int, world: np.ndarray) -> np.ndarray:
         """What turns the world's axes into those of `along_sight`.

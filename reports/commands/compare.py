@@ -1,8 +1,9 @@
 """`poseterior compare`: samplers on one frame, judged by exact draws: a table, comparison.nc and a
 picture."""
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+import functools
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from inference.results import FIXED
 from probmodel.failures import BadInput
@@ -12,7 +13,6 @@ from reports.settings import CONTESTANTS, CompareSettings
 
 if TYPE_CHECKING:
     from inference.studies.comparison import Comparison
-    from probmodel import Estimate, PoseModel
 
 FEWEST = 100
 """Draws of exact rejection with which it can be judged."""
@@ -41,7 +41,15 @@ def run(settings: CompareSettings, screen: Screen) -> None:
     with console.progress("torso and camera", screen.quiet):
         model = settings.rooting.model(settings.prior)
         frame = settings.estimation.estimate(settings.person.detection, model)
-    found = (_baselines if fixed else _routes)(settings, model, frame, samplers, out, screen)
+    found = _contest(settings)(
+        model,
+        frame,
+        samplers,
+        seed=settings.seed,
+        num_samples=settings.num_samples,
+        out=out,
+        stage=lambda words: console.progress(words, screen.quiet),
+    )
     with console.progress("picture", screen.quiet):
         save_figure(comparison_figure(found.tree), out / "comparison.png")
     sheet = comparison_table(found.tree)
@@ -54,54 +62,19 @@ def run(settings: CompareSettings, screen: Screen) -> None:
         console.say(f"Written to {out}: comparison.nc, comparison.png{', runs' if fixed else ''}")
 
 
-def _baselines(
-    settings: CompareSettings,
-    model: "PoseModel",
-    frame: "Estimate",
-    samplers: list[str],
-    out: Path,
-    screen: Screen,
-) -> "Comparison":
-    """Under one candidate."""
-    from inference.studies.comparison import contest
+def _contest(settings: CompareSettings) -> Callable[..., "Comparison"]:
+    """Baselines under one candidate, or the routes to draws with an uncertain root."""
+    from inference.studies.comparison import contest, routes
 
-    return contest.compare(
-        model,
-        frame,
-        samplers,
-        seconds=settings.seconds,
-        max_evaluations=settings.max_evaluations,
-        exact_draws=settings.exact_draws or contest.REFERENCE,
-        **_asked(settings, out, screen),
-    )
-
-
-def _routes(
-    settings: CompareSettings,
-    model: "PoseModel",
-    frame: "Estimate",
-    samplers: list[str],
-    out: Path,
-    screen: Screen,
-) -> "Comparison":
-    """With an uncertain root."""
-    from inference.studies.comparison import routes
-
-    return routes.compare_routes(
-        model,
-        frame,
-        samplers,
+    if settings.rooting.root == FIXED:
+        return functools.partial(
+            contest.compare,
+            seconds=settings.seconds,
+            max_evaluations=settings.max_evaluations,
+            exact_draws=settings.exact_draws or contest.REFERENCE,
+        )
+    return functools.partial(
+        routes.compare_routes,
         num_roots=settings.rooting.roots,
         exact_draws=settings.exact_draws or routes.REFERENCE,
-        **_asked(settings, out, screen),
     )
-
-
-def _asked(settings: CompareSettings, out: Path, screen: Screen) -> dict[str, Any]:
-    """What both take of the settings."""
-    return {
-        "seed": settings.seed,
-        "num_samples": settings.num_samples,
-        "out": out,
-        "stage": lambda words: console.progress(words, screen.quiet),
-    }

@@ -4,6 +4,7 @@ not, why?"""
 from pathlib import Path
 from typing import Any
 
+from inference.drawers import sampler_under
 from inference.results import FIXED, save_tree
 from inference.studies import calibration
 from inference.studies.calibration.coverage import CoverageSummary
@@ -13,7 +14,7 @@ from probmodel import BadInput, Likelihood
 from reports import console
 from reports.figures import save_figure
 from reports.figures.coverage import coverage_figure, ranks_figure
-from reports.options import ROUTES, SAMPLERS, Screen
+from reports.options import Screen
 from reports.settings import CoverageSettings
 from reports.tables.coverage import (
     brief_table,
@@ -122,7 +123,7 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
 
 
 def _drawer(settings: CoverageSettings) -> str:
-    return settings.sampler or (SAMPLERS[0] if settings.rooting.root == FIXED else ROUTES[0])
+    return sampler_under(settings.rooting.root, settings.sampler)
 
 
 def _asked(settings: CoverageSettings, out: Path) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """`poseterior sample`: posterior draws of one person by a named sampler, as netCDF and a page."""
 
+from inference.drawers import sampler_under
 from inference.exact import ahead
 from inference.hypothesis import hypotheses
 from inference.results import COMPLETE, FIXED
@@ -8,7 +9,7 @@ from probmodel.failures import BadInput, OutOfBudget
 from reports import console, doubts, tables
 from reports.interactive.page import write_page
 from reports.interactive.person import person_page
-from reports.options import SAMPLERS, Screen
+from reports.options import Screen
 from reports.settings import SampleSettings
 
 NUM_HYPOTHESES = 5
@@ -16,8 +17,9 @@ NUM_HYPOTHESES = 5
 
 
 def _task(settings: SampleSettings) -> str:
-    fixed = settings.rooting.root == FIXED
-    return f"draws by {settings.sampler or SAMPLERS[0]}" if fixed else "roots and their limbs"
+    root = settings.rooting.root
+    sampler = sampler_under(root, settings.sampler)
+    return f"draws by {sampler}" if root == FIXED else "roots and their limbs"
 
 
 def run(settings: SampleSettings, screen: Screen) -> None:

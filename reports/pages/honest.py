@@ -323,26 +323,33 @@ def study(session: Session, cases: Sequence[FilmedCase]) -> Found:
     return found
 
 
-def main(data: Path) -> None:
-    """Runs the study and writes the page."""
+def film(data: Path) -> Session:
+    """The person on the beam, in doubles. Ends the program where the data pack is not there."""
     if not (data / "multicamera").is_dir():
         raise SystemExit(
             f"{data} has no folder `multicamera`: this page needs the shared data pack"
         )
     in_doubles()
-    session = read_session(data / "multicamera")
+    return read_session(data / "multicamera")
+
+
+def main(data: Path) -> None:
+    """Runs the study and writes the page."""
+    session = film(data)
     cases = cases_of(session, FRAMES)
     outcomes = study(session, cases)
+    camera = np.array([case.camera for case in cases])
+    across, depth = doubts(cases)
     values: dict[str, str | int | Sheet] = {
         "cases": len(cases),
         "frames": len(FRAMES),
         "seen": UNSEEN,
         "draws": f"{DRAWS:,}",
         "roots": f"{ROOTS:,}",
-        "table": table(outcomes, np.array([case.camera for case in cases])),
-        "bare": bare_table(outcomes, np.array([case.camera for case in cases])),
-        "across": f"{doubts(cases)[0]:.0f}",
-        "depth": f"{doubts(cases)[1]:.0f}",
+        "table": table(outcomes, camera),
+        "bare": bare_table(outcomes, camera),
+        "across": f"{across:.0f}",
+        "depth": f"{depth:.0f}",
         "costs": costs(outcomes),
     }
     print(write_page("honest", values, {"honest": standings_figure(outcomes)}))

@@ -28,11 +28,11 @@ from probmodel import Detection, Estimate, Likelihood, PoseModel
 from probmodel.faults import FaultPrior
 from probmodel.layouts import corrected
 from probmodel.likelihood import Gaussian
-from probmodel.sessions import read_session
 from probmodel.skeleton import TORSO_INDEX
 from reports.figures.colours import PALETTE
 from reports.figures.style import FAINT, INK, SMALL, TITLE, page
-from reports.pages.page import in_doubles, write_page
+from reports.pages.honest import film
+from reports.pages.page import write_page
 from reports.tables import Sheet, sheet_of
 
 FRAMES = (10, 30, 50, 70, 90)
@@ -50,7 +50,7 @@ TURNS = ("disc", "Gaussian", "disc", "disc, faults", "disc")
 FAST = "weighted roots"
 
 
-class Case(NamedTuple):
+class JudgedFrame(NamedTuple):
     """What one camera detected in one frame, and the error law that is taken for it."""
 
     name: str
@@ -104,7 +104,7 @@ def whole(roots: WeightedRoots, number: int, seed: int) -> Sample:
     return found.with_roots(joints[None], np.exp(points.log_scale)[None], points.translation[None])
 
 
-def study(model: PoseModel, case: Case, seed: int) -> Found:
+def study(model: PoseModel, case: JudgedFrame, seed: int) -> Found:
     """Both routes on one case, and the controls."""
     posterior = Estimate(case.detection, (), LAWS[case.law]).uncertain(model)
     exact_key, fast_key = jax.random.split(jax.random.key(seed))
@@ -138,7 +138,7 @@ def smallest(judgement: Judgement) -> float:
     return min(1.0, len(tests) * min(test.p_value for test in tests)) if tests else math.nan
 
 
-def table(cases: list[Case], found: list[Found]) -> Sheet:
+def table(cases: list[JudgedFrame], found: list[Found]) -> Sheet:
     """A line a case."""
     lines = []
     for case, one in zip(cases, found, strict=True):
@@ -180,7 +180,7 @@ def counts(found: list[Found]) -> Sheet:
     return sheet_of(("weights", "agrees", "differs", "cannot tell"), lines)
 
 
-def figure_of(cases: list[Case], found: list[Found]) -> Figure:
+def figure_of(cases: list[JudgedFrame], found: list[Found]) -> Figure:
     """The smallest p-value of every case, by way."""
     figure = page(8.4, 3.4, dpi=150)
     axes = figure.subplots()
@@ -200,14 +200,9 @@ def figure_of(cases: list[Case], found: list[Found]) -> Figure:
 
 def main(data: Path) -> None:
     """Runs the study and writes the page."""
-    if not (data / "multicamera").is_dir():
-        raise SystemExit(
-            f"{data} has no folder `multicamera`: this page needs the shared data pack"
-        )
-    in_doubles()
-    session = read_session(data / "multicamera")
+    session = film(data)
     cases = [
-        Case(f"{frame}, camera {number + 1}", law, corrected(session.people[number][frame]))
+        JudgedFrame(f"{frame}, camera {number + 1}", law, corrected(session.people[number][frame]))
         for frame, law in zip(FRAMES, TURNS, strict=True)
         for number in range(len(session.cameras))
     ]

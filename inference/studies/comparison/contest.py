@@ -314,6 +314,7 @@ def entry_of(
     work: Work,
     evidence: tuple[float, float],
 ) -> Entry:
+    """The line of draws `found`: judged by the truth, with their course and pace."""
     verdict = judge(found, known.sample, evidence=evidence, exact_evidence=known.evidence)
     way = course(found, known.sample, work.seconds, work.kept)
     speed = pace(

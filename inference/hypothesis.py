@@ -10,7 +10,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
 from inference.results import Result
@@ -113,6 +112,8 @@ def diverse(joints: np.ndarray, k: int, *, seed: int = 0) -> list[Hypothesis]:
             f"{k} hypotheses cannot be chosen among {len(joints)} poses; choose k from 1 to"
             f" {len(joints)}"
         )
+    from sklearn.cluster import KMeans  # It takes seconds to import, and many draw without it.
+
     flat = joints.reshape(len(joints), -1)
     # For so small a problem, many threads spend their time waiting for each other.
     with threadpool_limits(1, user_api="openmp"):

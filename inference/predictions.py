@@ -1,6 +1,7 @@
 """What posterior draws say of the detection: new detections of each, and how likely the one that
 was made is; the groups posterior_predictive and log_likelihood of ArviZ."""
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -86,10 +87,7 @@ def _new_detections(
     """`(n, 15, 2)`: the projected joints plus a bias and an error of the law each."""
     if not len(keypoints):
         return keypoints
-
-    def far(outlier: np.ndarray, uniform: np.ndarray) -> jax.Array:
-        return WithOutliers(law, outlier).distance(uniform)
-
+    far = functools.partial(_far, law)
     distance = in_chunks(far, read.outlier, rng.random(keypoints.shape[:2]))
     angle = 2 * np.pi * rng.random(keypoints.shape[:2])
     errors = np.where(np.isfinite(read.spread), read.spread * distance, np.nan)
@@ -100,6 +98,12 @@ def _new_detections(
     )
 
 
+@jax.jit
+def _far(law: ErrorLaw, outlier: jax.Array, uniform: jax.Array) -> jax.Array:
+    """How far errors reach, in spreads."""
+    return WithOutliers(law, outlier).distance(uniform)
+
+
 def _log_likelihood(law: ErrorLaw, read: KeypointsRead, keypoints: np.ndarray) -> np.ndarray:
     """`(n, 15)`: log density of each detected joint, given each draw; 0 where it does not count."""
     if not len(keypoints):
@@ -107,12 +111,13 @@ def _log_likelihood(law: ErrorLaw, read: KeypointsRead, keypoints: np.ndarray) -
     counts = np.isfinite(read.spread)
     gap = np.where(counts[..., None], read.detected - read.bias - keypoints, 0.0)
     square = np.sum((gap / read.spread[..., None]) ** 2, axis=-1)
-
-    def density(outlier: np.ndarray, square: np.ndarray) -> jax.Array:
-        laws = WithOutliers(law, outlier)
-        # Every draw lies within the reach: what is beyond it is so by rounding, from the camera's
-        # plane to pixels.
-        return laws.log_peak + laws.log_ratio(jnp.minimum(square, laws.reach**2))
-
-    found = in_chunks(density, read.outlier, square)
+    found = in_chunks(functools.partial(_density, law), read.outlier, square)
     return np.where(counts, found - 2 * np.log(np.where(counts, read.spread, 1.0)), 0.0)
+
+
+@jax.jit
+def _density(law: ErrorLaw, outlier: jax.Array, square: jax.Array) -> jax.Array:
+    """Log densities of errors whose squares, in spreads, are given. Every draw lies within the
+    reach: what is beyond it is so by rounding, from the camera's plane to pixels."""
+    laws = WithOutliers(law, outlier)
+    return laws.log_peak + laws.log_ratio(jnp.minimum(square, laws.reach**2))

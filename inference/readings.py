@@ -15,7 +15,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import qmc
 
 from inference.face import log_face_likelihood
 from inference.roots import estimate_torso
@@ -59,6 +58,8 @@ class ReadingEvidence(NamedTuple):
 
 @functools.lru_cache(maxsize=1)
 def _points() -> np.ndarray:
+    from scipy.stats import qmc  # Seconds to import, and few commands judge a reading.
+
     return np.asarray(qmc.Sobol(CUBE_DIM, seed=0).random(DRAWS))
 
 

@@ -412,7 +412,13 @@ class Likelihood:
         """
         joints = np.zeros((NUM_JOINTS, 3))
         joints[list(TORSO_INDEX)] = np.asarray(root.view)
-        return float(self.observe(detection, root, TORSO_INDEX).log_density(joints))
+        return float(_log_density(self.observe(detection, root, TORSO_INDEX), joints))
+
+
+@jax.jit
+def _log_density(observation: Observation, joints: jax.Array) -> jax.Array:
+    """Compiled as one, since every operation by itself takes longer to compile than to be done."""
+    return observation.log_density(joints)
 
 
 PAPER = Likelihood()

@@ -71,7 +71,7 @@ class Posterior:
         the likelihood over its peak (for discs, of the indicator). Normalised."""
         if len(self.roots) == 1:
             return np.zeros(1)
-        peaks = np.array([float(observation.log_peak) for observation in self.observations])
+        peaks = np.array([float(_log_peak(observation)) for observation in self.observations])
         log_weight = self.log_root_weights + peaks
         return log_weight - np.logaddexp.reduce(log_weight)
 
@@ -86,6 +86,12 @@ class Posterior:
     def converged(self) -> bool:
         """Whether the estimator came to an end for every root."""
         return all(candidate.converged for candidate in self.roots)
+
+
+@jax.jit
+def _log_peak(observation: Observation) -> jax.Array:
+    """Compiled as one, since every operation by itself takes longer to compile than to be done."""
+    return observation.log_peak
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,8 @@ def _group(model: PoseModel, limbs: Sequence) -> GroupTables:
 
 
 def _build(model: PoseModel, upper: int, lower: int | None) -> LimbTables:
-    mass = np.diff(model.cells.rows[upper], axis=-1) / np.asarray(model.cells.total)[upper]
+    rows = np.asarray(model.cells.rows)[upper]
+    mass = np.diff(rows, axis=-1) / np.asarray(model.cells.total)[upper]
     hinge, axes = None, np.zeros(6)
     if lower is not None:
         hinge = jax.tree.map(lambda leaf: np.asarray(leaf)[lower], model.hinges)

@@ -338,6 +338,7 @@ def test_damaged_draws_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         shipped_points("arm")
 
 
+@pytest.mark.slow
 def test_another_block_has_the_moments_that_are_known() -> None:
     worst_mean, worst_sd = off("arm", drawn("arm"))
     assert worst_mean < stats.norm.isf(ODDS / 2 / len(NAMES))

@@ -319,6 +319,7 @@ def test_detections_fill_their_discs(model: PoseModel) -> None:
     assert uniformity(np.array(squares)).p_value > 0.001
 
 
+@pytest.mark.slow
 def test_exact_draws_are_calibrated(model: PoseModel) -> None:
     """120 simulations here, 1,000 in every measure in the report (false alarm 0.01 over 44
     tests)."""

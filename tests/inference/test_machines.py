@@ -50,6 +50,7 @@ def listening(pid: int) -> set[tuple[str, int]]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="sockets are found through /proc")
 def test_workers_are_listened_to_by_this_machine_alone_and_only_with_certificates():
     """Dask's pages ask nobody who they are: none is to be reached from elsewhere; and who shares

@@ -196,10 +196,9 @@ def test_redrawing_only_the_lower_bone_is_another_law():
     assert smallest(zip(elevation(exact), elevation(wrong), strict=True)) < FAMILY / 100
 
 
-@pytest.mark.parametrize("factor", sweep([0.02, 0.25, 1.5], [0.25]))
-@pytest.mark.parametrize(
-    ("upper", "lower"), sweep([("angle", "area"), ("area", "box")], [("angle", "area")])
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.02, 0.25, 1.5])
+@pytest.mark.parametrize(("upper", "lower"), [("angle", "area"), ("area", "box")])
 def test_bounds_are_bounds(upper, lower, factor):
     """Tries to break the pruned proposal: poses of the prior, their own detections, tiny to huge
     discs. A pose explains them, so its cells must be kept, its lower bones lie in their rectangles,

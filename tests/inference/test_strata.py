@@ -374,7 +374,7 @@ def violations(model, seed, factor, resolution, tighten=1.0, number=60):
             )
 
 
-@pytest.mark.parametrize("factor", sweep([0.01, 0.25, 1.5], [0.25, 1.5]))
+@pytest.mark.parametrize("factor", sweep([0.01, 0.25, 1.5], [0.25]))
 def test_bounds_are_bounds(factor):
     """Tries to break them: bones near the poles and the reference direction, foreshortened limbs,
     whatever the prior has in store, in 120 frames of one limb each."""

@@ -182,6 +182,7 @@ def cases() -> list[Case]:
     return some
 
 
+@pytest.mark.slow
 def test_real_poses_are_covered_without_torso_and_camera() -> None:
     tree = cover(model(), cases(), root="uncertain", num_samples=60, num_roots=ROOTS)
     found = tree["simulation"].to_dataset()
@@ -228,6 +229,7 @@ def strays(faults: FaultPrior, number: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(own), np.array(other)
 
 
+@pytest.mark.slow
 def test_simulated_outliers_are_as_many_as_the_prior_says() -> None:
     """Of the limbs' seen keypoints 30 % lie beyond the widest disc, of radius 0.5, but for 0.4 % of
     the outliers; false alarm 1e-4. Of the torso's one at most."""

@@ -118,6 +118,7 @@ def broken_bounds(problem: TorsoProblem, cells: FitCells, shrunk: float) -> int:
     return broken
 
 
+@pytest.mark.slow
 def test_bounds_are_bounds() -> None:
     """At the corners of cells, where joints move most; corners one and a half cells away break
     them, or they would be too wide to be of use."""
@@ -127,6 +128,7 @@ def test_bounds_are_bounds() -> None:
     assert broken_bounds(problem, cells, 1 / 3) > 30
 
 
+@pytest.mark.slow
 def test_cells_that_are_cut_finer_have_less_mass_and_the_same_evidence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

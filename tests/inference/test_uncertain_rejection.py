@@ -94,6 +94,7 @@ def test_draws_are_independent_roots_with_one_draw_each() -> None:
     assert np.isfinite(frame.uncertain(model).log_joint(points, poses)).all()
 
 
+@pytest.mark.slow
 def test_the_evidence_is_the_mean_of_the_weights_and_says_its_error() -> None:
     roots, other = (
         few(),
@@ -106,6 +107,7 @@ def test_the_evidence_is_the_mean_of_the_weights_and_says_its_error() -> None:
     assert abs(roots.log_evidence - other.log_evidence) < 4 * error
 
 
+@pytest.mark.slow
 def test_the_same_key_the_same_draws() -> None:
     again = reject_roots(few().posterior, key=key(8), num_samples=12, num_roots=40)
     np.testing.assert_array_equal(again.points.rotation, few().points.rotation)
@@ -119,6 +121,7 @@ def test_the_shares_of_all_strata_are_one() -> None:
     assert total == pytest.approx(1, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_budget_that_ends_leaves_what_there_is() -> None:
     model, frame = sound.small_case()
     result = inference.sample(

@@ -23,7 +23,15 @@ from tests.instances import LENGTHS, distributions
 TABLE = distributions()
 DIRECTIONS = [name for name in TABLE if name.startswith(("hinged", "occupied"))]
 KEY = jax.random.key(0)
-HEAVY = ("length three", "hinged area two by two", "occupied angle two by two", "disc two by two")
+HEAVY = (
+    "length three",
+    "hinged box three",
+    "rotation three",
+    "disc three",
+    "hinged area two by two",
+    "occupied angle two by two",
+    "disc two by two",
+)
 """Further batch shapes, which cost compilations: left to the slow run."""
 EVERY = [pytest.param(name, marks=pytest.mark.slow) if name in HEAVY else name for name in TABLE]
 

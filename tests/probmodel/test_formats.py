@@ -814,7 +814,7 @@ def fuzz(documents: st.SearchStrategy[Any], examples: int) -> Callable[[], None]
 
 
 @pytest.mark.parametrize("documents", [JSON, mutated()], ids=["arbitrary", "mutated"])
-@pytest.mark.parametrize("examples", [300, pytest.param(1_500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("examples", [100, pytest.param(1_500, marks=pytest.mark.slow)])
 def test_any_json_is_read_or_refused(documents: st.SearchStrategy[Any], examples: int) -> None:
     fuzz(documents, examples)()
 

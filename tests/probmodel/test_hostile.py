@@ -286,6 +286,7 @@ def test_a_tree_that_goes_round_is_refused(tmp_path: Path, steps: int) -> None:
         read_netcdf(path, None, "file", "give another")
 
 
+@pytest.mark.slow
 def test_a_tree_of_many_nodes_is_read(tmp_path: Path) -> None:
     """Nodes that follow each other, and words in the data that look like nodes."""
     values = np.frombuffer(b"TREE" * 900_000, np.uint8)

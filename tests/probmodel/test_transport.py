@@ -48,6 +48,7 @@ def test_shapes() -> None:
     assert to_cube(model, many).shape == (2, 3, CUBE_DIM)
 
 
+@pytest.mark.slow
 def test_ancestral_draws_become_uniform(model, ancestral) -> None:
     """1,000 draws of the NumPyro prior through the inverse: Kolmogorov–Smirnov on 23 coordinates,
     false alarm 1e-4."""

@@ -43,7 +43,7 @@ def test_hypotheses_differ_in_their_torsos(poseterior: Cli, folder: Path) -> Non
     with xr.open_datatree(folder / "posterior.nc", engine="netcdf4") as tree:
         draws = tree["posterior"]
         assert {"torso", "rotation", "scale", "translation", "root_index"} <= set(draws.data_vars)
-        assert tree["roots"].share.shape == (400,)
+        assert tree["roots"].share.shape == (200,)
         assert tree.attrs["effective_roots"] == said["summary"]["effective_roots"]
         assert tree.attrs["seed"] == "0 0"
 

@@ -9,8 +9,9 @@ import pytest
 import xarray as xr
 
 from inference.hypothesis import diverse
+from inference.results import OUT_OF_BUDGET
 from inference.studies.calibration import assess, simulate
-from inference.studies.calibration.assess import Answer
+from inference.studies.calibration.assess import Answer, failure
 from inference.studies.calibration.choices import (
     CHOOSE,
     GRID,
@@ -375,6 +376,24 @@ def test_the_interval_of_the_ece_holds_the_truth(power: float) -> None:
 def test_a_posterior_without_draws_is_a_miss() -> None:
     held = coverage(np.array([0.1, np.nan, np.nan, 0.2]), 0.95, np.arange(4))
     assert held.value == 0.5
+
+
+def test_a_posterior_that_is_not_complete_is_not_without_draws() -> None:
+    lost = failure(OUT_OF_BUDGET, "no draws")
+    half = {
+        name: np.full_like(part, 0.5)
+        for name, part in lost._asdict().items()
+        if isinstance(part, np.ndarray)
+    }
+    few = lost._replace(num_draws=50, **half)
+    columns = {
+        "recording": np.array(["one", "another"]),
+        "unit_mm": np.full(2, 300.0),
+        "reasons": np.array(["[]", "[]"]),
+    }
+    found = summary(standings_tree([few, lost], {}, columns))
+    assert (found.size, found.without_draws) == (2, 1)
+    assert found.depth == pytest.approx(150)
 
 
 def test_detections_of_the_likelihood_stay_in_their_discs(

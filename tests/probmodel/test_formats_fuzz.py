@@ -470,7 +470,7 @@ def fuzz(count: int, seed: int) -> dict[str, int]:
         name, data = originals[number % len(originals)]
         bytes_ = damaged(data, rng)
         format = "auto" if rng.random() < 0.7 else name
-        started = time.perf_counter()
+        started = time.thread_time()  # not the clock: other processes may be busy
         try:
             people = read_content(Content(bytes_, "a file", SIZE), format)
         except BadInput as error:
@@ -482,7 +482,7 @@ def fuzz(count: int, seed: int) -> dict[str, int]:
         else:
             assert [person.person for person in people] == list(range(len(people)))
             said["read"] += 1
-        assert time.perf_counter() - started < SLOWEST, name
+        assert time.thread_time() - started < SLOWEST, name
     return said
 
 

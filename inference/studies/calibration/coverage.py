@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from inference.results import COMPLETE
 from inference.studies.calibration.ece import Ece, Interval, coverage, ece
 from inference.studies.calibration.exclusions import Rank, from_text, ranking
 
@@ -62,7 +61,7 @@ def summary(tree: xr.DataTree) -> CoverageSummary:
             if _drawn(found).any()
             else np.nan
         ),
-        int((found.status != COMPLETE).sum()),
+        int((~_drawn(found)).sum()),
         Interval(1 - inside.value, 1 - inside.high, 1 - inside.low),
         ranking(reasons),
     )

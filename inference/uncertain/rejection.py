@@ -105,6 +105,19 @@ NOWHERE = RootPoint(np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros(0), np.zeros
 """No roots."""
 
 
+class Taken(NamedTuple):
+    """Roots that were taken, in random order, with patterns and one draw each of their limbs."""
+
+    points: RootPoint
+    faults: Faults
+    limbs: list[dict[str, LimbDraws]]
+
+    def first(self, number: int) -> "Taken":
+        """The first so many."""
+        rows = slice(0, number)
+        return Taken(self.points.take(rows), self.faults.take(rows), self.limbs[rows])
+
+
 class Round(NamedTuple):
     """Some attempts: the roots that they found, with patterns, limbs and the log of their weights
     `(n,)`, whose sum over the number of `attempts` is the evidence; and the limbs' `free` groups,
@@ -117,8 +130,8 @@ class Round(NamedTuple):
     attempts: int
     free: dict[str, GroupDraws]
 
-    def taken(self, rng: np.random.Generator, log_bound: float) -> "Round":
-        """The roots that are taken, each with one draw of its limbs, in random order."""
+    def taken(self, rng: np.random.Generator, log_bound: float) -> Taken:
+        """The roots that are taken, each with probability weight over bound."""
         chance = np.log1p(-rng.uniform(size=len(self.log_weight)))
         rows = rng.permutation(np.flatnonzero(chance < self.log_weight - log_bound))
         limbs = [_one_draw(rng, self.limbs[row]) for row in rows.tolist()]
@@ -126,19 +139,7 @@ class Round(NamedTuple):
             own = rng.permutation(len(draws.length))
             for place, found in enumerate(limbs):
                 found[name] = _single(draws, int(own[place]))
-        return Round(
-            self.points.take(rows), self.faults.take(rows), limbs, self.log_weight[rows], 0, {}
-        )
-
-    def first(self, number: int) -> "Round":
-        """The first so many roots."""
-        rows = slice(0, number)
-        return self._replace(
-            points=self.points.take(rows),
-            faults=self.faults.take(rows),
-            limbs=self.limbs[rows],
-            log_weight=self.log_weight[rows],
-        )
+        return Taken(self.points.take(rows), self.faults.take(rows), limbs)
 
 
 def _one_draw(rng: np.random.Generator, limbs: dict[str, LimbDraws]) -> dict[str, LimbDraws]:
@@ -324,7 +325,7 @@ def _bound(rounds: _Rounds, num_roots: int) -> float:
 
 def _result(
     posterior: UncertainPosterior,
-    parts: list[Round],
+    parts: list[Taken],
     log_weight: np.ndarray,
     log_bound: float,
     attempts: int,

@@ -642,6 +642,7 @@ class LearnSettings:
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "learn cmu/01 cmu/02 walk.bvh --out limits.npz",
         "learn cmu/01 cmu/02 --out limits.npz --poses poses.npz",
+        "learn cmu/01 --wider 2 --out wide.npz",
     )
     mocap: Annotated[
         list[Path],
@@ -656,3 +657,7 @@ class LearnSettings:
     mirror: Annotated[bool, Option(help="Whether what one side did is possible for the other.")] = (
         True
     )
+    wider: Annotated[
+        float,
+        Option(help="So many times the usual margin around what was seen is possible too."),
+    ] = 1.0

@@ -48,6 +48,22 @@ class Tolerance:
                     f"the tolerance {name} is {value}; degrees are 0 to 90, samples at least 1"
                 )
 
+    def wider(self, factor: float) -> "Tolerance":
+        """With so many times the margins of bones; gaps and neighbourhoods stay as they are.
+
+        Parameters
+        ----------
+        factor
+            Below one for narrower margins.
+
+        Raises
+        ------
+        BadInput
+            Where a margin would not lie between 0 and 90 degrees.
+        """
+        names = ("head", "arm", "leg", "lower")
+        return dataclasses.replace(self, **{name: factor * getattr(self, name) for name in names})
+
     @property
     def upper(self) -> tuple[float, ...]:
         """`head`, `arm` or `leg`, in the order of `skeleton.UPPER_BONES`."""

@@ -4,6 +4,7 @@ dictionaries in another."""
 import numpy as np
 
 from probmodel.learning.poses import read_all
+from probmodel.learning.tolerance import DEFAULT
 from reports import console
 from reports.options import Screen
 from reports.settings import LearnSettings
@@ -13,6 +14,7 @@ def run(settings: LearnSettings, screen: Screen) -> None:
     """Learns from files and folders of ASF/AMC, BVH and .npz; writes tables, and dictionaries where
     `poses` says."""
     out, poses = console.output_file(settings.out), settings.poses
+    tolerance = DEFAULT.wider(settings.wider)
     if poses is not None:
         console.output_file(poses)
     with console.progress("learning", screen.quiet) as step:
@@ -22,7 +24,10 @@ def run(settings: LearnSettings, screen: Screen) -> None:
         from probmodel.learning.learner import learn
 
         anatomy = learn(
-            motions, mirror=settings.mirror, progress=lambda what, done, wanted: step(done, wanted)
+            motions,
+            tolerance=tolerance,
+            mirror=settings.mirror,
+            progress=lambda what, done, wanted: step(done, wanted),
         )
         dictionary = None if poses is None else learn_dictionary(motions)
     anatomy.save(out)

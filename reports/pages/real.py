@@ -7,6 +7,7 @@ Every stage leaves its result in a folder and is not done twice.
 import dataclasses
 import functools
 from collections import Counter
+from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
@@ -64,17 +65,20 @@ class Held(NamedTuple):
     motions: list[Motion]
 
 
+def others(data: Path, subjects: Collection[str]) -> list[Motion]:
+    """The recordings of everybody but these people."""
+    return without(read_all([data / "cmu" / "actions_train.npz", data / "bvh"]), subjects)
+
+
 @functools.cache
 def hold_out(work: Path, data: Path) -> Held:
     """Learns from everybody but the three people; what was learned is kept in `work`."""
     own = read_all([data / "cmu" / "asfamc"])
     limits, poses = work / "limits.npz", work / "poses.npz"
     if not (limits.exists() and poses.exists()):
-        subjects = {motion.subject for motion in own}
-        rest = read_all([data / "cmu" / "actions_train.npz", data / "bvh"])
-        others = without(rest, subjects)
-        learn_dictionary(others).save(poses)
-        learn(others).save(limits)
+        rest = others(data, {motion.subject for motion in own})
+        learn_dictionary(rest).save(poses)
+        learn(rest).save(limits)
     return Held(PoseModel.from_anatomy(Anatomy.load(limits)), PoseDictionary.load(poses), own)
 
 

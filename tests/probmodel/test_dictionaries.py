@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from sklearn.decomposition import PCA
 
 import inference
-from probmodel import BadInput
+from probmodel import Anatomy, BadInput
 from probmodel.body import aligned, bone_vectors, mirror_pose, with_lengths
 from probmodel.example import example
 from probmodel.learning.dictionaries import (
@@ -168,6 +168,11 @@ def test_learn_writes_dictionaries_that_estimators_use(shared_data, tmp_path, ca
     learn.run(LearnSettings(mocap=[walk], out=out, poses=poses), Screen(quiet=True))
     assert out.read_bytes() == before
     assert f"and {poses}" in capsys.readouterr().out
+    wider = tmp_path / "wider.npz"
+    learn.run(LearnSettings(mocap=[walk], out=wider, wider=2), Screen(quiet=True, json=True))
+    usual, wide = (np.asarray(Anatomy.load(path).limits.occupied) for path in (out, wider))
+    assert (usual <= wide).all()
+    assert wide.sum() > 1.2 * usual.sum()
     learned = PoseDictionary.load(poses)
     frame = inference.estimate_torso(example().detection, "zhou", poses=learned)
     assert np.isfinite(frame.pose).all()

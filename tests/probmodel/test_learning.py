@@ -242,6 +242,13 @@ def test_tolerances_out_of_range_are_refused(values: dict[str, float]) -> None:
         Tolerance(**values)  # type: ignore[arg-type]
 
 
+def test_wider_margins_are_so_many_times_the_usual_ones() -> None:
+    assert Tolerance().wider(1) == Tolerance()
+    assert Tolerance().wider(2) == Tolerance(head=8, arm=20, leg=16, lower=8)
+    with pytest.raises(BadInput, match="the tolerance arm is 100"):
+        Tolerance().wider(10)
+
+
 def test_nothing_to_learn_from_is_refused() -> None:
     with pytest.raises(BadInput, match="no usable frame"):
         learn([])

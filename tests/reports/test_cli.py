@@ -585,6 +585,12 @@ REFUSALS += [
         "there is no motion capture at .*no.bvh; give",
     ),
     Refusal(
+        "learn: no margin",
+        "learn @f.bvh --out @l.npz --wider nan",
+        {"f.bvh": BVH},
+        "the tolerance head is nan; degrees are 0 to 90",
+    ),
+    Refusal(
         "learn: another kind",
         "learn @f.json --out @l.npz",
         GOOD,

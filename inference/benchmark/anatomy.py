@@ -355,13 +355,15 @@ def _pattern(offset: np.ndarray, bounds: np.ndarray, u2: np.ndarray) -> np.ndarr
 @dataclass(frozen=True)
 class FrozenAnatomy:
     """All that the prior of a pose is made of; `reference` `(3,)` and `fallback` `(4, 3)` fix the
-    axes of lower bones."""
+    axes of lower bones; `torsos` `(48, 6, 3)`, body axes, body units, are those of the
+    dictionary."""
 
     lengths: Lengths
     upper: UpperBones
     lower: LowerBones
     reference: np.ndarray
     fallback: np.ndarray
+    torsos: np.ndarray
 
     @classmethod
     @functools.cache
@@ -382,6 +384,7 @@ class FrozenAnatomy:
             LowerBones.of(has_plane, *planes),
             tables["reference"].astype(float),
             tables["fallback"].astype(float),
+            tables["torsos"].astype(float),
         )
 
     def joints(
@@ -391,8 +394,8 @@ class FrozenAnatomy:
 
         Parameters
         ----------
-        view : `(6, 3)`
-            The torso, in the axes in which the joints are wanted, body units.
+        view : `(6, 3)` or `(n, 6, 3)`
+            The torso, or that of each, in the axes in which the joints are wanted, body units.
         fractions : `(n, 23)`
         limbs
             Those that are wanted; the joints of others are zero.
@@ -412,32 +415,34 @@ class FrozenAnatomy:
             joints[:, one.end] = joints[:, one.start] - size * directions
 
         for limb in limbs:
-            local_axes = axes[limb.upper]
+            local_axes = axes[..., limb.upper, :, :]
             first = column_of_upper(limb.upper)
             parent = self.upper.transport(limb.upper, fractions[:, first : first + 2])
-            hang(limb.upper, parent @ local_axes.T)
+            hang(limb.upper, np.einsum("...ij,...j->...i", local_axes, parent))
             if limb.lower is None:
                 continue
             first = column_of_lower(limb.lower)
             local = self.lower.transport(limb.lower, parent, fractions[:, first : first + 2])
             turned = lower_axes(parent, self.reference, self.fallback[limb.lower])
-            hang(NUM_UPPER + limb.lower, np.einsum("ij,njk,nk->ni", local_axes, turned, local))
+            hang(NUM_UPPER + limb.lower, np.einsum("...ij,...jk,...k->...i", local_axes, turned, local))
         return joints
 
 
 def upper_axes(view: np.ndarray) -> np.ndarray:
-    """`(5, 3, 3)`: local axes of the upper bones, columns, in the axes of the torso `(6, 3)`."""
-    pelvis, thorax, right_shoulder, left_shoulder, right_hip, left_hip = view
+    """`(..., 5, 3, 3)`: local axes of the upper bones, columns, in the axes of the torsos `(..., 6,
+    3)`."""
+    pelvis, thorax, right_shoulder, left_shoulder, right_hip, left_hip = np.moveaxis(view, -2, 0)
     legs = (JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"])
     shoulders = _left_handed(right_shoulder - left_shoulder, pelvis - thorax)
     hips = _left_handed(right_hip - left_hip, pelvis - thorax)
-    return np.stack([hips if one.start in legs else shoulders for one in BONES[:NUM_UPPER]])
+    each = [hips if one.start in legs else shoulders for one in BONES[:NUM_UPPER]]
+    return np.stack(each, axis=-3)
 
 
 def _left_handed(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    u = u / np.linalg.norm(u)
-    v = v - (u @ v) * u
-    v = v / np.linalg.norm(v)
+    u = u / np.linalg.norm(u, axis=-1, keepdims=True)
+    v = v - np.sum(u * v, axis=-1, keepdims=True) * u
+    v = v / np.linalg.norm(v, axis=-1, keepdims=True)
     return np.stack([u, v, -cross(u, v)], axis=-1)
 
 

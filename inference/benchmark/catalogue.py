@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
+from inference.benchmark.anatomy import FrozenAnatomy
+from inference.benchmark.root import FixedRoot, FrozenRoot, UncertainRoot
 from inference.benchmark.target import FrozenTarget
 from probmodel.failures import BadInput
 
 CHECKSUMS = {
     "anatomy.npz": "98b700b6c6ffc56f76ae16f723a2cddeb37050ace3262a521c39880a27d13e6a",
-    "targets.json": "5d647e1cb49b5a62b42c852a1d9e551e9d4666aa1680a27d6b68a79c9ed7e700",
+    "targets.json": "b61766ad4616c0c5fe12fd2981c1cb6dc04b451a2c017d28c444b497bafcf802",
 }
 """SHA-256 of the files in `inference.benchmark.data` that targets are made of."""
 
@@ -50,11 +52,19 @@ def _content(name: str) -> bytes:
 
 
 def _target(record: dict[str, Any]) -> FrozenTarget:
-    arrays = {key: np.array(record[key], float) for key in ("view", "seen_at", "score")}
     return FrozenTarget(
         name=record["name"],
         about=record["about"],
+        root=_root(record),
+        seen_at=np.array(record["seen_at"], float),
+        score=np.array(record["score"], float),
         factor=record["factor"],
         law=record["law"],
-        **arrays,
     )
+
+
+def _root(record: dict[str, Any]) -> FrozenRoot:
+    if "view" in record:
+        return FixedRoot(np.array(record["view"], float))
+    torsos = FrozenAnatomy.default().torsos[record["torsos"]]
+    return UncertainRoot(torsos, np.array(record["scale"]), np.array(record["place"], float))

@@ -3,7 +3,7 @@ say: what stands in the package as `references`.
 
     points = exact_points(load("arm"), 100_000)  # (100000, 6), the first of a million
 
-A block has the same bits wherever the same compiled loops run on a processor of the same kind;
+Under an uncertain root exact draws are dear, and there are fewer. A block has the same bits wherever the same compiled loops run on a processor of the same kind;
 elsewhere it has the same law, and `same_bits` says which."""
 
 import contextlib
@@ -19,41 +19,69 @@ import jax
 import numpy as np
 
 from inference.baselines.target import Target
-from inference.benchmark.programs import estimate, frozen_model
+from inference.benchmark.programs import posterior
 from inference.benchmark.references import SHIPPED, Moments, reference, sample_at
+from inference.benchmark.root import FixedRoot, UncertainRoot
 from inference.benchmark.target import FrozenTarget
+from inference.exact.loops.numbers import words_of
 from inference.exact.mixture import root_samplers
 from inference.exact.rates import Budget
+from inference.results import COMPLETE
 from inference.studies.flips import FLIPPING
+from inference.uncertain.rejection import reject_roots
+from inference.uncertain.rejection import verdict as complaint
 from probmodel.arrays import read_tables
 from probmodel.failures import BadInput, OutOfBudget
 from probmodel.files import replacing
+from probmodel.posterior import Posterior
+from probmodel.transport import to_fractions
+from probmodel.uncertain import UncertainPosterior
 
-BLOCK = 50_000
-"""Draws of a block; a block is drawn as a whole, by a key of its own."""
-BLOCKS = 20
-"""Blocks of a target: a million draws."""
-MEASURED = {"disc": 4, "gaussian": 3}
-"""Blocks from which a target is measured, and whose checksums are kept, by its law: exact draws
-under soft walls are dearer."""
+
+class Blocks(NamedTuple):
+    """How many draws of a target there are: the `size` of a block, which is drawn as a whole, by a
+    key of its own; how many `there_are`; and from how many of them, the first, the target is
+    `measured`, whose checksums are kept."""
+
+    size: int
+    there_are: int
+    measured: int
+
+
+BLOCKS = {
+    ("disc", FixedRoot): Blocks(50_000, 20, 4),
+    ("gaussian", FixedRoot): Blocks(50_000, 20, 3),
+    ("disc", UncertainRoot): Blocks(10_000, 10, 1),
+    ("gaussian", UncertainRoot): Blocks(2_500, 20, 1),
+}
+"""By law and root: exact draws under soft walls are dearer, and those of a root some a second."""
 MAX_PROPOSALS = 100_000_000_000
 """Proposals for a block; soft walls turn down most."""
+PILOT = 2_000
+"""Roots of the pilot run that finds the bound of the rejection."""
 MODES = 1e-4
 """Modes of less mass are not listed; their masses are put together."""
 
 
 class DrawBlock(NamedTuple):
-    """Some exact draws: `points` `(BLOCK, d)` of R^d, and the log evidence that came along with its
-    standard error."""
+    """Some exact draws: `points` `(n, d)` of R^d, and the log evidence that came along with its
+    standard error. Where the root is uncertain, a share `cut_off` of the posterior lies above the
+    bound of the rejection, and the draws lack it."""
 
     points: np.ndarray
     log_evidence: float
     log_evidence_se: float
+    cut_off: float = 0.0
 
     @property
     def sha256(self) -> str:
         """The checksum of the points."""
         return hashlib.sha256(np.ascontiguousarray(self.points, "<f8").tobytes()).hexdigest()
+
+
+def blocks_of(target: FrozenTarget) -> Blocks:
+    """How many draws of the target there are."""
+    return BLOCKS[target.law, type(target.root)]
 
 
 def draw_block(target: FrozenTarget, index: int) -> DrawBlock:
@@ -63,14 +91,48 @@ def draw_block(target: FrozenTarget, index: int) -> DrawBlock:
         raise BadInput(
             "exact draws need 64-bit floats; call jax.config.update('jax_enable_x64', True) first"
         )
-    posterior = estimate(target).posterior(frozen_model())
     words = np.frombuffer(hashlib.sha256(target.name.encode()).digest()[:4], "<u4")[0]
     key = jax.random.fold_in(jax.random.key(int(words)), index)
-    (sampler,) = root_samplers(posterior, key, "rejection")
-    if not sampler.more(BLOCK, Budget(MAX_PROPOSALS)):
-        raise OutOfBudget(f"exact draws of {target.name} could not be made; the engine has changed")
-    points = Target.of(posterior).points_of(sampler.poses(BLOCK))
+    found, size = posterior(target), blocks_of(target).size
+    if isinstance(found, Posterior):
+        return _under_one_root(target, found, key, size)
+    return _with_roots(target, found, key, size)
+
+
+def _under_one_root(
+    target: FrozenTarget, found: Posterior, key: jax.Array, size: int
+) -> DrawBlock:
+    (sampler,) = root_samplers(found, key, "rejection")
+    if not sampler.more(size, Budget(MAX_PROPOSALS)):
+        raise _no_draws(target)
+    points = Target.of(found).points_of(sampler.poses(size))
     return DrawBlock(points, sampler.log_evidence, sampler.log_evidence_se)
+
+
+def _with_roots(
+    target: FrozenTarget, found: UncertainPosterior, key: jax.Array, size: int
+) -> DrawBlock:
+    """Draws under flat priors of scale and place, those in the target's box."""
+    roots = reject_roots(
+        found, key=key, num_samples=size, num_roots=PILOT, max_proposals=MAX_PROPOSALS
+    )
+    if complaint(roots)[0] != COMPLETE:
+        raise _no_draws(target)
+    rng = np.random.default_rng(words_of(jax.random.fold_in(key, 1)))
+    drawn, poses, _ = roots.draw(rng, size)
+    of_root = target.root.box_of(*drawn, rng)
+    of_pose = np.asarray(to_fractions(found.model, poses))[:, target.active]
+    box = np.concatenate([of_pose, of_root], axis=1)
+    inside = ((of_root >= 0) & (of_root <= 1)).all(axis=1)
+    # From a density of the detection to the prior's mean of the likelihood over its peak.
+    peak = found.log_peak - 2 * len(target.seen) * math.log(target.root.scale[0])
+    log_evidence = roots.log_evidence - peak - target.root.log_volume + np.log(inside.mean())
+    points = target.points_of_box(box[inside])
+    return DrawBlock(points, float(log_evidence), roots.log_evidence_se, roots.cut_off)
+
+
+def _no_draws(target: FrozenTarget) -> OutOfBudget:
+    return OutOfBudget(f"exact draws of {target.name} could not be made; the engine has changed")
 
 
 def cache_folder() -> Path:
@@ -94,7 +156,7 @@ def exact_block(target: FrozenTarget, index: int, folder: Path | None = None) ->
 
 
 def _keep(path: Path, block: DrawBlock) -> None:
-    evidence = np.array([block.log_evidence, block.log_evidence_se])
+    evidence = np.array([block.log_evidence, block.log_evidence_se, block.cut_off])
     sha256 = np.array(block.sha256)
     with replacing(path) as partial, partial.open("wb") as file:
         np.savez(file, allow_pickle=False, points=block.points, evidence=evidence, sha256=sha256)
@@ -119,16 +181,19 @@ def same_bits(target: FrozenTarget, folder: Path | None = None) -> bool:
 def exact_points(target: FrozenTarget, number: int, folder: Path | None = None) -> np.ndarray:
     """The first `number` exact draws as points `(number, d)` of R^d, from the cache where they are
     there. Raises `BadInput` where there are not so many."""
-    most = BLOCK * BLOCKS
-    if not 1 <= number <= most:
-        raise BadInput(f"a target has 1 to {most:,} exact draws, not {number:,}; ask for fewer")
-    blocks = [exact_block(target, index, folder) for index in range(-(-number // BLOCK))]
+    size, there_are, _ = blocks_of(target)
+    if not 1 <= number <= size * there_are:
+        raise BadInput(
+            f"{target.name} has 1 to {size * there_are:,} exact draws, not {number:,}; ask for"
+            " fewer"
+        )
+    blocks = [exact_block(target, index, folder) for index in range(-(-number // size))]
     return np.concatenate([block.points for block in blocks])[:number]
 
 
 def measured(target: FrozenTarget) -> dict[str, Any]:
-    """The record of `reference.json`, from the first `MEASURED` blocks."""
-    blocks = [exact_block(target, index) for index in range(MEASURED[target.law])]
+    """The record of `reference.json`, from the first blocks."""
+    blocks = [exact_block(target, index) for index in range(blocks_of(target).measured)]
     logs = np.array([block.log_evidence for block in blocks])
     errors = np.array([block.log_evidence_se for block in blocks])
     parts = [sample_at(target, block.points[None]) for block in blocks]
@@ -138,6 +203,7 @@ def measured(target: FrozenTarget) -> dict[str, Any]:
     return {
         "log_evidence": float(np.logaddexp.reduce(logs) - math.log(len(blocks))),
         "log_evidence_se": float(np.sqrt(np.sum(errors**2)) / len(blocks)),
+        "cut_off": float(np.mean([block.cut_off for block in blocks])),
         "modes": mode_masses(target, away),
         **{field.name: getattr(moments, field.name).tolist() for field in fields(moments)},
         "number": len(values),
@@ -150,7 +216,8 @@ def shipped_file(target: FrozenTarget) -> bytes:
     """The file of draws that is in the package: the first of the last block, in single precision,
     for which a joint at the rim of its disc may lie a millionth beyond."""
     file = io.BytesIO()
-    np.save(file, exact_block(target, BLOCKS - 1).points[:SHIPPED].astype("<f4"))
+    last = blocks_of(target).there_are - 1
+    np.save(file, exact_block(target, last).points[:SHIPPED].astype("<f4"))
     return file.getvalue()
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from inference.benchmark.anatomy import FrozenAnatomy
 from inference.benchmark.catalogue import CHECKSUMS, load, targets
 from inference.benchmark.draws import measured, shipped_file
 from inference.studies.scenes import ALL_BUT_AN_ARM, prior_scene
@@ -23,7 +24,7 @@ from probmodel.files import replacing
 from probmodel.likelihood import Gaussian
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
-from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS
+from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 
 DATA = Path(__file__).with_name("data")
 HARDLY = 0.25
@@ -32,6 +33,12 @@ SMALL = 0.08
 """The factor of tiny discs."""
 FORESHORTENED = range(100, 140)
 """Seeds among which the scene is looked for whose limbs point most along the camera's axis."""
+PICTURE = (640, 480)
+"""Pixels: in which the pelvis lies where the camera is uncertain."""
+SCALES = (50.0, 200.0)
+"""Pixels a body unit, between which somebody is 250 or 1,000 high."""
+ASIDE = (-45.0, 30.0)
+"""Pixels by which the person stands beside the middle of the picture."""
 Scene = Callable[[PoseModel], Estimate]
 
 
@@ -68,6 +75,24 @@ def _scene(seed: int, **options: Any) -> Scene:
     return functools.partial(prior_scene, seed=seed, **options)
 
 
+def in_a_picture(scene: Scene, seed: int) -> Scene:
+    """A scene whose torso is detected with errors too, with the person elsewhere in the picture
+    than where scenes have them, so that the middle of the prior tells nothing."""
+
+    def seen(model: PoseModel) -> Estimate:
+        frame, rng = scene(model), np.random.default_rng(seed)
+        radius = frame.likelihood.factor * float(frame.candidates[0].camera.scale)
+        number = len(TORSO_INDEX)
+        distance = radius * np.sqrt(rng.uniform(size=number))
+        angle = rng.uniform(0, 2 * np.pi, number)
+        keypoints = frame.detection.keypoints + np.array(ASIDE)
+        keypoints[list(TORSO_INDEX)] += (distance * np.array([np.cos(angle), np.sin(angle)])).T
+        detection = dataclasses.replace(frame.detection, keypoints=keypoints)
+        return dataclasses.replace(frame, detection=detection)
+
+    return seen
+
+
 SCENES: dict[str, tuple[str, Scene]] = {
     "single": ("one arm, all of it in one mode", _scene(16, missing=ALL_BUT_AN_ARM)),
     "arm": ("one arm, three modes", _scene(1, missing=ALL_BUT_AN_ARM)),
@@ -90,6 +115,10 @@ SCENES: dict[str, tuple[str, Scene]] = {
     ),
 }
 """What each target is, and how it came about."""
+WITHOUT_ROOT: dict[str, tuple[str, Scene]] = {
+    "scene": ("the whole body, its torso, and the camera", in_a_picture(_scene(7, missing=()), 0)),
+}
+"""Those of which torso and camera are a part."""
 HARD_ONLY = ("settled",)
 """Targets without a version with soft walls: a block of its exact draws would take a quarter of an
 hour."""
@@ -99,7 +128,8 @@ def records() -> Iterator[dict[str, Any]]:
     """The targets as they are written, each but `HARD_ONLY` with its version with soft walls behind
     it."""
     model = PoseModel()
-    for name, (about, scene) in SCENES.items():
+    for name, (about, scene) in (SCENES | WITHOUT_ROOT).items():
+        record = uncertain_record if name in WITHOUT_ROOT else fixed_record
         frame = scene(model)
         yield record(name, about, frame)
         if name in HARD_ONLY:
@@ -109,18 +139,41 @@ def records() -> Iterator[dict[str, Any]]:
         yield record(f"{name}-soft", about, dataclasses.replace(frame, likelihood=soft))
 
 
-def record(name: str, about: str, frame: Estimate) -> dict[str, Any]:
+def fixed_record(name: str, about: str, frame: Estimate) -> dict[str, Any]:
     """A frame with one root as a target: in camera axes and body units."""
-    root, score = frame.candidates[0].root, frame.detection.score
+    root = frame.candidates[0].root
     plane = root.camera.to_plane(frame.detection.keypoints)
+    view = {"view": np.asarray(root.view).tolist()}
+    return _record(name, about, frame, plane, view)
+
+
+def uncertain_record(name: str, about: str, frame: Estimate) -> dict[str, Any]:
+    """A frame as a target in which the root is uncertain: in pixels, with all torsos, in the order
+    of their first principal component, in front of any camera of the box."""
+    torsos = FrozenAnatomy.default().torsos.reshape(-1, 18)
+    centred = torsos - torsos.mean(axis=0)
+    component = np.linalg.svd(centred, full_matrices=False)[2][0]
+    place = [[0.0, 0.0], list(map(float, PICTURE))]
+    box = {
+        "torsos": np.argsort(centred @ component).tolist(),
+        "scale": list(SCALES),
+        "place": place,
+    }
+    return _record(name, about, frame, frame.detection.keypoints, box)
+
+
+def _record(
+    name: str, about: str, frame: Estimate, seen_at: np.ndarray, root: dict[str, Any]
+) -> dict[str, Any]:
+    score = frame.detection.score
     return {
         "name": name,
         "about": about,
         "law": type(frame.likelihood.law).__name__.lower(),
         "factor": frame.likelihood.factor,
         "score": score.tolist(),
-        "view": np.asarray(root.view).tolist(),
-        "seen_at": np.where(score[:, None] > 0, plane, 0.0).tolist(),
+        **root,
+        "seen_at": np.where(score[:, None] > 0, seen_at, 0.0).tolist(),
     }
 
 

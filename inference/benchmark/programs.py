@@ -4,6 +4,7 @@ and in JAX, where they have gradients.
     in_jax(load("arm"))                            # log_density, with jax.grad
     model, frame = frozen_model(), estimate(load("arm"))
     model.posterior                                # NumPyro program of frame.observation
+    posterior(load("scene")).program               # NumPyro program of root and pose
 """
 
 import functools
@@ -13,14 +14,17 @@ import numpy as np
 
 from inference.baselines.target import Target
 from inference.benchmark.anatomy import FILE
+from inference.benchmark.root import FixedRoot
 from inference.benchmark.target import FrozenTarget
+from inference.benchmark.uncertain import UncertainTarget
 from probmodel.anatomy.population import Anatomy
 from probmodel.camera import WeakPerspective
 from probmodel.detections import Detection
 from probmodel.likelihood import LAWS, Likelihood
 from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
+from probmodel.posterior import Estimate, Posterior
 from probmodel.roots import Candidate
+from probmodel.uncertain import UncertainPosterior
 
 
 @functools.cache
@@ -31,15 +35,31 @@ def frozen_model() -> PoseModel:
 
 
 def estimate(target: FrozenTarget) -> Estimate:
-    """The target's detection and its root: body axes are those of the camera, and a pixel is a body
-    unit."""
+    """The target's detection and its root, if that is fixed: body axes are then those of the
+    camera, and a pixel is a body unit."""
     keypoints = np.where(target.score[:, None] > 0, target.seen_at, np.nan)
     detection = Detection(keypoints, target.score, "benchmark", target.name, 0)
-    camera = WeakPerspective(1.0, np.eye(3), np.zeros(2))
     likelihood = Likelihood(LAWS[target.law](), factor=target.factor)
-    return Estimate(detection, (Candidate(-1, target.view, camera, 0.0),), likelihood)
+    if not isinstance(target.root, FixedRoot):
+        return Estimate(detection, (), likelihood)
+    camera = WeakPerspective(1.0, np.eye(3), np.zeros(2))
+    return Estimate(detection, (Candidate(-1, target.root.view, camera, 0.0),), likelihood)
 
 
-def in_jax(target: FrozenTarget) -> Target:
+def posterior(target: FrozenTarget) -> Posterior | UncertainPosterior:
+    """The target as the product has it. Where the root is uncertain, its torsos are in the target's
+    order, and the priors of scale and place have no bounds: those of the target keep what of its
+    posterior is in the box, which is all that exact draws have ever seen."""
+    frozen = frozen_model()
+    if isinstance(target.root, FixedRoot):
+        return estimate(target).posterior(frozen)
+    model = PoseModel(frozen.limits, frozen.lengths, target.root.torsos)
+    return estimate(target).uncertain(model)
+
+
+def in_jax(target: FrozenTarget) -> Target | UncertainTarget:
     """The target in JAX, on R^d."""
-    return Target.of(estimate(target).posterior(frozen_model()))
+    found = posterior(target)
+    if isinstance(found, Posterior):
+        return Target.of(found)
+    return UncertainTarget.of(target, found)

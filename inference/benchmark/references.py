@@ -36,11 +36,13 @@ class Reference:
     modes : masses of the depth flips, by one letter a bone of `flips.FLIPPING`: t(owards) the
         camera or a(way) from it, a dot where no seen joint depends on the bone; those below
         `draws.MODES` together are what is missing to one.
-    mean, mean_se, sd, sd_se : `(32,)`, moments of the coordinates `sample.NAMES`, body units; what
-        no seen joint depends on has no spread.
+    mean, mean_se, sd, sd_se : `(c,)`, moments of the coordinates that `sample_at` names, body
+        units; what no seen joint depends on has no spread.
     number : how many draws these are from.
     blocks : checksums of the blocks that these are.
     shipped : checksum of the file of draws in the package.
+    cut_off : the share of the posterior that exact draws lack, estimated: where the root is
+        uncertain, the bound of their rejection is that of a pilot run.
     """
 
     log_evidence: float
@@ -53,6 +55,7 @@ class Reference:
     number: int
     blocks: tuple[str, ...]
     shipped: str
+    cut_off: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -98,10 +101,14 @@ def shipped_points(name: str) -> np.ndarray:
 
 
 def sample_at(target: FrozenTarget, points: np.ndarray) -> Sample:
-    """What the judge sees of points `(chain, draw, d)` of R^d. What no seen joint depends on stands
-    still in it: no sampler walked there."""
+    """What the judge sees of points `(chain, draw, d)` of R^d, with their roots where these are
+    uncertain. What no seen joint depends on stands still in it: no sampler walked there."""
     chains, draws, dim = points.shape
-    joints, lengths = target.decided(points.reshape(-1, dim))
-    return sample_of(
-        joints.reshape(chains, draws, *joints.shape[1:]), lengths.reshape(chains, draws, -1)
-    )
+    flat = points.reshape(-1, dim)
+    joints, lengths = target.decided(flat)
+    joints = joints.reshape(chains, draws, *joints.shape[1:])
+    sample = sample_of(joints, lengths.reshape(chains, draws, -1))
+    if not target.root.coordinates:
+        return sample
+    _, scale, place = target.view(flat)
+    return sample.with_roots(joints, scale.reshape(chains, draws), place.reshape(chains, draws, 2))

@@ -1,17 +1,18 @@
 """A frozen target in the forms that samplers want, in plain NumPy.
 
-A target is the posterior of one detection under one torso and camera. What was seen is kept in body
-units on the camera's plane, so that the camera is the one that does nothing. Three charts, the same
-as those of `inference.baselines.target`, in which only coordinates are kept that some seen joint
-depends on:
+A target is the posterior of one detection under one torso and camera, or of torso and camera too
+(`root`). Three charts, the same as those of `inference.baselines.target`, in which only coordinates
+of the pose are kept that some seen joint depends on, and those of an uncertain root behind them:
 
 - *points* `(n, d)` of R^d: the unconstrained coordinates, logits of the box;
 - the *box* `[0, 1]^d`: bone lengths as fractions of their ranges, directions as points of their
-  unit squares;
+  unit squares, roots as `UncertainRoot` says;
 - the *cube* `[0, 1]^d`, in which the prior is flat: as the box, with lengths by their quantiles.
 
 Every function takes one row `(d,)` or many `(n, d)`. Densities are normalised priors times the
-likelihood over its peak, so that the evidence is between 0 and 1 (docs/model.md § 7)."""
+likelihood over its peak, so that the evidence is between 0 and 1 (docs/model.md § 7). Errors grow
+with the person in the image, so that every seen joint brings the likelihood scale⁻²: its peak is
+that of the least scale."""
 
 import functools
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from inference.benchmark.anatomy import (
     column_of_lower,
     column_of_upper,
 )
+from inference.benchmark.root import FrozenRoot, View
 from probmodel.skeleton import (
     BONES,
     GROUPS,
@@ -53,8 +55,8 @@ class FrozenTarget:
     Attributes
     ----------
     name, about : what it is called, and what is hard about it.
-    view : `(6, 3)`, the torso in camera axes (x right, y down, z away), body units.
-    seen_at : `(15, 2)`, where joints were detected on the camera's plane, body units; 0 where not.
+    root : the torso in front of a camera, or the prior of it.
+    seen_at : `(15, 2)`, where joints were detected in the image, in its units; 0 where not.
     score : `(15,)`, the detector's scores; 0 where a joint was not detected.
     factor : the spread of a joint of average score, body units.
     law : the errors' law, a key of `LAWS`.
@@ -62,7 +64,7 @@ class FrozenTarget:
 
     name: str
     about: str
-    view: np.ndarray
+    root: FrozenRoot
     seen_at: np.ndarray
     score: np.ndarray
     factor: float
@@ -71,7 +73,8 @@ class FrozenTarget:
     @functools.cached_property
     def seen(self) -> np.ndarray:
         """`(k,)`: indices of the joints that count."""
-        return np.array([bone.end for bone in BONES if self.score[bone.end] > 0])
+        joints = (*self.root.joints, *(bone.end for bone in BONES))
+        return np.array([joint for joint in joints if self.score[joint] > 0])
 
     @functools.cached_property
     def spread(self) -> np.ndarray:
@@ -93,7 +96,7 @@ class FrozenTarget:
 
     @functools.cached_property
     def active(self) -> np.ndarray:
-        """`(d,)`: which of the fractions of a pose are the target's coordinates."""
+        """Which of the fractions of a pose are coordinates of the target, the first ones."""
         found: set[int] = set()
         for limb in self.limbs:
             found |= {bone.length_group for bone in limb.bones}
@@ -105,17 +108,17 @@ class FrozenTarget:
     @property
     def dim(self) -> int:
         """How many coordinates there are."""
-        return len(self.active)
+        return len(self.active) + len(self.root.coordinates)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Their names."""
-        return tuple(COORDINATES[index] for index in self.active)
+        return (*(COORDINATES[index] for index in self.active), *self.root.coordinates)
 
     @functools.cached_property
     def prior_shape(self) -> tuple[np.ndarray, np.ndarray]:
         """Parameters alpha, beta `(d,)` of the prior on the box: Beta distributions of lengths, and
-        uniform ones, which are Beta(1, 1), of directions."""
+        uniform ones, which are Beta(1, 1), of all else."""
         lengths, free = self._lengths
         anatomy = FrozenAnatomy.default().lengths
         alpha, beta = np.ones(self.dim), np.ones(self.dim)
@@ -134,7 +137,7 @@ class FrozenTarget:
     def log_likelihood(self, points: np.ndarray) -> np.ndarray:
         """`(...)`: log of the likelihood over its peak at points `(..., d)` of R^d, at most 0; -inf
         where a seen joint lies beyond its reach."""
-        return self._log_ratio(self.squares(points))
+        return self._log_likelihood_in_box(self.box_of(points))
 
     def log_density(self, points: np.ndarray) -> np.ndarray:
         """`(...)`: log density of the target at points `(..., d)` of R^d, but for the evidence."""
@@ -151,7 +154,7 @@ class FrozenTarget:
         prior = (anatomy.alpha[lengths] - 1) * np.log(fraction)
         prior = prior + (anatomy.beta[lengths] - 1) * np.log1p(-fraction)
         log_prior = np.sum(prior + anatomy.log_constants[lengths], axis=-1)
-        return np.where(inside, log_prior + self._log_ratio(self._squares_in_box(safe)), -np.inf)
+        return np.where(inside, log_prior + self._log_likelihood_in_box(safe), -np.inf)
 
     def log_graded(self, points: np.ndarray, hardness: float) -> np.ndarray:
         """`(...)`: log of a likelihood with slopes for walls, for tempering and nested sampling.
@@ -162,11 +165,12 @@ class FrozenTarget:
         most 1) are draws of the target at any hardness, and their share times its evidence is the
         target's evidence.
         """
-        squares = self.squares(points)
+        box = self.box_of(points)
+        squares = self._squares_in_box(box)
         reach, curvature = LAWS[self.law]
         within = np.minimum(squares, reach**2)
         beyond = (squares - within) / reach**2
-        return -np.sum(curvature * within + hardness * beyond, axis=-1)
+        return self._log_growth(box) - np.sum(curvature * within + hardness * beyond, axis=-1)
 
     def prior_transform(self, cube: np.ndarray) -> np.ndarray:
         """Points `(..., d)` of R^d from points of the unit cube: uniform ones become draws of the
@@ -223,13 +227,20 @@ class FrozenTarget:
         fractions[:, :NUM_LENGTHS] = rng.beta(
             anatomy.lengths.alpha, anatomy.lengths.beta, (len(points), NUM_LENGTHS)
         )
-        fractions[:, self.active] = self.box_of(points)
-        return self._poses(fractions, tuple(limb for limbs in GROUPS.values() for limb in limbs))
+        of_pose, of_root = self._parts(self.box_of(points))
+        fractions[:, self.active] = of_pose
+        limbs = tuple(limb for limbs in GROUPS.values() for limb in limbs)
+        return self._poses(fractions, of_root, limbs)
 
     def decided(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As `poses`, but for what no seen joint depends on: such joints lie in the origin, and
         such lengths are in the middle of their ranges."""
-        return self._poses(self._complete(self.box_of(points)), self.limbs)
+        of_pose, of_root = self._parts(self.box_of(points))
+        return self._poses(self._complete(of_pose), of_root, self.limbs)
+
+    def view(self, points: np.ndarray) -> View:
+        """The roots at points `(n, d)` of R^d; one for all where it is fixed."""
+        return self.root.at(self._parts(self.box_of(points))[1])
 
     @property
     def seen_joints(self) -> list[str]:
@@ -239,22 +250,31 @@ class FrozenTarget:
     @functools.cached_property
     def _lengths(self) -> tuple[np.ndarray, np.ndarray]:
         """Which length groups are coordinates, and which coordinates `(d,)` bool are lengths."""
-        free = self.active < NUM_LENGTHS
-        return self.active[free], free
+        lengths = self.active[self.active < NUM_LENGTHS]
+        return lengths, np.arange(self.dim) < len(lengths)
+
+    def _parts(self, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The coordinates of the pose, and those of the root."""
+        return box[..., : len(self.active)], box[..., len(self.active) :]
 
     def _complete(self, box: np.ndarray) -> np.ndarray:
-        """All fractions `(n, 23)`; what no seen joint depends on lies in the middle."""
+        """All fractions `(n, 23)` of poses; what no seen joint depends on lies in the middle."""
         fractions = np.full((len(box), CUBE_DIM), 0.5)
         fractions[:, self.active] = box
         return fractions
 
     def _poses(
-        self, fractions: np.ndarray, limbs: tuple[Limb, ...]
+        self, fractions: np.ndarray, of_root: np.ndarray, limbs: tuple[Limb, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Joints and lengths at fractions `(n, 23)`."""
+        """Joints and lengths at fractions `(n, 23)` of poses, and those of the root."""
         anatomy = FrozenAnatomy.default()
-        parts = np.split(fractions, range(CHUNK, len(fractions), CHUNK))
-        joints = np.concatenate([anatomy.joints(self.view, part, limbs) for part in parts])
+        parts = (np.split(each, range(CHUNK, len(each), CHUNK)) for each in (fractions, of_root))
+        joints = np.concatenate(
+            [
+                anatomy.joints(self.root.at(root).torso, part, limbs)
+                for part, root in zip(*parts, strict=True)
+            ]
+        )
         return joints, anatomy.lengths.at(fractions[:, :NUM_LENGTHS])
 
     def _squares_in_box(self, box: np.ndarray) -> np.ndarray:
@@ -264,9 +284,19 @@ class FrozenTarget:
         return found.reshape(*box.shape[:-1], len(self.seen))
 
     def _squares_of(self, box: np.ndarray) -> np.ndarray:
-        joints = FrozenAnatomy.default().joints(self.view, self._complete(box), self.limbs)
-        offset = joints[:, self.seen, :2] - self.seen_at[self.seen]
+        of_pose, of_root = self._parts(box)
+        view = self.root.at(of_root)
+        joints = FrozenAnatomy.default().joints(view.torso, self._complete(of_pose), self.limbs)
+        on_plane = self.seen_at[self.seen] - view.place[..., None, :]
+        offset = joints[:, self.seen, :2] - on_plane / view.scale[..., None, None]
         return np.sum(offset**2, axis=-1) / self.spread**2
+
+    def _log_likelihood_in_box(self, box: np.ndarray) -> np.ndarray:
+        return self._log_growth(box) + self._log_ratio(self._squares_in_box(box))
+
+    def _log_growth(self, box: np.ndarray) -> np.ndarray:
+        """`(...)`: log of the scale⁻² that every seen joint brings, over that of the least."""
+        return -2 * len(self.seen) * self.root.log_growth(self._parts(box)[1])
 
     def _log_ratio(self, squares: np.ndarray) -> np.ndarray:
         reach, curvature = LAWS[self.law]

@@ -14,7 +14,7 @@ from inference.benchmark.submission import Submission
 from inference.benchmark.target import FrozenTarget
 from inference.studies.comparison.distances import standardised, wasserstein
 from inference.studies.comparison.judge import Judgement, judge
-from inference.studies.comparison.sample import NAMES, Sample
+from inference.studies.comparison.sample import Sample
 
 MOST = 20_000
 """Draws that are judged at most, taken evenly along every chain."""
@@ -84,7 +84,7 @@ def verdict(
     )
     distances = wasserstein(*standardised(sample.flat, exact.flat))
     worst = int(np.argmax(distances))
-    varying = np.array(NAMES)[exact.flat.std(axis=0) > 1e-12]
+    varying = np.array(exact.names)[exact.flat.std(axis=0) > 1e-12]
     effective = judgement.mixing.worst
     return Assessment(
         target.name,

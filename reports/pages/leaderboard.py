@@ -24,7 +24,7 @@ from inference.baselines.catalogue import BASELINES
 from inference.baselines.run import Allowance, check_packages
 from inference.baselines.run import run as run_baseline
 from inference.baselines.target import Target
-from inference.benchmark import estimate, exact_points, frozen_model, in_jax, load, verdict
+from inference.benchmark import estimate, exact_points, frozen_model, load, verdict
 from inference.benchmark.guests import GUESTS
 from inference.benchmark.submission import Submission
 from inference.benchmark.target import FrozenTarget
@@ -113,7 +113,7 @@ def baseline_line(
     """The draws of one of our baselines, and how many exact draws it was given; None where it found
     no start, or has no draws."""
     baseline = BASELINES[name]
-    density = in_jax(target)
+    density = Target.of(estimate(target).posterior(frozen_model()))
     starts, spent, started = None, 0, CLOCK()
     if baseline.starts and start == GIFT:
         starts = exact_points(target, baseline.starts)

@@ -6,6 +6,7 @@ from .gym import gym_model as gym_model
 from .programs import estimate as estimate
 from .programs import frozen_model as frozen_model
 from .programs import in_jax as in_jax
+from .programs import model_of as model_of
 from .references import Reference as Reference
 from .references import reference as reference
 from .references import shipped_points as shipped_points

@@ -424,7 +424,10 @@ class FrozenAnatomy:
             first = column_of_lower(limb.lower)
             local = self.lower.transport(limb.lower, parent, fractions[:, first : first + 2])
             turned = lower_axes(parent, self.reference, self.fallback[limb.lower])
-            hang(NUM_UPPER + limb.lower, np.einsum("...ij,...jk,...k->...i", local_axes, turned, local))
+            hang(
+                NUM_UPPER + limb.lower,
+                np.einsum("...ij,...jk,...k->...i", local_axes, turned, local),
+            )
         return joints
 
 

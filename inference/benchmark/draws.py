@@ -3,8 +3,9 @@ say: what stands in the package as `references`.
 
     points = exact_points(load("arm"), 100_000)  # (100000, 6), the first of a million
 
-Under an uncertain root exact draws are dear, and there are fewer. A block has the same bits wherever the same compiled loops run on a processor of the same kind;
-elsewhere it has the same law, and `same_bits` says which."""
+A block has the same bits wherever the same compiled loops run on a processor of the same kind;
+elsewhere it has the same law, and `same_bits` says which. Where the root is uncertain, exact draws
+are dear, and there are fewer."""
 
 import contextlib
 import hashlib
@@ -19,7 +20,7 @@ import jax
 import numpy as np
 
 from inference.baselines.target import Target
-from inference.benchmark.programs import posterior
+from inference.benchmark.programs import estimate, frozen_model, model_of
 from inference.benchmark.references import SHIPPED, Moments, reference, sample_at
 from inference.benchmark.root import FixedRoot, UncertainRoot
 from inference.benchmark.target import FrozenTarget
@@ -33,9 +34,7 @@ from inference.uncertain.rejection import verdict as complaint
 from probmodel.arrays import read_tables
 from probmodel.failures import BadInput, OutOfBudget
 from probmodel.files import replacing
-from probmodel.posterior import Posterior
 from probmodel.transport import to_fractions
-from probmodel.uncertain import UncertainPosterior
 
 
 class Blocks(NamedTuple):
@@ -93,15 +92,13 @@ def draw_block(target: FrozenTarget, index: int) -> DrawBlock:
         )
     words = np.frombuffer(hashlib.sha256(target.name.encode()).digest()[:4], "<u4")[0]
     key = jax.random.fold_in(jax.random.key(int(words)), index)
-    found, size = posterior(target), blocks_of(target).size
-    if isinstance(found, Posterior):
-        return _under_one_root(target, found, key, size)
-    return _with_roots(target, found, key, size)
+    if isinstance(target.root, FixedRoot):
+        return _under_one_root(target, key)
+    return _with_roots(target, target.root, key)
 
 
-def _under_one_root(
-    target: FrozenTarget, found: Posterior, key: jax.Array, size: int
-) -> DrawBlock:
+def _under_one_root(target: FrozenTarget, key: jax.Array) -> DrawBlock:
+    found, size = estimate(target).posterior(frozen_model()), blocks_of(target).size
     (sampler,) = root_samplers(found, key, "rejection")
     if not sampler.more(size, Budget(MAX_PROPOSALS)):
         raise _no_draws(target)
@@ -109,10 +106,9 @@ def _under_one_root(
     return DrawBlock(points, sampler.log_evidence, sampler.log_evidence_se)
 
 
-def _with_roots(
-    target: FrozenTarget, found: UncertainPosterior, key: jax.Array, size: int
-) -> DrawBlock:
+def _with_roots(target: FrozenTarget, root: UncertainRoot, key: jax.Array) -> DrawBlock:
     """Draws under flat priors of scale and place, those in the target's box."""
+    found, size = estimate(target).uncertain(model_of(target)), blocks_of(target).size
     roots = reject_roots(
         found, key=key, num_samples=size, num_roots=PILOT, max_proposals=MAX_PROPOSALS
     )
@@ -120,13 +116,13 @@ def _with_roots(
         raise _no_draws(target)
     rng = np.random.default_rng(words_of(jax.random.fold_in(key, 1)))
     drawn, poses, _ = roots.draw(rng, size)
-    of_root = target.root.box_of(*drawn, rng)
+    of_root = root.box_of(*drawn, rng)
     of_pose = np.asarray(to_fractions(found.model, poses))[:, target.active]
     box = np.concatenate([of_pose, of_root], axis=1)
     inside = ((of_root >= 0) & (of_root <= 1)).all(axis=1)
     # From a density of the detection to the prior's mean of the likelihood over its peak.
-    peak = found.log_peak - 2 * len(target.seen) * math.log(target.root.scale[0])
-    log_evidence = roots.log_evidence - peak - target.root.log_volume + np.log(inside.mean())
+    peak = found.log_peak - 2 * len(target.seen) * math.log(root.scale[0])
+    log_evidence = roots.log_evidence - peak - root.log_volume + np.log(inside.mean())
     points = target.points_of_box(box[inside])
     return DrawBlock(points, float(log_evidence), roots.log_evidence_se, roots.cut_off)
 

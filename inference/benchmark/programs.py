@@ -4,7 +4,7 @@ and in JAX, where they have gradients.
     in_jax(load("arm"))                            # log_density, with jax.grad
     model, frame = frozen_model(), estimate(load("arm"))
     model.posterior                                # NumPyro program of frame.observation
-    posterior(load("scene")).program               # NumPyro program of root and pose
+    estimate(scene).uncertain(model_of(scene)).program   # that of root and pose: load("scene")
 """
 
 import functools
@@ -22,9 +22,8 @@ from probmodel.camera import WeakPerspective
 from probmodel.detections import Detection
 from probmodel.likelihood import LAWS, Likelihood
 from probmodel.model import PoseModel
-from probmodel.posterior import Estimate, Posterior
+from probmodel.posterior import Estimate
 from probmodel.roots import Candidate
-from probmodel.uncertain import UncertainPosterior
 
 
 @functools.cache
@@ -46,20 +45,19 @@ def estimate(target: FrozenTarget) -> Estimate:
     return Estimate(detection, (Candidate(-1, target.root.view, camera, 0.0),), likelihood)
 
 
-def posterior(target: FrozenTarget) -> Posterior | UncertainPosterior:
-    """The target as the product has it. Where the root is uncertain, its torsos are in the target's
-    order, and the priors of scale and place have no bounds: those of the target keep what of its
-    posterior is in the box, which is all that exact draws have ever seen."""
+def model_of(target: FrozenTarget) -> PoseModel:
+    """The model of the frozen anatomy, with the torsos of the target in their order where its root
+    is uncertain: `estimate(target).uncertain(model_of(target))` is then the target but for its box,
+    since that posterior's priors of scale and place have no bounds."""
     frozen = frozen_model()
     if isinstance(target.root, FixedRoot):
-        return estimate(target).posterior(frozen)
-    model = PoseModel(frozen.limits, frozen.lengths, target.root.torsos)
-    return estimate(target).uncertain(model)
+        return frozen
+    return PoseModel(frozen.limits, frozen.lengths, target.root.torsos)
 
 
 def in_jax(target: FrozenTarget) -> Target | UncertainTarget:
     """The target in JAX, on R^d."""
-    found = posterior(target)
-    if isinstance(found, Posterior):
-        return Target.of(found)
-    return UncertainTarget.of(target, found)
+    root, frame, model = target.root, estimate(target), model_of(target)
+    if isinstance(root, FixedRoot):
+        return Target.of(frame.posterior(model))
+    return UncertainTarget.of(target, root, frame.uncertain(model))

@@ -50,13 +50,24 @@ class UncertainTarget:
     active: tuple[int, ...] = dataclasses.field(metadata={"static": True})
 
     @classmethod
-    def of(cls, target: FrozenTarget, posterior: UncertainPosterior) -> "UncertainTarget":
-        """The target in JAX, whose `posterior` the product has."""
-        assert isinstance(target.root, UncertainRoot)
-        box = jnp.asarray(target.root.scale), jnp.asarray(target.root.place)
-        shape = map(jnp.asarray, target.prior_shape)
+    def of(
+        cls, target: FrozenTarget, root: UncertainRoot, posterior: UncertainPosterior
+    ) -> "UncertainTarget":
+        """The target in JAX.
+
+        Parameters
+        ----------
+        target
+            Whose coordinates these are.
+        root
+            Its own.
+        posterior
+            What the product has for it.
+        """
+        box = jnp.asarray(root.scale), jnp.asarray(root.place)
+        alpha, beta = map(jnp.asarray, target.prior_shape)
         active = tuple(target.active.tolist())
-        return cls(posterior.model, posterior.detected, *box, *shape, active)
+        return cls(posterior.model, posterior.detected, *box, alpha, beta, active)
 
     @property
     def dim(self) -> int:

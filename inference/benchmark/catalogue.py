@@ -20,7 +20,7 @@ from probmodel.failures import BadInput
 
 CHECKSUMS = {
     "anatomy.npz": "98b700b6c6ffc56f76ae16f723a2cddeb37050ace3262a521c39880a27d13e6a",
-    "targets.json": "b61766ad4616c0c5fe12fd2981c1cb6dc04b451a2c017d28c444b497bafcf802",
+    "targets.json": "a417aaccf079a8e11c1e129510bd88f04f0ab5e488691a1a77a85982aedd381c",
 }
 """SHA-256 of the files in `inference.benchmark.data` that targets are made of."""
 

@@ -119,9 +119,9 @@ WITHOUT_ROOT: dict[str, tuple[str, Scene]] = {
     "scene": ("the whole body, its torso, and the camera", in_a_picture(_scene(7, missing=()), 0)),
 }
 """Those of which torso and camera are a part."""
-HARD_ONLY = ("settled",)
-"""Targets without a version with soft walls: a block of its exact draws would take a quarter of an
-hour."""
+HARD_ONLY = ("settled", "scene")
+"""Targets without a version with soft walls: a block of their exact draws would take a quarter of
+an hour, or many."""
 
 
 def records() -> Iterator[dict[str, Any]]:

@@ -51,9 +51,9 @@ BLOCKS = {
     ("disc", FixedRoot): Blocks(50_000, 20, 4),
     ("gaussian", FixedRoot): Blocks(50_000, 20, 3),
     ("disc", UncertainRoot): Blocks(10_000, 10, 1),
-    ("gaussian", UncertainRoot): Blocks(2_000, 20, 1),
 }
-"""By law and root: exact draws under soft walls are dearer, and those of a root some a second."""
+"""By law and root: exact draws under soft walls are dearer, and those of a root come at some a
+second."""
 MAX_PROPOSALS = 100_000_000_000
 """Proposals for a block; soft walls turn down most."""
 PILOT = 2_000

@@ -401,11 +401,11 @@ def test_a_root_redrawn_after_the_limbs_is_caught() -> None:
     target = benchmark.load("scene")
     points, rng = halves("scene")[0], np.random.default_rng(8)
     kept = []
-    for _ in range(20):
+    for _ in range(60):
         mixed = points.copy()
         mixed[:, -7:] = points[rng.permutation(len(points)), -7:]
         kept.append(mixed[target.misfit(mixed) <= 1])
-    found = verdict("scene", points=np.concatenate(kept)[:1200])
+    found = verdict("scene", points=rng.permutation(np.concatenate(kept)))
     assert found.judgement.verdict == DIFFERS
 
 

@@ -356,8 +356,9 @@ TargetName = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class BenchmarkDrawsSettings:
-    """Exact draws of a target as an .npz, the first of a million (of a scene, of some ten
-    thousands), which `benchmark judge` takes too; they are kept in the cache folder."""
+    """Exact draws of a target as an .npz, the first of a million, which `benchmark judge` takes
+    too; they are kept in the cache folder. Of `scene` there are 100,000, and ten thousand take one
+    core eleven minutes."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "benchmark draws --target arm --num-samples 1000 --out arm.npz",

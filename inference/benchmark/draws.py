@@ -79,8 +79,15 @@ class DrawBlock(NamedTuple):
 
 
 def blocks_of(target: FrozenTarget) -> Blocks:
-    """How many draws of the target there are."""
-    return BLOCKS[target.law, type(target.root)]
+    """How many draws of the target there are. Raises `BadInput` where there are none of its
+    kind."""
+    kind = target.law, type(target.root)
+    if kind not in BLOCKS:
+        raise BadInput(
+            f"there are no exact draws of {target.name} under a {target.law} law with an uncertain"
+            " root; take the disc, or `inference.uncertain.rejection`"
+        )
+    return BLOCKS[kind]
 
 
 def draw_block(target: FrozenTarget, index: int) -> DrawBlock:
@@ -114,17 +121,21 @@ def _with_roots(target: FrozenTarget, root: UncertainRoot, key: jax.Array) -> Dr
     )
     if complaint(roots)[0] != COMPLETE:
         raise _no_draws(target)
-    rng = np.random.default_rng(words_of(jax.random.fold_in(key, 1)))
+    # Rejection splits the key in two, which are the same as `fold_in` makes of 0 and 1.
+    rng = np.random.default_rng(words_of(jax.random.fold_in(key, 2)))
     drawn, poses, _ = roots.draw(rng, size)
     of_root = root.box_of(*drawn, rng)
     of_pose = np.asarray(to_fractions(found.model, poses))[:, target.active]
     box = np.concatenate([of_pose, of_root], axis=1)
     inside = ((of_root >= 0) & (of_root <= 1)).all(axis=1)
+    share = float(inside.mean())
+    if not share:
+        raise _no_draws(target)
     # From a density of the detection to the prior's mean of the likelihood over its peak.
     peak = found.log_peak - 2 * len(target.seen) * math.log(root.scale[0])
-    log_evidence = roots.log_evidence - peak - root.log_volume + np.log(inside.mean())
-    points = target.points_of_box(box[inside])
-    return DrawBlock(points, float(log_evidence), roots.log_evidence_se, roots.cut_off)
+    log_evidence = roots.log_evidence - peak - root.log_volume + math.log(share)
+    error = math.hypot(roots.log_evidence_se, math.sqrt((1 - share) / (share * size)))
+    return DrawBlock(target.points_of_box(box[inside]), log_evidence, error, roots.cut_off)
 
 
 def _no_draws(target: FrozenTarget) -> OutOfBudget:
@@ -184,7 +195,13 @@ def exact_points(target: FrozenTarget, number: int, folder: Path | None = None) 
             " fewer"
         )
     blocks = [exact_block(target, index, folder) for index in range(-(-number // size))]
-    return np.concatenate([block.points for block in blocks])[:number]
+    points = np.concatenate([block.points for block in blocks])[:number]
+    if len(points) < number:  # a box may cut some off
+        raise BadInput(
+            f"of {target.name} {len(points):,} exact draws lie in its box, not {number:,}; ask for"
+            " fewer"
+        )
+    return points
 
 
 def measured(target: FrozenTarget) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def in_a_picture(scene: Scene, seed: int) -> Scene:
     return seen
 
 
-SCENES: dict[str, tuple[str, Scene]] = {
+FIXED_ROOT: dict[str, tuple[str, Scene]] = {
     "single": ("one arm, all of it in one mode", _scene(16, missing=ALL_BUT_AN_ARM)),
     "arm": ("one arm, three modes", _scene(1, missing=ALL_BUT_AN_ARM)),
     "arms": ("both arms, coupled by their lengths", _scene(3, missing=all_but("arms"))),
@@ -114,22 +114,22 @@ SCENES: dict[str, tuple[str, Scene]] = {
         _scene(222, missing=(), factor=SMALL, scores=low_scores()),
     ),
 }
-"""What each target is, and how it came about."""
-WITHOUT_ROOT: dict[str, tuple[str, Scene]] = {
+"""What each target is under one torso and camera, and how it came about."""
+UNCERTAIN_ROOT: dict[str, tuple[str, Scene]] = {
     "scene": ("the whole body, its torso, and the camera", in_a_picture(_scene(7, missing=()), 0)),
 }
 """Those of which torso and camera are a part."""
 HARD_ONLY = ("settled", "scene")
 """Targets without a version with soft walls: a block of their exact draws would take a quarter of
-an hour, or many."""
+an hour, or far longer."""
 
 
 def records() -> Iterator[dict[str, Any]]:
     """The targets as they are written, each but `HARD_ONLY` with its version with soft walls behind
     it."""
     model = PoseModel()
-    for name, (about, scene) in (SCENES | WITHOUT_ROOT).items():
-        record = uncertain_record if name in WITHOUT_ROOT else fixed_record
+    for name, (about, scene) in (FIXED_ROOT | UNCERTAIN_ROOT).items():
+        record = uncertain_record if name in UNCERTAIN_ROOT else fixed_record
         frame = scene(model)
         yield record(name, about, frame)
         if name in HARD_ONLY:

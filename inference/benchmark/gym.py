@@ -36,7 +36,8 @@ def gym_model(name: str, hardness: float = math.inf) -> Any:
     -------
     inference_gym.targets.BayesianModel
         With the sample transformations `identity`, and `joints`: where those joints are that a
-        coordinate moves, `(k, 3)` in the order of `FrozenTarget.limbs`, camera axes, body units.
+        coordinate moves, `(k, 3)`, camera axes, body units: of the torso where it is uncertain,
+        then in the order of `FrozenTarget.limbs`.
         Their ground truth is from the exact draws in the package.
 
     Raises
@@ -51,7 +52,8 @@ def gym_model(name: str, hardness: float = math.inf) -> Any:
 
     target = load(name)
     density, to_box = in_jax(target), bijectors.Sigmoid()
-    ends = jnp.array([bone.end for limb in target.limbs for bone in limb.bones])
+    moved = *target.root.joints[1:], *(bone.end for limb in target.limbs for bone in limb.bones)
+    ends = jnp.array(moved)
 
     def joints(box: jax.Array) -> jax.Array:
         return density.joints(to_box.inverse(box))[..., ends, :]

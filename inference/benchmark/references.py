@@ -110,5 +110,5 @@ def sample_at(target: FrozenTarget, points: np.ndarray) -> Sample:
     sample = sample_of(joints, lengths.reshape(chains, draws, -1))
     if not target.root.coordinates:
         return sample
-    _, scale, place = target.view(flat)
+    _, scale, place = target.root_at(flat)
     return sample.with_roots(joints, scale.reshape(chains, draws), place.reshape(chains, draws, 2))

@@ -3,7 +3,7 @@ seven coordinates of its own.
 
 Plain NumPy that shares no code with `probmodel.roots` and `probmodel.rotations`; tests hold them to
 each other. `UncertainRoot` cuts the flat priors of scale and place (docs/model.md § 9) off at a
-box, or there were neither an evidence nor a prior transform."""
+box, since otherwise there would be neither an evidence nor a prior transform."""
 
 import functools
 import math

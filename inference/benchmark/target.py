@@ -161,9 +161,9 @@ class FrozenTarget:
 
         Within reach it is the target's; beyond, it falls from there by `hardness` · (z²/reach² - 1)
         for every joint that lies z spreads away, instead of to nothing. At hardness 0 it is flat
-        under discs, and in the limit it is the target's. Draws of it that lie inside (`misfit` at
-        most 1) are draws of the target at any hardness, and their share times its evidence is the
-        target's evidence.
+        under discs but for a root's scale, and in the limit it is the target's. Draws of it that
+        lie inside (`misfit` at most 1) are draws of the target at any hardness, and their share
+        times its evidence is the target's evidence.
         """
         box = self.box_of(points)
         squares = self._squares_in_box(box)
@@ -238,7 +238,7 @@ class FrozenTarget:
         of_pose, of_root = self._parts(self.box_of(points))
         return self._poses(self._complete(of_pose), of_root, self.limbs)
 
-    def view(self, points: np.ndarray) -> View:
+    def root_at(self, points: np.ndarray) -> View:
         """The roots at points `(n, d)` of R^d; one for all where it is fixed."""
         return self.root.at(self._parts(self.box_of(points))[1])
 

@@ -2,7 +2,8 @@
 the target, with gradients wherever there is one. The torso's coordinate has none: the density jumps
 in it, as it does where a direction passes from one cell to the next.
 
-The usual way in is `programs.in_jax`; the face is that of `inference.baselines.target.Target`."""
+The usual way in is `programs.in_jax`. Of `inference.baselines.target.Target` it has what samplers
+of R^d ask for, and not the cube and the starts of the product's own baselines."""
 
 import dataclasses
 
@@ -143,13 +144,14 @@ class UncertainTarget:
         box = jax.nn.sigmoid(point)
         active = jnp.array(self.active)
         fractions = jnp.full(CUBE_DIM, 0.5).at[active].set(box[: len(self.active)])
-        return self._root(box[len(self.active) :]), from_fractions(self.model, fractions)
+        return self._root(point[len(self.active) :]), from_fractions(self.model, fractions)
 
-    def _root(self, box: jax.Array) -> RootPoint:
-        number = len(self.model.torsos)
+    def _root(self, point: jax.Array) -> RootPoint:
+        box, number = jax.nn.sigmoid(point), len(self.model.torsos)
         torso = jnp.clip(jnp.floor(box[0] * number), 0, number - 1).astype(int)
         yaw, roll = (jnp.pi * (2 * box[one] - 1) for one in (1, 3))
-        tilt = jnp.arcsin(2 * box[2] - 1)
+        # The angle whose sine is 2·box - 1, without the arcsine's infinite slope at its ends.
+        tilt = 2 * jnp.arctan(jnp.tanh(point[2] / 4))
         # Somebody who faces the camera is turned by half a turn about its horizontal axis.
         turns = (_about(2, roll), _about(0, tilt + jnp.pi), _about(1, yaw))
         rotation = turns[0] @ turns[1] @ turns[2]

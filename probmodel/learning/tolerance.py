@@ -62,6 +62,9 @@ class Tolerance:
             Where a margin would not lie between 0 and 90 degrees.
         """
         names = ("head", "arm", "leg", "lower")
+        most = 90 / max(getattr(self, name) for name in names)
+        if not 0 <= factor <= most:  # true for NaN too
+            raise BadInput(f"margins cannot be {factor:g} times as wide; give 0 to {most:g}")
         return dataclasses.replace(self, **{name: factor * getattr(self, name) for name in names})
 
     @property

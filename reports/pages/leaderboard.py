@@ -453,6 +453,9 @@ def main() -> None:
     parser.add_argument("--targets", default=",".join(TARGETS))
     parser.add_argument("--budgets", default=f"{SECONDS},{EVALUATIONS}")
     options = parser.parse_args()
+    chosen = options.targets.split(",")
+    if unknown := [name for name in chosen if name not in TARGETS]:
+        parser.error(f"there is no row for {unknown[0]}; choose among {', '.join(TARGETS)}")
     in_doubles()
     options.work.mkdir(parents=True, exist_ok=True)
     jax.config.update("jax_compilation_cache_dir", str(options.work / "compiled"))
@@ -465,8 +468,8 @@ def main() -> None:
         EVALUATIONS: Allowance(evaluations=options.evaluations),
     }
     budgets = {name: budgets[name] for name in options.budgets.split(",")}
-    measure(names, options.targets.split(","), budgets, options.work)
-    false_alarms(options.targets.split(","), options.work)
+    measure(names, chosen, budgets, options.work)
+    false_alarms(chosen, options.work)
     lines = lines_in(options.work)
     pictures = {"leaderboard": picture(lines), "leaderboard_growth": growth(lines)}
     write_page("leaderboard", values(lines, options.work), pictures)

@@ -38,7 +38,7 @@ from probmodel.rotations import RotationTransform, rodrigues
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from probmodel.uncertain import UncertainPosterior
 
-SCENES = tuple(
+UNCERTAIN_ROOT = tuple(
     name for name, one in benchmark.targets().items() if isinstance(one.root, UncertainRoot)
 )
 LAWS = ("disc", "gaussian")
@@ -202,6 +202,12 @@ def test_the_gradient_is_a_difference() -> None:
     above, below = (target.log_graded(point + sign * step, 10.0) for sign in (1, -1))
     np.testing.assert_allclose(slope, (above - below) / 2e-6, rtol=1e-4, atol=1e-4)
     assert slope[target.coordinates.index("torso")] == 0
+    tilt = target.coordinates.index("tilt")
+    for far in (-40.0, 40.0):  # lying down, as far as numbers go
+        slope = jax.grad(lambda point: density.log_graded(point, 10.0))(
+            jnp.asarray(point).at[tilt].set(far)
+        )
+        assert np.isfinite(slope).all()
 
 
 @pytest.mark.sweep
@@ -262,7 +268,7 @@ def test_the_charts_are_one_density(law: str) -> None:
 # --- exact draws
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", UNCERTAIN_ROOT)
 def test_all_of_the_posterior_is_in_the_box(name: str) -> None:
     """No scale below the least one explains the torso; large ones, whose density falls as the
     28th power, and places far away are beyond every draw."""
@@ -323,7 +329,6 @@ def test_evidence_and_moments_by_plain_monte_carlo(monkeypatch: pytest.MonkeyPat
     weight = np.exp(target.log_likelihood(points))
     evidence, second = weight.sum() / number, np.sum(weight**2) / number
     relative = math.hypot(math.sqrt(second / number) / evidence, block.log_evidence_se)
-    relative = math.hypot(relative, 1 / math.sqrt(len(block.points)))  # of the share in the box
     z = (math.log(evidence) - block.log_evidence) / relative
     assert relative < 0.15
     assert abs(z) < stats.norm.isf(ODDS / 2)
@@ -365,7 +370,7 @@ def verdict(name: str, **arrays: Any) -> benchmark.Assessment:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", UNCERTAIN_ROOT)
 def test_exact_draws_agree(name: str) -> None:
     found = verdict(name, points=halves(name)[0][:1200])
     assert found.judgement.verdict == AGREES
@@ -374,7 +379,7 @@ def test_exact_draws_agree(name: str) -> None:
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", UNCERTAIN_ROOT)
 def test_exact_draws_are_seldom_said_to_differ(name: str) -> None:
     """Of ten verdicts at the judge's level of 1 %, more than three wrong ones have odds of 2e-6."""
     points = halves(name)[0]
@@ -410,7 +415,7 @@ def test_a_root_redrawn_after_the_limbs_is_caught() -> None:
 
 
 @pytest.mark.slow
-def test_a_sampler_that_never_finds_the_mirrored_torso_is_caught() -> None:
+def test_half_of_the_yaws_is_caught() -> None:
     target = benchmark.load("scene")
     points = halves("scene")[0]
     yaw = target.box_of(points)[:, target.coordinates.index("yaw")]

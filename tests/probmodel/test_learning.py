@@ -245,8 +245,9 @@ def test_tolerances_out_of_range_are_refused(values: dict[str, float]) -> None:
 def test_wider_margins_are_so_many_times_the_usual_ones() -> None:
     assert Tolerance().wider(1) == Tolerance()
     assert Tolerance().wider(2) == Tolerance(head=8, arm=20, leg=16, lower=8)
-    with pytest.raises(BadInput, match="the tolerance arm is 100"):
-        Tolerance().wider(10)
+    for factor in (9.1, -1, np.inf):
+        with pytest.raises(BadInput, match=f"cannot be {factor:g} times as wide; give 0 to 9"):
+            Tolerance().wider(factor)
 
 
 def test_nothing_to_learn_from_is_refused() -> None:

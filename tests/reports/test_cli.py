@@ -588,7 +588,7 @@ REFUSALS += [
         "learn: no margin",
         "learn @f.bvh --out @l.npz --wider nan",
         {"f.bvh": BVH},
-        "the tolerance head is nan; degrees are 0 to 90",
+        "margins cannot be nan times as wide; give 0 to 9",
     ),
     Refusal(
         "learn: another kind",

@@ -388,10 +388,10 @@ def test_exact_draws_are_seldom_said_to_differ(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("forgotten", [3, len(TORSO_INDEX)])
+@pytest.mark.parametrize("forgotten", [2, 3])
 def test_forgotten_factors_of_the_scale_are_caught(forgotten: int) -> None:
-    """Those of some joints, or of the torso's. Without any, so few of these draws would be left
-    that the judge cannot tell."""
+    """Those of a few joints: p is below 1e-8, whichever half is judged. Of many more, so few of
+    these draws would be left that the judge cannot tell."""
     target = benchmark.load("scene")
     points = halves("scene")[0]
     grown = root_of(target).log_growth(target.box_of(points)[:, -7:])
@@ -406,7 +406,7 @@ def test_a_root_redrawn_after_the_limbs_is_caught() -> None:
     target = benchmark.load("scene")
     points, rng = halves("scene")[0], np.random.default_rng(8)
     kept = []
-    for _ in range(40):
+    for _ in range(120):
         mixed = points.copy()
         mixed[:, -7:] = points[rng.permutation(len(points)), -7:]
         kept.append(mixed[target.misfit(mixed) <= 1])

@@ -42,6 +42,7 @@ def test_there_are_pages() -> None:
         "honest",
         "leaderboard",
         "limits",
+        "motion",
         "readings",
         "routes",
         "samplers",

@@ -1,0 +1,80 @@
+"""Whether the posterior of torso, camera and pose together means what it says: writes
+reports/whole.md.
+
+    python -m reports.pages.whole WORK
+
+A thousand simulations from the model itself, some two hours on one core; the folder WORK keeps what
+is done, and a run that was stopped goes on there.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from inference.results import UNCERTAIN
+from inference.studies.calibration import calibrate, judge
+from inference.studies.calibration.quantities import OF_ROOT
+from probmodel import PoseModel
+from reports.figures.coverage import ranks_figure
+from reports.pages.page import Values, in_doubles, write_page
+from reports.tables import Sheet, sheet_of
+from reports.tables.coverage import families_table, p_text
+from reports.tables.words import spoken
+
+SIMULATIONS = 1000
+ROOTS, DRAWS, SEED = 300, 400, 7
+BUDGET = 30_000_000
+"""Most proposals for a simulation."""
+
+
+def simulated(work: Path) -> xr.Dataset:
+    """The simulations by weighted roots."""
+    tree = calibrate(
+        PoseModel(),
+        seed=SEED,
+        num_simulations=SIMULATIONS,
+        num_samples=DRAWS,
+        root=UNCERTAIN,
+        num_roots=ROOTS,
+        max_proposals=BUDGET,
+        out=work / "coverage.nc",
+    )
+    return tree["simulation"].to_dataset()
+
+
+def roots_table(simulation: xr.Dataset) -> Sheet:
+    """The tests of what a root is made of: p-values, and those corrected for all questions."""
+    tests = judge(simulation).tests
+    asked = [name for name in OF_ROOT if name in tests.quantity.values]
+    rows = []
+    for name in asked:
+        one = tests.sel(quantity=name)
+        p_values = (p_text(float(one[kind])) for kind in ("p_value", "adjusted"))
+        rows.append((spoken(name), *p_values))
+    return sheet_of(("of the root", "p", "p, corrected for all"), rows)
+
+
+def main(work: Path) -> None:
+    """Does what is left of the simulations, then writes the page."""
+    in_doubles()
+    work.mkdir(parents=True, exist_ok=True)
+    right = simulated(work)
+    verdict = judge(right)
+    number = right.num_draws.values
+    values: Values = {
+        "simulations": f"{SIMULATIONS:,}",
+        "roots": ROOTS,
+        "draws": DRAWS,
+        "fewest": int(number.min()),
+        "middle": int(np.median(number)),
+        "sentence": f"{verdict.verdict}: {verdict.sentence}",
+        "families": families_table({"weighted roots": verdict}),
+        "of_root": roots_table(right),
+    }
+    write_page("whole", values, {"whole": ranks_figure(right)})
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -6,9 +6,9 @@ PYTHON := $(shell for p in python3.12 python3.13 python3.14 python3; do \
 NEED_PYTHON = test -n "$(PYTHON)" || { echo "poseterior needs Python 3.12 or newer on the PATH (as python3.12 or python3); install one and run make again." >&2; exit 2; }
 # One thread of BLAS and OpenMP a process: the tests already run one process a core, and threads that
 # wait for a core that another process has make them six times slower.
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --durations=25
 
-.PHONY: demo test test-all sweeps lint bench docs notebooks dist fuzz mutants kills lock clean
+.PHONY: demo test test-all sweeps lint bench docs notebooks dist fuzz mutants kills conditions lock clean
 
 demo: $(VENV)/.done
 	$(BIN)/poseterior demo
@@ -78,6 +78,10 @@ mutants: $(VENV)/.done
 # KILLS says how many of each command (or KILLS_SECONDS how long in all), KILLS_SEED which.
 kills: $(VENV)/.done
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.kills
+
+# The quick tests as other machines would run them: other processors, orders, cores, loads.
+conditions: $(VENV)/.done
+	$(BIN)/python -m tests.conditions
 
 lock: $(VENV)/.done
 	$(BIN)/python -m pip freeze --exclude-editable > requirements.lock

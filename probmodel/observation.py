@@ -83,6 +83,27 @@ class Observation(NamedTuple):
         where a joint does not count."""
         return jnp.where(self.seen, self.law.log_ratio(self.squares(joints)), 0.0)
 
+    def log_graded(self, joints: ArrayLike, hardness: ArrayLike) -> jax.Array:
+        """As `log_ratios`, with slopes for walls: beyond its reach a joint's ratio falls from what
+        it is there.
+
+        Parameters
+        ----------
+        joints : `(..., 15, 3)`
+            Of poses, in camera axes.
+        hardness
+            It falls by `hardness` · (d²/reach² - 1).
+
+        Returns
+        -------
+        Array
+            `(..., 15)`.
+        """
+        squares, reach = self.squares(joints), self.law.reach**2
+        within = jnp.minimum(squares, reach)
+        slope = hardness * (squares - within) / reach
+        return jnp.where(self.seen, self.law.log_ratio(within) - slope, 0.0)
+
     def log_density(self, joints: ArrayLike) -> jax.Array:
         """`(...)`: the log likelihood of poses `(..., 15, 3)` in camera axes, per square pixel and
         joint seen."""

@@ -133,7 +133,7 @@ class Estimate:
         ------
         BadInput
             Where the likelihood has outliers or exchanged sides, or the model a belief of how the
-            body is turned, which fixed roots leave no room for.
+            body is turned, which fixed roots leave no room for; where there is no candidate.
         """
         if model.upright:
             raise BadInput(
@@ -145,6 +145,7 @@ class Estimate:
                 "outliers and exchanges need torso and camera to be uncertain; choose the root"
                 " 'uncertain' where there is the choice, or an error law without them"
             )
+        self._require_root()
         return Posterior(model, self.likelihood, self.detection, self.candidates, self.estimator)
 
     def uncertain(self, model: PoseModel) -> UncertainPosterior:
@@ -154,17 +155,30 @@ class Estimate:
         )
 
     @property
+    def best(self) -> Candidate:
+        """The best candidate. Raises `BadInput` where there is none."""
+        self._require_root()
+        return self.candidates[0]
+
+    @property
     def observation(self) -> Observation:
-        """The detection under the first candidate."""
-        return self.likelihood.observe(self.detection, self.candidates[0].root)
+        """The detection under the best candidate."""
+        return self.likelihood.observe(self.detection, self.best.root)
 
     @property
     def pose(self) -> np.ndarray | None:
         """`(15, 3)`: the estimator's single 3D pose, that of the best candidate, in camera axes and
         body units."""
-        return self.candidates[0].pose
+        return self.best.pose
 
     @property
     def converged(self) -> bool:
         """Whether the estimator came to an end for every candidate."""
         return all(candidate.converged for candidate in self.candidates)
+
+    def _require_root(self) -> None:
+        if not self.candidates:
+            raise BadInput(
+                f"{self.detection.where} has no torso and camera to hold fixed; take its posterior"
+                " with an uncertain root, `uncertain(model)`"
+            )

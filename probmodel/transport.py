@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.scipy.special import betaln
 from jax.typing import ArrayLike
 
 from probmodel.model import PoseModel
@@ -44,6 +45,18 @@ def from_fractions(model: PoseModel, fractions: jax.Array) -> Pose:
 def to_fractions(model: PoseModel, pose: Pose) -> jax.Array:
     """The fractions `(..., 23)` of a pose inside the prior's support."""
     return _back(model, pose, lambda law, length: law.fraction(length))
+
+
+def log_density_of_logits(alpha: jax.Array, beta: jax.Array, points: jax.Array) -> jax.Array:
+    """`(...)`: normalised log density, at points `(..., d)` of R^d, of the logits of independent
+    fractions with Beta parameters `(d,)`, `(d,)`."""
+    constant = jnp.sum(betaln(alpha, beta))
+
+    def one(point: jax.Array) -> jax.Array:
+        up, down = jax.nn.log_sigmoid(point), jax.nn.log_sigmoid(-point)
+        return jnp.sum(alpha * up + beta * down) - constant
+
+    return jnp.vectorize(one, signature="(d)->()")(points)
 
 
 def _forth(model: PoseModel, coordinates: jax.Array, lengths: _Map) -> Pose:

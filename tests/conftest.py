@@ -3,6 +3,7 @@ pyproject)."""
 
 import gc
 import os
+import random
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -41,6 +42,19 @@ class Run(NamedTuple):
     code: int
     out: str
     err: str
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Another order, where `TESTS_SHUFFLED` says which: of files, and of the tests of a file."""
+    seed = os.environ.get("TESTS_SHUFFLED")
+    if not seed:
+        return
+    rng = random.Random(seed)
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    order = rng.sample([*files], len(files))
+    items[:] = [item for path in order for item in rng.sample(files[path], len(files[path]))]
 
 
 Cli = Callable[..., Run]

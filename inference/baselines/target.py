@@ -20,7 +20,6 @@ from typing import Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammaln
 from jax.typing import ArrayLike
 
 from probmodel.chunks import in_chunks
@@ -30,7 +29,13 @@ from probmodel.observation import Observation
 from probmodel.pose import Pose
 from probmodel.posterior import Posterior
 from probmodel.skeleton import GROUPS, LENGTH_GROUPS, NUM_LENGTHS, NUM_LOWER, NUM_UPPER
-from probmodel.transport import CUBE_DIM, from_cube, from_fractions, to_fractions
+from probmodel.transport import (
+    CUBE_DIM,
+    from_cube,
+    from_fractions,
+    log_density_of_logits,
+    to_fractions,
+)
 
 COORDINATES = (
     *(f"length of {group}" for group in LENGTH_GROUPS),
@@ -148,12 +153,7 @@ class Target:
         """`(...)`: log of a likelihood with slopes for walls at points of R^d: within reach the
         likelihood over its peak, beyond falling from there by `hardness` · (d²/reach² - 1) for
         every joint; a normalised prior is not in it."""
-        squares = self.observation.squares(self.joints(points))
-        law = self.observation.law
-        within = jnp.minimum(squares, law.reach**2)
-        beyond = (squares - within) / law.reach**2
-        each = jnp.where(self.observation.seen, law.log_ratio(within) - hardness * beyond, 0.0)
-        return jnp.sum(each, axis=-1)
+        return jnp.sum(self.observation.log_graded(self.joints(points), hardness), axis=-1)
 
     @jax.jit
     def misfit(self, points: ArrayLike) -> jax.Array:
@@ -172,15 +172,7 @@ class Target:
     def log_base(self, points: jax.Array) -> jax.Array:
         """`(...)`: normalised log density of the prior at points of R^d: logits of Beta
         variables."""
-        alpha, beta = self._shape
-        constant = gammaln(alpha + beta) - gammaln(alpha) - gammaln(beta)
-
-        def one(point: jax.Array) -> jax.Array:
-            return jnp.sum(
-                alpha * jax.nn.log_sigmoid(point) + beta * jax.nn.log_sigmoid(-point) + constant
-            )
-
-        return jnp.vectorize(one, signature="(d)->()")(points)
+        return log_density_of_logits(*self._shape, points)
 
     def prior_points(self, key: jax.Array, number: int) -> jax.Array:
         """Points of R^d from the prior.

@@ -10,8 +10,8 @@ from .programs import model_of as model_of
 from .references import Reference as Reference
 from .references import reference as reference
 from .references import shipped_points as shipped_points
-from .root import FixedRoot as FixedRoot
-from .root import UncertainRoot as UncertainRoot
+from .root import BoxedRoot as BoxedRoot
+from .root import GivenRoot as GivenRoot
 from .submission import Submission as Submission
 from .submission import read_submission as read_submission
 from .submission import submit as submit

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from inference.benchmark.anatomy import FrozenAnatomy
-from inference.benchmark.root import FixedRoot, FrozenRoot, UncertainRoot
+from inference.benchmark.root import BoxedRoot, FrozenRoot, GivenRoot
 from inference.benchmark.target import FrozenTarget
 from probmodel.failures import BadInput
 
@@ -65,6 +65,6 @@ def _target(record: dict[str, Any]) -> FrozenTarget:
 
 def _root(record: dict[str, Any]) -> FrozenRoot:
     if "view" in record:
-        return FixedRoot(np.array(record["view"], float))
+        return GivenRoot(np.array(record["view"], float))
     torsos = FrozenAnatomy.default().torsos[record["torsos"]]
-    return UncertainRoot(torsos, np.array(record["scale"]), np.array(record["place"], float))
+    return BoxedRoot(torsos, np.array(record["scale"]), np.array(record["place"], float))

@@ -22,10 +22,10 @@ import numpy as np
 from inference.baselines.target import Target
 from inference.benchmark.programs import estimate, frozen_model, model_of
 from inference.benchmark.references import SHIPPED, Moments, reference, sample_at
-from inference.benchmark.root import FixedRoot, UncertainRoot
+from inference.benchmark.root import BoxedRoot, GivenRoot
 from inference.benchmark.target import FrozenTarget
 from inference.exact.loops.numbers import words_of
-from inference.exact.mixture import root_samplers
+from inference.exact.mixture import Progress, root_samplers
 from inference.exact.rates import Budget
 from inference.results import COMPLETE
 from inference.studies.flips import FLIPPING
@@ -48,9 +48,9 @@ class Blocks(NamedTuple):
 
 
 BLOCKS = {
-    ("disc", FixedRoot): Blocks(50_000, 20, 4),
-    ("gaussian", FixedRoot): Blocks(50_000, 20, 3),
-    ("disc", UncertainRoot): Blocks(10_000, 10, 1),
+    ("disc", GivenRoot): Blocks(50_000, 20, 4),
+    ("gaussian", GivenRoot): Blocks(50_000, 20, 3),
+    ("disc", BoxedRoot): Blocks(10_000, 10, 1),
 }
 """By law and root: exact draws under soft walls are dearer, and those of a root come at some a
 second."""
@@ -90,18 +90,19 @@ def blocks_of(target: FrozenTarget) -> Blocks:
     return BLOCKS[kind]
 
 
-def draw_block(target: FrozenTarget, index: int) -> DrawBlock:
-    """Draws a block, always the same. Raises `BadInput` unless JAX has 64-bit floats, and
-    `OutOfBudget` where the engine cannot make it."""
+def draw_block(target: FrozenTarget, index: int, progress: Progress | None = None) -> DrawBlock:
+    """Draws a block, always the same; `progress` is called with the draws made and wanted, where
+    they come one by one. Raises `BadInput` unless JAX has 64-bit floats, and `OutOfBudget` where
+    the engine cannot make it."""
     if not jax.config.jax_enable_x64:
         raise BadInput(
             "exact draws need 64-bit floats; call jax.config.update('jax_enable_x64', True) first"
         )
     words = np.frombuffer(hashlib.sha256(target.name.encode()).digest()[:4], "<u4")[0]
     key = jax.random.fold_in(jax.random.key(int(words)), index)
-    if isinstance(target.root, FixedRoot):
+    if isinstance(target.root, GivenRoot):
         return _under_one_root(target, key)
-    return _with_roots(target, target.root, key)
+    return _with_roots(target, target.root, key, progress)
 
 
 def _under_one_root(target: FrozenTarget, key: jax.Array) -> DrawBlock:
@@ -113,11 +114,18 @@ def _under_one_root(target: FrozenTarget, key: jax.Array) -> DrawBlock:
     return DrawBlock(points, sampler.log_evidence, sampler.log_evidence_se)
 
 
-def _with_roots(target: FrozenTarget, root: UncertainRoot, key: jax.Array) -> DrawBlock:
+def _with_roots(
+    target: FrozenTarget, root: BoxedRoot, key: jax.Array, progress: Progress | None
+) -> DrawBlock:
     """Draws under flat priors of scale and place, those in the target's box."""
     found, size = estimate(target).uncertain(model_of(target)), blocks_of(target).size
     roots = reject_roots(
-        found, key=key, num_samples=size, num_roots=PILOT, max_proposals=MAX_PROPOSALS
+        found,
+        key=key,
+        num_samples=size,
+        num_roots=PILOT,
+        max_proposals=MAX_PROPOSALS,
+        progress=progress,
     )
     if complaint(roots)[0] != COMPLETE:
         raise _no_draws(target)
@@ -148,14 +156,20 @@ def cache_folder() -> Path:
     return Path(home) / "poseterior" / "benchmark"
 
 
-def exact_block(target: FrozenTarget, index: int, folder: Path | None = None) -> DrawBlock:
-    """A block from the cache, or drawn and kept there; a kept one that is damaged is drawn anew."""
+def exact_block(
+    target: FrozenTarget,
+    index: int,
+    folder: Path | None = None,
+    progress: Progress | None = None,
+) -> DrawBlock:
+    """A block from the cache, or drawn and kept there; a kept one that is damaged is drawn anew.
+    `progress` as in `draw_block`."""
     path = (folder or cache_folder()) / f"{target.name}-{index:02}.npz"
     if path.exists():
         kept = _kept(path)
         if kept is not None:
             return kept
-    block = draw_block(target, index)
+    block = draw_block(target, index, progress)
     with contextlib.suppress(OSError, BadInput):  # without a cache it is slower, and no worse
         path.parent.mkdir(parents=True, exist_ok=True)
         _keep(path, block)
@@ -185,16 +199,26 @@ def same_bits(target: FrozenTarget, folder: Path | None = None) -> bool:
     return exact_block(target, 0, folder).sha256 == reference(target.name).blocks[0]
 
 
-def exact_points(target: FrozenTarget, number: int, folder: Path | None = None) -> np.ndarray:
+def exact_points(
+    target: FrozenTarget,
+    number: int,
+    folder: Path | None = None,
+    progress: Progress | None = None,
+) -> np.ndarray:
     """The first `number` exact draws as points `(number, d)` of R^d, from the cache where they are
-    there. Raises `BadInput` where there are not so many."""
+    there; `progress` is called with the draws made and those of all the blocks that are needed.
+    Raises `BadInput` where there are not so many."""
     size, there_are, _ = blocks_of(target)
     if not 1 <= number <= size * there_are:
         raise BadInput(
             f"{target.name} has 1 to {size * there_are:,} exact draws, not {number:,}; ask for"
             " fewer"
         )
-    blocks = [exact_block(target, index, folder) for index in range(-(-number // size))]
+    blocks = []
+    for index in range(-(-number // size)):
+        report = _after(progress, index * size, -(-number // size) * size)
+        blocks.append(exact_block(target, index, folder, report))
+        report(size, size)
     points = np.concatenate([block.points for block in blocks])[:number]
     if len(points) < number:  # a box may cut some off
         raise BadInput(
@@ -202,6 +226,16 @@ def exact_points(target: FrozenTarget, number: int, folder: Path | None = None) 
             " fewer"
         )
     return points
+
+
+def _after(progress: Progress | None, before: int, wanted: int) -> Progress:
+    """Reports of a block, as reports of all blocks."""
+
+    def report(made: int, _: int) -> None:
+        if progress is not None:
+            progress(before + made, wanted)
+
+    return report
 
 
 def measured(target: FrozenTarget) -> dict[str, Any]:

@@ -81,7 +81,7 @@ def in_a_picture(scene: Scene, seed: int) -> Scene:
 
     def seen(model: PoseModel) -> Estimate:
         frame, rng = scene(model), np.random.default_rng(seed)
-        radius = frame.likelihood.factor * float(frame.candidates[0].camera.scale)
+        radius = frame.likelihood.factor * float(frame.best.camera.scale)
         number = len(TORSO_INDEX)
         distance = radius * np.sqrt(rng.uniform(size=number))
         angle = rng.uniform(0, 2 * np.pi, number)
@@ -141,7 +141,7 @@ def records() -> Iterator[dict[str, Any]]:
 
 def fixed_record(name: str, about: str, frame: Estimate) -> dict[str, Any]:
     """A frame with one root as a target: in camera axes and body units."""
-    root = frame.candidates[0].root
+    root = frame.best.root
     plane = root.camera.to_plane(frame.detection.keypoints)
     view = {"view": np.asarray(root.view).tolist()}
     return _record(name, about, frame, plane, view)

@@ -14,7 +14,7 @@ import numpy as np
 
 from inference.baselines.target import Target
 from inference.benchmark.anatomy import FILE
-from inference.benchmark.root import FixedRoot
+from inference.benchmark.root import GivenRoot
 from inference.benchmark.target import FrozenTarget
 from inference.benchmark.uncertain import UncertainTarget
 from probmodel.anatomy.population import Anatomy
@@ -39,7 +39,7 @@ def estimate(target: FrozenTarget) -> Estimate:
     keypoints = np.where(target.score[:, None] > 0, target.seen_at, np.nan)
     detection = Detection(keypoints, target.score, "benchmark", target.name, 0)
     likelihood = Likelihood(LAWS[target.law](), factor=target.factor)
-    if not isinstance(target.root, FixedRoot):
+    if not isinstance(target.root, GivenRoot):
         return Estimate(detection, (), likelihood)
     camera = WeakPerspective(1.0, np.eye(3), np.zeros(2))
     return Estimate(detection, (Candidate(-1, target.root.view, camera, 0.0),), likelihood)
@@ -50,7 +50,7 @@ def model_of(target: FrozenTarget) -> PoseModel:
     is uncertain: `estimate(target).uncertain(model_of(target))` is then the target but for its box,
     since that posterior's priors of scale and place have no bounds."""
     frozen = frozen_model()
-    if isinstance(target.root, FixedRoot):
+    if isinstance(target.root, GivenRoot):
         return frozen
     return PoseModel(frozen.limits, frozen.lengths, target.root.torsos)
 
@@ -58,6 +58,6 @@ def model_of(target: FrozenTarget) -> PoseModel:
 def in_jax(target: FrozenTarget) -> Target | UncertainTarget:
     """The target in JAX, on R^d."""
     root, frame, model = target.root, estimate(target), model_of(target)
-    if isinstance(root, FixedRoot):
+    if isinstance(root, GivenRoot):
         return Target.of(frame.posterior(model))
     return UncertainTarget.of(target, root, frame.uncertain(model))

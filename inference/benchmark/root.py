@@ -2,7 +2,7 @@
 seven coordinates of its own.
 
 Plain NumPy that shares no code with `probmodel.roots` and `probmodel.rotations`; tests hold them to
-each other. `UncertainRoot` cuts the flat priors of scale and place (docs/model.md § 9) off at a
+each other. `BoxedRoot` cuts the flat priors of scale and place (docs/model.md § 9) off at a
 box, since otherwise there would be neither an evidence nor a prior transform."""
 
 import functools
@@ -15,7 +15,7 @@ import numpy as np
 from probmodel.skeleton import TORSO_INDEX
 
 
-class View(NamedTuple):
+class PlacedTorso(NamedTuple):
     """A root, or many: the `torso` `(..., 6, 3)` in camera axes, body units; the `scale` `(...)` of
     the image, its units a body unit; and the `place` `(..., 2)` of the pelvis in it."""
 
@@ -25,7 +25,7 @@ class View(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class FixedRoot:
+class GivenRoot:
     """One torso, seen by a camera that does nothing: the image is the camera's plane.
 
     Attributes
@@ -38,9 +38,9 @@ class FixedRoot:
     joints: ClassVar[tuple[int, ...]] = ()
     """The joints that count because of it: none, since the torso lies where it lies."""
 
-    def at(self, box: np.ndarray) -> View:
+    def at(self, box: np.ndarray) -> PlacedTorso:
         """The one root there is."""
-        return View(self.view, np.ones(()), np.zeros(2))
+        return PlacedTorso(self.view, np.ones(()), np.zeros(2))
 
     def log_growth(self, box: np.ndarray) -> np.ndarray:
         """`(...)`: log of the scale over the least one, at points `(..., 0)`: 0."""
@@ -48,7 +48,7 @@ class FixedRoot:
 
 
 @dataclass(frozen=True, eq=False)
-class UncertainRoot:
+class BoxedRoot:
     """Any torso of a dictionary, turned in any way, of any size and at any place in a box; the
     prior is flat in all seven coordinates, which are fractions.
 
@@ -90,12 +90,12 @@ class UncertainRoot:
         part = np.floor(box[..., 0] * len(self.torsos)).astype(int)
         return np.clip(part, 0, len(self.torsos) - 1)
 
-    def at(self, box: np.ndarray) -> View:
+    def at(self, box: np.ndarray) -> PlacedTorso:
         """The roots at points `(n, 7)`."""
         turned = rotations(box[..., 1:4]) @ np.swapaxes(self.torsos[self.torso_index(box)], -1, -2)
         scale = self.scale[0] * np.exp(self.log_growth(box))
         place = self.place[0] + (self.place[1] - self.place[0]) * box[..., 5:]
-        return View(np.swapaxes(turned, -1, -2), scale, place)
+        return PlacedTorso(np.swapaxes(turned, -1, -2), scale, place)
 
     def log_growth(self, box: np.ndarray) -> np.ndarray:
         """`(...)`: log of the scale over the least one, at points `(..., 7)`."""
@@ -134,7 +134,7 @@ class UncertainRoot:
         return np.concatenate([part[:, None], turns, growth[:, None], inside], axis=1)
 
 
-FrozenRoot = FixedRoot | UncertainRoot
+FrozenRoot = GivenRoot | BoxedRoot
 
 
 def rotations(turns: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ of the pose are kept that some seen joint depends on, and those of an uncertain 
 
 - *points* `(n, d)` of R^d: the unconstrained coordinates, logits of the box;
 - the *box* `[0, 1]^d`: bone lengths as fractions of their ranges, directions as points of their
-  unit squares, roots as `UncertainRoot` says;
+  unit squares, roots as `BoxedRoot` says;
 - the *cube* `[0, 1]^d`, in which the prior is flat: as the box, with lengths by their quantiles.
 
 Every function takes one row `(d,)` or many `(n, d)`. Densities are normalised priors times the
@@ -25,7 +25,7 @@ from inference.benchmark.anatomy import (
     column_of_lower,
     column_of_upper,
 )
-from inference.benchmark.root import FrozenRoot, View
+from inference.benchmark.root import FrozenRoot, PlacedTorso
 from probmodel.skeleton import (
     BONES,
     GROUPS,
@@ -238,7 +238,7 @@ class FrozenTarget:
         of_pose, of_root = self._parts(self.box_of(points))
         return self._poses(self._complete(of_pose), of_root, self.limbs)
 
-    def root_at(self, points: np.ndarray) -> View:
+    def root_at(self, points: np.ndarray) -> PlacedTorso:
         """The roots at points `(n, d)` of R^d; one for all where it is fixed."""
         return self.root.at(self._parts(self.box_of(points))[1])
 

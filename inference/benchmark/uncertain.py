@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from inference.benchmark.root import UncertainRoot
+from inference.benchmark.root import BoxedRoot
 from inference.benchmark.target import FrozenTarget
 from probmodel.faults import Faults
 from probmodel.model import PoseModel
@@ -19,7 +19,7 @@ from probmodel.observation import Observation
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint, RootPrior
 from probmodel.rotations import rotation_of
-from probmodel.transport import CUBE_DIM, from_fractions
+from probmodel.transport import CUBE_DIM, from_fractions, log_density_of_logits
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 
@@ -35,7 +35,7 @@ class UncertainTarget:
     detected
         What was detected.
     scale, place
-        The box of `UncertainRoot`.
+        The box of `BoxedRoot`.
     alpha, beta : `(d,)`
         Of the prior on the box, Beta distributions.
     active
@@ -52,7 +52,7 @@ class UncertainTarget:
 
     @classmethod
     def of(
-        cls, target: FrozenTarget, root: UncertainRoot, posterior: UncertainPosterior
+        cls, target: FrozenTarget, root: BoxedRoot, posterior: UncertainPosterior
     ) -> "UncertainTarget":
         """The target in JAX.
 
@@ -97,10 +97,7 @@ class UncertainTarget:
 
         def one(point: jax.Array) -> jax.Array:
             observation, joints = self._observed(point)
-            squares, law = observation.squares(joints), observation.law
-            within = jnp.minimum(squares, law.reach**2)
-            beyond = (squares - within) / law.reach**2
-            each = jnp.where(observation.seen, law.log_ratio(within) - hardness * beyond, 0.0)
+            each = observation.log_graded(joints, hardness)
             return self._log_growth(observation) + jnp.sum(each)
 
         return jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
@@ -129,14 +126,7 @@ class UncertainTarget:
     def log_base(self, points: ArrayLike) -> jax.Array:
         """`(...)`: normalised log density of the prior at points of R^d: logits of Beta
         variables."""
-        alpha, beta = self.alpha, self.beta
-        constant = jnp.sum(jax.scipy.special.betaln(alpha, beta))
-
-        def one(point: jax.Array) -> jax.Array:
-            up, down = jax.nn.log_sigmoid(point), jax.nn.log_sigmoid(-point)
-            return jnp.sum(alpha * up + beta * down) - constant
-
-        return jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
+        return log_density_of_logits(self.alpha, self.beta, jnp.asarray(points))
 
     def parts(self, point: jax.Array) -> tuple[RootPoint, Pose]:
         """The root and the pose at one point `(d,)` of R^d; what no seen joint depends on is in the

@@ -24,7 +24,7 @@ import jax
 import numpy as np
 
 from inference.exact.loops.numbers import words_of
-from inference.exact.mixture import MAX_PROPOSALS
+from inference.exact.mixture import MAX_PROPOSALS, Progress
 from inference.exact.rates import Rate
 from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.roots.points import require_camera
@@ -48,13 +48,7 @@ from inference.uncertain.torsos import (
     proposal_of,
     torso_problem,
 )
-from inference.uncertain.weighted import (
-    NUM_ROOTS,
-    Progress,
-    WeightedRoots,
-    log_limbs,
-    require_number,
-)
+from inference.uncertain.weighted import NUM_ROOTS, WeightedRoots, log_limbs, require_number
 from probmodel.failures import BadInput
 from probmodel.faults import Faults
 from probmodel.pose import GroupDraws, Pose
@@ -289,10 +283,8 @@ def reject_roots(
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
     require_camera(posterior.detection)
     round_key, choice_key = jax.random.split(key)
-    rounds, rng = (
-        _Rounds(posterior, round_key, max_proposals),
-        np.random.default_rng(words_of(choice_key)),
-    )
+    rounds = _Rounds(posterior, round_key, max_proposals)
+    rng = np.random.default_rng(words_of(choice_key))
     log_bound = _bound(rounds, num_roots)
     weights, parts, attempts, held = [np.zeros(0)], [], 0, 0
     if math.isfinite(log_bound):

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import jax
 
-from inference.exact.mixture import MAX_PROPOSALS
+from inference.exact.mixture import MAX_PROPOSALS, Progress
 from inference.uncertain import rejection, weighted
-from inference.uncertain.weighted import NUM_ROOTS, Progress, WeightedRoots
+from inference.uncertain.weighted import NUM_ROOTS, WeightedRoots
 from probmodel.uncertain import UncertainPosterior
 
 WEIGHTED, REJECTION = "weighted-roots", "rejection"

@@ -11,14 +11,14 @@ are draws of the posterior. How far a number of roots is from there, the effecti
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
 import numpy as np
 
 from inference.exact.loops.numbers import words_of
-from inference.exact.mixture import MAX_PROPOSALS
+from inference.exact.mixture import MAX_PROPOSALS, Progress
 from inference.exact.rates import Budget
 from inference.resampling import times
 from inference.results import COMPLETE, OUT_OF_BUDGET
@@ -40,7 +40,6 @@ FEWEST_EFFECTIVE = 20
 """Effective roots below which draws are no answer: an interval would rest on one or two of them."""
 APART = 2
 """Effective roots for every draw that counts as independent of the others."""
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -82,7 +82,7 @@ def _radius(person: Detection, estimation: Estimation, model: PoseModel) -> np.n
         frame = estimation.estimate(person, model)
     except BadInput:
         return None
-    spread = frame.likelihood.spread(person, float(frame.candidates[0].camera.scale))
+    spread = frame.likelihood.spread(person, float(frame.best.camera.scale))
     return np.where(np.isfinite(spread), frame.likelihood.law.reach * spread, np.nan)
 
 

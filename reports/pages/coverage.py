@@ -150,7 +150,7 @@ def misses(work: Path, data: Path, labels: Sequence[str]) -> list[Exclusion]:
 
 
 def _miss(title: str, case: Case, instance: Instance, why: list[Reason], label: str) -> Exclusion:
-    candidate = instance.frame.candidates[0]
+    candidate = instance.frame.best
     joints = hung(case, candidate) * float(candidate.camera.scale)
     pixels = joints + np.append(np.asarray(candidate.camera.translation), 0.0)
     first = sorted(why, key=lambda reason: reason.label != label)

@@ -84,7 +84,7 @@ def study(model: PoseModel, poses: np.ndarray, seed: int) -> list[Row]:
     rows = []
     for number, joints in enumerate(poses):
         truth = motion_scene(joints, rng.uniform(0, 360), rng.uniform(-20, 20), seed + number)
-        true = facing_of(joints, np.asarray(truth.candidates[0].camera.rotation))
+        true = facing_of(joints, np.asarray(truth.best.camera.rotation))
         detection = disturbed(truth.detection, rng)
         frame = inference.estimate_torso(detection, torsos=np.asarray(model.torsos))
         result = inference.sample(
@@ -97,7 +97,7 @@ def study(model: PoseModel, poses: np.ndarray, seed: int) -> list[Row]:
                 candidates=len(frame.candidates),
                 share=float(result.tree["constant_data"].weight.values[nearest]),
                 complete=result.status == COMPLETE,
-                apart=angle(frame.candidates[0].facing, frame.candidates[-1].facing),
+                apart=angle(frame.best.facing, frame.candidates[-1].facing),
                 first=nearest == 0,
             )
         )

@@ -18,10 +18,10 @@ import xarray as xr
 from inference.machines import HERE
 from inference.results import FIXED, UNCERTAIN, save_tree
 from inference.studies.calibration.coverage import CoverageSummary, summary
-from inference.studies.calibration.exclusions import Reason, as_text, exclusions
+from inference.studies.calibration.exclusions import Reason, exclusions
 from inference.studies.calibration.posteriors import sampler_of
 from inference.studies.calibration.real import TRUE, instances
-from inference.studies.calibration.record import standings_tree
+from inference.studies.calibration.record import case_columns, standings_tree
 from inference.studies.calibration.run import stand
 from inference.studies.calibration.simulations import Instance
 from inference.studies.evaluation.conditions import Condition, conditions
@@ -47,38 +47,51 @@ from reports.tables import Sheet, sheet_of
 from reports.tables.coverage import reasons_table, settings_table, share
 from reports.tables.evaluation import RELATIONS_CAPTION, relations_table
 
-POSES, DRAWS, ROOTS = 48, 1000, 1000
+POSES, ROOTS = 48, 1000
 BUDGET = 100_000_000
 NEAREST = 8
 """So many of the dictionary's torsos are laid on the true one."""
 FRAMES = 160
 """Of the paper's relations."""
 ESTIMATOR = "akhter-black"
-MARGINS = (*((TRUE, margin) for margin in (1.0, 1.5, 2.0, 3.0)), (UNCERTAIN, 2.0))
-"""Torso and camera, and how many times the usual margins limits have."""
-MARGIN_DRAWS = 500
 LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
 
 
-class Way(NamedTuple):
-    """One way to a posterior: torso and camera (the true ones, an estimator's, or uncertain), and
-    the name of the error law."""
+class Given(NamedTuple):
+    """What a posterior is given: torso and camera (the true ones, an estimator's, or uncertain),
+    the name of the error law, and how many times the usual margins its limits have; and the number
+    of draws that stand for it."""
 
     root: str
-    errors: str
+    errors: str = "Gaussian"
+    margin: float = 1.0
+    draws: int = 500
+
+    @property
+    def kind(self) -> str:
+        """Whether the root is fixed or uncertain."""
+        return UNCERTAIN if self.root == UNCERTAIN else FIXED
 
     @property
     def path(self) -> str:
         """Where it is kept."""
-        return f"motion-{self.root}-{self.errors}.nc".lower()
+        return f"motion-{self.root}-{self.errors}-{self.margin:g}-{self.draws}.nc".lower()
 
 
-WAYS = (
-    Way("dictionary", "disc"),
-    Way(UNCERTAIN, "disc"),
-    Way(UNCERTAIN, "Gaussian"),
-    Way(TRUE, "disc"),
-    Way(TRUE, "Gaussian"),
+KNOWN = Given(TRUE, "disc", draws=1000)
+FREE = KNOWN._replace(root=UNCERTAIN)
+BOTH = FREE._replace(errors="Gaussian")
+"""Neither the root nor that a disc holds every error is taken for granted."""
+BY_LAW = (
+    KNOWN._replace(root="dictionary"),
+    FREE,
+    BOTH,
+    KNOWN,
+    KNOWN._replace(errors="Gaussian"),
+)
+BY_MARGIN = (
+    *(Given(TRUE, margin=margin) for margin in (1.0, 1.5, 2.0, 3.0)),
+    Given(UNCERTAIN, margin=2.0),
 )
 
 
@@ -87,29 +100,24 @@ def detections(held: Held) -> list[Case]:
     return list(from_motions(held.motions, "CMU", frames=POSES, noise=ERRORS["detector"]))
 
 
-def stood(work: Path, held: Held, way: Way) -> xr.DataTree:
-    """Where the truths stand among the draws, and why they are excluded where they are."""
-    path = work / way.path
+def stood(work: Path, data: Path, held: Held, given: Given) -> xr.DataTree:
+    """Where the truths stand among the draws, why they are excluded where they are, and the share
+    of all the people's poses that the limits allow."""
+    path = work / given.path
     if not path.exists():
-        some, likelihood = detections(held), LAWS[way.errors]
-        root = UNCERTAIN if way.root == UNCERTAIN else FIXED
-        known = instances(
-            some, held.model, TRUE if root == UNCERTAIN else way.root, likelihood=likelihood
+        model, some = with_margin(work, data, held, given.margin), detections(held)
+        likelihood = LAWS[given.errors]
+        root = TRUE if given.root == UNCERTAIN else given.root
+        known = instances(some, model, root, likelihood=likelihood)
+        draw = sampler_of(
+            None, model, given.draws, max_proposals=BUDGET, root=given.kind, num_roots=ROOTS
         )
-        draw = sampler_of(None, held.model, DRAWS, max_proposals=BUDGET, root=root, num_roots=ROOTS)
-        columns = columns_of(some, excluded(held.model, some, known, root))
-        save_tree(standings_tree(stand(draw, known, seed=0), {}, columns), path)
-        print(way, flush=True)
+        columns = case_columns(some, excluded(model, some, known, given.kind))
+        check = model.limits.check(gather(held.motions).joints)
+        possible = {"possible": float(check.pose_valid.mean())}
+        save_tree(standings_tree(stand(draw, known, seed=0), possible, columns), path)
+        print(*given, flush=True)
     return read(path)
-
-
-def columns_of(cases: Sequence[Case], reasons: Sequence[list[Reason]]) -> dict[str, np.ndarray]:
-    """What `summary` wants to know of each case."""
-    return {
-        "recording": np.array([case.recording for case in cases]),
-        "unit_mm": np.array([case.unit for case in cases]),
-        "reasons": np.array([as_text(one) for one in reasons]),
-    }
 
 
 def excluded(
@@ -143,28 +151,10 @@ def laid(case: Case, model: PoseModel) -> tuple[Candidate, ...]:
     )
 
 
-def by_margins(work: Path, data: Path, held: Held, root: str, margin: float) -> xr.DataTree:
-    """As `stood`, with Gaussian errors, by limits with wider margins; with the share of all the
-    people's poses that these allow."""
-    path = work / f"motion-{root}-margin-{margin:g}.nc"
-    if not path.exists():
-        model, some = with_margin(work, data, held, margin), detections(held)
-        known = instances(some, model, TRUE, likelihood=LAWS["Gaussian"])
-        kind = FIXED if root == TRUE else root
-        draw = sampler_of(
-            None, model, MARGIN_DRAWS, max_proposals=BUDGET, root=kind, num_roots=ROOTS
-        )
-        columns = columns_of(some, excluded(model, some, known, kind))
-        tree = standings_tree(stand(draw, known, seed=0), {}, columns)
-        check = model.limits.check(gather(held.motions).joints)
-        tree.attrs["possible"] = float(check.pose_valid.mean())
-        save_tree(tree, path)
-        print(root, "margins", margin, flush=True)
-    return read(path)
-
-
 def with_margin(work: Path, data: Path, held: Held, margin: float) -> PoseModel:
-    """The model learned from everybody else, with wider margins."""
+    """The model learned from everybody else, with wider margins where they are not the usual."""
+    if margin == 1:
+        return held.model
     path = work / f"limits-{margin:g}.npz"
     if not path.exists():
         rest = others(data, {motion.subject for motion in held.motions})
@@ -172,15 +162,15 @@ def with_margin(work: Path, data: Path, held: Held, margin: float) -> PoseModel:
     return PoseModel.from_anatomy(Anatomy.load(path))
 
 
-def margins_table(trees: dict[tuple[str, float], xr.DataTree]) -> Sheet:
+def margins_table(trees: dict[Given, xr.DataTree]) -> Sheet:
     """What wider margins bring and cost."""
     rows = []
-    for (root, margin), tree in trees.items():
+    for given, tree in trees.items():
         found = summary(tree)
         rows.append(
             (
-                root,
-                f"{margin:g}",
+                given.root,
+                f"{given.margin:g}",
                 f"{tree.attrs['possible']:.0%}",
                 share(found.excluded),
                 share(found.covered["lateral", 0.95]),
@@ -217,10 +207,9 @@ def compared(work: Path, data: Path) -> Values:
     }
 
 
-def widths(found: dict[Way, CoverageSummary]) -> Values:
-    """How much wider depth is than where the root is known, and how much of what was excluded is
-    possible now."""
-    known, free = found[Way(TRUE, "disc")], found[Way(UNCERTAIN, "disc")]
+def widths(found: dict[Given, CoverageSummary]) -> Values:
+    """How much wider intervals are, in depth and across, than where the root is known."""
+    known, free = found[KNOWN], found[FREE]
     return {
         "wider": f"{100 * (free.depth / known.depth - 1):.0f} %",
         "wider_across": f"{100 * (free.lateral / known.lateral - 1):.0f} %",
@@ -232,23 +221,23 @@ def main(data: Path, work: Path) -> None:
     in_doubles()
     work.mkdir(parents=True, exist_ok=True)
     held = hold_out(work, data)
-    trees = {way: stood(work, held, way) for way in WAYS}
-    found = {way: summary(tree) for way, tree in trees.items()}
-    gaussian = found[Way(UNCERTAIN, "Gaussian")]
+    trees = {given: stood(work, data, held, given) for given in (*BY_LAW, *BY_MARGIN)}
+    found = {given: summary(trees[given]) for given in BY_LAW}
+    named = {given[:2]: one for given, one in found.items()}
     values: Values = {
-        "table": settings_table(found.items(), ("torso and camera", "error law")),
-        "reasons": reasons_table(gaussian.reasons, gaussian.size),
+        "table": settings_table(named.items(), ("torso and camera", "error law")),
+        "reasons": reasons_table(found[BOTH].reasons, found[BOTH].size),
         "poses": POSES,
         "roots": ROOTS,
         "nearest": NEAREST,
-        "margins": margins_table({one: by_margins(work, data, held, *one) for one in MARGINS}),
+        "margins": margins_table({given: trees[given] for given in BY_MARGIN}),
         **widths(found),
         **compared(work, data),
     }
     curves = {
-        ", ".join(way): tree["simulation"].to_dataset()
-        for way, tree in trees.items()
-        if way.errors == "disc" or way.root == UNCERTAIN
+        ", ".join(given[:2]): trees[given]["simulation"].to_dataset()
+        for given in BY_LAW
+        if given.errors == "disc" or given == BOTH
     }
     write_page("motion", values, {"motion": coverage_figure(curves)})
 

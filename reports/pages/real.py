@@ -19,10 +19,10 @@ from inference.hypothesis import grid_poses
 from inference.results import save_tree
 from inference.roots import ESTIMATORS
 from inference.studies.calibration.choices import CHOOSE, GRID, WAYS, best_error, modes_represented
-from inference.studies.calibration.exclusions import as_text, exclusions
+from inference.studies.calibration.exclusions import exclusions
 from inference.studies.calibration.posteriors import sampler_of
 from inference.studies.calibration.real import TRUE, by_the_likelihood, instances
-from inference.studies.calibration.record import standings_tree
+from inference.studies.calibration.record import case_columns, standings_tree
 from inference.studies.calibration.run import stand
 from probmodel import Likelihood, PoseModel
 from probmodel.anatomy.population import Anatomy
@@ -120,14 +120,9 @@ def _stand(
     settings = {} if estimator == TRUE else {"poses": dictionary}
     likelihood = Likelihood(factor=factor)
     known = instances(some, model, estimator, likelihood=likelihood, **settings)
-    columns = {
-        "recording": np.array([case.recording for case in some]),
-        "unit_mm": np.array([case.unit for case in some]),
-        "reasons": np.array([as_text(one) for one in exclusions(model, some, known)]),
-    }
     draw = sampler_of("rejection", model, REAL_DRAWS, max_proposals=BUDGET)
-    standings = stand(draw, known, seed=0)
-    return standings_tree(standings, {}, columns)
+    columns = case_columns(some, exclusions(model, some, known))
+    return standings_tree(stand(draw, known, seed=0), {}, columns)
 
 
 def choices(work: Path, data: Path) -> None:

@@ -1,9 +1,9 @@
 """Whether the posterior of torso, camera and pose together means what it says: writes
 reports/whole.md.
 
-    python -m reports.pages.whole WORK
+    python -m reports.pages.whole work
 
-A thousand simulations from the model itself, some two hours on one core; the folder WORK keeps what
+A thousand simulations from the model itself, some two hours on one core; `work` keeps what
 is done, and a run that was stopped goes on there.
 """
 
@@ -44,9 +44,8 @@ def simulated(work: Path) -> xr.Dataset:
     return tree["simulation"].to_dataset()
 
 
-def roots_table(simulation: xr.Dataset) -> Sheet:
+def roots_table(tests: xr.Dataset) -> Sheet:
     """The tests of what a root is made of: p-values, and those corrected for all questions."""
-    tests = judge(simulation).tests
     asked = [name for name in OF_ROOT if name in tests.quantity.values]
     rows = []
     for name in asked:
@@ -71,7 +70,7 @@ def main(work: Path) -> None:
         "middle": int(np.median(number)),
         "sentence": f"{verdict.verdict}: {verdict.sentence}",
         "families": families_table({"weighted roots": verdict}),
-        "of_root": roots_table(right),
+        "of_root": roots_table(verdict.tests),
     }
     write_page("whole", values, {"whole": ranks_figure(right)})
 

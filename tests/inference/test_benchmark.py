@@ -35,7 +35,7 @@ from inference.benchmark.draws import Blocks, blocks_of, exact_block
 from inference.benchmark.guests import GUESTS
 from inference.benchmark.programs import in_jax
 from inference.benchmark.references import SHIPPED, sample_at, shipped_points
-from inference.benchmark.root import FixedRoot
+from inference.benchmark.root import GivenRoot
 from inference.benchmark.target import CUBE_DIM, FrozenTarget
 from inference.benchmark.verdicts import exact_sample
 from inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
@@ -49,7 +49,7 @@ from tests.wrong_samplers import DenseAdaptiveKernel, HalfUpdatedAIES
 
 ROOT = Path(__file__).parents[2]
 TARGETS = tuple(benchmark.targets())
-FIXED = tuple(name for name in TARGETS if isinstance(benchmark.load(name).root, FixedRoot))
+FIXED = tuple(name for name in TARGETS if isinstance(benchmark.load(name).root, GivenRoot))
 """Those with one torso and camera; the others have tests of their own beside these."""
 AGREEMENT = 1e-10
 ODDS = 1e-4
@@ -385,7 +385,7 @@ def off(name: str, points: np.ndarray) -> tuple[float, float]:
 def test_blocks_are_drawn_to_the_same_bits_and_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(draws.BLOCKS, ("disc", FixedRoot), Blocks(500, 20, 4))
+    monkeypatch.setitem(draws.BLOCKS, ("disc", GivenRoot), Blocks(500, 20, 4))
     target = benchmark.load("single")
     first = exact_block(target, 0, tmp_path)
     assert first.points.shape == (500, 6)
@@ -397,8 +397,12 @@ def test_blocks_are_drawn_to_the_same_bits_and_kept(
     assert not draws.same_bits(target, tmp_path), "the reference's blocks are longer"
     blocked = tmp_path / "single-00.npz"
     assert draws.draw_block(target, 0).sha256 == exact_block(target, 0, blocked).sha256
-    points = benchmark.exact_points(target, 700, tmp_path)
+    steps: list[tuple[int, int]] = []
+    points = benchmark.exact_points(
+        target, 700, tmp_path, progress=lambda done, wanted: steps.append((done, wanted))
+    )
     assert np.array_equal(points[:500], first.points)
+    assert steps == [(500, 1000), (1000, 1000)]
     with pytest.raises(BadInput, match="single has 1 to 10,000 exact draws, not 10,001"):
         benchmark.exact_points(target, 500 * 20 + 1, tmp_path)
 

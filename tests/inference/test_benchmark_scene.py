@@ -23,14 +23,15 @@ from inference import benchmark
 from inference.benchmark import draws
 from inference.benchmark.anatomy import FrozenAnatomy
 from inference.benchmark.draws import Blocks, draw_block
-from inference.benchmark.programs import in_jax, model_of
+from inference.benchmark.programs import frozen_model, in_jax, model_of
 from inference.benchmark.references import sample_at, shipped_points
-from inference.benchmark.root import UncertainRoot, fractions_of, rotations
+from inference.benchmark.root import BoxedRoot, fractions_of, rotations
 from inference.benchmark.target import FrozenTarget
 from inference.benchmark.uncertain import UncertainTarget
 from inference.studies.comparison.judge import AGREES, DIFFERS
 from inference.studies.comparison.sample import NAMES, ROOT_NAMES
 from inference.uncertain.torsos import torso_problem
+from probmodel.failures import BadInput
 from probmodel.faults import Faults
 from probmodel.model import PoseModel
 from probmodel.roots import RootPoint
@@ -39,7 +40,7 @@ from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from probmodel.uncertain import UncertainPosterior
 
 UNCERTAIN_ROOT = tuple(
-    name for name, one in benchmark.targets().items() if isinstance(one.root, UncertainRoot)
+    name for name, one in benchmark.targets().items() if isinstance(one.root, BoxedRoot)
 )
 LAWS = ("disc", "gaussian")
 AGREEMENT = 1e-10
@@ -53,8 +54,8 @@ def scene(law: str) -> FrozenTarget:
     return dataclasses.replace(benchmark.load("scene"), law=law)
 
 
-def root_of(target: FrozenTarget) -> UncertainRoot:
-    assert isinstance(target.root, UncertainRoot)
+def root_of(target: FrozenTarget) -> BoxedRoot:
+    assert isinstance(target.root, BoxedRoot)
     return target.root
 
 
@@ -68,11 +69,18 @@ def uncertain(target: FrozenTarget, model: PoseModel | None = None) -> Uncertain
 def test_a_scene_is_a_body_a_torso_and_a_camera() -> None:
     target = benchmark.load("scene")
     assert target.dim == 30, "29, and the torso"
-    assert target.coordinates[-7:] == UncertainRoot.coordinates
+    assert target.coordinates[-7:] == BoxedRoot.coordinates
     assert list(target.seen[:6]) == list(TORSO_INDEX)
     assert len(target.seen) == NUM_JOINTS
     torsos = np.asarray(model_of(target).torsos)
     assert np.array_equal(np.sort(torsos, axis=0), np.sort(FrozenAnatomy.default().torsos, axis=0))
+
+
+def test_a_scene_has_no_root_to_hold_fixed() -> None:
+    frame = benchmark.estimate(benchmark.load("scene"))
+    for ask in (lambda: frame.observation, lambda: frame.posterior(frozen_model())):
+        with pytest.raises(BadInput, match=r"scene.*no torso and camera to hold fixed; take"):
+            ask()
 
 
 def turned(turns: np.ndarray) -> np.ndarray:
@@ -283,9 +291,11 @@ def test_all_of_the_posterior_is_in_the_box(name: str) -> None:
 def test_blocks_are_drawn_to_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(draws, "PILOT", 100)
     target = benchmark.load("scene")
-    monkeypatch.setitem(draws.BLOCKS, (target.law, UncertainRoot), Blocks(20, 10, 1))
-    first = draw_block(target, 0)
+    monkeypatch.setitem(draws.BLOCKS, (target.law, BoxedRoot), Blocks(20, 10, 1))
+    steps: list[tuple[int, int]] = []
+    first = draw_block(target, 0, lambda done, wanted: steps.append((done, wanted)))
     assert first.points.shape == (20, 30)
+    assert steps[-1] == (20, 20)
     assert np.isfinite(target.log_density(first.points)).all()
     assert draw_block(target, 0).sha256 == first.sha256
     assert draw_block(target, 1).sha256 != first.sha256
@@ -303,7 +313,7 @@ def small_case() -> FrozenTarget:
     like = benchmark.load("scene")
     seen = np.isin(np.arange(NUM_JOINTS), [JOINT_INDEX[name] for name in SEEN])
     corner = like.seen_at[JOINT_INDEX["pelvis"]]
-    root = UncertainRoot(
+    root = BoxedRoot(
         FrozenAnatomy.default().torsos[[0, 17, 40]],
         np.array([75.0, 130.0]),
         np.stack([corner - 80, corner + 80]),
@@ -318,7 +328,7 @@ def test_evidence_and_moments_by_plain_monte_carlo(monkeypatch: pytest.MonkeyPat
     engine, whose priors have no bounds; with every factor of the scale twice it is found out."""
     target = small_case()
     monkeypatch.setattr(draws, "PILOT", 200)
-    monkeypatch.setitem(draws.BLOCKS, (target.law, UncertainRoot), Blocks(1000, 10, 1))
+    monkeypatch.setitem(draws.BLOCKS, (target.law, BoxedRoot), Blocks(1000, 10, 1))
     block = draw_block(target, 0)
     assert 300 < len(block.points) < 980, "some lie outside of the box"
     rng, number, parts = np.random.default_rng(6), 2_000_000, []

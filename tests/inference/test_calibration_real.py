@@ -43,7 +43,7 @@ from inference.studies.calibration.real import (
     instances,
     true_candidate,
 )
-from inference.studies.calibration.record import standings_tree
+from inference.studies.calibration.record import case_columns, standings_tree
 from inference.studies.calibration.run import cover, stand
 from inference.studies.calibration.simulations import Instance
 from inference.studies.intervals import resampled
@@ -296,11 +296,7 @@ def test_poses_of_the_model_are_covered(model: PoseModel, cases: list[Case]) -> 
     assert len(some) > 8
     known = instances(some, model, TRUE)
     standings = stand(sampler_of("rejection", model, 100), known, seed=0)
-    columns = {
-        "recording": np.array([case.recording for case in some]),
-        "unit_mm": np.array([case.unit for case in some]),
-        "reasons": np.array([as_text(one) for one in exclusions(model, some, known)]),
-    }
+    columns = case_columns(some, exclusions(model, some, known))
     found = summary(standings_tree(standings, {}, columns))
     assert found.size == len(some)
     assert found.without_draws == 0

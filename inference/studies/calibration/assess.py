@@ -139,7 +139,7 @@ def assess(
         values = of_both(model, instance.frame.observation, both)
         level.update(zip(OF_MODEL, rank_level(values[0], values[1:], rng), strict=True))
     elif model is not None and posterior.points is not None:
-        points = _with_truth(instance.frame.candidates[0], posterior.points)
+        points = _with_truth(instance.frame.best, posterior.points)
         values = of_rooted(instance.frame.uncertain(model), points, both)
         level.update(zip(OF_MODEL, rank_level(values[0], values[1:], rng), strict=True))
         values = of_root(points)

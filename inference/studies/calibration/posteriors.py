@@ -87,7 +87,7 @@ def _drawn(draw: Drawer, index: int, instance: Instance, key: jax.Array) -> Answ
     draws = draw(instance.frame, key)
     joints = draws.joints
     if draws.points is None:  # candidates differ in scale: all in the first one's body units
-        scale = draws.scale / float(instance.frame.candidates[0].camera.scale)
+        scale = draws.scale / float(instance.frame.best.camera.scale)
         joints = joints * scale[:, None, None]
     return Answer(joints, draws.log_evidence, draws.status, draws.sentence, draws.points)
 

@@ -129,6 +129,6 @@ def instances(
             **settings,
         )
     return [
-        Instance(frame, (case.pixels - case.pixels[0]) / float(frame.candidates[0].camera.scale))
+        Instance(frame, (case.pixels - case.pixels[0]) / float(frame.best.camera.scale))
         for case, frame in zip(cases, frames, strict=True)
     ]

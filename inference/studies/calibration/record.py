@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from inference.studies.calibration.assess import Standing
+from inference.studies.calibration.exclusions import Reason, as_text
 from inference.studies.calibration.quantities import (
     MOVING_NAMES,
     OF_BOTH,
@@ -20,6 +21,7 @@ from inference.studies.calibration.quantities import (
 )
 from inference.studies.calibration.simulations import Instance
 from inference.studies.flips import FLIPPING
+from probmodel.datasets import Case
 from probmodel.observation import Observation
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS, TORSO_JOINTS
 
@@ -67,6 +69,18 @@ def standings_table(
     }
     data |= {name: (("simulation",), column) for name, column in (columns or {}).items()}
     return xr.Dataset(data, coords=coords)
+
+
+def case_columns(
+    cases: Sequence[Case], reasons: Sequence[Sequence[Reason]]
+) -> dict[str, np.ndarray]:
+    """The further variables of real poses: the recording, the body unit in mm, and why the truth is
+    excluded, where it is."""
+    return {
+        "recording": np.array([case.recording for case in cases]),
+        "unit_mm": np.array([case.unit for case in cases]),
+        "reasons": np.array([as_text(one) for one in reasons]),
+    }
 
 
 def levels(simulation: xr.Dataset) -> xr.Dataset:

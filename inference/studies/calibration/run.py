@@ -30,7 +30,7 @@ from inference.sampler import MAX_PROPOSALS
 from inference.store import Block, Groups, Store, fill, locked
 from inference.studies.calibration import real
 from inference.studies.calibration.assess import Standing, assess
-from inference.studies.calibration.exclusions import as_text, exclusions
+from inference.studies.calibration.exclusions import exclusions
 from inference.studies.calibration.posteriors import (
     FromFile,
     Sampler,
@@ -38,7 +38,7 @@ from inference.studies.calibration.posteriors import (
     sampler_of,
 )
 from inference.studies.calibration.quantities import QUANTITIES
-from inference.studies.calibration.record import coverage_tree, standings_table
+from inference.studies.calibration.record import case_columns, coverage_tree, standings_table
 from inference.studies.calibration.simulations import BLOCK, Instance, simulate
 from inference.uncertain.routes import WEIGHTED
 from probmodel.datasets import Case
@@ -254,12 +254,7 @@ class _Covered:
         known = real.instances(cases, self.model, self.estimator, likelihood=self.likelihood)
         found = stand(self.draw, known, self.seed, first)
         reasons = exclusions(self.model, cases, known, self.root)
-        columns = {
-            "recording": np.array([case.recording for case in cases]),
-            "unit_mm": np.array([case.unit for case in cases]),
-            "reasons": np.array([as_text(one) for one in reasons]),
-        }
-        return {GROUP: standings_table(found, first, columns)}
+        return {GROUP: standings_table(found, first, case_columns(cases, reasons))}
 
 
 def stand(
@@ -292,9 +287,7 @@ def references(instances: Sequence[Instance], estimator: str) -> list[np.ndarray
     found = []
     for instance, frame in zip(instances, frames, strict=True):
         assert frame.pose is not None
-        unit = float(frame.candidates[0].camera.scale) / float(
-            instance.frame.candidates[0].camera.scale
-        )
+        unit = float(frame.best.camera.scale) / float(instance.frame.best.camera.scale)
         found.append(frame.pose * unit)
     return found
 

@@ -14,8 +14,8 @@ def run(settings: BenchmarkDrawsSettings, screen: Screen) -> None:
     from inference.benchmark import exact_points, load, reference, same_bits
 
     target = load(settings.target)
-    with console.progress(f"exact draws of {target.name}", screen.quiet):
-        points = exact_points(target, settings.num_samples)
+    with console.progress(f"exact draws of {target.name}", screen.quiet) as step:
+        points = exact_points(target, settings.num_samples, progress=step)
     known = reference(target.name)
     evidence = {"log_evidence": known.log_evidence, "log_evidence_se": known.log_evidence_se}
     with replacing(settings.out) as partial, partial.open("wb") as file:

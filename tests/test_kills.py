@@ -34,11 +34,13 @@ def test_other_bits_and_leftovers_are_found(tmp_path: Path) -> None:
         folder.mkdir()
         np.savez(folder / "a.npz", a=np.arange(3.0))
         (folder / "b.txt").write_text("text")
+        (folder / "d.html").write_text(f"300 draws in 0.{len(folder.name)} s")
     wanted = kills.content(whole)
     assert kills.difference(kills.content(other), wanted) == ""
     np.savez(other / "a.npz", a=np.array([0.0, 1.0, np.nextafter(2.0, 3.0)]))
     (other / "b.txt").unlink()
+    (other / "d.html").write_text("299 draws in 0.5 s")
     (other / "c.partial").write_text("")
     assert kills.difference(kills.content(other), wanted) == (
-        "lacks ['b.txt']; holds beside ['c.partial']; holds otherwise ['a.npz']"
+        "lacks ['b.txt']; holds beside ['c.partial']; holds otherwise ['a.npz', 'd.html']"
     )

@@ -19,20 +19,16 @@ import numpy as np
 from inference.benchmark.anatomy import FrozenAnatomy
 from inference.benchmark.catalogue import CHECKSUMS, load, targets
 from inference.benchmark.draws import measured, shipped_file
-from inference.studies.scenes import ALL_BUT_AN_ARM, prior_scene
+from inference.studies.scenes import ALL_BUT_AN_ARM, foreshortened, low_scores, prior_scene
 from probmodel.files import replacing
 from probmodel.likelihood import Gaussian
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
-from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
+from probmodel.skeleton import GROUPS, JOINTS, TORSO_INDEX
 
 DATA = Path(__file__).with_name("data")
-HARDLY = 0.25
-"""A low score."""
 SMALL = 0.08
 """The factor of tiny discs."""
-FORESHORTENED = range(100, 140)
-"""Seeds among which the scene is looked for whose limbs point most along the camera's axis."""
 PICTURE = (640, 480)
 """Pixels: in which the pelvis lies where the camera is uncertain."""
 SCALES = (50.0, 200.0)
@@ -46,29 +42,6 @@ def all_but(group: str) -> tuple[str, ...]:
     """The limb joints, and the head, of the other groups."""
     others = (limb for name, limbs in GROUPS.items() if name != group for limb in limbs)
     return tuple(JOINTS[bone.end] for limb in others for bone in limb.bones)
-
-
-def low_scores() -> np.ndarray:
-    """`(15,)`: wrists and ankles hardly seen, so that their discs are the widest."""
-    score = np.full(NUM_JOINTS, 0.8)
-    ends = (f"{side}_{end}" for side in ("left", "right") for end in ("wrist", "ankle"))
-    score[[JOINT_INDEX[end] for end in ends]] = HARDLY
-    return score
-
-
-def foreshortened(model: PoseModel) -> Estimate:
-    """The scene whose seen limbs point most along the camera's axis."""
-    pairs = [("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")]
-    starts, ends = (
-        [JOINT_INDEX[f"{side}_{pair[end]}"] for side in ("left", "right") for pair in pairs]
-        for end in (0, 1)
-    )
-
-    def apparent(frame: Estimate) -> float:
-        keypoints = frame.detection.keypoints
-        return float(np.linalg.norm(keypoints[ends] - keypoints[starts], axis=1).sum())
-
-    return min((prior_scene(model, seed) for seed in FORESHORTENED), key=apparent)
 
 
 def _scene(seed: int, **options: Any) -> Scene:

@@ -27,6 +27,10 @@ from probmodel.transport import CUBE_DIM, from_cube
 CENTRE = (320.0, 240.0)
 """Pixels: where the pelvis is seen."""
 SCORE = 0.8
+HARDLY = 0.25
+"""A low score."""
+FORESHORTENED = range(100, 140)
+"""Seeds of the scenes among which `foreshortened` chooses."""
 ALL_BUT_AN_ARM = (
     "head",
     "left_elbow",
@@ -113,6 +117,29 @@ def prior_scene(model: PoseModel, seed: int, **options: Any) -> Estimate:
     joints = np.asarray(model.joints(torso, *pose))
     view = camera(rng.uniform(0, 360), rng.uniform(-30, 30))
     return scene(torso, view, joints, rng=rng, **options)
+
+
+def low_scores() -> np.ndarray:
+    """`(15,)`: wrists and ankles hardly seen, so that their discs are the widest."""
+    score = np.full(NUM_JOINTS, SCORE)
+    ends = (f"{side}_{end}" for side in ("left", "right") for end in ("wrist", "ankle"))
+    score[[JOINT_INDEX[end] for end in ends]] = HARDLY
+    return score
+
+
+def foreshortened(model: PoseModel) -> Estimate:
+    """Of forty scenes, the one whose seen limbs point most along the camera's axis."""
+    pairs = [("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")]
+    starts, ends = (
+        [JOINT_INDEX[f"{side}_{pair[end]}"] for side in ("left", "right") for pair in pairs]
+        for end in (0, 1)
+    )
+
+    def apparent(frame: Estimate) -> float:
+        keypoints = frame.detection.keypoints
+        return float(np.linalg.norm(keypoints[ends] - keypoints[starts], axis=1).sum())
+
+    return min((prior_scene(model, seed) for seed in FORESHORTENED), key=apparent)
 
 
 def motion_scene(

@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
-import numpy as np
 import xarray as xr
 
 from inference.baselines.catalogue import BASELINES
@@ -23,9 +22,8 @@ from inference.exact.mixture import draw_mixture
 from inference.results import save_tree
 from inference.studies.comparison import comparison_tree, contest
 from inference.studies.comparison.record import Entry
-from inference.studies.scenes import ALL_BUT_AN_ARM, prior_scene
+from inference.studies.scenes import ALL_BUT_AN_ARM, foreshortened, low_scores, prior_scene
 from probmodel import Estimate, PoseModel
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from reports.pages.page import in_doubles
 
 CHECK = "one arm seen"
@@ -38,34 +36,7 @@ CLOCK = time.process_time
 PATIENCE = {"nuts": 15, "hmc": 15, "ess": 4, "smc": 8, "nss": 32, "nautilus": 12}
 """Times as long as the others these may take: they have nothing before a long warm-up, or before
 they have come from the prior to the posterior."""
-HARDLY = 0.25
-"""A low score."""
 WORK = Path("build") / "samplers"
-
-
-def low_scores() -> np.ndarray:
-    """Wrists and ankles hardly seen: their discs are the widest."""
-    score = np.full(NUM_JOINTS, 0.8)
-    ends = (f"{side}_{end}" for side in ("left", "right") for end in ("wrist", "ankle"))
-    score[[JOINT_INDEX[end] for end in ends]] = HARDLY
-    return score
-
-
-def foreshortened(model: PoseModel) -> Estimate:
-    """Of forty scenes, the one whose seen limbs point most along the camera's axis."""
-
-    pairs = [("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")]
-    starts, ends = (
-        [JOINT_INDEX[f"{side}_{pair[end]}"] for side in ("left", "right") for pair in pairs]
-        for end in (0, 1)
-    )
-
-    def flatness(frame: Estimate) -> float:
-        keypoints = frame.detection.keypoints
-        return float(np.linalg.norm(keypoints[ends] - keypoints[starts], axis=1).sum())
-
-    return min((prior_scene(model, seed) for seed in range(100, 140)), key=flatness)
-
 
 SUITE: dict[str, Callable[[PoseModel], Estimate]] = {
     "4 joints missing": lambda model: prior_scene(

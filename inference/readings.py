@@ -1,9 +1,9 @@
 """Readings: was the file read as it was meant? A detection against its exchanged, mirrored and
 upside-down selves.
 
-`judge(detections)` weighs the people of a file under every reading and says, in sentences, where
-another explains them much better. The evidence is the model's, in a cheap form: the mean, over
-draws of the prior, of a smooth likelihood of each limb (standard error below 0.2 nats), × the
+`judge(detections, model)` weighs the people of a file under every reading and says, in sentences,
+where another explains them much better. The evidence is the model's, in a cheap form: the mean,
+over draws of the prior, of a smooth likelihood of each limb (standard error below 0.2 nats), × the
 misfit of the torso, × the face (`face`). What can be told and what cannot, with shares:
 reports/readings.md."""
 

@@ -1,7 +1,7 @@
 """Faults of a detector: a joint found somewhere else altogether, left and right exchanged.
 
 They are discrete: a detection has a pattern of faults, and under each pattern the likelihood is
-what it was without (`docs/model.md`, § 9). A keypoint is an *outlier* where it says next to nothing
+what it was without (docs/model.md § 9). A keypoint is an *outlier* where it says next to nothing
 of its joint: it lies anywhere within some body units of it. In an *exchange* the keypoints of one
 side stand under the names of the other.
 """

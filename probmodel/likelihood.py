@@ -2,7 +2,7 @@
 
 An `ErrorLaw` is the isotropic law of one joint's error in units of its spread; the paper's is
 `Disc`. A `Likelihood` gives every joint its spread (τ, from the detector's scores) and says which
-joints count. `Observation` is what a detection then says under one root; see `docs/model.md`, § 3.
+joints count. `Observation` is what a detection then says under one root; see docs/model.md § 3.
 
 To add a law, write one subclass of `ErrorLaw`: samplers propose within its `reach` and keep a draw
 with probability exp(`log_ratio`), so nothing else has to know it.

@@ -2,7 +2,7 @@
 
 `Posterior(model, likelihood, detection, roots)` owns the program, its mixture over roots and their
 weights; samplers, streams, studies and pictures ask it. `Estimate` is the same without the model,
-which is what an estimator makes of a detection. See `docs/model.md`, § 7; for roots that are not
+which is what an estimator makes of a detection. See docs/model.md § 7; for roots that are not
 held fixed, `uncertain` and § 9.
 """
 

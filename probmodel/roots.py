@@ -1,7 +1,7 @@
 """Roots: a torso in front of a camera, and the candidates among which an estimator cannot choose.
 
 Weak perspective leaves every torso a mirror twin (reflected in depth and turned) that projects to
-nearly the same points; the limbs tell the two apart (`docs/model.md`, § 6). Where the root is
+nearly the same points; the limbs tell the two apart (docs/model.md § 6). Where the root is
 uncertain, `RootPrior` says what is believed of it before anything was seen (§ 9).
 """
 

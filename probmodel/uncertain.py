@@ -1,4 +1,4 @@
-"""The posterior where torso and camera, the *root*, are uncertain too: `docs/model.md`, § 9.
+"""The posterior where torso and camera, the *root*, are uncertain too: docs/model.md § 9.
 
 `UncertainPosterior` owns the NumPyro program of root, pose and detection and its log joint density.
 Every seen joint that counts carries the same error law, the torso's as well as the limbs', and

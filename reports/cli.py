@@ -44,7 +44,7 @@ app = typer.Typer(
 
 
 GROUPS = {
-    "benchmark": typer.Typer(help="Frozen targets with exact draws, for who builds samplers.")
+    "benchmark": typer.Typer(help="Frozen targets with exact draws, for those who build samplers.")
 }
 """Commands that have commands of their own."""
 for _name, _group in GROUPS.items():

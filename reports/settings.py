@@ -586,7 +586,9 @@ class CalibrateSettings:
     out: Annotated[Path, Option(help="File to write; the picture lies beside it.")] = Path(
         "errors.json"
     )
-    law: Annotated[LearnedLaw, Option(help="Of errors that are no outliers.")] = LearnedLaw.gaussian
+    law: Annotated[
+        LearnedLaw, Option(help="Of errors that are no outliers; --errors takes gaussian.")
+    ] = LearnedLaw.gaussian
     perspective: Annotated[
         bool,
         Option(
@@ -660,5 +662,5 @@ class LearnSettings:
     )
     wider: Annotated[
         float,
-        Option(help="So many times the usual margin around what was seen is possible too."),
+        Option(help="Factor by which the usual margins around what was seen are widened."),
     ] = 1.0

@@ -48,8 +48,8 @@ COORDINATES = (
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """The posterior of the limbs, given one candidate: prior × indicator that every seen joint is
-    inside its disc. The usual way in is `of`.
+    """The posterior of the limbs, given one candidate: prior × likelihood over its peak; under
+    discs, the indicator that every seen joint is inside its own. The usual way in is `of`.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 """Exact rejection by strata: the fast way on a processor. `StratifiedGroup` is a `GroupSampler`.
 
 A group starts with few strata, and is cut finer as soon as the attempts still to be made cost more
-than the cutting (`docs/model.md`, § 4: set-up and acceptance trade against each other). Draws of
+than the cutting (docs/model.md § 4: set-up and acceptance trade against each other). Draws of
 every resolution are draws of the same posterior, so all are kept, and their rates are pooled."""
 
 import functools

@@ -1,4 +1,4 @@
-"""Which patterns of a detector's faults are tried (`docs/model.md`, § 9).
+"""Which patterns of a detector's faults are tried (docs/model.md § 9).
 
 The faults of the torso's keypoints are few: each of them is a stratum, with roots of its own. The
 others are drawn under each root from a proposal: how well draws of the prior, kept for all roots,

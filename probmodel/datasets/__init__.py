@@ -1,8 +1,8 @@
 """Data sets of poses whose truth is known, each with a 2D detection: one reader whatever the file.
 
-Motion capture (ASF/AMC, BVH, .npz of recordings) is seen by synthetic cameras, with true or noisy
-2D; Human3.6M comes with its own (VideoPose3D's two files), and so does a session of calibrated
-cameras, each judged by the others; a plain .npz holds anything else.
+Motion capture (ASF/AMC, BVH, TRC, C3D, .npz of recordings) is seen by synthetic cameras, with true
+or noisy 2D; Human3.6M comes with its own (VideoPose3D's two files), and so does a session of
+calibrated cameras, each judged by the others; a plain .npz holds anything else.
 
     data = read_data_set("actions_train.npz", frames=2000, noise=Noise("gaussian", 0.02))
     case = data.case(7).hiding(2).turned(30)     # a pose, its detection without two joints, turned

@@ -6,7 +6,7 @@ a torso and a rotation the likelihood is a Gaussian in (v, p) times exp(-χ²/2)
 least squares leave unexplained, and its widths are the same under all of them. An attempt draws a
 torso and a cell of rotations by a bound on its share, a rotation in it, v and p from the Gaussian,
 and passes with what the bound was too large by, if the joints lie within their reach. What passes
-is an exact draw (`docs/model.md`, § 9).
+is an exact draw (docs/model.md § 9).
 
 Bounds: χ is a distance from a subspace, so it changes by no more than the joints move; that is d at
 most in a cell. The density of v has a factor v^m, which lies below its tangent at a `star`, an

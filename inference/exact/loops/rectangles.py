@@ -3,7 +3,7 @@ whose area is dx dα.
 
 A bone of length 1 seen along the line of sight: x is what it moves across the line from its start
 to the disc's centre, √(1-x²) sin α along that line. Compiled, without branches; see
-`patches.patch_rectangle` for the same in JAX."""
+`tests.witnesses.patches.patch_rectangle` for the same in JAX."""
 
 import math
 

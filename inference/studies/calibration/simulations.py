@@ -6,7 +6,7 @@ holds torso and camera fixed they say nothing of the limbs, so that any law of t
 
 Where the root is uncertain it has to come from its prior: torso uniform, rotation by Haar's
 measure, or upright as the model believes. From flat priors of log scale and translation nothing can
-be drawn; but the posterior moves and grows with the image (`docs/model.md`, § 9), so any fixed
+be drawn; but the posterior moves and grows with the image (docs/model.md § 9), so any fixed
 scale and place will do for questions whose answers do the same.
 """
 

@@ -34,8 +34,21 @@ _CANDIDATE = {
 _SPREADS: dict[str, tuple[str, ...]] = {"scale_sd": (), "turn_sd": (), "num_torsos": ()}
 """What an uncertain root has besides."""
 _SIZES = {"joint": NUM_JOINTS, "axis": 3, "uv": 2, "body_axis": 3}
-_NUMBERS = ("num_proposals", "acceptance_rate", "log_evidence", "log_evidence_se", "wall_time_s")
+_COUNTS = ("num_proposals", "wall_time_s")
+_NUMBERS = (*_COUNTS, "acceptance_rate", "log_evidence", "log_evidence_se")
 _TEXTS = ("source", "sampler", "seed", "limits", "measures", "status")
+_MISSING = (
+    "observed_data/keypoints",
+    "constant_data/radius",
+    *(f"constant_data/{name}" for name in _SPREADS),
+)
+"""What is not a number where there is none."""
+_EVIDENCES = ("constant_data/log_evidence", "constant_data/log_evidence_se")
+"""What may be no number at all."""
+_TURNED = 1e-3
+"""How far a rotation's columns may be from orthonormal: files may be in single precision."""
+LONGEST_TEXT = 5000
+"""Characters of an attribute; the longest name of a file has 4,096."""
 
 
 def _variables(uncertain: bool) -> dict[str, tuple[str, ...]]:
@@ -94,6 +107,7 @@ def _tree(
             raise BadInput(f"{path} has {name} of shape {array.shape}; {ADVICE}")
         group, _, variable = name.partition("/")
         groups.setdefault(group, {})[variable] = (dims, _plain(array))
+        _require_numbers(name, groups[group][variable][1], path)
     _require_possible(groups, path)
     return xr.DataTree.from_dict(
         {
@@ -110,28 +124,46 @@ def _plain(array: np.ndarray) -> np.ndarray:
 
 
 def _require_possible(groups: dict[str, dict[str, Any]], path: str | os.PathLike) -> None:
-    """Raises `BadInput` where there is no draw, a joint of one is nowhere, or its candidate is none
-    of those listed."""
+    """Raises `BadInput` where there is no draw, its candidate is none of those listed, or these
+    have no camera."""
     posterior = {name: values for name, (_, values) in groups["posterior"].items()}
     candidates = len(groups["constant_data"]["weight"][1])
     if not posterior["joints"].size or not candidates:
         raise BadInput(
             f"{path} holds no draw; sample again, with more --max-proposals on the command line"
         )
-    if not all(
-        (np.abs(posterior[name]) <= LARGEST_NUMBER).all() for name in ("joints", "keypoints")
-    ):
-        raise BadInput(f"{path} has a joint that is not at a finite place; {ADVICE}")
     if not ((posterior["candidate"] >= 0) & (posterior["candidate"] < candidates)).all():
         raise BadInput(f"{path} has draws of candidates that it does not list; {ADVICE}")
+    known = {name: values for name, (_, values) in groups["constant_data"].items()}
+    turned = np.swapaxes(known["rotation"], 1, 2) @ known["rotation"] - np.eye(3)
+    if np.abs(turned).max() > _TURNED or (known["scale"] <= 0).any() or (known["weight"] < 0).any():
+        raise BadInput(f"{path} has a candidate with a camera or a weight that none has; {ADVICE}")
+
+
+def _require_numbers(name: str, values: np.ndarray, path: str | os.PathLike) -> None:
+    """Raises `BadInput` where there is something that such a variable cannot hold."""
+    possible = np.abs(values) <= LARGEST_NUMBER
+    if name in _EVIDENCES:
+        possible |= ~np.isfinite(values)
+    elif name in _MISSING:
+        possible |= np.isnan(values)
+    if not possible.all():
+        raise BadInput(f"{path} has {values[~possible][0]:g} in {name}; {ADVICE}")
 
 
 def _checked(attributes: Any, path: str | os.PathLike) -> dict[str, Any]:
-    """The attributes, with those that every result has. Raises `BadInput` where one is missing."""
+    """The attributes, with those that every result has. Raises `BadInput` where one is missing, or
+    cannot be."""
     kinds: dict[str, Any] = dict.fromkeys(_TEXTS, str) | dict.fromkeys(_NUMBERS, (int, float))
     if attributes.get("root") == UNCERTAIN:
         kinds |= dict.fromkeys(("num_roots", "effective_roots"), (int, float))
     for name, kind in (kinds | {"person": int}).items():
         if not isinstance(attributes.get(name), kind):
             raise BadInput(f"{path} does not say its {name}; {ADVICE}")
+    for name, value in attributes.items():
+        if isinstance(value, str) and len(value) > LONGEST_TEXT:
+            raise BadInput(f"{path} has {len(value):,} characters in its {name}; {ADVICE}")
+    for name in _COUNTS:
+        if not 0 <= attributes[name] < 1e18:  # false for NaN too
+            raise BadInput(f"{path} says {attributes[name]:g} of its {name}; {ADVICE}")
     return dict(attributes)

@@ -14,6 +14,7 @@ was made of, and a checksum, so that a block that is damaged, or not of this run
 import contextlib
 import dataclasses
 import datetime
+import errno
 import fcntl
 import hashlib
 import json
@@ -21,6 +22,7 @@ import logging
 import os
 import re
 import socket
+import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,8 +32,10 @@ import xarray as xr
 
 from inference.machines import Machines
 from inference.results import save_tree
+from probmodel.arrays import ArrayFile
+from probmodel.documents import read_json
 from probmodel.failures import BadInput
-from probmodel.files import replacing
+from probmodel.files import opened, replacing
 
 LOG = logging.getLogger("poseterior")
 SETTINGS, LOCK = "run.json", "run.lock"
@@ -125,11 +129,12 @@ class Store:
         """The numbers of the blocks. Raises `Damaged` where one is missing, of the first `least` or
         before another."""
         there = self.numbers()
-        missing = sorted(set(range(max([least - 1, *there]) + 1)) - set(there))
+        missing = max([least - 1, *there]) + 1 - len(there)
         if missing:
+            first = next((n for n, number in enumerate(there) if n != number), len(there))
             raise Damaged(
-                f"{self.folder} lacks {len(missing)} blocks, the first of them"
-                f" {self.path(missing[0]).name}; run again to make them"
+                f"{self.folder} lacks {missing} blocks, the first of them {self.path(first).name};"
+                " run again to make them"
             )
         return there
 
@@ -205,6 +210,7 @@ class Store:
         """Groups of a block (or one) and what is noted with them, both checked."""
         if not path.exists():
             raise Damaged(f"{path} is missing; run again to make it")
+        _require_block(path)
         try:
             with xr.open_datatree(path, engine="netcdf4") as tree:
                 wanted = tree.children if group is None else [group]
@@ -321,6 +327,8 @@ def _lock(path: Path) -> int:
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         try:
+            if not stat.S_ISREG(os.fstat(file).st_mode):
+                raise OSError(errno.EINVAL, f"{path.name} in it is no file")
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if path.exists() and os.path.samestat(os.fstat(file), os.stat(path)):
                 return file
@@ -330,18 +338,33 @@ def _lock(path: Path) -> int:
         os.close(file)  # whoever held it has just taken the file away
 
 
+def _require_block(path: Path) -> None:
+    """Raises `BadInput` where netCDF could wait for ever or fill the memory with what is there: a
+    store may be given by somebody else, to be shown. `Damaged` where it is no whole file."""
+    with opened(path, "block of a run", "delete it, and run again to make it anew") as file:
+        try:
+            ArrayFile(file, str(path)).require_credible()
+        except BadInput:
+            raise Damaged(
+                f"{path} is damaged, or no block of a run; delete it, and run again to make it anew"
+            ) from None
+
+
 def _holder(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")[:200] or "another process"
+        return path.read_bytes()[:200].decode("utf-8", "replace") or "another process"
     except OSError:
         return "another process"
 
 
 def _read_settings(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        return {"settings": dict(found["settings"]), "blocks": found["blocks"]}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        found = read_json(path, "settings of a run", "choose another folder")
+        settings, blocks = dict(found["settings"]), found["blocks"]
+        if blocks is not None and not (isinstance(blocks, int) and blocks >= 0):
+            raise ValueError
+        return {"settings": settings, "blocks": blocks}
+    except (BadInput, ValueError, KeyError, TypeError):
         raise BadInput(
             f"{path} cannot be read, or is not that of a run; choose another folder, or delete it"
         ) from None

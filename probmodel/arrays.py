@@ -103,6 +103,14 @@ class ArrayFile:
         self._require_budget(sum(info.file_size for info in chosen.values()), "its arrays")
         return {name: self._member(name, info) for name, info in chosen.items()}
 
+    def require_credible(self) -> None:
+        """Raises `BadInput` where something in an HDF5 file lies elsewhere or claims more than the
+        file can hold: for one that another library is going to read."""
+        self.require(HDF5)
+        chosen = self._datasets()
+        with self._hdf5_file() as file:
+            self._require_credible({name: file[name] for name in chosen})
+
     def shape(self) -> tuple[int, ...]:
         """The shape that an .npy's header declares; empty for other files, and for damaged ones."""
         if self.magic != NPY:
@@ -274,15 +282,22 @@ class ArrayFile:
         with self._hdf5_file() as file:
             items = {name: file[name] for name in chosen}
             for name, item in items.items():
-                _require_own(item, f"{name} of {self.source}")
-            weights = [
-                _weight(item.dtype, max(item.size, math.prod(item.chunks or ())))
-                for item in items.values()
-            ]
-            self._require_budget(sum(weights), "its arrays")
-            for name, item in items.items():
-                _require_honest(item, f"{name} of {self.source}")
+                _require_plain(item, f"{name} of {self.source}")
+            self._require_credible(items)
             return {name: np.asarray(item[()]) for name, item in items.items()}
+
+    def _require_credible(self, items: dict[str, Any]) -> None:
+        """Raises `BadInput` where a dataset lies elsewhere or claims more than the file can
+        hold."""
+        for name, item in items.items():
+            _require_own(item, f"{name} of {self.source}")
+        weights = [
+            _weight(item.dtype, max(item.size, math.prod(item.chunks or ())))
+            for item in items.values()
+        ]
+        self._require_budget(sum(weights), "its arrays")
+        for name, item in items.items():
+            _require_honest(item, f"{name} of {self.source}")
 
 
 def _header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype]:
@@ -335,13 +350,17 @@ def _weight(dtype: np.dtype, count: int) -> int:
     return count * (max(8, dtype.itemsize) if dtype.kind in "iub" else dtype.itemsize)
 
 
-def _require_own(item: Any, where: str) -> None:
-    """Raises `BadInput` unless an HDF5 dataset is one of plain entries of this very file."""
+def _require_plain(item: Any, where: str) -> None:
+    """Raises `BadInput` unless an HDF5 dataset is one of plain entries."""
     if item.dtype.kind not in "fiuSVb" or item.dtype.hasobject:
         raise BadInput(
             f"{where} holds {shown(str(item.dtype))}, not plain numbers; save it as an array of"
             " numbers."
         )
+
+
+def _require_own(item: Any, where: str) -> None:
+    """Raises `BadInput` unless an HDF5 dataset lies in this very file."""
     if item.external or item.is_virtual:
         raise BadInput(f"{where} lies in another file; copy it into this one.")
 

@@ -14,7 +14,6 @@ from probmodel.failures import BadInput, shown
 from probmodel.motion.recording import (
     CMU_RATE,
     INCH,
-    MOST_FRAMES,
     MOST_JOINTS,
     NUMBER,
     Motion,
@@ -23,6 +22,7 @@ from probmodel.motion.recording import (
     forward,
     positions,
     read_text,
+    require_frames,
 )
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 
@@ -257,8 +257,7 @@ def _parse_amc(path: Path, asf: Asf) -> dict[str, np.ndarray]:
             f"{path}: the recording is truncated, its last frame is not complete; cut that"
             " frame off"
         )
-    if len(lines) // block > MOST_FRAMES:
-        raise BadInput(f"{path} has more than {MOST_FRAMES:,} frames; split it into smaller files")
+    require_frames(len(lines) // block, len(asf.rig.names), path)
     body = np.array(lines, dtype=object).reshape(-1, block)
     expected = sum(widths) + 1
     stripped = [

@@ -11,7 +11,6 @@ from probmodel.detections import LARGEST_NUMBER
 from probmodel.failures import BadInput, shown
 from probmodel.motion.recording import (
     CMU_UNIT,
-    MOST_FRAMES,
     MOST_JOINTS,
     NUMBER,
     Motion,
@@ -20,6 +19,7 @@ from probmodel.motion.recording import (
     forward,
     positions,
     read_text,
+    require_frames,
 )
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 
@@ -89,6 +89,7 @@ def read_bvh(path: Path) -> list[Motion]:
     names = [joint.name for joint in joints]
     wanted = _bvh_wanted(names, path)
     rate, values = _parse_bvh_motion(motion, sum(len(joint.channels) for joint in joints), path)
+    require_frames(len(values), len(joints), path)
     rotations: list[Rotation | None] = []
     position = np.zeros((len(values), 3))
     offsets = [joint.offset for joint in joints]
@@ -175,6 +176,8 @@ def _parse_bvh_hierarchy(text: str, path: Path) -> list[_BvhJoint]:
                 )
     if stack or not joints:
         raise BadInput(f"{path}: the hierarchy is not closed, so the file is truncated or damaged")
+    if not any(joint.channels for joint in joints):
+        raise BadInput(f"{path}: no joint has CHANNELS, so nothing moves; export it with its motion")
     return joints
 
 
@@ -214,8 +217,6 @@ def _parse_bvh_motion(text: str, num_channels: int, path: Path) -> tuple[float, 
     values = floats(text[header.end() :])
     if values is None or not (np.abs(values) <= LARGEST_NUMBER).all():
         raise BadInput(f"{path}: a channel of the MOTION section is not a finite number")
-    if count > MOST_FRAMES:
-        raise BadInput(f"{path} has more than {MOST_FRAMES:,} frames; split it into smaller files")
     if count == 0 or values.size != count * num_channels:
         raise BadInput(
             f"{path}: {count} frames of {num_channels} channels are announced, but {values.size}"

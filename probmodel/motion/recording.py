@@ -28,6 +28,9 @@ GUARD = 0.05
 """Seconds before and after a jump that are not trusted."""
 MOST_JOINTS, MOST_FRAMES = 2000, 500_000
 """Of a skeleton, and of a recording in a text format: more than an hour at 120 Hz."""
+MOST_PLACES = 20_000_000
+"""Joints of a skeleton times frames of its recording. Joints that turn need more room than
+`LARGEST_TEXT` long before; those that never do need none in the file, but as much time."""
 LARGEST_TEXT, MOST_LINES = 200_000_000, 5_000_000
 """Bytes and lines of a text file of motion capture; the longest of the CMU originals has 25 million
 and 700,000."""
@@ -93,6 +96,17 @@ def read_text(path: Path) -> str:
     return data.decode("utf-8", errors="replace")
 
 
+def require_frames(count: int, joints: int, path: Path) -> None:
+    """Raises `BadInput` where a recording has more frames than can be, for so many joints."""
+    if count > MOST_FRAMES:
+        raise BadInput(f"{path} has more than {MOST_FRAMES:,} frames; split it into smaller files")
+    if count * joints > MOST_PLACES:
+        raise BadInput(
+            f"{path} has {count:,} frames of {joints:,} joints, more than {MOST_PLACES:,} places;"
+            " split it into smaller files"
+        )
+
+
 class Rig(NamedTuple):
     """Segments, parents first. A segment starts where its parent ends, turned by its own
     rotation."""
@@ -114,6 +128,7 @@ def forward(
     for segment in reversed(range(len(rig.names))):
         if segment in needed and rig.parents[segment] >= 0:
             needed.add(rig.parents[segment])
+    last_child = {rig.parents[segment]: segment for segment in sorted(needed)}
     ends: dict[int, np.ndarray] = {}
     turns: dict[int, Rotation] = {}
     for segment in sorted(needed):
@@ -125,6 +140,10 @@ def forward(
         ends[segment] = (root if parent < 0 else ends[parent]) + turns[segment].apply(
             rig.offsets[segment]
         )
+        if parent >= 0 and last_child[parent] == segment:  # a chain's ends would fill the memory
+            del turns[parent]
+            if parent not in wanted:
+                del ends[parent]
     return np.stack([ends[segment] for segment in wanted], axis=1)
 
 

@@ -206,3 +206,50 @@ def test_a_folder_that_cannot_be_one_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInput, match="cannot write to"):
         run(tmp_path / "file", blocks(1))
+
+
+def test_a_pipe_in_the_place_of_a_block_is_not_waited_for(tmp_path):
+    run(tmp_path, blocks(3, 3))
+    (tmp_path / "block-000001.nc").unlink()
+    os.mkfifo(tmp_path / "block-000001.nc")
+    store = Store.open(tmp_path, "a run")
+    with pytest.raises(BadInput, match=r"block-000001.nc is a named pipe, not a file; delete it"):
+        store.read(1, "numbers")
+
+
+def test_a_block_that_claims_to_be_huge_is_not_read(tmp_path):
+    run(tmp_path, blocks(3, 3))
+    with netCDF4.Dataset(tmp_path / "block-000001.nc", "a") as file:
+        group = file["numbers"]
+        group.createDimension("never", 10**9)
+        group.createVariable("written", "f8", ("never",), zlib=True, chunksizes=(10**6,))
+    store = Store.open(tmp_path, "a run")
+    with pytest.raises(Damaged, match=r"block-000001.nc is damaged, or no block of a run"):
+        store.read(1, "numbers")
+
+
+@pytest.mark.parametrize("blocks", ['"two"', "-1", "1.5"])
+def test_a_number_of_blocks_that_is_none_is_refused(blocks, tmp_path):
+    (tmp_path / "run.json").write_text(f'{{"settings": {{}}, "blocks": {blocks}}}')
+    with pytest.raises(BadInput, match=r"run.json cannot be read, or is not that of a run"):
+        Store.open(tmp_path, "a run")
+
+
+def test_a_million_million_missing_blocks_are_counted_only(tmp_path):
+    (tmp_path / "run.json").write_text('{"settings": {}, "blocks": 1000000000000}')
+    with pytest.raises(Damaged, match=r"lacks 1000000000000 blocks, the first .* block-000000.nc"):
+        Store.open(tmp_path, "a run")
+
+
+def test_a_lock_that_is_none_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "run.lock")
+    words = r"cannot write to .* \(run.lock in it is no file\)"
+    with pytest.raises(BadInput, match=words), locked(tmp_path):
+        pass
+
+
+def test_a_lock_of_any_bytes_is_spoken_of(tmp_path):
+    with locked(tmp_path):
+        (tmp_path / "run.lock").write_bytes(b"\xff\xfe")
+        with pytest.raises(BadInput, match="is being written to by"), locked(tmp_path):
+            pass

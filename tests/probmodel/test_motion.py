@@ -1,6 +1,7 @@
 """Readers of motion capture: small files worked out by hand, captures stored in two formats,
 damaged files."""
 
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from probmodel.failures import BadInput
-from probmodel.motion import CMU_UNIT, Motion, read_motion
+from probmodel.motion import CMU_UNIT, Motion, read_motion, recording
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 ASF_BONES = {
@@ -370,6 +371,42 @@ def test_damaged_bvh(tmp_path: Path, change: Callable[[str], str], message: str)
     path.write_text(change(path.read_text()))
     with pytest.raises(BadInput, match=message):
         read_motion(path)
+
+
+def write_chain(path: Path, depth: int, frames: int, channels: str) -> Path:
+    """A body whose joints hang on one chain; only its root may have channels."""
+    joints = [*map(str, range(depth)), *(name for name in BVH_ORDER if name != "Spine"), "HeadTop"]
+    lines = [f"JOINT {name}\n{{\nOFFSET 0 1 0" for name in joints]
+    lines[0] = f"HIERARCHY\nROOT {lines[0][6:]}\n{channels}"
+    rows = ["MOTION", f"Frames: {frames}", "Frame Time: 0.01", *["0"] * frames * bool(channels)]
+    path.write_text("\n".join([*lines, *["}"] * len(joints), *rows, ""]))
+    return path
+
+
+def test_frames_that_take_no_room_in_the_file_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_chain(tmp_path / "a.bvh", 0, 10, "")
+    with pytest.raises(BadInput, match="no joint has CHANNELS"):
+        read_motion(path)
+    write_chain(path, 0, 10, "CHANNELS 1 Xrotation")
+    trial = write_subject(tmp_path, [{}] * 10)
+    monkeypatch.setattr(recording, "MOST_PLACES", 160)
+    (read,) = read_motion(path)
+    assert len(read.joints) == len(read_motion(trial)[0].joints) == 10  # 160 and 150
+    monkeypatch.setattr(recording, "MOST_PLACES", 149)
+    for file, joints in ((path, 16), (trial, 15)):
+        with pytest.raises(BadInput, match=f"10 frames of {joints} joints, more than 149 places"):
+            read_motion(file)
+
+
+def test_a_long_chain_does_not_fill_the_memory(tmp_path: Path) -> None:
+    path = write_chain(tmp_path / "a.bvh", 200, 2000, "CHANNELS 1 Xrotation")
+    tracemalloc.start()
+    (read,) = read_motion(path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 216 * read.joints[:, 0].nbytes  # one place for each joint
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from typer.models import OptionInfo
 
+from inference.baselines.run import _checksum
 from inference.baselines.run import _Save as SavedRun
 from inference.roots.external import read_poses
 from inference.store import Block, Store
@@ -180,8 +181,14 @@ def _taken_up(path: Path) -> object:
 
 
 def _saved() -> bytes:
-    about = {"_fingerprint": np.array("fingerprint"), "_clock": np.array([2.0, 1.0])}
-    return npz(**about, _history=np.ones((2, 3)), leaf0=np.arange(9.0), kept=np.ones((2, 4)))
+    content = {
+        "_fingerprint": np.array("fingerprint"),
+        "_clock": np.array([2.0, 1.0]),
+        "_history": np.ones((2, 3)),
+        "leaf0": np.arange(9.0),
+        "kept": np.ones((2, 4)),
+    }
+    return npz(**content, _sha256=np.array(_checksum(content)))
 
 
 _RUN = b'{"settings": {"study": "stream of frames", "seed": "0 0", "k": 2, "keep": 3}, "blocks": 1}'

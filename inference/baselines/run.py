@@ -8,7 +8,7 @@ budget ends, shows progress, and saves, so that an interrupted run goes on to th
 
 import hashlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -293,6 +293,16 @@ def _fingerprint(name: str, target: Target, key: jax.Array, places: np.ndarray) 
     return digest.hexdigest()
 
 
+def _checksum(arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 of arrays with their names, types and shapes, in whatever order."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.asarray(arrays[name])
+        digest.update(repr((name, array.dtype.str, array.shape)).encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
 @dataclass
 class _Save:
     """A file with a method's whole state, its cost and its history."""
@@ -306,9 +316,11 @@ class _Save:
             return 0.0, 0.0, []
         advice = "delete it to begin this sampler anew"
         found = read_tables(self.path, "saved run", advice)
-        lacking = {"_fingerprint", "_clock", "_history"} - found.keys()
+        lacking = {"_fingerprint", "_clock", "_history", "_sha256"} - found.keys()
         if lacking:
             raise BadInput(f"{self.path} is no saved run (it lacks {min(lacking)}); {advice}")
+        if str(found.pop("_sha256")) != _checksum(found):
+            raise BadInput(f"{self.path} is damaged (it is not what its checksum says); {advice}")
         fingerprint, clock = str(found.pop("_fingerprint")), found.pop("_clock")
         history = [
             Checkpoint(float(row[0]), int(row[1]), int(row[2])) for row in found.pop("_history")
@@ -332,11 +344,13 @@ class _Save:
     ) -> None:
         if not now and time.monotonic() - self.last < SAVE_EVERY:
             return
-        about = {
+        content = {
             "_fingerprint": np.array(self.fingerprint),
             "_clock": np.array([seconds, compiling]),
             "_history": np.array(history, float).reshape(-1, 3),
+            **method.state(),
         }
+        checksum = np.array(_checksum(content))
         with replacing(self.path) as partial, partial.open("wb") as file:
-            np.savez(file, allow_pickle=False, **about, **method.state())
+            np.savez(file, allow_pickle=False, _sha256=checksum, **content)
         self.last = time.monotonic()

@@ -378,6 +378,18 @@ def test_a_broken_or_foreign_file_is_refused(tmp_path):
     draw("emcee", 1000, save_to=path)
     with pytest.raises(BadInput, match="another run"):
         draw("emcee", 1000, save_to=path, key=key(99))
+    with np.load(path) as file:
+        content = dict(file)
+    for name, changed in {
+        "_history": content["_history"].ravel(),
+        "kept": content["kept"][:, :-1],
+        "counts": content["counts"] + 1,
+    }.items():
+        np.savez(path, **content | {name: changed})
+        with pytest.raises(BadInput, match="not what its checksum says"):
+            draw("emcee", 1000, save_to=path)
+    np.savez(path, **content)
+    draw("emcee", 1000, save_to=path)
     path.write_bytes(path.read_bytes()[:2000])
     with pytest.raises(BadInput, match="truncated"):
         draw("emcee", 1000, save_to=path)

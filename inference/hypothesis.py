@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from inference.clusters import clusters
 from inference.results import Result
 from probmodel.anatomy.lengths import BoneLength
 from probmodel.anatomy.limits import cell_of
@@ -112,15 +113,13 @@ def diverse(joints: np.ndarray, k: int, *, seed: int = 0) -> list[Hypothesis]:
             f"{k} hypotheses cannot be chosen among {len(joints)} poses; choose k from 1 to"
             f" {len(joints)}"
         )
-    from sklearn.cluster import KMeans  # It takes seconds to import, and many draw without it.
-
-    flat = joints.reshape(len(joints), -1)
+    flat = np.asarray(joints, float).reshape(len(joints), -1)
     # For so small a problem, many threads spend their time waiting for each other.
-    with threadpool_limits(1, user_api="openmp"):
-        fit = KMeans(k, init="k-means++", n_init=1, random_state=seed).fit(flat)
+    with threadpool_limits(1, user_api="blas"):
+        fit = clusters(flat, k, seed)
     found = []
-    for cluster, centre in enumerate(fit.cluster_centers_):
-        members = np.flatnonzero(fit.labels_ == cluster)
+    for cluster, centre in enumerate(fit.centres):
+        members = np.flatnonzero(fit.labels == cluster)
         if len(members):  # fewer distinct poses than k leave clusters empty
             nearest = members[np.argmin(np.sum((flat[members] - centre) ** 2, axis=1))]
             found.append(Hypothesis(joints[nearest], len(members) / len(joints), int(nearest)))

@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 
 from inference.clusters import clusters
 from inference.results import Result
-from probmodel.anatomy.lengths import BoneLength
 from probmodel.anatomy.limits import cell_of
 from probmodel.directions.cells import Cells
 from probmodel.directions.hinges import Hinge
@@ -150,6 +149,8 @@ def grid_poses(
     ndarray
         `(n, 15, 3)`, camera axes, body units; empty where nothing is left of a limb.
     """
+    from probmodel.anatomy.lengths import BoneLength  # imports NumPyro, which few hypotheses need
+
     alpha, beta = np.asarray(model.lengths.alpha), np.asarray(model.lengths.beta)
     length = np.asarray(BoneLength(model.lengths).at(alpha / (alpha + beta)))
     limbs = [limb for members in GROUPS.values() for limb in members]

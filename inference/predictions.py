@@ -11,6 +11,7 @@ import xarray as xr
 
 from probmodel.chunks import in_chunks
 from probmodel.likelihood import ErrorLaw, WithOutliers
+from probmodel.programs import kept
 from probmodel.skeleton import JOINTS
 
 _STREAM = 1
@@ -98,7 +99,7 @@ def _new_detections(
     )
 
 
-@jax.jit
+@kept
 def _far(law: ErrorLaw, outlier: jax.Array, uniform: jax.Array) -> jax.Array:
     """How far errors reach, in spreads."""
     return WithOutliers(law, outlier).distance(uniform)
@@ -115,7 +116,7 @@ def _log_likelihood(law: ErrorLaw, read: KeypointsRead, keypoints: np.ndarray) -
     return np.where(counts, found - 2 * np.log(np.where(counts, read.spread, 1.0)), 0.0)
 
 
-@jax.jit
+@kept
 def _density(law: ErrorLaw, outlier: jax.Array, square: jax.Array) -> jax.Array:
     """Log densities of errors whose squares, in spreads, are given. Every draw lies within the
     reach: what is beyond it is so by rounding, from the camera's plane to pixels."""

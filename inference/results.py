@@ -26,6 +26,7 @@ from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
 from probmodel.pose import Pose
 from probmodel.posterior import Posterior
+from probmodel.programs import kept
 from probmodel.skeleton import JOINTS, LENGTH_GROUPS, NUM_JOINTS
 from probmodel.uncertain import UncertainPosterior
 
@@ -285,7 +286,7 @@ def _joints_of(model: PoseModel, observation: Observation, poses: Pose) -> np.nd
     return _each(functools.partial(_joints, model, view), poses, (len(JOINTS), 3))
 
 
-@jax.jit
+@kept
 def _image(camera: WeakPerspective, joints: jax.Array) -> jax.Array:
     """Where joints of a chunk of draws fall in the image: compiled, or every number of draws would
     be compiled anew, operation by operation."""
@@ -299,7 +300,7 @@ def _each(
     return in_chunks(function, *rows) if len(rows[0]) else np.empty((0, *shape))
 
 
-@jax.jit
+@kept
 def _joints(
     model: PoseModel, view: jax.Array, length: jax.Array, upper: jax.Array, lower: jax.Array
 ) -> jax.Array:

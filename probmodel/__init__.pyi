@@ -15,7 +15,7 @@ from .formats import read_detections as read_detections
 from .formats import write_detections as write_detections
 from .formats.frames import DetectedFrame as DetectedFrame
 from .formats.frames import read_frames as read_frames
-from .likelihood import DetectedKeypoint as DetectedKeypoint
+from .keypoints import DetectedKeypoint as DetectedKeypoint
 from .likelihood import Disc as Disc
 from .likelihood import ErrorLaw as ErrorLaw
 from .likelihood import Gaussian as Gaussian

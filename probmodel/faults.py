@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from numpyro.distributions import BernoulliProbs, CategoricalProbs
 
 from probmodel.failures import BadInput
 from probmodel.skeleton import JOINT_INDEX, JOINTS, MIRROR, NUM_JOINTS, TORSO_INDEX
@@ -159,6 +158,8 @@ class FaultPrior:
         Faults
             Made of what `step` returned.
         """
+        from numpyro.distributions import BernoulliProbs, CategoricalProbs
+
         outlier = jnp.where(jnp.asarray(counts), jnp.asarray(self.outlier), 0.0)
         exchange = step(
             "exchange", CategoricalProbs(jnp.array([1 - sum(self.exchange), *self.exchange]))

@@ -20,15 +20,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from numpyro.distributions import Distribution, constraints
 
 from probmodel.detections import LARGEST_NUMBER, LIKELIHOOD_JOINTS, Detection
-from probmodel.directions.supports import disc, same_rank
 from probmodel.errorlaws import DetectorErrors
 from probmodel.failures import BadInput
 from probmodel.faults import EXCHANGES, NO_FAULTS, FaultPrior
 from probmodel.layouts import STRAY
 from probmodel.observation import Observation
+from probmodel.programs import kept
 from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 
 if TYPE_CHECKING:
@@ -175,57 +174,6 @@ class WithOutliers(ErrorLaw):
 
     def _each(self, outliers: ArrayLike, others: ArrayLike) -> jax.Array:
         return jnp.where(jnp.asarray(self.outlier), outliers, others)
-
-
-class DetectedKeypoint(Distribution):
-    """Where a joint is detected: `centre` plus an error of the law, times `spread`.
-
-    Parameters
-    ----------
-    law
-        The errors' law.
-    centre : `(..., 2)`
-        Where the joint projects.
-    spread : `(...)`
-        In the units of `centre`.
-    validate_args
-        Whether values are checked (NumPyro's switch).
-    """
-
-    arg_constraints = {"centre": constraints.real_vector, "spread": constraints.positive}  # noqa: RUF012
-    reparametrized_params = ["centre", "spread"]  # noqa: RUF012
-    pytree_data_fields = ("law", "centre", "spread")
-
-    def __init__(
-        self,
-        law: ErrorLaw,
-        centre: ArrayLike,
-        spread: ArrayLike,
-        *,
-        validate_args: bool | None = None,
-    ) -> None:
-        centre, spread = jnp.asarray(centre), jnp.asarray(spread)
-        batch_shape = jnp.broadcast_shapes(centre.shape[:-1], spread.shape)
-        self.law = law
-        self.centre = jnp.broadcast_to(centre, (*batch_shape, 2))
-        self.spread = jnp.broadcast_to(spread, batch_shape)
-        super().__init__(batch_shape=batch_shape, event_shape=(2,), validate_args=validate_args)
-
-    @constraints.dependent_property(is_discrete=False, event_dim=1)
-    def support(self) -> constraints.Constraint:
-        return disc(self.centre, self.law.reach * self.spread)
-
-    def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
-        """Points `sample_shape + batch_shape + (2,)`."""
-        error = self.law.sample(key, (*sample_shape, *self.batch_shape))
-        error, centre, spread = same_rank(error, self.centre, self.spread[..., None])
-        return centre + spread * error
-
-    def log_prob(self, value: ArrayLike) -> jax.Array:
-        """Log density per unit of area of `centre`, -inf outside the reach."""
-        value, centre, spread = same_rank(value, self.centre, self.spread[..., None])
-        square = jnp.sum(((value - centre) / spread) ** 2, axis=-1)
-        return self.law.log_peak + self.law.log_ratio(square) - 2 * jnp.log(spread[..., 0])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -415,8 +363,8 @@ class Likelihood:
         return float(_log_density(self.observe(detection, root, TORSO_INDEX), joints))
 
 
-@jax.jit
-def _log_density(observation: Observation, joints: jax.Array) -> jax.Array:
+@kept
+def _log_density(observation: Observation, joints: ArrayLike) -> jax.Array:
     """Compiled as one, since every operation by itself takes longer to compile than to be done."""
     return observation.log_density(joints)
 

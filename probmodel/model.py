@@ -4,33 +4,31 @@ programs.
 `PoseModel.prior` and `PoseModel.posterior` are plain model functions: handlers, `Predictive`,
 `log_density` and NumPyro's samplers work on them. Sites: torso, bone_length, upper, lower,
 detection; deterministic: joints, keypoints. Base measure of every log density: counting (torso) ×
-length (5) × surface of the sphere (9) × area of the image."""
+length (5) × surface of the sphere (9) × area of the image.
+
+NumPyro, and the distributions that need it, are imported where a program is run or traced: kept
+programs do without."""
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpyro
 from jax.typing import ArrayLike
-from numpyro.handlers import mask
-from numpyro.infer.util import log_density
 
-from probmodel.anatomy.lengths import BoneLength, LengthPrior
 from probmodel.anatomy.limits import AnatomicalLimits, cell_of
-from probmodel.anatomy.population import Anatomy
-from probmodel.anatomy.torsos import TorsoDictionary
+from probmodel.anatomy.population import Anatomy, LengthPrior
 from probmodel.directions.cells import Cells
-from probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from probmodel.directions.hinges import Hinge
 from probmodel.kinematics import articulation, pose
-from probmodel.likelihood import DetectedKeypoint
 from probmodel.observation import Observation
 from probmodel.pose import Pose
+from probmodel.programs import kept
 from probmodel.skeleton import BONES, NUM_LOWER
 
+CELL_ARRAYS = 3
+"""Arrays of `Cells`."""
 LENGTH_OF_BONE = tuple(bone.length_group for bone in BONES)
 
 
@@ -90,14 +88,19 @@ class PoseModel:
             limits = embedded.limits if limits is None else limits
             lengths = embedded.lengths if lengths is None else lengths
             torsos = embedded.torsos if torsos is None else torsos
+        measures = _Measures(str(upper), str(lower))
+        regions = _regions(limits, measures)
+        # On the device as they are: `jnp.asarray` would compile a program for every shape.
+        limits, lengths, torsos, tilt = jax.device_put((limits, lengths, torsos, float(upright)))
         self._set(
-            limits=jax.tree.map(jnp.asarray, limits),
-            lengths=jax.tree.map(jnp.asarray, lengths),
-            torsos=jnp.asarray(torsos),
-            **_regions(limits, upper, lower),
-            upper=upper,
-            lower=lower,
-            upright=jnp.asarray(upright, float),
+            limits=limits,
+            lengths=lengths,
+            torsos=torsos,
+            cells=Cells(*(*regions[:CELL_ARRAYS], measures.upper)),
+            hinges=Hinge(*(*regions[CELL_ARRAYS:], measures.lower)),
+            upper=measures.upper,
+            lower=measures.lower,
+            upright=tilt,
         )
 
     def _set(self, **fields: Any) -> None:
@@ -203,6 +206,9 @@ class PoseModel:
         `step(site, law)` says what becomes of each law in turn (a draw, a quantile, a given value);
         the law of the lower bones is that below the upper directions which `step` returned.
         """
+        from probmodel.anatomy.lengths import BoneLength
+        from probmodel.directions.distributions import HingedDirection, OccupiedDirection
+
         length = step("bone_length", BoneLength(self.lengths))
         upper = step("upper", OccupiedDirection(self.cells))
         return Pose(length, upper, step("lower", HingedDirection(self.hinges_at(upper))))
@@ -231,6 +237,10 @@ class PoseModel:
 
     def prior(self) -> jax.Array:
         """NumPyro model: a pose in body axes, body units; returns the joints `(15, 3)`."""
+        import numpyro
+
+        from probmodel.anatomy.torsos import TorsoDictionary
+
         index = numpyro.sample("torso", TorsoDictionary(self.torsos))
         return self._pose(jnp.asarray(self.torsos)[index])
 
@@ -239,6 +249,11 @@ class PoseModel:
 
         Draw new keypoints from it by `numpyro.handlers.uncondition`.
         """
+        import numpyro
+        from numpyro.handlers import mask
+
+        from probmodel.keypoints import DetectedKeypoint
+
         camera, seen = observation.root.camera, observation.seen
         joints = self._pose(observation.view)
         keypoints = numpyro.deterministic("keypoints", camera.image(joints))
@@ -250,6 +265,8 @@ class PoseModel:
         return joints
 
     def _pose(self, torso: jax.Array) -> jax.Array:
+        import numpyro
+
         drawn = self.compose(lambda site, law: numpyro.sample(site, _whole(law)))
         return numpyro.deterministic("joints", self.joints(torso, *drawn))
 
@@ -282,16 +299,25 @@ class PoseModel:
         return {"upper": self.upper, "lower": self.lower}
 
 
-@functools.partial(jax.jit, static_argnames=("upper", "lower"))
-def _regions(limits: AnatomicalLimits, upper: str, lower: str) -> dict[str, Any]:
+@jax.tree_util.register_static
+@dataclasses.dataclass(frozen=True)
+class _Measures:
+    """The measures of upper and lower bones."""
+
+    upper: str
+    lower: str
+
+
+@kept
+def _regions(limits: AnatomicalLimits, measures: _Measures) -> tuple[jax.Array, ...]:
+    """The arrays of `Cells`, then those of `Hinge`."""
     missing = jnp.isnan(jnp.asarray(limits.offset))
     triple = jnp.where(missing[..., None, None], jnp.eye(3), limits.triples())
     offset = jnp.where(missing, 2.0, jnp.asarray(limits.offset))
     bounds = jnp.where(missing[..., None], 0.0, jnp.asarray(limits.bounds))
-    return {
-        "cells": Cells.build(limits.occupied, upper),
-        "hinges": Hinge.build(triple, offset, bounds, lower),
-    }
+    cells = Cells.build(limits.occupied, measures.upper)
+    hinges = Hinge.build(triple, offset, bounds, measures.lower)
+    return tuple(jax.tree.leaves((cells, hinges)))
 
 
 def _whole(law: Any) -> Any:
@@ -299,7 +325,7 @@ def _whole(law: Any) -> Any:
     return law.to_event(1) if law.batch_shape else law
 
 
-@jax.jit
+@kept
 def log_joint(
     model: PoseModel,
     observation: Observation,
@@ -309,6 +335,7 @@ def log_joint(
 ) -> jax.Array:
     """`(...)`: log joint density of poses `(length, upper, lower)` and the detection, given the
     root: that of the program `PoseModel.posterior`; -inf outside."""
+    from numpyro.infer.util import log_density
 
     def one(length: jax.Array, upper: jax.Array, lower: jax.Array) -> jax.Array:
         sites = {"bone_length": length, "upper": upper, "lower": lower}

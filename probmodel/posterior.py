@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpyro
-from numpyro.distributions import CategoricalLogits
 
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from probmodel.likelihood import PAPER, Likelihood
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
+from probmodel.programs import kept
 from probmodel.roots import Candidate
 from probmodel.uncertain import UncertainPosterior
 
@@ -78,6 +77,9 @@ class Posterior:
     def program(self) -> jax.Array:
         """NumPyro model of the whole mixture: site `root`, then those of `PoseModel.posterior`.
         Returns the joints `(15, 3)` in camera axes, body units of the root drawn."""
+        import numpyro  # takes as long as JAX to import, and only programs need it
+        from numpyro.distributions import CategoricalLogits
+
         index = numpyro.sample("root", CategoricalLogits(jnp.asarray(self.log_root_weights)))
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *self.observations)
         return self.model.posterior(jax.tree.map(lambda leaf: leaf[index], stacked))
@@ -88,7 +90,7 @@ class Posterior:
         return all(candidate.converged for candidate in self.roots)
 
 
-@jax.jit
+@kept
 def _log_peak(observation: Observation) -> jax.Array:
     """Compiled as one, since every operation by itself takes longer to compile than to be done."""
     return observation.log_peak

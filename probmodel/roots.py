@@ -12,11 +12,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpyro.distributions import ImproperUniform, constraints
 
-from probmodel.anatomy.torsos import TorsoDictionary
 from probmodel.camera import WeakPerspective
-from probmodel.rotations import UprightRotation
 
 
 class Root(NamedTuple):
@@ -131,6 +128,11 @@ class RootPrior:
 
     def compose(self, step: Callable[[str, Any], Any]) -> RootPoint:
         """The prior, written once: `step(site, law)` says what becomes of each law."""
+        from numpyro.distributions import ImproperUniform, constraints
+
+        from probmodel.anatomy.torsos import TorsoDictionary
+        from probmodel.rotations import UprightRotation
+
         return RootPoint(
             step("torso", TorsoDictionary(self.torsos)),
             step("rotation", UprightRotation(self.upright)),

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpyro
 
 from probmodel.detections import Detection
 from probmodel.faults import ORDERS, FaultPrior, Faults
@@ -141,6 +140,8 @@ class UncertainPosterior:
         torso_outlier and limb_outlier where there may be faults; then those of
         `PoseModel.posterior`. Returns the joints `(15, 3)` in camera axes, body units of the root
         drawn."""
+        import numpyro  # takes as long as JAX to import, and only programs need it
+
         point = self.prior.compose(numpyro.sample)
         faults = Faults.none()
         if self.faults.any:

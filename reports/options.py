@@ -34,6 +34,8 @@ SAMPLERS = (
 JAX."""
 ROUTES = ("weighted-roots", "rejection")
 """The samplers with an uncertain root, `inference.uncertain.routes.ROUTES`."""
+PROGRAMS = "POSETERIOR_PROGRAMS"
+"""The variable of `probmodel.programs`, which imports JAX."""
 LARGEST_SIDE = 10**6
 """Pixels; no image is larger."""
 SMALLEST_FACTOR = 1e-6
@@ -478,6 +480,8 @@ def prepare_jax() -> None:
     code is kept in the user's cache folder, so that only the first run on a machine waits for the
     compiler."""
     settings = {"jax_enable_x64": True} | _jax_cache()
+    if "jax_compilation_cache_dir" in settings:
+        os.environ.setdefault(PROGRAMS, settings["jax_compilation_cache_dir"])
     if "jax" not in sys.modules:  # it reads these when something needs it; a refusal does not
         os.environ.update({name.upper(): str(value) for name, value in settings.items()})
         return

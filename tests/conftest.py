@@ -31,6 +31,8 @@ for name, value in SETTINGS.items():
     if name != "jax_enable_x64":  # what tests start keeps its programs there too
         os.environ[name.upper()] = str(value)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+# Traces are not kept: tests replace functions, and a trace of a replaced one would outlive them.
+os.environ["POSETERIOR_PROGRAMS"] = ""
 # Compilers leave millions of objects that live as long as the process; to look through them all as
 # often as Python does by itself takes a thirtieth of the time.
 gc.set_threshold(100_000, 20, 50)

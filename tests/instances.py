@@ -12,7 +12,8 @@ from probmodel.anatomy.torsos import TorsoDictionary
 from probmodel.directions.cells import Cells
 from probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from probmodel.directions.hinges import Hinge
-from probmodel.likelihood import DetectedKeypoint, Disc
+from probmodel.keypoints import DetectedKeypoint
+from probmodel.likelihood import Disc
 from probmodel.rotations import UprightRotation
 
 NASTY_HINGES = {

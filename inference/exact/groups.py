@@ -87,7 +87,7 @@ def _group(model: PoseModel, limbs: Sequence) -> GroupTables:
 
 def _build(model: PoseModel, upper: int, lower: int | None) -> LimbTables:
     rows = np.asarray(model.cells.rows)[upper]
-    mass = np.diff(rows, axis=-1) / np.asarray(model.cells.total)[upper]
+    mass = np.diff(rows, axis=-1) / np.asarray(model.cells.columns)[upper, -1]
     hinge, axes = None, np.zeros(6)
     if lower is not None:
         hinge = jax.tree.map(lambda leaf: np.asarray(leaf)[lower], model.hinges)

@@ -16,6 +16,7 @@ from probmodel.kinematics import upper_axes
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
 from probmodel.pose import GroupDraws, Pose
+from probmodel.programs import kept
 from probmodel.skeleton import GROUPS, TORSO_INDEX, Limb
 
 LogRatio = Callable[[GroupDraws], np.ndarray]
@@ -55,7 +56,7 @@ def limbs_of(
     return found
 
 
-@jax.jit
+@kept
 def _torso(observation: Observation) -> tuple[jax.Array, jax.Array]:
     """Local axes of the upper bones in camera axes, and the torso's joints on the plane."""
     view = observation.view
@@ -80,6 +81,6 @@ def log_ratio_of(
     return log_ratio
 
 
-@jax.jit
+@kept
 def _log_ratios(model: PoseModel, observation: Observation, poses: Pose) -> jax.Array:
     return observation.log_ratios(model.joints(observation.view, *poses))

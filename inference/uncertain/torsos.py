@@ -31,7 +31,6 @@ from probmodel.chunks import in_chunks
 from probmodel.faults import Faults
 from probmodel.likelihood import WithOutliers
 from probmodel.roots import RootPoint
-from probmodel.rotations import log_upright_peak
 from probmodel.skeleton import TORSO_INDEX
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
@@ -315,7 +314,11 @@ def log_mass(posed: Posed, mass: float) -> float:
     """Log of the evidence if every attempt succeeded: a proposal's mass in pixels."""
     if not mass:
         return -math.inf
-    peak = float(log_upright_peak(posed.upright)) if posed.upright else 0.0
+    peak = 0.0
+    if posed.upright:
+        from probmodel.rotations import log_upright_peak  # imports NumPyro, which few roots need
+
+        peak = float(log_upright_peak(posed.upright))
     return math.log(mass) - posed.problem.power * math.log(posed.lowest) + peak
 
 

@@ -1,30 +1,20 @@
 """Bone lengths: five groups, shared by left and right, each low + (high - low)·Beta(α, β), in body
 units (eq. 6; docs/model.md § 2).
 
-`LengthPrior` holds the fitted numbers; `BoneLength` is the distribution of the five.
+`BoneLength` is the distribution of the five; its numbers are learned (`population.LengthPrior`).
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.scipy.special import betainc, gammaln, ndtri, xlog1py, xlogy
 from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
 
+from probmodel.anatomy.population import LengthPrior
 from probmodel.directions.regions import invert_monotone
 from probmodel.directions.supports import same_rank
-
-
-class LengthPrior(NamedTuple):
-    """Ranges `low`, `high` (body units) and Beta parameters `alpha`, `beta` of the groups, `(5,)`
-    each."""
-
-    low: np.ndarray | jax.Array
-    high: np.ndarray | jax.Array
-    alpha: np.ndarray | jax.Array
-    beta: np.ndarray | jax.Array
 
 
 class BoneLength(Distribution):

@@ -10,15 +10,27 @@ import os
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from typing import NamedTuple
 
+import jax
 import numpy as np
 
-from probmodel.anatomy.lengths import LengthPrior
 from probmodel.anatomy.limits import FILE, AnatomicalLimits
 from probmodel.anatomy.published import read_published
 from probmodel.arrays import compact, doubles, possible, read_tables, write_tables
 from probmodel.failures import BadInput
 from probmodel.skeleton import NUM_LENGTHS, TORSO_JOINTS
+
+
+class LengthPrior(NamedTuple):
+    """Ranges `low`, `high` (body units) and Beta parameters `alpha`, `beta` of the groups, `(5,)`
+    each."""
+
+    low: np.ndarray | jax.Array
+    high: np.ndarray | jax.Array
+    alpha: np.ndarray | jax.Array
+    beta: np.ndarray | jax.Array
+
 
 _LENGTH_KEYS = tuple(f"length_{field}" for field in LengthPrior._fields)
 _KEYS = (*_LENGTH_KEYS, "torsos")

@@ -4,8 +4,7 @@ The usual way in: `learn(read_all(paths))`."""
 
 from collections.abc import Sequence
 
-from probmodel.anatomy.lengths import LengthPrior
-from probmodel.anatomy.population import Anatomy
+from probmodel.anatomy.population import Anatomy, LengthPrior
 from probmodel.arrays import single
 from probmodel.learning.lengths import learn_lengths
 from probmodel.learning.limits import learn_limits

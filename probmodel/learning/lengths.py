@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from probmodel.anatomy.lengths import LengthPrior
+from probmodel.anatomy.population import LengthPrior
 from probmodel.body import bone_lengths
 from probmodel.learning.poses import Poses
 from probmodel.skeleton import BONES, LENGTH_GROUPS, NUM_LENGTHS

@@ -16,7 +16,8 @@ from scipy.stats import ks_2samp
 
 import inference
 from probmodel import Disc, ErrorLaw, PoseModel
-from probmodel.likelihood import DetectedKeypoint, Gaussian
+from probmodel.keypoints import DetectedKeypoint
+from probmodel.likelihood import Gaussian
 from probmodel.skeleton import GROUPS
 from tests.brute_force import brute_force
 from tests.scenes import key, prior_scene

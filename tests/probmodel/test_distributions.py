@@ -15,7 +15,7 @@ from probmodel.anatomy.lengths import BoneLength
 from probmodel.anatomy.torsos import TorsoDictionary
 from probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from probmodel.directions.hinges import Hinge
-from probmodel.likelihood import DetectedKeypoint
+from probmodel.keypoints import DetectedKeypoint
 from probmodel.rotations import UprightRotation
 from tests.goodness import chi_square, floor, uniform_each
 from tests.instances import LENGTHS, distributions

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from probmodel.anatomy.lengths import LengthPrior
+from probmodel.anatomy.population import LengthPrior
 from probmodel.directions.cells import Cells
 from probmodel.directions.hinges import Hinge
 from probmodel.kinematics import lower_axes, upper_axes

@@ -7,12 +7,12 @@ import gc
 import inspect
 from collections.abc import Iterator
 from importlib import import_module, metadata
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, NoReturn, get_type_hints
 
 import typer
 from typer.models import OptionInfo
 
-from reports import console, options, settings
+from reports import console, options, settings, signals
 from reports.options import Screen
 
 COMMANDS: dict[str, type] = {
@@ -51,8 +51,17 @@ for _name, _group in GROUPS.items():
     app.add_typer(_group, name=_name)
 
 
+def command() -> NoReturn:
+    """The process of the `poseterior` command."""
+    try:
+        main()
+    except SystemExit as end:
+        signals.depart(int(end.code or 0))
+    raise AssertionError("commands end by an exit code")
+
+
 def main() -> None:
-    """The `poseterior` command."""
+    """The `poseterior` command; ends by `SystemExit`."""
     # Imports and compilers make millions of objects that live to the end: Python's own rhythm of
     # looking through them all takes a twentieth of a short run.
     gc.set_threshold(100_000, 20, 50)

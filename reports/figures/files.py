@@ -3,7 +3,7 @@
 import os
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image, ImageOps
@@ -14,6 +14,8 @@ from probmodel.files import opened, replacing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+LEVEL = 3
+"""Of a PNG's compression: a fourteenth larger than by the usual 6, in a third of the time."""
 MAX_PIXELS = 60_000_000
 """Images above this are refused before they are decoded: a small file can claim any size."""
 
@@ -33,7 +35,10 @@ def save_figure(figure: "Figure", path: str | os.PathLike) -> None:
             f"cannot write a figure to {path}; give it a name that ends in .png, .pdf or .svg."
         )
     with replacing(path) as partial:
-        figure.savefig(partial, format=kind)
+        options: dict[str, Any] = {}
+        if kind == "png":
+            options["pil_kwargs"] = {"compress_level": LEVEL}
+        figure.savefig(partial, format=kind, **options)
 
 
 def read_image(path: str | os.PathLike) -> np.ndarray:

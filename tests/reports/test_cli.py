@@ -46,7 +46,8 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 def process(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
     """Runs the command as a process of its own."""
-    command = [sys.executable, "-c", "from reports.cli import main; main()", *map(str, arguments)]
+    code = "from reports.cli import command; command()"
+    command = [sys.executable, "-c", code, *map(str, arguments)]
     options = {
         "stdout": subprocess.PIPE,
         "stderr": subprocess.PIPE,

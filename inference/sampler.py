@@ -10,6 +10,7 @@ import numpy as np
 
 from inference.baselines.catalogue import BASELINES, sample_baseline
 from inference.drawers import sampler_under
+from inference.exact import ahead
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress, draw_mixture
 from inference.joined import joined
 from inference.results import FIXED, UNCERTAIN, Result, build_tree, key_words
@@ -137,6 +138,7 @@ def sample(
         "wall_time_s": time.perf_counter() - started,
         "status": mixture.status,
     }
+    ahead.finish()
     tree = build_tree(posterior, mixture.parts, attributes, mixture.rng)
     return Result(tree, mixture.status, mixture.sentence)
 

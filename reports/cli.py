@@ -138,6 +138,8 @@ def _register(name: str, kind: Any) -> None:
         screen = built(Screen, values)
         with console.progress("reading", screen.quiet):
             options.check(wanted)
+        if getattr(kind, "DRAWS", False):
+            _compile_ahead(screen)
         import_module(f"reports.commands.{name.replace(' ', '.')}").run(wanted, screen)
 
     parameters = [*declared(kind), *declared(Screen)]
@@ -151,6 +153,18 @@ def _register(name: str, kind: Any) -> None:
     examples = "\n\n".join(f"  poseterior {line}" for line in kind.EXAMPLES)
     home = GROUPS[group] if group else app
     home.command(own, help=about, epilog=f"Examples:\n\n{examples}")(command)
+
+
+def _compile_ahead(screen: Screen) -> None:
+    """Begins to compile what has never been compiled on this machine, and says so."""
+    from inference.exact import ahead
+
+    if ahead.missing() and not screen.quiet:
+        console.warn(
+            "compiling the sampling loops, once: this call takes some ten seconds longer than the"
+            " next one"
+        )
+    ahead.begin()
 
 
 def _typed(context: typer.Context, name: str) -> bool:

@@ -50,6 +50,7 @@ class DemoSettings:
     """Run the embedded example, end to end: one pose, one wrist missing, the truth drawn beside the
     hypotheses."""
 
+    DRAWS: ClassVar = True  # so that loops are compiled where they never were
     EXAMPLES: ClassVar[tuple[str, ...]] = ("demo", "demo --open", "demo --out my-demo --seed 1")
     out: Annotated[Path, Option(help="Folder for the results.")] = Path("demo")
     open: Open = False
@@ -61,6 +62,7 @@ class HypothesesSettings:
     """Exact posterior draws and diverse hypotheses for one detected person: a picture, a page that
     turns, a table, two files."""
 
+    DRAWS: ClassVar = True  # so that loops are compiled where they never were
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "hypotheses frame_keypoints.json --out result",
         "hypotheses people.json --person 3 --image photo.jpg --k 8",
@@ -85,6 +87,7 @@ class HypothesesSettings:
 class SampleSettings:
     """Posterior draws of one detected person, as netCDF, and beside it a page that turns."""
 
+    DRAWS: ClassVar = True  # so that loops are compiled where they never were
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "sample frame.json --out posterior.nc --num-samples 100000",
         "sample frame.json --chains 4 --num-samples 4000 --out chains.nc",
@@ -117,6 +120,7 @@ class FramesSettings:
     """Exact draws and hypotheses of everyone in many frames, written as they come; goes on where it
     was stopped."""
 
+    DRAWS: ClassVar = True  # so that loops are compiled where they never were
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "frames walk/ --out walk-posterior",
         "frames video.json --out result --num-samples 1000 --keep 100",

@@ -1,60 +1,65 @@
-"""The loops of attempts compiled by a second process, while this one imports, estimates and
-compiles the loops of strata. Numba compiles under one lock, so that threads do not help; both
-processes share its cache.
+"""The loops of attempts, and the programs of what comes after them, compiled by a second process,
+while this one imports, estimates and compiles the loops of strata. Numba compiles under one lock,
+so that threads do not help; both processes share its cache, and JAX's.
 
-    begin()     # at the start of a command that draws
+    begin()     # at the start of a command that draws, before anything heavy is imported
     wait()      # before the first attempt
+    finish()    # before a result is made of draws
 
 Where anything of it fails, this process compiles the loops itself, as it always did."""
 
 import atexit
 import os
+import select
 import subprocess
 import sys
+import threading
 
-import numba
-import numpy as np
-
-from inference.exact.loops import attempts
-from inference.exact.loops.numbers import FOLDER
-from inference.exact.loops.tables import (
-    ALIAS,
-    CELLS,
-    ENTRIES,
-    SLICES,
-    SUBS,
-    CutLimb,
-    LengthBins,
-    LengthLaw,
-    LimbProblem,
-    LimbTables,
-    Strata,
-    desk,
-)
+from inference.exact.loops.places import FOLDER
 
 PATIENCE = 120.0
 """Seconds that are waited for the other process at most."""
+READY = b"loops\n"
+"""What it says once the loops are compiled."""
 _other: subprocess.Popen | None = None
+_one_waits = threading.Lock()
+
+
+def missing() -> bool:
+    """Whether loops have yet to be compiled, so that a command takes longer than it will the next
+    time."""
+    return FOLDER is None or not any(FOLDER.rglob("attempts._attempt_limb-*.nbi"))
 
 
 def begin() -> None:
-    """Starts the other process, where there is something to compile and a core to do it."""
+    """Starts the other process, where there is something to compile, somewhere to keep it, and a
+    core to do it."""
     global _other
-    kept = FOLDER is None or any(FOLDER.rglob("attempts._attempt_limb-*.nbi"))
-    if _other is not None or kept or (os.cpu_count() or 1) < 2:
+    if _other is not None or FOLDER is None or not missing() or (os.cpu_count() or 1) < 2:
         return
     # -P: a folder `inference` where the user happens to be is not ours.
     command = [sys.executable, "-P", "-m", "inference.exact.ahead"]
     quiet = subprocess.DEVNULL
     try:
-        _other = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet)
+        _other = subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet)
     except OSError:
         return
     atexit.register(_other.kill)
 
 
 def wait() -> None:
-    """Returns once the other process, if there is one, has ended."""
+    """Returns once the other process, if there is one, has compiled the loops, or has ended."""
+    if _other is None or _other.stdout is None:
+        return
+    with _one_waits:
+        if not _other.stdout.closed:
+            if not select.select([_other.stdout], [], [], PATIENCE)[0]:
+                _other.kill()
+            _other.stdout.close()
+
+
+def finish() -> None:
+    """Returns once the other process, if there is one, has ended: then its programs are there."""
     if _other is None:
         return
     try:
@@ -65,31 +70,59 @@ def wait() -> None:
 
 def signatures() -> dict[str, tuple]:
     """The types of what the engine calls each loop of attempts with."""
-    limb = CutLimb(
-        LimbProblem(np.eye(3), np.zeros((2, 2)), np.ones(2)),
-        LimbTables(np.zeros(1, CELLS), (0.0,) * 6, False, False, 2),
-        Strata(
-            np.zeros(0, SUBS),
-            np.zeros(0, ALIAS),
-            np.zeros(0, ENTRIES),
+    import numba
+    import numpy as np
+
+    from inference.exact.loops import tables
+
+    limb = tables.CutLimb(
+        tables.LimbProblem(np.eye(3), np.zeros((2, 2)), np.ones(2)),
+        tables.LimbTables(np.zeros(1, tables.CELLS), (0.0,) * 6, False, False, 2),
+        tables.Strata(
+            np.zeros(0, tables.SUBS),
+            np.zeros(0, tables.ALIAS),
+            np.zeros(0, tables.ENTRIES),
             np.zeros(1, np.int64),
             np.zeros(0),
         ),
     )
-    law = LengthLaw(0.0, 0.0, 0.0, 0.0)
-    bins = LengthBins(law, np.zeros(0), np.zeros(1), np.zeros(0, ALIAS), np.zeros(0, SLICES))
+    law = tables.LengthLaw(0.0, 0.0, 0.0, 0.0)
+    alias, slices = np.zeros(0, tables.ALIAS), np.zeros(0, tables.SLICES)
+    bins = tables.LengthBins(law, np.zeros(0), np.zeros(1), alias, slices)
     state, counts = np.zeros(4, np.uint64), np.zeros(0, np.int64)
+    desk = tables.desk(1)
     given = {
-        "_attempt_lengths": (state, counts, bins, bins, True, desk(1)),
-        "_attempt_limb": (state, limb, 1, 0, desk(1)),
+        "_attempt_lengths": (state, counts, bins, bins, True, desk),
+        "_attempt_limb": (state, limb, 1, 0, desk),
     }
     return {name: tuple(map(numba.typeof, values)) for name, values in given.items()}
 
 
+def programs() -> None:
+    """Has JAX compile what a result is made of, for an embedded example: its programs serve every
+    detection."""
+    import numpy as np
+
+    from inference.results import RootDraws, build_tree
+    from inference.roots import estimate_torso
+    from probmodel.example import example
+    from probmodel.model import PoseModel
+    from probmodel.pose import Pose
+
+    posterior = estimate_torso(example().detection).posterior(PoseModel())
+    parts = [RootDraws(Pose.blank(1), 0.0, 0.0, 1.0) for _ in posterior.roots]
+    build_tree(posterior, parts, {"seed": "0 0"}, np.random.default_rng(0))
+
+
 def main() -> None:
     """What the other process does."""
+    from inference.exact.loops import attempts
+
     for name, types in signatures().items():
         getattr(attempts, name).compile(types)
+    os.write(1, READY)
+    if os.environ.get("POSETERIOR_PROGRAMS"):  # else they would be compiled for this process alone
+        programs()
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ import itertools
 
 from rich.filesize import decimal
 
-from inference.exact import ahead
 from inference.stream import DRAW_BYTES, People, open_stream, sample_frames
 from probmodel import Detection
 from reports import console, doubts, figures, tables
@@ -20,7 +19,6 @@ def run(settings: FramesSettings, screen: Screen) -> None:
     frames that cannot be estimated are counted, and their reasons written."""
     import jax
 
-    ahead.begin()
     out, sampling, estimation = settings.out, settings.sampling, settings.estimation
     console.output_folder(out)
     with console.progress("limits and torsos", screen.quiet):

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from inference import Result
-from inference.exact import ahead
 from inference.hypothesis import Hypothesis, hypotheses
 from inference.results import COMPLETE, FIXED
 from inference.sampler import sample
 from probmodel.failures import BadInput, OutOfBudget
-from reports import console, doubts, figures, tables
+from reports import console, doubts, tables
+from reports.figures import hypotheses_figure, save_figure  # now: a first call waits here anyway
 from reports.interactive.page import write_page
 from reports.interactive.person import person_page
 from reports.options import Screen
@@ -23,7 +23,6 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
     """The main job. Raises `BadInput`, or `OutOfBudget` after saving what was drawn."""
     import jax
 
-    ahead.begin()
     k, sampling, photo = settings.k, settings.sampling, settings.person.detected.photo
     if k < 1:
         raise BadInput(f"the number of hypotheses must be at least 1, not {k}; give another --k")
@@ -51,8 +50,8 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         result.save(out / "posterior.nc")
         chosen = hypotheses(result, min(k, result.num_draws), seed=sampling.seed)
         console.write_text(out / "hypotheses.json", _as_text(chosen, result, sampling.seed))
-        picture = figures.hypotheses_figure(result.tree, chosen, image=photo, truth=truth)
-        figures.save_figure(picture, out / "hypotheses.png")
+        picture = hypotheses_figure(result.tree, chosen, image=photo, truth=truth)
+        save_figure(picture, out / "hypotheses.png")
         page = person_page(result, chosen, image=photo, truth=truth, warnings=warnings)
         write_page(page, out / "hypotheses.html")
     if screen.json:

@@ -1,7 +1,6 @@
 """`poseterior sample`: posterior draws of one person by a named sampler, as netCDF and a page."""
 
 from inference.drawers import sampler_under
-from inference.exact import ahead
 from inference.hypothesis import hypotheses
 from inference.results import COMPLETE, FIXED
 from inference.sampler import sample
@@ -27,7 +26,6 @@ def run(settings: SampleSettings, screen: Screen) -> None:
     drawn."""
     import jax
 
-    ahead.begin()
     out, sampling = console.output_file(settings.out), settings.sampling
     page = console.output_file(out.with_suffix(".html"))
     if page == out:

@@ -17,11 +17,12 @@ from scipy import stats
 
 import inference
 from inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
-from inference.exact.loops import numbers
+from inference.exact.loops import numbers, places
 from inference.exact.loops.attempts import _attempt_limb as attempt_loop
 from inference.exact.loops.bins import PER_BIN, alias_table, draw_lengths, length_bins
 from inference.exact.loops.bounds import bound_regions
-from inference.exact.loops.numbers import SOURCES, compiled, digest, load, seeded, store, uniform
+from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
+from inference.exact.loops.places import SOURCES, digest
 from inference.exact.loops.rectangles import COUNT, ROWS, largest_rectangle, rectangle
 from inference.exact.loops.series import arcsine, cosine, sine, small_sine_cosine
 from inference.exact.loops.strata import Resolution, frame_turn, lower_axes
@@ -90,27 +91,27 @@ def test_without_a_place_to_keep_them_loops_are_kept_among_temporary_files(monke
     (sealed / "loops-0" / "deeper").mkdir(parents=True)
     (sealed / "loops-0" / "deeper" / "kept.nbi").write_text("compiled")
     temporary.mkdir()
-    usable = numbers._usable
-    monkeypatch.setattr(numbers, "_places", lambda: [sealed, tmp_path / "home"])
-    monkeypatch.setattr(numbers, "_usable", lambda path: temporary in path.parents and usable(path))
+    usable = places._usable
+    monkeypatch.setattr(places, "_places", lambda: [sealed, tmp_path / "home"])
+    monkeypatch.setattr(places, "_usable", lambda path: temporary in path.parents and usable(path))
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     with pytest.warns(UserWarning, match="NUMBA_CACHE_DIR") as warned:
-        folder = numbers._kept_in("loops-0")
+        folder = places._kept_in("loops-0")
     assert len(warned) == 1
     assert folder.parents[1] == temporary
     assert (folder / "deeper" / "kept.nbi").read_text() == "compiled"
     folder.parent.chmod(0o777)  # somebody else could put code there
     with pytest.warns(UserWarning, match="anew"):
-        assert numbers._kept_in("loops-0") is None
+        assert places._kept_in("loops-0") is None
 
 
 def test_without_any_place_loops_are_compiled_and_not_kept(monkeypatch, tmp_path):
     """The folder is a file: nobody can make a folder of it, not even root."""
     (tmp_path / "file").touch()
-    monkeypatch.setattr(numbers, "_places", lambda: [tmp_path / "file"])
-    monkeypatch.setattr(numbers, "_temporary", lambda: None)
+    monkeypatch.setattr(places, "_places", lambda: [tmp_path / "file"])
+    monkeypatch.setattr(places, "_temporary", lambda: None)
     with pytest.warns(UserWarning, match="anew"):
-        monkeypatch.setattr(numbers, "FOLDER", numbers._kept_in("loops-0"))
+        monkeypatch.setattr(numbers, "FOLDER", places._kept_in("loops-0"))
     assert compiled(lambda number: number + 1)(1) == 2
 
 

@@ -90,10 +90,12 @@ def signatures() -> dict[str, tuple]:
     alias, slices = np.zeros(0, tables.ALIAS), np.zeros(0, tables.SLICES)
     bins = tables.LengthBins(law, np.zeros(0), np.zeros(1), alias, slices)
     state, counts = np.zeros(4, np.uint64), np.zeros(0, np.int64)
+    bodies = tables.Bodies(np.zeros((0, 2)), np.zeros((0, 1, 3)), np.zeros((0, 1, 3)))
     desk = tables.desk(1)
     given = {
-        "_attempt_lengths": (state, counts, bins, bins, True, desk),
+        "_attempt_lengths": (state, counts, 0, bins, bins, True, desk),
         "_attempt_limb": (state, limb, 1, 0, desk),
+        "_hand_over": (state, 0, *tables.desk_pair(1), counts, bodies, 0),
     }
     return {name: tuple(map(numba.typeof, values)) for name, values in given.items()}
 

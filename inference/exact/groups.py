@@ -29,7 +29,7 @@ from inference.exact.loops.tables import (
     LimbTables,
     Strata,
     cell_table,
-    desk,
+    desk_pair,
 )
 from inference.exact.problem import LogRatio
 from inference.exact.rates import HOPELESS, Budget, Pile, Pooled, Rate
@@ -50,7 +50,13 @@ STRATUM, ATTEMPT = 1.0, 0.55
 """What a stratum costs to set up, and an attempt, in 100 ns: only their ratio counts, and only for
 speed."""
 ATTEMPTS = 1 << 14
-"""Attempts made at a time."""
+"""Attempts of a batch at least, but for the last one."""
+LARGEST = 1 << 18
+"""Attempts of a batch at most: many, since a bin's strata are at hand only while it is visited."""
+BATCHES = 16
+"""Batches of one size that are made side by side."""
+AT_A_TIME = 1 << 13
+"""Attempts on a desk."""
 FIRST = 1 << 11
 """Attempts of the first batch, which shows how a group fares."""
 
@@ -105,11 +111,11 @@ def _build(model: PoseModel, upper: int, lower: int | None) -> LimbTables:
 _own = threading.local()
 
 
-def _desk(most: int) -> Desk:
-    """This thread's own, with room for so many attempts."""
-    if getattr(_own, "most", 0) < most:
-        _own.desk, _own.most = desk(most), most
-    return _own.desk
+def _desks() -> tuple[Desk, Desk]:
+    """This thread's own."""
+    if not hasattr(_own, "desks"):
+        _own.desks = desk_pair(AT_A_TIME)
+    return _own.desks
 
 
 @functools.cache
@@ -178,10 +184,7 @@ def attempt_group(
     ahead.wait()
     counts = rng.multinomial(attempts, plan.share)
     cut = [CutLimb(limbs[row], tables.builds[row], plan.strata[row]) for row in order]
-    found, passed = attempt_bodies(state, counts, plan.bins, cut, plan.sub, _desk(attempts))
-    shuffled = rng.permutation(len(found.length))
-    length, upper, lower = (part[shuffled] for part in found)
-    return Bodies(length, upper[:, order], lower[:, order]), passed
+    return attempt_bodies(state, counts, plan.bins, cut, order, plan.sub, _desks())
 
 
 class StratifiedGroup:
@@ -232,7 +235,7 @@ class StratifiedGroup:
             if self.impossible:  # a finer cut may leave nothing where a coarser one left something
                 break
             sizes = []
-            for size in self._sizes(number):
+            for size in self._sizes(number, budget.left):
                 if not budget.spend(size):
                     break
                 sizes.append(size)
@@ -241,15 +244,19 @@ class StratifiedGroup:
             self._run(sizes)
         return self.held >= number
 
-    def _sizes(self, number: int) -> list[int]:
-        """Attempts of the batches that are expected to bring what is missing."""
+    def _sizes(self, number: int, affordable: int) -> list[int]:
+        """Attempts of the batches that are expected to bring what is missing, or as much of it as
+        is affordable."""
         rate = self._rates[-1]
         if not rate.accepted:
             return [FIRST if rate.proposed == 0 else ATTEMPTS]
-        missing = (number - self.held) * rate.proposed / rate.accepted
-        return [ATTEMPTS] * min(int(missing // ATTEMPTS), 64) or [
-            FIRST * (int(missing // FIRST) + 1)
-        ]
+        missing = int((number - self.held) * rate.proposed / rate.accepted)
+        missing = min(missing, affordable, 256 * rate.proposed)
+        if missing < ATTEMPTS:
+            return [FIRST * (missing // FIRST + 1)]
+        rounds = -(-missing // (BATCHES * LARGEST))
+        batches = min(rounds * BATCHES, missing // ATTEMPTS)
+        return [missing // batches] * batches
 
     def _refine(self, number: int) -> None:
         """Cuts finer where that will cost less than it saves."""

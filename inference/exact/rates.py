@@ -79,6 +79,12 @@ class Budget:
     whole: "Budget | None" = None
     watch: Callable[[], None] | None = None
 
+    @property
+    def left(self) -> int:
+        """How many proposals may still be made."""
+        own = self.proposals - self.spent
+        return own if self.whole is None else min(own, self.whole.left)
+
     def spend(self, number: int) -> bool:
         """Whether `number` more proposals may be made; counts them if so."""
         if self.watch:

@@ -35,8 +35,9 @@ def attempt_bodies(
     counts: np.ndarray,
     bins: tuple[LengthBins, LengthBins],
     limbs: Sequence[CutLimb],
+    order: Sequence[int],
     sub: int,
-    desk: Desk,
+    desks: tuple[Desk, Desk],
 ) -> tuple[Bodies, int]:
     """Attempts at a group of limbs.
 
@@ -44,42 +45,44 @@ def attempt_bodies(
     ----------
     state : of the random numbers, written on
     counts : `(bins,)` attempts in each bin of the lengths
+    order : the limb of the draws that each of `limbs` is
     sub : sub-cells along a cell's side
-    desk : with room for all attempts
+    desks : as `desk_pair` makes them
 
     Returns
     -------
-    The draws, and how many attempts passed the first limb.
+    The draws in random order, and how many attempts passed the first of `limbs`.
     """
-    number = _attempt_lengths(state, counts, *bins, limbs[0].tables.bones == 2, desk)
-    passed: list[int] = []
-    found: list[tuple[np.ndarray, np.ndarray]] = []
-    for limb in limbs:
-        number = _attempt_limb(state, limb, sub, number, desk)
-        kept = desk.kept[:number]
-        desk.rows[:number] = desk.rows[kept]
-        found = [(upper[kept], lower[kept]) for upper, lower in found]
-        found.append((desk.upper[:number].copy(), desk.lower[:number].copy()))
-        passed.append(number)
-    rows = desk.rows[:number]
-    length = np.stack([desk.length1[rows], desk.length2[rows]], axis=1)
-    upper, lower = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
-    return Bodies(length, upper, lower), passed[0]
+    ends, two = np.cumsum(counts), limbs[0].tables.bones == 2
+    number, size = int(ends[-1]), len(limbs)
+    # Room for all: memory that nothing is written on is not taken.
+    room = Bodies(np.empty((number, 2)), np.empty((number, size, 3)), np.empty((number, size, 3)))
+    columns, passed, found = np.array(order), 0, 0
+    for start in range(0, number, desks[0].rows.size):
+        left = _attempt_lengths(state, ends, start, *bins, two, desks[0])
+        for row, limb in enumerate(limbs):
+            left = _attempt_limb(state, limb, sub, left, desks[row])
+            passed += left if row == 0 else 0
+        found = _hand_over(state, left, *desks, columns, room, found)
+    return Bodies(*(part[:found] for part in room)), passed
 
 
 @compiled
 def _attempt_lengths(
     state: np.ndarray,
-    counts: np.ndarray,
+    ends: np.ndarray,
+    start: int,
     bins1: LengthBins,
     bins2: LengthBins,
     two: bool,
     desk: Desk,
 ) -> int:
-    """Draws the lengths of all attempts, bin by bin, to the desk; returns how many there are."""
+    """Draws the lengths of the attempts from number `start` on, as many as the desk holds, bin by
+    bin, the last of bin b being number ends[b] - 1; returns how many there are."""
     number, number2 = 0, bins2.mass.size
-    for index in range(counts.size):
-        last = number + counts[index]
+    most = min(desk.rows.size, ends[-1] - start)
+    for index in range(np.searchsorted(ends, start, side="right"), ends.size):
+        last = min(most, ends[index] - start)
         if last == number:
             continue
         draw_lengths(bins1, index // number2, state, desk.length1[number:last])
@@ -88,7 +91,50 @@ def _attempt_lengths(
         for n in range(number, last):
             desk.bins[n], desk.rows[n] = index, n
         number = last
+        if number == most:
+            break
     return number
+
+
+@compiled
+def _hand_over(
+    state: np.ndarray,
+    number: int,
+    first: Desk,
+    second: Desk,
+    order: np.ndarray,
+    bodies: Bodies,
+    found: int,
+) -> int:
+    """Adds the first `number` attempts that passed all limbs to `bodies`, of which there are
+    `found`; returns how many there are now. Each takes the place of one of those that are there,
+    itself included, which goes to the end: then every order is as likely as any other."""
+    stream, two = load(state), order.size == 2
+    for n in range(number):
+        i = second.kept[n] if two else n
+        row = first.kept[i]
+        at, stream = uniform(stream)
+        place = int(at * (found + 1))
+        length = bodies.length
+        length[found, 0], length[found, 1] = length[place, 0], length[place, 1]
+        length[place, 0], length[place, 1] = first.length1[row], first.length2[row]
+        _put(first, i, bodies, order[0], place, found)
+        if two:
+            _put(second, n, bodies, order[1], place, found)
+        found += 1
+    store(state, stream)
+    return found
+
+
+@compiled
+def _put(desk: Desk, i: int, bodies: Bodies, limb: int, place: int, end: int) -> None:
+    """Moves a limb's directions from `place` to the `end`, and puts those of attempt `i` there."""
+    upper, lower = bodies.upper, bodies.lower
+    for axis in range(3):
+        upper[end, limb, axis] = upper[place, limb, axis]
+        lower[end, limb, axis] = lower[place, limb, axis]
+        upper[place, limb, axis] = desk.upper[i, axis]
+        lower[place, limb, axis] = desk.lower[i, axis]
 
 
 @compiled

@@ -249,8 +249,9 @@ class Desk(NamedTuple):
 
     Attributes
     ----------
-    length1, length2, bins, rows : `(most,)` of each attempt of a batch
-    kept : `(most,)` places of the attempts that passed a limb
+    length1, length2, bins : `(most,)` of each attempt
+    rows : `(most,)` the attempts that have come to the limb
+    kept : `(most,)` places in `rows` of those that passed it
     upper, lower : `(most, 3)` their directions
     pieces, boxes : `(1,)` `ATTEMPTS`, one block each
     entry, place, left, slot : `(BLOCK,)` of each attempt of a block
@@ -272,7 +273,7 @@ class Desk(NamedTuple):
 
 
 def desk(most: int) -> Desk:
-    """A desk for batches of up to `most` attempts."""
+    """A desk for up to `most` attempts at a time."""
 
     def places(size: int) -> np.ndarray:
         return np.zeros(size, np.int64)
@@ -292,3 +293,11 @@ def desk(most: int) -> Desk:
         left=places(BLOCK),
         slot=places(BLOCK),
     )
+
+
+def desk_pair(most: int) -> tuple[Desk, Desk]:
+    """Desks for a group's first limb and for its second, whose rows are those that the first has
+    kept, with the same lengths."""
+    first = desk(most)
+    kept, upper, lower = (np.zeros_like(part) for part in (first.kept, first.upper, first.lower))
+    return first, first._replace(rows=first.kept, kept=kept, upper=upper, lower=lower)

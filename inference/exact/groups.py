@@ -39,21 +39,21 @@ from probmodel.skeleton import GROUPS
 
 RESOLUTIONS = (
     Resolution(4, 3, 1),
-    Resolution(6, 4, 2),
+    Resolution(8, 6, 1),
     Resolution(10, 8, 2),
-    Resolution(16, 12, 3),
+    Resolution(20, 16, 2),
 )
 """From few strata to many."""
-GAIN = (1.9, 1.5, 1.4)
-"""By how much the acceptance grows, roughly, from one resolution to the next."""
-STRATUM, ATTEMPT = 1.0, 0.55
+GAIN = (1.0, 1.7, 2.9, 3.8)
+"""How many times the acceptance of the first resolution each of them has, roughly."""
+STRATUM, ATTEMPT = 0.7, 1.0
 """What a stratum costs to set up, and an attempt, in 100 ns: only their ratio counts, and only for
 speed."""
 ATTEMPTS = 1 << 14
 """Attempts of a batch at least, but for the last one."""
 LARGEST = 1 << 18
 """Attempts of a batch at most: many, since a bin's strata are at hand only while it is visited."""
-BATCHES = 16
+BATCHES = 8
 """Batches of one size that are made side by side."""
 AT_A_TIME = 1 << 13
 """Attempts on a desk."""
@@ -251,7 +251,7 @@ class StratifiedGroup:
         if not rate.accepted:
             return [FIRST if rate.proposed == 0 else ATTEMPTS]
         missing = int((number - self.held) * rate.proposed / rate.accepted)
-        missing = min(missing, affordable, 256 * rate.proposed)
+        missing = min(missing, affordable, 1024 * rate.proposed)
         if missing < ATTEMPTS:
             return [FIRST * (missing // FIRST + 1)]
         rounds = -(-missing // (BATCHES * LARGEST))
@@ -259,21 +259,22 @@ class StratifiedGroup:
         return [missing // batches] * batches
 
     def _refine(self, number: int) -> None:
-        """Cuts finer where that will cost less than it saves."""
+        """Cuts as finely as will cost least, cutting included."""
         rate = self._rates[-1]
-        if not rate.proposed or self.level + 1 == len(RESOLUTIONS):
+        if not rate.proposed:
             return
-        acceptance = max(rate.accepted, 0.5) / rate.proposed
-        saved = (
-            (number - self.held)
-            / acceptance
-            * (1 - max(1 / GAIN[self.level], acceptance))
-            * ATTEMPT
-        )
-        growth = RESOLUTIONS[self.level + 1].pieces / RESOLUTIONS[self.level].pieces
-        if saved > growth * self._plan.size * STRATUM:
-            self.level += 1
-            self._plan = self.plan_at(self.level)
+        missing, acceptance = number - self.held, max(rate.accepted, 0.5) / rate.proposed
+
+        def cost(level: int) -> float:
+            gain = GAIN[level] / GAIN[self.level]
+            attempts = missing / max(acceptance, min(1.0, gain * acceptance))
+            growth = RESOLUTIONS[level].pieces / RESOLUTIONS[self.level].pieces
+            strata = growth * self._plan.size if level > self.level else 0
+            return strata * STRATUM + attempts * ATTEMPT
+
+        level = min(range(self.level, len(RESOLUTIONS)), key=cost)
+        if level > self.level:
+            self.level, self._plan = level, self.plan_at(level)
             self._rates.append(Rate(0, 0, self._plan.mass))
 
     def plan_at(self, level: int) -> Plan:

@@ -20,7 +20,7 @@ from inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, p
 from inference.exact.loops import numbers, places
 from inference.exact.loops.attempts import _attempt_limb as attempt_loop
 from inference.exact.loops.bins import PER_BIN, alias_table, draw_lengths, length_bins
-from inference.exact.loops.bounds import bound_regions
+from inference.exact.loops.bounds import _bends, bound_regions, part_moves
 from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
 from inference.exact.loops.places import SOURCES, digest
 from inference.exact.loops.rectangles import COUNT, ROWS, largest_rectangle, rectangle
@@ -274,6 +274,83 @@ def test_regions_are_as_large_as_the_rectangle_and_no_larger_where_nothing_can_m
         assert area <= bound <= area * (1 + 1e-6) + 1e-6
         assert block["mask"][0, 0] == 2 ** (2 * ROWS) - 1
         np.testing.assert_allclose(block["weight"][0, 0], 2 * ROWS * bound)
+
+
+def test_a_part_of_a_direction_moves_as_far_as_its_bound_and_hardly_less():
+    """Unit vectors moved by a chord in every direction: what they have along another vector changes
+    by the bound at most, and by nearly as much where they move towards it."""
+    rng = np.random.default_rng(5)
+    for chord in (0.003, 0.03, 0.3):
+        half = 2 * np.arcsin(chord / 2)
+        for angle in np.linspace(0, np.pi, 13):
+            start, along = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([1.0, 0, 0])
+            ways = np.cross(start, rng.normal(size=(200, 3)))
+            ways = np.vstack([ways, np.cross(start, [0, 0, 1.0]), np.cross([0, 0, 1.0], start)])
+            ways /= np.linalg.norm(ways, axis=1)[:, None]
+            moved = np.cos(half) * start + np.sin(half) * ways
+            found = np.abs(moved @ along - start @ along).max()
+            assert found <= part_moves(np.cos(angle), chord) + 1e-12 < found + chord**2 + 2e-12
+
+
+@compiled
+def _keeps(blocks, first, last, towards0, towards1, width, sides):
+    middle, half = (first + last) / 2, (last - first) / 2
+    drop = 1 - np.sqrt(1 - width * width)
+    for row in range(2):
+        sides[row] = _bends(
+            blocks[0],
+            0,
+            np.sin(middle),
+            np.cos(middle),
+            1.0 - 2.0 * row,
+            towards0,
+            towards1,
+            width,
+            half,
+            drop,
+            0.5 * half * half + 1e-9,
+        )
+
+
+def kept_pieces(tighten: float) -> tuple[int, int, int]:
+    """Pieces of a chart against hinges at random, one limit of which may be met: how many hold an
+    allowed direction (a fine grid of them), how many of these are dropped, and how many are kept in
+    all; `tighten` makes the pieces smaller for the bound alone."""
+    rng, block, held, lost, kept = np.random.default_rng(6), np.zeros(1, REGIONS), 0, 0, 0
+    x, along = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-1, 1, 21)] * 2))
+    for _ in range(400):
+        triple = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        names = [f"{axis}{n}" for axis in ("normal", "second", "third") for n in range(3)]
+        for name, value in zip(names, triple.ravel(), strict=True):
+            block[name] = value
+        limits = {"offset": -0.3, "low2": 0.2, "high2": 0.9, "low3": -0.1, "high3": 0.6}
+        for name, value in limits.items():
+            block[name] = value
+        middle, half, width = rng.uniform(-1.2, 1.2), rng.uniform(0.01, 0.3), rng.uniform(0.02, 0.9)
+        turn, sides = rng.uniform(0, 2 * np.pi), np.zeros(2)
+        towards = np.array([np.cos(turn), np.sin(turn)])
+        half_, width_ = tighten * half, tighten * width
+        _keeps(block, middle - half_, middle + half_, *towards, width_, sides)
+        rho, angle = np.sqrt(1 - (width * x) ** 2), middle + half * along
+        plane = towards[:, None] * rho * np.sin(angle)
+        plane = plane + np.array([-towards[1], towards[0]])[:, None] * width * x
+        for row, side in enumerate((1, -1)):
+            h1, h2, h3 = triple @ np.vstack([plane, side * rho * np.cos(angle)])
+            inside = (h1 + limits["offset"] < 0) & (h2 >= 0.2) & (h2 <= 0.9)
+            inside &= (h3 >= -0.1) & (h3 <= 0.6)
+            held += inside.any()
+            lost += inside.any() and not sides[row]
+            kept += int(sides[row])
+    return held, lost, kept
+
+
+def test_no_piece_is_dropped_that_holds_an_allowed_direction():
+    """Against every direction of a fine grid; few are kept that hold none. Negative control: bounds
+    of pieces a third smaller drop some."""
+    held, lost, kept = kept_pieces(1.0)
+    assert lost == 0
+    assert 100 < held <= kept < 2 * held
+    assert kept_pieces(0.67)[1] > 5
 
 
 def limb_draws(model, seed, number):

@@ -1,8 +1,11 @@
 """What bounds a stratum: the lower bone's region for blocks of sub-cells and one bin of lengths.
 Compiled; body units.
 
-Bounds add up how far things can move inside a stratum: the upper bone by `chord`, its image by that
-times the length, the disc's centre by `shift`, the hinge's frame by `turn`. Nothing is estimated.
+Bounds add up how far things can move inside a stratum, each in the direction that counts: the
+disc's centre away from where the bone starts (`radial`, which changes the rectangle) and aside
+(`beside`, which turns the chart about the line of sight), the hinge's frame by `turn`, a direction
+inside its piece by what it has along the hinge's axes. Nothing is estimated.
+
 As in `blocks`, the loop is plain, over columns of one array, so that it becomes vector
 instructions."""
 
@@ -10,7 +13,7 @@ import math
 
 from inference.exact.loops.numbers import compiled, inlined
 from inference.exact.loops.rectangles import ROWS, SLACK, largest_rectangle, rectangle
-from inference.exact.loops.series import arcsine, cosine, sine, smaller
+from inference.exact.loops.series import arcsine, cosine, magnitude, sine, smaller
 from inference.exact.loops.tables import Record
 
 
@@ -42,8 +45,21 @@ def bound_regions(
             (target1 - length1 * image1) * shrink,
         )
         distance = math.sqrt(centre0 * centre0 + centre1 * centre1)
-        shift = (high1 * chord + spread1 * block.spread[n] + distance * spread2) * most + SLACK
-        nearest, farthest = distance - shift, distance + shift
+        scale = 1 / (distance if distance > 1e-300 else 1e-300)
+        towards0, towards1 = (centre0 * scale if distance > 0 else 1.0), centre1 * scale
+        along, across = (
+            image0 * towards0 + image1 * towards1,
+            image1 * towards0 - image0 * towards1,
+        )
+        # A length of the lower bone moves the centre along its own direction only.
+        stretch = spread1 * magnitude(along) + distance * spread2
+        radial = (high1 * part_moves(along, chord) + stretch) * most + SLACK
+        beside = (high1 * part_moves(across, chord) + spread1 * magnitude(across)) * most + SLACK
+        nearest, farthest = (
+            distance - radial,
+            math.sqrt((distance + radial) * (distance + radial) + beside * beside),
+        )
+        turned = beside / (nearest if nearest > 1e-9 else 1e-9)  # at least the angle
         nearest = nearest if nearest > 0 else 0.0
         width, lowest, _ = rectangle(nearest, large)
         low, high, highest = (
@@ -52,17 +68,13 @@ def bound_regions(
             arcsine(farthest + large),
         )
         # What moves beside the rectangle: the hinge's frame, and the chart about the line of sight.
-        apart = shift < 0.7 * distance
-        scale = 1 / (distance if distance > 1e-300 else 1e-300)
         edge = farthest + large
         loose = (
-            block.turn[n]
-            + 1.1 * (shift * scale if apart else 2.0) * (edge if edge < 1 else 1.0)
-            + SLACK
+            block.turn[n] + (turned if turned < 2 else 2.0) * (edge if edge < 1 else 1.0) + SLACK
         )
-        flat = width * width * (1.1 if width < 0.5 else 2.5)  # at least arcsin² of the width
-        towards0, towards1 = (centre0 * scale if distance > 0 else 1.0), centre1 * scale
-        view = towards0, towards1, flat, loose
+        rest = 1 - width * width
+        drop = 1 - math.sqrt(rest if rest > 0 else 0.0) + SLACK
+        view = towards0, towards1, width, drop, loose
         # Row by row, written out: a loop in here would keep this one from becoming vector
         # instructions.
         front0, behind0 = _row(block, n, lowest, low + (highest - low) * 0.25, *view)
@@ -94,6 +106,14 @@ def bound_regions(
 
 
 @inlined
+def part_moves(part: float, chord: float) -> float:
+    """How far at most a part of a unit vector changes, the part being what it has along some unit
+    vector, while it moves by `chord`: what is along the vector itself is of second order."""
+    rest = 1 - part * part
+    return chord * math.sqrt(rest if rest > 0 else 0.0) + 0.5 * chord * chord
+
+
+@inlined
 def _row(
     block: Record,
     n: int,
@@ -101,28 +121,66 @@ def _row(
     last: float,
     towards0: float,
     towards1: float,
-    flat: float,
+    width: float,
+    drop: float,
     loose: float,
 ) -> tuple[float, float]:
-    """Whether the hinge may allow a direction with α in [first, last], in front and behind: 1 or
-    0."""
+    """Whether the hinge may allow a direction with |x| ≤ width and α in [first, last], in front and
+    behind: 1 or 0."""
     middle, half = (first + last) * 0.5, (last - first) * 0.5
     half = half if half > 0 else 0.0
-    reach = (math.sqrt(flat + half * half) + loose) * (1 + SLACK)
     height, depth = sine(middle), cosine(middle)
-    d0, d1 = height * towards0, height * towards1
-    return _bends(block, n, d0, d1, depth, reach), _bends(block, n, d0, d1, -depth, reach)
+    loose += 0.5 * half * half
+    piece = towards0, towards1, width, half, drop, loose
+    return _bends(block, n, height, depth, 1.0, *piece), _bends(
+        block, n, height, depth, -1.0, *piece
+    )
 
 
 @inlined
-def _bends(block: Record, n: int, d0: float, d1: float, d2: float, reach: float) -> float:
-    """1 where the hinge may allow a direction within `reach` of this one, camera axes; else 0."""
-    u1 = block.normal0[n] * d0 + block.normal1[n] * d1 + block.normal2[n] * d2
-    u2 = block.second0[n] * d0 + block.second1[n] * d1 + block.second2[n] * d2
-    u3 = block.third0[n] * d0 + block.third1[n] * d1 + block.third2[n] * d2
-    least = reach - u1 - block.offset[n]
-    least = smaller(least, u2 - block.low2[n] + reach)
-    least = smaller(least, block.high2[n] + reach - u2)
-    least = smaller(least, u3 - block.low3[n] + reach)
-    least = smaller(least, block.high3[n] + reach - u3)
+def _bends(
+    block: Record,
+    n: int,
+    height: float,
+    depth: float,
+    side: float,
+    towards0: float,
+    towards1: float,
+    width: float,
+    half: float,
+    drop: float,
+    loose: float,
+) -> float:
+    """1 where the hinge may allow a direction of a piece; else 0. `height` and `depth` are sine and
+    cosine of the middle α, `side` is 1 in front and -1 behind."""
+    piece = height, depth * side, towards0, towards1, width, half, drop
+    u1, off1 = _part(block.normal0[n], block.normal1[n], block.normal2[n], *piece)
+    u2, off2 = _part(block.second0[n], block.second1[n], block.second2[n], *piece)
+    u3, off3 = _part(block.third0[n], block.third1[n], block.third2[n], *piece)
+    least = off1 + loose - u1 - block.offset[n]
+    least = smaller(least, u2 - block.low2[n] + off2 + loose)
+    least = smaller(least, block.high2[n] + off2 + loose - u2)
+    least = smaller(least, u3 - block.low3[n] + off3 + loose)
+    least = smaller(least, block.high3[n] + off3 + loose - u3)
     return 1.0 if least >= 0 else 0.0
+
+
+@inlined
+def _part(
+    h0: float,
+    h1: float,
+    h2: float,
+    height: float,
+    deep: float,
+    towards0: float,
+    towards1: float,
+    width: float,
+    half: float,
+    drop: float,
+) -> tuple[float, float]:
+    """What the middle of a piece has along the hinge's axis h, and how far from that its directions
+    x · across + √(1-x²) (sin α · towards ± cos α · away) are but for half²/2: with f(α) what stands
+    in brackets has along h, width |h · across| + half |f'| + drop |f|."""
+    along, across = h0 * towards0 + h1 * towards1, h1 * towards0 - h0 * towards1
+    middle, slope = along * height + h2 * deep, along * deep - h2 * height
+    return middle, width * magnitude(across) + half * magnitude(slope) + drop * magnitude(middle)

@@ -167,7 +167,7 @@ def run(
     if saved:
         seconds, compiling, history = saved.load(method)
     if not history:
-        compiling = _compile(method, clock)
+        compiling = first_step(method, clock)
     finished = False
     while (
         not finished and method.held < num_samples and allowance.allows(method.evaluations, seconds)
@@ -188,7 +188,7 @@ def run(
     return _result(name, target, method, drawn, key, num_samples, seconds, compiling, history)
 
 
-def _compile(method: Method, clock: Clock) -> float:
+def first_step(method: Method, clock: Clock) -> float:
     """Takes the first step twice, so that the clock runs without compilation; returns the seconds
     of the first one."""
     started = clock()

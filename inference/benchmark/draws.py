@@ -102,7 +102,7 @@ def draw_block(target: FrozenTarget, index: int, progress: Progress | None = Non
     key = jax.random.fold_in(jax.random.key(int(words)), index)
     if isinstance(target.root, GivenRoot):
         return _under_one_root(target, key)
-    return _with_roots(target, target.root, key, progress)
+    return draw_roots(target, target.root, key, blocks_of(target).size, progress)
 
 
 def _under_one_root(target: FrozenTarget, key: jax.Array) -> DrawBlock:
@@ -114,11 +114,16 @@ def _under_one_root(target: FrozenTarget, key: jax.Array) -> DrawBlock:
     return DrawBlock(points, sampler.log_evidence, sampler.log_evidence_se)
 
 
-def _with_roots(
-    target: FrozenTarget, root: BoxedRoot, key: jax.Array, progress: Progress | None
+def draw_roots(
+    target: FrozenTarget,
+    root: BoxedRoot,
+    key: jax.Array,
+    size: int,
+    progress: Progress | None = None,
 ) -> DrawBlock:
-    """Draws under flat priors of scale and place, those in the target's box."""
-    found, size = estimate(target).uncertain(model_of(target)), blocks_of(target).size
+    """So many draws of a target with an uncertain root: under flat priors of scale and place, those
+    in its box. Raises `OutOfBudget` where the engine cannot make them."""
+    found = estimate(target).uncertain(model_of(target))
     roots = reject_roots(
         found,
         key=key,

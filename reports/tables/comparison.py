@@ -31,13 +31,26 @@ def comparison_table(tree: xr.DataTree) -> Sheet:
         record: dict[str, object] = {"sampler": label}
         record |= {str(name): _plain(own[name].item()) for name in summary.data_vars}
         records.append(record | _worst(tree, label))
-    gifts = [gift for gift in map(_gift, records) if gift]
+    gifts = [gift for gift in map(gift_sentence, records) if gift]
     return Sheet(COLUMNS, records, caption=". ".join(gifts))
 
 
-def _gift(record: Record) -> str:
+def gift_sentence(record: Record) -> str:
     """The sentence without which it would mislead to say that a sampler agrees: that it has, for
-    the most part, what it was given. Empty where it has more than that."""
+    the most part, what it was given.
+
+    Parameters
+    ----------
+    record
+        With `sampler`, its `verdict`, its `start` (empty where no exact draws were given),
+        `ess_worst`, `ess_per_second` (those earned), `seconds` and `rhat_worst`.
+
+    Returns
+    -------
+    str
+        Empty where it does not agree, was given nothing, or has earned more than it was given and
+        its chains are one sample.
+    """
     if record["verdict"] != AGREES or not record["start"]:
         return ""
     earned = (record["ess_per_second"] or 0.0) * record["seconds"]

@@ -11,20 +11,21 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
-from inference.benchmark import load
+from inference.benchmark import contestants, load
 from inference.readings import READINGS, Verdict
 from inference.studies.misreadings import Study
 from probmodel.learning.dictionaries import PoseDictionary
+from reports.figures import leaderboard as pictures
 from reports.pages import (
     coverage,
     estimators,
     facing,
-    leaderboard,
     page,
     readings,
     samplers,
     speed,
 )
+from reports.tables import leaderboard as tables
 from reports.tables import sheet_of
 
 FOLDER = Path(page.__file__).parent
@@ -170,31 +171,77 @@ def entry(sampler: str, start: str = "", **changes: object) -> dict[str, object]
     """A line of the leaderboard on one arm, after two seconds."""
     line = {"target": "arm", "budget": "seconds", "sampler": sampler, "start": start}
     numbers = {"effective_draws": 300.0, "earned": 100.0, "evaluations": 4e4, "seconds": 2.0}
+    numbers |= {"to_distance": 1.0, "rhat_worst": 1.0}
     about = {"verdict": "agrees", "missed_mass": 0.0, "worst_w1": 0.1, "evidence_error": None}
     return line | numbers | about | changes
 
 
-def test_the_leaderboard_ranks_by_what_was_earned() -> None:
+def leaderboard_lines() -> list[dict[str, object]]:
+    """Lines on one arm: of those that were given nothing, emcee is the best that agrees."""
     lines = [
-        entry("exact", earned=1e4),
-        entry("emcee", "exact draws", earned=500.0),
+        entry("exact", earned=1e4, to_distance=0.01),
+        entry("emcee", "exact draws", earned=500.0, to_distance=0.5),
         entry("emcee", "prior"),
-        entry("smc", verdict="differs", earned=900.0),
+        entry("smc", verdict="differs", earned=900.0, to_distance=None),
         {**entry("random-walk", "prior"), "verdict": "no draws"},
     ]
-    del lines[-1]["earned"], lines[-1]["evaluations"], lines[-1]["seconds"]
-    (row,) = leaderboard.ratios(lines).texts()
-    assert row == ["arm", "6", "5,000", "emcee: 50", "100"], "neither gifts nor wrong ones count"
-    rows = leaderboard.board(lines, "arm", "seconds").texts()
-    assert rows[0][:6] == ["exact", "–", "agrees", "300", "5,000", "250"]
-    assert rows[-1][2:6] == ["no draws", "300", "–", "–"]
-    assert leaderboard.ratios([]).texts() == []
+    for name in ("earned", "evaluations", "seconds", "to_distance"):
+        del lines[-1][name]
+    return lines
+
+
+def test_the_leaderboard_ranks_by_what_was_earned() -> None:
+    lines = leaderboard_lines()
+    (row,) = tables.ratios(lines).texts()
+    assert row[:5] == ["arm", "6", "5,000", "emcee: 50", "100"], (
+        "neither gifts nor wrong ones count"
+    )
+    assert row[5:] == ["0.01 s", "emcee: 1 s", "100"]
+    rows = tables.board(lines, "arm", "seconds").texts()
+    assert rows[0][:7] == ["exact", "–", "agrees", "300", "5,000", "250", "0.01 s"]
+    assert rows[-1][2:7] == ["no draws", "300", "–", "–", "–"]
+    assert tables.ratios([]).texts() == []
+
+
+def test_who_never_comes_near_is_behind_by_more_than_its_time() -> None:
+    lines = [entry("exact", to_distance=0.01), entry("smc", verdict="differs", to_distance=None)]
+    (row,) = tables.ratios(lines).texts()
+    assert row[3:5] == ["none", "–"]
+    assert row[6:] == ["none", "> 200"]
+
+
+def test_the_leaderboard_explains_who_agrees_by_its_start() -> None:
+    """Three walkers far apart, each where an exact draw has put it, agree: not without a word."""
+    given = {"effective_draws": 144.0, "earned": 16.0, "rhat_worst": 3.91}
+    lines = [entry("random-walk", "exact draws", **given)]
+    said = (
+        "random-walk agrees because it was started in exact draws: of its 144 effective draws it"
+        " has earned 16, and R-hat 3.91 says that its chains are still far apart"
+    )
+    assert said in tables.board(lines, "arm", "seconds").markdown()
+    lines = [entry("random-walk", "prior", **given)]
+    assert "exact draws" not in tables.board(lines, "arm", "seconds").markdown()
+
+
+def test_the_leaderboard_s_pictures() -> None:
+    lines = leaderboard_lines()
+    for draw in (pictures.paces, pictures.times):
+        (panel,) = draw(lines).axes
+        rows = [text.get_text() for text in panel.get_yticklabels()]
+        assert rows[0] == "exact"
+        assert set(rows) == {"exact", "emcee", "emcee (given)", "smc", "random-walk"}
+        shown = {mark.get_gid() for mark in panel.get_lines() if mark.get_gid()}
+        assert ("smc arm" in shown) == (draw is pictures.paces)
+        assert "random-walk arm" not in shown, "it has no draws"
+    earned, timed = pictures.growth(lines).axes
+    assert earned.get_lines()[0].get_ydata() == [100.0]
+    assert timed.get_lines()[0].get_ydata() == [100.0]
 
 
 def test_walking_downhill_comes_inside_at_a_price(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(leaderboard, "PATIENCE", 200)
+    monkeypatch.setattr(contestants, "PATIENCE", 200)
     target = load("arm")
-    points, spent = leaderboard.downhill(target, np.random.default_rng(0), 20)
+    points, spent = contestants.downhill(target, np.random.default_rng(0), 20)
     assert len(points) >= 5
     assert (target.misfit(points) <= 1).all()
     assert spent > 2 * len(points)

@@ -1,6 +1,7 @@
 """What draws cost: effective draws a second, and seconds until the draws are within a distance of
 the exact ones."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ EPSILON = 0.1
 
 
 class Course(NamedTuple):
-    """`distance` `(5,)`: sliced Wasserstein to the exact draws after `seconds` `(5,)`; `kept`: the
+    """`distance` `(p,)`: sliced Wasserstein to the exact draws after `seconds` `(p,)`; `kept`: the
     share of the work that brought draws."""
 
     seconds: np.ndarray
@@ -29,10 +30,12 @@ class Course(NamedTuple):
         return float(self.seconds[first]) if first < len(self.seconds) else np.inf
 
 
-def course(sample: Sample, exact: Sample, seconds: float, kept: float) -> Course:
+def course(
+    sample: Sample, exact: Sample, seconds: float, kept: float, shares: Sequence[float] = SHARES
+) -> Course:
     """The distance after the first parts of every chain, of a run of `seconds` in which the last
     share `kept` of the work brought these draws, evenly; the work before it counts from the
-    start."""
-    distance = [sliced_wasserstein(sample.first(share).flat, exact.flat) for share in SHARES]
+    start. `shares` are the parts, the last of them 1."""
+    distance = [sliced_wasserstein(sample.first(share).flat, exact.flat) for share in shares]
     before = seconds * (1 - kept)
-    return Course(before + np.array(SHARES) * seconds * kept, np.array(distance), kept)
+    return Course(before + np.array(shares) * seconds * kept, np.array(distance), kept)

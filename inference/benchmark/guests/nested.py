@@ -1,0 +1,61 @@
+"""Nested samplers of other libraries on a frozen target, as they come: dynesty and UltraNest."""
+
+import numpy as np
+
+from inference.baselines.run import Allowance
+from inference.benchmark.guests.graded import CLOCK, HARDNESS, Outcome, graded, inside
+from inference.benchmark.target import FrozenTarget
+
+
+def dynesty(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome | None:
+    """dynesty's static sampler, everything as it comes; one point at a time, in JAX."""
+    import dynesty as package
+
+    rng, log_likelihood = np.random.default_rng(seed), graded(target)
+    started = CLOCK()
+    sampler = package.NestedSampler(log_likelihood, target.prior_transform, target.dim, rstate=rng)
+    for _ in sampler.sample(add_live=False):
+        if not allowance.allows(sampler.ncall, CLOCK() - started):
+            break
+    for _ in sampler.add_live_points():
+        pass
+    found, seconds = sampler.results, CLOCK() - started
+    log_weights = np.asarray(found.logwt)
+    cost = {"evaluations": int(np.sum(found.ncall)), "seconds": seconds}
+    error = float(found.logzerr[-1])
+    submission = inside(target, np.asarray(found.samples), log_weights, error, cost)
+    return None if submission is None else Outcome(submission)
+
+
+class _Spent(Exception):
+    """Raised within UltraNest, which has no limit of its own to the time it takes."""
+
+
+def ultranest(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome | None:
+    """UltraNest's reactive sampler, everything as it comes; many points at a time, in NumPy. It has
+    no draws before it is through."""
+    from ultranest import ReactiveNestedSampler
+
+    np.random.seed(seed)  # noqa: NPY002 — the global state is what it draws from
+    started, evaluations = CLOCK(), 0
+
+    def log_likelihood(cube: np.ndarray) -> np.ndarray:
+        nonlocal evaluations
+        if not allowance.allows(evaluations, CLOCK() - started):
+            raise _Spent
+        evaluations += len(cube)
+        return target.log_graded(target.prior_transform(cube), HARDNESS)
+
+    names = list(target.coordinates)
+    try:
+        sampler = ReactiveNestedSampler(names, log_likelihood, vectorized=True)
+        found = sampler.run(show_status=False, viz_callback=False)
+    except _Spent:
+        return None
+    weighted = found["weighted_samples"]
+    with np.errstate(divide="ignore"):
+        log_weights = np.log(weighted["weights"]) + found["logz"]
+    points = target.prior_transform(np.asarray(weighted["upoints"]))
+    cost = {"evaluations": evaluations, "seconds": CLOCK() - started}
+    submission = inside(target, points, log_weights, float(found["logzerr"]), cost)
+    return None if submission is None else Outcome(submission)

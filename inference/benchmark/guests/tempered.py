@@ -1,0 +1,50 @@
+"""Parallel tempering of another library on a frozen target, as it comes: reddemcee."""
+
+import itertools
+from typing import Any
+
+import numpy as np
+
+from inference.baselines.run import Allowance
+from inference.benchmark.guests.graded import CLOCK, Outcome, graded, inside
+from inference.benchmark.target import FrozenTarget
+
+TEMPERATURES = 10
+WALKERS = 4
+"""Walkers of a temperature, as a multiple of the dimension."""
+STEPS = 50
+"""Steps between two looks at the clock."""
+BURN_IN = 0.25
+
+
+def reddemcee(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome | None:
+    """reddemcee's adaptive parallel tempering, everything as it comes, in the cube."""
+    from reddemcee import PTSampler
+
+    np.random.seed(seed)  # noqa: NPY002 — the global state is what it begins with
+    density, counted = graded(target), itertools.count(1)
+
+    def log_likelihood(cube: np.ndarray) -> float:
+        next(counted)
+        return density(target.prior_transform(cube)) if _flat(cube) == 0 else -np.inf
+
+    walkers = WALKERS * target.dim
+    sampler = PTSampler(walkers, target.dim, log_likelihood, _flat, ntemps=TEMPERATURES)
+    state: Any = np.random.default_rng(seed).uniform(size=(TEMPERATURES, walkers, target.dim))
+    started, evaluations = CLOCK(), 0
+    while allowance.allows(evaluations, CLOCK() - started):
+        state = sampler.run_mcmc(state, nsweeps=STEPS, progress=False)
+        evaluations = next(counted)
+    seconds = CLOCK() - started
+    cold = np.asarray(sampler.get_chain())[0]
+    kept = cold[int(BURN_IN * len(cold)) :]
+    # One walker's path after the other.
+    points = target.prior_transform(np.moveaxis(kept, 1, 0).reshape(-1, target.dim))
+    cost = {"evaluations": evaluations, "seconds": seconds}
+    submission = inside(target, points, np.zeros(len(points)), np.nan, cost)
+    return None if submission is None else Outcome(submission, kept=1 - BURN_IN)
+
+
+def _flat(cube: np.ndarray) -> float:
+    """Log density of the prior at a point of the cube."""
+    return 0.0 if np.all((cube >= 0) & (cube <= 1)) else -np.inf

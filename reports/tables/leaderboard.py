@@ -1,0 +1,224 @@
+"""The leaderboard of the benchmark in tables: a line is what one sampler brought on one target from
+one start, under one budget.
+
+*earned* are the effective draws of the worst coordinate beyond the exact ones that were given, and
+*to 0.1 sd* the seconds until the sliced Wasserstein distance to the exact draws falls below 0.1
+standard deviations for good."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from scipy import stats
+
+from inference.benchmark.catalogue import load, targets
+from inference.benchmark.contestants import EXACT, GIFT
+from inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
+from reports.tables.comparison import gift_sentence
+from reports.tables.sheet import NOTHING, Column, Sheet, number
+
+EVALUATIONS, SECONDS = "evaluations", "seconds"
+"""What runs are made equal in."""
+Line = Mapping[str, Any]
+
+
+def pace_of(line: Line) -> float:
+    """What it earned a second; -1 where it brought no draws."""
+    return line["earned"] / line["seconds"] if "earned" in line else -1.0
+
+
+def sorted_lines(lines: Iterable[Line]) -> list[Line]:
+    """By target, budget, and what they earned a second."""
+    order = {name: row for row, name in enumerate(targets())}
+    return sorted(lines, key=lambda one: (order[one["target"]], one["budget"], -pace_of(one)))
+
+
+def board(lines: Sequence[Line], target: str, budget: str) -> Sheet:
+    """The table of a target, of runs that are equal in one thing; below it what explains who agrees
+    by its start."""
+    chosen = [one for one in lines if (one["target"], one["budget"]) == (target, budget)]
+    columns = (
+        Column("sampler", left=True),
+        Column("start", lambda one: one["start"] or NOTHING, left=True),
+        Column("verdict", left=True),
+        Column("effective draws", lambda one: one.get("effective_draws"), _count),
+        Column("earned/s", _earned("seconds"), _rate),
+        Column("earned/1,000 evaluations", _earned("evaluations", 1000), _rate),
+        Column("to 0.1 sd", _reached),
+        Column("evaluations", lambda one: one.get("evaluations"), _count),
+        Column("CPU s", lambda one: one.get("seconds"), _rate),
+        Column("R-hat", lambda one: one.get("rhat_worst"), _ratio),
+        Column("missed mass", lambda one: one.get("missed_mass"), _share),
+        Column("worst W1", lambda one: one.get("worst_w1"), _sd),
+        Column("evidence off", lambda one: one.get("evidence_error"), _nats),
+    )
+    gifts = [gift for gift in map(_gift, chosen) if gift]
+    return Sheet(columns, chosen, caption=". ".join(gifts))
+
+
+def _gift(line: Line) -> str:
+    if "earned" not in line:
+        return ""
+    record = {
+        "sampler": line["sampler"],
+        "verdict": line["verdict"],
+        "start": GIFT if line["start"] == GIFT else "",
+        "ess_worst": line["effective_draws"] or 0.0,
+        "ess_per_second": pace_of(line),
+        "seconds": line["seconds"],
+        "rhat_worst": line["rhat_worst"],
+    }
+    return gift_sentence(record)
+
+
+def _earned(cost: str, unit: float = 1.0) -> Any:
+    return lambda one: unit * one["earned"] / one[cost] if one.get(cost) else None
+
+
+def _count(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:,.0f}"
+
+
+def _rate(value: float | None) -> str:
+    if value is None:
+        return NOTHING
+    return f"{value:,.0f}" if value >= 100 else f"{value:.2g}"
+
+
+def _ratio(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.2f}"
+
+
+def _share(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.1%}"
+
+
+def _sd(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.2f} sd"
+
+
+def _nats(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:+.2f} nats"
+
+
+def _reached(line: Line) -> str:
+    if "earned" not in line:
+        return NOTHING
+    return "never" if line["to_distance"] is None else f"{_rate(line['to_distance'])} s"
+
+
+def ratios(lines: Sequence[Line]) -> Sheet:
+    """By target: the exact row against the best of those that were given nothing, by what a second
+    earns and by the time to 0.1 sd."""
+    columns = (
+        Column("target", left=True),
+        Column("dim"),
+        Column("exact, earned/s", "exact", _rate),
+        Column("best other that agrees, from the prior", _best("best", "pace"), left=True),
+        Column("ratio", form=_count),
+        Column("exact, to 0.1 sd", "exact_time", _seconds),
+        Column("first other there, from the prior", _best("first", "time", " s"), left=True),
+        Column("ratio of times", _times),
+    )
+    return Sheet(columns, contests(lines))
+
+
+def _best(name: str, value: str, unit: str = "") -> Any:
+    def said(one: Mapping[str, Any]) -> str:
+        return "none" if one[name] is None else f"{one[name]}: {_rate(one[value])}{unit}"
+
+    return said
+
+
+def _seconds(value: float | None) -> str:
+    return "never" if value is None else f"{_rate(value)} s"
+
+
+def _times(one: Mapping[str, Any]) -> str:
+    if one["times"] is None:
+        return NOTHING
+    return ("" if one["first"] else "> ") + _rate(one["times"])
+
+
+def contests(lines: Sequence[Line]) -> list[dict[str, Any]]:
+    """By target: what exact draws and the best other that agrees earn a second, when exact draws
+    and the first other are within 0.1 sd, and the ratios of both. None where no other agrees or
+    comes there; the ratio of times is then that to all the time that others had, and they would
+    need more."""
+    records = []
+    for target in targets():
+        own = [one for one in lines if one["target"] == target and one["budget"] == SECONDS]
+        exact = next((one for one in own if one["sampler"] == EXACT), None)
+        if exact is None:
+            continue
+        others = [one for one in own if one["sampler"] != EXACT and one["start"] != GIFT]
+        right = [one for one in others if one["verdict"] == AGREES and one["earned"] > 0]
+        best = max(right, key=pace_of, default=None)
+        there = [one for one in others if one.get("to_distance") is not None]
+        first = min(there, key=lambda one: one["to_distance"], default=None)
+        had = max((one["seconds"] for one in others if "seconds" in one), default=None)
+        time = had if first is None else first["to_distance"]
+        known = exact["to_distance"]
+        records.append(
+            {
+                "target": target,
+                "dim": load(target).dim,
+                "exact": pace_of(exact),
+                "best": None if best is None else best["sampler"],
+                "pace": None if best is None else pace_of(best),
+                "ratio": None if best is None else number(pace_of(exact) / pace_of(best)),
+                "exact_time": known,
+                "first": None if first is None else first["sampler"],
+                "time": time,
+                "times": None if time is None or known is None else time / known,
+            }
+        )
+    return records
+
+
+def alarms(verdicts: Mapping[str, tuple[int, Sequence[str]]]) -> Sheet:
+    """How often exact draws are said to differ: by target, how many draws a set had, and what was
+    said of each."""
+    records = []
+    for name, (size, said) in verdicts.items():
+        records.append(_alarm(name, f"{len(said)} × {size}", said))
+    if len(records) > 1:
+        records.append(_alarm("all", "", [one for _, said in verdicts.values() for one in said]))
+    columns = (
+        Column("target", left=True),
+        Column("sets × draws", "sets"),
+        Column("said to differ", "differ"),
+        Column("rate, 95 % interval", "rate"),
+        Column("cannot tell"),
+    )
+    return Sheet(columns, records)
+
+
+def _alarm(name: str, sets: str, said: Sequence[str]) -> dict[str, Any]:
+    differ = said.count(DIFFERS)
+    interval = stats.binomtest(differ, len(said)).proportion_ci(0.95)
+    return {
+        "target": name,
+        "sets": sets,
+        "differ": f"{differ} of {len(said)}",
+        "rate": f"{differ / len(said):.1%} ({interval.low:.1%}–{interval.high:.1%})",
+        "cannot tell": said.count(CANNOT_TELL),
+    }
+
+
+def read_alarms(folder: Path) -> dict[str, tuple[int, list[str]]]:
+    """What `alarms` needs, from files `exact-<target>.txt`, whose first line is the size of a
+    set."""
+    found = {}
+    for name in targets():
+        path = folder / f"exact-{name}.txt"
+        if path.exists():
+            size, *said = path.read_text(encoding="utf-8").split("\n")
+            found[name] = int(size), said
+    return found
+
+
+def finite(value: float) -> float | None:
+    """The number, or None where it is infinite or none."""
+    return value if math.isfinite(value) else None

@@ -29,7 +29,7 @@ EXACT, GIFT, PRIOR = "exact", "exact draws", "prior"
 """The engine, and the two starts of Markov chains."""
 DRAWS, ROOTED = 10_000, 200
 """Exact draws that are timed: under one root, and with an uncertain one."""
-MOST = 20_000
+MOST = 8_000
 """Draws of a baseline that are handed over at most, taken evenly along its paths."""
 STEP = 0.3
 """Of the walk downhill, in R^d."""

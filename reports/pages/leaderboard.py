@@ -4,8 +4,8 @@ reports/leaderboard.md and its pictures.
     python -m reports.pages.leaderboard --work build/leaderboard --seconds 10
 
 Every line is kept in the folder `--work`, and what is there is not run again; the page is made of
-the lines that are there. `--samplers`, `--targets` and `--budgets` run some only; with
-`--samplers ""` only the judge is asked, about exact draws."""
+the lines that are there. `--samplers`, `--targets` and `--budgets` run some only. Then the judge is
+asked about `--sets` sets of exact draws of each of the targets `--alarms`."""
 
 import argparse
 import json
@@ -66,7 +66,7 @@ too."""
 FINE = tuple(2.0**-power for power in range(10, -1, -1))
 """Parts of a run at which its distance is measured."""
 SETS, SET = 200, 500
-"""Sets of exact draws that are judged, and draws of each."""
+"""Sets of exact draws that are judged at most, and draws of each."""
 FEW_SETS, SMALL_SET = 60, 160
 """The same where the root is uncertain, and draws are dear."""
 WORK = Path("build") / "leaderboard"
@@ -149,21 +149,22 @@ def _runs(
                     yield budget, name, start
 
 
-def false_alarms(chosen: Iterable[str], work: Path) -> None:
-    """Judges sets of exact draws, of every target that is not yet in the folder. They are of the
-    first blocks, and the judge's of the last."""
+def false_alarms(chosen: Iterable[str], most: int, work: Path) -> None:
+    """Judges sets of exact draws, as many of every target as are not yet in the folder. They are of
+    the first blocks, and the judge's of the last."""
     for one in chosen:
         path, target = work / f"exact-{one}.txt", load(one)
-        if path.exists():
-            continue
         cheap = isinstance(target.root, GivenRoot)
-        sets, size = (SETS, SET) if cheap else (FEW_SETS, SMALL_SET)
+        sets, size = min(most, SETS if cheap else FEW_SETS), SET if cheap else SMALL_SET
+        said = path.read_text(encoding="utf-8").split("\n")[1:] if path.exists() else []
+        if len(said) >= sets:
+            continue
         exact = exact_sample(target)
         points = exact_points(target, sets * size).reshape(sets, 1, size, -1)
-        found = [verdict(target, Submission(each, size), exact) for each in points]
-        with replacing(path) as partial:
-            said = [str(size), *(each.judgement.verdict for each in found)]
-            partial.write_text("\n".join(said), encoding="utf-8")
+        for each in points[len(said) :]:
+            said.append(verdict(target, Submission(each, size), exact).judgement.verdict)
+            with replacing(path) as partial:
+                partial.write_text("\n".join([str(size), *said]), encoding="utf-8")
         print("exact", one, flush=True)
 
 
@@ -232,12 +233,13 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--samplers", default=",".join(everyone))
     parser.add_argument("--targets", default=",".join(TARGETS))
     parser.add_argument("--budgets", default=f"{SECONDS},{EVALUATIONS}")
+    parser.add_argument("--alarms", default=",".join(TARGETS))
+    parser.add_argument("--sets", type=int, default=SETS)
     options = parser.parse_args()
-    options.targets = options.targets.split(",")
-    options.samplers = [name for name in options.samplers.split(",") if name]
-    options.budgets = options.budgets.split(",")
+    for several in ("samplers", "targets", "budgets", "alarms"):
+        setattr(options, several, [one for one in getattr(options, several).split(",") if one])
     try:
-        for name in options.targets:
+        for name in (*options.targets, *options.alarms):
             load(name)
         for name in options.samplers:
             check_name(name)
@@ -260,7 +262,7 @@ def main() -> None:
     }
     budgets = {name: given[name] for name in options.budgets}
     measure(options.samplers, options.targets, budgets, options.work)
-    false_alarms(options.targets, options.work)
+    false_alarms(options.alarms, options.sets, options.work)
     lines = lines_in(options.work)
     pictures = {
         "leaderboard": paces(_run(lines)),

@@ -117,16 +117,36 @@ def contestant(
     return _baseline(target, name, start, allowance, seed)
 
 
-def downhill(target: FrozenTarget, rng: np.random.Generator, wanted: int) -> tuple[np.ndarray, int]:
-    """Starts `(n, d)` inside the support from twice as many draws of the prior, by steps that are
-    taken where the misfit does not rise, until `wanted` are inside; and the evaluations that this
-    cost."""
+def downhill(
+    target: FrozenTarget, rng: np.random.Generator, wanted: int, allowance: Allowance = Allowance()
+) -> tuple[np.ndarray, int]:
+    """Starts inside the support from draws of the prior.
+
+    Parameters
+    ----------
+    target
+        Whose support.
+    rng
+        Of all it does.
+    wanted
+        How many starts.
+    allowance
+        What they may cost.
+
+    Returns
+    -------
+    tuple
+        Starts `(n, d)`, from twice as many draws by steps that are taken where the misfit does not
+        rise, until as many as are `wanted` are inside, or those that are when its time is up; and
+        the evaluations that this cost.
+    """
+    begun = CLOCK()
     points = target.prior_points(rng, 2 * wanted)
     misfit = target.misfit(points)
     spent = len(points)
     for _ in range(PATIENCE):
         outside = np.flatnonzero(misfit > 1)
-        if len(points) - len(outside) >= wanted:
+        if len(points) - len(outside) >= wanted or not allowance.allows(spent, CLOCK() - begun):
             break
         scale = STEP * 10 ** rng.uniform(-2, 0.5, (len(outside), 1))
         proposal = points[outside] + scale * rng.normal(size=(len(outside), target.dim))
@@ -178,7 +198,7 @@ def _baseline(
     if baseline.starts and start == GIFT:
         starts = exact_points(target, baseline.starts)
     elif baseline.starts:
-        starts, spent = downhill(target, np.random.default_rng(seed), baseline.starts)
+        starts, spent = downhill(target, np.random.default_rng(seed), baseline.starts, allowance)
     if baseline.starts and not len(starts):
         return None
     before = CLOCK() - begun if start == PRIOR else 0.0

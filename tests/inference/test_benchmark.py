@@ -30,9 +30,9 @@ from inference.baselines.ensemble import NumPyroKernel
 from inference.baselines.metropolis import ADAPTIVE_WALKERS, AdaptiveKernel
 from inference.baselines.run import Allowance
 from inference.baselines.target import Target
-from inference.benchmark import catalogue, draws, references
+from inference.benchmark import catalogue, contestants, draws, references
 from inference.benchmark.draws import Blocks, blocks_of, exact_block
-from inference.benchmark.guests import GUESTS
+from inference.benchmark.guests import GUESTS, ladder
 from inference.benchmark.programs import in_jax
 from inference.benchmark.references import SHIPPED, sample_at, shipped_points
 from inference.benchmark.root import GivenRoot
@@ -683,6 +683,27 @@ def test_guests_draw_from_the_target(name: str) -> None:
 
 
 @pytest.mark.sweep
+def test_a_ladder_whose_neighbours_always_swap_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Under soft walls: with hard ones every level has the target's law inside of them, and swaps
+    could not spoil it."""
+
+    def always(gain: jax.Array) -> jax.Array:
+        return jnp.where(gain > -jnp.inf, 1.0, 0.0)
+
+    verdicts = []
+    for chance in (ladder.chance_of, always):
+        monkeypatch.setattr(ladder, "chance_of", chance)
+        ladder._sweeps.clear_cache()
+        outcome = ladder.nrpt(benchmark.load("arm-soft"), 3, Allowance(evaluations=2_000_000))
+        assert outcome is not None
+        found = benchmark.verdict(benchmark.load("arm-soft"), outcome.submission, exact("arm-soft"))
+        verdicts.append(found.judgement.verdict)
+    ladder._sweeps.clear_cache()
+    assert verdicts[0] != DIFFERS
+    assert verdicts[1] == DIFFERS
+
+
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", ["arm", "cruel"])
 def test_exact_draws_are_seldom_said_to_differ(name: str) -> None:
     """Of 200 verdicts at the judge's level of 1 %, more than eleven wrong ones have odds of 10⁻⁶.
@@ -695,6 +716,45 @@ def test_exact_draws_are_seldom_said_to_differ(name: str) -> None:
     differ = verdicts.count(DIFFERS)
     print(f"{name}: {differ} of 200, {verdicts.count(CANNOT_TELL)} cannot tell")
     assert differ <= 11
+
+
+# --- contestants
+
+
+def test_who_cannot_be_held_to_a_target_is_not_run() -> None:
+    arm, soft, scene = (benchmark.load(name) for name in ("arm", "arm-soft", "scene"))
+    assert [contestants.cannot(arm, name) for name in ("exact", "smc", "nuts", "nrpt")] == [""] * 4
+    assert "soft walls are none" in contestants.cannot(soft, "nss")
+    assert "one torso and camera only" in contestants.cannot(scene, "smc")
+    assert not contestants.cannot(scene, "emcee")
+    with pytest.raises(BadInput, match="there is no sampler 'mcmc'; choose from exact, emcee"):
+        contestants.cannot(arm, "mcmc")
+
+
+@pytest.mark.slow
+def test_a_baseline_pays_for_its_way_from_the_prior() -> None:
+    """Both starts, on one arm: what was given is told, and evaluations are those of both."""
+    target, allowance = benchmark.load("arm"), Allowance(evaluations=60_000)
+    given = contestants.contestant(target, "emcee", contestants.GIFT, allowance)
+    own = contestants.contestant(target, "emcee", contestants.PRIOR, allowance)
+    assert given is not None
+    assert own is not None
+    assert given.given > 0
+    assert own.given == 0
+    assert 0 < own.kept < given.kept + 1e-9
+    for outcome in (given, own):
+        assert 50_000 < outcome.submission.evaluations < 90_000
+        points = outcome.submission.points.reshape(-1, outcome.steps, target.dim)
+        assert points.shape[0] * points.shape[1] == outcome.submission.given
+        assert (target.misfit(points) <= 1).all()
+
+
+@pytest.mark.slow
+def test_exact_draws_are_timed_without_what_sets_them_up() -> None:
+    outcome = contestants.contestant(benchmark.load("single"), "exact", "", Allowance())
+    assert outcome is not None
+    assert 0 < outcome.kept < 1
+    assert outcome.submission.given == contestants.DRAWS
 
 
 # --- the inference gym

@@ -203,6 +203,12 @@ def _moved(
     return points, accepted.mean(axis=0)
 
 
+def chance_of(gain: jax.Array) -> jax.Array:
+    """How likely neighbours are to swap, by what the log density of both together gains. Where both
+    have none, there is no number, and nothing to gain."""
+    return jnp.where(jnp.isnan(gain), 0.0, jnp.exp(jnp.minimum(gain, 0.0)))
+
+
 def _swapped(
     density: Density, inverse: jax.Array, points: jax.Array, turn: jax.Array, key: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
@@ -213,9 +219,9 @@ def _swapped(
     up = jnp.diagonal(heights, offset=1, axis1=1, axis2=2)
     down = jnp.diagonal(heights, offset=-1, axis1=1, axis2=2)
     gain = up + down - own[:, :-1] - own[:, 1:]
-    chance = jnp.where(jnp.isnan(gain), 0.0, jnp.exp(jnp.minimum(gain, 0.0)))
-    pairs = jnp.arange(LEVELS - 1)
-    chosen = (jax.random.uniform(key, chance.shape) < chance) & (pairs % 2 == turn)
+    chance = chance_of(gain)
+    levels = jnp.arange(LEVELS)[None]
+    chosen = (jax.random.uniform(key, chance.shape) < chance) & (levels[:, :-1] % 2 == turn)
     step = jnp.pad(chosen.astype(int), ((0, 0), (0, 1)))
-    order = jnp.arange(LEVELS) + step - jnp.roll(step, 1, axis=1)
+    order = levels + step - jnp.roll(step, 1, axis=1)
     return jnp.take_along_axis(points, order[..., None], axis=1), chance.mean(axis=0)

@@ -118,7 +118,7 @@ def contestant(
 
 
 def downhill(
-    target: FrozenTarget, rng: np.random.Generator, wanted: int, allowance: Allowance = Allowance()
+    target: FrozenTarget, rng: np.random.Generator, wanted: int, allowance: Allowance
 ) -> tuple[np.ndarray, int]:
     """Starts inside the support from draws of the prior.
 

@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
+from inference.baselines.run import Allowance
 from inference.benchmark import contestants, load
 from inference.readings import READINGS, Verdict
 from inference.studies.misreadings import Study
@@ -241,7 +242,7 @@ def test_the_leaderboard_s_pictures() -> None:
 def test_walking_downhill_comes_inside_at_a_price(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contestants, "PATIENCE", 200)
     target = load("arm")
-    points, spent = contestants.downhill(target, np.random.default_rng(0), 20)
+    points, spent = contestants.downhill(target, np.random.default_rng(0), 20, Allowance())
     assert len(points) >= 5
     assert (target.misfit(points) <= 1).all()
     assert spent > 2 * len(points)

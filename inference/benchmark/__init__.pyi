@@ -12,6 +12,7 @@ from .references import reference as reference
 from .references import shipped_points as shipped_points
 from .root import BoxedRoot as BoxedRoot
 from .root import GivenRoot as GivenRoot
+from .sbi import sbibm_task as sbibm_task
 from .submission import Submission as Submission
 from .submission import read_submission as read_submission
 from .submission import submit as submit

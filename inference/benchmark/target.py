@@ -238,6 +238,22 @@ class FrozenTarget:
         of_pose, of_root = self._parts(self.box_of(points))
         return self._poses(self._complete(of_pose), of_root, self.limbs)
 
+    def detections(self, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """`(n, k, 2)`: where the seen joints of poses at points `(n, d)` of R^d may be detected, in
+        units of the image: their places with errors of the target's law."""
+        reach, curvature = LAWS[self.law]
+        share = rng.uniform(size=(len(points), len(self.seen)))
+        if curvature:  # the size's law is cut off at the reach
+            most = -np.expm1(-curvature * reach**2)
+            size = np.sqrt(-np.log1p(-share * most) / curvature)
+        else:
+            size = reach * np.sqrt(share)
+        angle = rng.uniform(0, 2 * np.pi, share.shape)
+        error = (self.spread * size)[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        on_plane = self.decided(points)[0][:, self.seen, :2] + error
+        root = self.root_at(points)
+        return root.place[..., None, :] + root.scale[..., None, None] * on_plane
+
     def root_at(self, points: np.ndarray) -> PlacedTorso:
         """The roots at points `(n, d)` of R^d; one for all where it is fixed."""
         return self.root.at(self._parts(self.box_of(points))[1])

@@ -177,7 +177,7 @@ def _parse_bvh_hierarchy(text: str, path: Path) -> list[_BvhJoint]:
     if stack or not joints:
         raise BadInput(f"{path}: the hierarchy is not closed, so the file is truncated or damaged")
     if not any(joint.channels for joint in joints):
-        raise BadInput(f"{path}: no joint has CHANNELS, so nothing moves; export it with its motion")
+        raise BadInput(f"{path}: no joint has CHANNELS; export it with its motion")
     return joints
 
 

@@ -13,6 +13,7 @@ import dataclasses
 import functools
 import hashlib
 import json
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -49,14 +50,17 @@ class ErrorLaw(abc.ABC):
         Whether the density is the same everywhere within the reach, so that the indicator is all
         there is.
     deviation
-        The standard deviation either way, where within the reach the law is a Gaussian's: compiled
-        loops may then thin by it. None for other laws.
+        The standard deviation either way of a Gaussian that, with the same peak, is nowhere below
+        the law: compiled loops may then propose by it. None where there is none.
+    gaussian
+        Whether within the reach the law is that Gaussian.
     """
 
     reach: float
     log_peak: float
     flat: bool = False
     deviation: float | None = None
+    gaussian: bool = False
 
     @abc.abstractmethod
     def log_ratio(self, square: ArrayLike) -> jax.Array:
@@ -112,6 +116,7 @@ class Gaussian(ErrorLaw):
     of them: 1.1 % of its mass lies beyond, and is left out."""
 
     deviation = 0.5
+    gaussian = True
     reach = 1.5
     log_peak = float(-np.log(2 * np.pi * 0.5**2 * (1 - np.exp(-(1.5**2) / (2 * 0.5**2)))))
 
@@ -126,7 +131,60 @@ class Gaussian(ErrorLaw):
         return self.deviation * jnp.sqrt(-2 * jnp.log1p(-most * jnp.asarray(uniform)))
 
 
-LAWS: dict[str, type[ErrorLaw]] = {"disc": Disc, "gaussian": Gaussian}
+@jax.tree_util.register_static
+@dataclasses.dataclass(frozen=True)
+class Student(ErrorLaw):
+    """A bivariate Student's t of scale σ, half a spread, cut where as much of its mass lies beyond
+    as beyond three σ of a Gaussian, which is its limit.
+
+    With r = |e|/σ the mass beyond is (1 + r²/df)^(-df/2): it ends at r² = df (e^(9/df) - 1).
+
+    Attributes
+    ----------
+    df
+        Degrees of freedom, 2 at least.
+
+    Raises
+    ------
+    BadInput
+        On fewer, whose tails reach farther than a person.
+    """
+
+    df: float = 5.0
+    log_peak = Gaussian.log_peak
+
+    def __post_init__(self) -> None:
+        if not self.df >= FEWEST_DF:  # true for NaN too
+            raise BadInput(
+                f"samplers take a student law of {FEWEST_DF:g} degrees of freedom or more, not"
+                f" {self.df:g}; learn a gaussian one, whose outliers take the place of long tails"
+            )
+
+    @property
+    def reach(self) -> float:  # type: ignore[override]
+        """In spreads."""
+        return 0.5 * math.sqrt(self.df * math.expm1(9 / self.df))
+
+    @property
+    def deviation(self) -> float:  # type: ignore[override]
+        """Log t is convex in |e|², so it lies below its chord from the peak to the reach, where it
+        is -(df + 2)/2 · 9/df: a Gaussian."""
+        return self.reach / math.sqrt(9 * (1 + 2 / self.df))
+
+    def log_ratio(self, square: ArrayLike) -> jax.Array:
+        """`-(df + 2)/2 · log(1 + |e|²/(σ² df))` within the reach."""
+        square = jnp.asarray(square)
+        inside = -(self.df + 2) / 2 * jnp.log1p(4 * square / self.df)
+        return jnp.where(square <= self.reach**2, inside, -jnp.inf)
+
+    def distance(self, uniform: ArrayLike) -> jax.Array:
+        """`(1 + |e|²/(σ² df))^(-df/2)` is uniform, cut at e^-4.5."""
+        beyond = 1 + math.expm1(-4.5) * jnp.asarray(uniform)
+        return 0.5 * jnp.sqrt(self.df * jnp.expm1(-2 / self.df * jnp.log(beyond)))
+
+
+FEWEST_DF = 2.0
+LAWS: dict[str, type[ErrorLaw]] = {"disc": Disc, "gaussian": Gaussian, "student": Student}
 """Error laws by name; the disc is the paper's."""
 
 
@@ -222,17 +280,13 @@ class Likelihood:
         Raises
         ------
         BadInput
-            On a law that samplers have not.
+            On a law that samplers have not, such as a student one with too long tails.
         """
-        if errors.law not in LAWS:
-            raise BadInput(
-                f"samplers have no {errors.law} law, only {' and '.join(LAWS)}; learn one of these"
-                " instead: outliers take the place of long tails"
-            )
+        law = Student(errors.df) if errors.law == "student" else LAWS[errors.law]()
         outlier = np.where(errors.known, 1 - errors.inlier, 0.0)
         exchange = [getattr(errors.exchange, name, 0.0) for name in EXCHANGES if name != "none"]
         faults = FaultPrior(tuple(outlier.tolist()), tuple(exchange), errors.outlier_radius)
-        return cls(LAWS[errors.law](), joints=joints, faults=faults, learned=errors)
+        return cls(law, joints=joints, faults=faults, learned=errors)
 
     @property
     def bias(self) -> np.ndarray:
@@ -257,6 +311,7 @@ class Likelihood:
             "joints": [int(joint) for joint in self.joints],
             "faults": [self.faults.outlier, self.faults.exchange, self.faults.reach],
             "learned": None if self.learned is None else self.learned.document(),
+            **vars(self.law),
         }
         return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
@@ -302,7 +357,7 @@ class Likelihood:
             stray[[JOINT_INDEX[name] for name in detection.moved]] = [
                 STRAY[name] for name in detection.moved
             ]
-            # Of every law the standard deviation either way is half a spread.
+            # The σ of every law is half a spread.
             return np.where(counts, 2 * scale * np.hypot(own, stray), np.inf)
         with np.errstate(over="ignore", divide="ignore"):  # reported below, by name
             spread = self.factor * scale / alpha

@@ -212,15 +212,17 @@ def draw_roots(
 class Proposal(NamedTuple):
     """How attempts at a torso's roots are made: their `mass`, which times the rate of success is
     the evidence; a batch of them, by a stream of random numbers into a table: roots found, attempts
-    made; and whether what they find still has to be thinned by the error law."""
+    made; whether what they find still has to be thinned by the error law; and the `precision`
+    `(n,)` of the Gaussians that they have in them already."""
 
     mass: float
     attempt: Callable[[np.ndarray, int, RootTable], tuple[int, int]]
     thinned: bool
+    precision: np.ndarray
 
 
 def proposal_of(posed: Posed) -> Proposal:
-    """By least squares where joints whose errors are Gaussian determine a scale, by discs
+    """By least squares where joints whose errors a Gaussian bounds determine a scale, by discs
     otherwise."""
     problem = posed.problem
     if len(np.unique(problem.keypoints[problem.precision > 0], axis=0)) > 1:
@@ -229,13 +231,15 @@ def proposal_of(posed: Posed) -> Proposal:
         return Proposal(
             fits.mass,
             lambda state, number, table: attempt_fits(state, number, problem, known, fits, table),
-            thinned=False,
+            thinned=not posed.law.inlier.gaussian,
+            precision=problem.precision,
         )
     cells = cut_roots(problem)
     return Proposal(
         cells.mass,
         lambda state, number, table: attempt_roots(state, number, problem, cells, table),
         thinned=not posed.law.flat,
+        precision=np.zeros_like(problem.precision),
     )
 
 
@@ -260,7 +264,7 @@ def _batch(
         ratio = 0.0
         if proposal.thinned:
             ratio = in_chunks(
-                functools.partial(_log_ratio, law, problem),
+                functools.partial(_log_ratio, law, problem, proposal.precision),
                 table.torso,
                 rotation,
                 table.inverse,
@@ -274,12 +278,14 @@ def _batch(
 def _log_ratio(
     law: WithOutliers,
     problem: TorsoProblem,
+    precision: np.ndarray,
     torso: jax.Array,
     rotation: jax.Array,
     inverse: jax.Array,
     plane: jax.Array,
 ) -> jax.Array:
-    """`(n,)`: log likelihood of the torso's joints over its peak."""
+    """`(n,)`: log likelihood of the torso's joints over its peak, and over that of the Gaussians by
+    which they were proposed."""
 
     def one(
         torso: jax.Array, rotation: jax.Array, inverse: jax.Array, plane: jax.Array
@@ -287,8 +293,10 @@ def _log_ratio(
         image = jnp.asarray(problem.torsos)[torso] @ rotation[:2].T
         offset = image + plane[None] + jnp.asarray(problem.bias)
         offset -= jnp.asarray(problem.keypoints) * inverse
-        square = jnp.sum(offset**2, axis=1) / (jnp.asarray(problem.reach) / law.reach) ** 2
-        return jnp.sum(law.log_ratio(square))
+        square = jnp.sum(offset**2, axis=1)
+        proposed = -precision * square / 2
+        spread = jnp.asarray(problem.reach) / law.reach
+        return jnp.sum(law.log_ratio(square / spread**2) - proposed)
 
     return jax.vmap(one)(torso, rotation, inverse, plane)
 

@@ -1,10 +1,10 @@
 """What an uncertain root changes on real detections with a real truth: writes reports/honest.md.
 
-    python -m reports.pages.honest ../shared/data
+    python -m reports.pages.honest ../shared/data work
 
 One person filmed by four calibrated cameras. One camera's detection goes to the product, the truth
-is triangulated from the other three. Everything is in the person's own body units and millimetres,
-the hips' midpoint at the origin, z along the line of sight, without any alignment.
+is triangulated from the other three. Nothing is aligned. `work` keeps the draws, and a run that was
+stopped goes on there.
 """
 
 import dataclasses
@@ -13,84 +13,52 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from matplotlib.figure import Figure
+from scipy import stats
 
-import inference
 from inference.hypothesis import diverse
-from inference.results import FIXED, UNCERTAIN
-from inference.studies.errorlaws.embedded import embedded
-from inference.studies.errorlaws.learn import learn
+from inference.results import FIXED
+from inference.studies.errorlaws.judge import LEVELS, standings
 from inference.studies.errorlaws.pairs import pairs_of_session
 from inference.studies.intervals import Interval, of_share
 from inference.uncertain.weighted import FEWEST_EFFECTIVE
-from probmodel import Detection, Likelihood, PoseModel
-from probmodel.faults import NO_FAULTS
-from probmodel.layouts import corrected
-from probmodel.likelihood import Gaussian
-from probmodel.sessions import Session, read_session
-from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
+from probmodel.sessions import Session
+from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
 from reports.figures.colours import PALETTE
 from reports.figures.style import FAINT, INK, SMALL, TITLE, page
-from reports.pages.page import in_doubles, write_page
+from reports.pages.filmed import (
+    DRAWS,
+    HIPS,
+    PARTS,
+    ROOTS,
+    WAYS,
+    Drawn,
+    Film,
+    FilmedCase,
+    Way,
+    drawn,
+    film,
+    learn_both,
+)
+from reports.pages.page import write_page
 from reports.tables import Sheet, sheet_of
 
-UNSEEN = 50
-"""The first frame that the learned law has not seen."""
-FRAMES = range(UNSEEN, 100, 6)
-DRAWS, ROOTS, BEST = 4000, 1000, 5
-HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
+BEST = 5
+FEW = 9
+"""Frames: ways that are judged in more have a table by camera."""
+STRETCH = 10
+"""Frames that are drawn anew together: they are alike."""
+ORDER = ("first half", "second half")
 LIMB = 338.0
 """Millimetres: the person's mean limb bone."""
-DISC, GAUSSIAN, LEARNED = "disc", "Gaussian", "learned"
 JUDGED = [
     *LIMB_JOINTS,
     *(JOINT_INDEX[name] for name in ("right_shoulder", "left_shoulder", "right_hip", "left_hip")),
 ]
 """The joints of the errors: those that detector and skeleton define alike."""
-
-
-class Way(NamedTuple):
-    """One way to a posterior: its root, the error law's name, and whether midpoints are moved to
-    the skeleton's thorax and pelvis."""
-
-    root: str
-    errors: str = DISC
-    moved: bool = True
-
-    def __str__(self) -> str:
-        given = "" if self.moved else ", `--as-detected`"
-        return f"{self.root}, {self.errors}{given}"
-
-
-WAYS = (
-    Way(FIXED, moved=False),
-    Way(FIXED),
-    Way(UNCERTAIN, moved=False),
-    Way(UNCERTAIN),
-    Way(UNCERTAIN, GAUSSIAN),
-    Way(UNCERTAIN, LEARNED),
-)
 Found = dict[Way, list["Judged"]]
 """By way, what was found in each case."""
-
-
-class FilmedCase(NamedTuple):
-    """What one camera detected, and the truth `(15, 3)` from the others: body units of the person,
-    the hips' midpoint at the origin, z along the line of sight to it; with the covariances
-    `(15, 3, 3)` of the truth's own errors, those of one joint independent of another's."""
-
-    camera: int
-    detection: Detection
-    truth: np.ndarray
-    doubt: np.ndarray
-
-    def errors(self, rng: np.random.Generator, number: int) -> np.ndarray:
-        """`(number, 15, 3)`: errors that the truth may have, rooted as it is."""
-        spread = np.linalg.cholesky(np.nan_to_num(self.doubt) + 1e-12 * np.eye(3))
-        free = np.einsum("jab,njb->nja", spread, rng.normal(size=(number, *self.truth.shape)))
-        return free - free[:, HIPS].mean(axis=1, keepdims=True)
 
 
 class Judged(NamedTuple):
@@ -98,6 +66,7 @@ class Judged(NamedTuple):
 
     Attributes
     ----------
+    camera, frame : whose detection it is.
     standing : `(8, 3)` share of draws below the truth, limb joints × x, y, depth; draws have errors
         as the truth has them.
     bare : `(8, 3)` the same of draws without.
@@ -108,6 +77,8 @@ class Judged(NamedTuple):
     drawn : whether there are any draws.
     """
 
+    camera: int
+    frame: int
     standing: np.ndarray
     bare: np.ndarray
     spread: np.ndarray
@@ -119,74 +90,28 @@ class Judged(NamedTuple):
 
 
 NOWHERE = np.full((8, 3), np.nan)
-LOST = Judged(NOWHERE, NOWHERE, NOWHERE, np.nan, np.nan, np.nan, np.nan, False)
-"""Where there is no draw."""
 
 
-def cases_of(session: Session, frames: Sequence[int]) -> list[FilmedCase]:
-    """Every camera in some frames of a session, judged by the others, whose detections err as in
-    the frames before `UNSEEN`."""
-    exact = pairs_of_session(session.take(range(UNSEEN)), perspective=True)
-    sigma = learn(exact).errors.sigma
-    found = []
-    for number in range(len(session.cameras)):
-        world = session.without(number)
-        truth = session.along_sight(number, world.points) / session.unit
-        axes = session.sight_axes(number, world.points)[:, None]
-        doubt = axes @ world.covariance @ np.swapaxes(axes, -1, -2)
-        doubt = doubt * sigma[:, None, None] ** 2
-        found.append(
-            [
-                FilmedCase(number, session.people[number][frame], truth[frame], doubt[frame])
-                for frame in frames
-            ]
-        )
-    return [case for cases in zip(*found, strict=True) for case in cases]
-
-
-def likelihoods(session: Session) -> dict[str, Likelihood]:
-    """By name: the paper's, its Gaussian, and the one learned from the frames before `UNSEEN`, all
-    without faults."""
-    law = embedded(session.take(range(UNSEEN)))
-    return {
-        DISC: Likelihood(),
-        GAUSSIAN: Likelihood(Gaussian()),
-        LEARNED: dataclasses.replace(Likelihood.of(law), faults=NO_FAULTS),
-    }
-
-
-def judge(
-    model: PoseModel, case: FilmedCase, root: str, likelihood: Likelihood, seed: int
-) -> Judged:
-    """Draws for one camera's detection, against the truth."""
-    frame = inference.estimate_torso(
-        case.detection, torsos=np.asarray(model.torsos), likelihood=likelihood
-    )
-    result = inference.sample(
-        model,
-        frame,
-        key=jax.random.key(seed),
-        num_samples=DRAWS,
-        root=root,
-        num_roots=ROOTS,
-        max_proposals=300_000_000,
-    )
-    if not result.num_draws:
-        return LOST
-    joints = result.tree["posterior"].joints.values[0]
-    joints = joints - joints[:, HIPS].mean(axis=1, keepdims=True)
+def judge(case: FilmedCase, found: Drawn) -> Judged:
+    """Draws for one camera's detection, against the truth; NaN where there are none."""
+    joints, about = found.joints, (found.roots, found.seconds)
+    if not len(joints):
+        nothing = NOWHERE, NOWHERE, NOWHERE, np.nan, np.nan
+        return Judged(case.camera, case.frame, *nothing, *about, False)
     limbs, truth = joints[:, LIMB_JOINTS], case.truth[list(LIMB_JOINTS)]
-    noise = case.errors(np.random.default_rng(seed), len(joints))[:, LIMB_JOINTS]
+    rng = np.random.default_rng([case.camera, case.frame])
+    noise = case.errors(rng, len(joints))[:, LIMB_JOINTS]
     hypotheses = np.array([one.joints for one in diverse(joints, min(BEST, len(joints)))])
     return Judged(
-        standing=np.mean(limbs + noise < truth, axis=0),
-        bare=np.mean(limbs < truth, axis=0),
-        spread=limbs.std(axis=0),
-        mean=float(error(joints.mean(axis=0)[None], case.truth)[0]),
-        best=float(error(hypotheses, case.truth).min()),
-        effective=float(result.tree.attrs.get("effective_roots", np.nan)),
-        seconds=float(result.tree.attrs["wall_time_s"]),
-        drawn=True,
+        case.camera,
+        case.frame,
+        np.mean(limbs + noise < truth, axis=0),
+        np.mean(limbs < truth, axis=0),
+        limbs.std(axis=0),
+        float(error(joints.mean(axis=0)[None], case.truth)[0]),
+        float(error(hypotheses, case.truth).min()),
+        *about,
+        True,
     )
 
 
@@ -198,24 +123,24 @@ def error(joints: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 def coverage(standing: np.ndarray, cluster: np.ndarray) -> Interval:
     """How often central intervals of 95 % hold the truth, `standing` `(n, ...)`, with an interval
-    from drawing cameras anew."""
+    from drawing clusters `(n,)` anew."""
     known = ~np.isnan(standing).reshape(len(standing), -1).any(axis=1)
     held = (standing >= 0.025) & (standing <= 0.975)
     return of_share(held[known].reshape(known.sum(), -1), cluster[known])
 
 
-def table(outcomes: Found, camera: np.ndarray) -> Sheet:
+def table(outcomes: Found) -> Sheet:
     """A line a way: coverage by axis, truths beyond all draws, widths, errors."""
     lines: list[tuple[Any, ...]] = []
     for way, found in outcomes.items():
-        standing = np.stack([one.standing for one in found])
-        drawn = np.array([one.drawn for one in found])
-        beyond = ((standing == 0) | (standing == 1))[drawn]
+        standing = np.stack([one.standing for one in found if one.drawn])
+        beyond = (standing == 0) | (standing == 1)
         spread = LIMB * np.nanmean([one.spread for one in found], axis=(0, 1))
         lines.append(
             (
                 str(way),
-                *(share(coverage(standing[:, :, axis], camera)) for axis in range(3)),
+                len(found),
+                *by_axis(found, "standing"),
                 f"{100 * beyond.mean():.0f} %",
                 f"{100 * beyond.any(axis=(1, 2)).mean():.0f} %",
                 f"{np.hypot(*spread[:2]) / np.sqrt(2):.0f} / {spread[2]:.0f}",
@@ -225,6 +150,7 @@ def table(outcomes: Found, camera: np.ndarray) -> Sheet:
         )
     head = (
         "torso and camera",
+        "cases",
         "x",
         "y",
         "depth",
@@ -237,15 +163,89 @@ def table(outcomes: Found, camera: np.ndarray) -> Sheet:
     return sheet_of(head, lines)
 
 
-def bare_table(outcomes: Found, camera: np.ndarray) -> Sheet:
+def by_axis(found: Sequence[Judged], column: str) -> list[str]:
+    """Coverage in x, y and depth, cameras drawn anew."""
+    standing = np.stack([getattr(one, column) for one in found])
+    camera = np.array([one.camera for one in found])
+    return [share(coverage(standing[:, :, axis], camera)) for axis in range(3)]
+
+
+def bare_table(outcomes: Found) -> Sheet:
     """A line a way: coverage by axis if the truth had no error of its own."""
-    lines = []
-    for way, found in outcomes.items():
-        standing = np.stack([one.bare for one in found])
-        lines.append(
-            (str(way), *(share(coverage(standing[:, :, axis], camera)) for axis in range(3)))
-        )
+    lines = [(str(way), *by_axis(found, "bare")) for way, found in outcomes.items()]
     return sheet_of(("torso and camera", "x", "y", "depth"), lines)
+
+
+def camera_table(outcomes: Found) -> Sheet:
+    """A line for each way that was judged in many frames, and each camera: coverage by axis,
+    stretches of the film drawn anew."""
+    lines: list[tuple[Any, ...]] = []
+    for way, found in outcomes.items():
+        for camera in sorted({one.camera for one in found if way.frames > FEW}):
+            own = [one for one in found if one.camera == camera]
+            standing = np.stack([one.standing for one in own])
+            stretch = np.array([one.frame // STRETCH for one in own])
+            axes = (share(coverage(standing[:, :, axis], stretch)) for axis in range(3))
+            lines.append((str(way), camera + 1, len(own), *axes))
+    return sheet_of(("torso and camera", "camera", "cases", "x", "y", "depth"), lines)
+
+
+def law_table(seen: Film) -> Sheet:
+    """How many residuals of the part of the film that was not learned from lie within a law's
+    regions, cameras drawn anew: as it was fitted, and as `calibrate` writes it."""
+    lines: list[tuple[Any, ...]] = []
+    for part in range(PARTS):
+        found = learn_both(seen.unseen(part))
+        assert found.truth_fit is not None
+        rest = pairs_of_session(seen.part(part))
+        fitted = dataclasses.replace(
+            found.errors,
+            law="gaussian",
+            df=np.inf,
+            sigma=np.where(found.errors.known, found.fit.mixture.sigma, np.nan),
+        )
+        for name, law in (("as fitted", fitted), ("as written", found.errors)):
+            standing = standings(law, rest, found.truth_fit.mixture.sigma)
+            known = ~np.isnan(standing)
+            view = np.repeat(rest.recording, known.sum(axis=1))
+            row = [share(of_share(standing[known] <= level, view)) for level in LEVELS]
+            lines.append((f"{ORDER[1 - part]} → {ORDER[part]}, {name}", *row))
+    heads = (f"{100 * level:.0f} %" for level in LEVELS)
+    return sheet_of(("learned from → judged on", *heads), lines)
+
+
+def parts_table(session: Session) -> Sheet:
+    """What keypoints say of limb joints against the hips' midpoint, at the true scale, minus where
+    they are: all of it, what is the same in all of a view's frames, and the rest; mm each way, 1.48
+    times medians of absolute values, so that a wrong hand does not make the number."""
+    lines: list[tuple[Any, ...]] = []
+    for name, perspective in (("line of sight", False), ("calibrated camera", True)):
+        pairs = pairs_of_session(session, perspective=perspective)
+        error = pairs.detected - pairs.truth
+        error = LIMB * (error - error[:, HIPS].mean(axis=1, keepdims=True))[:, LIMB_JOINTS]
+        middle = np.zeros_like(error)
+        for view in np.unique(pairs.recording):
+            own = pairs.recording == view
+            middle[own] = np.nanmedian(error[own], axis=0)
+        lines.append((name, *(f"{typical(one):.0f}" for one in (error, middle, error - middle))))
+    head = ("the truth as seen", "all, mm", "of the view", "around that")
+    return sheet_of(head, lines)
+
+
+def typical(values: np.ndarray) -> float:
+    """A standard deviation about zero, by the median of absolute values."""
+    return float(np.nanmedian(np.abs(values)) / stats.norm.ppf(0.75))
+
+
+def together(session: Session) -> float:
+    """The correlation of the right and the left hip's errors, against the other joints of a
+    person."""
+    pairs = pairs_of_session(session, perspective=True)
+    error = pairs.detected - pairs.truth
+    rest = [joint for joint in range(NUM_JOINTS) if joint not in (*HIPS, JOINT_INDEX["pelvis"])]
+    apart = error[:, HIPS] - np.nanmedian(error[:, rest], axis=1)[:, None]
+    right, left = np.moveaxis(apart[np.isfinite(apart).all(axis=(1, 2))], 1, 0)
+    return float(np.sum(right * left) / np.sqrt(np.sum(right**2) * np.sum(left**2)))
 
 
 def doubts(cases: Sequence[FilmedCase]) -> tuple[float, float]:
@@ -265,12 +265,12 @@ def costs(outcomes: Found) -> Sheet:
     """A line a way: time a frame, effective roots, cases without draws."""
     lines = []
     for way, found in outcomes.items():
-        drawn = [one for one in found if one.drawn]
-        seconds = np.median([one.seconds for one in drawn])
-        effective = [one.effective for one in drawn]
+        there = [one for one in found if one.drawn]
+        seconds = np.median([one.seconds for one in there])
+        effective = [one.effective for one in there]
         few = "–" if way.root == FIXED else f"{np.median(effective):.0f} ({min(effective):.0f})"
-        too_few = sum(one.effective < FEWEST_EFFECTIVE for one in drawn)
-        lines.append((str(way), f"{seconds:.1f}", few, too_few, len(found) - len(drawn)))
+        too_few = sum(one.effective < FEWEST_EFFECTIVE for one in there)
+        lines.append((str(way), f"{seconds:.1f}", few, too_few, len(found) - len(there)))
     head = (
         "torso and camera",
         "seconds",
@@ -311,43 +311,20 @@ def standings_figure(outcomes: Found) -> Figure:
     return figure
 
 
-def study(session: Session, cases: Sequence[FilmedCase]) -> Found:
-    """All ways on all cases."""
-    model, likelihood, found = PoseModel(), likelihoods(session), {}
-    for way in WAYS:
-        seen = [case._replace(detection=corrected(case.detection)) for case in cases]
-        found[way] = [
-            judge(model, case, way.root, likelihood[way.errors], seed)
-            for seed, case in enumerate(seen if way.moved else cases)
-        ]
-    return found
-
-
-def film(data: Path) -> Session:
-    """The person on the beam, in doubles. Ends the program where the data pack is not there."""
-    if not (data / "multicamera").is_dir():
-        raise SystemExit(
-            f"{data} has no folder `multicamera`: this page needs the shared data pack"
-        )
-    in_doubles()
-    return read_session(data / "multicamera")
-
-
-def main(data: Path) -> None:
-    """Runs the study and writes the page."""
-    session = film(data)
-    cases = cases_of(session, FRAMES)
-    outcomes = study(session, cases)
-    camera = np.array([case.camera for case in cases])
-    across, depth = doubts(cases)
+def main(data: Path, work: Path) -> None:
+    """Does what is left of the study, then writes the page."""
+    seen = film(data)
+    outcomes = {way: [judge(*one) for one in drawn(seen, way, work)] for way in WAYS}
+    across, depth = doubts(seen.cases)
     values: dict[str, str | int | Sheet] = {
-        "cases": len(cases),
-        "frames": len(FRAMES),
-        "seen": UNSEEN,
         "draws": f"{DRAWS:,}",
         "roots": f"{ROOTS:,}",
-        "table": table(outcomes, camera),
-        "bare": bare_table(outcomes, camera),
+        "table": table(outcomes),
+        "cameras": camera_table(outcomes),
+        "laws": law_table(seen),
+        "parts": parts_table(seen.session),
+        "together": f"{together(seen.session):.1f}",
+        "bare": bare_table(outcomes),
         "across": f"{across:.0f}",
         "depth": f"{depth:.0f}",
         "costs": costs(outcomes),
@@ -356,4 +333,4 @@ def main(data: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -31,7 +31,7 @@ from probmodel.likelihood import Gaussian
 from probmodel.skeleton import TORSO_INDEX
 from reports.figures.colours import PALETTE
 from reports.figures.style import FAINT, INK, SMALL, TITLE, page
-from reports.pages.honest import film
+from reports.pages.filmed import film
 from reports.pages.page import write_page
 from reports.tables import Sheet, sheet_of
 
@@ -200,7 +200,7 @@ def figure_of(cases: list[JudgedFrame], found: list[Found]) -> Figure:
 
 def main(data: Path) -> None:
     """Runs the study and writes the page."""
-    session = film(data)
+    session = film(data).session
     cases = [
         JudgedFrame(f"{frame}, camera {number + 1}", law, corrected(session.people[number][frame]))
         for frame, law in zip(FRAMES, TURNS, strict=True)

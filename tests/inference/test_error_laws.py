@@ -11,13 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import integrate
+from scipy import integrate, stats
 from scipy.stats import ks_2samp
 
 import inference
-from probmodel import Disc, ErrorLaw, PoseModel
+from probmodel import BadInput, Disc, ErrorLaw, PoseModel
 from probmodel.keypoints import DetectedKeypoint
-from probmodel.likelihood import Gaussian
+from probmodel.likelihood import Gaussian, Student
 from probmodel.skeleton import GROUPS
 from tests.brute_force import brute_force
 from tests.scenes import key, prior_scene
@@ -44,7 +44,7 @@ class CutGaussian(ErrorLaw):
         return jnp.sqrt(-2 * jnp.log1p(-(1 - np.exp(-(self.reach**2) / 2)) * jnp.asarray(uniform)))
 
 
-@pytest.mark.parametrize("law", [Disc(), CutGaussian(), Gaussian()])
+@pytest.mark.parametrize("law", [Disc(), CutGaussian(), Gaussian(), Student(2.0), Student(9.0)])
 def test_a_law_is_normalised_and_its_draws_follow_it(law):
     """Mass one by quadrature; 10,000 squared distances against the law's distribution function."""
 
@@ -60,6 +60,32 @@ def test_a_law_is_normalised_and_its_draws_follow_it(law):
     uniform = np.interp(far, grid, mass)
     assert ks_2samp(uniform, np.linspace(0, 1, 20_001)).pvalue > FAMILY
     assert ks_2samp(uniform**1.2, np.linspace(0, 1, 20_001)).pvalue < FAMILY / 100  # it can fail
+
+
+def test_a_students_law_is_scipys_and_ends_where_a_gaussian_does():
+    """Density against SciPy's bivariate t, cut; mass beyond the reach; and the Gaussian that
+    samplers propose by, which is nowhere below it, and touches it where it ends."""
+    for df in (2.0, 4.5, 60.0):
+        law = Student(df)
+        far = np.linspace(0, law.reach, 500)
+        t = stats.multivariate_t(np.zeros(2), 0.25 * np.eye(2), df)
+        exact = t.logpdf(np.column_stack([far, 0 * far])) - np.log1p(-np.exp(-4.5))
+        log_ratio = np.asarray(law.log_ratio(far**2))
+        np.testing.assert_allclose(law.log_peak + log_ratio, exact, rtol=1e-9)
+        beyond = integrate.quad(lambda r, t=t: 2 * np.pi * r * t.pdf([r, 0.0]), law.reach, np.inf)
+        assert beyond[0] == pytest.approx(np.exp(-4.5), rel=1e-6)
+        above = -(far**2) / (2 * law.deviation**2) - log_ratio
+        assert above.min() > -1e-12
+        assert above[-1] == pytest.approx(0, abs=1e-9)
+        assert above[250] > 1e-3
+    assert Student(1e7).reach == pytest.approx(Gaussian.reach, rel=1e-5)
+    assert Student(1e7).deviation == pytest.approx(Gaussian.deviation, rel=1e-5)
+
+
+def test_tails_that_reach_beyond_a_person_are_refused():
+    for df in (1.9, 0.0, np.nan):
+        with pytest.raises(BadInput, match="2 degrees of freedom or more"):
+            Student(df)
 
 
 def by_the_law(joints, camera, keypoints, spread):

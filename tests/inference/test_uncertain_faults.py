@@ -343,7 +343,7 @@ def test_a_learned_law_moves_keypoints_back_by_its_bias():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"law": "student", "df": 4.0}, "samplers have no student law"),
+        ({"law": "student", "df": 1.5}, "samplers take a student law of 2"),
         ({"sigma": np.where(np.arange(15) == 3, np.nan, 0.2)}, "knows no right_elbow"),
     ],
 )

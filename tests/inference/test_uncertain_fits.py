@@ -17,25 +17,35 @@ from inference.exact.loops.roots import TorsoProblem
 from inference.exact.rates import Budget
 from inference.uncertain import torsos
 from inference.uncertain.torsos import TorsoDraws, draw_roots, torso_problem
-from probmodel import Likelihood, PoseModel
+from probmodel import ErrorLaw, Likelihood, PoseModel
 from probmodel.faults import Faults
-from probmodel.likelihood import Gaussian
+from probmodel.likelihood import Gaussian, Student
+from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from probmodel.uncertain import UncertainPosterior
 from tests.scenes import prior_scene
 
 ALARM = 1e-4
 
 
-def posterior(factor: float = 0.6) -> UncertainPosterior:
-    """All of a torso, three torsos in the dictionary, and errors so wide that discs find roots."""
+def posterior(
+    factor: float = 0.6, law: ErrorLaw | None = None, without: tuple[str, ...] = ()
+) -> UncertainPosterior:
+    """A torso, without some of its joints, three torsos in the dictionary, and errors so wide that
+    discs find roots."""
     model = PoseModel(torsos=np.asarray(PoseModel().torsos)[[0, 17, 40]])
     frame = prior_scene(model, 11, factor=factor)
-    law = Likelihood(Gaussian(), factor=factor)
-    return dataclasses.replace(frame, likelihood=law).uncertain(model)
+    hidden = np.isin(np.arange(NUM_JOINTS), [JOINT_INDEX[name] for name in without])
+    detection = dataclasses.replace(
+        frame.detection,
+        keypoints=np.where(hidden[:, None], np.nan, frame.detection.keypoints),
+        score=np.where(hidden, 0.0, frame.detection.score),
+    )
+    likelihood = Likelihood(law or Gaussian(), factor=factor)
+    return dataclasses.replace(frame, detection=detection, likelihood=likelihood).uncertain(model)
 
 
 def by_discs(whole: UncertainPosterior, number: int, monkeypatch: pytest.MonkeyPatch) -> TorsoDraws:
-    """As if nothing were known of the law but its ratio."""
+    """As if nothing were known of the law but its ratio and its reach."""
 
     def plain(posterior: UncertainPosterior, faults: Faults) -> torsos.Posed:
         posed = torso_problem(posterior, faults)
@@ -78,6 +88,22 @@ def test_roots_by_least_squares_are_those_by_discs(monkeypatch: pytest.MonkeyPat
     assert smallest_p(fitted, discs) > ALARM
     error = math.sqrt(fitted.variance + discs.variance)
     assert abs(fitted.log_evidence - discs.log_evidence) < 4 * error < 0.2
+
+
+@pytest.mark.slow
+def test_students_roots_are_those_by_discs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of four joints, since discs that reach as far as a t find few roots; and the negative
+    control: the Gaussian by which they are proposed, taken for the law."""
+    whole = posterior(law=Student(3.0), without=("thorax", "pelvis"))
+    discs = by_discs(whole, 2500, monkeypatch)
+    fitted = draw_roots(whole, Faults.none(), [1, 2], 2500, Budget(1 << 30))
+    assert discs.attempts > 10 * fitted.attempts
+    assert smallest_p(fitted, discs) > ALARM
+    error = math.sqrt(fitted.variance + discs.variance)
+    assert abs(fitted.log_evidence - discs.log_evidence) < 4 * error < 0.2
+    monkeypatch.setattr(Student, "gaussian", True)
+    wrong = draw_roots(whole, Faults.none(), [1, 2], 2500, Budget(1 << 30))
+    assert smallest_p(wrong, discs) < ALARM / 100
 
 
 @pytest.mark.slow

@@ -39,21 +39,21 @@ PATH = Path(__file__).parents[3] / "probmodel" / "data" / "errors.json"
 
 def embedded(session: Session) -> DetectorErrors:
     """The law of a session, made fit for detectors that nobody has calibrated."""
-    found = learn(
-        pairs_of_session(session), truth=pairs_of_session(session, perspective=True)
-    ).errors
-    square = found.sigma**2 + np.sum(found.bias**2, axis=1) / 2
+    learned = learn(pairs_of_session(session), truth=pairs_of_session(session, perspective=True))
+    found, mixture = learned.errors, learned.fit.mixture
+    square = mixture.sigma**2 + np.sum(mixture.bias**2, axis=1) / 2
     sigma = np.sqrt((square + square[list(MIRROR)]) / 2)
     return DetectorErrors(
         found.law,
         sigma.round(3),
         np.array([INLIERS[joint.split("_")[-1]] for joint in JOINTS]),
         np.zeros_like(found.bias),
+        df=round(found.df, 1),
         exchange=EXCHANGES,
         learned={
             **found.learned,
             "detector": session.people[0][0].layout,
-            "truth": "triangulated by the other cameras, seen in weak perspective",
+            "truth": "triangulated by the other cameras, seen along the line of sight",
             "sigma": "of the film, sides together, its bias a part of it",
             "inlier": "Chang, Moon & Lee, arXiv 1910.12029",
             "exchange": "assumed",

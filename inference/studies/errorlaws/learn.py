@@ -1,4 +1,5 @@
-"""Learning a law: the mixture, its standard errors by leaving recordings out, and the record."""
+"""Learning a law: the mixture, its standard errors by leaving recordings out, and the record, which
+is for detections that were not learned from: what the fit does not know belongs to its spread."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from inference.studies.errorlaws.mixture import Fit, Mixture, fit, start
+from inference.studies.errorlaws.mixture import FREEDOM, Fit, Mixture, fit, start
 from inference.studies.errorlaws.pairs import Pairs
 from probmodel.errorlaws import OUTLIER_RADIUS, DetectorErrors, Exchange, ScoreFactor
 from probmodel.failures import BadInput
@@ -26,13 +27,13 @@ class Learned:
 
     Attributes
     ----------
-    errors : the record, with standard errors.
+    errors : the record, with standard errors: the law of a detection that is still to come.
     fit : the mixture, and what is latent in the pairs.
     truth_fit : that of the detections from which the truth was triangulated; None where it is the
         same.
     pairs : those.
     exchange_se : `(3,)` standard errors of the probabilities of exchange.
-    df_se : of the degrees of freedom.
+    df_se : of the fitted degrees of freedom.
     """
 
     errors: DetectorErrors
@@ -58,7 +59,8 @@ def learn(
     pairs
         Detections and truth.
     law
-        `gaussian` or `student`.
+        `gaussian` or `student`: of the errors that are learned from. Those still to come have
+        longer tails, see `still_to_come`.
     truth
         The same pairs with the truth as the calibrated cameras see it, for `pairs` whose truth
         weak-perspective cameras see: the truth's own error goes by the detector's, without what
@@ -92,7 +94,7 @@ def learn(
         kept = np.flatnonzero(groups != group)
         some = None if truth is None else truth.take(kept)
         parts.append(_fitted(pairs.take(kept), some, law, edges, whole)[0].mixture)
-    errors = _record(pairs, whole[0].mixture, parts, law, edges, count, about or {})
+    errors = _record(pairs, whole[0].mixture, parts, edges, count, about or {})
     return Learned(
         errors,
         whole[0],
@@ -128,24 +130,24 @@ def _record(
     pairs: Pairs,
     mixture: Mixture,
     parts: list[Mixture],
-    law: str,
     edges: tuple[float, ...],
     count: np.ndarray,
     about: dict[str, Any],
 ) -> DetectorErrors:
     known = count >= LEAST_PAIRS
-    columns = [_columns(part) for part in parts]
+    se = _standard_error([_columns(part) for part in parts])
+    sigma, df = still_to_come(mixture, se, known)
     return DetectorErrors(
-        law,
-        np.where(known, mixture.sigma, np.nan),
+        "gaussian" if df == np.inf else "student",
+        np.where(known, sigma, np.nan),
         np.where(known, mixture.inlier, np.nan),
         np.where(known[:, None], mixture.bias, np.nan),
-        df=mixture.df,
+        df=df,
         exchange=Exchange(*mixture.pattern[1:].tolist()),
         score=ScoreFactor(edges, tuple(mixture.factor.tolist())),
         outlier_radius=OUTLIER_RADIUS,
         pairs=np.where(known, count, 0),
-        se=np.where(known[:, None], _standard_error(columns), np.nan),
+        se=np.where(known[:, None], se, np.nan),
         learned={
             "from": pairs.name,
             "people": len(pairs),
@@ -155,6 +157,29 @@ def _record(
             **about,
         },
     )
+
+
+def still_to_come(mixture: Mixture, se: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
+    """Spreads `(15,)` and degrees of freedom of errors in a recording that was not learned from.
+
+    Its bias is another by what the mean of those learned from errs, so the variance of that is
+    added. Its spread is another too: one known to a relative standard error r is as if estimated
+    from 1/2r² independent errors, and what is to come then has a Student's t of as many degrees of
+    freedom. One number for all joints, since a joint's own r is hardly known. Of a mixture that is
+    a t itself the two scatters of the scale add: their inverse degrees of freedom do.
+
+    Parameters
+    ----------
+    se : `(15, 4)`
+        Standard errors of sigma, inlier and the two of bias.
+    known : `(15,)` bool
+        The joints that count.
+    """
+    sigma = np.sqrt(mixture.sigma**2 + np.mean(se[:, 2:] ** 2, axis=1))
+    relative = float(np.mean((se[known, 0] / mixture.sigma[known]) ** 2))
+    scatter = 1 / mixture.df + 2 * relative
+    df = max(1 / scatter, FREEDOM[0]) if scatter else np.inf
+    return sigma, df if df < FREEDOM[1] else np.inf
 
 
 def _columns(mixture: Mixture) -> np.ndarray:

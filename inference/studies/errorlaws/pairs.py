@@ -14,6 +14,7 @@ from probmodel.errorlaws import Exchange
 from probmodel.faults import EXCHANGE_INDEX, ORDERS
 from probmodel.layouts import MIDPOINTS
 from probmodel.sessions import Session
+from probmodel.sessions.session import HIPS
 from probmodel.skeleton import JOINT_INDEX
 
 PATTERNS = [ORDERS[EXCHANGE_INDEX[name]] for name in ("none", *Exchange._fields)]
@@ -124,9 +125,9 @@ def pairs_of_session(session: Session, *, perspective: bool = False) -> Pairs:
     session
         Of three cameras at least.
     perspective
-        Whether the truth is seen through the calibrated camera. Otherwise it is seen by the
-        weak-perspective camera that comes nearest, and what that leaves belongs to the law: so a
-        posterior needs it that does not know the focal length.
+        Whether the truth is seen through the calibrated camera. Otherwise it falls along the line
+        of sight to the hips, and what perspective adds to that belongs to the law: so a posterior
+        needs it that does not know the focal length, and whose depth is along that line.
 
     Raises
     ------
@@ -145,14 +146,16 @@ def _of_view(session: Session, view: JudgedView, perspective: bool) -> tuple[np.
     scale = session.scale[view.camera][rows]
     slope = session.straight[view.camera].slope(view.world.points) / scale[:, None, None, None]
     doubt = slope @ view.world.covariance @ np.swapaxes(slope, -1, -2)
-    truth = view.seen
-    if not perspective:
-        truth = view.scale[:, None, None] * view.poses[..., :2] + view.translation[:, None]
     size = session.unit * scale[:, None, None]
+    truth = view.seen / size
+    if not perspective:
+        hips = session.straight[view.camera].project(view.world.points[:, HIPS].mean(axis=1))
+        flat = session.along_sight(view.camera, view.world.points)[..., :2]
+        truth = flat / session.unit + hips[:, None] / size
     label = session.labels[view.camera]
     return (
         session.keypoints[view.camera][rows] / size,
-        truth / size,
+        truth,
         np.nan_to_num(doubt),
         session.score[view.camera][rows],
         np.full(len(rows), f"{session.name} {label}"),

@@ -1,0 +1,224 @@
+"""One person filmed by four calibrated cameras: what each camera's detection says by itself, kept
+in a folder, beside what the other three say.
+
+Poses are in the person's own body units, the hips' midpoint at the origin, z along the line of
+sight to it. The film is cut in two: what is learned from one half judges the other.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import xarray as xr
+
+import inference
+from inference.machines import HERE
+from inference.results import FIXED, UNCERTAIN
+from inference.store import Block, Groups, Store, fill, locked
+from inference.studies.errorlaws.embedded import embedded
+from inference.studies.errorlaws.learn import Learned, learn
+from inference.studies.errorlaws.pairs import pairs_of_session
+from probmodel import Detection, Likelihood, PoseModel
+from probmodel.faults import NO_FAULTS
+from probmodel.layouts import corrected
+from probmodel.likelihood import Gaussian
+from probmodel.sessions import Session, read_session
+from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from reports.pages.page import in_doubles
+
+DRAWS, ROOTS = 4000, 1000
+BUDGET = 300_000_000
+"""Most proposals for a case."""
+HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
+DISC, GAUSSIAN, LEARNED = "disc", "Gaussian", "learned"
+GOLDEN = (5**0.5 - 1) / 2
+PARTS = 2
+"""Of the film, one after the other."""
+
+
+class Way(NamedTuple):
+    """One way to a posterior: its root, the error law's name, whether midpoints are moved to the
+    skeleton's thorax and pelvis, and in how many frames it is judged."""
+
+    root: str
+    errors: str = DISC
+    moved: bool = True
+    frames: int = 9
+
+    def __str__(self) -> str:
+        given = "" if self.moved else ", `--as-detected`"
+        return f"{self.root}, {self.errors}{given}"
+
+    @property
+    def folder(self) -> str:
+        """Where its draws are kept."""
+        return f"{self.root}-{self.errors}{'' if self.moved else '-as-detected'}".lower()
+
+
+WAYS = (
+    Way(FIXED, moved=False),
+    Way(FIXED),
+    Way(UNCERTAIN, moved=False),
+    Way(UNCERTAIN, frames=100),
+    Way(UNCERTAIN, GAUSSIAN),
+    Way(UNCERTAIN, LEARNED, frames=50),
+)
+
+
+class FilmedCase(NamedTuple):
+    """What one `camera` detected in a `frame`, and the truth `(15, 3)` from the others: body units
+    of the person, the hips' midpoint at the origin, z along the line of sight to it; with the
+    covariances `(15, 3, 3)` of the truth's own errors, those of one joint independent of
+    another's."""
+
+    camera: int
+    frame: int
+    detection: Detection
+    truth: np.ndarray
+    doubt: np.ndarray
+
+    def errors(self, rng: np.random.Generator, number: int) -> np.ndarray:
+        """`(number, 15, 3)`: errors that the truth may have, rooted as it is."""
+        spread = np.linalg.cholesky(np.nan_to_num(self.doubt) + 1e-12 * np.eye(3))
+        free = np.einsum("jab,njb->nja", spread, rng.normal(size=(number, *self.truth.shape)))
+        return free - free[:, HIPS].mean(axis=1, keepdims=True)
+
+
+class Drawn(NamedTuple):
+    """What came out of a case: `joints` `(draws, 15, 3)` in body units, rooted and turned as the
+    truth is, the effective number of `roots` behind them, NaN where the root is fixed, and the
+    `seconds` it took."""
+
+    joints: np.ndarray
+    roots: float
+    seconds: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Film:
+    """A session, cut in two."""
+
+    session: Session
+
+    def part_of(self, frame: int) -> int:
+        """Which part of the film a frame is in."""
+        return frame * PARTS // len(self.session)
+
+    def part(self, part: int) -> Session:
+        """One part of the film."""
+        frames = range(len(self.session))
+        return self.session.take([frame for frame in frames if self.part_of(frame) == part])
+
+    def unseen(self, part: int) -> Session:
+        """The rest of the film."""
+        frames = range(len(self.session))
+        return self.session.take([frame for frame in frames if self.part_of(frame) != part])
+
+    @functools.cached_property
+    def cases(self) -> list[FilmedCase]:
+        """Every camera in every frame, judged by the others, whose detections err as in the rest of
+        the film. So ordered that the first ones are evenly over the film, however many they are."""
+        views = list(map(self._view, range(len(self.session.cameras))))
+        frames = np.argsort(np.arange(len(self.session)) * GOLDEN % 1)
+        return [view[frame] for frame in frames for view in views]
+
+    def _view(self, camera: int) -> list[FilmedCase]:
+        session = self.session
+        world = session.without(camera)
+        truth = session.along_sight(camera, world.points) / session.unit
+        axes = session.sight_axes(camera, world.points)[:, None]
+        doubt = axes @ world.covariance @ np.swapaxes(axes, -1, -2)
+        sigma = np.stack([self._truth_sigma[self.part_of(row)] for row in range(len(session))])
+        doubt = doubt * sigma[:, :, None, None] ** 2
+        rows = enumerate(zip(session.people[camera], truth, doubt, strict=True))
+        return [FilmedCase(camera, row, *case) for row, case in rows]
+
+    @functools.cached_property
+    def _truth_sigma(self) -> list[np.ndarray]:
+        """By part of the film, how far detections stray in the rest of it."""
+        rests = [pairs_of_session(self.unseen(part), perspective=True) for part in range(PARTS)]
+        return [learn(rest).errors.sigma for rest in rests]
+
+    @functools.cached_property
+    def learned(self) -> list[Likelihood]:
+        """By part of the film, what is learned from the rest of it, without faults."""
+        laws = [embedded(self.unseen(part)) for part in range(PARTS)]
+        return [dataclasses.replace(Likelihood.of(law), faults=NO_FAULTS) for law in laws]
+
+    def likelihood(self, errors: str, frame: int) -> Likelihood:
+        """How detections err, by a law's name: the paper's, its Gaussian, or a learned one."""
+        if errors == LEARNED:
+            return self.learned[self.part_of(frame)]
+        return {DISC: Likelihood(), GAUSSIAN: Likelihood(Gaussian())}[errors]
+
+
+def learn_both(session: Session) -> Learned:
+    """As `poseterior calibrate` learns: a law that has what perspective adds along the line of
+    sight, while the truth's own errors are those without it."""
+    return learn(pairs_of_session(session), truth=pairs_of_session(session, perspective=True))
+
+
+def film(data: Path) -> Film:
+    """The person on the beam, in doubles. Ends the program where the data pack is not there."""
+    if not (data / "multicamera").is_dir():
+        raise SystemExit(
+            f"{data} has no folder `multicamera`: this page needs the shared data pack"
+        )
+    in_doubles()
+    return Film(read_session(data / "multicamera"))
+
+
+def drawn(seen: Film, way: Way, work: Path) -> Iterator[tuple[FilmedCase, Drawn]]:
+    """The draws of a way in its cases; those that are not in the folder `work` are made."""
+    cases = seen.cases[: way.frames * len(seen.session.cameras)]
+    settings = {"way": str(way), "session": seen.session.name, "draws": DRAWS, "roots": ROOTS}
+    with locked(work / way.folder):
+        store = Store.begin(work / way.folder, settings)
+        blocks = [_block(seen, way, number, case) for number, case in enumerate(cases)]
+        fill(store, HERE, functools.partial(_draw, way), blocks, lambda block, groups: None)
+        for block, case in zip(blocks, cases, strict=True):
+            found = store.read(block.number, "draws")
+            about = found.attrs["roots"], found.attrs["seconds"]
+            yield case, Drawn(found.joints.values.astype(float), *map(float, about))
+
+
+def _block(seen: Film, way: Way, number: int, case: FilmedCase) -> Block:
+    likelihood = seen.likelihood(way.errors, case.frame)
+    person = corrected(case.detection) if way.moved else case.detection
+    seed = case.frame * len(seen.session.cameras) + case.camera
+    made_of = {"camera": case.camera, "frame": case.frame, "law": likelihood.sha256}
+    return Block(number, f"{way}, case {number}", made_of, 1, (person, likelihood, seed))
+
+
+def _draw(way: Way, given: tuple[Detection, Likelihood, int]) -> Groups:
+    """Draws for one camera's detection."""
+    detection, likelihood, seed = given
+    model = _model()
+    result = inference.sample(
+        model,
+        inference.estimate_torso(detection, torsos=np.asarray(model.torsos), likelihood=likelihood),
+        key=jax.random.key(seed),
+        num_samples=DRAWS,
+        root=way.root,
+        num_roots=ROOTS,
+        max_proposals=BUDGET,
+    )
+    joints = np.zeros((0, NUM_JOINTS, 3))
+    if result.num_draws:
+        joints = result.tree["posterior"].joints.values[0]
+        joints = joints - joints[:, HIPS].mean(axis=1, keepdims=True)
+    about = {
+        "roots": float(result.tree.attrs.get("effective_roots", np.nan)),
+        "seconds": float(result.tree.attrs["wall_time_s"]),
+    }
+    columns = {"joints": (("draw", "joint", "axis"), joints.astype(np.float32))}
+    return {"draws": xr.Dataset(columns, attrs=about)}
+
+
+@functools.cache
+def _model() -> PoseModel:
+    return PoseModel()

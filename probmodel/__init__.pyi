@@ -20,6 +20,7 @@ from .likelihood import Disc as Disc
 from .likelihood import ErrorLaw as ErrorLaw
 from .likelihood import Gaussian as Gaussian
 from .likelihood import Likelihood as Likelihood
+from .likelihood import Student as Student
 from .model import PoseModel as PoseModel
 from .observation import Observation as Observation
 from .posterior import Estimate as Estimate

@@ -19,7 +19,7 @@ from scipy import stats
 
 from inference.hypothesis import diverse
 from inference.results import FIXED
-from inference.studies.errorlaws.judge import LEVELS, standings
+from inference.studies.errorlaws.judge import LEVELS, shares_within, standings
 from inference.studies.errorlaws.pairs import pairs_of_session
 from inference.studies.intervals import Interval, of_share
 from inference.uncertain.weighted import FEWEST_EFFECTIVE
@@ -206,9 +206,7 @@ def law_table(seen: Film) -> Sheet:
         )
         for name, law in (("as fitted", fitted), ("as written", found.errors)):
             standing = standings(law, rest, found.truth_fit.mixture.sigma)
-            known = ~np.isnan(standing)
-            view = np.repeat(rest.recording, known.sum(axis=1))
-            row = [share(of_share(standing[known] <= level, view)) for level in LEVELS]
+            row = map(share, shares_within(standing, rest.recording))
             lines.append((f"{ORDER[1 - part]} → {ORDER[part]}, {name}", *row))
     heads = (f"{100 * level:.0f} %" for level in LEVELS)
     return sheet_of(("learned from → judged on", *heads), lines)

@@ -35,7 +35,12 @@ def summary_lines(found: Learned) -> list[str]:
     errors = found.errors
     lines = []
     if errors.law == "student":
-        lines.append(f"Degrees of freedom: {errors.df:.1f} ± {found.df_se:.1f}")
+        fitted = found.fit.mixture.df
+        of_fit = f"{fitted:.1f} ± {found.df_se:.1f}" if np.isfinite(fitted) else "a Gaussian's"
+        lines.append(
+            f"Degrees of freedom: {errors.df:.1f}; of the errors learned from {of_fit}, the fewer"
+            " the recordings the less is that known"
+        )
     shares = zip(Exchange._fields, errors.exchange, found.exchange_se, strict=True)
     said = ", ".join(f"{name} {100 * p:.1f} ± {100 * se:.1f} %" for name, p, se in shares)
     lines.append(f"Exchanged sides: {said}")

@@ -16,10 +16,11 @@ from inference.studies.errorlaws import (
     pairs_of_session,
     shares_within,
 )
-from inference.studies.errorlaws.judge import standings
-from inference.studies.errorlaws.learn import jackknife_groups
-from inference.studies.errorlaws.mixture import log_density
+from inference.studies.errorlaws.judge import LEVELS, standings
+from inference.studies.errorlaws.learn import jackknife_groups, still_to_come
+from inference.studies.errorlaws.mixture import Mixture, log_density
 from inference.studies.errorlaws.pairs import PATTERNS
+from inference.studies.intervals import Interval
 from probmodel import BadInput
 from probmodel.datasets import VIEWS, DataSet, from_motions
 from probmodel.errorlaws import OUTLIER_RADIUS, DetectorErrors, ScoreFactor
@@ -215,6 +216,51 @@ def test_recordings_are_left_out_whole() -> None:
     assert (np.diff(one) >= 0).all()
 
 
+def test_a_law_from_four_recordings_holds_in_the_next() -> None:
+    """Recordings with biases of their own, two spreads large, by plain means in the place of the
+    fit: over 100 learned laws, regions of 50, 80 and 95 % of the law that is written hold as many
+    of 20 new recordings' errors, within 2.5 % (five standard errors). The law as it is fitted
+    must miss by thrice as much."""
+    rng = np.random.default_rng(5)
+    levels, number = np.array([0.5, 0.8, 0.95]), 4
+    written, fitted = [], []
+
+    def recordings(count: int) -> np.ndarray:
+        bias = 2 * rng.normal(size=(count, 1, NUM_JOINTS, 2))
+        return bias + rng.normal(size=(count, 30, NUM_JOINTS, 2))
+
+    def mixture(errors: np.ndarray) -> Mixture:
+        bias = errors.mean(axis=(0, 1))
+        sigma = np.sqrt(np.mean((errors - bias) ** 2, axis=(0, 1, 3)))
+        return Mixture(sigma, np.ones(NUM_JOINTS), bias, np.inf, np.eye(4)[0], np.ones(1))
+
+    for _ in range(100):
+        errors, new = recordings(number), recordings(20)
+        whole = mixture(errors)
+        parts = [mixture(np.delete(errors, one, axis=0)) for one in range(number)]
+        columns = np.stack([np.column_stack([one.sigma, one.inlier, one.bias]) for one in parts])
+        se = np.sqrt((number - 1) * columns.var(axis=0))
+        sigma, df = still_to_come(whole, se, np.ones(NUM_JOINTS, bool))
+        square = np.sum((new - whole.bias) ** 2, axis=-1)
+        inside = stats.f.cdf(square / sigma**2 / 2, 2, df)[..., None] <= levels
+        written.append(inside.mean(axis=(0, 1, 2)))
+        inside = -np.expm1(-square / whole.sigma**2 / 2)[..., None] <= levels
+        fitted.append(inside.mean(axis=(0, 1, 2)))
+    assert np.mean(written, axis=0) == pytest.approx(levels, abs=0.025)
+    assert (np.mean(fitted, axis=0) < levels - 0.075).all()
+
+
+def test_a_law_from_many_recordings_is_as_it_was_fitted() -> None:
+    whole = Mixture(SIGMA, INLIER, BIAS, np.inf, np.eye(4)[0], np.ones(1))
+    se = 0.02 * np.column_stack([SIGMA, SIGMA, SIGMA, SIGMA])
+    sigma, df = still_to_come(whole, se, np.ones(NUM_JOINTS, bool))
+    assert sigma == pytest.approx(SIGMA, rel=1e-3)
+    assert df == np.inf
+    known = np.arange(NUM_JOINTS) == 0
+    _, df = still_to_come(dataclasses.replace(whole, df=10.0), 10 * se, known)
+    assert df == pytest.approx(1 / (1 / 10 + 2 * 0.2**2))
+
+
 def test_bad_requests_are_refused() -> None:
     pairs = simulated(30, "gaussian", 0)
     with pytest.raises(BadInput, match="there is no law 'disc' to be learned"):
@@ -233,21 +279,24 @@ def test_a_joint_that_is_never_seen_is_not_known() -> None:
 
 
 @pytest.mark.slow
-def test_a_film_is_covered_by_the_law_of_its_other_half(shared_data: Path) -> None:
-    """Four cameras, 100 frames, stretches of ten by turns: regions of 50, 80 and 95 % hold as many
-    of the residuals of the half that was not learned from, within what 20 stretches of a film can
-    tell. A law half as wide, and one without the truth's own error, must fail."""
+def test_the_second_half_of_a_film_is_covered_by_the_law_of_the_first(shared_data: Path) -> None:
+    """Four cameras: regions of 50, 80 and 95 % hold as many of the residuals of the half that was
+    not learned from, within intervals of 95 % from drawing cameras anew. The law as it was fitted
+    must fail all three: there the person moves more."""
     session = read_session(shared_data / "multicamera")
-    exact, weak = (pairs_of_session(session, perspective=way) for way in (True, False))
-    stretch = np.arange(len(weak)) % 100 // 10
-    for half in (0, 1):
-        learned, unseen = (np.flatnonzero(stretch % 2 == side) for side in (half, 1 - half))
-        found = learn(weak.take(learned), truth=exact.take(learned))
-        assert found.truth_fit is not None
-        sigma = found.truth_fit.mixture.sigma
-        low, middle, high = shares_within(standings(found.errors, weak.take(unseen), sigma))
-        assert low == pytest.approx(0.50, abs=0.07)
-        assert middle == pytest.approx(0.80, abs=0.06)
-        assert high == pytest.approx(0.95, abs=0.03)
-        narrow = dataclasses.replace(found.errors, sigma=found.errors.sigma / 2)
-        assert shares_within(standings(narrow, weak.take(unseen), sigma))[2] < 0.9
+    first, second = (session.take(range(start, start + 50)) for start in (0, 50))
+    found = learn(pairs_of_session(first), truth=pairs_of_session(first, perspective=True))
+    assert found.truth_fit is not None
+    pairs = pairs_of_session(second)
+
+    def shares(errors: DetectorErrors) -> list[Interval]:
+        standing = standings(errors, pairs, found.truth_fit.mixture.sigma)
+        return shares_within(standing, pairs.recording)
+
+    for level, share in zip(LEVELS, shares(found.errors), strict=True):
+        assert share.low < level < share.high
+        assert share.value == pytest.approx(level, abs=0.05)
+    sigma = found.fit.mixture.sigma
+    fitted = dataclasses.replace(found.errors, law="gaussian", df=np.inf, sigma=sigma)
+    for level, share in zip(LEVELS, shares(fitted), strict=True):
+        assert share.high < level

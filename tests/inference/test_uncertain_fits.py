@@ -94,16 +94,16 @@ def test_roots_by_least_squares_are_those_by_discs(monkeypatch: pytest.MonkeyPat
 def test_students_roots_are_those_by_discs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of four joints, since discs that reach as far as a t find few roots; and the negative
     control: the Gaussian by which they are proposed, taken for the law."""
-    whole = posterior(law=Student(3.0), without=("thorax", "pelvis"))
-    discs = by_discs(whole, 2500, monkeypatch)
-    fitted = draw_roots(whole, Faults.none(), [1, 2], 2500, Budget(1 << 30))
+    whole = posterior(law=Student(6.0), without=("thorax", "pelvis"))
+    discs = by_discs(whole, 1000, monkeypatch)
+    fitted = draw_roots(whole, Faults.none(), [1, 2], 1000, Budget(1 << 30))
     assert discs.attempts > 10 * fitted.attempts
     assert smallest_p(fitted, discs) > ALARM
     error = math.sqrt(fitted.variance + discs.variance)
-    assert abs(fitted.log_evidence - discs.log_evidence) < 4 * error < 0.2
+    assert abs(fitted.log_evidence - discs.log_evidence) < 4 * error < 0.25
     monkeypatch.setattr(Student, "gaussian", True)
-    wrong = draw_roots(whole, Faults.none(), [1, 2], 2500, Budget(1 << 30))
-    assert smallest_p(wrong, discs) < ALARM / 100
+    wrong = draw_roots(whole, Faults.none(), [1, 2], 1000, Budget(1 << 30))
+    assert wrong.log_evidence > discs.log_evidence + 8 * error
 
 
 @pytest.mark.slow

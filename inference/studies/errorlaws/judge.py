@@ -6,6 +6,7 @@ from scipy import stats
 from inference.studies.errorlaws.learn import mixture_of
 from inference.studies.errorlaws.mixture import determinant, expect, inverse, quadratic
 from inference.studies.errorlaws.pairs import Pairs
+from inference.studies.intervals import Interval, of_share
 from probmodel.errorlaws import DetectorErrors
 
 LEVELS = (0.5, 0.8, 0.95)
@@ -55,7 +56,11 @@ def standings(
     return np.where(pairs.seen & errors.known, mass, np.nan)
 
 
-def shares_within(standing: np.ndarray, levels: tuple[float, ...] = LEVELS) -> list[float]:
-    """The share of `standings` up to each level."""
-    known = standing[~np.isnan(standing)]
-    return [float(np.mean(known <= level)) for level in levels]
+def shares_within(
+    standing: np.ndarray, recording: np.ndarray, levels: tuple[float, ...] = LEVELS
+) -> list[Interval]:
+    """The share of `standings` `(n, 15)` up to each level, with intervals from drawing whole
+    recordings `(n,)` anew."""
+    known = ~np.isnan(standing)
+    owner = np.repeat(recording, known.sum(axis=1))
+    return [of_share(standing[known] <= level, owner) for level in levels]

@@ -162,11 +162,11 @@ def _record(
 def still_to_come(mixture: Mixture, se: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
     """Spreads `(15,)` and degrees of freedom of errors in a recording that was not learned from.
 
-    Its bias is another by what the mean of those learned from errs, so the variance of that is
-    added. Its spread is another too: one known to a relative standard error r is as if estimated
-    from 1/2r² independent errors, and what is to come then has a Student's t of as many degrees of
-    freedom. One number for all joints, since a joint's own r is hardly known. Of a mixture that is
-    a t itself the two scatters of the scale add: their inverse degrees of freedom do.
+    The mean of those learned from errs, and the spread about it is too small by the same variance,
+    which is added twice. The spread errs too: known to a relative standard error r, it is as if
+    estimated from 1/2r² independent errors, and what is to come then has a Student's t of as many
+    degrees of freedom. One number for all joints, since a joint's own r is hardly known. Of a
+    mixture that is a t itself the two scatters of the scale add: their inverse degrees of freedom.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def still_to_come(mixture: Mixture, se: np.ndarray, known: np.ndarray) -> tuple[
     known : `(15,)` bool
         The joints that count.
     """
-    sigma = np.sqrt(mixture.sigma**2 + np.mean(se[:, 2:] ** 2, axis=1))
+    sigma = np.sqrt(mixture.sigma**2 + 2 * np.mean(se[:, 2:] ** 2, axis=1))
     relative = float(np.mean((se[known, 0] / mixture.sigma[known]) ** 2))
     scatter = 1 / mixture.df + 2 * relative
     df = max(1 / scatter, FREEDOM[0]) if scatter else np.inf

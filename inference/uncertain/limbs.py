@@ -1,69 +1,75 @@
 """What the limbs say of many roots: each root's evidence without bias from a fixed number of
 attempts, and the draws that these attempts bring.
 
-Every root is cut coarsely (`RESOLUTION`), which costs next to nothing, and every group of limbs
-makes the same number of attempts under every root. "Until one is accepted" would not do: the mean
-of such a rate is not the rate. Groups share nothing, so a product of their estimates is unbiased
-too; the two limbs of a group are attempted together, with lengths in common.
+Every group of limbs makes the same number of attempts under every root, each with a weight
+(`loops.weighed`). "Until one is accepted" would not do: the mean of such a rate is not the rate.
+Groups share nothing, so a product of their estimates is unbiased too; the two limbs of a group are
+attempted under the same lengths.
 """
 
 import functools
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.exact.groups import GroupTables, attempt_group, group_tables, plan_group, workers
+from inference.exact.groups import GroupTables, group_tables, workers
+from inference.exact.loops.bins import length_bins
 from inference.exact.loops.numbers import seeded
-from inference.exact.loops.strata import Resolution
-from inference.exact.loops.tables import Bodies
-from inference.exact.problem import limbs_of
-from inference.exact.rates import Rate
-from inference.resampling import systematic
+from inference.exact.loops.weighed import FOUND, attempt_rows, combine_rows, draw_trials
 from probmodel.chunks import in_chunks
-from probmodel.faults import Faults
+from probmodel.faults import ORDERS, Faults
 from probmodel.kinematics import upper_axes
+from probmodel.likelihood import ErrorLaw
 from probmodel.model import PoseModel
 from probmodel.pose import GroupDraws, Pose
 from probmodel.roots import RootPoint, RootPrior
-from probmodel.skeleton import GROUPS
+from probmodel.skeleton import GROUPS, TORSO_INDEX
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
-RESOLUTION = Resolution(2, 2, 1)
-"""How finely each root is cut: set-up and attempts then cost about as much."""
-ATTEMPTS = {"head": 256, "arms": 2048, "legs": 2048}
-"""Attempts at each group under each root, enough for some dozens of draws under roots that
-matter."""
+TRIALS, EACH = 16, 16
+"""Lengths of the bones under each root, and attempts at each limb under each of them: under roots
+that matter a group's evidence is then known to 10 to 20 %, which costs few effective roots."""
+LIMBS = tuple(limb for members in GROUPS.values() for limb in members)
+ENDS = np.array([[bone.end for bone in (*limb.bones, *limb.bones)[:2]] for limb in LIMBS])
+"""`(5, 2)`: the joints of each limb, from the torso outwards; the head's twice."""
+CHAINED = np.array([limb.lower is not None for limb in LIMBS])
+ATTEMPTS = TRIALS * EACH * len(LIMBS)
+"""Attempts at the limbs of one root."""
 KEPT = 64
-"""Most draws that are kept of a group under one root: any of them are as good as all."""
+"""Draws that are kept of a group under one root: any of them are as good as all."""
 POOL = 4096
 """Draws of the prior that stand for it: for groups of which nothing was seen, which are the same
 under every root, and for what the others promise."""
 BLOCK = 512
 """Roots that are worked on at a time, which bounds the memory."""
+TASK = 32
+"""Roots that a thread works on at a time."""
 
 
 class LimbDraws(NamedTuple):
-    """What attempts at one group brought under one root: the `rate` of successes, each counted with
-    its likelihood over the peak, and `draws`, in random order, as often as that says."""
+    """What attempts at one group brought under one root: the log of its estimated evidence, -inf
+    where nothing explained the detections, and `draws`, all of one weight."""
 
-    rate: Rate
+    log_evidence: float
     draws: GroupDraws
 
 
 class Views(NamedTuple):
-    """What limbs see of roots: local `axes` `(n, 5, 3, 3)` of the upper bones in camera axes, where
-    the torso's joints fall, `start` `(n, 6, 2)`, the detections, `target` `(n, 15, 2)`, and how far
-    from there joints may fall, `reach` `(n, 15)`; body units."""
+    """What limbs see of roots, body units: local `axes` `(n, 5, 3, 3)` of the upper bones in camera
+    axes, where the torso's joints fall, `start` `(n, 6, 2)`, the detections, `target` `(n, 15, 2)`,
+    how far from there joints may fall, `reach` `(n, 15)`, and the `spread` `(n, 15)` of their
+    errors."""
 
     axes: Any
     start: Any
     target: Any
     reach: Any
+    spread: Any
 
 
 def limb_draws(
@@ -72,21 +78,32 @@ def limb_draws(
     """For each of the roots and patterns of faults `(n, ...)`, the attempts at its limbs by group;
     root `i` has random numbers of its own, whatever comes before it."""
     tables, free = group_tables(posterior.model), free_groups(posterior, words)
+    law = posterior.detected.law
     for start in range(0, len(points.torso), BLOCK):
         part = slice(start, start + BLOCK)
         some = points.take(part), faults.take(part)
-        views = views_of(posterior, *some)
-        rows = range(len(views.target))
-        numbers = [start + row for row in rows]
-        attempt = functools.partial(_attempt, tables, free, words, views)
-        found = list(workers().map(attempt, rows, numbers, chunksize=1))
-        yield from _weighed(posterior, *some, found, words, start)
+        views, outlier = views_of(posterior, *some), outliers_of(posterior, some[1])
+        rows = [slice(first, first + TASK) for first in range(0, len(outlier), TASK)]
+        tasks = [
+            (Views(*(column[row] for column in views)), outlier[row], start + row.start)
+            for row in rows
+        ]
+        attempt = functools.partial(_attempt, tables, free, words, law)
+        for found in workers().map(attempt, *zip(*tasks, strict=True)):
+            yield from found
 
 
 def views_of(posterior: UncertainPosterior, points: RootPoint, faults: Faults) -> Views:
     """The views of roots and patterns `(n, ...)`, compiled once."""
     look = functools.partial(_look, posterior.model, posterior.detected)
     return in_chunks(look, *map(np.asarray, points), *faults, size=BLOCK)
+
+
+def outliers_of(posterior: UncertainPosterior, faults: Faults) -> np.ndarray:
+    """`(n, 15)`: the joints whose keypoints are outliers in patterns of faults `(n, ...)`."""
+    counts = np.isfinite(np.asarray(posterior.detected.spread))
+    order = ORDERS[faults.exchange]
+    return np.take_along_axis(faults.outlier, order, axis=1) & counts[order]
 
 
 @jax.jit
@@ -101,45 +118,131 @@ def _look(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> Vie
             observation.root.camera.flatten(view),
             jnp.asarray(observation.target),
             observation.law.reach * observation.spread,
+            jnp.asarray(observation.spread),
         )
 
     return jax.vmap(one)(RootPoint(*fields[:4]), Faults(*fields[4:]))
+
+
+class Sight(NamedTuple):
+    """What one limb sees of roots, as `attempt_rows` takes it: `axes` `(n, 3, 3)`, and of its two
+    joints `target` `(n, 2, 2)`, `reach`, `spread` and `outlier` `(n, 2)`."""
+
+    axes: np.ndarray
+    target: np.ndarray
+    reach: np.ndarray
+    spread: np.ndarray
+    outlier: np.ndarray
+
+
+def sights_of(views: Views, outlier: np.ndarray) -> list[Sight]:
+    """That of every limb; a joint that was not seen, or is not there, may fall anywhere."""
+    starts = [TORSO_INDEX.index(limb.bones[0].start) for limb in LIMBS]
+    sights = []
+    for limb, ends, start, chained in zip(LIMBS, ENDS, starts, CHAINED, strict=True):
+        reach = np.array(views.reach[:, ends], float)
+        reach[:, 1] = reach[:, 1] if chained else np.inf
+        target = np.asarray(views.target[:, ends], float) - views.start[:, None, start]
+        target[~np.isfinite(reach)] = 0.0
+        axes = np.array(views.axes[:, limb.upper], float)
+        sights.append(Sight(axes, target, reach, views.spread[:, ends], outlier[:, ends]))
+    return sights
 
 
 def _attempt(
     tables: dict[str, GroupTables],
     free: dict[str, GroupDraws],
     words: list[int],
+    law: ErrorLaw,
     views: Views,
-    row: int,
-    number: int,
-) -> dict[str, tuple[Rate, GroupDraws]]:
-    """All groups under one root: rates and draws within reach."""
-    problems = limbs_of(*(np.array(part[row], float) for part in views))
-    found = {}
-    for index, (name, limbs) in enumerate(problems.items()):
-        rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(number, index, 0)))
+    outlier: np.ndarray,
+    first: int,
+) -> list[dict[str, LimbDraws]]:
+    """All groups under some roots, of which the first has this number."""
+    number, sights = len(outlier), sights_of(views, outlier)
+    results: list[dict[str, LimbDraws]] = [{} for _ in range(number)]
+    for index, name in enumerate(GROUPS):
+        own = [sight for sight, limb in zip(sights, LIMBS, strict=True) if limb in GROUPS[name]]
+        path = [(first + row, index) for row in range(number)]
         if name in free:
-            some = rng.choice(POOL, KEPT, replace=False)
-            found[name] = Rate(KEPT, KEPT), GroupDraws(*(part[some] for part in free[name]))
-            continue
-        plan = plan_group(tables[name], limbs, RESOLUTION, alone=True)
-        bodies = NOTHING[len(limbs)]
-        if plan.mass:
-            state, order = seeded(words, number, index, 1), list(range(len(limbs)))
-            attempts = (plan, tables[name], limbs, order, rng, state, ATTEMPTS[name])
-            bodies, _ = attempt_group(*attempts)
-        bones = len(tables[name].lengths)
-        draws = GroupDraws(bodies.length[:, :bones], bodies.upper, bodies.lower)
-        found[name] = Rate(ATTEMPTS[name], len(draws.length), plan.mass), draws
-    return found
+            found = [_free(free[name], words, *place) for place in path]
+        else:
+            states = np.array([seeded(words, *place) for place in path])
+            found = weigh_group(tables[name], own, law, states, TRIALS, EACH)
+        for result, one in zip(results, found, strict=True):
+            result[name] = one
+    return results
 
 
-NOTHING = {
-    limbs: Bodies(np.zeros((0, 2)), np.zeros((0, limbs, 3)), np.zeros((0, limbs, 3)))
-    for limbs in (1, 2)
-}
-"""No draws, by the number of a group's limbs."""
+def weigh_group(
+    tables: GroupTables,
+    sights: list[Sight],
+    law: ErrorLaw,
+    states: np.ndarray,
+    trials: int,
+    each: int,
+) -> list[LimbDraws]:
+    """One group under roots `(n, ...)` whose random numbers have these `states` `(n, 4)`: `each`
+    attempts at each limb under each of so many lengths."""
+    number, bones = len(states), len(tables.lengths)
+    lengths = np.ones((2, number, trials))
+    for column, parameters in enumerate(tables.lengths.tolist()):
+        draw_trials(states, length_bins(*parameters, 1), lengths[column])
+    limbs = []
+    for sight, build in zip(sights, tables.builds, strict=True):
+        found, ends = np.empty(number * trials * each + 1, FOUND), np.zeros(number, np.int64)
+        gaussian = np.where(sight.outlier | ~np.isfinite(sight.reach), 0.0, law.deviation or 0.0)
+        deviation = gaussian * np.where(gaussian > 0, sight.spread, 1.0)
+        attempt_rows(states, *sight[:3], deviation, build, *lengths, each, found, ends)
+        found = found[: ends[-1]]
+        if not law.flat and law.deviation is None:
+            found["weight"] *= _ratios(law, sight, found, ends)
+        limbs.append((found, ends))
+    if len(limbs) == 1:
+        limbs.append(_certain(number, trials, each))
+    evidence, kept = np.zeros(number), np.zeros((number, KEPT, 2), np.int64)
+    combine_rows(states, *limbs[0], *limbs[1], trials, each, evidence, kept)
+    return [
+        _draws(limbs[: len(sights)], kept[row], lengths[:bones, row].T, evidence[row])
+        for row in range(number)
+    ]
+
+
+def _certain(number: int, trials: int, each: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `attempt_rows` leaves them, attempts at a limb that is not there, and explains all."""
+    found = np.zeros(number * trials, FOUND)
+    found["trial"], found["weight"] = np.tile(np.arange(trials), number), each
+    return found, np.arange(1, number + 1) * trials
+
+
+def _ratios(law: ErrorLaw, sight: Sight, found: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """`(m,)`: of each attempt found, the likelihood of a law that compiled loops do not know over
+    the peak."""
+    rows = np.repeat(np.arange(len(ends)), np.diff(ends, prepend=0))
+    inlier = np.isfinite(sight.reach) & ~sight.outlier
+    square = found["square"] / np.where(inlier, sight.spread, 1.0)[rows] ** 2
+    return np.exp(np.where(inlier[rows], law.log_ratio(square), 0.0).sum(axis=1))
+
+
+def _draws(
+    limbs: list[tuple[np.ndarray, np.ndarray]],
+    kept: np.ndarray,
+    lengths: np.ndarray,
+    evidence: float,
+) -> LimbDraws:
+    """The draws that are kept of one group under one root with `lengths` `(trials, bones)`."""
+    kept = kept[: len(kept) if evidence else 0]
+    parts = [found[kept[:, column]] for column, (found, _) in enumerate(limbs)]
+    upper, lower = (np.stack([part[name] for part in parts], axis=1) for name in ("upper", "lower"))
+    draws = GroupDraws(lengths[parts[0]["trial"]], upper, lower)
+    return LimbDraws(math.log(evidence) if evidence else -math.inf, draws)
+
+
+def _free(draws: GroupDraws, words: list[int], *path: int) -> LimbDraws:
+    """Some draws of the prior, for a group of which nothing was seen."""
+    rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(*path, 0)))
+    some = rng.choice(POOL, KEPT, replace=False)
+    return LimbDraws(0.0, GroupDraws(*(part[some] for part in draws)))
 
 
 def free_groups(posterior: UncertainPosterior, words: list[int]) -> dict[str, GroupDraws]:
@@ -167,88 +270,9 @@ def _prior(model: PoseModel, key: jax.Array) -> Pose:
     return model.draw(key, POOL)
 
 
-def _weighed(
-    posterior: UncertainPosterior,
-    points: RootPoint,
-    faults: Faults,
-    found: Sequence[dict[str, tuple[Rate, GroupDraws]]],
-    words: list[int],
-    first: int,
-) -> list[dict[str, LimbDraws]]:
-    """Draws of a block of roots with their rates.
-
-    Where the error law is not flat, a success counts with its likelihood over the peak, and draws
-    are taken anew by it. To keep each or not, by the same ratio, would be as right: but four joints
-    of a Gaussian keep one draw in 400, and the rate is then hardly ever known.
-    """
-    results: list[dict[str, LimbDraws]] = [{} for _ in found]
-    for index, name in enumerate(GROUPS):
-        draws = [one[name][1] for one in found]
-        rates = [one[name][0] for one in found]
-        if not posterior.detected.law.flat:
-            rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(first, index, 2)))
-            ratios = _ratios(posterior, points, faults, name, draws)
-            rates = [
-                rate._replace(accepted=float(own.sum()))
-                for rate, own in zip(rates, ratios, strict=True)
-            ]
-            draws = [_anew(some, own, rng) for some, own in zip(draws, ratios, strict=True)]
-        for row, (some, rate) in enumerate(zip(draws, rates, strict=True)):
-            kept = GroupDraws(*(part[:KEPT] for part in some))
-            results[row][name] = LimbDraws(rate, kept)
-    return results
-
-
-def _anew(draws: GroupDraws, ratio: np.ndarray, rng: np.random.Generator) -> GroupDraws:
-    """`KEPT` draws, each as often as its ratio says, in random order; none where there are none."""
-    if not ratio.any():
-        return GroupDraws(*(part[:0] for part in draws))
-    rows = rng.permutation(systematic(ratio, KEPT, rng.uniform()))
-    return GroupDraws(*(part[rows] for part in draws))
-
-
-def _ratios(
-    posterior: UncertainPosterior,
-    points: RootPoint,
-    faults: Faults,
-    name: str,
-    draws: list[GroupDraws],
-) -> list[np.ndarray]:
-    """Of each draw of a group, a part for each root, the likelihood over the peak."""
-    sizes = [len(some.length) for some in draws]
-    if not sum(sizes):
-        return [np.zeros(0) for _ in sizes]
-    poses = Pose.blank(sum(sizes))
-    GroupDraws(*(np.concatenate(part) for part in zip(*draws, strict=True))).fill(
-        poses, GROUPS[name]
-    )
-    rows = np.repeat(np.arange(len(sizes)), sizes)
-    ratios = in_chunks(
-        functools.partial(_log_ratios, posterior.model, posterior.detected),
-        *points.take(rows),
-        *faults.take(rows),
-        *poses,
-    )
-    ends = [bone.end for limb in GROUPS[name] for bone in limb.bones]
-    whole = np.exp(ratios[:, ends].sum(axis=1, dtype=float))
-    return np.split(whole, np.cumsum(sizes)[:-1])
-
-
-@jax.jit
-def _log_ratios(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> jax.Array:
-    """`(n, 15)`: log likelihood of each joint over its peak, for roots and poses `(n, ...)`."""
-    prior = RootPrior(model.torsos, model.upright)
-
-    def one(point: RootPoint, faults: Faults, pose: Pose) -> jax.Array:
-        observation = detected.under(prior, point, faults)
-        return observation.log_ratios(model.joints(observation.view, *pose))
-
-    return jax.vmap(one)(RootPoint(*fields[:4]), Faults(*fields[4:6]), Pose(*fields[6:]))
-
-
 def log_evidence(found: dict[str, LimbDraws]) -> float:
     """Log of the unbiased estimate of the limbs' evidence under one root."""
-    return math.fsum(one.rate.log_probability for one in found.values())
+    return math.fsum(one.log_evidence for one in found.values())
 
 
 def picks(rng: np.random.Generator, held: int, number: int) -> np.ndarray:

@@ -15,7 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import logsumexp
 
-from inference.uncertain.limbs import Views, prior_poses, views_of
+from inference.exact.groups import workers
+from inference.exact.loops.promise import near_rows
+from inference.uncertain.limbs import CHAINED, ENDS, LIMBS, Sight, prior_poses, sights_of, views_of
 from probmodel.chunks import in_chunks
 from probmodel.faults import (
     LIMB_INDEX,
@@ -30,21 +32,17 @@ from probmodel.kinematics import upper_axes
 from probmodel.model import PoseModel
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint
-from probmodel.skeleton import GROUPS, TORSO_INDEX
+from probmodel.skeleton import TORSO_INDEX
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 BLUR = 0.06
 """Body units by which errors are widened, so that so few draws come near every detection."""
 DEFENSIVE = 0.1
 """The share of a proposal that is flatter than what the pool says: the square root of it."""
-SHARE = 32
-"""Roots that are worked on at a time, which bounds the memory."""
+SHARE = 512
+"""Roots that a thread works on at a time."""
 LEAST = 1e-30
 """The least density of a joint, per square body unit: in single precision it would be zero."""
-LIMBS = tuple(limb for members in GROUPS.values() for limb in members)
-ENDS = np.array([[bone.end for bone in (*limb.bones, *limb.bones)[:2]] for limb in LIMBS])
-"""`(5, 2)`: the joints of each limb, from the torso outwards; the head's twice."""
-CHAINED = np.array([limb.lower is not None for limb in LIMBS])
 PATTERNS = np.array([[False, False], [True, False], [False, True], [True, True]])
 """`(4, 2)`: which joints of a limb are outliers."""
 
@@ -114,18 +112,61 @@ def fit_of(
 ) -> Fit:
     """How well the `pool` of `pool_of` fits under each exchange and pattern at roots `(n, ...)`."""
     prior, number = posterior.faults, len(points.torso)
-    rows = []
-    for exchange in stratum.exchanges:
+    limbs = np.empty((number, len(stratum.exchanges), len(LIMBS), len(PATTERNS)))
+    for place, exchange in enumerate(stratum.exchanges):
+        order, before = ORDERS[exchange][ENDS], ORDERS[stratum.exchanges[0]][ENDS]
+        # Limbs that read the same keypoints as under the first exchange fit as they did there.
+        anew = [limb for limb in range(len(LIMBS)) if not place or (order != before)[limb].any()]
+        limbs[:, place] = limbs[:, 0]
         faults = Faults.none(number)._replace(exchange=np.full(number, exchange))
-        views = views_of(posterior, points, faults)
-        spread = np.asarray(posterior.detected.spread)[ORDERS[exchange]][ENDS]
-        outlier = np.array(prior.outlier)[ORDERS[exchange]][ENDS]
-        fit = functools.partial(_fit, pool, spread, outlier, prior.reach)
-        rows.append(in_chunks(fit, *views, size=SHARE))
+        sights = sights_of(views_of(posterior, points, faults), faults.outlier)
+        for limb in anew:
+            errors = _errors(posterior, order[limb], bool(CHAINED[limb]))
+            limbs[:, place, limb] = _fit(pool[:, limb], errors, sights[limb])
     probability = np.array([1 - sum(prior.exchange), *prior.exchange])
-    return Fit(
-        np.stack(rows, axis=1), stratum.exchanges, np.log(probability[list(stratum.exchanges)])
+    return Fit(limbs, stratum.exchanges, np.log(probability[list(stratum.exchanges)]))
+
+
+class Errors(NamedTuple):
+    """Of the keypoints of a limb's two joints, `(2,)`: one over twice the `rate` of their errors'
+    variance, 0 where none counts; the `peak` of their density × the probability that they are no
+    outliers; and the density of an outlier × its probability, `stray`. Body units."""
+
+    rate: np.ndarray
+    peak: np.ndarray
+    stray: np.ndarray
+
+
+def _errors(posterior: UncertainPosterior, keypoints: np.ndarray, chained: bool) -> Errors:
+    """Those of two keypoints, or of the first alone."""
+    spread = np.asarray(posterior.detected.spread)[keypoints]
+    outlier = np.array(posterior.faults.outlier)[keypoints]
+    counts = np.isfinite(spread) & [True, chained]
+    # The laws' variance either way is a quarter of the squared spread.
+    variance = np.where(counts, spread**2 / 4 + BLUR**2, 1.0)
+    return Errors(
+        np.where(counts, 1 / (2 * variance), 0.0),
+        np.where(counts, (1 - outlier) / (2 * np.pi * variance), 1.0),
+        np.where(counts, outlier / (np.pi * posterior.faults.reach**2), 0.0),
     )
+
+
+def _fit(pool: np.ndarray, errors: Errors, sight: Sight) -> np.ndarray:
+    """`(n, 4)`: log likelihood and log prior of a limb's patterns under roots."""
+    pool, rate = np.ascontiguousarray(pool), errors.rate.astype(np.float32)
+    axes, gap = sight.axes[:, :2].astype(np.float32), -sight.target.astype(np.float32)
+    near = np.empty((len(axes), 3))
+    parts = [slice(first, first + SHARE) for first in range(0, len(axes), SHARE)]
+    tasks = (
+        workers().submit(near_rows, pool, axes[part], gap[part], rate, near[part]) for part in parts
+    )
+    for task in list(tasks):
+        task.result()
+    peak, stray = errors.peak, errors.stray
+    whole = np.column_stack([near * [peak.prod(), peak[1], peak[0]], np.ones(len(near))])
+    astray = np.array([1.0, stray[0], stray[1], stray.prod()])
+    with np.errstate(divide="ignore"):
+        return np.log(np.maximum(whole, LEAST)) + np.log(astray)
 
 
 def pool_of(model: PoseModel, words: list[int]) -> np.ndarray:
@@ -141,40 +182,6 @@ def _pool(model: PoseModel, poses: Pose) -> jax.Array:
     starts = np.array([limb.bones[0].start for limb in LIMBS])
     axes = upper_axes(torso)[np.array([limb.upper for limb in LIMBS])]
     return jnp.einsum("lij,plei->jlep", axes, joints[:, ENDS] - joints[:, starts, None])
-
-
-@jax.jit
-def _fit(
-    pool: jax.Array, spread: jax.Array, outlier: jax.Array, far: float, *fields: jax.Array
-) -> jax.Array:
-    """`(n, 5, 4)`: log likelihood and log prior of each limb's patterns.
-
-    In single precision, and written out coordinate by coordinate: this is done for many more roots
-    than are weighed, and so it is ten times as fast."""
-    upper = np.array([limb.upper for limb in LIMBS])
-    starts = np.array([TORSO_INDEX.index(limb.bones[0].start) for limb in LIMBS])
-    counts = jnp.isfinite(spread) & jnp.stack([jnp.ones(5, bool), jnp.asarray(CHAINED)], axis=1)
-    # The laws' variance either way is a quarter of the squared spread, Student's a little more.
-    variance = jnp.where(counts, spread**2 / 4 + BLUR**2, 1.0)
-    peak = jnp.where(counts, (1 - outlier) / (2 * jnp.pi * variance), 1.0)
-    rate = jnp.where(counts, 1 / (2 * variance), 0.0)
-    peak, rate = (part.astype(jnp.float32)[..., None] for part in (peak, rate))
-    stray = jnp.where(counts, outlier / (jnp.pi * far**2), 0.0)
-
-    def one(views: Views) -> jax.Array:
-        plane = views.axes[upper, :2].astype(jnp.float32)[..., None, None]
-        gap = (views.start[starts][:, None] - views.target[ENDS]).astype(jnp.float32)
-        square = jnp.zeros(())
-        for i in range(2):
-            fall = sum(plane[:, i, j] * pool[j] for j in range(3))
-            square = square + (fall + gap[:, :, i, None]) ** 2
-        inner, outer = jnp.moveaxis(peak * jnp.exp(-rate * square), 1, 0)
-        near = [part.mean(axis=-1) for part in (inner * outer, outer, inner)]
-        whole = [*(jnp.maximum(part.astype(float), LEAST) for part in near), jnp.ones(5)]
-        astray = [jnp.ones(5), stray[:, 0], stray[:, 1], stray[:, 0] * stray[:, 1]]
-        return jnp.log(jnp.stack(whole, axis=-1)) + jnp.log(jnp.stack(astray, axis=-1))
-
-    return jax.vmap(one)(Views(*fields))
 
 
 def propose(fit: Fit, stratum: Stratum, rng: np.random.Generator) -> tuple[Faults, np.ndarray]:

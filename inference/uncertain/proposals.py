@@ -15,6 +15,7 @@ import jax
 import numpy as np
 from scipy.special import logsumexp
 
+from inference.exact.groups import workers
 from inference.exact.loops.numbers import words_of
 from inference.exact.rates import Budget
 from inference.resampling import systematic, times
@@ -28,7 +29,15 @@ from inference.uncertain.patterns import (
     propose,
     strata_of,
 )
-from inference.uncertain.torsos import PATIENCE, TorsoDraws, draw_roots
+from inference.uncertain.torsos import (
+    PATIENCE,
+    Posed,
+    Proposal,
+    TorsoDraws,
+    draw_posed,
+    proposal_of,
+    torso_problem,
+)
 from probmodel.faults import Faults
 from probmodel.roots import RootPoint
 from probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
@@ -102,20 +111,20 @@ def propose_roots(
     pool_key, pilot_key, torso_key, order_key = jax.random.split(key, 4)
     strata, pool = strata_of(posterior), pool_of(posterior.model, words_of(pool_key))
     rng = np.random.default_rng(words_of(order_key))
+    posed = [torso_problem(posterior, stratum.faults) for stratum in strata]
+    attempted = list(zip(posed, workers().map(proposal_of, posed), strict=True))
     share, hopeful, attempts = np.ones(1), [True], 0
     if len(strata) > 1:
         most = [PILOT_ATTEMPTS] * len(strata)
-        pilots = _draw(posterior, strata, pilot_key, [PILOT] * len(strata), most, budget, 1)
+        pilots = _draw(attempted, pilot_key, [PILOT] * len(strata), most, budget, 1)
         share = _shares(posterior, pool, strata, pilots)
         hopeful = [len(pilot.points.torso) > 0 for pilot in pilots]
         attempts = sum(pilot.attempts for pilot in pilots)
     counts = times(share, number, rng.uniform())
     # Attempts at roots that may not be weighed are not taken away from limbs.
-    ample = budget.proposals >= 2 * number * (PATIENCE + sum(ATTEMPTS.values()))
+    ample = budget.proposals >= 2 * number * (PATIENCE + ATTEMPTS)
     most = [budget.proposals if hope else FEW_ATTEMPTS for hope in hopeful]
-    torsos = _draw(
-        posterior, strata, torso_key, counts.tolist(), most, budget, MOST if ample else 1
-    )
+    torsos = _draw(attempted, torso_key, counts.tolist(), most, budget, MOST if ample else 1)
     parts, wanted = [], 0
     for index, (stratum, torso) in enumerate(zip(strata, torsos, strict=True)):
         found = len(torso.points.torso)
@@ -179,8 +188,7 @@ def _normal(score: np.ndarray) -> np.ndarray:
 
 
 def _draw(
-    posterior: UncertainPosterior,
-    strata: list[Stratum],
+    attempted: list[tuple[Posed, Proposal]],
     key: jax.Array,
     counts: list[int],
     most: list[int],
@@ -189,15 +197,14 @@ def _draw(
 ) -> list[TorsoDraws]:
     """So many roots of each stratum, or `spare` times as many, by so many attempts at most."""
     return [
-        draw_roots(
-            posterior,
-            stratum.faults,
+        draw_posed(
+            *torso,
             words_of(jax.random.fold_in(key, index)),
             counts[index],
             Budget(most[index], whole=budget),
             most=max(counts[index], min(spare * counts[index], FURTHER)),
         )
-        for index, stratum in enumerate(strata)
+        for index, torso in enumerate(attempted)
     ]
 
 

@@ -25,7 +25,6 @@ import numpy as np
 
 from inference.exact.loops.numbers import words_of
 from inference.exact.mixture import MAX_PROPOSALS, Progress
-from inference.exact.rates import Rate
 from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.roots.points import require_camera
 from inference.uncertain.limbs import ATTEMPTS, LimbDraws, free_groups, limb_draws
@@ -71,8 +70,6 @@ LIKELY = 0.95
 """The share of the first round's roots that promise too little to be asked for certain."""
 CHANCE = 0.02
 """The least probability that a root's limbs are asked."""
-EACH = sum(ATTEMPTS.values())
-"""Attempts at the limbs of one root."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +142,7 @@ def _one_draw(rng: np.random.Generator, limbs: dict[str, LimbDraws]) -> dict[str
 
 
 def _single(draws: GroupDraws, row: int) -> LimbDraws:
-    return LimbDraws(Rate(1, 1), GroupDraws(*(part[row : row + 1].copy() for part in draws)))
+    return LimbDraws(0.0, GroupDraws(*(part[row : row + 1].copy() for part in draws)))
 
 
 class _Stratum(NamedTuple):
@@ -181,14 +178,14 @@ class _Rounds:
     @property
     def spent(self) -> bool:
         """Whether nothing is left of the budget for another round."""
-        return self.left < self.attempts + ABOUT * EACH
+        return self.left < self.attempts + ABOUT * ATTEMPTS
 
     def __iter__(self) -> Iterator[Round]:
         while not self.spent:
             key = jax.random.fold_in(self.key, self.number)
             found = self._round(key)
             number = len(found.limbs)
-            cost = self.attempts + number * EACH
+            cost = self.attempts + number * ATTEMPTS
             self.left, self.made = self.left - cost, self.made + cost
             self.number += 1
             wanted = self.attempts * ABOUT / max(number, 1)

@@ -35,7 +35,10 @@ from probmodel.skeleton import TORSO_INDEX
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 BATCH = 1 << 17
-"""Attempts made at a time by one thread: some 20 ms."""
+"""Most attempts made at a time by one thread: some 20 ms."""
+FIRST = 1 << 13
+"""Attempts of the first batch; every other one is twice as large, since a few roots, which are all
+that most patterns of faults are asked for, are often found by few attempts."""
 PATIENCE = 8192
 """Attempts at the torso for each root that is wanted, in search of more: they take a third of the
 time that a root's limbs take."""
@@ -177,23 +180,28 @@ def draw_roots(
         So many are drawn, if `number * PATIENCE` attempts are enough for them; else as many as
         these brought, or `number`, whichever is more (default: `number`).
     """
-    most, patience = most or number, number * PATIENCE
     posed = torso_problem(posterior, faults)
-    proposal = proposal_of(posed)
+    return draw_posed(posed, proposal_of(posed), words, number, budget, most=most or number)
+
+
+def draw_posed(
+    posed: Posed, proposal: "Proposal", words: list[int], number: int, budget: Budget, *, most: int
+) -> TorsoDraws:
+    """As `draw_roots`, for a torso whose attempts are prepared already."""
+    patience = number * PATIENCE
     parts = [root_table(0)]
     found, made, batch = 0, 0, 0
     while proposal.mass and found < (most if made < patience else number):
         if not found and made >= HOPELESS:
             break
-        numbers = [
-            one for one in range(batch, batch + (os.cpu_count() or 1)) if budget.spend(BATCH)
-        ]
-        if not numbers:
+        numbers = list(range(batch, batch + (os.cpu_count() or 1)))
+        sizes = [min(FIRST << min(one // 2, 10), BATCH) for one in numbers]
+        sizes = [size for size in sizes if budget.spend(size)]
+        if not sizes:
             break
-        tables = workers().map(
-            functools.partial(_batch, posed, proposal, words, BATCH, most),
-            numbers,
-        )
+        numbers = numbers[: len(sizes)]
+        attempt = functools.partial(_batch, posed, proposal, words)
+        tables = workers().map(attempt, sizes, [most] * len(sizes), numbers)
         for table, attempts in tables:
             parts.append(table._replace(attempt=table.attempt + made))
             found, made = found + len(table.torso), made + attempts

@@ -172,8 +172,7 @@ def weigh_roots(
     torso_key, limb_key = jax.random.split(key)
     budget = Budget(max_proposals)
     proposed = propose_roots(posterior, torso_key, num_roots, budget)
-    each = sum(ATTEMPTS.values())
-    afforded = max(max_proposals - proposed.attempts, 0) // each
+    afforded = max(max_proposals - proposed.attempts, 0) // ATTEMPTS
     proposed = proposed.at(slice(0, afforded))
     limbs: list[dict[str, LimbDraws]] = []
     for found in limb_draws(posterior, proposed.points, proposed.faults, words_of(limb_key)):
@@ -185,7 +184,7 @@ def weigh_roots(
         proposed,
         limbs,
         proposed.log_weight + log_limbs(posterior, proposed.points, limbs),
-        proposed.attempts + each * len(limbs),
+        proposed.attempts + ATTEMPTS * len(limbs),
     )
 
 
@@ -240,7 +239,7 @@ def verdict(roots: WeightedRoots) -> tuple[str, str]:
 
 def _rarest(roots: WeightedRoots) -> str:
     """The group of limbs that fewest roots explain."""
-    held = {name: sum(one[name].rate.accepted > 0 for one in roots.limbs) for name in GROUPS}
+    held = {name: sum(one[name].log_evidence > -math.inf for one in roots.limbs) for name in GROUPS}
     return min(held, key=held.__getitem__)
 
 

@@ -39,6 +39,7 @@ def test_there_are_pages() -> None:
         "coverage",
         "estimators",
         "evaluation",
+        "exchanges",
         "facing",
         "faults",
         "honest",

@@ -1,0 +1,143 @@
+"""Whether exchanged legs can be told at all, by evidences without faults: writes
+reports/exchanges.md.
+
+    python -m reports.pages.exchanges [PEOPLE]
+
+The people of `reports.pages.faults`, whose legs' keypoints are exchanged, read in every way that
+sides may be exchanged. This shares neither patterns nor their proposals with the posterior that has
+faults, so it says what that posterior would be, were its draws without end.
+"""
+
+import dataclasses
+import itertools
+import sys
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from scipy.special import logsumexp
+
+from inference.studies.scenes import prior_scene
+from inference.uncertain.weighted import weigh_roots
+from probmodel import Detection, Estimate, PoseModel
+from probmodel.faults import EXCHANGE_INDEX, EXCHANGES, MOVES_TORSO, ORDERS, FaultPrior
+from probmodel.skeleton import JOINT_INDEX
+from reports.pages.faults import EXCHANGED, LEGS, SURE, exchanged, with_detection
+from reports.pages.page import Values, in_doubles, write_page
+from reports.tables import Sheet, sheet_of
+
+PEOPLE, ROOTS = 24, 250
+APART = (2.0, 4.0)
+"""Radii: where groups of people end, by how far apart their legs' joints were detected."""
+
+
+class Told(NamedTuple):
+    """One person: the log evidence `(6,)` of each reading of the exchanged detection, their
+    standard errors `(6,)`, and how many radii the farther of knees and ankles lie apart."""
+
+    log_evidence: np.ndarray
+    error: np.ndarray
+    apart: float
+
+    @property
+    def gain(self) -> float:
+        """By how many nats exchanged legs explain the detection better than no exchange."""
+        return float(self.log_evidence[LEGS] - self.log_evidence[0])
+
+    @property
+    def probability(self) -> np.ndarray:
+        """`(6,)`: the posterior probability of each reading."""
+        prior = FaultPrior.of(0.0, EXCHANGED).exchange
+        score = self.log_evidence + np.log([1 - sum(prior), *prior])
+        return np.exp(score - logsumexp(score))
+
+
+def read_as(detection: Detection, name: str) -> Detection:
+    """The detection with an exchange undone."""
+    order = ORDERS[EXCHANGE_INDEX[name]]
+    return dataclasses.replace(
+        detection, keypoints=detection.keypoints[order], score=detection.score[order]
+    )
+
+
+def tell(model: PoseModel, frame: Estimate, seed: int) -> Told:
+    """The evidences of a person whose legs are exchanged."""
+    wrong = with_detection(frame, exchanged)
+    found = []
+    for name in EXCHANGES:
+        reading = dataclasses.replace(wrong, detection=read_as(wrong.detection, name))
+        roots = weigh_roots(reading.uncertain(model), key=jax.random.key(seed), num_roots=ROOTS)
+        found.append((roots.log_evidence, roots.log_evidence_se))
+    evidence, error = np.array(found).T
+    scale = float(frame.candidates[0].camera.scale)
+    radius = frame.likelihood.spread(frame.detection, scale)
+    keypoints = frame.detection.keypoints
+    gaps = []
+    for name in ("knee", "ankle"):
+        one, other = JOINT_INDEX[f"left_{name}"], JOINT_INDEX[f"right_{name}"]
+        gaps.append(np.linalg.norm(keypoints[one] - keypoints[other]) / radius[one])
+    return Told(evidence, error, float(max(gaps)))
+
+
+def table(people: list[Told]) -> Sheet:
+    """A line a group of people, by how far apart their legs are, and one for all."""
+    edges = [0.0, *APART, np.inf]
+    lines = [
+        _line(
+            f"{low:g} to {high:g}" if np.isfinite(high) else f"over {low:g}",
+            [one for one in people if low <= one.apart < high],
+        )
+        for low, high in itertools.pairwise(edges)
+    ]
+    head = (
+        "legs apart, radii",
+        "people",
+        f"legs told with probability ≥ {SURE}",
+        "median probability",
+        "median nats in favour",
+        "some exchange, median probability",
+        "of hips too, median",
+    )
+    return sheet_of(head, [*lines, _line("all", people)])
+
+
+def _line(name: str, people: list[Told]) -> tuple[str | int, ...]:
+    if not people:
+        return (name, 0, "–", "–", "–", "–", "–")
+    probability = np.stack([one.probability for one in people])
+    legs = probability[:, LEGS]
+    return (
+        name,
+        len(people),
+        f"{(legs >= SURE).sum()} of {len(people)}",
+        f"{np.median(legs):.3f}",
+        f"{np.median([one.gain for one in people]):.1f}",
+        f"{np.median(1 - probability[:, 0]):.3f}",
+        f"{np.median(probability[:, MOVES_TORSO].sum(axis=1)):.3f}",
+    )
+
+
+def main(people: int) -> None:
+    """Runs the study and writes the page."""
+    in_doubles()
+    model, found = PoseModel(), []
+    for seed in range(people):
+        found.append(tell(model, prior_scene(model, 500 + seed, missing=()), seed))
+        print(seed, found[-1], flush=True)
+    prior = FaultPrior.of(0.0, EXCHANGED).exchange
+    needed = np.log(SURE / (1 - SURE) * (1 - sum(prior)) / prior[0])
+    known = np.concatenate([one.error[[0, LEGS]] for one in found])
+    values: Values = {
+        "people": people,
+        "roots": ROOTS,
+        "exchanges": f"{100 * EXCHANGED:.0f} %",
+        "needed": f"{needed:.1f}",
+        "sure": f"{SURE}",
+        "error": f"{np.median(known[np.isfinite(known)]):.2f}",
+        "table": table(found),
+    }
+    print(write_page("exchanges", values, {}))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else PEOPLE)

@@ -297,8 +297,8 @@ class Estimation:
         str,
         Option(
             help=(
-                "Law of a detection's error: disc (the paper), gaussian with σ = τ/2, student of the"
-                " same scale, learned (the embedded one of real detections), or FILE.json from"
+                "Law of a detection's error: disc (the paper), gaussian with σ = τ/2, student of"
+                " the same scale, learned (the embedded one of real detections), or FILE.json from"
                 " `poseterior calibrate`. The last two have outliers, and need --root uncertain."
             )
         ),

@@ -491,15 +491,29 @@ def prepare_jax() -> None:
         jax.config.update(name, value)
 
 
-def _jax_cache() -> dict[str, Any]:
-    """Where JAX keeps compiled code, and what of it; nothing where it cannot."""
+def _cache() -> Path | None:
+    """The folder of what is compiled: the user's, or, where nobody may write to that, the one among
+    the temporary folders that has the compiled loops too."""
     try:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "poseterior"
         cache.mkdir(parents=True, exist_ok=True)
+        if os.access(cache, os.W_OK):
+            return cache
     except (OSError, RuntimeError):  # RuntimeError: a user without a home
+        pass
+    from inference.exact.loops.places import temporary
+
+    own = temporary()
+    if own is not None:  # matplotlib looks for fonts once, too
+        os.environ.setdefault("MPLCONFIGDIR", str(own / "matplotlib"))
+    return own
+
+
+def _jax_cache() -> dict[str, Any]:
+    """Where JAX keeps compiled code, and what of it; nothing where it cannot."""
+    cache = _cache()
+    if cache is None:
         return {}  # without a cache everything works, only slower
-    if not os.access(cache, os.W_OK):
-        return {}
     return {
         "jax_compilation_cache_dir": str(cache),
         "jax_persistent_cache_min_compile_time_secs": 0.1,

@@ -166,6 +166,35 @@ finally:
     assert done.stdout.strip() == "[]", done.stderr
 
 
+@pytest.mark.slow
+def test_the_main_job_waits_for_no_more_than_it_needs(tmp_path: Path) -> None:
+    """The second call, which finds all programs: NumPyro, ArviZ, scikit-learn and `scipy.stats`
+    take seconds to import, and nothing that it does needs them."""
+    heavy = ("numpyro", "arviz", "sklearn", "scipy.stats", "scipy.optimize", "inference.stream")
+    code = f"""
+import sys
+from reports.cli import main
+try:
+    main()
+finally:
+    print([name for name in {heavy} if name in sys.modules], file=sys.stderr)
+"""
+    words = ("hypotheses", str(ROOT / "examples" / "skier.json"), "--quiet", "--out", "out")
+    said = []
+    for programs in (str(tmp_path), str(tmp_path), ""):
+        done = subprocess.run(
+            [sys.executable, "-c", code, *words],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "POSETERIOR_PROGRAMS": programs},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        said.append(done.stderr.splitlines()[-1])
+    assert said[1] == "[]"
+    assert said[2] == "['numpyro']"  # the control: without kept programs it traces, by NumPyro
+
+
 def test_types_are_declared() -> None:
     for package in PACKAGES:
         assert (ROOT / package / "py.typed").exists(), f"{package} has no py.typed"

@@ -90,6 +90,7 @@ def test_without_a_place_to_keep_them_loops_are_kept_among_temporary_files(monke
     sealed, temporary = tmp_path / "sealed", tmp_path / "temporary"
     (sealed / "loops-0" / "deeper").mkdir(parents=True)
     (sealed / "loops-0" / "deeper" / "kept.nbi").write_text("compiled")
+    (sealed / "loops-0" / "deeper").chmod(0o555)
     temporary.mkdir()
     usable = places._usable
     monkeypatch.setattr(places, "_places", lambda: [sealed, tmp_path / "home"])
@@ -100,6 +101,7 @@ def test_without_a_place_to_keep_them_loops_are_kept_among_temporary_files(monke
     assert len(warned) == 1
     assert folder.parents[1] == temporary
     assert (folder / "deeper" / "kept.nbi").read_text() == "compiled"
+    assert (folder / "deeper").stat().st_mode & 0o200  # what is compiled next is kept there too
     folder.parent.chmod(0o777)  # somebody else could put code there
     with pytest.warns(UserWarning, match="anew"):
         assert places._kept_in("loops-0") is None
@@ -109,7 +111,7 @@ def test_without_any_place_loops_are_compiled_and_not_kept(monkeypatch, tmp_path
     """The folder is a file: nobody can make a folder of it, not even root."""
     (tmp_path / "file").touch()
     monkeypatch.setattr(places, "_places", lambda: [tmp_path / "file"])
-    monkeypatch.setattr(places, "_temporary", lambda: None)
+    monkeypatch.setattr(places, "temporary", lambda: None)
     with pytest.warns(UserWarning, match="anew"):
         monkeypatch.setattr(numbers, "FOLDER", places._kept_in("loops-0"))
     assert compiled(lambda number: number + 1)(1) == 2

@@ -55,7 +55,7 @@ def _usable(folder: Path) -> bool:
         return False
 
 
-def _temporary() -> Path | None:
+def temporary() -> Path | None:
     """This user's own folder among the temporary ones. Compiled loops are code: nobody else may be
     able to put any there."""
     try:
@@ -79,8 +79,8 @@ def _kept_in(name: str) -> Path | None:
             return place / name
     begin = "neither the package's folder nor the home folder can be written to"
     end = "NUMBA_CACHE_DIR can name another folder"
-    temporary = _temporary()
-    if temporary is None or not _usable(temporary / name):
+    own = temporary()
+    if own is None or not _usable(own / name):
         warnings.warn(
             f"{begin}, so every process compiles the sampling loops anew, which takes up to a "
             f"minute; {end}.",
@@ -89,11 +89,20 @@ def _kept_in(name: str) -> Path | None:
         return None
     for place in _places():  # an image may bring loops that were compiled before it was sealed
         if (place / name).is_dir():
-            shutil.copytree(place / name, temporary / name, dirs_exist_ok=True)
+            _take_along(place / name, own / name)
     warnings.warn(
-        f"{begin}, so the compiled sampling loops are kept in {temporary}; {end}.", stacklevel=2
+        f"{begin}, so the compiled sampling loops are kept in {own}; {end}.", stacklevel=2
     )
-    return temporary / name
+    return own / name
+
+
+def _take_along(sealed: Path, folder: Path) -> None:
+    """Copies files, but not that nobody may write beside them."""
+    for path in sealed.rglob("*"):
+        if path.is_file():
+            target = folder / path.relative_to(sealed)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, target)
 
 
 def _source_state() -> str:

@@ -4,6 +4,7 @@ A group starts with few strata, and is cut finer as soon as the attempts still t
 than the cutting (docs/model.md § 4: set-up and acceptance trade against each other). Draws of
 every resolution are draws of the same posterior, so all are kept, and their rates are pooled."""
 
+import contextlib
 import functools
 import os
 import threading
@@ -28,6 +29,7 @@ from inference.exact.loops.tables import (
     LimbProblem,
     LimbTables,
     Strata,
+    blank_bodies,
     cell_table,
     desk_pair,
 )
@@ -118,6 +120,33 @@ def _desks() -> tuple[Desk, Desk]:
     return _own.desks
 
 
+class Rooms:
+    """Where batches write their draws, handed on from batch to batch and from frame to frame:
+    memory that is new to a process is as slow as the draws themselves."""
+
+    LARGEST = 1 << 17
+    """Attempts of the largest that is kept."""
+
+    def __init__(self, limbs: int) -> None:
+        self._limbs, self._kept = limbs, list[Bodies]()
+
+    def take(self, attempts: int) -> Bodies:
+        """Room for so many attempts."""
+        with contextlib.suppress(IndexError):
+            room = self._kept.pop()
+            if len(room.length) >= attempts:
+                return room
+        return blank_bodies(max(attempts, self.LARGEST), self._limbs)
+
+    def give(self, room: Bodies) -> None:
+        """Takes back what nobody reads any more."""
+        if len(room.length) <= self.LARGEST and len(self._kept) < BATCHES:
+            self._kept.append(room)
+
+
+_rooms = {limbs: Rooms(limbs) for limbs in (1, 2)}
+
+
 @functools.cache
 def workers() -> ThreadPoolExecutor:
     """One thread a core; the compiled loops are free of Python's lock. Only tasks that wait for
@@ -177,14 +206,17 @@ def attempt_group(
     rng: np.random.Generator,
     state: np.ndarray,
     attempts: int,
+    room: Bodies | None = None,
 ) -> tuple[Bodies, int]:
     """Attempts at a group by a plan that has mass: the draws within reach, in random order, their
     limbs in the group's order; and how many attempts passed the limb that is first in `order`.
-    `rng` shares the attempts out, `state` is that of the loops' random numbers."""
+    `rng` shares the attempts out, `state` is that of the loops' random numbers; draws are written
+    to `room`, if there is one."""
     ahead.wait()
     counts = rng.multinomial(attempts, plan.share)
     cut = [CutLimb(limbs[row], tables.builds[row], plan.strata[row]) for row in order]
-    return attempt_bodies(state, counts, plan.bins, cut, order, plan.sub, _desks())
+    room = room or blank_bodies(attempts, len(limbs))
+    return attempt_bodies(state, counts, plan.bins, cut, order, plan.sub, _desks(), room)
 
 
 class StratifiedGroup:
@@ -230,6 +262,7 @@ class StratifiedGroup:
         return [Pooled(tuple(self._rates))]
 
     def more(self, number: int, budget: Budget) -> bool:
+        self._pile.reserve(number + number // 16 + FIRST)
         while self.held < number and not self.hopeless:
             self._refine(number)
             if self.impossible:  # a finer cut may leave nothing where a coarser one left something
@@ -284,26 +317,29 @@ class StratifiedGroup:
     def _run(self, sizes: list[int]) -> None:
         numbers = range(self._batches, self._batches + len(sizes))
         tried = through = found = 0
-        for size, (bodies, passed) in zip(
-            sizes, workers().map(self._batch, numbers, sizes), strict=True
+        rooms = _rooms[len(self._limbs)]
+        space = [rooms.take(size) for size in sizes]
+        for size, own, (bodies, passed) in zip(
+            sizes, space, workers().map(self._batch, numbers, sizes, space), strict=True
         ):
             rate, tried, through = self._rates[-1], tried + size, through + passed
             self._rates[-1] = Rate(
                 rate.proposed + size, rate.accepted + len(bodies.length), rate.mass
             )
             self._pile.add(*bodies)
+            rooms.give(own)
             found += len(bodies.length)
         self._batches += len(sizes)
         # The limb that fails more often goes first: then the other is seldom tried in vain.
         if len(self._limbs) == 2 and through**2 > found * tried:
             self._order = self._order[::-1]
 
-    def _batch(self, number: int, attempts: int) -> tuple[Bodies, int]:
+    def _batch(self, number: int, attempts: int, room: Bodies | None = None) -> tuple[Bodies, int]:
         """The draws of batch `number`, in random order, and how many passed their first limb."""
         rng = np.random.default_rng(np.random.SeedSequence(self._words, spawn_key=(number, 0)))
         state = seeded(self._words, number, 1)
         bodies, passed = attempt_group(
-            self._plan, self._tables, self._limbs, self._order, rng, state, attempts
+            self._plan, self._tables, self._limbs, self._order, rng, state, attempts, room
         )
         if self._log_ratio is not None and len(bodies.length):
             test = np.log1p(-rng.uniform(size=len(bodies.length)))

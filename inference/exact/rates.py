@@ -130,26 +130,33 @@ class GroupSampler(Protocol):
 
 
 class Pile:
-    """Rows that arrive in batches and leave from the front."""
+    """Rows that arrive in batches, are copied, and leave from the front."""
 
     def __init__(self) -> None:
-        self._parts: list[tuple[np.ndarray, ...]] = []
-        self.size = 0
+        self._columns: tuple[np.ndarray, ...] = ()
+        self._room = self.size = 0
+
+    def reserve(self, number: int) -> None:
+        """Says how many rows there will be, if no more than that are to come."""
+        self._room = max(self._room, number)
 
     def add(self, *rows: np.ndarray) -> None:
-        if len(rows[0]):
-            self._parts.append(rows)
-            self.size += len(rows[0])
+        size = self.size + len(rows[0])
+        if not self._columns or size > len(self._columns[0]):
+            room = max(self._room, size, 2 * self.size)
+            fresh = tuple(np.empty((room, *part.shape[1:]), part.dtype) for part in rows)
+            for new, old in zip(fresh, self._columns, strict=bool(self._columns)):
+                new[: self.size] = old[: self.size]
+            self._columns = fresh
+        for column, part in zip(self._columns, rows, strict=True):
+            column[self.size : size] = part
+        self.size = size
 
     def all(self) -> tuple[np.ndarray, ...]:
-        if len(self._parts) > 1:
-            self._parts = [
-                tuple(np.concatenate(column) for column in zip(*self._parts, strict=True))
-            ]
-        return self._parts[0]
+        return tuple(column[: self.size] for column in self._columns)
 
     def take(self, number: int) -> tuple[np.ndarray, ...]:
         rows = self.all()
-        self._parts = [tuple(column[number:] for column in rows)]
+        self._columns = tuple(column[number:] for column in self._columns)
         self.size -= number
         return tuple(column[:number] for column in rows)

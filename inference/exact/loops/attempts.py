@@ -38,6 +38,7 @@ def attempt_bodies(
     order: Sequence[int],
     sub: int,
     desks: tuple[Desk, Desk],
+    room: Bodies,
 ) -> tuple[Bodies, int]:
     """Attempts at a group of limbs.
 
@@ -48,17 +49,15 @@ def attempt_bodies(
     order : the limb of the draws that each of `limbs` is
     sub : sub-cells along a cell's side
     desks : as `desk_pair` makes them
+    room : for all attempts, where the draws are written
 
     Returns
     -------
     The draws in random order, and how many attempts passed the first of `limbs`.
     """
     ends, two = np.cumsum(counts), limbs[0].tables.bones == 2
-    number, size = int(ends[-1]), len(limbs)
-    # Room for all: memory that nothing is written on is not taken.
-    room = Bodies(np.empty((number, 2)), np.empty((number, size, 3)), np.empty((number, size, 3)))
     columns, passed, found = np.array(order), 0, 0
-    for start in range(0, number, desks[0].rows.size):
+    for start in range(0, int(ends[-1]), desks[0].rows.size):
         left = _attempt_lengths(state, ends, start, *bins, two, desks[0])
         for row, limb in enumerate(limbs):
             left = _attempt_limb(state, limb, sub, left, desks[row])

@@ -244,6 +244,11 @@ class Bodies(NamedTuple):
     lower: np.ndarray
 
 
+def blank_bodies(number: int, limbs: int) -> Bodies:
+    """Room for so many draws; memory that nothing is written on is not taken."""
+    return Bodies(np.empty((number, 2)), np.empty((number, limbs, 3)), np.empty((number, limbs, 3)))
+
+
 class Desk(NamedTuple):
     """What one thread writes on; made once, since memory that is new to a process is slow.
 

@@ -136,11 +136,12 @@ def test_lengths_follow_the_prior_inside_their_bin(alpha, beta):
 
 
 def test_a_wrong_envelope_is_caught():
-    """Negative control of the test above: an envelope 10 % too low in half of the slices."""
+    """Negative control of the test above: in half of the slices an envelope 10 % larger than the
+    one by which they are proposed."""
     bins = length_bins(0.8, 1.2, 5.0, 7.0, 4)
     slices = bins.slices.copy()
     half = slices[PER_BIN : PER_BIN + PER_BIN // 2]
-    half["floor"], half["envelope"] = 0.0, 0.9 * half["envelope"]
+    half["floor"], half["envelope"] = 0.0, 1.1 * half["envelope"]
     law, lengths = stats.beta(5.0, 7.0, loc=0.8, scale=0.4), np.empty(200_000)
     draw_lengths(bins._replace(slices=slices), 1, seeded([1], 1), lengths)
     low, high = law.cdf(bins.edges[1:3])

@@ -13,8 +13,8 @@ from scipy.special import betainc
 from inference.exact.loops.numbers import compiled, load, store, uniform
 from inference.exact.loops.tables import ALIAS, SLICES, LengthBins, LengthLaw
 
-PER_BIN = 16
-"""Slices a bin."""
+PER_BIN = 64
+"""Slices a bin: the more there are, the fewer lengths need the density itself, two powers."""
 
 
 @functools.lru_cache(maxsize=128)  # few priors, few resolutions, the same for every frame

@@ -21,10 +21,13 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from inference.exact.groups import StratifiedGroup
+from inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
+from inference.exact.loops.attempts import _attempt_lengths, _attempt_limb, _hand_over
 from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
+from inference.exact.loops.tables import CutLimb, blank_bodies, desk_pair
 from inference.exact.mixture import draw_mixture, root_samplers
 from inference.exact.naive import BATCH, propose
+from inference.exact.problem import limb_problems
 from inference.exact.rates import Budget
 from inference.stream import Item, sample_frames
 from inference.studies.scenes import motion_frames, prior_frames, prior_scene
@@ -41,6 +44,9 @@ DRAWS = 100_000
 NUMBERS = 23
 """Uniform numbers of a pose: the floor."""
 STREAM_FRAMES = 32
+STAGE_LEVEL, STAGE_ATTEMPTS = 2, 1 << 16
+"""The resolution, and the attempts, by which the stages of an attempt are timed."""
+STAGE_FRAMES = slice(None, None, 8)
 
 
 class FrameCost(NamedTuple):
@@ -145,6 +151,92 @@ def cost(model: PoseModel, frame: Estimate, naive: float) -> FrameCost:
         proposals=budget.spent / candidate.held,
         naive=naive / min(evidence.values()),
     )
+
+
+class StageCost(NamedTuple):
+    """Where an attempt at a pair of limbs goes, on one core.
+
+    Attributes
+    ----------
+    stratum
+        Nanoseconds to set up one stratum.
+    lengths, limb
+        Nanoseconds an attempt for its two lengths, and for each limb that is tried.
+    draw
+        Nanoseconds to hand over a draw.
+    whole
+        Nanoseconds an attempt in all.
+    first, both
+        Of the attempts, the shares that pass the first limb, and both.
+    """
+
+    stratum: float
+    lengths: float
+    limb: float
+    draw: float
+    whole: float
+    first: float
+    both: float
+
+
+def stages(model: PoseModel, frame: Estimate, name: str) -> StageCost:
+    """Times a group's loops one after the other, by the processor's time of this thread."""
+    tables, limbs = group_tables(model)[name], limb_problems(frame.observation)[name]
+    clock, number = time.thread_time, STAGE_ATTEMPTS
+    plan_group(tables, limbs, RESOLUTIONS[STAGE_LEVEL], alone=True)
+    started = clock()
+    plan = plan_group(tables, limbs, RESOLUTIONS[STAGE_LEVEL], alone=True)
+    set_up, desks = clock() - started, desk_pair(number)
+    cut = [CutLimb(*parts) for parts in zip(limbs, tables.builds, plan.strata, strict=True)]
+    counts = np.random.default_rng(0).multinomial(number, plan.share)
+    state, room, times = seeded([0], 0), blank_bodies(number, len(limbs)), []
+
+    def stage(action: Callable[..., int], *given: object) -> int:
+        start = clock()
+        found = action(*given)
+        times.append(1e9 * (clock() - start))
+        return found
+
+    for _ in range(2):  # the first time memory is new
+        times.clear()
+        stage(_attempt_lengths, state, np.cumsum(counts), 0, *plan.bins, True, desks[0])
+        first = stage(_attempt_limb, state, cut[0], plan.sub, number, desks[0])
+        both = stage(_attempt_limb, state, cut[1], plan.sub, first, desks[1])
+        stage(_hand_over, state, both, *desks, np.arange(2), room, 0)
+    length, one, two, draw = times
+    return StageCost(
+        1e9 * set_up / plan.size,
+        length / number,
+        (one + two) / (number + first),
+        draw / max(both, 1),
+        sum(times) / number,
+        first / number,
+        both / number,
+    )
+
+
+def where_it_goes(model: PoseModel, frames: Sequence[Estimate]) -> dict[str, list[StageCost]]:
+    """The stages of both pairs of limbs, frame by frame."""
+    return {name: [stages(model, frame, name) for frame in frames] for name in ("arms", "legs")}
+
+
+def stages_table(costs: dict[str, list[StageCost]]) -> Sheet:
+    """Medians over the frames, by group."""
+    words = {
+        "stratum": "ns to set up a stratum",
+        "lengths": "ns an attempt for two lengths",
+        "limb": "ns for each limb that is tried",
+        "draw": "ns to hand over a draw",
+        "whole": "ns an attempt in all",
+        "first": "% of attempts that pass the first limb",
+        "both": "% that pass both",
+    }
+    rows = []
+    for field, what in words.items():
+        scale = 100.0 if what.startswith("%") else 1.0
+        each = ([scale * getattr(cost, field) for cost in own] for own in costs.values())
+        rows.append((what, *map(np.median, each)))
+    return sheet_of(["medians", *(Column(name, form=_digits) for name in costs)], rows)
 
 
 def _digits(value: float) -> str:
@@ -258,6 +350,8 @@ def main(data: Path) -> None:
         "draws": f"{DRAWS:,}",
         "cores": str(os.cpu_count()),
         "machine": platform.machine(),
+        "stages": stages_table(where_it_goes(model, frames[STAGE_FRAMES])),
+        "level": " × ".join(map(str, RESOLUTIONS[STAGE_LEVEL])),
         "floors": floors_table(floor),
         "naive": naive_table(naive),
         "per_frame": f"{slope * 1e3:.0f}",

@@ -133,6 +133,13 @@ def test_costs_are_shown_by_quartiles() -> None:
     assert rows["times the floor (23 random numbers)"][2] == "10"
 
 
+def test_stages_of_an_attempt_are_shown_by_medians() -> None:
+    costs = [speed.StageCost(60.0, 18.0, limb, 40.0, 100.0, 0.4, 0.125) for limb in (40, 50, 90)]
+    rows = {row[0]: row[1:] for row in speed.stages_table({"arms": costs}).texts()}
+    assert rows["ns for each limb that is tried"] == ["50"]
+    assert rows["% that pass both"] == ["12.5"]
+
+
 def comparison(label: str, **changes: float) -> xr.Dataset:
     line = {"ess_per_second": 10.0, "settled_per_second": 20.0, "seconds_to_distance": 2.0}
     line |= {"time_known": 0.0, "log_evidence": -12.0, "log_evidence_se": 0.1, "seconds": 4.0}

@@ -65,10 +65,10 @@ def check_name(name: str) -> None:
     if name in BASELINES:
         check_packages(name, BASELINES[name])
     elif name in GUESTS:
-        package = GUESTS[name].package
+        package, extra = GUESTS[name].package, GUESTS[name].extra
         if package and importlib.util.find_spec(package) is None:
             raise BadInput(
-                f'the sampler {name} is not installed; install "poseterior[guests]", or leave it'
+                f'the sampler {name} is not installed; install "poseterior[{extra}]", or leave it'
                 " out"
             )
     elif name != EXACT:

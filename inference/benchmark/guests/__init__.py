@@ -6,7 +6,8 @@ one.
 
 All of them climb the graded likelihood from the prior, because an indicator gives nested and
 tempered samplers nothing to climb (`graded`). Libraries are an extra
-(`pip install 'poseterior[guests]'`)."""
+(`pip install 'poseterior[guests]'`); UltraNest, which is compiled where it is installed, is one of
+its own."""
 
 from typing import NamedTuple
 
@@ -17,16 +18,23 @@ from inference.benchmark.guests.tempered import reddemcee
 
 
 class Row(NamedTuple):
-    """A guest: how it is run, how it is set up, and the package that it needs, if any."""
+    """A guest: how it is run, how it is set up, and the package that it needs, if any, with the
+    extra that brings it."""
 
     run: Guest
     note: str
     package: str = ""
+    extra: str = "guests"
 
 
 GUESTS: dict[str, Row] = {
     "dynesty": Row(dynesty, "dynesty's static sampler, 500 live points", "dynesty"),
-    "ultranest": Row(ultranest, "UltraNest's reactive sampler, MLFriends, vectorised", "ultranest"),
+    "ultranest": Row(
+        ultranest,
+        "UltraNest's reactive sampler, MLFriends, vectorised",
+        "ultranest",
+        extra="ultranest",
+    ),
     "reddemcee": Row(reddemcee, "reddemcee's parallel tempering, ten temperatures", "reddemcee"),
     "nrpt": Row(
         nrpt,

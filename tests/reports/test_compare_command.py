@@ -120,6 +120,8 @@ def test_the_table_and_the_picture(done: tuple[Path, str]) -> None:
 def line(start: str, **numbers: float) -> xr.DataTree:
     """The summary of one sampler that agrees, worth 144 draws, after ten seconds."""
     found = {"ess_worst": 144.0, "ess_per_second": 1.6, "rhat_worst": 3.91, "seconds": 10.0}
+    found |= {"settled_per_second": 2.0, "time_known": 0.0, "seconds_to_distance": 2.0}
+    found |= {"log_evidence": np.nan, "log_evidence_se": np.nan, "missed_mass": 0.0}
     words = {"verdict": "agrees", "start": start, "sentence": "no test rejects"}
     values = {name: ("sampler", [value]) for name, value in (found | words | numbers).items()}
     coords = {"sampler": ["random-walk (dispersed)"]}
@@ -128,7 +130,11 @@ def line(start: str, **numbers: float) -> xr.DataTree:
 
 def test_what_agrees_by_its_start_is_said_to() -> None:
     """As printed once: agrees, 144 effective draws, R-hat 3.91. It was started in exact draws."""
-    said = comparison_table(line("dispersed")).caption
+    sheet = comparison_table(line("dispersed"))
+    said = sheet.caption
+    assert sheet.json()[0]["by_its_start"] == said, "in what programs read as well"
+    for form in (sheet.markdown(), sheet.only(NARROW).markdown(), sheet.html()):
+        assert said in form
     assert said == (
         "random-walk (dispersed) agrees because it was started in exact draws: of its 144"
         " effective draws it has earned 16, and R-hat 3.91 says that its chains are still far apart"

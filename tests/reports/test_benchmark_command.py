@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inference.benchmark import targets
+from inference.benchmark import shipped_points, targets
 from reports.tables.benchmark import targets_table
 from tests.conftest import Cli
 
@@ -80,3 +80,26 @@ finally:
     assert done.returncode == 2
     assert words in " ".join(done.stderr.split())
     assert done.stdout.strip() == "[]"
+
+
+POINTS = shipped_points("arm")[:400]
+BROKEN = np.where(np.arange(400)[:, None] == 3, np.nan, POINTS)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ({"points": BROKEN}, "1 of 400 draws of"),
+        ({"points": np.tile(POINTS[:1], (30, 1))}, "stands still: its 30 draws are one and the"),
+        ({"points": POINTS, "weights": np.linspace(-1, 1, 400)}, "200 of 400 weights of"),
+        ({"points": POINTS, "weights": np.zeros(400)}, "no draw counts, so run the sampler anew"),
+    ],
+    ids=["not a number", "standing still", "negative weights", "weights of zero"],
+)
+def test_what_cannot_be_draws_is_code_2(
+    arrays: dict[str, np.ndarray], words: str, poseterior: Cli, tmp_path: Path
+) -> None:
+    np.savez(tmp_path / "draws.npz", **arrays)
+    run = poseterior("benchmark", "judge", tmp_path / "draws.npz", "--target", "arm")
+    assert run.code == 2
+    assert words in " ".join(run.err.split())

@@ -18,6 +18,8 @@ COLUMNS = 7
 """Panels in a row."""
 COLOURS = {AGREES: PALETTE[2], DIFFERS: PALETTE[1]}
 """Of the verdicts; any other is grey."""
+DIMENSIONS = (4, 36)
+"""Between which all targets are, with room for their names."""
 LEAST = 0.01
 """Effective draws a second below which all are drawn alike."""
 
@@ -103,7 +105,7 @@ def growth(lines: Sequence[Line]) -> Figure:
     earned = [(one["dim"], one["ratio"], one["target"], False) for one in found if one["ratio"]]
     _ratios(left, earned)
     alone = [one["target"] for one in found if one["ratio"] is None]
-    said = f"No other agrees on {', '.join(alone)}" if alone else ""
+    said = f"no other agrees on {len(alone)} of {len(found)} targets" if alone else ""
     left.set_title(f"effective draws earned a second\n{said}", fontsize=SMALL + 0.5)
     timed = [
         (one["dim"], one["times"], one["target"], one["first"] is None)
@@ -132,8 +134,9 @@ def _ratios(axes: Axes, points: list[tuple[int, float, str, bool]]) -> None:
             fillstyle="none" if soft else "full",
         )
     axes.set(yscale="log", xlabel="dimensions", ylabel="exact draws ahead, times")
+    axes.set_xlim(*DIMENSIONS)
+    axes.margins(y=0.12)
     _name(axes, [point[:3] for point in points])
-    axes.margins(x=0.25, y=0.12)
     tidy(axes)
 
 

@@ -157,7 +157,7 @@ def contests(lines: Sequence[Line]) -> list[dict[str, Any]]:
         best = max(right, key=pace_of, default=None)
         there = [one for one in others if one.get("to_distance") is not None]
         first = min(there, key=lambda one: one["to_distance"], default=None)
-        had = max((one["seconds"] for one in others if "seconds" in one), default=None)
+        had = max((one["allowed"] for one in others), default=None)
         time = had if first is None else first["to_distance"]
         known = exact["to_distance"]
         records.append(

@@ -179,6 +179,7 @@ def test_evidence_that_is_off_is_flagged() -> None:
 def entry(sampler: str, start: str = "", **changes: object) -> dict[str, object]:
     """A line of the leaderboard on one arm, after two seconds."""
     line = {"target": "arm", "budget": "seconds", "sampler": sampler, "start": start}
+    line |= {"allowed": 2.0}
     numbers = {"effective_draws": 300.0, "earned": 100.0, "evaluations": 4e4, "seconds": 2.0}
     numbers |= {"to_distance": 1.0, "rhat_worst": 1.0}
     about = {"verdict": "agrees", "missed_mass": 0.0, "worst_w1": 0.1, "evidence_error": None}

@@ -27,7 +27,9 @@ from reports.pages.page import Values, in_doubles, write_page
 from reports.tables import Sheet, sheet_of
 
 PEOPLE, ROOTS = 24, 250
-APART = (2.0, 4.0)
+BUDGET = 10_000_000
+"""Proposals for a reading, which may have no torso at all."""
+APART = (2.0, 5.0)
 """Radii: where groups of people end, by how far apart their legs' joints were detected."""
 
 
@@ -66,7 +68,12 @@ def tell(model: PoseModel, frame: Estimate, seed: int) -> Told:
     found = []
     for name in EXCHANGES:
         reading = dataclasses.replace(wrong, detection=read_as(wrong.detection, name))
-        roots = weigh_roots(reading.uncertain(model), key=jax.random.key(seed), num_roots=ROOTS)
+        roots = weigh_roots(
+            reading.uncertain(model),
+            key=jax.random.key(seed),
+            num_roots=ROOTS,
+            max_proposals=BUDGET,
+        )
         found.append((roots.log_evidence, roots.log_evidence_se))
     evidence, error = np.array(found).T
     scale = float(frame.candidates[0].camera.scale)

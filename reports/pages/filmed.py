@@ -25,7 +25,6 @@ from inference.studies.errorlaws.pairs import pairs_of_session
 from probmodel import Detection, Likelihood, PoseModel
 from probmodel.faults import NO_FAULTS
 from probmodel.layouts import corrected
-from probmodel.likelihood import Gaussian
 from probmodel.sessions import Session, read_session
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from reports.pages.page import in_doubles
@@ -34,7 +33,7 @@ DRAWS, ROOTS = 4000, 1000
 BUDGET = 300_000_000
 """Most proposals for a case."""
 HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
-DISC, GAUSSIAN, LEARNED = "disc", "Gaussian", "learned"
+DISC, LEARNED = "disc", "learned"
 GOLDEN = (5**0.5 - 1) / 2
 PARTS = 2
 """Of the film, one after the other."""
@@ -62,10 +61,8 @@ class Way(NamedTuple):
 WAYS = (
     Way(FIXED, moved=False),
     Way(FIXED),
-    Way(UNCERTAIN, moved=False),
-    Way(UNCERTAIN, frames=100),
-    Way(UNCERTAIN, GAUSSIAN),
-    Way(UNCERTAIN, LEARNED, frames=50),
+    Way(UNCERTAIN, frames=10),
+    Way(UNCERTAIN, LEARNED, frames=8),
 )
 
 
@@ -141,7 +138,7 @@ class Film:
     def _truth_sigma(self) -> list[np.ndarray]:
         """By part of the film, how far detections stray in the rest of it."""
         rests = [pairs_of_session(self.unseen(part), perspective=True) for part in range(PARTS)]
-        return [learn(rest).errors.sigma for rest in rests]
+        return [learn(rest).fit.mixture.sigma for rest in rests]
 
     @functools.cached_property
     def learned(self) -> list[Likelihood]:
@@ -150,10 +147,8 @@ class Film:
         return [dataclasses.replace(Likelihood.of(law), faults=NO_FAULTS) for law in laws]
 
     def likelihood(self, errors: str, frame: int) -> Likelihood:
-        """How detections err, by a law's name: the paper's, its Gaussian, or a learned one."""
-        if errors == LEARNED:
-            return self.learned[self.part_of(frame)]
-        return {DISC: Likelihood(), GAUSSIAN: Likelihood(Gaussian())}[errors]
+        """How detections err, by a law's name: the paper's, or what is learned from the rest."""
+        return self.learned[self.part_of(frame)] if errors == LEARNED else Likelihood()
 
 
 def learn_both(session: Session) -> Learned:

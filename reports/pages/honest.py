@@ -45,8 +45,6 @@ from reports.pages.page import write_page
 from reports.tables import Sheet, sheet_of
 
 BEST = 5
-FEW = 9
-"""Frames: ways that are judged in more have a table by camera."""
 STRETCH = 10
 """Frames that are drawn anew together: they are alike."""
 ORDER = ("first half", "second half")
@@ -176,18 +174,32 @@ def bare_table(outcomes: Found) -> Sheet:
     return sheet_of(("torso and camera", "x", "y", "depth"), lines)
 
 
-def camera_table(outcomes: Found) -> Sheet:
-    """A line for each way that was judged in many frames, and each camera: coverage by axis,
-    stretches of the film drawn anew."""
+def parts_of(outcomes: Found, seen: Film) -> Sheet:
+    """A line for each way with an uncertain root and each half of the film, and each camera:
+    coverage by axis, stretches of the film drawn anew, and how wide the draws are."""
     lines: list[tuple[Any, ...]] = []
     for way, found in outcomes.items():
-        for camera in sorted({one.camera for one in found if way.frames > FEW}):
-            own = [one for one in found if one.camera == camera]
-            standing = np.stack([one.standing for one in own])
-            stretch = np.array([one.frame // STRETCH for one in own])
-            axes = (share(coverage(standing[:, :, axis], stretch)) for axis in range(3))
-            lines.append((str(way), camera + 1, len(own), *axes))
-    return sheet_of(("torso and camera", "camera", "cases", "x", "y", "depth"), lines)
+        if way.root == FIXED:
+            continue
+        for part in range(PARTS):
+            some = [one for one in found if seen.part_of(one.frame) == part]
+            lines.append((str(way), ORDER[part], *part_line(some)))
+        for camera in sorted({one.camera for one in found}):
+            some = [one for one in found if one.camera == camera]
+            lines.append((str(way), f"camera {camera + 1}", *part_line(some)))
+    head = ("torso and camera", "judged in", "cases", "x", "y", "depth", "sd across, mm")
+    return sheet_of(head, lines)
+
+
+def part_line(some: Sequence[Judged]) -> tuple[Any, ...]:
+    """How many cases, coverage by axis, and the draws' standard deviation to the side."""
+    standing = np.stack([one.standing for one in some])
+    stretch = np.array([one.frame // STRETCH for one in some])
+    axes = (share(coverage(standing[:, :, axis], stretch)) for axis in range(3))
+    across = LIMB * np.sqrt(
+        np.mean(np.nanmean([one.spread[:, :2] for one in some], axis=(0, 1)) ** 2)
+    )
+    return (len(some), *axes, f"{across:.0f}")
 
 
 def law_table(seen: Film) -> Sheet:
@@ -318,7 +330,7 @@ def main(data: Path, work: Path) -> None:
         "draws": f"{DRAWS:,}",
         "roots": f"{ROOTS:,}",
         "table": table(outcomes),
-        "cameras": camera_table(outcomes),
+        "cameras": parts_of(outcomes, seen),
         "laws": law_table(seen),
         "parts": parts_table(seen.session),
         "together": f"{together(seen.session):.1f}",

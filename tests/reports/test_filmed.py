@@ -1,0 +1,41 @@
+"""The filmed person of reports/honest.md: how the film is cut, and how draws are judged."""
+
+import numpy as np
+import pytest
+
+from probmodel.skeleton import LIMB_JOINTS, NUM_JOINTS
+from reports.pages import filmed as pages
+from reports.pages import honest
+from tests.filmed import detected, filmed, moving
+
+
+def test_a_film_is_cut_in_two() -> None:
+    seen = pages.Film(filmed(moving(9), np.zeros((4, 9, NUM_JOINTS, 2))))
+    assert [seen.part_of(frame) for frame in range(9)] == [0] * 5 + [1] * 4
+    for part, own, rest in ((0, range(5), range(5, 9)), (1, range(5, 9), range(5))):
+        assert seen.part(part).numbers == tuple(own)
+        assert seen.unseen(part).numbers == tuple(rest)
+
+
+def test_draws_are_judged_in_spreads_and_millimetres() -> None:
+    """A truth at the middle of standard normal draws in x, and beyond all of them in y; its own
+    doubt, of both coordinates, pulls both towards the middle."""
+    rng = np.random.default_rng(0)
+    truth = np.zeros((NUM_JOINTS, 3))
+    truth[list(LIMB_JOINTS)] = [0.0, 9.0, 0.0]
+    doubt = np.zeros((NUM_JOINTS, 3, 3))
+    doubt[list(LIMB_JOINTS)] = 81 * np.eye(3)
+    detection = detected(np.zeros((NUM_JOINTS, 2)), "film")
+    case = pages.FilmedCase(1, 2, detection, truth, doubt)
+    joints = rng.normal(size=(4000, NUM_JOINTS, 3))
+    found = honest.judge(case, pages.Drawn(joints, 50.0, 2.0))
+    assert found.bare[:, 0] == pytest.approx(np.full(8, 0.5), abs=0.05)
+    assert (found.bare[:, 1] == 1).all()
+    assert found.standing[:, 1] == pytest.approx(np.full(8, 0.84), abs=0.03)
+    assert found.spread == pytest.approx(np.ones((8, 3)), abs=0.1)
+    # Eight of twelve judged joints are 9 body units from the draws' mean.
+    assert found.mean == pytest.approx(338 * 9 * 8 / 12, rel=0.02)
+    assert found.best > found.mean / 2
+    nothing = honest.judge(case, pages.Drawn(joints[:0], np.nan, 1.0))
+    assert not nothing.drawn
+    assert np.isnan(nothing.standing).all()

@@ -3,7 +3,6 @@ legend; and how the ratio of exact draws to the best other grows with the dimens
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -105,7 +104,7 @@ def growth(lines: Sequence[Line]) -> Figure:
     earned = [(one["dim"], one["ratio"], one["target"], False) for one in found if one["ratio"]]
     _ratios(left, earned)
     alone = [one["target"] for one in found if one["ratio"] is None]
-    said = f"no other agrees on {len(alone)} of {len(found)} targets" if alone else ""
+    said = f"no other that was run agrees on {len(alone)} of {len(found)}" if alone else ""
     left.set_title(f"effective draws earned a second\n{said}", fontsize=SMALL + 0.5)
     timed = [
         (one["dim"], one["times"], one["target"], one["first"] is None)
@@ -114,8 +113,8 @@ def growth(lines: Sequence[Line]) -> Figure:
     ]
     _ratios(right, timed)
     right.set_title(
-        "time to 0.1 sd, the other's over that of exact draws\ntriangles: more than this, as no"
-        " other came there",
+        "time to 0.1 sd, the other's over that of exact draws\ntriangles: more than this; none that"
+        " was run came there",
         fontsize=SMALL + 0.5,
     )
     return figure
@@ -135,28 +134,23 @@ def _ratios(axes: Axes, points: list[tuple[int, float, str, bool]]) -> None:
         )
     axes.set(yscale="log", xlabel="dimensions", ylabel="exact draws ahead, times")
     axes.set_xlim(*DIMENSIONS)
-    axes.margins(y=0.12)
+    axes.margins(y=0.3)
     _name(axes, [point[:3] for point in points])
     tidy(axes)
 
 
 def _name(axes: Axes, named: list[tuple[int, float, str]]) -> None:
-    """Writes names beside points of the same dimension, from below upwards, each above the last one
-    where the two would overprint each other."""
-    if not named:
-        return
-    heights = np.log10([one[1] for one in named])
-    room = 0.045 * max(float(np.ptp(heights)), 0.5)
-    last: dict[int, float] = {}
-    for row in np.argsort(heights, kind="stable"):
-        dim, ratio, words = named[row]
-        place = max(heights[row], last.get(dim, -np.inf) + room)
-        last[dim] = place
+    """Writes the names of all points of a dimension above or below them in turn, in their order
+    from above."""
+    for place, dim in enumerate(sorted({one[0] for one in named})):
+        own = sorted((one[1:] for one in named if one[0] == dim), reverse=True)
+        above = place % 2 == 0
         axes.annotate(
-            words,
-            (dim, ratio),
-            xytext=(dim + 0.5, 10**place),
-            textcoords="data",
+            "\n".join(words for _, words in own),
+            (dim, own[0][0] if above else own[-1][0]),
+            xytext=(0, 5 if above else -5),
+            textcoords="offset points",
+            ha="center",
+            va="bottom" if above else "top",
             fontsize=6,
-            va="center",
         )

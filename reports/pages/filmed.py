@@ -46,7 +46,7 @@ class Way(NamedTuple):
     root: str
     errors: str = DISC
     moved: bool = True
-    frames: int = 9
+    frames: int = 25
 
     def __str__(self) -> str:
         given = "" if self.moved else ", `--as-detected`"
@@ -61,8 +61,8 @@ class Way(NamedTuple):
 WAYS = (
     Way(FIXED, moved=False),
     Way(FIXED),
-    Way(UNCERTAIN, frames=10),
-    Way(UNCERTAIN, LEARNED, frames=8),
+    Way(UNCERTAIN),
+    Way(UNCERTAIN, LEARNED),
 )
 
 

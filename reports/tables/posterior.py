@@ -221,9 +221,7 @@ def sides_table(tree: xr.DataTree) -> Sheet:
         Column("", "candidate", form=lambda index: str(index + 1)),
         Column("faces", "facing", left=True, whole=True),
         Column("torsos", form=fixed(0)),
-        Column(
-            "px", lambda row: f"{row['scale_px']:.0f} ± {row['scale_sd_px']:.0f}", str, whole=True
-        ),
+        Column("px", _scale, str, whole=True),
         Column("turn", "turn_sd_degrees", fixed(0, "°")),
         Column("log evidence", _evidence, plus_minus, whole=True),
         Column("share", "weight", percent),
@@ -235,6 +233,12 @@ def sides_table(tree: xr.DataTree) -> Sheet:
         " deviations."
     )
     return Sheet(shown, records, "Torso and camera", caption)
+
+
+def _scale(row: Record) -> str:
+    """Mean and standard deviation; a side without draws has no spread."""
+    mean, spread = fixed(0)(row["scale_px"]), row["scale_sd_px"]
+    return mean if spread is None else f"{mean} ± {spread:.0f}"
 
 
 def fixed_table(tree: xr.DataTree) -> Sheet:

@@ -160,7 +160,7 @@ def test_without_the_factors_of_the_scale_nothing_is():
 @pytest.mark.slow
 def test_an_error_law_that_is_too_narrow_is_found_out():
     """Negative control: detections stray twice as far as the likelihood believes."""
-    found = stand(15, 40, ARM, Likelihood(factor=FACTOR / 2), most=1_000_000)
+    found = stand(50, 40, ARM, Likelihood(factor=FACTOR / 2), most=1_000_000)
     assert p_value(found["right"]) < FAMILY / 1000
     assert outside(found["right"]) > 2 * outside(torso_and_an_arm()["right"])
 

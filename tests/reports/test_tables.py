@@ -18,6 +18,7 @@ from inference.studies.evaluation.scores import Interval
 from probmodel.anatomy.limits import AnatomicalLimits, Check
 from probmodel.skeleton import BONE_NAMES, JOINT_INDEX, JOINTS
 from reports import tables
+from reports.tables import posterior
 
 UPRIGHT = np.diag(
     [1.0, -1.0, -1.0]
@@ -383,3 +384,8 @@ def test_columns_of_one_name_are_refused() -> None:
 def test_rows_are_as_long_as_the_head() -> None:
     with pytest.raises(ValueError, match="zip"):
         tables.sheet_of(("", "ratio"), [("one", 1, 2)])
+
+
+def test_a_side_without_draws_has_a_scale_and_no_spread() -> None:
+    assert posterior._scale({"scale_px": 111.9, "scale_sd_px": None}) == "112"
+    assert posterior._scale({"scale_px": 111.9, "scale_sd_px": 3.4}) == "112 ± 3"

@@ -35,10 +35,11 @@ def clusters(points: np.ndarray, k: int, seed: int) -> Clusters:
     squares = np.einsum("nd,nd->n", moved, moved)
     centres = _first_centres(moved, squares, k, np.random.RandomState(seed))
     enough = TOLERANCE * float(np.mean(np.var(moved, axis=0)))
-    labels = _nearest(moved, centres)
+    columns = np.vstack([moved.T, np.ones(len(moved))])
+    labels = _nearest(columns, centres)
     for _ in range(MOST_ITERATIONS):
         before, centres = centres, _means(moved, labels, centres)
-        previous, labels = labels, _nearest(moved, centres)
+        previous, labels = labels, _nearest(columns, centres)
         if np.array_equal(labels, previous) or np.sum((centres - before) ** 2) <= enough:
             break
     return Clusters(centres + middle, labels)
@@ -68,10 +69,17 @@ def _distances(some: np.ndarray, points: np.ndarray, squares: np.ndarray) -> np.
     return np.maximum(own[:, None] - 2 * some @ points.T + squares, 0.0)
 
 
-def _nearest(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """`(n,)`: the nearest centre of each point; what is the same for all of them is left out."""
+def _nearest(columns: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """`(n,)`: the nearest centre of each point, given as a column with a one below; what is the
+    same for all centres is left out. The smallest is looked for centre by centre, since
+    `np.argmin` over so few rows takes longer than all else."""
     lengths = np.einsum("kd,kd->k", centres, centres)
-    return np.argmin(lengths - 2 * points @ centres.T, axis=1)
+    first, *others = np.column_stack([-2 * centres, lengths]) @ columns
+    labels = np.zeros(len(first), int)
+    for number, distance in enumerate(others, 1):
+        labels[distance < first] = number
+        np.minimum(first, distance, out=first)
+    return labels
 
 
 def _means(points: np.ndarray, labels: np.ndarray, centres: np.ndarray) -> np.ndarray:

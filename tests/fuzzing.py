@@ -35,6 +35,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import typer
 from typer.models import OptionInfo
 
 from inference.baselines.run import _checksum
@@ -237,6 +238,12 @@ def _lines(name: str) -> list[bytes]:
     return [line.encode() for line in [*lines, " ".join([lines[0], *options])]]
 
 
+@functools.cache
+def _application() -> Any:
+    """The command line, put together once: that takes longer than all else that a case does."""
+    return typer.main.get_command(cli.app)
+
+
 def _command(path: Path) -> None:
     """What the command line says is read, and every file that it names; its work is not done."""
     text = path.read_bytes().replace(b"\0", b"").decode("utf-8", "replace")
@@ -256,7 +263,7 @@ def _command(path: Path) -> None:
             contextlib.redirect_stdout(out),
             contextlib.redirect_stderr(err),
         ):
-            console.guarded(cli.app)
+            console.guarded(_application())
     except SystemExit as ended:
         code = ended.code
     finally:

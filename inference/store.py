@@ -34,13 +34,15 @@ from inference.machines import Machines
 from inference.results import save_tree
 from probmodel.arrays import ArrayFile
 from probmodel.documents import read_json
-from probmodel.failures import BadInput
+from probmodel.failures import BadInput, shown
 from probmodel.files import opened, replacing
 
 LOG = logging.getLogger("poseterior")
 SETTINGS, LOCK = "run.json", "run.lock"
 Groups = dict[str, xr.Dataset]
 _BLOCK = re.compile(r"block-(\d{6,})\.nc")
+_LONGEST_NAME = 60
+"""Characters of a setting's name that a message gives as it is."""
 _NOTED = ("run", "number", "size", "made_of", "sha256")
 
 
@@ -248,9 +250,10 @@ class Store:
         changed = [name for name in names if found.get(name) != self.settings.get(name)]
         if changed:
             name = changed[0]
+            what = name if name.isidentifier() and len(name) <= _LONGEST_NAME else shown(name)
             raise BadInput(
-                f"{where} holds another run (its {name} is {_short(found.get(name))}, not"
-                f" {_short(self.settings.get(name))}); choose another folder, or delete that one"
+                f"{where} holds another run (its {what} is {shown(found.get(name))}, not"
+                f" {shown(self.settings.get(name))}); choose another folder, or delete that one"
             )
 
 
@@ -377,11 +380,6 @@ def _write_settings(path: Path, settings: Mapping[str, Any], blocks: int | None)
 
 def _canonical(value: Mapping[str, Any]) -> str:
     return json.dumps(dict(value), sort_keys=True)
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 120 else f"{text[:119]}…"
 
 
 def _plain_texts(group: xr.Dataset) -> xr.Dataset:

@@ -46,6 +46,9 @@ _CHUNK = 1 << 20
 _DEFLATE, _SUMS = 1, 3
 _FILTERS = {_DEFLATE, 2, _SUMS, 32000}
 """The filters of HDF5 that are read: deflate, shuffle, Fletcher's sums, and h5py's own LZF."""
+_HEAPS = 16
+"""Heaps lie beside each other; words in the data that look like heaps may take so many times the
+file."""
 
 
 @dataclass(frozen=True)
@@ -310,11 +313,18 @@ def _header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype]:
 
 
 def _require_ends(file: BinaryIO) -> None:
-    """Raises `ValueError` where a node of a tree in an HDF5 file comes after itself: the library
-    goes from each node to the next, and would never come to an end."""
+    """Raises `ValueError` where the library would walk through an HDF5 file for ever."""
     file.seek(0)
     head = file.read(16)
-    width = head[13] if head[8] < 2 else head[9]  # bytes of an address
+    widths = head[13:15] if head[8] < 2 else head[9:11]
+    addresses, lengths = widths[0], widths[1]  # the bytes of each
+    _require_trees_end(file, addresses)
+    _require_heaps_end(file, lengths)
+
+
+def _require_trees_end(file: BinaryIO, width: int) -> None:
+    """Raises `ValueError` where a node of a tree comes after itself: the library goes from each
+    node to the next."""
     after: dict[int, int] = {}
     for place in _found(file, b"TREE"):
         file.seek(place + 8 + width)
@@ -329,6 +339,38 @@ def _require_ends(file: BinaryIO) -> None:
             chain[place] = None
             place = after[place]
         ends.update(chain)
+
+
+def _require_heaps_end(file: BinaryIO, width: int) -> None:
+    """Raises `ValueError` where an object in a heap of texts leads no step forward: the library
+    goes by the sizes of the objects. Number 0 is free space, and its size is that of the step."""
+    end = file.seek(0, 2)
+    left = _HEAPS * end
+    for place in _found(file, b"GCOL\1"):
+        file.seek(place + 8)
+        size = int.from_bytes(file.read(width), "little")
+        if place + size > end:  # no heap, but a word in the data
+            continue
+        left -= size
+        if left < 0:
+            raise ValueError("heaps that lie within each other")
+        file.seek(place)
+        _walk(file.read(size), width)
+
+
+def _walk(heap: bytes, width: int) -> None:
+    head = _aligned(8 + width)  # of the heap, and of each object
+    at = head
+    while at + head <= len(heap):
+        size = int.from_bytes(heap[at + 8 : at + 8 + width], "little")
+        step = head + _aligned(size) if any(heap[at : at + 2]) else size
+        if not 0 < step % 2 ** (8 * width) < 2 ** (8 * width - 1):
+            raise ValueError("a heap without an end")
+        at += step
+
+
+def _aligned(size: int) -> int:
+    return -(-size // 8) * 8
 
 
 def _found(file: BinaryIO, word: bytes) -> Iterator[int]:

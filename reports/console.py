@@ -30,16 +30,14 @@ LONGEST = 600
 """Most characters of a sentence; the middle of a longer one is left out."""
 _CUT_OFF = re.compile(r"Error reading persistent compilation cache entry for '([\w.<>-]+)'")
 """What JAX says of compiled code in its folder that cannot be read."""
-_UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
-"""What would steer a terminal, or turn the direction of writing."""
 
 
 def printable(text: str, keep: str = "") -> str:
-    """A text of which nothing reaches a terminal but what can be read: escape sequences are spelt
-    out."""
-    return _UNPRINTABLE.sub(
-        lambda found: found[0] if found[0] in keep else ascii(found[0])[1:-1], text
-    )
+    """A text of which nothing reaches a terminal but what can be read: escape sequences, what would
+    turn the direction of writing, and what stands for no character are spelt out."""
+    if text.isprintable():
+        return text
+    return "".join(one if one.isprintable() or one in keep else ascii(one)[1:-1] for one in text)
 
 
 class _Console(rich.console.Console):

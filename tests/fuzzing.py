@@ -544,6 +544,11 @@ def worker(seed: int, numbers: range, at: Any, said: Any) -> None:
         said.put((None, counts))
 
 
+def _sayable(text: str) -> str:
+    """A text as any stream takes it: half a surrogate pair is spelt out."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
 def _too_slow(*_: object) -> None:
     raise Slow
 
@@ -565,7 +570,7 @@ def campaign(seed: int, cases: int, seconds: float, out: Callable[[str], None]) 
                 total = {key: total[key] + words[key] for key in total}
                 continue
             failures += 1
-            out(f"case {seed} {found}, {names[found % len(names)]}:\n{words}")
+            out(f"case {seed} {found}, {names[found % len(names)]}:\n{_sayable(words)}")
             if process.exitcode is not None:
                 number = found + 1  # the rest of the block is still to be done
         process.join()

@@ -286,6 +286,43 @@ def test_a_tree_that_goes_round_is_refused(tmp_path: Path, steps: int) -> None:
         read_netcdf(path, None, "file", "give another")
 
 
+HEAPS = {
+    "no step": (0, 0),
+    "a step back": (1, 2**64 - 32),
+    "a step around": (1, 2**64 - 16),
+}
+
+
+@pytest.mark.parametrize("what", HEAPS)
+def test_a_heap_that_is_walked_for_ever_is_refused(tmp_path: Path, what: str) -> None:
+    path = tmp_path / "a.nc"
+    _file_with_texts(path)
+    data = bytearray(path.read_bytes())
+    (heap,) = (found.start() for found in re.finditer(b"GCOL", data))
+    data[heap + 16 : heap + 40] = struct.pack(
+        "<HHIQ", HEAPS[what][0], 0, 0, HEAPS[what][1]
+    ) + bytes(8)
+    path.write_bytes(data)
+    with pytest.raises(BadInput, match="is no file, or is truncated"):
+        read_netcdf(path, ["a"], "file", "give another")
+
+
+def test_words_that_look_like_heaps_are_read_in_bounded_time(tmp_path: Path) -> None:
+    path = tmp_path / "a.nc"
+    _file_with_texts(path)
+    np.testing.assert_array_equal(read_netcdf(path, ["a"], "file", "")["a"], np.arange(3.0))
+    with path.open("ab") as file:
+        file.write(struct.pack("<5s3xQHHIQ", b"GCOL\1", 160_000, 1, 0, 0, 0) * 10_000)
+    with pytest.raises(BadInput, match="is no file, or is truncated"):
+        read_netcdf(path, ["a"], "file", "give another")
+
+
+def _file_with_texts(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file.create_dataset("a", data=np.arange(3.0))
+        file["a"].attrs["texts"] = np.array(["one", "two"], object)
+
+
 @pytest.mark.slow
 def test_a_tree_of_many_nodes_is_read(tmp_path: Path) -> None:
     """Nodes that follow each other, and words in the data that look like nodes."""

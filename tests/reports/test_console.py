@@ -27,8 +27,8 @@ from tests.conftest import Cli
 from tests.reports.test_cli import failing
 
 ROOT = Path(__file__).parents[2]
-EVIL = "\x1b[31mred\x1b]0;title\x07 \x9b2J \u202eright to left \x00"
-HARMLESS = r"\x1b[31mred\x1b]0;title\x07 \x9b2J \u202eright to left \x00"
+EVIL = "\x1b[31mred\x1b]0;title\x07 \x9b2J \u202eright to left \x00 \ud800 \U000be400"
+HARMLESS = r"\x1b[31mred\x1b]0;title\x07 \x9b2J \u202eright to left \x00 \ud800 \U000be400"
 
 
 def test_what_steers_a_terminal_is_spelt_out(capsys: pytest.CaptureFixture[str]) -> None:

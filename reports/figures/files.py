@@ -1,5 +1,6 @@
 """Figures and images as files."""
 
+import logging
 import os
 import warnings
 from pathlib import Path
@@ -14,6 +15,9 @@ from probmodel.files import opened, replacing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# What Pillow finds in a damaged image stands in our own sentence; without a handler of the user's,
+# Python would print it beside that.
+logging.getLogger("PIL").addHandler(logging.NullHandler())
 LEVEL = 3
 """Of a PNG's compression: a fourteenth larger than by the usual 6, in a third of the time."""
 MAX_PIXELS = 60_000_000

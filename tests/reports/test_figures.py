@@ -2,6 +2,9 @@
 or not at all."""
 
 import os
+import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import jax
@@ -454,6 +457,20 @@ def test_images_that_cannot_be_read(tmp_path: Path) -> None:
     }.items():
         with pytest.raises(BadInput, match=match):
             figures.read_image(tmp_path / name)
+
+
+def test_the_library_says_nothing_beside_our_sentence(tmp_path: Path) -> None:
+    """In a process of its own: within pytest, logs have a handler."""
+    path = tmp_path / "many.tif"
+    Image.new("RGB", (8, 8)).save(path)
+    data = bytearray(path.read_bytes())
+    samples = data.index(struct.pack("<HHI", 277, 3, 1))  # the tag "samples per pixel"
+    data[samples + 8 : samples + 10] = struct.pack("<H", 25_905)
+    path.write_bytes(data)
+    code = f"from reports.figures import read_image; read_image({str(path)!r})"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "is no image that can be read" in run.stderr
+    assert "can be decoded" not in run.stderr
 
 
 @pytest.mark.parametrize("side", [7_800, 9_600, 20_000])

@@ -9,9 +9,8 @@ import numpy as np
 from inference.hypothesis import diverse
 from inference.store import SETTINGS
 from inference.stream import frame_and_person, open_stream
-from probmodel.arrays import read_netcdf
+from probmodel.arrays import possible, read_netcdf
 from probmodel.datasets import body_height
-from probmodel.detections import LARGEST_NUMBER
 from probmodel.documents import read_json
 from probmodel.failures import BadInput
 from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, PARENTS
@@ -171,6 +170,7 @@ def _draws(path: Path) -> np.ndarray:
     joints = joints.reshape(-1, NUM_JOINTS, 3).astype(float)
     if not len(joints):
         raise BadInput(f"{path} holds no draw; sample again, with more --max-proposals")
+    _require_places(joints, path)  # before any of them is chosen
     return joints
 
 
@@ -226,12 +226,16 @@ def _numbered(kind: str, number: int, first: int) -> list[str]:
     return [f"{kind} {first + one}" for one in range(number)]
 
 
+def _require_places(joints: np.ndarray, path: Path) -> None:
+    if not possible(joints):
+        raise BadInput(f"{path} has a joint that is not at a finite place; {_ADVICE}")
+
+
 def _require_bodies(found: _Poses, path: Path) -> None:
     """Raises `BadInput` where a pose is not one of a body: a joint nowhere, a bone of no length, or
     a torso without a plane. Frames of a film that are missing are left out."""
     kept = found.measured
-    if not (np.abs(kept) <= LARGEST_NUMBER).all():
-        raise BadInput(f"{path} has a joint that is not at a finite place; {_ADVICE}")
+    _require_places(kept, path)
     bones = np.linalg.norm(kept[:, 1:] - kept[:, list(PARENTS[1:])], axis=-1)
     up, side = _torso_axes(kept)
     area = np.linalg.norm(np.cross(up, side), axis=-1)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from inference import Item, Result, hypotheses, sample_frames
 from probmodel import Estimate, PoseModel
@@ -527,6 +528,7 @@ REFUSALS = [
     ("another JSON", "other.json --to bvh", r"not a hypotheses.json of poseterior \(KeyError\)"),
     ("no body", "flat.json --to bvh", "a pose with a bone of length zero, or a flat torso"),
     ("infinity", "far.json --to bvh", "has a joint that is not at a finite place"),
+    ("draws far away", "far.nc --to bvh", "has a joint that is not at a finite place"),
     ("folder as out", "@ --to bvh --out empty", "empty is a folder; --out needs the name of a f"),
 ]
 
@@ -550,6 +552,8 @@ def test_refusals(
     for file, joints in (("flat", FLAT), ("far", far)):
         entry = {"joints": joints, "weight": 1.0, "draw": 0}
         (tmp_path / f"{file}.json").write_text(json.dumps({"hypotheses": [entry]}))
+    places = (("chain", "draw", "joint", "axis"), np.full((1, 3, 15, 3), 1e300))
+    xr.Dataset({"joints": places}).to_netcdf(tmp_path / "far.nc", group="posterior")
     line = line.replace("@", str(folder)).replace("#", str(stream))
     before = sorted(tmp_path.iterdir())
     run = poseterior("export", *line.split())

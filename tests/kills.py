@@ -242,7 +242,7 @@ def _pieces(path: Path) -> Iterator[bytes]:
             yield from _group(file)
     elif path.suffix == ".npz":
         with np.load(path) as file:
-            for name in sorted({*file.files} - {"_clock", "_history"}):
+            for name in sorted({*file.files} - {"_clock", "_history", "_sha256"}):
                 yield name.encode() + file[name].tobytes()
     elif path.suffix == ".html":
         yield _TOOK.sub("", path.read_text(encoding="utf-8")).encode()

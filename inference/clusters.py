@@ -13,6 +13,9 @@ import numpy as np
 MOST_ITERATIONS = 300
 TOLERANCE = 1e-4
 """Centres that move less than this share of the points' mean variance have come to rest."""
+ROUNDING = 1e-7
+"""Of the largest distance from the middle: to so much differences of distances are known, being
+roots of differences of squares."""
 
 
 class Clusters(NamedTuple):
@@ -30,19 +33,56 @@ class Clusters(NamedTuple):
 
 def clusters(points: np.ndarray, k: int, seed: int) -> Clusters:
     """The clusters of points `(n, d)`; of fewer than `k` distinct points some are empty."""
-    middle = points.mean(axis=0)
-    moved = points - middle  # near the origin, squares of distances lose fewer digits
+    varying = (points != points[0]).any(axis=0)  # the others tell no point from another
+    some = points[:, varying]
+    middle = some.mean(axis=0)
+    moved = some - middle  # near the origin, squares of distances lose fewer digits
     squares = np.einsum("nd,nd->n", moved, moved)
-    centres = _first_centres(moved, squares, k, np.random.RandomState(seed))
-    enough = TOLERANCE * float(np.mean(np.var(moved, axis=0)))
-    columns = np.vstack([moved.T, np.ones(len(moved))])
-    labels = _nearest(columns, centres)
+    enough = TOLERANCE * float(np.mean(squares)) / points.shape[1]
+    first = _first_centres(moved, squares, k, np.random.RandomState(seed))
+    found, labels = _lloyd(moved, squares, first, enough)
+    centres = np.tile(points[0], (k, 1))
+    centres[:, varying] = found + middle
+    return Clusters(centres, labels)
+
+
+def _lloyd(
+    points: np.ndarray, squares: np.ndarray, centres: np.ndarray, enough: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Centres that have come to rest, and the nearest one of each point.
+
+    Most points keep their centre in most iterations, and need not be looked at: while two centres
+    have moved less, in all, than the one was farther away than the other, the order of the two
+    stays. Sums of clusters change by what moves from one to another."""
+    number = np.arange(len(centres))[:, None]
+    labels, gap = _nearest(points, squares, centres)
+    members = (labels == number).astype(float)
+    sums, sizes = members @ points, members.sum(axis=1)
+    way = np.zeros(len(centres))  # of each centre and of the one that moves most beside it
+    slack = ROUNDING * math.sqrt(squares.max())
+    until = gap - slack  # where on its centre's way a point is to be looked at again
     for _ in range(MOST_ITERATIONS):
-        before, centres = centres, _means(moved, labels, centres)
-        previous, labels = labels, _nearest(columns, centres)
-        if np.array_equal(labels, previous) or np.sum((centres - before) ** 2) <= enough:
+        before = centres
+        centres = np.where(sizes[:, None], sums / np.maximum(sizes, 1)[:, None], before)
+        steps = np.linalg.norm(centres - before, axis=1)
+        way += steps + _largest_of_others(steps)
+        due = np.flatnonzero(until <= way[labels])
+        own, previous = points[due], labels[due]
+        labels[due], gap = _nearest(own, squares[due], centres)
+        until[due] = way[labels[due]] + gap - slack
+        left = np.flatnonzero(labels[due] != previous)
+        if not len(left) or np.sum(steps**2) <= enough:
             break
-    return Clusters(centres + middle, labels)
+        joining, leaving = labels[due[left]] == number, previous[left] == number
+        moves = joining.astype(float) - leaving
+        sums, sizes = sums + moves @ own[left], sizes + moves.sum(axis=1)
+    return centres, labels
+
+
+def _largest_of_others(values: np.ndarray) -> np.ndarray:
+    """Of each of some values, the largest of the others; 0 where there is none."""
+    *_, second, first = 0.0, *np.sort(values)
+    return np.where(values == first, second, first)
 
 
 def _first_centres(
@@ -69,21 +109,16 @@ def _distances(some: np.ndarray, points: np.ndarray, squares: np.ndarray) -> np.
     return np.maximum(own[:, None] - 2 * some @ points.T + squares, 0.0)
 
 
-def _nearest(columns: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """`(n,)`: the nearest centre of each point, given as a column with a one below; what is the
-    same for all centres is left out. The smallest is looked for centre by centre, since
-    `np.argmin` over so few rows takes longer than all else."""
-    lengths = np.einsum("kd,kd->k", centres, centres)
-    first, *others = np.column_stack([-2 * centres, lengths]) @ columns
-    labels = np.zeros(len(first), int)
+def _nearest(
+    points: np.ndarray, squares: np.ndarray, centres: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """`(n,)` each: the nearest centre of each point, and by how much the next one is farther away.
+    Found centre by centre, since `np.argmin` over so few rows takes longer than all else."""
+    first, *others = np.einsum("kd,kd->k", centres, centres)[:, None] - 2 * centres @ points.T
+    labels, second = np.zeros(len(points), int), np.full(len(points), np.inf)
     for number, distance in enumerate(others, 1):
         labels[distance < first] = number
+        np.minimum(second, np.maximum(first, distance), out=second)
         np.minimum(first, distance, out=first)
-    return labels
-
-
-def _means(points: np.ndarray, labels: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """The means of clusters; a centre that nothing is nearest to stays where it is."""
-    member = labels == np.arange(len(centres))[:, None]
-    number = member.sum(axis=1)[:, None]
-    return np.where(number, member.astype(float) @ points / np.maximum(number, 1), centres)
+    near, next_one = (np.sqrt(np.maximum(part + squares, 0.0)) for part in (first, second))
+    return labels, next_one - near

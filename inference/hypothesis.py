@@ -10,9 +10,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from inference.clusters import clusters
+from inference.machines import calm_blas
 from inference.results import Result
 from probmodel.anatomy.limits import cell_of
 from probmodel.directions.cells import Cells
@@ -113,14 +113,14 @@ def diverse(joints: np.ndarray, k: int, *, seed: int = 0) -> list[Hypothesis]:
             f" {len(joints)}"
         )
     flat = np.asarray(joints, float).reshape(len(joints), -1)
-    # For so small a problem, many threads spend their time waiting for each other.
-    with threadpool_limits(1, user_api="blas"):
+    with calm_blas():
         fit = clusters(flat, k, seed)
     found = []
     for cluster, centre in enumerate(fit.centres):
         members = np.flatnonzero(fit.labels == cluster)
         if len(members):  # fewer distinct poses than k leave clusters empty
-            nearest = members[np.argmin(np.sum((flat[members] - centre) ** 2, axis=1))]
+            offset = flat[members] - centre
+            nearest = members[np.argmin(np.einsum("nd,nd->n", offset, offset))]
             found.append(Hypothesis(joints[nearest], len(members) / len(joints), int(nearest)))
     return sorted(found, key=lambda hypothesis: -hypothesis.weight)
 

@@ -9,7 +9,9 @@ another one.
         …
 """
 
+import functools
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -146,6 +148,35 @@ def in_threads[Result](function: Callable[..., Result], *rows: Iterable[Any]) ->
     machine with others."""
     with ThreadPoolExecutor(1 if _TASK else os.cpu_count()) as threads:
         return list(threads.map(function, *rows))
+
+
+_blas = threading.Lock()
+_limits: list[Any] = []
+"""One for each thread that is within `calm_blas`; the first holds what was found."""
+
+
+@contextmanager
+def calm_blas() -> Iterator[None]:
+    """Keeps BLAS to one thread, for problems so small that many would spend their time waiting for
+    each other. The number is the process's own: whoever comes first sets it and whoever goes last
+    sets it back, or a thread that comes second would find, and leave behind, the first one's."""
+    with _blas:
+        _limits.append(_limits[0] if _limits else _libraries().limit(limits=1))
+    try:
+        yield
+    finally:
+        with _blas:
+            limit = _limits.pop()
+            if not _limits:
+                limit.restore_original_limits()
+
+
+@functools.cache
+def _libraries() -> Any:
+    """The libraries of linear algebra that are loaded: to look for them takes milliseconds."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
 
 
 def _spread(client: Any, task: Any, first: Any, rest: Iterator[Any]) -> Iterator[tuple[Any, Any]]:

@@ -24,6 +24,19 @@ def test_another_seed_finds_other_clusters() -> None:
     assert not np.array_equal(clusters(POINTS, 9, 0).labels, clusters(POINTS, 9, 1).labels)
 
 
+def test_what_is_left_out_changes_nothing() -> None:
+    """Long runs, of which most points are looked at in few iterations, and coordinates that all
+    points share: against every point in every iteration."""
+    rng = np.random.default_rng(3)
+    points = np.hstack([rng.normal(size=(2000, 12)), np.full((2000, 4), 0.1)])
+    found = clusters(points, 6, 1)
+    centres = np.array([points[found.labels == label].mean(axis=0) for label in range(6)])
+    distances = np.linalg.norm(points[:, None] - found.centres, axis=2)
+    assert np.array_equal(found.labels, distances.argmin(axis=1))
+    assert np.abs(found.centres - centres).max() < 0.01  # at rest
+    assert (found.centres[:, 12:] == 0.1).all()
+
+
 def test_fewer_distinct_points_than_clusters_leave_some_empty() -> None:
     points = np.repeat(np.eye(3), 4, axis=0)
     found = clusters(points, 5, 0)

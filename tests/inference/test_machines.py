@@ -5,8 +5,9 @@ import socket
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from inference.machines import HERE, Machines, in_threads
+from inference.machines import HERE, Machines, calm_blas, in_threads
 from probmodel import BadInput
 
 
@@ -22,6 +23,24 @@ WORK = [(number, f"block {number}", 10 * number) for number in range(4)]
 def test_work_is_done_here_in_order_unless_asked():
     assert list(HERE.each(lambda payload: payload + 1, WORK)) == [(0, 1), (1, 11), (2, 21), (3, 31)]
     assert in_threads(pow, [2, 3], [3, 2]) == [8, 9]
+
+
+def blas_threads() -> list[int]:
+    return [one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"]
+
+
+def test_threads_of_blas_are_given_back_by_whoever_goes_last():
+    """Two threads within at once, the first of them out first: it must lift nothing for the other,
+    and the other must not leave behind what it found."""
+    with threadpool_limits(2, user_api="blas"):
+        found = blas_threads()
+        first, second = calm_blas(), calm_blas()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert set(blas_threads()) == {1} != set(found)
+        second.__exit__(None, None, None)
+        assert blas_threads() == found
 
 
 def listening(pid: int) -> set[tuple[str, int]]:

@@ -7,18 +7,15 @@ import functools
 import importlib.metadata
 import os
 import platform
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 from inference.exact.loops.numbers import words_of
 from inference.predictions import KeypointsRead, prediction_groups
-from probmodel.camera import WeakPerspective
 from probmodel.chunks import in_chunks
 from probmodel.detections import Detection
 from probmodel.files import replacing
@@ -246,7 +243,7 @@ def pose_columns(
                 "read_bias": _tiled(posterior.likelihood.bias * float(root.camera.scale), number),
                 "read_spread": spread,
                 "read_outlier": np.zeros((number, NUM_JOINTS), bool),
-                "lp": _each(density, part.poses, ()),
+                "lp": in_chunks(density, *part.poses) if number else np.empty(0),
             }
         )
     return _shuffled(columns, rng)
@@ -271,49 +268,42 @@ def joint_columns(
 
 def _seen(model: PoseModel, observation: Observation, poses: Pose) -> Columns:
     """Draws under one root, and where its camera sees them."""
-    camera = observation.root.camera
-    joints = _joints_of(model, observation, poses)
+    number = len(poses.length)
+    joints, keypoints = np.empty((0, NUM_JOINTS, 3)), np.empty((0, NUM_JOINTS, 2))
+    if number:
+        joints, keypoints = in_chunks(functools.partial(_place, model, observation), *poses)
     return {
         "joints": joints,
         "bone_length": poses.length,
-        "keypoints": _each(functools.partial(_image, camera), (joints,), (len(JOINTS), 2)),
-        "scale": np.full(len(joints), float(camera.scale)),
+        "keypoints": keypoints,
+        "scale": np.full(number, float(observation.root.camera.scale)),
     }
 
 
-def _joints_of(model: PoseModel, observation: Observation, poses: Pose) -> np.ndarray:
-    view = jnp.asarray(observation.view)
-    return _each(functools.partial(_joints, model, view), poses, (len(JOINTS), 3))
-
-
 @kept
-def _image(camera: WeakPerspective, joints: jax.Array) -> jax.Array:
-    """Where joints of a chunk of draws fall in the image: compiled, or every number of draws would
-    be compiled anew, operation by operation."""
-    return camera.image(joints)
-
-
-def _each(
-    function: Callable[..., np.ndarray], rows: tuple[np.ndarray, ...], shape: tuple[int, ...]
-) -> np.ndarray:
-    """A compiled function of draws whose `rows` are given; a row of this shape for each."""
-    return in_chunks(function, *rows) if len(rows[0]) else np.empty((0, *shape))
-
-
-@kept
-def _joints(
-    model: PoseModel, view: jax.Array, length: jax.Array, upper: jax.Array, lower: jax.Array
-) -> jax.Array:
-    """Joints of a chunk of draws in camera axes."""
-    return model.joints(view, length, upper, lower)
+def _place(
+    model: PoseModel,
+    observation: Observation,
+    length: jax.Array,
+    upper: jax.Array,
+    lower: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Joints of a chunk of draws in camera axes, and where they fall in the image."""
+    joints = model.joints(observation.view, length, upper, lower)
+    return joints, observation.root.camera.image(joints)
 
 
 def _shuffled(columns: list[Columns], rng: np.random.Generator | None) -> Columns:
-    joined = {key: np.concatenate([column[key] for column in columns]) for key in columns[0]}
+    joined = {key: _joined([column[key] for column in columns]) for key in columns[0]}
     if rng is None:
         return joined
     order = rng.permutation(len(joined["joints"]))
-    return {key: value[order] for key, value in joined.items()}
+    return {key: value.take(order, axis=0) for key, value in joined.items()}
+
+
+def _joined(parts: list[np.ndarray]) -> np.ndarray:
+    """The rows of all parts; of one part itself, which need not be copied."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def observed_data(detection: Detection) -> xr.Dataset:

@@ -138,8 +138,8 @@ def _register(name: str, kind: Any) -> None:
         screen = built(Screen, values)
         with console.progress("reading", screen.quiet):
             options.check(wanted)
-        if getattr(kind, "DRAWS", False):
-            _compile_ahead(screen)
+        if root := getattr(wanted, "drawn", None):
+            _compile_ahead(root, screen)
         import_module(f"reports.commands.{name.replace(' ', '.')}").run(wanted, screen)
 
     parameters = [*declared(kind), *declared(Screen)]
@@ -155,16 +155,17 @@ def _register(name: str, kind: Any) -> None:
     home.command(own, help=about, epilog=f"Examples:\n\n{examples}")(command)
 
 
-def _compile_ahead(screen: Screen) -> None:
-    """Begins to compile what has never been compiled on this machine, and says so."""
+def _compile_ahead(root: str, screen: Screen) -> None:
+    """Begins to compile what draws under this kind of root need and this machine has never
+    compiled, and says so."""
     from inference.exact import ahead
 
-    if ahead.missing() and not screen.quiet:
+    if ahead.missing(root) and not screen.quiet:
         console.warn(
             "compiling the sampling loops, once: this call takes some ten seconds longer than the"
             " next one"
         )
-    ahead.begin()
+    ahead.begin(root)
 
 
 def _typed(context: typer.Context, name: str) -> bool:

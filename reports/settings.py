@@ -26,6 +26,7 @@ from reports.options import (
     PersonOrResult,
     Prior,
     Rooting,
+    RootKind,
     Roots,
     Sampling,
     Seed,
@@ -50,7 +51,7 @@ class DemoSettings:
     """Run the embedded example, end to end: one pose, one wrist missing, the truth drawn beside the
     hypotheses."""
 
-    DRAWS: ClassVar = True  # so that loops are compiled where they never were
+    drawn: ClassVar = RootKind.fixed
     EXAMPLES: ClassVar[tuple[str, ...]] = ("demo", "demo --open", "demo --out my-demo --seed 1")
     out: Annotated[Path, Option(help="Folder for the results.")] = Path("demo")
     open: Open = False
@@ -62,7 +63,6 @@ class HypothesesSettings:
     """Exact posterior draws and diverse hypotheses for one detected person: a picture, a page that
     turns, a table, two files."""
 
-    DRAWS: ClassVar = True  # so that loops are compiled where they never were
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "hypotheses frame_keypoints.json --out result",
         "hypotheses people.json --person 3 --image photo.jpg --k 8",
@@ -82,12 +82,16 @@ class HypothesesSettings:
     rooting: Rooting = Rooting()
     prior: Prior = Prior()
 
+    @property
+    def drawn(self) -> RootKind:
+        """Under what kind of root it draws: its loops are compiled where they never were."""
+        return self.rooting.root
+
 
 @dataclass(frozen=True, kw_only=True)
 class SampleSettings:
     """Posterior draws of one detected person, as netCDF, and beside it a page that turns."""
 
-    DRAWS: ClassVar = True  # so that loops are compiled where they never were
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "sample frame.json --out posterior.nc --num-samples 100000",
         "sample frame.json --chains 4 --num-samples 4000 --out chains.nc",
@@ -114,13 +118,18 @@ class SampleSettings:
     rooting: Rooting = Rooting()
     prior: Prior = Prior()
 
+    @property
+    def drawn(self) -> RootKind | None:
+        """As of `HypothesesSettings`; None where the sampler has no such loops."""
+        strata = self.sampler in (None, SAMPLERS[0])
+        return self.rooting.root if strata or self.rooting.root == RootKind.uncertain else None
+
 
 @dataclass(frozen=True, kw_only=True)
 class FramesSettings:
     """Exact draws and hypotheses of everyone in many frames, written as they come; goes on where it
     was stopped."""
 
-    DRAWS: ClassVar = True  # so that loops are compiled where they never were
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "frames walk/ --out walk-posterior",
         "frames video.json --out result --num-samples 1000 --keep 100",
@@ -148,6 +157,11 @@ class FramesSettings:
     estimation: Estimation = Estimation()
     rooting: Rooting = MANY_ROOTED
     prior: Prior = Prior()
+
+    @property
+    def drawn(self) -> RootKind:
+        """As of `HypothesesSettings`."""
+        return self.rooting.root
 
     @functools.cached_property
     def people(self) -> int:

@@ -1,10 +1,11 @@
-"""The loops of attempts, and the programs of what comes after them, compiled by a second process,
-while this one imports, estimates and compiles the loops of strata. Numba compiles under one lock,
-so that threads do not help; both processes share its cache, and JAX's.
+"""What is compiled by a second process, while this one imports, estimates and compiles the rest: of
+a call that holds roots fixed the loops of attempts and the programs of what comes after them, of
+one whose root is uncertain the loops that weigh limbs. Numba compiles under one lock, so that
+threads do not help; both processes share its cache, and JAX's.
 
-    begin()     # at the start of a command that draws, before anything heavy is imported
-    wait()      # before the first attempt
-    finish()    # before a result is made of draws
+    begin("fixed")  # at the start of a command that draws, before anything heavy is imported
+    wait()          # before the first attempt
+    finish()        # before a result is made of draws
 
 Where anything of it fails, this process compiles the loops itself, as it always did."""
 
@@ -17,6 +18,8 @@ import threading
 
 from inference.exact.loops.places import FOLDER
 
+COMPILED = {"fixed": "attempts._attempt_limb", "uncertain": "weighed.combine_rows"}
+"""By the kind of root: a loop that is kept where all are."""
 PATIENCE = 120.0
 """Seconds that are waited for the other process at most."""
 READY = b"loops\n"
@@ -25,20 +28,20 @@ _other: subprocess.Popen | None = None
 _one_waits = threading.Lock()
 
 
-def missing() -> bool:
-    """Whether loops have yet to be compiled, so that a command takes longer than it will the next
-    time."""
-    return FOLDER is None or not any(FOLDER.rglob("attempts._attempt_limb-*.nbi"))
+def missing(root: str) -> bool:
+    """Whether loops for this kind of root have yet to be compiled, so that a command takes longer
+    than it will the next time."""
+    return FOLDER is None or not any(FOLDER.rglob(f"{COMPILED[root]}-*.nbi"))
 
 
-def begin() -> None:
-    """Starts the other process, where there is something to compile, somewhere to keep it, and a
-    core to do it."""
+def begin(root: str) -> None:
+    """Starts the other process for this kind of root, where there is something to compile,
+    somewhere to keep it, and a core to do it."""
     global _other
-    if _other is not None or FOLDER is None or not missing() or (os.cpu_count() or 1) < 2:
+    if _other is not None or FOLDER is None or not missing(root) or (os.cpu_count() or 1) < 2:
         return
     # -P: a folder `inference` where the user happens to be is not ours.
-    command = [sys.executable, "-P", "-m", "inference.exact.ahead"]
+    command = [sys.executable, "-P", "-m", "inference.exact.ahead", root]
     quiet = subprocess.DEVNULL
     try:
         _other = subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet)
@@ -116,8 +119,26 @@ def programs() -> None:
     build_tree(posterior, parts, {"seed": "0 0"}, np.random.default_rng(0))
 
 
-def main() -> None:
+def weigh() -> None:
+    """Has numba compile what weighs limbs, by weighing those of two roots that see nothing."""
+    import numpy as np
+
+    from inference.exact.groups import group_tables
+    from inference.uncertain.limbs import Views, attempt_limbs
+    from probmodel.likelihood import PAPER
+    from probmodel.model import PoseModel
+
+    axes, start, joints = np.tile(np.eye(3), (2, 5, 1, 1)), np.zeros((2, 6, 2)), np.ones((2, 15))
+    views = Views(axes, start, np.zeros((2, 15, 2)), np.inf * joints, joints)
+    tables, outlier = group_tables(PoseModel()), np.zeros((2, 15), bool)
+    attempt_limbs(tables, {}, [0], PAPER.law, views, outlier, 0)
+
+
+def main(root: str) -> None:
     """What the other process does."""
+    if root == "uncertain":
+        weigh()
+        return
     from inference.exact.loops import attempts
 
     for name, types in signatures().items():
@@ -128,4 +149,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1])

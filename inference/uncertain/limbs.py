@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from inference.exact import ahead
 from inference.exact.groups import GroupTables, group_tables, workers
 from inference.exact.loops.bins import length_bins
 from inference.exact.loops.numbers import seeded
@@ -88,7 +89,7 @@ def limb_draws(
             (Views(*(column[row] for column in views)), outlier[row], start + row.start)
             for row in rows
         ]
-        attempt = functools.partial(_attempt, tables, free, words, law)
+        attempt = functools.partial(attempt_limbs, tables, free, words, law)
         for found in workers().map(attempt, *zip(*tasks, strict=True)):
             yield from found
 
@@ -149,7 +150,7 @@ def sights_of(views: Views, outlier: np.ndarray) -> list[Sight]:
     return sights
 
 
-def _attempt(
+def attempt_limbs(
     tables: dict[str, GroupTables],
     free: dict[str, GroupDraws],
     words: list[int],
@@ -158,7 +159,9 @@ def _attempt(
     outlier: np.ndarray,
     first: int,
 ) -> list[dict[str, LimbDraws]]:
-    """All groups under some roots, of which the first has this number."""
+    """All groups under some roots, of which the first has this number; those that are `free` from
+    draws of the prior."""
+    ahead.wait()
     number, sights = len(outlier), sights_of(views, outlier)
     results: list[dict[str, LimbDraws]] = [{} for _ in range(number)]
     for index, name in enumerate(GROUPS):

@@ -39,14 +39,17 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     return commands
 
 
-def test_one_process_is_started_where_nothing_is_kept(
-    started: list[list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("root", ahead.COMPILED)
+def test_one_process_is_started_where_nothing_is_kept_for_this_root(
+    root: str, started: list[list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ahead, "FOLDER", tmp_path)
-    ahead.begin()
-    ahead.begin()
+    for other in set(ahead.COMPILED) - {root}:
+        (tmp_path / f"{ahead.COMPILED[other]}-94.py312.nbi").touch()
+    ahead.begin(root)
+    ahead.begin(root)
     ahead.wait()
-    assert [command[1:] for command in started] == [["-P", "-m", "inference.exact.ahead"]]
+    assert [command[1:] for command in started] == [["-P", "-m", "inference.exact.ahead", root]]
 
 
 @pytest.mark.parametrize("why", ["kept", "no folder", "one core"])
@@ -58,9 +61,18 @@ def test_no_process_is_started_in_vain(
         (tmp_path / "attempts._attempt_limb-94.py312.nbi").touch()
     if why == "one core":
         monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    ahead.begin()
+    ahead.begin("fixed")
     ahead.wait()
     assert started == []
+
+
+OTHER = [sys.executable, "-P", "-m", "inference.exact.ahead"]
+
+
+def where_nothing_is_kept(folder: Path) -> dict:
+    """How a process is run that keeps its loops in a folder of its own."""
+    own = {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(Path(attempts.__file__).parents[3])}
+    return {"env": {**os.environ, **own, "JAX_ENABLE_X64": "1"}}
 
 
 @pytest.mark.slow
@@ -72,10 +84,34 @@ for name, types in ahead.signatures().items():
     getattr(attempts, name).compile(types)
     print(sum(getattr(attempts, name).stats.cache_hits.values()))
 """
-    root = str(Path(attempts.__file__).parents[3])
-    options = {"env": {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": root}}
-    subprocess.run([sys.executable, "-P", "-m", "inference.exact.ahead"], check=True, **options)
+    options = where_nothing_is_kept(tmp_path)
+    subprocess.run([*OTHER, "fixed"], check=True, **options)
     found = subprocess.run(
         [sys.executable, "-c", code], check=True, capture_output=True, text=True, **options
     )
     assert found.stdout.split() == ["1"] * len(ahead.signatures())
+
+
+@pytest.mark.slow
+def test_what_weighs_limbs_is_found_too_and_nothing_else_is_compiled(tmp_path: Path) -> None:
+    code = """
+import jax
+import inference
+from inference.exact.loops import weighed
+from probmodel import PoseModel
+from tests.scenes import prior_scene
+model = PoseModel()
+scene = prior_scene(model, 1)
+inference.sample(
+    model, scene, key=jax.random.key(0), num_samples=50, root="uncertain", num_roots=40
+)
+for loop in (weighed.draw_trials, weighed.attempt_rows, weighed.combine_rows):
+    print(sum(loop.stats.cache_hits.values()), sum(loop.stats.cache_misses.values()))
+"""
+    options = where_nothing_is_kept(tmp_path)
+    subprocess.run([*OTHER, "uncertain"], check=True, **options)
+    assert not list(tmp_path.rglob("attempts.*"))  # nothing in vain
+    found = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, **options
+    )
+    assert found.stdout.split() == ["1", "0"] * 3

@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 from probmodel.example import example
+from reports.options import ROUTES, Person, Rooting, RootKind
 from reports.settings import HypothesesSettings, SampleSettings
 from tests.conftest import Cli
 from tests.reports.test_interactive import Parsed
@@ -156,3 +157,14 @@ def test_who_is_believed_upright_needs_an_uncertain_root(poseterior: Cli, folder
         assert float(tree.attrs["upright"]) == pytest.approx((180 / np.pi / 20) ** 2, rel=1e-5)
         tilt = np.degrees(np.arccos(-tree["posterior"].rotation.values[0, :, 1, 1]))
         assert np.median(tilt) < 30
+
+
+def test_what_is_compiled_ahead_is_what_the_call_draws_by() -> None:
+    person, uncertain = Person(file=Path("frame.json")), Rooting(root=RootKind.uncertain)
+    assert HypothesesSettings(person=person).drawn == "fixed"
+    assert HypothesesSettings(person=person, rooting=uncertain).drawn == "uncertain"
+    assert SampleSettings(person=person).drawn == "fixed"
+    assert (
+        SampleSettings(person=person, sampler="rejection", rooting=uncertain).drawn == "uncertain"
+    )
+    assert SampleSettings(person=person, sampler="emcee").drawn is None

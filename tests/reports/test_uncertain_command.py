@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from probmodel.example import example
-from reports.options import ROUTES, Person, Rooting, RootKind
+from reports.options import Person, Rooting, RootKind
 from reports.settings import HypothesesSettings, SampleSettings
 from tests.conftest import Cli
 from tests.reports.test_interactive import Parsed

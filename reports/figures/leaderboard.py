@@ -31,8 +31,7 @@ def paces(lines: Sequence[Line]) -> Figure:
 
 
 def times(lines: Sequence[Line]) -> Figure:
-    """How long each sampler takes to come within 0.1 sd on each target; no dot where it never
-    does."""
+    """How long each sampler takes to come within 0.1 sd on each target."""
     figure = _dots(lines, lambda one: one["to_distance"])
     figure.supxlabel("CPU seconds to 0.1 standard deviations", fontsize=TEXT)
     return figure
@@ -43,7 +42,8 @@ def _label(line: Line) -> str:
 
 
 def _dots(lines: Sequence[Line], value: Callable[[Line], float | None]) -> Figure:
-    """Small multiples: a row a sampler and start, best ones above."""
+    """Small multiples: a row a sampler and start, best ones above; a cross at the left where it ran
+    and has no value."""
     own = [one for one in lines if one["budget"] == SECONDS]
     shown = [name for name in targets() if any(one["target"] == name for one in own)]
     rows, columns = -(-len(shown) // COLUMNS), min(len(shown), COLUMNS)
@@ -76,12 +76,13 @@ def _panel(
     value: Callable[[Line], float | None],
 ) -> None:
     for one in lines:
-        place = value(one) if "earned" in one else None
+        row, place = labels.index(_label(one)), value(one) if "earned" in one else None
         if place is None:
+            axes.plot(0.04, row, "x", color=FAINT, ms=3.5, transform=axes.get_yaxis_transform())
             continue
         axes.plot(
             place,
-            labels.index(_label(one)),
+            row,
             "o",
             color=COLOURS.get(one["verdict"], FAINT),
             ms=4.5,

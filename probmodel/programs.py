@@ -98,12 +98,17 @@ def _write(path: Path, content: bytes) -> None:
 def _state(own: str) -> str:
     """All that a program depends on beside the kind of its arguments: the sources of the model and
     of the function, and what traces them, for what."""
-    digest = hashlib.sha256()
-    for source in sorted({*Path(__file__).parent.rglob("*.py"), Path(own)}):
-        digest.update(source.read_bytes())
+    digest = hashlib.sha256(_model() + Path(own).read_bytes())
     versions = [metadata.version(name) for name in _VERSIONS]
     settings = jax.config.jax_default_matmul_precision, jax.default_backend()
     return f"{digest.hexdigest()} {versions} {platform.python_version()} {settings}"
+
+
+@functools.cache
+def _model() -> bytes:
+    """The sources of the model in short: read once, since there are many of them."""
+    sources = sorted(Path(__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).digest()
 
 
 def _known(tree: Any) -> bool:

@@ -18,7 +18,7 @@ import threading
 
 from inference.exact.loops.places import FOLDER
 
-COMPILED = {"fixed": "attempts._attempt_limb", "uncertain": "weighed.combine_rows"}
+COMPILED = {"fixed": "attempts.attempt_limb", "uncertain": "weighed.combine_rows"}
 """By the kind of root: a loop that is kept where all are."""
 PATIENCE = 120.0
 """Seconds that are waited for the other process at most."""
@@ -96,9 +96,9 @@ def signatures() -> dict[str, tuple]:
     bodies = tables.Bodies(np.zeros((0, 2)), np.zeros((0, 1, 3)), np.zeros((0, 1, 3)))
     desk = tables.desk(1)
     given = {
-        "_attempt_lengths": (state, counts, 0, bins, bins, True, desk),
-        "_attempt_limb": (state, limb, 1, 0, desk),
-        "_hand_over": (state, 0, *tables.desk_pair(1), counts, bodies, 0),
+        "attempt_lengths": (state, counts, 0, bins, bins, True, desk),
+        "attempt_limb": (state, limb, 1, 0, desk),
+        "hand_over": (state, 0, *tables.desk_pair(1), counts, bodies, 0),
     }
     return {name: tuple(map(numba.typeof, values)) for name, values in given.items()}
 

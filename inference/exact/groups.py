@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 from inference.exact import ahead
-from inference.exact.loops.attempts import attempt_bodies
+from inference.exact.loops.attempts import attempt_lengths, attempt_limb, hand_over
 from inference.exact.loops.bins import length_bins
 from inference.exact.loops.numbers import seeded, words_of
 from inference.exact.loops.strata import Resolution, stratify
@@ -213,10 +213,17 @@ def attempt_group(
     `rng` shares the attempts out, `state` is that of the loops' random numbers; draws are written
     to `room`, if there is one."""
     ahead.wait()
-    counts = rng.multinomial(attempts, plan.share)
+    ends, desks = np.cumsum(rng.multinomial(attempts, plan.share)), _desks()
     cut = [CutLimb(limbs[row], tables.builds[row], plan.strata[row]) for row in order]
     room = room or blank_bodies(attempts, len(limbs))
-    return attempt_bodies(state, counts, plan.bins, cut, order, plan.sub, _desks(), room)
+    two, columns, passed, found = tables.builds[0].bones == 2, np.array(order), 0, 0
+    for start in range(0, attempts, AT_A_TIME):
+        left = attempt_lengths(state, ends, start, *plan.bins, two, desks[0])
+        for row, limb in enumerate(cut):
+            left = attempt_limb(state, limb, plan.sub, left, desks[row])
+            passed += left if row == 0 else 0
+        found = hand_over(state, left, *desks, columns, room, found)
+    return Bodies(*(part[:found] for part in room)), passed
 
 
 class StratifiedGroup:

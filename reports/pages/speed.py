@@ -22,7 +22,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
-from inference.exact.loops.attempts import _attempt_lengths, _attempt_limb, _hand_over
+from inference.exact.loops.attempts import attempt_lengths, attempt_limb, hand_over
 from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
 from inference.exact.loops.tables import CutLimb, blank_bodies, desk_pair
 from inference.exact.mixture import draw_mixture, root_samplers
@@ -199,10 +199,10 @@ def stages(model: PoseModel, frame: Estimate, name: str) -> StageCost:
 
     for _ in range(2):  # the first time memory is new
         times.clear()
-        stage(_attempt_lengths, state, np.cumsum(counts), 0, *plan.bins, True, desks[0])
-        first = stage(_attempt_limb, state, cut[0], plan.sub, number, desks[0])
-        both = stage(_attempt_limb, state, cut[1], plan.sub, first, desks[1])
-        stage(_hand_over, state, both, *desks, np.arange(2), room, 0)
+        stage(attempt_lengths, state, np.cumsum(counts), 0, *plan.bins, True, desks[0])
+        first = stage(attempt_limb, state, cut[0], plan.sub, number, desks[0])
+        both = stage(attempt_limb, state, cut[1], plan.sub, first, desks[1])
+        stage(hand_over, state, both, *desks, np.arange(2), room, 0)
     length, one, two, draw = times
     return StageCost(
         1e9 * set_up / plan.size,

@@ -58,7 +58,7 @@ def test_no_process_is_started_in_vain(
 ) -> None:
     monkeypatch.setattr(ahead, "FOLDER", None if why == "no folder" else tmp_path)
     if why == "kept":
-        (tmp_path / "attempts._attempt_limb-94.py312.nbi").touch()
+        (tmp_path / "attempts.attempt_limb-94.py312.nbi").touch()
     if why == "one core":
         monkeypatch.setattr(os, "cpu_count", lambda: 1)
     ahead.begin("fixed")

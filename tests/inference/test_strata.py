@@ -18,7 +18,7 @@ from scipy import stats
 import inference
 from inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
 from inference.exact.loops import numbers, places
-from inference.exact.loops.attempts import _attempt_limb as attempt_loop
+from inference.exact.loops.attempts import attempt_limb as attempt_loop
 from inference.exact.loops.bins import PER_BIN, alias_table, draw_lengths, length_bins
 from inference.exact.loops.bounds import _bends, bound_regions, part_moves
 from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
@@ -621,6 +621,18 @@ def test_draws_in_discs_are_the_draws_of_the_prior_that_fall_into_them():
     error = np.sqrt(some.rates[0].variance + simple.variance)
     assert abs(some.rates[0].log_probability - simple.log_probability) < 4 * error
     assert len(kept) > 200
+
+
+@pytest.mark.parametrize("order", [[0, 1], [1, 0]])
+def test_whichever_limb_goes_first_draws_have_the_order_of_their_group(order):
+    """By the program's projection, all of them explain the detections of their own sides."""
+    model = PoseModel()
+    frame = prior_scene(model, 2, factor=1.0)
+    sampler = stratified(model, frame, "arms", 1)
+    sampler._order = order
+    draws = sampler._named(sampler._batch(0, 4000)[0])
+    assert len(draws.length) > 200
+    assert np.asarray(build_groups(model, frame.observation)["arms"].explains(draws)).all()
 
 
 @pytest.mark.slow

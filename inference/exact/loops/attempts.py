@@ -9,8 +9,6 @@ that passes the indicator: no step is made again after a later one has failed.
 A limb's attempts are made in blocks, step by step: look-ups and random numbers here, what is
 computed of them in `blocks`; after each step the attempts that go on are packed together."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from inference.exact.loops.bins import draw_lengths
@@ -30,44 +28,8 @@ from inference.exact.loops.tables import (
 from probmodel.anatomy.limits import CELL
 
 
-def attempt_bodies(
-    state: np.ndarray,
-    counts: np.ndarray,
-    bins: tuple[LengthBins, LengthBins],
-    limbs: Sequence[CutLimb],
-    order: Sequence[int],
-    sub: int,
-    desks: tuple[Desk, Desk],
-    room: Bodies,
-) -> tuple[Bodies, int]:
-    """Attempts at a group of limbs.
-
-    Parameters
-    ----------
-    state : of the random numbers, written on
-    counts : `(bins,)` attempts in each bin of the lengths
-    order : the limb of the draws that each of `limbs` is
-    sub : sub-cells along a cell's side
-    desks : as `desk_pair` makes them
-    room : for all attempts, where the draws are written
-
-    Returns
-    -------
-    The draws in random order, and how many attempts passed the first of `limbs`.
-    """
-    ends, two = np.cumsum(counts), limbs[0].tables.bones == 2
-    columns, passed, found = np.array(order), 0, 0
-    for start in range(0, int(ends[-1]), desks[0].rows.size):
-        left = _attempt_lengths(state, ends, start, *bins, two, desks[0])
-        for row, limb in enumerate(limbs):
-            left = _attempt_limb(state, limb, sub, left, desks[row])
-            passed += left if row == 0 else 0
-        found = _hand_over(state, left, *desks, columns, room, found)
-    return Bodies(*(part[:found] for part in room)), passed
-
-
 @compiled
-def _attempt_lengths(
+def attempt_lengths(
     state: np.ndarray,
     ends: np.ndarray,
     start: int,
@@ -96,7 +58,7 @@ def _attempt_lengths(
 
 
 @compiled
-def _hand_over(
+def hand_over(
     state: np.ndarray,
     number: int,
     first: Desk,
@@ -137,7 +99,7 @@ def _put(desk: Desk, i: int, bodies: Bodies, limb: int, place: int, end: int) ->
 
 
 @compiled
-def _attempt_limb(state: np.ndarray, limb: CutLimb, sub: int, number: int, desk: Desk) -> int:
+def attempt_limb(state: np.ndarray, limb: CutLimb, sub: int, number: int, desk: Desk) -> int:
     """One attempt at a limb for each of the first `number` of the desk's `rows`, with the lengths
     and in the bins there. Writes the places in `rows` of those that pass to `kept`, in order, and
     their directions to `upper` and `lower`; returns how many."""

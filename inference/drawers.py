@@ -9,6 +9,7 @@ returns is the same for every kind, so that nobody who draws needs to know which
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -187,18 +188,19 @@ def drawer(
     return FixedRoot(model, sampler, num_samples, max_proposals)
 
 
-def sampler_under(root: str, sampler: str | None) -> str:
-    """The sampler's name, or that which is meant under such a root where none is named. Raises
-    `BadInput` on an unknown root, and on a sampler that holds the root fixed where it shall be
-    uncertain or the other way round."""
+def sampler_under(root: str, sampler: str | None, rooted: Sequence[str] = ROUTES) -> str:
+    """The sampler's name, or that which is meant under such a root where none is named; `rooted`
+    are those that draw torso and camera, too. Raises `BadInput` on an unknown root, and on a
+    sampler that holds the root fixed where it shall be uncertain or the other way round."""
     if root not in ROOTS:
         raise BadInput(f"there is no root {root!r}; choose one of {', '.join(ROOTS)}")
     if sampler is None:
         return ROUTES[0] if root == UNCERTAIN else SAMPLER
-    if root == UNCERTAIN and sampler not in ROUTES:
+    if root == UNCERTAIN and sampler not in rooted:
+        choice = f"{', '.join(rooted[:-1])} or {rooted[-1]}"
         raise BadInput(
-            f"the sampler {sampler} holds torso and camera fixed; choose {' or '.join(ROUTES)}, or"
-            f" the root {FIXED!r}"
+            f"the sampler {sampler} holds torso and camera fixed; choose {choice}, or the root"
+            f" {FIXED!r}"
         )
     if root == FIXED and sampler == ROUTES[0]:
         raise BadInput(

@@ -8,13 +8,13 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from inference.baselines.catalogue import BASELINES, sample_baseline
+from inference.baselines.catalogue import BASELINES, ROOTED, sample_baseline, sample_rooted
 from inference.drawers import sampler_under
 from inference.exact import ahead
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress, draw_mixture
 from inference.joined import joined
 from inference.results import FIXED, UNCERTAIN, Result, build_tree, key_words
-from inference.uncertain.routes import draw_uncertain
+from inference.uncertain.routes import ROUTES, draw_uncertain
 from inference.uncertain.tree import uncertain_tree
 from inference.uncertain.weighted import NUM_ROOTS
 from probmodel.failures import BadInput
@@ -23,7 +23,9 @@ from probmodel.posterior import Estimate
 
 SAMPLERS = (*PROPOSALS, *BASELINES)
 """Every sampler under a fixed root by its name: exact rejection first, then the baselines. Under an
-uncertain one there are `ROUTES`."""
+uncertain one there are `ROOTED_SAMPLERS`."""
+ROOTED_SAMPLERS = (*ROUTES, *ROOTED)
+"""Every sampler of torso, camera and pose together: weighted roots, rejection, then baselines."""
 
 
 def sample(
@@ -52,8 +54,9 @@ def sample(
     sampler
         One of `SAMPLERS`, "rejection" if none is named: exact rejection draws independently from
         the posterior itself; a baseline draws chains under one candidate, started in exact draws.
-        Under an uncertain root one of `ROUTES`: "weighted-roots" if none is named, or "rejection",
-        some draws a second, which are independent.
+        Under an uncertain root one of `ROOTED_SAMPLERS`: "weighted-roots" if none is named;
+        "rejection", some draws a second, which are independent; or a baseline, started in draws
+        from weighted roots.
     num_samples
         How many draws, of all chains together; each chain gets as many as the others.
     max_proposals
@@ -68,7 +71,7 @@ def sample(
         of the sides.
     num_roots
         From how many roots draws are made where the root is uncertain; by rejection: those of the
-        pilot run that finds its bound.
+        pilot run that finds its bound; by a baseline: those that it is started in.
     progress
         Called now and then with the draws (or roots) made and wanted.
 
@@ -84,7 +87,7 @@ def sample(
         of samples or chains that cannot be, and where the torso's seen joints do not determine a
         camera.
     """
-    sampler = sampler_under(root, sampler)
+    sampler = sampler_under(root, sampler, ROOTED_SAMPLERS)
     if root == UNCERTAIN:
         if chains != 1:
             raise BadInput(
@@ -196,9 +199,19 @@ def _sample_uncertain(
     max_proposals: int,
     progress: Progress | None,
 ) -> Result:
-    """`sample` where the root is uncertain, by one of `ROUTES`."""
+    """`sample` where the root is uncertain."""
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
+    if sampler in ROOTED:
+        return sample_rooted(
+            frame.uncertain(model),
+            key=key,
+            sampler=sampler,
+            num_samples=num_samples,
+            num_roots=num_roots,
+            max_proposals=max_proposals,
+            progress=progress,
+        )
     started = time.perf_counter()
     route = draw_uncertain(
         frame.uncertain(model),

@@ -33,7 +33,9 @@ SAMPLERS = (
 """Those of `inference.SAMPLERS`, as a test makes sure: `--help` names them without importing
 JAX."""
 ROUTES = ("weighted-roots", "rejection")
-"""The samplers with an uncertain root, `inference.uncertain.routes.ROUTES`."""
+"""The routes to an uncertain root, `inference.uncertain.routes.ROUTES`."""
+ROOTED = (*ROUTES, "emcee", "emcee-de", "aies", "ess", "random-walk", "sa")
+"""The samplers with an uncertain root, `inference.sampler.ROOTED_SAMPLERS`."""
 PROGRAMS = "POSETERIOR_PROGRAMS"
 """The variable of `probmodel.programs`, which imports JAX."""
 LARGEST_SIDE = 10**6

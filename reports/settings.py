@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from typer import Argument, Option
 
 from reports.options import (
+    ROOTED,
     ROUTES,
     SAMPLERS,
     Detected,
@@ -97,6 +98,7 @@ class SampleSettings:
         "sample frame.json --chains 4 --num-samples 4000 --out chains.nc",
         "sample frame.json --sampler emcee --candidates 1 --num-samples 1000",
         "sample frame.json --root uncertain --sampler rejection --num-samples 20",
+        "sample frame.json --root uncertain --sampler emcee --num-samples 1000",
     )
     person: Person
     out: Annotated[
@@ -106,7 +108,7 @@ class SampleSettings:
     sampler: Annotated[
         str | None,
         Option(
-            help=f"One of {', '.join(SAMPLERS)}; with --root uncertain {' or '.join(ROUTES)}.",
+            help=f"One of {', '.join(SAMPLERS)}; with --root uncertain {', '.join(ROOTED)}.",
             show_default=f"the first; with --root uncertain {ROUTES[0]}",
         ),
     ] = None
@@ -322,7 +324,7 @@ class CompareSettings:
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "compare frame.json --samplers rejection,emcee,random-walk --out comparison",
         "compare frame.json --samplers smc,nss --seconds 120",
-        "compare frame.json --root uncertain --exact-draws 500",
+        "compare frame.json --root uncertain --samplers weighted-roots,emcee --exact-draws 500",
     )
     person: Person
     samplers: Annotated[
@@ -336,7 +338,7 @@ class CompareSettings:
         Path("comparison")
     )
     seconds: Annotated[
-        float, Option(help="Seconds for each baseline, from each of its two starts.")
+        float, Option(help="Seconds for each baseline, from each of its starts.")
     ] = 30.0
     max_evaluations: Annotated[
         int | None,

@@ -15,7 +15,7 @@ import numpy as np
 
 from inference.baselines.chains import Kernel, Trace, Walk, settled
 from inference.baselines.run import Baseline, Method
-from inference.baselines.target import Target
+from inference.baselines.target import Density
 
 RUNS = 4
 WALKERS = 64
@@ -32,7 +32,7 @@ class EmceeKernel:
     walkers = WALKERS
     warm_up = 0
 
-    def __init__(self, target: Target, moves: Any) -> None:
+    def __init__(self, target: Density, moves: Any) -> None:
         import emcee
 
         self._state = emcee.State
@@ -148,7 +148,7 @@ class NumPyroKernel:
         return after, points, jnp.sum(counts)
 
 
-def _potential(target: Target) -> Any:
+def _potential(target: Density) -> Any:
     return lambda point: -target.log_density(point)
 
 
@@ -156,7 +156,7 @@ class SliceKernel(NumPyroKernel):
     """NumPyro's ensemble slice sampler: μ is tuned in the warm-up and then fixed, for it would go
     on tuning itself."""
 
-    def __init__(self, target: Target) -> None:
+    def __init__(self, target: Density) -> None:
         from numpyro.infer import ESS
 
         # Without randomize_split walkers would change places, and look as if they mixed.
@@ -191,7 +191,7 @@ def _slice_evaluations(before: Any, after: Any) -> jax.Array:
     return 2 * WALKERS + jnp.where(reset, WALKERS, spent)
 
 
-def _affine(target: Target) -> Kernel:
+def _affine(target: Density) -> Kernel:
     from numpyro.infer import AIES
 
     # Half and half, as in the example of its documentation.
@@ -201,11 +201,11 @@ def _affine(target: Target) -> Kernel:
     return NumPyroKernel(kernel, WALKERS, 0, lambda before, after: jnp.asarray(WALKERS))
 
 
-def _emcee(target: Target, moves: Any) -> Kernel:
+def _emcee(target: Density, moves: Any) -> Kernel:
     return EmceeKernel(target, moves())
 
 
-def _ensembles(target: Target, key: jax.Array, starts: np.ndarray, kernel: Any) -> Method:
+def _ensembles(target: Density, key: jax.Array, starts: np.ndarray, kernel: Any) -> Method:
     return Walk(kernel(target), key, starts, runs=RUNS, ensemble=True, steps=STEPS)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from inference.baselines.chains import Trace, Walk
 from inference.baselines.ensemble import NumPyroKernel
 from inference.baselines.run import Baseline, Method
-from inference.baselines.target import Target
+from inference.baselines.target import Density
 from probmodel.transport import CUBE_DIM
 
 WALKERS = 128
@@ -68,7 +68,7 @@ class MetropolisKernel:
     walkers = WALKERS
     warm_up = 8 * STEPS
 
-    def __init__(self, target: Target) -> None:
+    def __init__(self, target: Density) -> None:
         self._target = target
 
     def start(self, key: jax.Array, points: np.ndarray) -> Any:
@@ -92,7 +92,7 @@ class MetropolisKernel:
 
 @functools.partial(jax.jit, static_argnums=4)
 def _stride(
-    target: Target, walkers: Stride, root: jax.Array, gain: jax.Array, steps: int
+    target: Density, walkers: Stride, root: jax.Array, gain: jax.Array, steps: int
 ) -> tuple[Stride, jax.Array]:
     one = jax.vmap(functools.partial(metropolis, target.log_density), in_axes=(0, None, None))
 
@@ -113,11 +113,12 @@ class AdaptiveKernel(NumPyroKernel):
     Cholesky factor is no such update in two dimensions or more: here the covariance is diagonal.
     """
 
-    def __init__(self, target: Target) -> None:
+    def __init__(self, target: Density) -> None:
         from numpyro.infer import SA
 
         self._potential = lambda point: jnp.minimum(-target.log_density(point), WALL)
-        self._cloud = 2 * target.dim  # its documentation's default
+        # Its documentation's default, as far as there are points.
+        self._cloud = 2 * min(target.dim, CUBE_DIM)
         kernel = SA(potential_fn=self._potential, adapt_state_size=self._cloud, dense_mass=False)
         super().__init__(
             kernel,
@@ -136,11 +137,11 @@ class AdaptiveKernel(NumPyroKernel):
         return state._replace(z=clouds[:, 0], potential_energy=potential[:, 0], adapt_state=adapted)
 
 
-def _metropolis(target: Target, key: jax.Array, starts: np.ndarray) -> Method:
+def _metropolis(target: Density, key: jax.Array, starts: np.ndarray) -> Method:
     return Walk(MetropolisKernel(target), key, starts, runs=1, ensemble=False, steps=STEPS)
 
 
-def _adaptive(target: Target, key: jax.Array, starts: np.ndarray) -> Method:
+def _adaptive(target: Density, key: jax.Array, starts: np.ndarray) -> Method:
     return Walk(AdaptiveKernel(target), key, starts, runs=1, ensemble=False, steps=ADAPTIVE_STEPS)
 
 

@@ -1,22 +1,22 @@
 """What every baseline sampler shares: how it is asked, how long it may run, how it is saved, and
 what it hands over.
 
-A baseline draws from a `Target`, not knowing that exact draws exist; `inference.studies.comparison`
-says how well it does. `run` is the one loop: it lets a `Method` go on until it has enough or the
-budget ends, shows progress, and saves, so that an interrupted run goes on to the same bits.
-`chains.Walk` makes a method of any kernel of Markov chains."""
+A baseline draws from a `Density`, not knowing that exact draws exist;
+`inference.studies.comparison` says how well it does. `run` is the one loop: it lets a `Method` go
+on until it has enough or the budget ends, shows progress, and saves, so that an interrupted run
+goes on to the same bits. `chains.Walk` makes a method of any kernel of Markov chains."""
 
 import hashlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import numpy as np
 
-from inference.baselines.target import Target
+from inference.baselines.target import Density
 from inference.results import COMPLETE, OUT_OF_BUDGET, Cost
 from probmodel.arrays import read_tables
 from probmodel.chunks import in_chunks
@@ -82,11 +82,12 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class Baseline:
-    """One row of the table of baselines: `build(target, key, starts)` gives the method; `starts` is
+    """One row of the table of baselines: `build(target, key, starts)` gives the method, where the
+    target is a `Density` or, of those that ask for more, a `Target`; `starts` is
     how many starting points inside the support it needs (0: it begins with the prior); `note` how
     it is set up, and by whose advice; `extra` the packages beyond the core."""
 
-    build: Callable[[Target, jax.Array, np.ndarray], Method]
+    build: Callable[[Any, jax.Array, np.ndarray], Method]
     starts: int
     note: str
     extra: tuple[str, ...] = ()
@@ -117,11 +118,12 @@ class Checkpoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Run:
-    """What a baseline returns: `poses` with leaves `(chain, draw, …)`, evidence or NaN, info, cost,
-    history, status and sentence as in `inference.results.Result`. `cost.wall_time` is without
-    compilation, which `info` has."""
+    """What a baseline returns: `points` `(chain, draw, d)` of the target and the `poses` there,
+    with leaves `(chain, draw, …)`, evidence or NaN, info, cost, history, status and sentence as in
+    `inference.results.Result`. `cost.wall_time` is without compilation, which `info` has."""
 
     sampler: str
+    points: np.ndarray
     poses: Pose
     log_evidence: float
     log_evidence_se: float
@@ -140,7 +142,7 @@ class Run:
 def run(
     baseline: Baseline,
     name: str,
-    target: Target,
+    target: Density,
     *,
     key: jax.Array,
     starts: np.ndarray | None = None,
@@ -200,7 +202,7 @@ def first_step(method: Method, clock: Clock) -> float:
 
 def _result(
     name: str,
-    target: Target,
+    target: Density,
     method: Method,
     drawn: Drawn,
     key: jax.Array,
@@ -232,6 +234,7 @@ def _result(
     info = {**drawn.info, "compiling": compiling}
     return Run(
         name,
+        drawn.points,
         poses,
         drawn.log_evidence,
         drawn.log_evidence_se,
@@ -243,7 +246,7 @@ def _result(
     )
 
 
-def _poses(target: Target, key: jax.Array, points: np.ndarray) -> Pose:
+def _poses(target: Density, key: jax.Array, points: np.ndarray) -> Pose:
     chains, draws = points.shape[:2]
     if not chains * draws:
         length, upper, lower = (
@@ -254,7 +257,7 @@ def _poses(target: Target, key: jax.Array, points: np.ndarray) -> Pose:
 
 
 def _places(
-    baseline: Baseline, name: str, target: Target, key: jax.Array, starts: np.ndarray | None
+    baseline: Baseline, name: str, target: Density, key: jax.Array, starts: np.ndarray | None
 ) -> np.ndarray:
     """`(baseline.starts, d)`: rows of `starts` inside the support, without repetition while there
     are enough."""
@@ -286,7 +289,7 @@ def check_packages(name: str, baseline: Baseline) -> None:
         )
 
 
-def _fingerprint(name: str, target: Target, key: jax.Array, places: np.ndarray) -> str:
+def _fingerprint(name: str, target: Density, key: jax.Array, places: np.ndarray) -> str:
     digest = hashlib.sha256(name.encode())
     for leaf in [*jax.tree.leaves(target), jax.random.key_data(key), places]:
         digest.update(np.ascontiguousarray(leaf).tobytes())

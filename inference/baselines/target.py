@@ -1,5 +1,6 @@
 """The posterior of one candidate as a target for samplers that do not know what a pose is: a
-density on R^d or a cube.
+density on R^d or a cube. `rooted.RootedTarget` is that of torso, camera and pose together; what
+samplers of R^d ask of either is `Density`.
 
 Only coordinates that some seen joint depends on are `active`; the others follow the prior whatever
 the rest does, are drawn from it exactly (`poses`), and no sampler has to walk along them. Every
@@ -15,11 +16,12 @@ direction in its unit square, uniform. Three charts:
 
 import dataclasses
 import functools
-from typing import Self
+from typing import Protocol, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import xarray as xr
 from jax.typing import ArrayLike
 
 from probmodel.chunks import in_chunks
@@ -45,25 +47,119 @@ COORDINATES = (
 """Names of the 23 coordinates, in the order of `probmodel.transport`."""
 
 
+class Density(Protocol):
+    """What samplers of R^d, and `run`, ask of a target."""
+
+    @property
+    def dim(self) -> int:
+        """How many coordinates there are."""
+
+    def log_density(self, points: ArrayLike) -> jax.Array:
+        """`(...)`: log posterior density at points `(..., d)` of R^d, per unit of R^d, but for a
+        constant."""
+
+    def misfit(self, points: ArrayLike) -> jax.Array:
+        """`(...)`: the largest distance of a seen joint from its detection, in reaches."""
+
+    def poses(self, key: jax.Array, points: ArrayLike) -> Pose:
+        """Poses at points of R^d; what no seen joint depends on is drawn from the prior."""
+
+    def points_in(self, draws: xr.Dataset) -> np.ndarray:
+        """Points `(n, d)` of R^d of the draws of a result with one chain."""
+
+
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Target:
-    """The posterior of the limbs, given one candidate: prior × likelihood over its peak; under
-    discs, the indicator that every seen joint is inside its own. The usual way in is `of`.
+class LimbChart:
+    """R^k → poses: the logits of the fractions that a seen joint depends on.
 
     Attributes
     ----------
     model
         The prior of poses.
-    observation
-        The detection under the candidate.
     active
-        Which coordinates of the unit cube a seen joint depends on.
+        Which coordinates of the unit cube these are.
     """
 
     model: PoseModel
-    observation: Observation
     active: tuple[int, ...] = dataclasses.field(metadata={"static": True})
+
+    @property
+    def dim(self) -> int:
+        """How many coordinates are active."""
+        return len(self.active)
+
+    def log_base(self, points: jax.Array) -> jax.Array:
+        """`(...)`: normalised log density of the prior at points of R^d: logits of Beta
+        variables."""
+        return log_density_of_logits(*self._shape, points)
+
+    def pose(self, points: jax.Array) -> Pose:
+        """Poses at points of R^d, with what is not active in the middle of its range."""
+        return from_fractions(self.model, self._complete(jax.nn.sigmoid(points)))
+
+    def points_of(self, poses: Pose) -> np.ndarray:
+        """Points `(n, d)` of R^d of poses inside the prior's support."""
+        return np.asarray(_points(self, Pose(*(jnp.asarray(part) for part in poses))))
+
+    def poses(self, key: jax.Array, points: ArrayLike) -> Pose:
+        """Poses at points of R^d; what no seen joint depends on is drawn from the prior.
+
+        Parameters
+        ----------
+        key
+            Of those draws.
+        points : `(..., d)`
+            Points of R^d.
+
+        Returns
+        -------
+        Pose
+            Leaves start with `...`.
+        """
+        points = np.asarray(points)
+        # NumPy's Beta variables: those of JAX take longer to compile than all the rest.
+        rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+        alpha, beta = (np.asarray(part) for part in self._whole_shape)
+        rest = rng.beta(alpha, beta, (*points.shape[:-1], CUBE_DIM)).reshape(-1, CUBE_DIM)
+        flat = in_chunks(functools.partial(_poses, self), points.reshape(-1, self.dim), rest)
+        return jax.tree.map(lambda leaf: leaf.reshape(*points.shape[:-1], *leaf.shape[1:]), flat)
+
+    @property
+    def _whole_shape(self) -> tuple[jax.Array, jax.Array]:
+        lengths, ones = self.model.lengths, jnp.ones(CUBE_DIM - NUM_LENGTHS)
+        alpha, beta = (
+            jnp.concatenate([jnp.asarray(part), ones]) for part in (lengths.alpha, lengths.beta)
+        )
+        return alpha, beta
+
+    @property
+    def _shape(self) -> tuple[jax.Array, jax.Array]:
+        """Beta parameters `(d,)`, `(d,)` of the active fractions."""
+        alpha, beta = self._whole_shape
+        return alpha[jnp.array(self.active)], beta[jnp.array(self.active)]
+
+    def _complete(self, fractions: jax.Array) -> jax.Array:
+        """All 23 fractions; what is not active lies in the middle, where it makes no difference."""
+        whole = jnp.full((*fractions.shape[:-1], CUBE_DIM), 0.5)
+        return whole.at[..., jnp.array(self.active)].set(fractions)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Target(LimbChart):
+    """The posterior of the limbs, given one candidate: prior × likelihood over its peak; under
+    discs, the indicator that every seen joint is inside its own. The usual way in is `of`.
+
+    Attributes
+    ----------
+    model, active
+        As in `LimbChart`.
+    observation
+        The detection under the candidate.
+    """
+
+    observation: Observation
 
     @classmethod
     def of(cls, posterior: Posterior) -> Self:
@@ -92,17 +188,12 @@ class Target:
                 " --candidates 1)"
             )
         observation = posterior.observations[0]
-        active = _active(np.asarray(observation.seen))
+        active = active_coordinates(np.asarray(observation.seen))
         if not active:
             raise BadInput(
                 f"{where} has no seen limb joint: its posterior is the prior; use rejection"
             )
-        return cls(posterior.model, observation, active)
-
-    @property
-    def dim(self) -> int:
-        """How many coordinates are active."""
-        return len(self.active)
+        return cls(posterior.model, active, observation)
 
     @jax.jit
     def log_density(self, points: ArrayLike) -> jax.Array:
@@ -119,7 +210,7 @@ class Target:
     def joints(self, points: ArrayLike) -> jax.Array:
         """`(..., 15, 3)`: joints at points of R^d, camera axes, body units; what no seen joint
         depends on lies anywhere."""
-        return self._joints(self._pose(jnp.asarray(points)))
+        return self._joints(self.pose(jnp.asarray(points)))
 
     @jax.jit
     def log_smooth(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
@@ -169,11 +260,6 @@ class Target:
         poses = from_cube(self.model, self._complete(jnp.clip(cube, 0, 1)))
         return jnp.where(inside, self.observation.misfit(self._joints(poses)), jnp.inf)
 
-    def log_base(self, points: jax.Array) -> jax.Array:
-        """`(...)`: normalised log density of the prior at points of R^d: logits of Beta
-        variables."""
-        return log_density_of_logits(*self._shape, points)
-
     def prior_points(self, key: jax.Array, number: int) -> jax.Array:
         """Points of R^d from the prior.
 
@@ -192,32 +278,10 @@ class Target:
         fraction = jax.random.beta(key, *self._shape, (number, self.dim))
         return _logit(fraction)
 
-    def points_of(self, poses: Pose) -> np.ndarray:
-        """Points `(n, d)` of R^d of poses inside the prior's support."""
-        return np.asarray(_points(self, Pose(*(jnp.asarray(part) for part in poses))))
-
-    def poses(self, key: jax.Array, points: ArrayLike) -> Pose:
-        """Poses at points of R^d; what no seen joint depends on is drawn from the prior.
-
-        Parameters
-        ----------
-        key
-            Of those draws.
-        points : `(..., d)`
-            Points of R^d.
-
-        Returns
-        -------
-        Pose
-            Leaves start with `...`.
-        """
-        points = np.asarray(points)
-        # NumPy's Beta variables: those of JAX take longer to compile than all the rest.
-        rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-        alpha, beta = (np.asarray(part) for part in self._whole_shape)
-        rest = rng.beta(alpha, beta, (*points.shape[:-1], CUBE_DIM)).reshape(-1, CUBE_DIM)
-        flat = in_chunks(functools.partial(_poses, self), points.reshape(-1, self.dim), rest)
-        return jax.tree.map(lambda leaf: leaf.reshape(*points.shape[:-1], *leaf.shape[1:]), flat)
+    def points_in(self, draws: xr.Dataset) -> np.ndarray:
+        """As of a `Density`."""
+        joints, length = draws.joints.values[0], draws.bone_length.values[0]
+        return self.points_of(self.model.pose_of(joints, length))
 
     @jax.jit
     def poses_in_cube(self, key: jax.Array, cube: ArrayLike) -> Pose:
@@ -226,33 +290,11 @@ class Target:
         rest = jax.random.uniform(key, (*cube.shape[:-1], CUBE_DIM))
         return from_cube(self.model, rest.at[..., jnp.array(self.active)].set(cube))
 
-    @property
-    def _whole_shape(self) -> tuple[jax.Array, jax.Array]:
-        lengths, ones = self.model.lengths, jnp.ones(CUBE_DIM - NUM_LENGTHS)
-        alpha, beta = (
-            jnp.concatenate([jnp.asarray(part), ones]) for part in (lengths.alpha, lengths.beta)
-        )
-        return alpha, beta
-
-    @property
-    def _shape(self) -> tuple[jax.Array, jax.Array]:
-        """Beta parameters `(d,)`, `(d,)` of the active fractions."""
-        alpha, beta = self._whole_shape
-        return alpha[jnp.array(self.active)], beta[jnp.array(self.active)]
-
-    def _complete(self, fractions: jax.Array) -> jax.Array:
-        """All 23 fractions; what is not active lies in the middle, where it makes no difference."""
-        whole = jnp.full((*fractions.shape[:-1], CUBE_DIM), 0.5)
-        return whole.at[..., jnp.array(self.active)].set(fractions)
-
-    def _pose(self, points: jax.Array) -> Pose:
-        return from_fractions(self.model, self._complete(jax.nn.sigmoid(points)))
-
     def _joints(self, poses: Pose) -> jax.Array:
         return self.model.joints(self.observation.view, *poses)
 
 
-def _active(seen: np.ndarray) -> tuple[int, ...]:
+def active_coordinates(seen: np.ndarray) -> tuple[int, ...]:
     """Coordinates that the seen joints `(15,)` depend on."""
     found: set[int] = set()
     for limb in (limb for limbs in GROUPS.values() for limb in limbs):
@@ -271,11 +313,11 @@ def _logit(fraction: jax.Array) -> jax.Array:
 
 
 @jax.jit
-def _points(target: Target, poses: Pose) -> jax.Array:
+def _points(target: LimbChart, poses: Pose) -> jax.Array:
     return _logit(to_fractions(target.model, poses)[..., jnp.array(target.active)])
 
 
 @jax.jit
-def _poses(target: Target, points: jax.Array, rest: jax.Array) -> Pose:
+def _poses(target: LimbChart, points: jax.Array, rest: jax.Array) -> Pose:
     whole = rest.at[..., jnp.array(target.active)].set(jax.nn.sigmoid(points))
     return from_fractions(target.model, whole)

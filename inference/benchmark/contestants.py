@@ -204,7 +204,7 @@ def _baseline(
         return None
     before = CLOCK() - begun if start == PRIOR else 0.0
     starts = starts[np.arange(baseline.starts) % len(starts)] if len(starts) else starts
-    method = baseline.build(in_jax(target), jax.random.fold_in(key, 1), starts)  # type: ignore[arg-type]
+    method = baseline.build(in_jax(target), jax.random.fold_in(key, 1), starts)
     first_step(method, CLOCK)
     seconds, finished = before, False
     while not finished and allowance.allows(method.evaluations + spent, seconds):

@@ -5,6 +5,7 @@ estimator's candidates whose camera is turned like its own, and `candidate` name
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -25,6 +26,8 @@ BASE_MEASURE = (
     "counting (torso) x Haar's on SO(3) (1 in all) x log scale x image area (px2, translation) x"
     " length (5, body units) x surface of the unit sphere (9 directions) x image area (px2)"
 )
+
+EVIDENCE = ("log_evidence", "log_evidence_se")
 
 
 def uncertain_tree(
@@ -47,9 +50,8 @@ def uncertain_tree(
         "log_evidence_se": roots.log_evidence_se,
         "converged": int(all(one.converged for one in posterior.candidates)),
     }
-    tree = assemble(
-        posterior, columns, _constant_data(roots), BASE_MEASURE, about | dict(attributes)
-    )
+    constant = side_data(posterior, roots.points, roots.share, functools.partial(_evidence, roots))
+    tree = assemble(posterior, columns, constant, BASE_MEASURE, about | dict(attributes))
     tree["roots"] = xr.DataTree(_weighed(roots))
     return tree
 
@@ -150,11 +152,37 @@ def _weighed(roots: WeightedRoots) -> xr.Dataset:
     )
 
 
-def _constant_data(roots: WeightedRoots) -> xr.Dataset:
-    """What the posterior says of each side: its share and evidence, and the mean of its cameras."""
-    posterior, points = roots.posterior, roots.points
+def side_data(
+    posterior: UncertainPosterior,
+    points: RootPoint,
+    share: np.ndarray,
+    evidence: Callable[[np.ndarray], tuple[float, float]],
+) -> xr.Dataset:
+    """What the posterior says of each side: its share and evidence, and the mean of its cameras.
+
+    Parameters
+    ----------
+    posterior
+        Whose roots these are.
+    points
+        Roots `(n, ...)`.
+    share : `(n,)`
+        Of the posterior, that each of them stands for.
+    evidence
+        Log evidence of the roots in some rows alone, with its standard error; NaN where there is
+        none.
+
+    Returns
+    -------
+    Dataset
+        By candidate.
+    """
     side, number = sides(posterior, points), max(1, len(posterior.candidates))
-    means = [_mean_camera(roots, np.flatnonzero(side == index), index) for index in range(number)]
+    means: list[dict[str, Any]] = []
+    for index in range(number):
+        rows = np.flatnonzero(side == index)
+        found = _mean_camera(posterior, points.take(rows), share[rows], index)
+        means.append(found | dict(zip(EVIDENCE, evidence(rows), strict=True)))
     columns = {name: np.array([mean[name] for mean in means]) for name in means[0]}
     spread = np.where(np.isfinite(posterior.detected.spread), posterior.detected.spread, np.nan)
     one = ("candidate",)
@@ -168,38 +196,43 @@ def _constant_data(roots: WeightedRoots) -> xr.Dataset:
     )
 
 
-def _mean_camera(roots: WeightedRoots, rows: np.ndarray, index: int) -> dict[str, Any]:
-    """Of the roots in `rows`, a side's: share, evidence, mean camera and its spread, and the
-    torso that has most of it. The estimator's candidate where they have no weight."""
-    share, points = roots.share[rows], roots.points.take(rows)
-    weight, total = share.sum(), len(roots.log_weight)
+def _evidence(roots: WeightedRoots, rows: np.ndarray) -> tuple[float, float]:
+    """Log evidence of the roots in some rows alone, and its standard error."""
+    total = len(roots.log_weight)
+    own = np.isin(np.arange(total), rows)
+    whole = np.where(own, roots.share, 0.0)
+    weight = whole.sum()
+    if not weight:
+        return log_mean(np.where(own, roots.log_weight, -np.inf)), np.inf
+    whole = whole / weight
+    relative = total * np.sum(whole**2) - 1
+    error = np.sqrt(max(relative, 0.0) / total + roots.proposed.relative_variance(whole))
+    return log_mean(np.where(own, roots.log_weight, -np.inf)), float(error)
+
+
+def _mean_camera(
+    posterior: UncertainPosterior, points: RootPoint, share: np.ndarray, index: int
+) -> dict[str, Any]:
+    """Of a side's roots: their share, mean camera and its spread, and the torso that has most of
+    it. The estimator's candidate where they have no weight."""
+    weight = share.sum()
     found: dict[str, Any] = {
         "weight": float(weight),
-        "log_evidence": log_mean(
-            np.where(np.isin(np.arange(total), rows), roots.log_weight, -np.inf)
-        ),
-        "log_evidence_se": np.inf,
         "reprojection_error": np.nan,
         "scale_sd": np.nan,
         "turn_sd": np.nan,
         "num_torsos": 0,
     }
     if not weight:
-        return found | _of_candidate(roots.posterior, index)
+        return found | _of_candidate(posterior, index)
     share = share / weight
-    whole = np.zeros(total)
-    whole[rows] = share
-    relative = total * np.sum((roots.share[rows] / weight) ** 2) - 1
     scale = np.exp(points.log_scale)
     mean = float(share @ scale)
-    rotation = _nearest_rotation(np.einsum("n,nij->ij", share, points.rotation))
+    rotation = nearest_rotation(np.einsum("n,nij->ij", share, points.rotation))
     cosine = (np.einsum("nij,ij->n", points.rotation, rotation) - 1) / 2
     turn = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     by_torso = np.bincount(points.torso, weights=share)
     return found | {
-        "log_evidence_se": float(
-            np.sqrt(max(relative, 0.0) / total + roots.proposed.relative_variance(whole))
-        ),
         "scale": mean,
         "scale_sd": float(np.sqrt(share @ (scale - mean) ** 2)),
         "rotation": rotation,
@@ -224,7 +257,7 @@ def _of_candidate(posterior: UncertainPosterior, index: int) -> dict[str, Any]:
     }
 
 
-def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     """The rotation nearest to a mean of rotations, least squares."""
     u, _, vt = np.linalg.svd(matrix)
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

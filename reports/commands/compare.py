@@ -21,6 +21,7 @@ FEWEST = 100
 def run(settings: CompareSettings, screen: Screen) -> None:
     """Writes comparison.nc and comparison.png. What samplers have done is kept in `runs`: the next
     call takes it up. Raises `BadInput`, or `OutOfBudget` where there are no exact draws."""
+    from inference.baselines.catalogue import BASELINES
     from inference.studies.comparison import contest, routes
     from reports.figures import save_figure
     from reports.figures.comparison import comparison_figure
@@ -41,6 +42,7 @@ def run(settings: CompareSettings, screen: Screen) -> None:
     with console.progress("torso and camera", screen.quiet):
         model = settings.rooting.model(settings.prior)
         frame = settings.estimation.estimate(settings.person.detection, model)
+    kept = ", runs" if {*samplers} & {*BASELINES} else ""
     found = _contest(settings)(
         model,
         frame,
@@ -59,11 +61,11 @@ def run(settings: CompareSettings, screen: Screen) -> None:
         console.OUT.print(sheet if console.OUT.width >= WIDE else sheet.only(NARROW))
         for entry in found.entries:
             console.say(f"{entry.label}: {entry.sentence}")
-        console.say(f"Written to {out}: comparison.nc, comparison.png{', runs' if fixed else ''}")
+        console.say(f"Written to {out}: comparison.nc, comparison.png{kept}")
 
 
 def _contest(settings: CompareSettings) -> Callable[..., "Comparison"]:
-    """Baselines under one candidate, or the routes to draws with an uncertain root."""
+    """Samplers under one candidate, or of torso and camera, too."""
     from inference.studies.comparison import contest, routes
 
     if settings.rooting.root == FIXED:
@@ -75,6 +77,8 @@ def _contest(settings: CompareSettings) -> Callable[..., "Comparison"]:
         )
     return functools.partial(
         routes.compare_routes,
+        seconds=settings.seconds,
+        max_evaluations=settings.max_evaluations,
         num_roots=settings.rooting.roots,
         exact_draws=settings.exact_draws or routes.REFERENCE,
     )

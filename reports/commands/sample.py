@@ -3,12 +3,12 @@
 from inference.drawers import sampler_under
 from inference.hypothesis import hypotheses
 from inference.results import COMPLETE, FIXED
-from inference.sampler import sample
+from inference.sampler import ROOTED_SAMPLERS, sample
 from probmodel.failures import BadInput, OutOfBudget
 from reports import console, doubts, tables
 from reports.interactive.page import write_page
 from reports.interactive.person import person_page
-from reports.options import Screen
+from reports.options import ROUTES, Screen
 from reports.settings import SampleSettings
 
 NUM_HYPOTHESES = 5
@@ -17,8 +17,9 @@ NUM_HYPOTHESES = 5
 
 def _task(settings: SampleSettings) -> str:
     root = settings.rooting.root
-    sampler = sampler_under(root, settings.sampler)
-    return f"draws by {sampler}" if root == FIXED else "roots and their limbs"
+    sampler = sampler_under(root, settings.sampler, ROOTED_SAMPLERS)
+    weighed = root != FIXED and sampler in ROUTES
+    return "roots and their limbs" if weighed else f"draws by {sampler}"
 
 
 def run(settings: SampleSettings, screen: Screen) -> None:

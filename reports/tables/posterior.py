@@ -227,8 +227,9 @@ def sides_table(tree: xr.DataTree) -> Sheet:
         Column("share", "weight", percent),
     ]
     effective, weighed = tree.attrs["effective_roots"], tree.attrs["num_roots"]
+    done = "weighed" if "roots" in tree.children else "drawn"
     caption = (
-        f"Torso and camera are uncertain: {effective:,.0f} effective of {weighed:,} roots weighed,"
+        f"Torso and camera are uncertain: {effective:,.0f} effective of {weighed:,} roots {done},"
         " each counted to the side it faces. px: a body unit, in pixels; ± and turn: standard"
         " deviations."
     )
@@ -340,6 +341,7 @@ def summary_lines(result: "Result") -> list[str]:
     ]
     if uncertain:
         roots = f"{row['effective_roots']:,.0f} effective roots of {row['num_roots']:,.0f}"
+        roots += f", R-hat {row['rhat']:.3f}" if row.get("rhat") else ""
         lines[1] = f"{row['num_proposals']:,} proposals, {roots}"
     if moved := row["moved"]:
         lines.append(f"{' and '.join(moved)} moved from the midpoints that the detector gives")
@@ -352,7 +354,7 @@ def _effective(given: dict) -> dict[str, Any]:
     """What there is to say of an uncertain root: how many roots, and how many they are worth."""
     if given.get("root") != UNCERTAIN:
         return {}
-    names = ("num_roots", "effective_roots")
+    names = [name for name in ("num_roots", "effective_roots", "rhat") if name in given]
     return {"root": UNCERTAIN, **{name: number(given[name]) for name in names}}
 
 

@@ -166,7 +166,11 @@ def test_what_makes_no_sense_is_refused(settings: dict[str, int], words: str) ->
 @pytest.mark.parametrize(
     ("root", "sampler", "words"),
     [
-        ("uncertain", "emcee", "holds torso and camera fixed; choose weighted-roots or rejection"),
+        (
+            "uncertain",
+            "smc",
+            "holds torso and camera fixed; choose weighted-roots, rejection, emcee",
+        ),
         ("fixed", "weighted-roots", "weighted-roots needs torso and camera uncertain"),
     ],
 )

@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 
 from inference import ESTIMATORS, SAMPLERS
+from inference.sampler import ROOTED_SAMPLERS
 from inference.uncertain.routes import ROUTES
 from probmodel import Anatomy, read_detections
 from reports import cli, options
@@ -144,6 +145,7 @@ def test_one_option_means_one_thing() -> None:
 def test_help_names_what_is_accepted() -> None:
     assert tuple(SAMPLERS) == options.SAMPLERS
     assert ROUTES == options.ROUTES
+    assert ROOTED_SAMPLERS == options.ROOTED
     assert all(
         name in cli.COMMANDS["sample"].__annotations__["sampler"].__metadata__[0].help
         for name in SAMPLERS

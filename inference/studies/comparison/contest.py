@@ -6,6 +6,7 @@ found.tree["summary"].to_dataframe()
 
 import contextlib
 import dataclasses
+import functools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -20,7 +21,7 @@ import xarray as xr
 
 from inference.baselines.catalogue import BASELINES, STARTS, baseline_tree, starting_points
 from inference.baselines.run import Allowance, Clock, Run, check_packages, run
-from inference.baselines.target import Target
+from inference.baselines.target import Density, Target
 from inference.exact.mixture import draw_mixture
 from inference.results import COMPLETE, Result, save_tree
 from inference.sampler import SAMPLERS, sample
@@ -145,7 +146,7 @@ def compare(
         for name, start in [(one, start) for one in samplers for start in starts_of(one)]:
             # Its own key, whoever else is asked, so that runs can be taken up.
             own = jax.random.fold_in(key, 1 + SAMPLERS.index(name))
-            place = _place(out, name, start)
+            place = place_of(out, name, start)
             with stage(f"{name} {start}".strip()):
                 entry = _enter(model, known, name, start, own, allowance, num_samples, place)
             entries = [*found.entries, entry]
@@ -178,7 +179,7 @@ def _enter(
     return enter_baseline(model, known, name, start, key=key, **settings)[0]
 
 
-def _place(out: Path | None, name: str, start: str) -> Path | None:
+def place_of(out: Path | None, name: str, start: str) -> Path | None:
     """Where a baseline's run is kept; its folder is made."""
     if out is None:
         return None
@@ -255,26 +256,47 @@ def enter_baseline(
 ) -> tuple[Entry, xr.DataTree | None]:
     """A line of a baseline, and its draws, or none where its budget brought none."""
     posterior = known.frame.posterior(model)
-    target = Target.of(posterior)
-    starts = starting_points(target, known.tree, start) if start else None
+    return enter_chains(
+        Target.of(posterior),
+        functools.partial(baseline_tree, posterior),
+        known,
+        name,
+        start,
+        key=key,
+        allowance=allowance,
+        num_samples=num_samples,
+        progress=progress,
+        save_to=save_to,
+        clock=clock,
+    )
+
+
+def enter_chains(
+    target: Density,
+    tree_of: Callable[[Run, jax.Array], xr.DataTree],
+    known: Truth,
+    name: str,
+    start: str,
+    *,
+    key: jax.Array,
+    **settings: Any,
+) -> tuple[Entry, xr.DataTree | None]:
+    """As `enter_baseline`, which says what `settings` are, on any target; `tree_of(run, key)` makes
+    its draws a tree."""
     done = run(
         BASELINES[name],
         name,
         target,
         key=key,
-        starts=starts,
-        num_samples=num_samples,
+        starts=starting_points(target, known.tree, start) if start else None,
         most=MOST,
-        allowance=allowance,
-        progress=progress,
-        save_to=save_to,
-        clock=clock,
+        **settings,
     )
     evidence = done.log_evidence, done.log_evidence_se
     if not done.num_draws:
         cost = done.cost.num_proposals, done.cost.wall_time
         return Entry(name, start, None, done.sentence, 0, *cost, None, None, *evidence), None
-    tree = baseline_tree(posterior, done, key)
+    tree = tree_of(done, key)
     found = read_sample(tree, f"the draws of {name}")
     return (
         entry_of(name, start, found, known, "", _work_of(done, BASELINES[name].starts), evidence),

@@ -1,4 +1,4 @@
-"""The routes to draws of torso, camera and pose together, judged by rejection.
+"""Samplers of torso, camera and pose together, judged by rejection.
 
 found = compare_routes(model, frame)
 found.tree["summary"].to_dataframe()
@@ -11,21 +11,27 @@ from pathlib import Path
 
 import jax
 
+from inference.baselines.catalogue import BASELINES, DISPERSED, ROOTED, rooted_tree
+from inference.baselines.rooted import RootedTarget
+from inference.baselines.run import Allowance, check_packages
 from inference.drawers import sampler_under
 from inference.results import UNCERTAIN, Result, save_tree
-from inference.sampler import sample
+from inference.sampler import ROOTED_SAMPLERS, sample
 from inference.store import locked
 from inference.studies.comparison.contest import (
+    ENDLESS,
     Comparison,
     Stage,
     Truth,
     Work,
+    enter_chains,
     entry_of,
+    place_of,
     truth_of,
 )
 from inference.studies.comparison.record import Entry, comparison_tree
 from inference.studies.comparison.sample import read_sample
-from inference.uncertain.routes import REJECTION, ROUTES, WEIGHTED
+from inference.uncertain.routes import REJECTION, WEIGHTED
 from inference.uncertain.weighted import APART, NUM_ROOTS
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
@@ -41,6 +47,8 @@ def compare_routes(
     samplers: Sequence[str] = (WEIGHTED,),
     *,
     seed: int = 0,
+    seconds: float | None = 30.0,
+    max_evaluations: int | None = None,
     num_samples: int = 10_000,
     num_roots: int = NUM_ROOTS,
     exact_draws: int = REFERENCE,
@@ -55,9 +63,11 @@ def compare_routes(
     model, frame
         As in `compare`.
     samplers
-        Names of `ROUTES`.
-    seed, num_samples
-        As in `compare`; of weighted roots as many draws are judged as are independent.
+        Names of `ROOTED_SAMPLERS`.
+    seed, seconds, max_evaluations, num_samples
+        As in `compare`, but that baselines have one start, dispersed over the exact draws: of few
+        draws with seven coordinates more, too few stand in one flip. Of weighted roots as many
+        draws are judged as are independent.
     num_roots
         From how many roots weighted ones draw; of the pilot run of rejection.
     exact_draws
@@ -73,11 +83,14 @@ def compare_routes(
     Raises
     ------
     BadInput
-        On a sampler that holds the root fixed, and as `sample` does.
+        On a sampler that holds the root fixed, whose package is missing, and as `sample` does.
     OutOfBudget
         Where the exact draws are not complete.
     """
     check_routes(samplers)
+    posterior, allowance = frame.uncertain(model), Allowance(max_evaluations, seconds)
+    # Before any work is done.
+    target = RootedTarget.of(posterior) if {*samplers} & {*ROOTED} else None
     key = jax.random.key(seed)
     draw = functools.partial(sample, model, frame, root=UNCERTAIN, num_roots=num_roots)
     with locked(out) if out else contextlib.nullcontext():
@@ -96,13 +109,27 @@ def compare_routes(
         }
         entries: list[Entry] = []
         for name in samplers:
-            own = jax.random.fold_in(key, 1 + ROUTES.index(name))
+            own = jax.random.fold_in(key, 1 + ROOTED_SAMPLERS.index(name))
             with stage(name):
-                result = draw(key=own, sampler=name, num_samples=num_samples)
-            entries.append(_enter_route(known, name, result))
-        found = Comparison(entries, comparison_tree(entries, known.sample, attributes))
-        if out:
-            save_tree(found.tree, out / "comparison.nc")
+                if target and name in ROOTED:
+                    entry, _ = enter_chains(
+                        target,
+                        functools.partial(rooted_tree, posterior, target),
+                        known,
+                        name,
+                        DISPERSED,
+                        key=own,
+                        allowance=allowance,
+                        num_samples=ENDLESS,
+                        save_to=place_of(out, name, DISPERSED),
+                    )
+                else:
+                    result = draw(key=own, sampler=name, num_samples=num_samples)
+                    entry = _enter_route(known, name, result)
+            entries.append(entry)
+            found = Comparison(entries, comparison_tree(entries, known.sample, attributes))
+            if out:
+                save_tree(found.tree, out / "comparison.nc")
     return found
 
 
@@ -121,8 +148,11 @@ def _enter_route(known: Truth, name: str, result: Result) -> Entry:
 
 
 def check_routes(names: Sequence[str]) -> None:
-    """Raises `BadInput` where there is no name, or one that holds the root fixed."""
+    """Raises `BadInput` where there is no name, or one that holds the root fixed, or whose package
+    is missing."""
     for name in names:
-        sampler_under(UNCERTAIN, name)
+        sampler_under(UNCERTAIN, name, ROOTED_SAMPLERS)
+        if name in ROOTED:
+            check_packages(name, BASELINES[name])
     if not names:
-        raise BadInput(f"there is no sampler; choose from {', '.join(ROUTES)}")
+        raise BadInput(f"there is no sampler; choose from {', '.join(ROOTED_SAMPLERS)}")

@@ -1,0 +1,214 @@
+"""The posterior of torso, camera and pose together as a target for samplers of R^d (docs/model.md
+§ 9, "Baselines").
+
+After the limbs' coordinates, which are those of `target.LimbChart`, come seven of the root, so that
+every point of R^d is a root and a pose:
+
+- the torso: the logit of a fraction, the unit interval being cut into equal parts, one for each;
+- the rotation: a vector of R³, whose Cayley map turns the middle of the candidates' rotations; it
+  leaves out half turns from there, which have no mass;
+- log scale;
+- the place: how far the pelvis falls from a fixed point of the image, in body units, so that it
+  depends on the scale by little.
+
+The priors of the last two are flat and have no mass: there is no cube, and no draw of the prior, to
+begin with.
+"""
+
+import dataclasses
+from typing import Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax.typing import ArrayLike
+
+from inference.baselines.target import LimbChart, active_coordinates
+from inference.uncertain.tree import nearest_rotation
+from probmodel.failures import BadInput
+from probmodel.faults import Faults
+from probmodel.observation import Observation
+from probmodel.pose import Pose
+from probmodel.roots import RootPoint, RootPrior
+from probmodel.rotations import RotationTransform
+from probmodel.uncertain import DetectedJoints, UncertainPosterior
+
+ROOT_COORDINATES = ("torso", *(f"turn {axis}" for axis in "xyz"), "log scale", "place u", "place v")
+"""Names of the seven that follow the limbs'."""
+FACING = np.diag([1.0, -1.0, -1.0])
+"""The rotation of somebody upright who faces the camera."""
+_CAYLEY = RotationTransform()
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class RootedTarget:
+    """The posterior of root and pose on R^d. The usual way in is `of`.
+
+    Attributes
+    ----------
+    limbs
+        The coordinates of the pose, with the model.
+    detected
+        What was detected.
+    order : `(J,)`
+        The torsos by their first principal component: those that stand next to each other are
+        alike, so that a small step is a small change.
+    turn : `(3, 3)`
+        The rotation at the middle of the chart.
+    centre : `(2,)`
+        The point of the image from which places are measured, pixels.
+    """
+
+    limbs: LimbChart
+    detected: DetectedJoints
+    order: jax.Array
+    turn: jax.Array
+    centre: jax.Array
+
+    @classmethod
+    def of(cls, posterior: UncertainPosterior) -> Self:
+        """The target of a posterior with an uncertain root.
+
+        Parameters
+        ----------
+        posterior
+            Of a detector without faults. Its candidates decide where the middle of the chart is,
+            and nothing else.
+
+        Returns
+        -------
+        RootedTarget
+            Its coordinates are those that a seen joint depends on.
+
+        Raises
+        ------
+        BadInput
+            Where the detector may have faults, or no limb joint is seen.
+        """
+        where, detected = posterior.detection.where, posterior.detected
+        if posterior.faults.any:
+            raise BadInput(
+                "outliers and exchanged sides are discrete, and this sampler walks in R^d; leave"
+                " them out, or choose weighted-roots or rejection"
+            )
+        counts = np.asarray(detected.counts)
+        active = active_coordinates(counts)
+        if not active:
+            raise BadInput(
+                f"{where} has no seen limb joint: its poses are those of the prior; use"
+                " weighted-roots"
+            )
+        cameras = [np.asarray(one.camera.rotation) for one in posterior.candidates] or [FACING]
+        return cls(
+            LimbChart(posterior.model, active),
+            detected,
+            jnp.asarray(_alike(np.asarray(posterior.model.torsos))),
+            jnp.asarray(nearest_rotation(np.mean(cameras, axis=0))),
+            jnp.asarray(np.asarray(detected.keypoints)[counts].mean(axis=0)),
+        )
+
+    @property
+    def dim(self) -> int:
+        """How many coordinates there are."""
+        return self.limbs.dim + len(ROOT_COORDINATES)
+
+    @jax.jit
+    def log_density(self, points: ArrayLike) -> jax.Array:
+        """`(...)`: log joint density of root, pose and detection at points `(..., d)` of R^d, per
+        unit of R^d; what no seen joint depends on is integrated out."""
+
+        def one(point: jax.Array) -> jax.Array:
+            root = self._root(point[self.limbs.dim :])
+            observation, joints = self._observed(root, point)
+            prior = self.limbs.log_base(point[: self.limbs.dim]) + self._prior.log_density(root)
+            found = prior + self._log_volume(point) + observation.log_density(joints)
+            # Far out scales overflow, where the density is 0.
+            return jnp.where(jnp.isnan(found), -jnp.inf, found)
+
+        return jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
+
+    @jax.jit
+    def log_volume(self, points: ArrayLike) -> jax.Array:
+        """`(...)`: log of the base measure of roots (counting × Haar's × log scale × area of the
+        image) per unit of R^7, at points `(..., d)` of R^d."""
+        return jnp.vectorize(self._log_volume, signature="(d)->()")(jnp.asarray(points))
+
+    @jax.jit
+    def misfit(self, points: ArrayLike) -> jax.Array:
+        """`(...)`: the largest distance of a seen joint, the torso's among them, from its
+        detection, in reaches, at points of R^d."""
+
+        def one(point: jax.Array) -> jax.Array:
+            observation, joints = self._observed(self._root(point[self.limbs.dim :]), point)
+            return observation.misfit(joints)
+
+        return jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
+
+    @jax.jit
+    def roots(self, points: ArrayLike) -> RootPoint:
+        """The roots at points `(..., d)` of R^d; leaves start with `...`."""
+        shapes = "(d)->(),(i,j),(),(k)"
+        roots = jnp.vectorize(lambda point: tuple(self._root(point)), signature=shapes)
+        return RootPoint(*roots(jnp.asarray(points)[..., self.limbs.dim :]))
+
+    def poses(self, key: jax.Array, points: ArrayLike) -> Pose:
+        """Poses at points `(..., d)` of R^d; what no seen joint depends on is drawn from the prior,
+        by `key`."""
+        return self.limbs.poses(key, np.asarray(points)[..., : self.limbs.dim])
+
+    def points_of(self, roots: RootPoint, poses: Pose) -> np.ndarray:
+        """Points `(n, d)` of R^d of roots and poses inside the prior's support; each torso in the
+        middle of its part."""
+        rank = np.argsort(np.asarray(self.order))[np.asarray(roots.torso)]
+        part = (rank + 0.5) / len(self.order)
+        scale = np.exp(np.asarray(roots.log_scale))[:, None]
+        columns = [
+            self.limbs.points_of(poses),
+            (np.log(part) - np.log1p(-part))[:, None],
+            np.asarray(_CAYLEY.inv(jnp.asarray(roots.rotation) @ self.turn.T)),
+            np.asarray(roots.log_scale)[:, None],
+            (np.asarray(roots.translation) - np.asarray(self.centre)) / scale,
+        ]
+        return np.concatenate(columns, axis=1)
+
+    def points_in(self, draws: xr.Dataset) -> np.ndarray:
+        """As of a `Density`."""
+        torso, rotation, scale, place, joints, length = (
+            draws[name].values[0]
+            for name in ("torso", "rotation", "scale", "translation", "joints", "bone_length")
+        )
+        poses = self.limbs.model.pose_of(joints, length)
+        return self.points_of(RootPoint(torso, rotation, np.log(scale), place), poses)
+
+    @property
+    def _prior(self) -> RootPrior:
+        return RootPrior(self.limbs.model.torsos, self.limbs.model.upright)
+
+    def _root(self, own: jax.Array) -> RootPoint:
+        """The root at its own coordinates `(7,)`."""
+        number = len(self.order)
+        part = jnp.clip(jnp.floor(jax.nn.sigmoid(own[0]) * number), 0, number - 1).astype(int)
+        place = self.centre + jnp.exp(own[4]) * own[5:]
+        return RootPoint(self.order[part], _CAYLEY(own[1:4]) @ self.turn, own[4], place)
+
+    def _log_volume(self, point: jax.Array) -> jax.Array:
+        own = point[self.limbs.dim :]
+        # A torso counts one, and has a J-th of the unit interval.
+        torso = jnp.log(len(self.order)) + jax.nn.log_sigmoid(own[0]) + jax.nn.log_sigmoid(-own[0])
+        turn = _CAYLEY.log_abs_det_jacobian(own[1:4], _CAYLEY(own[1:4]))
+        return torso + turn + 2 * own[4]
+
+    def _observed(self, root: RootPoint, point: jax.Array) -> tuple[Observation, jax.Array]:
+        """The detection under a root, and the joints of the pose at a point."""
+        observation = self.detected.under(self._prior, root, Faults.none())
+        pose = self.limbs.pose(point[: self.limbs.dim])
+        return observation, self.limbs.model.joints(observation.view, *pose)
+
+
+def _alike(torsos: np.ndarray) -> np.ndarray:
+    """`(J,)`: torsos `(J, 6, 3)` in the order of their first principal component."""
+    flat = torsos.reshape(len(torsos), -1)
+    centred = flat - flat.mean(axis=0)
+    return np.argsort(centred @ np.linalg.svd(centred, full_matrices=False)[2][0])

@@ -1,0 +1,257 @@
+"""Baselines on the posterior of torso, camera and pose: its density on R^d against the posterior's
+own and against NumPyro's program, its chart against derivatives, draws against rejection; and
+charts without a factor, which must be told apart.
+
+False alarms: the judge's, 0.01 a sampler; seeds are fixed."""
+
+import dataclasses
+import functools
+import math
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpyro.handlers import substitute
+from numpyro.infer.util import potential_energy
+
+import inference
+from inference.baselines import rooted
+from inference.baselines.catalogue import ROOTED
+from inference.baselines.rooted import ROOT_COORDINATES, RootedTarget
+from inference.results import COMPLETE, OUT_OF_BUDGET, Result
+from inference.studies.comparison import compare_routes
+from inference.studies.comparison.judge import AGREES, DIFFERS
+from inference.uncertain.weighted import weigh_roots
+from probmodel import BadInput, Estimate, PoseModel, RootPoint
+from probmodel.failures import OutOfBudget
+from probmodel.faults import FaultPrior
+from probmodel.pose import Pose
+from probmodel.rotations import RotationTransform, rodrigues
+from probmodel.skeleton import JOINTS, TORSO_INDEX
+from probmodel.transport import CUBE_DIM
+from tests.inference import test_uncertain_root as sound
+from tests.scenes import key, prior_scene
+
+ANGLES = 8 * math.pi**2
+"""The volume of SO(3), by angles."""
+EVALUATIONS = 1_000_000
+"""After which random walks have what the judge needs on the small case."""
+CAYLEY = RotationTransform()
+
+
+@functools.cache
+def case() -> tuple[PoseModel, Estimate, RootedTarget, RootPoint, Pose]:
+    """The small case under a prior of upright people, its target, and draws of roots and poses."""
+    plain, frame = sound.small_case()
+    model = PoseModel(plain.limits, plain.lengths, plain.torsos, upright=2.0)
+    posterior = frame.uncertain(model)
+    roots = weigh_roots(posterior, key=key(1), num_roots=100)
+    points, poses, _ = roots.draw(np.random.default_rng(0), 60)
+    return model, frame, RootedTarget.of(posterior), points, poses
+
+
+def shaken() -> np.ndarray:
+    """Draws of the small case as points of R^d, and as many beside them, inside and outside."""
+    _, _, target, points, poses = case()
+    x = target.points_of(points, poses)
+    return np.concatenate([x, x + np.random.default_rng(1).normal(scale=0.05, size=x.shape)])
+
+
+def placed(target: RootedTarget, x: np.ndarray) -> tuple[RootPoint, Pose]:
+    """Roots and poses at points."""
+    return target.roots(x), target.limbs.poses(key(3), x[:, : target.limbs.dim])
+
+
+def test_the_density_is_the_posterior_s_own() -> None:
+    """Of root, pose and detection, whose unseen limbs follow the prior: to 1e-8, and minus infinity
+    at the same places."""
+    model, frame, target, _, _ = case()
+    x = shaken()
+    roots, poses = placed(target, x)
+    own = np.asarray(frame.uncertain(model).log_joint(roots, poses)) - model.log_prior(*poses)
+    chart = target.limbs.log_base(jnp.asarray(x[:, : target.limbs.dim])) + target.log_volume(x)
+    found = np.asarray(target.log_density(x))
+    inside = np.isfinite(found)
+    assert len(x) // 2 < inside.sum() < len(x)
+    np.testing.assert_array_equal(inside, np.isfinite(own))
+    np.testing.assert_array_equal(inside, np.asarray(target.misfit(x)) <= 1)
+    np.testing.assert_allclose(found[inside], (own + chart)[inside], rtol=0, atol=1e-8)
+
+
+@pytest.mark.slow
+def test_the_density_is_that_of_the_program() -> None:
+    """NumPyro's potential in its own coordinates, whose rotations are turned from elsewhere and
+    whose places are in pixels."""
+    model, frame, some, points, poses = case()
+    limbs = dataclasses.replace(some.limbs, active=tuple(range(CUBE_DIM)))
+    target = dataclasses.replace(some, limbs=limbs)
+    x = target.points_of(points, poses)
+    program = frame.uncertain(model).program
+
+    @jax.jit
+    def potential(torso: jax.Array, x: jax.Array, root: RootPoint) -> jax.Array:
+        sites = {
+            "bone_length": x[:5],
+            "upper": x[5:15].reshape(5, 2),
+            "lower": x[15:CUBE_DIM].reshape(4, 2),
+            "rotation": rodrigues(root.rotation),
+            "log_scale": root.log_scale,
+            "translation": root.translation,
+        }
+        given = substitute(program, data={"torso": torso})
+        return potential_energy(given, (), {}, sites)
+
+    for row in range(0, 20, 4):
+        root = RootPoint(*(jnp.asarray(part[row]) for part in points))
+        theirs = -potential(root.torso, jnp.asarray(x[row]), root)
+        turn = CAYLEY.log_abs_det_jacobian(rodrigues(root.rotation), root.rotation)
+        by_hand = theirs - turn + target.log_volume(x[row])
+        assert float(target.log_density(x[row])) == pytest.approx(float(by_hand), abs=1e-8)
+
+
+def test_the_volume_of_the_chart_is_its_derivative_s() -> None:
+    """Turns by their angles in the body's axes, scale and place by their own derivatives; a torso
+    has a J-th of the unit interval."""
+    target, number = case()[2], len(case()[0].torsos)
+
+    def moved(own: jax.Array) -> tuple[jax.Array, jax.Array]:
+        rest = jnp.zeros(target.limbs.dim)
+        root = target.roots(jnp.concatenate([rest, own]))
+        return root.rotation, jnp.append(root.log_scale, root.translation)
+
+    @jax.jit
+    def by_derivative(own: jax.Array) -> jax.Array:
+        rotation, (turned, rest) = moved(own)[0], jax.jacfwd(moved)(own)
+        skew = jnp.einsum("ji,jkx->ikx", rotation, turned[..., 1:4])
+        angles = jnp.stack([skew[2, 1], skew[0, 2], skew[1, 0]])
+        fraction = jax.nn.sigmoid(own[0])
+        return (
+            jnp.log(number * fraction * (1 - fraction))
+            + jnp.linalg.slogdet(angles)[1]
+            - math.log(ANGLES)
+            + jnp.linalg.slogdet(rest[:, 4:])[1]
+        )
+
+    for x in shaken()[:8]:
+        own = jnp.asarray(x[target.limbs.dim :])
+        assert float(target.log_volume(x)) == pytest.approx(float(by_derivative(own)), abs=1e-8)
+
+
+def test_points_are_roots_and_poses_and_back() -> None:
+    _, _, target, points, poses = case()
+    x = target.points_of(points, poses)
+    assert x.shape == (60, target.dim) == (60, target.limbs.dim + len(ROOT_COORDINATES))
+    roots, again = placed(target, x)
+    for one, other in zip(roots, points, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(target.points_of(roots, again), x, atol=1e-7)
+    parts = np.linspace(-3, 3, 601)
+    swept = np.tile(x[0], (601, 1))
+    swept[:, target.limbs.dim] = parts
+    torso = np.asarray(target.roots(swept).torso)
+    np.testing.assert_array_equal(np.unique(torso), np.arange(3))
+    share = (1 / (1 + np.exp(-parts)) * 3).astype(int)
+    np.testing.assert_array_equal(torso, np.asarray(target.order)[share])
+
+
+def sampled(name: str, **settings: int) -> Result:
+    model, frame = sound.small_case()
+    settings = {"num_samples": 1500, "num_roots": 300} | settings
+    return inference.sample(model, frame, key=key(5), root="uncertain", sampler=name, **settings)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ROOTED)
+def test_every_draw_has_its_root(name: str, tmp_path: Path) -> None:
+    result = sampled(name)
+    assert (result.status, result.sentence) == (COMPLETE, "")
+    attributes, draws = result.tree.attrs, result.tree["posterior"]
+    number = result.num_draws
+    assert 1500 <= number < 1500 + draws.sizes["chain"]
+    assert attributes["num_roots"] == number
+    assert 20 < attributes["effective_roots"] <= number
+    assert attributes["rhat"] > 0.99
+    assert attributes["starts"] == "1000 draws from 300 weighted roots"
+    assert attributes["root"] == "uncertain"
+    lp = result.tree["sample_stats"].lp.values
+    assert lp.shape == draws.torso.shape
+    assert np.isfinite(lp).all()
+    model, frame = sound.small_case()
+    target = RootedTarget.of(frame.uncertain(model))
+    chain = draws.to_dataset().isel(chain=slice(1))
+    assert np.asarray(target.misfit(target.points_in(chain))).max() <= 1
+    seen = [JOINTS.index(joint) for joint in sound.SEEN]
+    off = draws.keypoints.values[..., seen, :] - frame.detection.keypoints[seen]
+    reach = np.asarray(frame.uncertain(model).detected.spread)[seen]
+    distance = np.linalg.norm(off, axis=-1) / draws.scale.values[..., None]
+    assert (distance <= reach * (1 + 1e-9)).all()
+    result.save(tmp_path / "p.nc")
+    assert inference.load(tmp_path / "p.nc").num_draws == number
+
+
+@pytest.mark.slow
+def test_the_same_key_the_same_draws_and_few_are_no_answer() -> None:
+    few = sampled("emcee", num_samples=8)
+    assert few.status == few.tree.attrs["status"] == OUT_OF_BUDGET
+    assert "too few for an answer (at least 20); ask for more draws" in few.sentence
+    again = sampled("emcee", num_samples=8)
+    np.testing.assert_array_equal(few.tree["posterior"].joints, again.tree["posterior"].joints)
+    with pytest.raises(OutOfBudget, match="emcee has nowhere to start: no torso brings"):
+        sampled("emcee", max_proposals=1)
+
+
+@pytest.mark.parametrize("name", ["smc", "nss", "nautilus", "nuts", "hmc"])
+def test_who_needs_more_than_a_density_is_refused(name: str) -> None:
+    with pytest.raises(BadInput, match=f"the sampler {name} holds torso and camera fixed; choose"):
+        sampled(name)
+
+
+def test_what_is_no_density_on_r_d_is_refused() -> None:
+    model, frame = sound.small_case()
+    faulty = dataclasses.replace(frame.likelihood, faults=FaultPrior.of(outlier=0.1))
+    with pytest.raises(BadInput, match="outliers and exchanged sides are discrete"):
+        RootedTarget.of(dataclasses.replace(frame, likelihood=faulty).uncertain(model))
+    limbs = tuple(name for row, name in enumerate(JOINTS) if row not in TORSO_INDEX)
+    bare = prior_scene(model, 11, missing=limbs)
+    with pytest.raises(BadInput, match="has no seen limb joint"):
+        RootedTarget.of(bare.uncertain(model))
+    with pytest.raises(BadInput, match="keeps 49,152 draws at most"):
+        sampled("random-walk", num_samples=100_000)
+
+
+def judged(samplers: list[str], seed: int) -> list[str]:
+    """Verdicts by 1,200 draws of rejection."""
+    model, frame = sound.small_case()
+    found = compare_routes(
+        model,
+        frame,
+        samplers,
+        seed=seed,
+        seconds=None,
+        max_evaluations=EVALUATIONS,
+        exact_draws=1200,
+    )
+    return [entry.verdict for entry in found.entries]
+
+
+@pytest.mark.sweep
+def test_the_judge_holds_baselines_against_rejection(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They agree; a chart without the scale's factor of the area, and one without Haar's measure of
+    its rotations, are caught."""
+    assert judged(["random-walk", "emcee"], 1) == [AGREES, AGREES]
+    right = RootedTarget._log_volume
+
+    def without(self: RootedTarget, point: jax.Array, *, scale: bool) -> jax.Array:
+        own = point[self.limbs.dim :]
+        turn = CAYLEY.log_abs_det_jacobian(own[1:4], own[1:4])
+        return right(self, point) - (2 * own[4] if scale else turn)
+
+    for scale in (True, False):
+        wrong = functools.partialmethod(without, scale=scale)
+        monkeypatch.setattr(rooted.RootedTarget, "_log_volume", wrong)
+        jax.clear_caches()
+        assert judged(["random-walk"], 2) == [DIFFERS]
+    monkeypatch.undo()
+    jax.clear_caches()

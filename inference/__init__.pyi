@@ -1,3 +1,4 @@
+from .baselines.rooted import RootedTarget as RootedTarget
 from .baselines.target import Target as Target
 from .evidences import Evidence as Evidence
 from .evidences import evidence as evidence

@@ -154,13 +154,37 @@ class RootedTarget:
         return RootPoint(*roots(jnp.asarray(points)[..., self.limbs.dim :]))
 
     def poses(self, key: jax.Array, points: ArrayLike) -> Pose:
-        """Poses at points `(..., d)` of R^d; what no seen joint depends on is drawn from the prior,
-        by `key`."""
+        """Poses at points of R^d; what no seen joint depends on is drawn from the prior.
+
+        Parameters
+        ----------
+        key
+            Of those draws.
+        points : `(..., d)`
+            Points of R^d.
+
+        Returns
+        -------
+        Pose
+            Leaves start with `...`.
+        """
         return self.limbs.poses(key, np.asarray(points)[..., : self.limbs.dim])
 
     def points_of(self, roots: RootPoint, poses: Pose) -> np.ndarray:
-        """Points `(n, d)` of R^d of roots and poses inside the prior's support; each torso in the
-        middle of its part."""
+        """Points of R^d of roots and poses; each torso in the middle of its part.
+
+        Parameters
+        ----------
+        roots
+            Leaves start with n.
+        poses
+            Inside the prior's support, leaves start with n.
+
+        Returns
+        -------
+        ndarray
+            `(n, d)`.
+        """
         rank = np.argsort(np.asarray(self.order))[np.asarray(roots.torso)]
         part = (rank + 0.5) / len(self.order)
         scale = np.exp(np.asarray(roots.log_scale))[:, None]

@@ -21,6 +21,7 @@ from inference.baselines import rooted
 from inference.baselines.catalogue import ROOTED
 from inference.baselines.rooted import ROOT_COORDINATES, RootedTarget
 from inference.results import COMPLETE, OUT_OF_BUDGET, Result
+from inference.saved import read_result
 from inference.studies.comparison import compare_routes
 from inference.studies.comparison.judge import AGREES, DIFFERS
 from inference.uncertain.weighted import weigh_roots
@@ -188,7 +189,7 @@ def test_every_draw_has_its_root(name: str, tmp_path: Path) -> None:
     distance = np.linalg.norm(off, axis=-1) / draws.scale.values[..., None]
     assert (distance <= reach * (1 + 1e-9)).all()
     result.save(tmp_path / "p.nc")
-    assert inference.load(tmp_path / "p.nc").num_draws == number
+    assert read_result(tmp_path / "p.nc").num_draws == number
 
 
 @pytest.mark.slow

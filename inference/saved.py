@@ -40,6 +40,7 @@ _TEXTS = ("source", "sampler", "seed", "limits", "measures", "status")
 _MISSING = (
     "observed_data/keypoints",
     "constant_data/radius",
+    "constant_data/reprojection_error",  # of a side's mean camera there is none
     *(f"constant_data/{name}" for name in _SPREADS),
 )
 """What is not a number where there is none."""

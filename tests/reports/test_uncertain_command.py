@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from inference.results import OUT_OF_BUDGET
+from inference.saved import read_result
 from probmodel.example import example
 from reports.options import Person, Rooting, RootKind
 from reports.settings import HypothesesSettings, SampleSettings
@@ -78,13 +80,34 @@ def test_the_table_says_how_many_roots_count(poseterior: Cli, folder: Path) -> N
     assert max(map(len, run.out.splitlines())) <= 80
 
 
+@pytest.mark.slow
+def test_a_baseline_draws_and_is_judged(poseterior: Cli, folder: Path) -> None:
+    out = folder / "chains.nc"
+    by = ("--root", "uncertain", "--sampler", "emcee", "--num-samples", 1000, "--quiet")
+    run = poseterior("sample", EXAMPLE, "--out", out, *by)
+    assert run.code == 0, run
+    assert "effective roots of 1,000, R-hat" in run.out
+    assert "roots drawn" in run.out
+    with xr.open_datatree(out, engine="netcdf4") as tree:
+        assert tree["posterior"].rotation.shape == (4, 250, 3, 3)
+        assert "roots" not in tree.children
+    few = ("--exact-draws", 100, "--num-samples", 100, "--roots", 400)
+    by = ("--samplers", "weighted-roots,emcee", "--max-evaluations", 20_000, "--json")
+    folder /= "contest"
+    run = poseterior("compare", EXAMPLE, "--root", "uncertain", "--out", folder, *by, *few)
+    assert run.code == 0, run
+    lines = json.loads(run.out)["samplers"]
+    assert [line["sampler"] for line in lines] == ["weighted-roots", "emcee (dispersed)"]
+    assert (folder / "runs" / "emcee-dispersed.npz").exists()
+
+
 def test_too_few_roots_are_no_answer(poseterior: Cli, folder: Path) -> None:
     out = folder / "few.nc"
     run = poseterior("sample", EXAMPLE, "--out", out, *UNCERTAIN, "--roots", 15)
     assert run.code == 3, run
     assert "too few for an answer" in run.err
     assert "what there is, is saved" in run.err
-    assert out.exists()
+    assert read_result(out).status == OUT_OF_BUDGET
 
 
 def test_a_sampler_under_fixed_roots_is_refused(poseterior: Cli, folder: Path) -> None:

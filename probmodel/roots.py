@@ -106,6 +106,7 @@ class RootPoint(NamedTuple):
         return RootPoint(*(np.asarray(part)[rows] for part in self))
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class RootPrior:
     """What is believed of torso and camera: the torso uniform over a dictionary, the rotation

@@ -50,6 +50,8 @@ class RootedTarget:
     ----------
     limbs
         The coordinates of the pose, with the model.
+    prior
+        Of the root.
     detected
         What was detected.
     order : `(J,)`
@@ -62,6 +64,7 @@ class RootedTarget:
     """
 
     limbs: LimbChart
+    prior: RootPrior
     detected: DetectedJoints
     order: jax.Array
     turn: jax.Array
@@ -103,6 +106,7 @@ class RootedTarget:
         cameras = [np.asarray(one.camera.rotation) for one in posterior.candidates] or [FACING]
         return cls(
             LimbChart(posterior.model, active),
+            posterior.prior,
             detected,
             jnp.asarray(_alike(np.asarray(posterior.model.torsos))),
             jnp.asarray(nearest_rotation(np.mean(cameras, axis=0))),
@@ -122,7 +126,7 @@ class RootedTarget:
         def one(point: jax.Array) -> jax.Array:
             root = self._root(point[self.limbs.dim :])
             observation, joints = self._observed(root, point)
-            prior = self.limbs.log_base(point[: self.limbs.dim]) + self._prior.log_density(root)
+            prior = self.limbs.log_base(point[: self.limbs.dim]) + self.prior.log_density(root)
             found = prior + self._log_volume(point) + observation.log_density(joints)
             # Far out scales overflow, where the density is 0.
             return jnp.where(jnp.isnan(found), -jnp.inf, found)
@@ -206,10 +210,6 @@ class RootedTarget:
         poses = self.limbs.model.pose_of(joints, length)
         return self.points_of(RootPoint(torso, rotation, np.log(scale), place), poses)
 
-    @property
-    def _prior(self) -> RootPrior:
-        return RootPrior(self.limbs.model.torsos, self.limbs.model.upright)
-
     def _root(self, own: jax.Array) -> RootPoint:
         """The root at its own coordinates `(7,)`."""
         number = len(self.order)
@@ -226,7 +226,7 @@ class RootedTarget:
 
     def _observed(self, root: RootPoint, point: jax.Array) -> tuple[Observation, jax.Array]:
         """The detection under a root, and the joints of the pose at a point."""
-        observation = self.detected.under(self._prior, root, Faults.none())
+        observation = self.detected.under(self.prior, root, Faults.none())
         pose = self.limbs.pose(point[: self.limbs.dim])
         return observation, self.limbs.model.joints(observation.view, *pose)
 

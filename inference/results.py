@@ -16,6 +16,7 @@ import xarray as xr
 
 from inference.exact.loops.numbers import words_of
 from inference.predictions import KeypointsRead, prediction_groups
+from probmodel.camera import Lens
 from probmodel.chunks import in_chunks
 from probmodel.detections import Detection
 from probmodel.files import replacing
@@ -127,8 +128,14 @@ def provenance(model: PoseModel) -> dict[str, str]:
         "limits": f"{model.limits.name} {model.limits.sha256}",
         "measures": f"upper {model.upper}, lower {model.lower}",
         **({"upright": f"{float(model.upright):.6g}"} if model.upright else {}),
+        **(_said(model.lens) if model.lens is not None else {}),
         "versions": versions(),
     }
+
+
+def _said(lens: Lens) -> dict[str, str]:
+    principal = " ".join(f"{part:.6g}" for part in np.asarray(lens.principal).tolist())
+    return {"focal": f"{float(lens.focal):.6g}", "principal": principal}
 
 
 Columns = dict[str, np.ndarray]

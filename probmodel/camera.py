@@ -1,9 +1,11 @@
-"""The weak-perspective camera: keypoint = scale · (rotation · point)[:2] + translation.
+"""Cameras. Weak perspective: keypoint = scale · (rotation · point)[:2] + translation; and
+perspective, where the focal length is known.
 
 Axes of the image and of the camera: x right, y down, z away from the camera. The paper writes the
 translation with the opposite sign. A camera owns both steps of a projection: from a point in its
 axes to the *plane* through the pelvis parallel to the image (`flatten`, body units), and from there
 to pixels (`to_pixels`, with its inverse `to_plane`). Everything but a picture works on the plane.
+How much larger than at the pelvis a point appears is its `magnification`.
 """
 
 from typing import Any, NamedTuple
@@ -39,6 +41,11 @@ class WeakPerspective(NamedTuple):
         """Where points `(..., 3)` in camera axes fall on the plane `(..., 2)`, body units."""
         return jnp.asarray(points)[..., :2]
 
+    def magnification(self, points: ArrayLike) -> jax.Array:
+        """`(...)`: how much larger than at the pelvis things appear at points `(..., 3)` in camera
+        axes: everything is as large as there."""
+        return jnp.ones(jnp.shape(points)[:-1])
+
     def to_pixels(self, plane: ArrayLike) -> jax.Array:
         """Points of the plane `(..., 2)` as keypoints, pixels."""
         plane = jnp.asarray(plane)
@@ -55,6 +62,87 @@ class WeakPerspective(NamedTuple):
         return (np.asarray(keypoints, float) - np.asarray(self.translation)) / np.asarray(
             self.scale
         )
+
+    def image(self, points: ArrayLike) -> jax.Array:
+        """Projects points `(..., 3)` that are already in camera axes to pixels `(..., 2)`."""
+        return self.to_pixels(self.flatten(points))
+
+    def project(self, points: ArrayLike) -> jax.Array:
+        """Projects points `(..., 3)` in body axes to pixels `(..., 2)`."""
+        return self.image(self.view(points))
+
+
+class Lens(NamedTuple):
+    """What is known of a camera before it sees anybody, a pytree.
+
+    Attributes
+    ----------
+    focal : `()`
+        The focal length, pixels.
+    principal : `(2,)`
+        Where the optical axis meets the image, pixels.
+    """
+
+    focal: float | np.ndarray | jax.Array
+    principal: np.ndarray | jax.Array
+
+
+class Perspective(NamedTuple):
+    """A camera of known focal length. The pelvis stands focal / scale body units away, measured
+    along the optical axis, and appears as under weak perspective; what is nearer appears larger.
+
+    Attributes
+    ----------
+    weak
+        What it is for points at the depth of the pelvis.
+    lens
+        Focal length and principal point.
+    """
+
+    weak: WeakPerspective
+    lens: Lens
+
+    @property
+    def scale(self) -> float | np.ndarray | jax.Array:
+        """`()`: pixels per body unit at the pelvis."""
+        return self.weak.scale
+
+    @property
+    def rotation(self) -> np.ndarray | jax.Array:
+        """`(3, 3)`: from body axes to camera axes."""
+        return self.weak.rotation
+
+    @property
+    def translation(self) -> np.ndarray | jax.Array:
+        """`(2,)`: where the pelvis falls in the image, pixels."""
+        return self.weak.translation
+
+    def view(self, points: ArrayLike) -> jax.Array:
+        """Turns points `(..., 3)` from body axes into camera axes, body units."""
+        return self.weak.view(points)
+
+    def magnification(self, points: ArrayLike) -> jax.Array:
+        """`(...)`: how much larger than at the pelvis things appear at points `(..., 3)` in camera
+        axes: the pelvis' distance over theirs. Points behind the camera have no image; a root's
+        prior keeps all joints in front of it."""
+        depth = jnp.asarray(points)[..., 2]
+        return 1 / (1 + depth * (jnp.asarray(self.scale) / self.lens.focal))
+
+    def flatten(self, points: ArrayLike) -> jax.Array:
+        """Where points `(..., 3)` in camera axes are seen on the plane `(..., 2)`, body units."""
+        points = jnp.asarray(points)
+        aside = jnp.asarray(self.translation) - jnp.asarray(self.lens.principal)
+        aside = jnp.broadcast_to(aside / self.lens.focal, (*points.shape[:-1], 2))
+        sheared = points[..., :2] - points[..., 2:] * aside
+        return sheared * self.magnification(points)[..., None]
+
+    def to_pixels(self, plane: ArrayLike) -> jax.Array:
+        """Points of the plane `(..., 2)` as keypoints, pixels."""
+        return self.weak.to_pixels(plane)
+
+    def to_plane(self, keypoints: ArrayLike) -> Any:
+        """Keypoints `(..., 2)` in pixels as points of the plane, body units."""
+        return self.weak.to_plane(keypoints)
 
     def image(self, points: ArrayLike) -> jax.Array:
         """Projects points `(..., 3)` that are already in camera axes to pixels `(..., 2)`."""

@@ -15,12 +15,16 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
 from probmodel.anatomy.limits import AnatomicalLimits, cell_of
 from probmodel.anatomy.population import Anatomy, LengthPrior
+from probmodel.camera import Lens
+from probmodel.detections import LARGEST_NUMBER
 from probmodel.directions.cells import Cells
 from probmodel.directions.hinges import Hinge
+from probmodel.failures import BadInput
 from probmodel.kinematics import articulation, pose
 from probmodel.observation import Observation
 from probmodel.pose import Pose
@@ -57,11 +61,15 @@ class PoseModel:
     upright
         Where torso and camera are uncertain: the concentration of the back about the vertical
         (`UprightRotation`); 0 for any rotation as probable as any other.
+    lens
+        Where torso and camera are uncertain: focal length and principal point, if they are known.
 
     Raises
     ------
     ValueError
         On another name of a measure.
+    BadInput
+        On a focal length that is not positive, or a principal point that is not one.
     """
 
     limits: AnatomicalLimits
@@ -72,6 +80,7 @@ class PoseModel:
     upper: str
     lower: str
     upright: jax.Array
+    lens: Lens | None
 
     def __init__(
         self,
@@ -82,6 +91,7 @@ class PoseModel:
         upper: str = "angle",
         lower: str = "area",
         upright: float = 0.0,
+        lens: Lens | None = None,
     ) -> None:
         if limits is None or lengths is None or torsos is None:
             embedded = Anatomy.default()
@@ -91,7 +101,9 @@ class PoseModel:
         measures = _Measures(str(upper), str(lower))
         regions = _regions(limits, measures)
         # On the device as they are: `jnp.asarray` would compile a program for every shape.
-        limits, lengths, torsos, tilt = jax.device_put((limits, lengths, torsos, float(upright)))
+        limits, lengths, torsos, tilt, lens = jax.device_put(
+            (limits, lengths, torsos, float(upright), _checked(lens))
+        )
         self._set(
             limits=limits,
             lengths=lengths,
@@ -101,6 +113,7 @@ class PoseModel:
             upper=measures.upper,
             lower=measures.lower,
             upright=tilt,
+            lens=lens,
         )
 
     def _set(self, **fields: Any) -> None:
@@ -108,13 +121,14 @@ class PoseModel:
             object.__setattr__(self, name, value)  # the way to fill a frozen dataclass
 
     def tree_flatten(self) -> tuple[tuple, tuple[str, str]]:
-        children = self.limits, self.lengths, self.torsos, self.cells, self.hinges, self.upright
+        regions = self.cells, self.hinges
+        children = self.limits, self.lengths, self.torsos, *regions, self.upright, self.lens
         return children, (self.upper, self.lower)
 
     @classmethod
     def tree_unflatten(cls, measures: tuple[str, str], children: tuple) -> "PoseModel":
         model = object.__new__(cls)
-        limits, lengths, torsos, cells, hinges, upright = children
+        limits, lengths, torsos, cells, hinges, upright, lens = children
         upper, lower = measures
         model._set(
             limits=limits,
@@ -125,6 +139,7 @@ class PoseModel:
             upper=upper,
             lower=lower,
             upright=upright,
+            lens=lens,
         )
         return model
 
@@ -136,6 +151,7 @@ class PoseModel:
         upper: str = "angle",
         lower: str = "area",
         upright: float = 0.0,
+        lens: Lens | None = None,
     ) -> "PoseModel":
         """The model with the limits, lengths and torsos of one learned file.
 
@@ -143,7 +159,7 @@ class PoseModel:
         ----------
         anatomy
             What is learned.
-        upper, lower, upright
+        upper, lower, upright, lens
             As in `PoseModel`.
 
         Returns
@@ -152,7 +168,13 @@ class PoseModel:
             The model.
         """
         prior = anatomy.limits, anatomy.lengths, anatomy.torsos
-        return cls(*prior, upper=upper, lower=lower, upright=upright)
+        return cls(*prior, upper=upper, lower=lower, upright=upright, lens=lens)
+
+    def seen_by(self, lens: Lens | None) -> "PoseModel":
+        """The same model of people in front of another camera, whose `lens` is known, or not
+        (None). Raises `BadInput` as `PoseModel` does."""
+        children, measures = self.tree_flatten()
+        return self.tree_unflatten(measures, (*children[:-1], jax.device_put(_checked(lens))))
 
     def hinges_at(self, upper: ArrayLike) -> Hinge:
         """Regions of the four lower bones, given upper directions `(..., 5, 3)` (leaves start with
@@ -257,8 +279,10 @@ class PoseModel:
         camera, seen = observation.root.camera, observation.seen
         joints = self._pose(observation.view)
         keypoints = numpyro.deterministic("keypoints", camera.image(joints))
-        detected = jnp.where(seen[:, None], camera.to_pixels(observation.target), keypoints)
-        spread = jnp.where(seen, jnp.asarray(observation.spread) * camera.scale, 1.0)
+        larger = camera.magnification(joints)
+        target = observation.target + observation.bias * (1 - larger[:, None])
+        detected = jnp.where(seen[:, None], camera.to_pixels(target), keypoints)
+        spread = jnp.where(seen, jnp.asarray(observation.spread) * camera.scale * larger, 1.0)
         with numpyro.plate("joint", len(seen)), mask(mask=seen):
             law = DetectedKeypoint(observation.law, keypoints, spread, validate_args=False)
             numpyro.sample("detection", law, obs=detected)
@@ -297,6 +321,22 @@ class PoseModel:
     def measures(self) -> dict[str, str]:
         """The named choices of measure, for the attributes of results."""
         return {"upper": self.upper, "lower": self.lower}
+
+
+def _checked(lens: Lens | None) -> Lens | None:
+    """A lens as numbers. Raises `BadInput` where they cannot be those of one."""
+    if lens is None:
+        return None
+    focal, principal = float(lens.focal), np.asarray(lens.principal, float)
+    if not 0 < focal <= LARGEST_NUMBER:  # false for NaN too
+        raise BadInput(
+            f"a focal length must be positive, and at most {LARGEST_NUMBER:g} pixels, not {focal:g}"
+        )
+    if principal.shape != (2,) or not (np.abs(principal) <= LARGEST_NUMBER).all():
+        raise BadInput(
+            f"a principal point must be two finite numbers of pixels, not {principal.tolist()}"
+        )
+    return Lens(focal, principal)
 
 
 @jax.tree_util.register_static

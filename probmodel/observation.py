@@ -30,12 +30,17 @@ class Observation(NamedTuple):
         The spread of each joint's error, body units; infinite where a joint does not count.
     law
         The errors' law, in spreads.
+    bias : `(15, 2)`
+        What was taken off the detected joints for `target`. Errors, spread and bias, are as large
+        as things appear where the joint is; the target has the bias of a joint at the pelvis'
+        depth.
     """
 
     root: "Root"
     target: np.ndarray | jax.Array
     spread: np.ndarray | jax.Array
     law: "ErrorLaw"
+    bias: float | np.ndarray | jax.Array = 0.0
 
     @property
     def seen(self) -> jax.Array:
@@ -55,17 +60,24 @@ class Observation(NamedTuple):
 
     @property
     def log_peak(self) -> jax.Array:
-        """`()`: the log likelihood of a pose that projects onto every target, per square pixel and
-        joint seen; for discs -Σ log πτ²."""
+        """`()`: the log likelihood of a pose that projects onto every target, all of it at the
+        pelvis' depth, per square pixel and joint seen; for discs -Σ log πτ²."""
         pixels = jnp.where(self.seen, jnp.asarray(self.spread) * self.root.camera.scale, 1.0)
         return jnp.sum(jnp.where(self.seen, self.law.log_peak - 2 * jnp.log(pixels), 0.0))
 
+    def offsets(self, joints: jax.Array) -> jax.Array:
+        """`(15, 2)`: where the joints `(15, 3)` of one pose, in camera axes, fall beside their
+        targets, in body units at the joint's own depth."""
+        camera = self.root.camera
+        larger = camera.magnification(joints)[:, None]
+        return (camera.flatten(joints) - self.target - self.bias * (1 - larger)) / larger
+
     def distances(self, joints: ArrayLike) -> jax.Array:
         """`(..., 15)`: how far the joints `(..., 15, 3)` of poses, in camera axes, fall from their
-        targets on the plane, body units."""
+        targets, body units."""
 
         def one(joints: jax.Array) -> jax.Array:
-            return jnp.linalg.norm(self.root.camera.flatten(joints) - self.target, axis=-1)
+            return jnp.linalg.norm(self.offsets(joints), axis=-1)
 
         return jnp.vectorize(one, signature="(j,x)->(j)")(joints)
 
@@ -73,7 +85,7 @@ class Observation(NamedTuple):
         """`(..., 15)`: the same distances squared, in spreads; 0 where a joint does not count."""
 
         def one(joints: jax.Array) -> jax.Array:
-            offset = self.root.camera.flatten(joints) - jnp.asarray(self.target)
+            offset = self.offsets(joints)
             return jnp.sum(offset**2, axis=-1) / jnp.asarray(self.spread) ** 2
 
         return jnp.vectorize(one, signature="(j,x)->(j)")(joints)
@@ -107,7 +119,9 @@ class Observation(NamedTuple):
     def log_density(self, joints: ArrayLike) -> jax.Array:
         """`(...)`: the log likelihood of poses `(..., 15, 3)` in camera axes, per square pixel and
         joint seen."""
-        return self.log_peak + jnp.sum(self.log_ratios(joints), axis=-1)
+        magnification = self.root.camera.magnification(jnp.asarray(joints))
+        larger = jnp.sum(jnp.where(self.seen, jnp.log(magnification), 0.0), axis=-1)
+        return self.log_peak - 2 * larger + jnp.sum(self.log_ratios(joints), axis=-1)
 
     def misfit(self, joints: ArrayLike) -> jax.Array:
         """`(...)`: the largest distance of a seen joint from its target, in reaches."""

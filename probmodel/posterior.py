@@ -135,12 +135,18 @@ class Estimate:
         ------
         BadInput
             Where the likelihood has outliers or exchanged sides, or the model a belief of how the
-            body is turned, which fixed roots leave no room for; where there is no candidate.
+            body is turned or a focal length, which fixed roots leave no room for; where there is no
+            candidate.
         """
         if model.upright:
             raise BadInput(
                 "a belief that people are upright needs torso and camera to be uncertain; choose"
                 " the root 'uncertain', or leave it out"
+            )
+        if model.lens is not None:
+            raise BadInput(
+                "a known focal length needs torso and camera to be uncertain; choose the root"
+                " 'uncertain', or leave it out"
             )
         if self.likelihood.faults.any:
             raise BadInput(

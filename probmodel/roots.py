@@ -7,13 +7,21 @@ uncertain, `RootPrior` says what is believed of it before anything was seen (§ 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from probmodel.camera import WeakPerspective
+from probmodel.camera import Lens, Perspective, WeakPerspective
+
+if TYPE_CHECKING:
+    from probmodel.model import PoseModel
+
+NEAREST = 4.0
+"""Body units, 1.5 m: where the focal length is known, a pelvis is no nearer to the camera, measured
+along its optical axis. No joint of a person is as far from the pelvis, so that none is behind the
+camera."""
 
 
 class Root(NamedTuple):
@@ -28,7 +36,7 @@ class Root(NamedTuple):
     """
 
     torso: np.ndarray | jax.Array
-    camera: WeakPerspective
+    camera: WeakPerspective | Perspective
 
     @property
     def view(self) -> jax.Array:
@@ -114,7 +122,7 @@ class RootPrior:
 
     The last two have no total mass, but every seen joint contributes scale⁻² to the posterior,
     which is proper as soon as two seen joints lie apart. Base measure: counting (torso) × Haar's ×
-    log scale × area of the image.
+    log scale × area of the image. With a known `lens` the scale ends where the person is `NEAREST`.
 
     Attributes
     ----------
@@ -122,10 +130,18 @@ class RootPrior:
         Body axes, body units, pelvis at the origin.
     upright
         Concentration of `UprightRotation`.
+    lens
+        Of the camera, where it is known: roots then see in perspective.
     """
 
     torsos: np.ndarray | jax.Array
     upright: float | jax.Array = 0.0
+    lens: Lens | None = None
+
+    @classmethod
+    def of(cls, model: "PoseModel") -> "RootPrior":
+        """What a model believes of torso and camera."""
+        return cls(model.torsos, model.upright, model.lens)
 
     def compose(self, step: Callable[[str, Any], Any]) -> RootPoint:
         """The prior, written once: `step(site, law)` says what becomes of each law."""
@@ -133,13 +149,21 @@ class RootPrior:
 
         from probmodel.anatomy.torsos import TorsoDictionary
         from probmodel.rotations import UprightRotation
+        from probmodel.scales import FlatUpTo
 
+        flat = ImproperUniform(constraints.real, (), ())
         return RootPoint(
             step("torso", TorsoDictionary(self.torsos)),
             step("rotation", UprightRotation(self.upright)),
-            step("log_scale", ImproperUniform(constraints.real, (), ())),
+            step("log_scale", flat if self.lens is None else FlatUpTo(self.highest_log_scale)),
             step("translation", ImproperUniform(constraints.real_vector, (), (2,))),
         )
+
+    @property
+    def highest_log_scale(self) -> jax.Array:
+        """`()`: that of a person at `NEAREST`; infinite where no focal length is known."""
+        focal = jnp.inf if self.lens is None else self.lens.focal
+        return jnp.log(jnp.asarray(focal) / NEAREST)
 
     def log_density(self, point: RootPoint) -> jax.Array:
         """`()`: log density of one root; -inf outside."""
@@ -155,4 +179,5 @@ class RootPrior:
         """The torso and camera of one root."""
         torso = jnp.asarray(self.torsos)[point.torso]
         scale = jnp.exp(jnp.asarray(point.log_scale))
-        return Root(torso, WeakPerspective(scale, point.rotation, point.translation))
+        weak = WeakPerspective(scale, point.rotation, point.translation)
+        return Root(torso, weak if self.lens is None else Perspective(weak, self.lens))

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from probmodel.camera import Lens
 from probmodel.detections import Detection
 from probmodel.faults import ORDERS, FaultPrior, Faults
 from probmodel.likelihood import Likelihood, WithOutliers
@@ -21,7 +22,7 @@ from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
 from probmodel.pose import Pose
 from probmodel.roots import Candidate, RootPoint, RootPrior
-from probmodel.skeleton import TORSO_INDEX
+from probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 
 if TYPE_CHECKING:
     from probmodel.likelihood import ErrorLaw
@@ -70,12 +71,20 @@ class DetectedJoints(NamedTuple):
             WithOutliers(self.law, outlier),
         )
 
+    def rays(self, lens: Lens | None) -> np.ndarray | jax.Array:
+        """`(15, 2)`: of each joint's line of sight, how far it runs to the side for one in depth; 0
+        without a lens, and where a joint does not count."""
+        if lens is None:
+            return np.zeros((NUM_JOINTS, 2))
+        slope = (jnp.asarray(self.keypoints) - lens.principal) / lens.focal
+        return jnp.where(self.counts[:, None], slope, 0.0)
+
     def under(self, prior: RootPrior, point: RootPoint, faults: Faults) -> Observation:
         """The detection under one root and a pattern of faults; a formula of JAX."""
         root, read = prior.root(point), self.read(faults)
         target = root.camera.to_plane(read.keypoints) - read.bias
         return Observation(
-            root, jnp.where(read.counts[:, None], target, 0.0), read.spread, read.law
+            root, jnp.where(read.counts[:, None], target, 0.0), read.spread, read.law, read.bias
         )
 
     def log_peak(self) -> jax.Array:
@@ -113,7 +122,7 @@ class UncertainPosterior:
     @property
     def prior(self) -> RootPrior:
         """The prior of the root."""
-        return RootPrior(self.model.torsos, self.model.upright)
+        return RootPrior.of(self.model)
 
     @functools.cached_property
     def detected(self) -> DetectedJoints:
@@ -182,7 +191,7 @@ def log_joints(
     faults: Faults,
 ) -> jax.Array:
     """`UncertainPosterior.log_joint`, compiled once a shape."""
-    prior = RootPrior(model.torsos, model.upright)
+    prior = RootPrior.of(model)
 
     def one(point: RootPoint, pose: Pose, faults: Faults) -> jax.Array:
         log_prior = prior.log_density(point) + faulty.log_prob(detected.counts, faults)

@@ -21,7 +21,13 @@ from inference.exact import ahead
 from inference.exact.groups import GroupTables, group_tables, workers
 from inference.exact.loops.bins import length_bins
 from inference.exact.loops.numbers import seeded
-from inference.exact.loops.weighed import FOUND, attempt_rows, combine_rows, draw_trials
+from inference.exact.loops.weighed import (
+    FOUND,
+    OPTICS,
+    attempt_rows,
+    combine_rows,
+    draw_trials,
+)
 from probmodel.chunks import in_chunks
 from probmodel.faults import ORDERS, Faults
 from probmodel.kinematics import upper_axes
@@ -62,15 +68,18 @@ class LimbDraws(NamedTuple):
 
 class Views(NamedTuple):
     """What limbs see of roots, body units: local `axes` `(n, 5, 3, 3)` of the upper bones in camera
-    axes, where the torso's joints fall, `start` `(n, 6, 2)`, the detections, `target` `(n, 15, 2)`,
-    how far from there joints may fall, `reach` `(n, 15)`, and the `spread` `(n, 15)` of their
-    errors."""
+    axes, the torso's joints, `start` `(n, 6, 3)`, the detections, `target` `(n, 15, 2)`, how far
+    from there joints may fall, `reach` `(n, 15)`, the `spread` `(n, 15)` of their errors; the lines
+    of sight, `ray` `(n, 15, 2)`, and one over the pelvis' distance, `nearness` `(n,)`, which are 0
+    where no focal length is known."""
 
     axes: Any
     start: Any
     target: Any
     reach: Any
     spread: Any
+    ray: Any
+    nearness: Any
 
 
 def limb_draws(
@@ -109,30 +118,42 @@ def outliers_of(posterior: UncertainPosterior, faults: Faults) -> np.ndarray:
 
 @jax.jit
 def _look(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> Views:
-    prior = RootPrior(model.torsos, model.upright)
+    prior, lens = RootPrior.of(model), model.lens
 
     def one(point: RootPoint, faults: Faults) -> Views:
         observation = detected.under(prior, point, faults)
         view = observation.view
         return Views(
             upper_axes(view),
-            observation.root.camera.flatten(view),
+            view,
             jnp.asarray(observation.target),
             observation.law.reach * observation.spread,
             jnp.asarray(observation.spread),
+            jnp.asarray(detected.read(faults).rays(lens)),
+            jnp.exp(point.log_scale) / (jnp.inf if lens is None else lens.focal),
         )
 
     return jax.vmap(one)(RootPoint(*fields[:4]), Faults(*fields[4:]))
 
 
 class Sight(NamedTuple):
-    """What one limb sees of roots, as `attempt_rows` takes it: `axes` `(n, 3, 3)`, and of its two
-    joints `target` `(n, 2, 2)`, `reach`, `spread` and `outlier` `(n, 2)`."""
+    """What one limb sees of roots, as `attempt_rows` takes it. Each of its two joints is seen in
+    axes of its own, whose third runs along the line of sight to where it was detected.
+
+    Attributes
+    ----------
+    axes : `(n, 2, 3, 3)` the upper bone's local frame in these axes
+    target : `(n, 2, 2)` the detections minus the limb's start, across the line of sight
+    reach, spread : `(n, 2)` of the joints' errors
+    optics : `(n, 2)` `OPTICS`
+    outlier : `(n, 2)` whether they are outliers
+    """
 
     axes: np.ndarray
     target: np.ndarray
     reach: np.ndarray
     spread: np.ndarray
+    optics: np.ndarray
     outlier: np.ndarray
 
 
@@ -140,14 +161,42 @@ def sights_of(views: Views, outlier: np.ndarray) -> list[Sight]:
     """That of every limb; a joint that was not seen, or is not there, may fall anywhere."""
     starts = [TORSO_INDEX.index(limb.bones[0].start) for limb in LIMBS]
     sights = []
-    for limb, ends, start, chained in zip(LIMBS, ENDS, starts, CHAINED, strict=True):
+    for limb, ends, row, chained in zip(LIMBS, ENDS, starts, CHAINED, strict=True):
         reach = np.array(views.reach[:, ends], float)
         reach[:, 1] = reach[:, 1] if chained else np.inf
-        target = np.asarray(views.target[:, ends], float) - views.start[:, None, start]
-        target[~np.isfinite(reach)] = 0.0
-        axes = np.array(views.axes[:, limb.upper], float)
-        sights.append(Sight(axes, target, reach, views.spread[:, ends], outlier[:, ends]))
+        counts = np.isfinite(reach)
+        axes, start = np.array(views.axes[:, limb.upper], float), np.asarray(views.start[:, row])
+        turn, optics = _optics(views, ends, counts, axes, start)
+        gap = np.zeros((*counts.shape, 3))
+        gap[..., :2] = views.target[:, ends]
+        target = np.einsum("nkij,nkj->nki", turn[..., :2, :], gap - start[:, None])
+        target[~counts] = 0.0
+        own = np.einsum("nkij,njl->nkil", turn, axes)
+        spread = np.asarray(views.spread[:, ends])
+        sights.append(Sight(own, target, reach, spread, optics, outlier[:, ends]))
     return sights
+
+
+def _optics(
+    views: Views, ends: np.ndarray, counts: np.ndarray, axes: np.ndarray, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The smallest turns `(n, 2, 3, 3)` that bring the lines of sight to joints `ends` onto the
+    third axis, and the `OPTICS` `(n, 2)` of the joints. Those that do not count are seen as if they
+    were as far as the pelvis."""
+    ray = np.where(counts[..., None], views.ray[:, ends], 0.0)
+    cosine = 1 / np.sqrt(1 + np.sum(ray**2, axis=-1))
+    side = ray * cosine[..., None]
+    square = side[..., :, None] * side[..., None, :]
+    turn = np.empty((*counts.shape, 3, 3))
+    turn[..., :2, :2] = np.eye(2) - square / (1 + cosine)[..., None, None]
+    turn[..., :2, 2], turn[..., 2, :2], turn[..., 2, 2] = -side, side, cosine
+    nearness = np.asarray(views.nearness)[:, None] * counts
+    optics = np.zeros(counts.shape, OPTICS)
+    optics["start"] = 1 + nearness * start[:, None, 2]
+    optics["slope"] = -nearness[..., None] * axes[:, None, 2]
+    stretch = square / (cosine * (1 + cosine))[..., None, None]
+    optics["stretch"] = stretch[..., [0, 0, 1], [0, 1, 1]] + [1.0, 0.0, 1.0]
+    return turn, optics
 
 
 def attempt_limbs(
@@ -196,7 +245,9 @@ def weigh_group(
         found, ends = np.empty(number * trials * each + 1, FOUND), np.zeros(number, np.int64)
         gaussian = np.where(sight.outlier | ~np.isfinite(sight.reach), 0.0, law.deviation or 0.0)
         deviation = gaussian * np.where(gaussian > 0, sight.spread, 1.0)
-        attempt_rows(states, *sight[:3], deviation, build, *lengths, each, found, ends)
+        attempt_rows(
+            states, *sight[:3], deviation, sight.optics, build, *lengths, each, found, ends
+        )
         found = found[: ends[-1]]
         if not law.flat and law.deviation is None:
             found["weight"] *= _ratios(law, sight, found, ends)

@@ -154,7 +154,8 @@ def _errors(posterior: UncertainPosterior, keypoints: np.ndarray, chained: bool)
 def _fit(pool: np.ndarray, errors: Errors, sight: Sight) -> np.ndarray:
     """`(n, 4)`: log likelihood and log prior of a limb's patterns under roots."""
     pool, rate = np.ascontiguousarray(pool), errors.rate.astype(np.float32)
-    axes, gap = sight.axes[:, :2].astype(np.float32), -sight.target.astype(np.float32)
+    axes = sight.axes[:, 0, :2].astype(np.float32)  # of both joints: guesses may be rough
+    gap = -sight.target.astype(np.float32)
     near = np.empty((len(axes), 3))
     parts = [slice(first, first + SHARE) for first in range(0, len(axes), SHARE)]
     tasks = (

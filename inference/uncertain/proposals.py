@@ -35,6 +35,7 @@ from inference.uncertain.torsos import (
     Proposal,
     TorsoDraws,
     draw_posed,
+    log_nearness,
     proposal_of,
     torso_problem,
 )
@@ -132,7 +133,8 @@ def propose_roots(
         wanted += int(counts[index]) if hopeful[index] else taken
         if found:
             fit = fit_of(posterior, pool, stratum, torso.points)
-            rows, inclusion = _promising(log_promise(posterior, fit, torso.points), taken, rng)
+            promise = log_promise(posterior, fit, stratum, torso.points)
+            rows, inclusion = _promising(promise, taken, rng)
             points = torso.points.take(rows)
             faults, log_proposal = propose(fit.take(rows), stratum, rng)
             weight = torso.log_evidence + log_priors(posterior, faults) - log_proposal
@@ -157,11 +159,15 @@ def propose_roots(
     return whole.at(rng.permutation(len(weight)))
 
 
-def log_promise(posterior: UncertainPosterior, fit: Fit, points: RootPoint) -> np.ndarray:
+def log_promise(
+    posterior: UncertainPosterior, fit: Fit, stratum: Stratum, points: RootPoint
+) -> np.ndarray:
     """`(n,)`: about what the limbs say of roots given the torso, but for a constant."""
     counted = np.asarray(posterior.detected.counts)
     of_limbs = int(counted.sum()) - sum(counted[list(TORSO_INDEX)])
-    return fit.total - 2 * of_limbs * np.asarray(points.log_scale)
+    # The exchanges of one stratum move the same joints of the torso.
+    nearness = log_nearness(posterior, points, stratum.exchanges[0])
+    return fit.total - 2 * of_limbs * np.asarray(points.log_scale) + nearness
 
 
 def _promising(
@@ -219,7 +225,7 @@ def _shares(
     for index, (stratum, pilot) in enumerate(zip(strata, pilots, strict=True)):
         if len(pilot.points.torso):
             fit = fit_of(posterior, pool, stratum, pilot.points)
-            evidence = log_promise(posterior, fit, pilot.points)
+            evidence = log_promise(posterior, fit, stratum, pilot.points)
             score[index] = (
                 logsumexp(evidence)
                 - np.log(len(evidence))

@@ -45,6 +45,7 @@ from inference.uncertain.torsos import (
     attempted_roots,
     log_mass,
     proposal_of,
+    require_distance,
     torso_problem,
 )
 from inference.uncertain.weighted import NUM_ROOTS, WeightedRoots, log_limbs, require_number
@@ -214,7 +215,7 @@ class _Rounds:
         )
         words = words_of(limb_key)
         limbs = list(limb_draws(posterior, points, faults, words))
-        weight = weight + log_limbs(posterior, points, limbs)
+        weight = weight + log_limbs(posterior, points, faults, limbs)
         free = free_groups(posterior, words)
         return Round(points, faults, limbs, weight, self.attempts, free)
 
@@ -225,7 +226,7 @@ class _Rounds:
         if not len(points.torso):
             return NOWHERE, Faults.none(0), np.zeros(0)
         fit = fit_of(self.posterior, self.pool, one.stratum, points)
-        promise = log_promise(self.posterior, fit, points)
+        promise = log_promise(self.posterior, fit, one.stratum, points)
         if math.isinf(self.promising):
             self.promising = float(np.quantile(promise, LIKELY))
         chance = np.clip(np.exp(TRUST * (promise - self.promising)), CHANCE, 1.0)
@@ -279,6 +280,7 @@ def reject_roots(
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
     require_camera(posterior.detection)
+    require_distance(posterior)
     round_key, choice_key = jax.random.split(key)
     rounds = _Rounds(posterior, round_key, max_proposals)
     rng = np.random.default_rng(words_of(choice_key))

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from inference.exact.groups import workers
@@ -28,9 +29,11 @@ from inference.exact.loops.roots import (
 )
 from inference.exact.rates import Budget
 from probmodel.chunks import in_chunks
-from probmodel.faults import Faults
+from probmodel.failures import BadInput
+from probmodel.faults import ORDERS, Faults
 from probmodel.likelihood import WithOutliers
-from probmodel.roots import RootPoint
+from probmodel.model import PoseModel
+from probmodel.roots import NEAREST, RootPoint, RootPrior
 from probmodel.skeleton import TORSO_INDEX
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
@@ -50,14 +53,15 @@ THINNING = 101
 
 class Posed(NamedTuple):
     """A torso's `problem`, the `law` of its joints' errors, the concentration `upright` of its back
-    about the vertical, and what leads back to pixels: the `origin` `(2,)` of its keypoints, and the
-    scale `lowest`, pixels a body unit, that is their unit."""
+    about the vertical, what leads back to pixels: the `origin` `(2,)` of its keypoints, and the
+    scale `lowest`, pixels a body unit, that is their unit; and the prior's `highest` scale."""
 
     problem: TorsoProblem
     law: WithOutliers
     upright: float
     origin: np.ndarray
     lowest: float
+    highest: float
 
 
 class TorsoDraws(NamedTuple):
@@ -103,7 +107,8 @@ def torso_problem(posterior: UncertainPosterior, faults: Faults) -> Posed:
     law = WithOutliers(posterior.detected.law, detected.law.outlier[joints][order])
     keypoints, reach = keypoints[order] - origin, np.ascontiguousarray(reach[order])
     bias = np.ascontiguousarray(detected.bias[joints][order])
-    lowest = lowest_scale(points, keypoints, bias, reach)
+    ray = np.asarray(detected.rays(posterior.model.lens))[joints][order]
+    lowest = lowest_scale(points, keypoints, bias, reach, ray)
     # Every seen joint contributes scale⁻², and the translation takes one of them.
     precision = np.zeros(len(rows))
     if law.inlier.deviation is not None:
@@ -116,9 +121,11 @@ def torso_problem(posterior: UncertainPosterior, faults: Faults) -> Posed:
         bias,
         reach,
         precision,
+        np.ascontiguousarray(ray, float),
         2.0 * len(rows) - 2,
     )
-    return Posed(problem, law, float(posterior.model.upright), origin, lowest)
+    highest = math.exp(float(posterior.prior.highest_log_scale))
+    return Posed(problem, law, float(posterior.model.upright), origin, lowest, highest)
 
 
 @jax.jit
@@ -128,10 +135,15 @@ def _read(detected: DetectedJoints, faults: Faults) -> DetectedJoints:
 
 
 def lowest_scale(
-    torsos: np.ndarray, keypoints: np.ndarray, bias: np.ndarray, reach: np.ndarray
+    torsos: np.ndarray,
+    keypoints: np.ndarray,
+    bias: np.ndarray,
+    reach: np.ndarray,
+    ray: np.ndarray,
 ) -> float:
     """A scale, pixels a body unit, that no root can go below: two joints project to within their
-    distance in space of each other, and each is detected within its reach, but for its bias.
+    distance in space of each other, or a little more where their lines of sight run to the side,
+    and each is detected within its reach, but for its bias.
 
     Parameters
     ----------
@@ -143,9 +155,14 @@ def lowest_scale(
         `(n, 2)` body units
     reach
         `(n,)` body units
+    ray
+        `(n, 2)` of the lines of sight, as `TorsoProblem` has them
     """
     apart = np.linalg.norm(keypoints[:, None] - keypoints[None], axis=-1)
     widest = np.linalg.norm(torsos[:, :, None] - torsos[:, None], axis=-1).max(axis=0)
+    widest *= np.sqrt(1 + np.sum(ray**2, axis=1))[:, None]
+    far = np.linalg.norm(torsos, axis=-1).max(axis=0)
+    widest += far * np.linalg.norm(ray[:, None] - ray[None], axis=-1)
     most = widest + np.linalg.norm(bias[:, None] - bias[None], axis=-1)
     most += reach[:, None] + reach[None]
     # A little lower, for rounding; two joints at least lie apart, or no camera is determined.
@@ -265,6 +282,10 @@ def _batch(
     found, attempts = proposal.attempt(seeded(words, batch), attempts, table)
     # Copied, or every few roots would keep the memory of a whole table.
     table = RootTable(*(column[:found].copy() for column in table))
+    near = posed.lowest > posed.highest * table.inverse
+    if near.any():
+        table = RootTable(*(column[~near] for column in table))
+        found = len(table.torso)
     if found and (proposal.thinned or posed.upright):
         rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(batch, THINNING)))
         test, rotation = np.log1p(-rng.uniform(size=found)), rotations_of(table)
@@ -298,7 +319,8 @@ def _log_ratio(
     def one(
         torso: jax.Array, rotation: jax.Array, inverse: jax.Array, plane: jax.Array
     ) -> jax.Array:
-        image = jnp.asarray(problem.torsos)[torso] @ rotation[:2].T
+        view = jnp.asarray(problem.torsos)[torso] @ rotation.T
+        image = view[:, :2] - view[:, 2:] * jnp.asarray(problem.ray)
         offset = image + plane[None] + jnp.asarray(problem.bias)
         offset -= jnp.asarray(problem.keypoints) * inverse
         square = jnp.sum(offset**2, axis=1)
@@ -354,3 +376,45 @@ def attempted_roots(posed: Posed, proposal: Proposal, words: list[int], attempts
         *(table for table, _ in workers().map(attempt, sizes, sizes, range(len(sizes)))),
     ]
     return _points(posed, RootTable(*(np.concatenate(part) for part in zip(*tables, strict=True))))
+
+
+def log_nearness(
+    posterior: UncertainPosterior, points: RootPoint, exchange: ArrayLike
+) -> np.ndarray:
+    """`(n,)`: what perspective adds to the log density of the torso's joints under roots `(n, ...)`
+    and exchanges `(n,)`: errors are as large as things appear where the joint is, and roots are
+    drawn as if they were as large as at the pelvis."""
+    number = len(np.asarray(points.torso))
+    if posterior.model.lens is None or not number:
+        return np.zeros(number)
+    measure = functools.partial(_log_nearness, posterior.model, posterior.detected)
+    return in_chunks(measure, *map(np.asarray, points), np.broadcast_to(exchange, number))
+
+
+@jax.jit
+def _log_nearness(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> jax.Array:
+    prior, torso = RootPrior.of(model), jnp.asarray(TORSO_INDEX)
+
+    def one(point: RootPoint, exchange: jax.Array) -> jax.Array:
+        root = prior.root(point)
+        counts = detected.counts[jnp.asarray(ORDERS)[exchange]][torso]
+        larger = jnp.log(root.camera.magnification(root.view))
+        return -2 * jnp.sum(jnp.where(counts, larger, 0.0))
+
+    return jax.vmap(one)(RootPoint(*fields[:4]), fields[4])
+
+
+def require_distance(posterior: UncertainPosterior) -> None:
+    """Raises `BadInput` where a known focal length puts the person too near to the camera."""
+    lens = posterior.model.lens
+    if lens is None:
+        return
+    lowest = torso_problem(posterior, Faults.none()).lowest
+    distance = float(lens.focal) / lowest
+    if distance < NEAREST:
+        raise BadInput(
+            f"a focal length of {float(lens.focal):g} pixels puts the person of"
+            f" {posterior.detection.where} at most {distance:.2g} body units (of about 0.35 m) from"
+            f" the camera, and {NEAREST:g} are the least; give the focal length in pixels of the"
+            " image that the keypoints are of"
+        )

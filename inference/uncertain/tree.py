@@ -115,7 +115,7 @@ def _log_joints(
 
 @jax.jit
 def _place(model: PoseModel, *fields: jax.Array) -> dict[str, jax.Array]:
-    prior = RootPrior(model.torsos, model.upright)
+    prior = RootPrior.of(model)
 
     def one(point: RootPoint, pose: Pose) -> dict[str, jax.Array]:
         root = prior.root(point)

@@ -25,8 +25,9 @@ from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.roots.points import require_camera
 from inference.uncertain.limbs import ATTEMPTS, LimbDraws, limb_draws, log_evidence, picks
 from inference.uncertain.proposals import ProposedRoots, propose_roots
+from inference.uncertain.torsos import log_nearness, require_distance
 from probmodel.failures import BadInput
-from probmodel.faults import LIMB_INDEX
+from probmodel.faults import LIMB_INDEX, Faults
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint
 from probmodel.skeleton import GROUPS
@@ -164,11 +165,12 @@ def weigh_roots(
     Raises
     ------
     BadInput
-        Where the seen joints of the torso do not determine a camera, and where the number of roots
-        is not from 1 to 100,000.
+        Where the seen joints of the torso do not determine a camera, a known focal length puts the
+        person too near to it, and where the number of roots is not from 1 to 100,000.
     """
     require_number(num_roots)
     require_camera(posterior.detection)
+    require_distance(posterior)
     torso_key, limb_key = jax.random.split(key)
     budget = Budget(max_proposals)
     proposed = propose_roots(posterior, torso_key, num_roots, budget)
@@ -183,7 +185,7 @@ def weigh_roots(
         posterior,
         proposed,
         limbs,
-        proposed.log_weight + log_limbs(posterior, proposed.points, limbs),
+        proposed.log_weight + log_limbs(posterior, proposed.points, proposed.faults, limbs),
         proposed.attempts + ATTEMPTS * len(limbs),
     )
 
@@ -197,13 +199,18 @@ def require_number(num_roots: int) -> None:
 
 
 def log_limbs(
-    posterior: UncertainPosterior, points: RootPoint, limbs: Sequence[dict[str, LimbDraws]]
+    posterior: UncertainPosterior,
+    points: RootPoint,
+    faults: Faults,
+    limbs: Sequence[dict[str, LimbDraws]],
 ) -> np.ndarray:
     """`(n,)`: log of scale⁻² for every seen joint that is not the torso's × the estimated evidence
-    of the limbs. Roots given the torso have scale⁻² for the torso's joints already."""
+    of the limbs. Roots given the torso have scale⁻² for the torso's joints already, but not what
+    perspective makes of it."""
     counted = np.asarray(posterior.detected.counts)
     evidence = np.array([log_evidence(found) for found in limbs])
-    return evidence - 2 * counted[list(LIMB_INDEX)].sum() * np.asarray(points.log_scale)
+    scale = counted[list(LIMB_INDEX)].sum() * np.asarray(points.log_scale)
+    return evidence - 2 * scale + log_nearness(posterior, points, faults.exchange)
 
 
 def verdict(roots: WeightedRoots) -> tuple[str, str]:

@@ -401,7 +401,8 @@ def test_attempts_at_a_root_are_draws_of_its_prior():
     rng, number, power = np.random.default_rng(0), 20_000, 6.0
     torsos, reach = rng.normal(size=(2, 3, 3)), np.array([2.0, 50.0, 50.0])
     keypoints = rng.normal(size=(3, 2))
-    problem = TorsoProblem(torsos, keypoints, np.zeros((3, 2)), reach, np.zeros(3), power)
+    none = np.zeros((3, 2))
+    problem = TorsoProblem(torsos, keypoints, none, reach, np.zeros(3), none, power)
     cells, table, state = cut_roots(problem), root_table(number), seeded([1], 1)
     assert cells.mass == pytest.approx(math.pi * reach[0] ** 2 / power)
     before = int(state[3])
@@ -445,9 +446,9 @@ def test_no_root_goes_below_the_lowest_scale():
     torsos = np.array([[[0.0, 0.0, 0.0], [0.6, 0.0, 0.8], [0.0, 5.0, 0.0]]])
     keypoints, reach = np.array([[0.0, 0.0], [34.0, 0.0], [0.0, 1.0]]), np.array([0.2, 0.5, 0.2])
     none = np.zeros((3, 2))
-    assert lowest_scale(torsos, keypoints, none, reach) == pytest.approx(20.0)
+    assert lowest_scale(torsos, keypoints, none, reach, none) == pytest.approx(20.0)
     aside = np.array([[0.0, 0.3], [0.0, 0.0], [0.0, 0.0]])
-    assert lowest_scale(torsos, keypoints, aside, reach) == pytest.approx(17.0)
+    assert lowest_scale(torsos, keypoints, aside, reach, none) == pytest.approx(17.0)
 
 
 def test_draws_of_a_root_are_taken_evenly():

@@ -69,9 +69,9 @@ class FitCells(NamedTuple):
 class Balance(NamedTuple):
     """What a problem's keypoints and precisions say before any rotation: the `total` precision,
     the keypoints `(n, 2)` around their `middle` `(2,)`, the `lever`, by which an inverse scale is
-    known, the `torsos` `(J, n, 3)` around their middles, the middles `(J, 1, 3)` themselves, and
-    the mean `bias` `(2,)` with the biases `(n, 2)` around it. Middles are weighed by the
-    precisions."""
+    known, the `torsos` `(J, n, 3)` around their middles, the middles `(J, 1, 3)` themselves, the
+    mean `bias` `(2,)` with the biases `(n, 2)` around it, and the mean `ray` `(2,)` with what the
+    rays have beside it, `rays` `(n, 2)`. Middles are weighed by the precisions."""
 
     total: float
     middle: np.ndarray
@@ -81,13 +81,15 @@ class Balance(NamedTuple):
     middles: np.ndarray
     bias: np.ndarray
     biases: np.ndarray
+    ray: np.ndarray
+    rays: np.ndarray
 
 
 def balance(problem: TorsoProblem) -> Balance:
     """The balance of a problem in which two joints at least have a precision."""
     weight = problem.precision / problem.precision.sum()
     middle, bias = weight @ problem.keypoints, weight @ problem.bias
-    keypoints = problem.keypoints - middle
+    keypoints, ray = problem.keypoints - middle, weight @ problem.ray
     middles = np.einsum("n,jnx->jx", weight, problem.torsos)
     return Balance(
         float(problem.precision.sum()),
@@ -98,6 +100,8 @@ def balance(problem: TorsoProblem) -> Balance:
         np.ascontiguousarray(middles[:, None]),
         bias,
         np.ascontiguousarray(problem.bias - bias),
+        ray,
+        np.ascontiguousarray(problem.ray - ray),
     )
 
 
@@ -175,7 +179,7 @@ def _bound(
         roll, tilt, yaw = corner[cell, 0], corner[cell, 1], corner[cell, 2]
         share = width[cell, 0] * width[cell, 2] / (2 * math.pi) ** 2
         share *= (math.cos(tilt) - math.cos(tilt + width[cell, 1])) / 2
-        chi, best, moves = _fit(
+        chi, best, moves, _, _ = _fit(
             known,
             precision,
             torso[cell],
@@ -207,33 +211,51 @@ def _fit(
     tilt: float,
     yaw: float,
     width: np.ndarray,
-) -> tuple[float, float, float]:
-    """χ² and the inverse scale that fits best, under one rotation, and how far the joints may move,
-    weighed, when the rotation moves by half of `width` either way."""
+) -> tuple[float, float, float, float, float]:
+    """χ² and the inverse scale that fits best, under one rotation, how far the joints may move,
+    weighed, when the rotation moves by half of `width` either way, and where their middle falls
+    beside that of parallel lines of sight."""
     cos_a, sin_a, cos_b, sin_b = math.cos(roll), math.sin(roll), math.cos(tilt), math.sin(tilt)
     cos_c, sin_c = math.cos(yaw), math.sin(yaw)
     by_roll, by_tilt = 2 * math.sin(width[0] / 4), 2 * math.sin(width[1] / 4)
     by_yaw = 2 * math.sin(width[2] / 4)
-    square, product, moves = 0.0, 0.0, 0.0
+    m0, m1, m2 = known.middles[torso, 0, 0], known.middles[torso, 0, 1], known.middles[torso, 0, 2]
+    middle = cos_b * m2 - sin_b * (cos_c * m0 - sin_c * m1)
+    side = math.sqrt(known.ray[0] ** 2 + known.ray[1] ** 2)
+    square, product, moves, mean0, mean1 = 0.0, 0.0, 0.0, 0.0, 0.0
     for joint in range(precision.size):
         weight = precision[joint]
         if weight > 0:
             x, y = known.torsos[torso, joint, 0], known.torsos[torso, joint, 1]
             z = known.torsos[torso, joint, 2]
             turned, along = cos_c * x - sin_c * y, sin_c * x + cos_c * y
-            across = cos_b * turned + sin_b * z
-            image0 = cos_a * across - sin_a * along + known.biases[joint, 0]
-            image1 = sin_a * across + cos_a * along + known.biases[joint, 1]
+            across, depth = cos_b * turned + sin_b * z, cos_b * z - sin_b * turned
+            # Of the rays' mean, the middle's depth moves all joints alike.
+            ray0, ray1 = known.rays[joint, 0], known.rays[joint, 1]
+            aside0 = known.ray[0] * depth + ray0 * (depth + middle)
+            aside1 = known.ray[1] * depth + ray1 * (depth + middle)
+            image0 = cos_a * across - sin_a * along + known.biases[joint, 0] - aside0
+            image1 = sin_a * across + cos_a * along + known.biases[joint, 1] - aside1
             square += weight * (image0 * image0 + image1 * image1)
             product += weight * (
                 known.keypoints[joint, 0] * image0 + known.keypoints[joint, 1] * image1
             )
+            mean0, mean1 = mean0 + weight * aside0, mean1 + weight * aside1
+            flat, sheer = math.sqrt(x * x + y * y), math.sqrt(turned * turned + z * z)
             step = by_roll * math.sqrt(across * across + along * along)
-            step += by_tilt * math.sqrt(turned * turned + z * z)
-            step += by_yaw * math.sqrt(x * x + y * y)
+            step += (1 + side) * (by_tilt * sheer + by_yaw * flat)
+            far = math.sqrt((x + m0) ** 2 + (y + m1) ** 2 + (z + m2) ** 2)
+            step += math.sqrt(ray0 * ray0 + ray1 * ray1) * (by_tilt + by_yaw) * far
             moves += weight * step * step
-    best = product / known.lever
-    return max(0.0, square - product * best), best, math.sqrt(moves)
+    best, total = product / known.lever, known.total
+    square -= (mean0 * mean0 + mean1 * mean1) / total
+    return (
+        max(0.0, square - product * best),
+        best,
+        math.sqrt(moves),
+        mean0 / total + known.ray[0] * middle,
+        mean1 / total + known.ray[1] * middle,
+    )
 
 
 @compiled
@@ -265,7 +287,7 @@ def attempt_fits(
         tilt = math.acos(min(1.0, max(-1.0, cos_b)))
         part, stream = uniform(stream)
         yaw = cells.corner[entry, 2] + part * cells.width[entry, 2]
-        chi, best, _ = _fit(known, precision, torso, roll, tilt, yaw, still)
+        chi, best, _, aside0, aside1 = _fit(known, precision, torso, roll, tilt, yaw, still)
         radius, stream = uniform(stream)
         angle, stream = uniform(stream)
         normal = math.sqrt(-2 * math.log1p(-radius)) * math.cos(2 * math.pi * angle)
@@ -284,9 +306,10 @@ def attempt_fits(
         cos_a, sin_a, sin_b = math.cos(roll), math.sin(roll), math.sin(tilt)
         cos_b, cos_c, sin_c = math.cos(tilt), math.cos(yaw), math.sin(yaw)
         turn = turned(cos_a, sin_a, cos_b, sin_b, cos_c, sin_c)
-        x, y = image(turn, known.middles, torso, 0)
-        t0 = known.middle[0] * inverse - x - known.bias[0] + radius * math.cos(angle)
-        t1 = known.middle[1] * inverse - y - known.bias[1] + radius * math.sin(angle)
+        x, y = image(turn, known.middles, 0.0, 0.0, torso, 0)
+        x, y = x - aside0 + known.bias[0], y - aside1 + known.bias[1]
+        t0 = known.middle[0] * inverse - x + radius * math.cos(angle)
+        t1 = known.middle[1] * inverse - y + radius * math.sin(angle)
         if explains(problem, torso, turn, inverse, t0, t1, 0):
             write_root(table, found, torso, roll, tilt, yaw, inverse, t0, t1, attempt)
             found += 1

@@ -1,6 +1,10 @@
 """Attempts at a root: a torso, a rotation, a scale and a translation that bring the torso's seen
 joints within reach of their detections. Compiled.
 
+Every joint is projected along the line of sight to its own detection (`ray`), where perspective is
+known to be one: what it misses its detection by, as large as at its own depth, is then as linear in
+the scale and the translation as under weak perspective (docs/model.md § 9).
+
 Rotations are cut into cells of three angles, R = Rz(roll) Ry(tilt) Rz(yaw): uniform on SO(3) is
 uniform in roll, cos tilt and yaw. Under every torso and cell, each pair of joints bounds the scale:
 their images are farther apart than detected by no more than both reaches, and by what a turn inside
@@ -24,8 +28,8 @@ TILTS = 12
 WIDTH = math.pi / TILTS
 SLACK = 1e-9
 """Body units, for rounding."""
-Turn = tuple[float, float, float, float, float, float]
-"""The first two rows of a rotation."""
+Turn = tuple[float, float, float, float, float, float, float, float, float]
+"""The rows of a rotation."""
 
 
 class TorsoProblem(NamedTuple):
@@ -40,6 +44,8 @@ class TorsoProblem(NamedTuple):
     reach : `(n,)` how far from there they may fall, body units
     precision : `(n,)` one over the variance of joints whose errors are Gaussian within the
         reach, of which `loops.fits` makes use; 0 for others
+    ray : `(n, 2)` of the joints' lines of sight, how far they run to the side for one in depth; 0
+        where all are parallel
     power : of the scales' density: that of the inverse scale v is v^(power - 1)
     """
 
@@ -48,6 +54,7 @@ class TorsoProblem(NamedTuple):
     bias: np.ndarray
     reach: np.ndarray
     precision: np.ndarray
+    ray: np.ndarray
     power: float
 
 
@@ -104,7 +111,7 @@ def cut_roots(problem: TorsoProblem) -> RootCells:
 def _find_cells(problem: TorsoProblem, code: np.ndarray, low: np.ndarray, high: np.ndarray) -> int:
     """Writes the cells that are left, as far as there is room; returns how many they are."""
     torsos, joints, found = problem.torsos, problem.reach.size, 0
-    across, along = np.empty(joints), np.empty(joints)
+    across, along, depth = np.empty(joints), np.empty(joints), np.empty(joints)
     turn = 2 * math.sin(WIDTH / 4)  # the chord of half a cell
     for torso in range(len(torsos)):
         for yaw in range(2 * TILTS):
@@ -113,12 +120,12 @@ def _find_cells(problem: TorsoProblem, code: np.ndarray, low: np.ndarray, high: 
                 cosine, sine = math.cos((tilt + 0.5) * WIDTH), math.sin((tilt + 0.5) * WIDTH)
                 for joint in range(joints):
                     x, y = torsos[torso, joint, 0], torsos[torso, joint, 1]
-                    across[joint] = (
-                        cosine * (cos_yaw * x - sin_yaw * y) + sine * torsos[torso, joint, 2]
-                    )
+                    turned, z = cos_yaw * x - sin_yaw * y, torsos[torso, joint, 2]
+                    across[joint] = cosine * turned + sine * z
                     along[joint] = sin_yaw * x + cos_yaw * y
+                    depth[joint] = cosine * z - sine * turned
                 for roll in range(2 * TILTS):
-                    least, most = _inverse_scales(problem, torso, across, along, roll, turn)
+                    least, most = _inverse_scales(problem, torso, across, along, depth, roll, turn)
                     if least < most:
                         if found < code.size:
                             cell = (yaw * TILTS + tilt) * 2 * TILTS + roll
@@ -134,14 +141,15 @@ def _inverse_scales(
     torso: int,
     across: np.ndarray,
     along: np.ndarray,
+    depth: np.ndarray,
     roll: int,
     turn: float,
 ) -> tuple[float, float]:
     """The range of the inverse scale that all pairs of joints leave, for a torso whose joints lie
-    at `across`, `along` before the roll; empty where the first is not below the second."""
+    at `across`, `along`, `depth` before the roll; empty where the first is not below the second."""
     cosine, sine = math.cos((roll + 0.5) * WIDTH), math.sin((roll + 0.5) * WIDTH)
     least, most, torsos, keypoints = 0.0, 1.0, problem.torsos, problem.keypoints
-    bias = problem.bias
+    bias, ray = problem.bias, problem.ray
     for one in range(across.size):
         for two in range(one):
             x, y = across[one] - across[two], along[one] - along[two]
@@ -150,9 +158,12 @@ def _inverse_scales(
             for axis in range(3):
                 length += (torsos[torso, one, axis] - torsos[torso, two, axis]) ** 2
             slack = turn * (math.sqrt(x * x + y * y) + 2 * math.sqrt(length)) + SLACK
+            slack += 2 * turn * _ray_slack(problem, torso, one, two, math.sqrt(length))
             far = problem.reach[one] + problem.reach[two] + slack
             across_image = cosine * x - sine * y + bias[one, 0] - bias[two, 0]
             down_image = sine * x + cosine * y + bias[one, 1] - bias[two, 1]
+            across_image -= ray[one, 0] * depth[one] - ray[two, 0] * depth[two]
+            down_image -= ray[one, 1] * depth[one] - ray[two, 1] * depth[two]
             image = across_image * across_image + down_image * down_image
             dot = u * across_image + v * down_image
             square = u * u + v * v
@@ -169,10 +180,22 @@ def _inverse_scales(
 
 
 @inlined
+def _ray_slack(problem: TorsoProblem, torso: int, one: int, two: int, apart: float) -> float:
+    """How far, at most, the images of two joints that lie `apart` move against each other because
+    their lines of sight run to the side, if their depths change by their distance from the pelvis
+    and from each other."""
+    ray, points = problem.ray, problem.torsos
+    x, y = ray[one, 0] - ray[two, 0], ray[one, 1] - ray[two, 1]
+    far = points[torso, two, 0] ** 2 + points[torso, two, 1] ** 2 + points[torso, two, 2] ** 2
+    side = math.sqrt(ray[one, 0] ** 2 + ray[one, 1] ** 2)
+    return side * apart + math.sqrt((x * x + y * y) * far)
+
+
+@inlined
 def turned(
     cos_a: float, sin_a: float, cos_b: float, sin_b: float, cos_c: float, sin_c: float
 ) -> Turn:
-    """The first two rows of Rz(a) Ry(b) Rz(c)."""
+    """The rows of Rz(a) Ry(b) Rz(c)."""
     return (
         cos_a * cos_b * cos_c - sin_a * sin_c,
         -cos_a * cos_b * sin_c - sin_a * cos_c,
@@ -180,14 +203,23 @@ def turned(
         sin_a * cos_b * cos_c + cos_a * sin_c,
         -sin_a * cos_b * sin_c + cos_a * cos_c,
         sin_a * sin_b,
+        -sin_b * cos_c,
+        sin_b * sin_c,
+        cos_b,
     )
 
 
 @inlined
-def image(turn: Turn, points: np.ndarray, torso: int, joint: int) -> tuple[float, float]:
-    """Where a point of `points` `(J, n, 3)` falls, before any translation."""
+def image(
+    turn: Turn, points: np.ndarray, ray0: float, ray1: float, torso: int, joint: int
+) -> tuple[float, float]:
+    """Where a point of `points` `(J, n, 3)` falls along a ray, before any translation."""
     p0, p1, p2 = points[torso, joint, 0], points[torso, joint, 1], points[torso, joint, 2]
-    return turn[0] * p0 + turn[1] * p1 + turn[2] * p2, turn[3] * p0 + turn[4] * p1 + turn[5] * p2
+    depth = turn[6] * p0 + turn[7] * p1 + turn[8] * p2
+    return (
+        turn[0] * p0 + turn[1] * p1 + turn[2] * p2 - ray0 * depth,
+        turn[3] * p0 + turn[4] * p1 + turn[5] * p2 - ray1 * depth,
+    )
 
 
 @inlined
@@ -207,8 +239,9 @@ def explains(
         problem.bias,
         problem.reach,
     )
+    ray = problem.ray
     for joint in range(first, reach.size):
-        x, y = image(turn, torsos, torso, joint)
+        x, y = image(turn, torsos, ray[joint, 0], ray[joint, 1], torso, joint)
         off0 = x + t0 + bias[joint, 0] - keypoints[joint, 0] * inverse
         off1 = y + t1 + bias[joint, 1] - keypoints[joint, 1] * inverse
         if off0 * off0 + off1 * off1 > reach[joint] * reach[joint]:
@@ -242,7 +275,7 @@ def attempt_roots(
     """Makes attempts, up to a number of them or until the table is full. Returns how many roots
     were found, and how many attempts were made."""
     torsos, keypoints, reach = problem.torsos, problem.keypoints, problem.reach
-    bias = problem.bias
+    bias, ray = problem.bias, problem.ray
     stream, found, power = load(state), 0, problem.power
     for attempt in range(attempts):
         at, stream = uniform(stream)
@@ -274,7 +307,7 @@ def attempt_roots(
         radius, stream = uniform(stream)
         angle, stream = uniform(stream)
         radius, angle = reach[0] * math.sqrt(radius), 2 * np.pi * angle
-        x, y = image(turn, torsos, torso, 0)
+        x, y = image(turn, torsos, ray[0, 0], ray[0, 1], torso, 0)
         t0 = keypoints[0, 0] * inverse - bias[0, 0] + radius * math.cos(angle) - x
         t1 = keypoints[0, 1] * inverse - bias[0, 1] + radius * math.sin(angle) - y
         if inverse > 0 and explains(problem, torso, turn, inverse, t0, t1, 1):

@@ -53,6 +53,14 @@ FOUND = np.dtype(
 """Attempts that explain their detections: under which lengths, the weight, the squared distances of
 the joints from their targets, directions in local frames (the lower one zero in limbs of one bone).
 """
+OPTICS = np.dtype(
+    [("start", float), ("slope", float, (3,)), ("stretch", float, (3,))],
+    align=True,
+)
+"""How one joint of a limb is seen. Its distance from the camera over the pelvis' is `start` +
+`slope` · what of the limb leads to it, in the upper bone's local frame; under weak perspective 1.
+What lies beside the line of sight becomes what lies beside it in a plane parallel to the image by a
+symmetric matrix, the `stretch` xx, xy, yy; where the line runs straight on, the identity."""
 Direction = tuple[float, float, float]
 
 
@@ -71,6 +79,7 @@ def attempt_rows(
     target: np.ndarray,
     reach: np.ndarray,
     deviation: np.ndarray,
+    optics: np.ndarray,
     tables: LimbTables,
     length1: np.ndarray,
     length2: np.ndarray,
@@ -83,10 +92,11 @@ def attempt_rows(
     Parameters
     ----------
     states : `(n, 4)` of each root's random numbers, written on
-    axes : `(n, 3, 3)` the limb's local frame in camera axes
-    target : `(n, 2, 2)` the detected joints minus the limb's start
+    axes : `(n, 2, 3, 3)` the limb's local frame in the axes in which each joint is seen
+    target : `(n, 2, 2)` the detected joints minus the limb's start, in the same axes
     reach : `(n, 2)` how far from there joints may fall, infinite where nothing was seen
     deviation : `(n, 2)` of errors that are Gaussian within the reach; 0 where they are uniform
+    optics : `(n, 2)` `OPTICS`
     tables : what the model says of the limb
     length1, length2 : `(n, trials)` of its bones
     each : attempts, two at least
@@ -95,7 +105,8 @@ def attempt_rows(
     """
     count = 0
     for row in range(len(states)):
-        stream, frame = load(states[row]), rows_of(axes[row])
+        stream, frame = load(states[row]), rows_of(axes[row, 0])
+        second = rows_of(axes[row, 1])
         for trial in range(length1.shape[1]):
             one, two = length1[row, trial], length2[row, trial]
             for attempt in range(each):
@@ -103,9 +114,11 @@ def attempt_rows(
                 weight, stream = _attempt(
                     stream,
                     frame,
+                    second,
                     target[row],
                     reach[row],
                     deviation[row],
+                    optics[row],
                     tables,
                     one,
                     two,
@@ -182,13 +195,39 @@ def _local(frame: Rows, d0: float, d1: float, d2: float) -> Direction:
     )
 
 
+@inlined
+def _across(frame: Rows, u0: float, u1: float, u2: float) -> tuple[float, float]:
+    """What a bone of local direction `u` moves across the line of sight, from joint to joint."""
+    return (
+        -(frame[0] * u0 + frame[1] * u1 + frame[2] * u2),
+        -(frame[3] * u0 + frame[4] * u1 + frame[5] * u2),
+    )
+
+
+@inlined
+def _along(optic: Record, u0: float, u1: float, u2: float) -> float:
+    """What a bone of local direction `u` and length one adds to the distance over the pelvis'."""
+    return optic.slope[0] * u0 + optic.slope[1] * u1 + optic.slope[2] * u2
+
+
+@inlined
+def _square(optic: Record, off0: float, off1: float) -> float:
+    """The squared distance in a plane parallel to the image of what lies `off` beside the line of
+    sight."""
+    x = optic.stretch[0] * off0 + optic.stretch[1] * off1
+    y = optic.stretch[1] * off0 + optic.stretch[2] * off1
+    return x * x + y * y
+
+
 @compiled
 def _attempt(
     stream: Stream,
     frame: Rows,
+    second: Rows,
     target: np.ndarray,
     reach: np.ndarray,
     deviation: np.ndarray,
+    optics: np.ndarray,
     tables: LimbTables,
     length1: float,
     length2: float,
@@ -209,8 +248,8 @@ def _attempt(
         d0, d1, d2, stream = _near_pole(frame, stream)
     else:
         d0, d1, d2, stream = _in_rectangle(centre0, centre1, distance, size, stream)
-    off0, off1 = d0 * length1 - target[0, 0], d1 * length1 - target[0, 1]
-    square = off0 * off0 + off1 * off1
+    optic = optics[0]
+    square = _square(optic, d0 * length1 - target[0, 0], d1 * length1 - target[0, 1])
     if square > radius * radius:
         return 0.0, stream
     u0, u1, u2 = _local(frame, d0, d1, d2)
@@ -220,15 +259,31 @@ def _attempt(
     cell = tables.cells[column * NUM_ELEVATION + line]
     if cell.mass <= 0:
         return 0.0, stream
-    weight = share * cell.mass / CELL * _over_proposal(tables.by_area, line, u2, area, capped)
+    away = optic.start + length1 * _along(optic, u0, u1, u2)
+    weight = away * away * share * cell.mass / CELL
+    weight *= _over_proposal(tables.by_area, line, u2, area, capped)
     entry.upper[0], entry.upper[1], entry.upper[2] = u0, u1, u2
     entry.square[0], entry.square[1] = square, 0.0
     if tables.bones == 1:
         entry.lower[0] = entry.lower[1] = entry.lower[2] = 0.0
         return weight, stream
+    d0, d1 = _across(second, u0, u1, u2)
     gap0, gap1 = target[1, 0] - length1 * d0, target[1, 1] - length1 * d1
+    optic = optics[1]
+    begins = optic.start + length1 * _along(optic, u0, u1, u2)
     lower, stream = _attempt_lower(
-        stream, frame, gap0, gap1, reach[1], deviation[1], tables, length2, cell, entry
+        stream,
+        second,
+        gap0,
+        gap1,
+        reach[1],
+        deviation[1],
+        optic,
+        begins,
+        tables,
+        length2,
+        cell,
+        entry,
     )
     return weight * lower, stream
 
@@ -253,13 +308,15 @@ def _attempt_lower(
     gap1: float,
     reach: float,
     deviation: float,
+    optic: Record,
+    begins: float,
     tables: LimbTables,
     length: float,
     cell: Record,
     entry: Record,
 ) -> tuple[float, Stream]:
-    """The lower bone, whose joint is detected at `gap` from where it starts: what the attempt
-    counts, 0 where it fails, and the stream after it."""
+    """The lower bone, whose joint is detected at `gap` from where it starts, as far away as
+    `begins` says: what the attempt counts, 0 where it fails, and the stream after it."""
     radius, share, stream = _radius(reach, deviation, stream)
     centre0, centre1 = gap0 / length, gap1 / length
     distance = math.sqrt(centre0 * centre0 + centre1 * centre1)
@@ -294,17 +351,16 @@ def _attempt_lower(
         p0 = u0 * q0 + v0 * q1 + w0 * q2
         p1 = u1 * q0 + v1 * q1 + w1 * q2
         p2 = u2 * q0 + v2 * q1 + w2 * q2
-        d0 = -(frame[0] * p0 + frame[1] * p1 + frame[2] * p2)
-        d1 = -(frame[3] * p0 + frame[4] * p1 + frame[5] * p2)
-    off0, off1 = length * d0 - gap0, length * d1 - gap1
-    square = off0 * off0 + off1 * off1
+        d0, d1 = _across(frame, p0, p1, p2)
+    square = _square(optic, length * d0 - gap0, length * d1 - gap1)
     if square > radius * radius or h1 + cell.offset > 0:
         return 0.0, stream
     if h2 < cell.low2 or h2 > cell.high2 or h3 < cell.low3 or h3 > cell.high3:
         return 0.0, stream
     entry.square[1] = square
     entry.lower[0], entry.lower[1], entry.lower[2] = q0, q1, q2
-    return share * region / cell.area * (abs(h1) if tables.flat else 1.0), stream
+    away = begins + length * _along(optic, p0, p1, p2)
+    return away * away * share * region / cell.area * (abs(h1) if tables.flat else 1.0), stream
 
 
 @compiled

@@ -96,7 +96,7 @@ def of_rooted(posterior: UncertainPosterior, points: RootPoint, joints: np.ndarr
 def _of_rooted(
     model: PoseModel, detected: DetectedJoints, *fields: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    prior = RootPrior(model.torsos, model.upright)
+    prior = RootPrior.of(model)
 
     def one(
         point: RootPoint, joints: jax.Array, length: jax.Array

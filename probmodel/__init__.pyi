@@ -3,6 +3,8 @@ from .anatomy.limits import AnatomicalLimits as AnatomicalLimits
 from .anatomy.population import Anatomy as Anatomy
 from .anatomy.published import read_published as read_published
 from .anatomy.torsos import TorsoDictionary as TorsoDictionary
+from .camera import Lens as Lens
+from .camera import Perspective as Perspective
 from .camera import WeakPerspective as WeakPerspective
 from .detections import Detection as Detection
 from .directions.distributions import HingedDirection as HingedDirection

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from inference import Estimating
     from inference.machines import Machines
-    from probmodel import Anatomy, DetectedFrame, Detection, Estimate, Likelihood, PoseModel
+    from probmodel import Anatomy, DetectedFrame, Detection, Estimate, Lens, Likelihood, PoseModel
 
 SAMPLERS = (
     *("rejection", "rejection-group", "rejection-prior"),
@@ -127,12 +127,12 @@ class Prior:
 
         return Anatomy.default() if self.limits == "default" else Anatomy.load(Path(self.limits))
 
-    def model(self, *, upright: float = 0.0) -> "PoseModel":
-        """The model. Raises `BadInput` on a limits file that is not one."""
+    def model(self, *, upright: float = 0.0, lens: "Lens | None" = None) -> "PoseModel":
+        """The model. Raises `BadInput` on a limits file, or a lens, that is not one."""
         from probmodel import PoseModel
 
         return PoseModel.from_anatomy(
-            self.anatomy(), upper=self.upper, lower=self.lower, upright=upright
+            self.anatomy(), upper=self.upper, lower=self.lower, upright=upright, lens=lens
         )
 
 
@@ -199,14 +199,17 @@ class Detected:
 
     def _known(self) -> dict[str, Any]:
         """What the user knows of a file that it does not say itself."""
-        return {"image_size": self._size(), "names": self._names(), "layout": self.layout}
+        return {"image_size": self.size, "names": self._names(), "layout": self.layout}
 
     def _corrected(self, people: "list[Detection]") -> "list[Detection]":
         from probmodel.layouts import corrected
 
         return [corrected(person) for person in people] if self.correct else people
 
-    def _size(self) -> tuple[int, int] | None:
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height of the image, as the user says them, or its own. Raises `BadInput` on a
+        bad size or image."""
         if self.image_size is not None:
             return parse_size(self.image_size, "--image-size", "640x480")
         return None if self.photo is None else (self.photo.shape[1], self.photo.shape[0])
@@ -249,6 +252,11 @@ class Person:
         from probmodel.detections import pick_person
 
         return pick_person(self.people, self.person)
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height of the person's image, if anything says them."""
+        return self.detected.size or self.detection.image_size
 
     def check(self) -> None:
         """Reads the file. Raises `BadInput` on a bad file, or where there is no such person."""
@@ -417,8 +425,57 @@ class Rooting:
     def model(self, prior: Prior) -> "PoseModel":
         """The model of anatomy, with what is believed of the root. Raises `BadInput` on a limits
         file that is not one."""
+        return prior.model(upright=self._concentration)
+
+    @property
+    def _concentration(self) -> float:
         tilt = 0.0 if self.upright is None else math.radians(self.upright)
-        return prior.model(upright=1 / tilt**2 if tilt else 0.0)
+        return 1 / tilt**2 if tilt else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Viewing(Rooting):
+    """As `Rooting`, of people whose camera may be known."""
+
+    focal: Annotated[
+        float | None,
+        Option(
+            help="Focal length of the camera in pixels of the image (--root uncertain).",
+            show_default="not known: weak perspective",
+        ),
+    ] = None
+    principal: Annotated[
+        str | None,
+        Option(
+            metavar="X,Y",
+            help="Where the camera's optical axis meets the image, pixels (--focal).",
+            show_default="the image's centre",
+        ),
+    ] = None
+
+    def model(self, prior: Prior, size: tuple[int, int] | None = None) -> "PoseModel":
+        """As `Rooting.model`, for an image of this width and height, if they are known. Raises
+        `BadInput` also on a camera that cannot be, or whose optical axis nobody knows."""
+        return prior.model(upright=self._concentration, lens=self._lens(size))
+
+    def _lens(self, size: tuple[int, int] | None) -> "Lens | None":
+        import numpy as np
+
+        from probmodel import BadInput
+        from probmodel.camera import Lens
+
+        if self.focal is None:
+            if self.principal is not None:
+                raise BadInput("--principal says nothing without a focal length; give --focal too")
+            return None
+        if self.principal is not None:
+            return Lens(self.focal, parse_point(self.principal, "--principal", "320,240"))
+        if size is None:
+            raise BadInput(
+                "--focal needs to know where the optical axis meets the image, whose size the file"
+                " does not say; give --image, --image-size 640x480, or --principal 320,240"
+            )
+        return Lens(self.focal, np.array(size) / 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -450,6 +507,19 @@ class Workforce:
         from inference.machines import Machines
 
         return Machines(self.workers, self.scheduler)
+
+
+def parse_point(text: str, option: str, example: str) -> "np.ndarray":
+    """`(2,)` from such as "320,240.5". Raises `BadInput` otherwise."""
+    import numpy as np
+
+    from probmodel import BadInput
+
+    try:
+        x, y = map(float, text.split(","))
+    except ValueError:
+        raise BadInput(f"{option} must look like {example}, not {text!r}") from None
+    return np.array([x, y])
 
 
 def parse_size(text: str, option: str, example: str) -> tuple[int, int]:

@@ -31,6 +31,7 @@ from reports.options import (
     Roots,
     Sampling,
     Seed,
+    Viewing,
     Workforce,
 )
 
@@ -70,6 +71,7 @@ class HypothesesSettings:
         "hypotheses frame.json --limits limits.npz --candidates 1",
         "hypotheses frame.json --estimator zhou",
         "hypotheses frame.json --root uncertain --upright 20",
+        "hypotheses frame.json --root uncertain --focal 1650 --image photo.jpg",
     )
     person: Person
     out: Annotated[
@@ -80,7 +82,7 @@ class HypothesesSettings:
     k: Hypotheses = 5
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
-    rooting: Rooting = Rooting()
+    rooting: Viewing = Viewing()
     prior: Prior = Prior()
 
     @property
@@ -117,7 +119,7 @@ class SampleSettings:
     ] = 1
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
-    rooting: Rooting = Rooting()
+    rooting: Viewing = Viewing()
     prior: Prior = Prior()
 
     @property
@@ -136,6 +138,7 @@ class FramesSettings:
         "frames walk/ --out walk-posterior",
         "frames video.json --out result --num-samples 1000 --keep 100",
         "frames walk/ --out walk-uncertain --root uncertain --roots 400",
+        "frames walk/ --root uncertain --focal 1650 --principal 960,540",
     )
     path: Annotated[
         Path,
@@ -157,7 +160,7 @@ class FramesSettings:
     sampling: Sampling = Sampling()
     detected: Detected = Detected()
     estimation: Estimation = Estimation()
-    rooting: Rooting = MANY_ROOTED
+    rooting: Viewing = Viewing(roots=MANY_ROOTED.roots)
     prior: Prior = Prior()
 
     @property
@@ -170,6 +173,13 @@ class FramesSettings:
         """How many people there are in all frames: what cannot be read is better found now than
         after hours."""
         return sum(len(frame.people) for frame in self.detected.frames(self.path))
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height of the images, where anything says them and they are all the same."""
+        frames = self.detected.frames(self.path)
+        sizes = {person.image_size for frame in frames for person in frame.people}
+        return self.detected.size or (sizes.pop() if len(sizes) == 1 else None)
 
     def check(self) -> None:
         """Reads all frames. Raises `BadInput` on a bad one, or where there is nobody."""
@@ -358,7 +368,7 @@ class CompareSettings:
     ] = None
     seed: Seed = 0
     estimation: Estimation = Estimation()
-    rooting: Rooting = Rooting()
+    rooting: Viewing = Viewing()
     prior: Prior = Prior()
 
 

@@ -413,8 +413,7 @@ def require_distance(posterior: UncertainPosterior) -> None:
     distance = float(lens.focal) / lowest
     if distance < NEAREST:
         raise BadInput(
-            f"a focal length of {float(lens.focal):g} pixels puts the person of"
-            f" {posterior.detection.where} at most {distance:.2g} body units (of about 0.35 m) from"
-            f" the camera, and {NEAREST:g} are the least; give the focal length in pixels of the"
-            " image that the keypoints are of"
+            f"a focal length of {float(lens.focal):g} pixels puts {posterior.detection.where} at"
+            f" most {distance:.2g} body units (of about 0.35 m) from the camera, where {NEAREST:g}"
+            " are the least; give it in pixels of the image that the keypoints are of"
         )

@@ -67,32 +67,38 @@ def draw_columns(
             _log_joints, posterior.model, posterior.detected, posterior.faults
         )
         lp = in_chunks(density, *map(np.asarray, points), *poses, *faults)
-    scale = np.exp(points.log_scale)
+    scale, where = np.exp(points.log_scale), placed(posterior.model, points, poses)
     named = {"outlier": faults.outlier, "exchange": faults.exchange}
     return {
         **(named if posterior.faults.any else {}),
-        **_read(posterior, scale, faults),
+        **_read(posterior, _units(posterior.model, scale, where["joints"]), faults),
         "torso": np.asarray(points.torso),
         "rotation": np.asarray(points.rotation),
         "scale": scale,
         "translation": np.asarray(points.translation),
         "bone_length": poses.length,
         "lp": lp,
-        **placed(posterior.model, points, poses),
+        **where,
     }
 
 
-def _read(posterior: UncertainPosterior, scale: np.ndarray, faults: Faults) -> Columns:
+def _units(model: PoseModel, scale: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """`(n, 15)`: pixels of a body unit at each joint of draws `(n, 15, 3)`."""
+    nearness = 0.0 if model.lens is None else 1 / float(model.lens.focal)
+    return scale[:, None] / (1 + nearness * scale[:, None] * joints[:, :, 2])
+
+
+def _read(posterior: UncertainPosterior, unit: np.ndarray, faults: Faults) -> Columns:
     """The detection as each pattern of faults `(n, ...)` has it, as the fields of `KeypointsRead`,
-    in pixels."""
+    in pixels, of which a body unit has `unit` `(n, 15)` at each joint."""
     order = ORDERS[faults.exchange]
     spread = np.asarray(posterior.detected.spread)[order]
     outlier = np.take_along_axis(faults.outlier, order, axis=1) & np.isfinite(spread)
     bias = np.where(outlier[..., None], 0.0, posterior.likelihood.bias[order])
     return {
         "read_detected": posterior.detection.keypoints[order],
-        "read_bias": scale[:, None, None] * bias,
-        "read_spread": scale[:, None] * np.where(outlier, posterior.faults.reach, spread),
+        "read_bias": unit[..., None] * bias,
+        "read_spread": unit * np.where(outlier, posterior.faults.reach, spread),
         "read_outlier": outlier,
     }
 

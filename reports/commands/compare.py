@@ -40,7 +40,7 @@ def run(settings: CompareSettings, screen: Screen) -> None:
         routes.check_routes(samplers)
     out = console.output_folder(settings.out)
     with console.progress("torso and camera", screen.quiet):
-        model = settings.rooting.model(settings.prior)
+        model = settings.rooting.model(settings.prior, settings.person.size)
         frame = settings.estimation.estimate(settings.person.detection, model)
     kept = ", runs" if {*samplers} & {*BASELINES} else ""
     found = _contest(settings)(

@@ -22,7 +22,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
     out, sampling, estimation = settings.out, settings.sampling, settings.estimation
     console.output_folder(out)
     with console.progress("limits and torsos", screen.quiet):
-        model = settings.rooting.model(settings.prior)
+        model = settings.rooting.model(settings.prior, settings.size)
         warnings = doubts.about_the_size(_first_people(settings), settings.detected, model)
     estimating = estimation.estimating(model)
     kept = min(settings.keep, sampling.num_samples)

@@ -29,7 +29,7 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
     if k > sampling.num_samples:
         raise BadInput(f"--k {k} hypotheses need at least as many draws; raise --num-samples")
     with console.progress("torso and camera", screen.quiet):
-        model = settings.rooting.model(settings.prior)
+        model = settings.rooting.model(settings.prior, settings.person.size)
         frame = settings.estimation.estimate(settings.person.detection, model)
         warnings = doubts.about(settings.person, model)
     out = console.output_folder(settings.out)

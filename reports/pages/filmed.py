@@ -22,7 +22,7 @@ from inference.store import Block, Groups, Store, fill, locked
 from inference.studies.errorlaws.embedded import embedded
 from inference.studies.errorlaws.learn import Learned, learn
 from inference.studies.errorlaws.pairs import pairs_of_session
-from probmodel import Detection, Likelihood, PoseModel
+from probmodel import Detection, Lens, Likelihood, PoseModel
 from probmodel.faults import NO_FAULTS
 from probmodel.layouts import corrected
 from probmodel.sessions import Session, read_session
@@ -41,42 +41,51 @@ PARTS = 2
 
 class Way(NamedTuple):
     """One way to a posterior: its root, the error law's name, whether midpoints are moved to the
-    skeleton's thorax and pelvis, and in how many frames it is judged."""
+    skeleton's thorax and pelvis, whether the focal length is known, and in how many frames it is
+    judged."""
 
     root: str
     errors: str = DISC
     moved: bool = True
+    focal: bool = False
     frames: int = 25
 
     def __str__(self) -> str:
         given = "" if self.moved else ", `--as-detected`"
-        return f"{self.root}, {self.errors}{given}"
+        return f"{self.root}, {self.errors}{given}{', `--focal`' if self.focal else ''}"
 
     @property
     def folder(self) -> str:
         """Where its draws are kept."""
-        return f"{self.root}-{self.errors}{'' if self.moved else '-as-detected'}".lower()
+        given = "" if self.moved else "-as-detected"
+        return f"{self.root}-{self.errors}{given}{'-focal' if self.focal else ''}".lower()
 
 
 WAYS = (
     Way(FIXED, moved=False),
     Way(FIXED),
     Way(UNCERTAIN),
+    Way(UNCERTAIN, focal=True),
     Way(UNCERTAIN, LEARNED),
+    Way(UNCERTAIN, LEARNED, focal=True),
 )
 
 
 class FilmedCase(NamedTuple):
     """What one `camera` detected in a `frame`, and the truth `(15, 3)` from the others: body units
     of the person, the hips' midpoint at the origin, z along the line of sight to it; with the
-    covariances `(15, 3, 3)` of the truth's own errors, those of one joint independent of
-    another's."""
+    covariances `(15, 3, 3)` of the truth's own errors, those of one joint independent of another's.
+    Where the focal length is to be known: the `straight` detection, without the distortion of the
+    `lens`, and what `turns` `(3, 3)` the camera's axes into those of the truth."""
 
     camera: int
     frame: int
     detection: Detection
     truth: np.ndarray
     doubt: np.ndarray
+    straight: Detection
+    lens: Lens
+    turns: np.ndarray
 
     def errors(self, rng: np.random.Generator, number: int) -> np.ndarray:
         """`(number, 15, 3)`: errors that the truth may have, rooted as it is."""
@@ -131,8 +140,18 @@ class Film:
         doubt = axes @ world.covariance @ np.swapaxes(axes, -1, -2)
         sigma = np.stack([self._truth_sigma[self.part_of(row)] for row in range(len(session))])
         doubt = doubt * sigma[:, :, None, None] ** 2
-        rows = enumerate(zip(session.people[camera], truth, doubt, strict=True))
-        return [FilmedCase(camera, row, *case) for row, case in rows]
+        seen_by, people = session.straight[camera], session.people[camera]
+        straight = [
+            dataclasses.replace(person, keypoints=keypoints)
+            for person, keypoints in zip(people, session.keypoints[camera], strict=True)
+        ]
+        turns = (axes[:, 0] @ seen_by.rotation.T).copy()
+        lens = Lens(float(seen_by.focal.mean()), seen_by.principal)
+        rows = zip(people, truth, doubt, straight, turns, strict=True)
+        return [
+            FilmedCase(camera, row, person, where, errs, plain, lens, turned)
+            for row, (person, where, errs, plain, turned) in enumerate(rows)
+        ]
 
     @functools.cached_property
     def _truth_sigma(self) -> list[np.ndarray]:
@@ -141,14 +160,20 @@ class Film:
         return [learn(rest).fit.mixture.sigma for rest in rests]
 
     @functools.cached_property
-    def learned(self) -> list[Likelihood]:
-        """By part of the film, what is learned from the rest of it, without faults."""
-        laws = [embedded(self.unseen(part)) for part in range(PARTS)]
+    def learned(self) -> dict[bool, list[Likelihood]]:
+        """By whether the focal length is known and by part of the film, what is learned from the
+        rest of it, without faults."""
+        return {focal: self._learned(focal) for focal in (False, True)}
+
+    def _learned(self, focal: bool) -> list[Likelihood]:
+        laws = [embedded(self.unseen(part), perspective=focal) for part in range(PARTS)]
         return [dataclasses.replace(Likelihood.of(law), faults=NO_FAULTS) for law in laws]
 
-    def likelihood(self, errors: str, frame: int) -> Likelihood:
-        """How detections err, by a law's name: the paper's, or what is learned from the rest."""
-        return self.learned[self.part_of(frame)] if errors == LEARNED else Likelihood()
+    def likelihood(self, way: Way, frame: int) -> Likelihood:
+        """How detections err in a way's eyes: as the paper says, or as is learned from the rest."""
+        return (
+            self.learned[way.focal][self.part_of(frame)] if way.errors == LEARNED else Likelihood()
+        )
 
 
 def learn_both(session: Session) -> Learned:
@@ -182,17 +207,21 @@ def drawn(seen: Film, way: Way, work: Path) -> Iterator[tuple[FilmedCase, Drawn]
 
 
 def _block(seen: Film, way: Way, number: int, case: FilmedCase) -> Block:
-    likelihood = seen.likelihood(way.errors, case.frame)
-    person = corrected(case.detection) if way.moved else case.detection
+    likelihood = seen.likelihood(way, case.frame)
+    person = case.straight if way.focal else case.detection
+    person = corrected(person) if way.moved else person
+    lens, turns = (case.lens, case.turns) if way.focal else (None, np.eye(3))
     seed = case.frame * len(seen.session.cameras) + case.camera
     made_of = {"camera": case.camera, "frame": case.frame, "law": likelihood.sha256}
-    return Block(number, f"{way}, case {number}", made_of, 1, (person, likelihood, seed))
+    return Block(
+        number, f"{way}, case {number}", made_of, 1, (person, likelihood, lens, turns, seed)
+    )
 
 
-def _draw(way: Way, given: tuple[Detection, Likelihood, int]) -> Groups:
+def _draw(way: Way, given: tuple[Detection, Likelihood, Lens | None, np.ndarray, int]) -> Groups:
     """Draws for one camera's detection."""
-    detection, likelihood, seed = given
-    model = _model()
+    detection, likelihood, lens, turns, seed = given
+    model = _model().seen_by(lens)
     result = inference.sample(
         model,
         inference.estimate_torso(detection, torsos=np.asarray(model.torsos), likelihood=likelihood),
@@ -205,7 +234,7 @@ def _draw(way: Way, given: tuple[Detection, Likelihood, int]) -> Groups:
     joints = np.zeros((0, NUM_JOINTS, 3))
     if result.num_draws:
         joints = result.tree["posterior"].joints.values[0]
-        joints = joints - joints[:, HIPS].mean(axis=1, keepdims=True)
+        joints = (joints - joints[:, HIPS].mean(axis=1, keepdims=True)) @ turns.T
     about = {
         "roots": float(result.tree.attrs.get("effective_roots", np.nan)),
         "seconds": float(result.tree.attrs["wall_time_s"]),

@@ -1,5 +1,5 @@
-"""A known focal length against brute force in NumPy with a pinhole camera, which shares no code with
-the product: evidence and moments of a small case, torso and one arm; and controls that must fail.
+"""A known focal length against brute force in NumPy with a pinhole camera, which shares no code
+with the product: evidence and moments of a small case, torso and one arm; controls that must fail.
 
 False alarms: evidence and every moment are held to 4 standard errors, 6e-5 each; seeds are fixed.
 """
@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from inference.uncertain import torsos as uncertain_torsos
 from inference.uncertain.weighted import WeightedRoots, weigh_roots
 from probmodel import Estimate, Likelihood, PoseModel
 from probmodel.camera import Lens
@@ -42,8 +41,9 @@ def seen_at(points: np.ndarray, pelvis: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def brute_force(frame: Estimate, attempts: int, seed: int, law: str) -> dict:
-    """Evidence and moments by importance sampling from a plain proposal: rotation uniform, log scale
-    uniform on a wide interval, the pelvis' image uniform in a square around the right hip's."""
+    """Evidence and moments by importance sampling from a plain proposal: rotation uniform, log
+    scale uniform on a wide interval, the pelvis' image uniform in a square around the right hip's.
+    """
     model, rng, detection = small_case()[0], np.random.default_rng(seed), frame.detection
     names = sound.SEEN
     score = detection.score[[JOINT_INDEX[name] for name in names]]
@@ -60,9 +60,11 @@ def brute_force(frame: Estimate, attempts: int, seed: int, law: str) -> dict:
     def likelihood(name: str, points: np.ndarray, pelvis: np.ndarray) -> np.ndarray:
         image, unit = seen_at(points, pelvis)
         gap = (image - at[name]) / unit[:, None]
-        return sound.PEAKS[law] * sound.likelihood_ratio(law, gap, radius[name]) / (
-            radius[name] * unit
-        ) ** 2
+        return (
+            sound.PEAKS[law]
+            * sound.likelihood_ratio(law, gap, radius[name])
+            / (radius[name] * unit) ** 2
+        )
 
     weights, values = [], []
     for _ in range(attempts // BATCH):
@@ -100,7 +102,10 @@ def brute_force(frame: Estimate, attempts: int, seed: int, law: str) -> dict:
 
 def under(law: str) -> tuple[PoseModel, Estimate]:
     model, frame = small_case()
-    laws = {"disc": Likelihood(factor=sound.FACTOR), "gaussian": Likelihood(Gaussian(), sound.FACTOR)}
+    laws = {
+        "disc": Likelihood(factor=sound.FACTOR),
+        "gaussian": Likelihood(Gaussian(), sound.FACTOR),
+    }
     return model, dataclasses.replace(frame, likelihood=laws[law])
 
 
@@ -123,4 +128,5 @@ def test_evidence_and_moments_against_a_pinhole_camera(law: str) -> None:
     roots = weigh_roots(frame.uncertain(model), key=key(3), num_roots=1500)
     assert math.hypot(known(law)["se"], roots.log_evidence_se) < 0.15
     evidence, moments = apart(roots, known(law))
-    assert evidence < 4 and moments < 4
+    assert evidence < 4
+    assert moments < 4

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from probmodel import Lens
 from probmodel.skeleton import LIMB_JOINTS, NUM_JOINTS
 from reports.pages import filmed as pages
 from reports.pages import honest
@@ -17,6 +18,18 @@ def test_a_film_is_cut_in_two() -> None:
         assert seen.unseen(part).numbers == tuple(rest)
 
 
+def test_a_case_knows_its_camera() -> None:
+    """The truth, turned into the camera's axes and put where the hips are, is seen through the lens
+    where the straight detection has it."""
+    seen = pages.Film(filmed(moving(9), np.zeros((4, 9, NUM_JOINTS, 2))))
+    for case in seen.cases[::5]:
+        camera = seen.session.straight[case.camera]
+        hips = camera.view(seen.session.world.points[case.frame, pages.HIPS].mean(axis=0))
+        place = case.truth * seen.session.unit @ case.turns + hips
+        image = case.lens.principal + case.lens.focal * place[:, :2] / place[:, 2:]
+        assert image == pytest.approx(case.straight.keypoints, abs=0.1)
+
+
 def test_draws_are_judged_in_spreads_and_millimetres() -> None:
     """A truth at the middle of standard normal draws in x, and beyond all of them in y; its own
     doubt, of both coordinates, pulls both towards the middle."""
@@ -26,7 +39,8 @@ def test_draws_are_judged_in_spreads_and_millimetres() -> None:
     doubt = np.zeros((NUM_JOINTS, 3, 3))
     doubt[list(LIMB_JOINTS)] = 81 * np.eye(3)
     detection = detected(np.zeros((NUM_JOINTS, 2)), "film")
-    case = pages.FilmedCase(1, 2, detection, truth, doubt)
+    lens = Lens(1000.0, np.zeros(2))
+    case = pages.FilmedCase(1, 2, detection, truth, doubt, detection, lens, np.eye(3))
     joints = rng.normal(size=(4000, NUM_JOINTS, 3))
     found = honest.judge(case, pages.Drawn(joints, 50.0, 2.0))
     assert found.bare[:, 0] == pytest.approx(np.full(8, 0.5), abs=0.05)

@@ -37,9 +37,11 @@ EXCHANGES = Exchange(legs=0.005, arms=0.005, body=0.005)
 PATH = Path(__file__).parents[3] / "probmodel" / "data" / "errors.json"
 
 
-def embedded(session: Session) -> DetectorErrors:
-    """The law of a session, made fit for detectors that nobody has calibrated."""
-    learned = learn(pairs_of_session(session), truth=pairs_of_session(session, perspective=True))
+def embedded(session: Session, *, perspective: bool = False) -> DetectorErrors:
+    """The law of a session, made fit for detectors that nobody has calibrated; without what
+    `perspective` adds, where the focal length is known."""
+    true = pairs_of_session(session, perspective=True)
+    learned = learn(true if perspective else pairs_of_session(session), truth=true)
     found, mixture = learned.errors, learned.fit.mixture
     square = mixture.sigma**2 + np.sum(mixture.bias**2, axis=1) / 2
     sigma = np.sqrt((square + square[list(MIRROR)]) / 2)
@@ -53,7 +55,8 @@ def embedded(session: Session) -> DetectorErrors:
         learned={
             **found.learned,
             "detector": session.people[0][0].layout,
-            "truth": "triangulated by the other cameras, seen along the line of sight",
+            "truth": "triangulated by the other cameras, seen"
+            + (" in perspective" if perspective else " along the line of sight"),
             "sigma": "of the film, sides together, its bias a part of it",
             "inlier": "Chang, Moon & Lee, arXiv 1910.12029",
             "exchange": "assumed",

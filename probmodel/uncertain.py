@@ -76,7 +76,7 @@ class DetectedJoints(NamedTuple):
         without a lens, and where a joint does not count."""
         if lens is None:
             return np.zeros((NUM_JOINTS, 2))
-        slope = (jnp.asarray(self.keypoints) - lens.principal) / lens.focal
+        slope = (jnp.asarray(self.keypoints) - jnp.asarray(lens.principal)[None]) / lens.focal
         return jnp.where(self.counts[:, None], slope, 0.0)
 
     def under(self, prior: RootPrior, point: RootPoint, faults: Faults) -> Observation:

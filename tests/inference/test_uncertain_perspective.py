@@ -7,17 +7,34 @@ False alarms: evidence and every moment are held to 4 standard errors, 6e-5 each
 import dataclasses
 import functools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from inference.uncertain import limbs, weighted
+from inference.uncertain.torsos import log_nearness, torso_problem
+from inference.uncertain.tree import placed
 from inference.uncertain.weighted import WeightedRoots, weigh_roots
-from probmodel import Estimate, Likelihood, PoseModel
-from probmodel.camera import Lens
+from probmodel import (
+    BadInput,
+    Detection,
+    DetectorErrors,
+    Estimate,
+    Likelihood,
+    PoseModel,
+    RootPoint,
+    UncertainPosterior,
+)
+from probmodel.camera import Lens, Perspective, WeakPerspective
+from probmodel.errorlaws import Exchange
+from probmodel.faults import Faults
 from probmodel.likelihood import Gaussian
+from probmodel.pose import Pose
 from probmodel.roots import NEAREST
-from probmodel.skeleton import JOINT_INDEX, TORSO_INDEX
+from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from tests.brute_force import propose_group
 from tests.inference import test_uncertain_root as sound
 from tests.scenes import key
@@ -25,6 +42,10 @@ from tests.scenes import key
 FOCAL, PRINCIPAL = 650.0, np.array([250.0, 420.0])
 """Pixels: some seven body units away, well beside the axis."""
 BATCH = 250_000
+LOWEST, WIDEST = 40.0, 1.6
+"""What brute force proposes: scales from there on, and a pelvis within so many body units of the
+hip's detection, either way."""
+BIAS = np.array([0.2, -0.15])
 
 
 @functools.cache
@@ -33,85 +54,90 @@ def small_case() -> tuple[PoseModel, Estimate]:
     return model.seen_by(Lens(FOCAL, PRINCIPAL)), frame
 
 
-def seen_at(points: np.ndarray, pelvis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`(n, 2)` pixels at which a pinhole camera sees points `(n, 3)` beside a pelvis `(n, 3)`, and
-    how large a body unit is there, `(n,)`."""
-    place = points + pelvis
-    return PRINCIPAL + FOCAL * place[:, :2] / place[:, 2:], FOCAL / place[:, 2]
+class Errors:
+    """What brute force knows of a law: the law of errors, radii in body units, and biases."""
+
+    def __init__(self, name: str) -> None:
+        detection = small_case()[1].detection
+        score = detection.score[[JOINT_INDEX[joint] for joint in sound.SEEN]]
+        self.law = "disc" if name == "disc" else "gaussian"
+        radius = sound.FACTOR * score.mean() / score
+        bias = np.zeros((len(sound.SEEN), 2))
+        if name == "biased":
+            radius, bias = np.full(len(score), sound.FACTOR), np.outer([1, -1, 1, -1, 1, 1], BIAS)
+        self.radius = dict(zip(sound.SEEN, radius, strict=True))
+        self.bias = dict(zip(sound.SEEN, bias, strict=True))
+
+    def density(self, joint: str, points: np.ndarray, pelvis: np.ndarray, at: Any) -> np.ndarray:
+        """`(n,)`, per square pixel, of a joint detected `at` some pixels where it is at `points`
+        `(n, 3)` beside a pelvis `(n, 3)`: a pinhole camera, written out."""
+        place, radius = points + pelvis, self.radius[joint]
+        unit = FOCAL / place[:, 2]
+        gap = (PRINCIPAL + unit[:, None] * place[:, :2] - at) / unit[:, None] + self.bias[joint]
+        ratio = sound.likelihood_ratio(self.law, gap, radius)
+        return sound.PEAKS[self.law] * ratio / (radius * unit) ** 2
+
+    @property
+    def likelihood(self) -> Likelihood:
+        """The same, for the product."""
+        if not any(bias.any() for bias in self.bias.values()):
+            own = (Gaussian(),) if self.law == "gaussian" else ()
+            return Likelihood(*own, factor=sound.FACTOR)
+        bias = np.zeros((NUM_JOINTS, 2))
+        for joint, value in self.bias.items():
+            bias[JOINT_INDEX[joint]] = value
+        sigma = np.full(NUM_JOINTS, sound.FACTOR / 2)
+        certain = DetectorErrors("gaussian", sigma, np.ones(NUM_JOINTS), bias, exchange=Exchange())
+        return Likelihood.of(certain)
 
 
-def brute_force(frame: Estimate, attempts: int, seed: int, law: str) -> dict:
+@functools.cache
+def brute_force(name: str, attempts: int = 8_000_000) -> dict:
     """Evidence and moments by importance sampling from a plain proposal: rotation uniform, log
     scale uniform on a wide interval, the pelvis' image uniform in a square around the right hip's.
     """
-    model, rng, detection = small_case()[0], np.random.default_rng(seed), frame.detection
-    names = sound.SEEN
-    score = detection.score[[JOINT_INDEX[name] for name in names]]
-    radius = dict(zip(names, sound.FACTOR * score.mean() / score, strict=True))
-    at = {name: detection.keypoints[JOINT_INDEX[name]] for name in names}
-    torsos = np.asarray(model.torsos)
-    row = {name: TORSO_INDEX.index(JOINT_INDEX[name]) for name in names[:4]}
-    low, high = math.log(25.0), math.log(FOCAL / NEAREST)
+    (model, frame), errors, rng = small_case(), Errors(name), np.random.default_rng(5)
+    names, torsos = sound.SEEN, np.asarray(model.torsos)
+    at = {joint: frame.detection.keypoints[JOINT_INDEX[joint]] for joint in names}
+    row = {joint: TORSO_INDEX.index(JOINT_INDEX[joint]) for joint in names[:4]}
+    low, high = math.log(LOWEST), math.log(FOCAL / NEAREST)
     pools = [
         propose_group(model.limits, model.lengths, torso, "arms", 20_000, rng)[1]
         for torso in torsos
     ]
-
-    def likelihood(name: str, points: np.ndarray, pelvis: np.ndarray) -> np.ndarray:
-        image, unit = seen_at(points, pelvis)
-        gap = (image - at[name]) / unit[:, None]
-        return (
-            sound.PEAKS[law]
-            * sound.likelihood_ratio(law, gap, radius[name])
-            / (radius[name] * unit) ** 2
-        )
-
     weights, values = [], []
     for _ in range(attempts // BATCH):
         torso = rng.integers(len(torsos), size=BATCH)
         rotation = Rotation.random(BATCH, rng=rng).as_matrix()
         scale = np.exp(rng.uniform(low, high, BATCH))
-        half = 1.8 * scale[:, None]
+        half, away = WIDEST * scale[:, None], FOCAL / scale
         moved = at["right_hip"] + rng.uniform(-half, half, (BATCH, 2))
-        away = FOCAL / scale
         pelvis = np.column_stack([(moved - PRINCIPAL) / FOCAL * away[:, None], away])
         weight = (high - low) * (2 * half[:, 0]) ** 2
-        for name in names[:4]:
-            points = np.einsum("nij,nj->ni", rotation, torsos[torso, row[name]])
-            weight *= likelihood(name, points, pelvis)
+        for joint in names[:4]:
+            points = np.einsum("nij,nj->ni", rotation, torsos[torso, row[joint]])
+            weight *= errors.density(joint, points, pelvis, at[joint])
         for n in np.flatnonzero(weight):
             pick = rng.integers(20_000, size=sound.ARMS_EACH)
-            ends = [pools[torso[n]][JOINT_INDEX[name]][pick] @ rotation[n].T for name in names[4:]]
+            ends = [pools[torso[n]][JOINT_INDEX[end]][pick] @ rotation[n].T for end in names[4:]]
             keep = np.ones(sound.ARMS_EACH)
-            for name, points in zip(names[4:], ends, strict=True):
-                keep *= likelihood(name, points, pelvis[n][None])
+            for joint, points in zip(names[4:], ends, strict=True):
+                keep *= errors.density(joint, points, pelvis[n][None], at[joint])
             weights.append(weight[n] * keep.mean())
             share = keep / keep.sum() if keep.any() else keep
-            elbow, wrist = ends
             root = [math.log(scale[n]), moved[n, 0], rotation[n, 2, 2], rotation[n, 2, 1]]
-            values.append([*root, share @ elbow[:, 2], *(share @ wrist[:, [0, 2]])])
+            values.append([*root, share @ ends[0][:, 2], *(share @ ends[1][:, [0, 2]])])
     weight, total = np.array(weights), attempts // BATCH * BATCH
     mean = weight.sum() / total
     error = math.sqrt((np.sum(weight**2) / total - mean**2) / total)
-    return {
-        "log": math.log(mean),
-        "se": error / mean,
-        **sound.moments(weight, np.array(values)),
-    }
+    known = {"log": math.log(mean), "se": error / mean}
+    return known | sound.moments(weight, np.array(values))
 
 
-def under(law: str) -> tuple[PoseModel, Estimate]:
+def under(name: str) -> tuple[PoseModel, Estimate]:
+    """The model, and the frame with errors of a law."""
     model, frame = small_case()
-    laws = {
-        "disc": Likelihood(factor=sound.FACTOR),
-        "gaussian": Likelihood(Gaussian(), sound.FACTOR),
-    }
-    return model, dataclasses.replace(frame, likelihood=laws[law])
-
-
-@functools.cache
-def known(law: str) -> dict:
-    return brute_force(small_case()[1], 12_000_000, 5, law)
+    return model, dataclasses.replace(frame, likelihood=Errors(name).likelihood)
 
 
 def apart(roots: WeightedRoots, brute: dict) -> tuple[float, float]:
@@ -122,11 +148,186 @@ def apart(roots: WeightedRoots, brute: dict) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["disc", "gaussian"])
-def test_evidence_and_moments_against_a_pinhole_camera(law: str) -> None:
-    model, frame = under(law)
-    roots = weigh_roots(frame.uncertain(model), key=key(3), num_roots=1500)
-    assert math.hypot(known(law)["se"], roots.log_evidence_se) < 0.15
-    evidence, moments = apart(roots, known(law))
+@pytest.mark.parametrize("name", ["disc", "gaussian", "biased"])
+def test_evidence_and_moments_against_a_pinhole_camera(name: str) -> None:
+    """The lowest scale that brute force proposes is lower than any that explains the torso."""
+    model, frame = under(name)
+    posterior = frame.uncertain(model)
+    assert torso_problem(posterior, Faults.none()).lowest > LOWEST
+    roots = weigh_roots(posterior, key=key(3), num_roots=1500)
+    assert math.hypot(brute_force(name)["se"], roots.log_evidence_se) < 0.1
+    evidence, moments = apart(roots, brute_force(name))
     assert evidence < 4
     assert moments < 4
+
+
+@pytest.mark.slow
+def test_what_perspective_does_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Negative controls: weak perspective; limbs projected as if all lines of sight were parallel;
+    errors of the limbs as large as at the pelvis' depth."""
+    model, frame = under("disc")
+    brute = brute_force("disc")
+
+    def off(seen_by: PoseModel = model) -> tuple[float, float]:
+        return apart(weigh_roots(frame.uncertain(seen_by), key=key(3), num_roots=1500), brute)
+
+    assert off(model.seen_by(None))[1] > 12
+    right = limbs._optics
+
+    def with_views(**fields: float) -> None:
+        def wrong(views: Any, *given: Any) -> Any:
+            part = {name: np.asarray(getattr(views, name)) * 0 for name in fields}
+            return right(views._replace(**part), *given)
+
+        monkeypatch.setattr(limbs, "_optics", wrong)
+
+    with_views(ray=0.0)
+    assert off()[1] > 12
+    with_views(nearness=0.0)
+    assert off()[0] > 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["disc", "biased"])
+def test_draws_are_what_the_program_says(name: str) -> None:
+    """Weighted draws have a density under the program, and under weak perspective most have none;
+    it is that of a pinhole camera."""
+    model, frame = under(name)
+    posterior, errors = frame.uncertain(model), Errors(name)
+    roots = weigh_roots(posterior, key=key(8), num_roots=300)
+    points, poses, _ = roots.draw(np.random.default_rng(0), 200)
+    density = np.asarray(posterior.log_joint(points, poses))
+    assert np.isfinite(density).all()
+    joints = placed(model, points, poses)["joints"]
+    away = FOCAL / np.exp(points.log_scale)
+    pelvis = np.column_stack([(points.translation - PRINCIPAL) / FOCAL * away[:, None], away])
+    seen, nearer = np.zeros(len(away)), np.zeros(len(away))
+    for joint in sound.SEEN:
+        at = frame.detection.keypoints[JOINT_INDEX[joint]]
+        place = joints[:, JOINT_INDEX[joint]]
+        seen += np.log(errors.density(joint, place, pelvis, at))
+        nearer += np.log(1 + place[:, 2] / away) * (JOINT_INDEX[joint] in TORSO_INDEX)
+    assert log_nearness(posterior, points, np.zeros(200, int)) == pytest.approx(2 * nearer)
+    prior = np.asarray(model.log_prior(*poses)) - math.log(len(model.torsos))
+    assert density == pytest.approx(seen + prior, abs=1e-6)
+    weak = frame.uncertain(model.seen_by(None)).log_joint(points, poses)
+    assert np.isfinite(weak).mean() < (0.6 if name == "disc" else 0.99)
+
+
+@pytest.mark.slow
+def test_who_is_far_away_is_seen_by_weak_perspective() -> None:
+    """With the same random numbers, what a telescope sees agrees with parallel lines of sight."""
+    model, frame = under("gaussian")
+    far = model.seen_by(Lens(1e9, PRINCIPAL))
+    one, other = (
+        weigh_roots(frame.uncertain(seen_by), key=key(2), num_roots=200)
+        for seen_by in (far, model.seen_by(None))
+    )
+    assert one.log_evidence == pytest.approx(other.log_evidence, abs=0.03)
+    assert one.share @ one.points.log_scale == pytest.approx(
+        other.share @ other.points.log_scale, abs=0.01
+    )
+
+
+def test_a_lens_sees_as_a_pinhole_camera() -> None:
+    """By hand: a pelvis ten units away, seen 20 pixels to the right of the principal point with 100
+    pixels a unit, and a joint one unit to the right and two towards the camera."""
+    weak = WeakPerspective(100.0, np.eye(3), np.array([320.0, 200.0]))
+    camera = Perspective(weak, Lens(1000.0, np.array([300.0, 200.0])))
+    joints = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, -2.0]])
+    assert np.asarray(camera.image(joints)) == pytest.approx(
+        np.array([[320.0, 200.0], [300 + 1000 * 1.2 / 8, 200.0]])
+    )
+    assert np.asarray(camera.magnification(joints)) == pytest.approx([1.0, 1.25])
+
+
+@pytest.mark.parametrize(
+    ("focal", "principal", "said"),
+    [
+        (0.0, [0.0, 0.0], "a focal length must be positive"),
+        (math.nan, [0.0, 0.0], "a focal length must be positive"),
+        (900.0, [math.inf, 0.0], "a principal point must be two finite numbers"),
+        (900.0, [1.0], "a principal point must be two finite numbers"),
+    ],
+)
+def test_a_lens_that_cannot_be(focal: float, principal: list, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        small_case()[0].seen_by(Lens(focal, np.array(principal)))
+
+
+def test_a_focal_length_needs_an_uncertain_root_and_room() -> None:
+    model, frame = small_case()
+    with pytest.raises(BadInput, match="a known focal length needs torso and camera"):
+        frame.posterior(model)
+    near = frame.uncertain(model.seen_by(Lens(100.0, PRINCIPAL)))
+    with pytest.raises(BadInput, match="from the camera, where 4 are"):
+        weigh_roots(near, key=key(0), num_roots=10)
+
+
+SIMULATIONS, ALARM = 40, 1e-3
+SCALES, PLACES = np.log([75.0, 150.0]), np.array([[200.0, 150.0], [440.0, 350.0]])
+"""Between which simulations draw the log scale, and the pelvis' image: a posterior under that prior
+has the draws of the flat one that lie there."""
+FOLLOWED = ("right_elbow", "left_wrist", "right_knee", "left_ankle")
+
+
+def ranks_of(truth: np.ndarray, draws: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """`(m,)`: where among draws `(n, m)` a truth `(m,)` stands, uniform in (0, 1) if it is one of
+    them."""
+    return ((draws < truth).sum(axis=0) + rng.uniform(size=len(truth))) / (len(draws) + 1)
+
+
+def quantities(model: PoseModel, points: Any, poses: Any) -> np.ndarray:
+    """`(n, m)`: of roots and poses, what is ranked."""
+    joints = placed(model, points, poses)["joints"][:, [JOINT_INDEX[name] for name in FOLLOWED]]
+    root = [points.log_scale, *points.translation.T, *points.rotation[:, 2, 1:].T]
+    return np.column_stack([*root, joints[..., 0], joints[..., 2]])
+
+
+def simulated(model: PoseModel, seed: int) -> tuple[Any, Any, Detection]:
+    """A root, a pose, and a detection of it by a pinhole camera, with errors of a Gaussian."""
+    rng = np.random.default_rng([81, seed])
+    points = RootPoint(
+        rng.integers(len(model.torsos), size=1),
+        Rotation.random(1, rng=rng).as_matrix(),
+        rng.uniform(*SCALES, 1),
+        rng.uniform(*PLACES)[None],
+    )
+    poses = Pose(*map(np.asarray, model.draw(key(seed), 1)))
+    joints, away = placed(model, points, poses)["joints"][0], FOCAL / np.exp(points.log_scale[0])
+    place = joints + np.append((points.translation[0] - PRINCIPAL) / FOCAL * away, away)
+    error = 0.25 * np.asarray(Gaussian().sample(key(1000 + seed), (NUM_JOINTS,)))
+    pixels = PRINCIPAL + FOCAL * (place[:, :2] + error) / place[:, 2:]
+    return points, poses, Detection(pixels, np.ones(NUM_JOINTS), "synthetic", "a scene", 0)
+
+
+def ranks(model: PoseModel, drawn_under: PoseModel) -> np.ndarray:
+    """`(simulations, m)` of truths under a model among draws under another; independent draws that
+    lie where truths do."""
+    found = []
+    for seed in range(SIMULATIONS):
+        points, poses, detection = simulated(model, seed)
+        likelihood, rng = Likelihood(Gaussian(), factor=0.25), np.random.default_rng(seed)
+        posterior = UncertainPosterior(drawn_under, likelihood, detection)
+        roots = weigh_roots(posterior, key=key(seed), num_roots=400)
+        drawn = roots.draw(rng, max(2, int(roots.effective / weighted.APART)))
+        inside = np.abs(drawn[0].log_scale - SCALES.mean()) < np.ptp(SCALES) / 2
+        middle, wide = PLACES.mean(axis=0), np.ptp(PLACES, axis=0) / 2
+        inside &= (np.abs(drawn[0].translation - middle) < wide).all(axis=1)
+        draws = quantities(drawn_under, *drawn[:2])[inside]
+        found.append(ranks_of(quantities(model, points, poses)[0], draws, rng))
+    return np.array(found)
+
+
+@pytest.mark.sweep
+def test_simulations_under_perspective_are_calibrated() -> None:
+    """Ranks of truths are uniform (Kolmogorov-Smirnov, false alarm 1e-3 for all quantities
+    together), and those of weak perspective are not."""
+    model = small_case()[0]
+
+    def chance(drawn_under: PoseModel) -> float:
+        found = ranks(model, drawn_under)
+        return min(stats.kstest(column, "uniform").pvalue for column in found.T) * found.shape[1]
+
+    assert chance(model) > ALARM
+    assert chance(model.seen_by(None)) < ALARM / 10

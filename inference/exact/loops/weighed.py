@@ -360,7 +360,8 @@ def _attempt_lower(
     entry.square[1] = square
     entry.lower[0], entry.lower[1], entry.lower[2] = q0, q1, q2
     away = begins + length * _along(optic, p0, p1, p2)
-    return away * away * share * region / cell.area * (abs(h1) if tables.flat else 1.0), stream
+    share *= away * away
+    return share * region / cell.area * (abs(h1) if tables.flat else 1.0), stream
 
 
 @compiled

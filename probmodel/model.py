@@ -171,8 +171,23 @@ class PoseModel:
         return cls(*prior, upper=upper, lower=lower, upright=upright, lens=lens)
 
     def seen_by(self, lens: Lens | None) -> "PoseModel":
-        """The same model of people in front of another camera, whose `lens` is known, or not
-        (None). Raises `BadInput` as `PoseModel` does."""
+        """The same model of people in front of another camera.
+
+        Parameters
+        ----------
+        lens
+            What is known of it; None for weak perspective.
+
+        Returns
+        -------
+        PoseModel
+            A copy that shares all tables.
+
+        Raises
+        ------
+        BadInput
+            On a focal length that is not positive, or a principal point that is not one.
+        """
         children, measures = self.tree_flatten()
         return self.tree_unflatten(measures, (*children[:-1], jax.device_put(_checked(lens))))
 

@@ -12,7 +12,7 @@ import pytest
 from inference.exact.groups import attempt_group, group_tables, plan_group
 from inference.exact.loops.numbers import seeded
 from inference.exact.loops.strata import Resolution
-from inference.exact.loops.weighed import FOUND, combine_rows
+from inference.exact.loops.weighed import FOUND, OPTICS, combine_rows
 from inference.exact.problem import limb_problems, log_ratio_of
 from inference.uncertain.limbs import LIMBS, Sight, outliers_of, sights_of, views_of, weigh_group
 from inference.uncertain.weighted import weigh_roots
@@ -140,9 +140,11 @@ def test_where_everything_is_within_reach_the_prior_comes_back(upper):
         two, limbs = tables.builds[0].bones, len(GROUPS[name])
         reach = np.full((REPEATED, 2), 20.0)
         reach[:, 1] = 20.0 if two == 2 else np.inf
-        frame = np.tile(np.linalg.qr(np.arange(9).reshape(3, 3) ** 2 + 1.0)[0], (REPEATED, 1, 1))
+        turn = np.linalg.qr(np.arange(9).reshape(3, 3) ** 2 + 1.0)[0]
+        frame, optics = np.tile(turn, (REPEATED, 2, 1, 1)), np.zeros((REPEATED, 2), OPTICS)
+        optics["start"], optics["stretch"] = 1.0, [1.0, 0.0, 1.0]
         none = np.zeros((REPEATED, 2, 2))
-        sight = Sight(frame, none, reach, reach, np.zeros((REPEATED, 2), bool))
+        sight = Sight(frame, none, reach, reach, optics, np.zeros((REPEATED, 2), bool))
         states = np.array([seeded([8, limbs], row) for row in range(REPEATED)])
         found = weigh_group(tables, [sight] * limbs, Likelihood().law, states, 16, 16)
         evidence = np.exp([one.log_evidence for one in found])

@@ -128,8 +128,9 @@ def weigh() -> None:
     from probmodel.likelihood import PAPER
     from probmodel.model import PoseModel
 
-    axes, start, joints = np.tile(np.eye(3), (2, 5, 1, 1)), np.zeros((2, 6, 2)), np.ones((2, 15))
-    views = Views(axes, start, np.zeros((2, 15, 2)), np.inf * joints, joints)
+    axes, start, joints = np.tile(np.eye(3), (2, 5, 1, 1)), np.zeros((2, 6, 3)), np.ones((2, 15))
+    none = np.zeros((2, 15, 2))
+    views = Views(axes, start, none, np.inf * joints, joints, none, np.zeros(2))
     tables, outlier = group_tables(PoseModel()), np.zeros((2, 15), bool)
     attempt_limbs(tables, {}, [0], PAPER.law, views, outlier, 0)
 

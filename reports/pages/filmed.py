@@ -65,9 +65,9 @@ WAYS = (
     Way(FIXED, moved=False),
     Way(FIXED),
     Way(UNCERTAIN),
-    Way(UNCERTAIN, focal=True),
+    Way(UNCERTAIN, focal=True, frames=10),
     Way(UNCERTAIN, LEARNED),
-    Way(UNCERTAIN, LEARNED, focal=True),
+    Way(UNCERTAIN, LEARNED, focal=True, frames=7),
 )
 
 

@@ -174,6 +174,18 @@ def bare_table(outcomes: Found) -> Sheet:
     return sheet_of(("torso and camera", "x", "y", "depth"), lines)
 
 
+def paired(outcomes: Found) -> Found:
+    """Of every way that knows the focal length, and the same way without it, the cases that both
+    have."""
+    found: Found = {}
+    for way in outcomes:
+        for other in outcomes:
+            if way.focal and not other.focal and str(way).startswith(str(other)):
+                common = min(len(outcomes[way]), len(outcomes[other]))
+                found |= {one: outcomes[one][:common] for one in (other, way)}
+    return found
+
+
 def parts_of(outcomes: Found, seen: Film) -> Sheet:
     """A line for each way with an uncertain root and each half of the film, and each camera:
     coverage by axis, stretches of the film drawn anew, and how wide the draws are."""
@@ -330,6 +342,7 @@ def main(data: Path, work: Path) -> None:
         "draws": f"{DRAWS:,}",
         "roots": f"{ROOTS:,}",
         "table": table(outcomes),
+        "paired": table(paired(outcomes)),
         "cameras": parts_of(outcomes, seen),
         "laws": law_table(seen),
         "parts": parts_table(seen.session),

@@ -191,3 +191,19 @@ def test_what_is_compiled_ahead_is_what_the_call_draws_by() -> None:
         SampleSettings(person=person, sampler="rejection", rooting=uncertain).drawn == "uncertain"
     )
     assert SampleSettings(person=person, sampler="emcee").drawn is None
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--focal", 900, "--principal", "320,240"], "a known focal length needs torso and camera"),
+        ([*UNCERTAIN, "--principal", "320,240"], "give --focal too"),
+        ([*UNCERTAIN, "--focal", 0, "--principal", "320,240"], "a focal length must be positive"),
+        ([*UNCERTAIN, "--focal", 900, "--principal", "middle"], "--principal must look like"),
+        ([*UNCERTAIN, "--focal", 900, "--principal", "inf,0"], "must be two finite numbers"),
+    ],
+)
+def test_cameras_that_cannot_be(poseterior: Cli, given: list, said: str) -> None:
+    run = poseterior("sample", EXAMPLE, *given, "--num-samples", 5, "--quiet")
+    assert run.code == 2
+    assert said in run.err

@@ -287,9 +287,16 @@ def _draw_alone(axis: Axes, flat: Flat, rank: int, one: "Hypothesis") -> None:
 
 
 def _draw_draws(axis: Axes, flat: Flat, alpha: float) -> None:
-    bones = list(flat.draws[:, np.array(SEGMENTS)].reshape(-1, 2, 2))
     options: Style = {"colors": DRAW_COLOUR, "lw": 0.5, "alpha": alpha, "zorder": 1, "gid": "draws"}
-    axis.add_collection(LineCollection(bones, **options))
+    axis.add_collection(LineCollection(list(_bones(flat.draws, SEGMENTS)), **options))
+
+
+def _bones(points: np.ndarray, segments: Sequence[tuple[int, int]]) -> np.ndarray:
+    """`(..., 3 segments, 2)`: the bones of poses `(..., 15, 2)` as one line with gaps: a line for
+    each bone takes matplotlib ten times as long."""
+    path = np.full((*points.shape[:-2], len(segments), 3, 2), np.nan)
+    path[..., :2, :] = points[..., np.array(segments), :]
+    return path.reshape(*points.shape[:-2], 3 * len(segments), 2)
 
 
 def _draw_pose(axis: Axes, points: np.ndarray, pen: Pen, gid: str, zorder: int) -> None:
@@ -297,11 +304,8 @@ def _draw_pose(axis: Axes, points: np.ndarray, pen: Pen, gid: str, zorder: int) 
     for left in (False, True):
         segments = [pair for pair in SEGMENTS if (pair[1] in LEFT_LIMBS) == left]
         ends = points[[joint for joint in LIMB_OF if (joint in LEFT_LIMBS) == left]]
-        # One line with gaps: a line for each bone takes matplotlib ten times as long.
-        path = np.full((3 * len(segments), 2), np.nan)
-        path[0::3], path[1::3] = points[np.array(segments)].swapaxes(0, 1)
         line: Style = {"color": pen.colour, "lw": pen.width, "zorder": zorder, "gid": gid}
-        axis.plot(*path.T, ls=DASHES if pen.dashed or left else "-", **line)
+        axis.plot(*_bones(points, segments).T, ls=DASHES if pen.dashed or left else "-", **line)
         dots: Style = {"mec": pen.colour, "mew": pen.width / 2, "zorder": zorder + 0.5, "gid": gid}
         axis.plot(*ends.T, "o", ms=1 + pen.width, mfc="white" if left else pen.colour, **dots)
 

@@ -221,7 +221,10 @@ def test_truth_is_drawn_where_given(result: Result, five: list[Hypothesis]) -> N
 def test_draws_are_thinned(result: Result, five: list[Hypothesis]) -> None:
     figure = figures.hypotheses_figure(result.tree, five)
     (lines,) = named(figure.axes[2], LineCollection, "draws")
-    assert len(lines.get_segments()) == MAX_DRAWS * (len(JOINTS) - 1)
+    drawn = np.array([path.vertices for path in lines.get_paths()])
+    bones = drawn.reshape(MAX_DRAWS, len(JOINTS) - 1, 3, 2)
+    assert np.isfinite(bones[:, :, :2]).all()
+    assert np.isnan(bones[:, :, 2]).all()  # gaps
 
 
 @pytest.mark.parametrize("k", [1, 7, 20])

@@ -293,7 +293,7 @@ def test_a_root_needs_enough_of_the_torso():
         ({"root": "maybe"}, "there is no root 'maybe'; choose one of fixed, uncertain"),
         ({"root": "uncertain", "num_roots": 0}, "number of roots must lie between 1 and 100,000"),
         ({"root": "uncertain", "num_samples": 0}, "number of samples must be at least 1"),
-        ({"root": "uncertain", "sampler": "emcee"}, "emcee holds torso and camera fixed"),
+        ({"root": "uncertain", "sampler": "smc"}, "smc holds torso and camera fixed"),
     ],
 )
 def test_what_makes_no_sense_is_refused(settings, words):

@@ -10,7 +10,7 @@ import xarray as xr
 from inference.results import OUT_OF_BUDGET
 from inference.saved import read_result
 from probmodel.example import example
-from reports.options import Person, Rooting, RootKind
+from reports.options import Person, RootKind, Viewing
 from reports.settings import HypothesesSettings, SampleSettings
 from tests.conftest import Cli
 from tests.reports.test_interactive import Parsed
@@ -183,7 +183,7 @@ def test_who_is_believed_upright_needs_an_uncertain_root(poseterior: Cli, folder
 
 
 def test_what_is_compiled_ahead_is_what_the_call_draws_by() -> None:
-    person, uncertain = Person(file=Path("frame.json")), Rooting(root=RootKind.uncertain)
+    person, uncertain = Person(file=Path("frame.json")), Viewing(root=RootKind.uncertain)
     assert HypothesesSettings(person=person).drawn == "fixed"
     assert HypothesesSettings(person=person, rooting=uncertain).drawn == "uncertain"
     assert SampleSettings(person=person).drawn == "fixed"

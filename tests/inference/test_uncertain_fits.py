@@ -130,10 +130,8 @@ def broken_bounds(problem: TorsoProblem, cells: FitCells, shrunk: float) -> int:
     for row in rng.integers(len(cells.torso), size=3000):
         middle = cells.corner[row] + cells.width[row] / 2
         angles = middle + (rng.choice([-0.5, 0.5], 3) / shrunk) * cells.width[row]
-        image = (
-            problem.torsos[cells.torso[row]] @ Rotation.from_euler("ZYZ", angles).as_matrix()[:2].T
-        )
-        image = image + problem.bias
+        view = problem.torsos[cells.torso[row]] @ Rotation.from_euler("ZYZ", angles).as_matrix().T
+        image = view[:, :2] - view[:, 2:] * problem.ray + problem.bias
         design = np.zeros((2 * len(image), 3))
         design[::2, 0] = design[1::2, 1] = root
         design[:, 2] = -(root[:, None] * problem.keypoints).ravel()
@@ -145,10 +143,13 @@ def broken_bounds(problem: TorsoProblem, cells: FitCells, shrunk: float) -> int:
 
 
 @pytest.mark.slow
-def test_bounds_are_bounds() -> None:
+@pytest.mark.parametrize("aside", [0.0, 0.4])
+def test_bounds_are_bounds(aside: float) -> None:
     """At the corners of cells, where joints move most; corners one and a half cells away break
-    them, or they would be too wide to be of use."""
+    them, or they would be too wide to be of use. Lines of sight that run `aside` differ too."""
     problem = torso_problem(posterior(0.25), Faults.none()).problem
+    rays = np.random.default_rng(4).uniform(0.5, 1.0, problem.ray.shape)
+    problem = problem._replace(ray=aside * rays)
     cells = cut_fits(problem, balance(problem))
     assert broken_bounds(problem, cells, 1.0) == 0
     assert broken_bounds(problem, cells, 1 / 3) > 30

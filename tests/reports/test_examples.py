@@ -56,6 +56,7 @@ def parsed(poseterior: Cli, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], 
     settings: list[Any] = []
     idle = types.SimpleNamespace(run=lambda wanted, screen: settings.append(wanted))
     monkeypatch.setattr(cli, "import_module", lambda name: idle)
+    monkeypatch.setattr(cli, "_compile_ahead", lambda root, screen: None)  # nothing will be drawn
     monkeypatch.setattr(cli.options, "check", lambda wanted: None)  # there are no such files
 
     def parse(line: str) -> Any:

@@ -7,7 +7,7 @@ the camera) shows what a sampler finds by itself."""
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -18,7 +18,6 @@ from inference.baselines.ensemble import ENSEMBLES
 from inference.baselines.hamiltonian import GRADIENTS
 from inference.baselines.metropolis import WALKS
 from inference.baselines.nested import NESTED
-from inference.baselines.rooted import RootedTarget
 from inference.baselines.run import Allowance, Baseline, Progress, Run, check_packages, run
 from inference.baselines.target import Density, Target
 from inference.baselines.tempering import TEMPERINGS
@@ -43,6 +42,9 @@ from probmodel.pose import Pose
 from probmodel.posterior import Posterior
 from probmodel.roots import RootPoint
 from probmodel.uncertain import UncertainPosterior
+
+if TYPE_CHECKING:
+    from inference.baselines.rooted import RootedTarget
 
 BASELINES: dict[str, Baseline] = {**ENSEMBLES, **GRADIENTS, **WALKS, **TEMPERINGS, **NESTED}
 """Every baseline by its name."""
@@ -118,6 +120,8 @@ def sample_rooted(
     """As `sample_baseline`, of torso, camera and pose, by one of `ROOTED`, started in draws from
     `num_roots` weighted roots. Where the chains are worth too few draws, the status says so. Raises
     as `RootedTarget.of` and `weigh_roots`, and `OutOfBudget` where there is nowhere to start."""
+    from inference.baselines.rooted import RootedTarget  # it needs NumPyro, and imports it
+
     target = RootedTarget.of(posterior)
     _check(sampler, num_samples)
     root_key, draw_key = jax.random.split(jax.random.fold_in(key, 0))
@@ -179,7 +183,7 @@ def baseline_tree(posterior: Posterior, run: Run, key: jax.Array) -> xr.DataTree
 
 
 def rooted_tree(
-    posterior: UncertainPosterior, target: RootedTarget, run: Run, key: jax.Array
+    posterior: UncertainPosterior, target: "RootedTarget", run: Run, key: jax.Array
 ) -> xr.DataTree:
     """The DataTree of an uncertain root, with a baseline's chains: a root for every draw.
     `effective_roots` are the effective draws of the worst coordinate, `rhat` is the largest."""

@@ -38,6 +38,10 @@ os.environ["POSETERIOR_PROGRAMS"] = ""
 gc.set_threshold(100_000, 20, 50)
 
 
+MOST_MAPPINGS = 25_000
+"""Parts of a process's memory, of which programs take the most."""
+
+
 class Run(NamedTuple):
     """How a command ended: exit code, stdout, stderr."""
 
@@ -57,6 +61,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         files.setdefault(item.path, []).append(item)
     order = rng.sample([*files], len(files))
     items[:] = [item for path in order for item in rng.sample(files[path], len(files[path]))]
+
+
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Lets go of compiled programs before the system's number of mappings runs out: every one takes
+    a few, a process is given 65,530, and XLA breaks off the process where it gets no more."""
+    goes_on = nextitem is not None and nextitem.path == item.path
+    if goes_on and not item.get_closest_marker("slow"):
+        return
+    if _mappings() > MOST_MAPPINGS:
+        jax.clear_caches()
+        gc.collect()
+
+
+def _mappings() -> int:
+    try:
+        return Path("/proc/self/maps").read_bytes().count(b"\n")
+    except OSError:  # no Linux, and no such number
+        return 0
 
 
 Cli = Callable[..., Run]

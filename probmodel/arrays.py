@@ -46,6 +46,8 @@ _CHUNK = 1 << 20
 _DEFLATE, _SUMS = 1, 3
 _FILTERS = {_DEFLATE, 2, _SUMS, 32000}
 """The filters of HDF5 that are read: deflate, shuffle, Fletcher's sums, and h5py's own LZF."""
+_TREE, _HEAP = b"TREE", b"GCOL\1"
+"""What a node of a tree and a heap of texts begin with in an HDF5 file."""
 _HEAPS = 16
 """Heaps lie beside each other; words in the data that look like heaps may take so many times the
 file."""
@@ -318,15 +320,16 @@ def _require_ends(file: BinaryIO) -> None:
     head = file.read(16)
     widths = head[13:15] if head[8] < 2 else head[9:11]
     addresses, lengths = widths[0], widths[1]  # the bytes of each
-    _require_trees_end(file, addresses)
-    _require_heaps_end(file, lengths)
+    places = _found(file, (_TREE, _HEAP))
+    _require_trees_end(file, places[_TREE], addresses)
+    _require_heaps_end(file, places[_HEAP], lengths)
 
 
-def _require_trees_end(file: BinaryIO, width: int) -> None:
+def _require_trees_end(file: BinaryIO, places: Sequence[int], width: int) -> None:
     """Raises `ValueError` where a node of a tree comes after itself: the library goes from each
     node to the next."""
     after: dict[int, int] = {}
-    for place in _found(file, b"TREE"):
+    for place in places:
         file.seek(place + 8 + width)
         after[place] = int.from_bytes(file.read(width), "little")
     ends: set[int] = set()
@@ -341,12 +344,12 @@ def _require_trees_end(file: BinaryIO, width: int) -> None:
         ends.update(chain)
 
 
-def _require_heaps_end(file: BinaryIO, width: int) -> None:
+def _require_heaps_end(file: BinaryIO, places: Sequence[int], width: int) -> None:
     """Raises `ValueError` where an object in a heap of texts leads no step forward: the library
     goes by the sizes of the objects. Number 0 is free space, and its size is that of the step."""
     end = file.seek(0, 2)
     left = _HEAPS * end
-    for place in _found(file, b"GCOL\1"):
+    for place in places:
         file.seek(place + 8)
         size = int.from_bytes(file.read(width), "little")
         if place + size > end:  # no heap, but a word in the data
@@ -364,7 +367,8 @@ def _walk(heap: bytes, width: int) -> None:
     while at + head <= len(heap):
         size = int.from_bytes(heap[at + 8 : at + 8 + width], "little")
         step = head + _aligned(size) if any(heap[at : at + 2]) else size
-        if not 0 < step % 2 ** (8 * width) < 2 ** (8 * width - 1):
+        step %= 2 ** (8 * width)  # as the library adds
+        if not 0 < step < 2 ** (8 * width - 1):
             raise ValueError("a heap without an end")
         at += step
 
@@ -373,18 +377,19 @@ def _aligned(size: int) -> int:
     return -(-size // 8) * 8
 
 
-def _found(file: BinaryIO, word: bytes) -> Iterator[int]:
-    """Where a word stands in a file."""
-    start, rest = 0, b""
+def _found(file: BinaryIO, words: Sequence[bytes]) -> dict[bytes, list[int]]:
+    """Where words stand in a file, in their order, by one reading."""
+    places: dict[bytes, list[int]] = {word: [] for word in words}
+    pattern, start, rest = re.compile(b"|".join(map(re.escape, words))), 0, b""
     file.seek(0)
     while chunk := file.read(_CHUNK):
-        after = file.tell()
         text = rest + chunk
-        for match in re.finditer(re.escape(word), text):
-            yield start + match.start()
-        rest = text[1 - len(word) :]
+        for match in pattern.finditer(text):
+            if match.end() > len(rest):  # else it was found before
+                places[match[0]].append(start + match.start())
+        rest = text[1 - max(map(len, words)) :]
         start += len(text) - len(rest)
-        file.seek(after)
+    return places
 
 
 def _weight(dtype: np.dtype, count: int) -> int:

@@ -36,7 +36,7 @@ class KeypointsRead(NamedTuple):
 
 
 def prediction_groups(
-    law: ErrorLaw, read: KeypointsRead, keypoints: np.ndarray, words: list[int]
+    law: ErrorLaw, read: KeypointsRead, keypoints: np.ndarray, words: list[int], block: int = 0
 ) -> dict[str, xr.Dataset]:
     """The two groups, of one chain.
 
@@ -50,6 +50,8 @@ def prediction_groups(
         `(n, 15, 2)`, the draws projected, pixels.
     words
         Of the seed.
+    block
+        The number of the block that the draws are, where a result is made in several.
 
     Returns
     -------
@@ -57,7 +59,7 @@ def prediction_groups(
     count. `log_likelihood`: `keypoints` (chain, draw, detected), of the joints that count, per
     square pixel.
     """
-    rng = np.random.default_rng([*words, _STREAM])
+    rng = np.random.default_rng([*words, _STREAM, block])
     seen = np.flatnonzero(np.isfinite(read.spread).any(axis=0))
     units = {"units": "pixels"}
     dims = ("chain", "draw")

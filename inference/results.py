@@ -7,7 +7,7 @@ import functools
 import importlib.metadata
 import os
 import platform
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -35,6 +35,9 @@ BASE_MEASURE = (
 )
 FIXED, UNCERTAIN = "fixed", "uncertain"
 """What a result says of its root: atoms that an estimator gave, or a part of the posterior."""
+BLOCK = 1 << 16
+"""Draws of a large result that are in memory at a time (some 200 MB), and that its pictures and
+tables are of."""
 COMPLETE, OUT_OF_BUDGET, IMPOSSIBLE = "complete", "out of budget", "impossible"
 
 
@@ -88,26 +91,68 @@ class Result:
         """How many draws there are, of all chains."""
         return int(self.tree["posterior"].sizes["chain"] * self.tree["posterior"].sizes["draw"])
 
-    def save(self, path: str | os.PathLike) -> None:
+    def first(self, number: int) -> "Result":
+        """The first draws of each chain, in memory: as good a sample as all of them, for what needs
+        no more.
+
+        Parameters
+        ----------
+        number
+            How many; all where there are fewer.
+
+        Returns
+        -------
+        Result
+            With the same attributes.
+        """
+        if self.tree["posterior"].sizes["draw"] <= number:
+            return self
+        some = self.tree.isel(draw=slice(number), missing_dims="ignore").load()
+        return replace(self, tree=some)
+
+    def save(self, path: str | os.PathLike, *, double: bool = False) -> None:
         """Writes netCDF, whole or not at all.
 
         Parameters
         ----------
         path
             The file.
+        double
+            Writes all numbers as they are. Otherwise those of `SINGLE`, nearly all of a file, are
+            rounded to single precision: half the size, and a ten-thousandth of a pixel.
 
         Raises
         ------
         BadInput
             Where it cannot be written.
         """
-        save_tree(self.tree, path)
+        save_tree(self.tree, path, {} if double else single(self.tree))
 
 
-def save_tree(tree: xr.DataTree, path: str | os.PathLike) -> None:
-    """Writes a tree as netCDF4, whole or not at all. Raises `BadInput` where it cannot."""
+def save_tree(
+    tree: xr.DataTree, path: str | os.PathLike, encoding: dict[str, Any] | None = None
+) -> None:
+    """Writes a tree as netCDF4, whole or not at all; `encoding` by group and variable. Raises
+    `BadInput` where it cannot."""
     with replacing(path) as partial:
-        tree.to_netcdf(partial, engine="netcdf4")
+        tree.to_netcdf(partial, engine="netcdf4", encoding=encoding)
+
+
+SINGLE = {
+    "posterior": ("joints", "keypoints"),
+    "posterior_predictive": ("keypoints",),
+    "log_likelihood": ("keypoints",),
+}
+"""What files have in single precision, by group, unless somebody asks for more."""
+
+
+def single(tree: xr.DataTree) -> dict[str, dict[str, dict[str, str]]]:
+    """The encoding, by group and variable, of a result in single precision."""
+    return {
+        f"/{group}": {name: {"dtype": "float32"} for name in names}
+        for group, names in SINGLE.items()
+        if group in tree.children
+    }
 
 
 def key_words(key: jax.Array) -> str:
@@ -168,15 +213,18 @@ def build_tree(
     parts: list[RootDraws],
     attributes: dict[str, Any],
     rng: np.random.Generator | None,
+    block: int = 0,
 ) -> xr.DataTree:
     """The DataTree of a posterior's draws, those of each root in `parts`.
 
     Draws are put in random order, so that any stretch of them is a sample of the mixture; without
-    `rng` they stay in theirs. The attribute `seed` also decides the predictions.
+    `rng` they stay in theirs. The attribute `seed` also decides the predictions, with the number of
+    the `block` where a result is made in several.
     """
     columns = pose_columns(posterior, parts, rng)
     attributes = {"root": FIXED} | attributes | {"converged": int(posterior.converged)}
-    return assemble(posterior, columns, _constant_data(posterior, parts), BASE_MEASURE, attributes)
+    constant = _constant_data(posterior, parts)
+    return assemble(posterior, columns, constant, BASE_MEASURE, attributes, block)
 
 
 def assemble(
@@ -185,6 +233,7 @@ def assemble(
     constant: xr.Dataset,
     base_measure: str,
     attributes: dict[str, Any],
+    block: int = 0,
 ) -> xr.DataTree:
     """The DataTree of draws in columns `(n, ...)`: some of `COLUMNS`, the fields of
     `KeypointsRead`, their names after "read_", and lp, log densities with respect to
@@ -209,6 +258,7 @@ def assemble(
                 KeypointsRead(*(columns[f"read_{name}"] for name in KeypointsRead._fields)),
                 columns["keypoints"],
                 words,
+                block,
             ),
             "observed_data": observed_data(posterior.detection),
             "constant_data": constant,

@@ -36,6 +36,7 @@ if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors
         open_stream,
         sample,
         sample_frames,
+        sample_to_file,
     )
     from inference.studies.calibration import calibrate, cover, read_cases
     from inference.studies.comparison import Comparison, compare, compare_routes
@@ -159,6 +160,7 @@ __all__ = [
     "read_session",
     "sample",
     "sample_frames",
+    "sample_to_file",
     "write_detections",
 ]
 

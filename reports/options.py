@@ -57,6 +57,13 @@ Roots = Annotated[
 Hypotheses = Annotated[int, Option(help="How many diverse hypotheses of each person.")]
 
 Open = Annotated[bool, Option("--open", help="Open the page in a browser.")]
+Double = Annotated[
+    bool,
+    Option(
+        "--double",
+        help="Write joints, keypoints and densities in double precision: files twice as large.",
+    ),
+]
 
 
 class UpperMeasure(enum.StrEnum):

@@ -14,6 +14,7 @@ from reports.options import (
     ROUTES,
     SAMPLERS,
     Detected,
+    Double,
     Estimation,
     ExportFormat,
     Factor,
@@ -80,6 +81,7 @@ class HypothesesSettings:
     ] = Path("out")
     open: Open = False
     k: Hypotheses = 5
+    double: Double = False
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
     rooting: Viewing = Viewing()
@@ -117,6 +119,7 @@ class SampleSettings:
     chains: Annotated[
         int, Option(help="Independent runs of exact rejection, which share the samples.")
     ] = 1
+    double: Double = False
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
     rooting: Viewing = Viewing()

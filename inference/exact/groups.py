@@ -258,7 +258,8 @@ class StratifiedGroup:
     @property
     def hopeless(self) -> bool:
         tried = sum(rate.proposed for rate in self._rates)
-        return self.impossible or (self.held == 0 and tried >= HOPELESS)
+        found = any(rate.accepted for rate in self._rates)
+        return self.impossible or (not found and tried >= HOPELESS)
 
     @property
     def slowest(self) -> str:
@@ -356,6 +357,9 @@ class StratifiedGroup:
 
     def draws(self) -> dict[str, GroupDraws]:
         return {self.name: self._named(Bodies(*self._pile.all()))}
+
+    def forget(self, number: int) -> None:
+        self._pile.take(number)
 
     def _named(self, bodies: Bodies) -> GroupDraws:
         length, upper, lower = bodies

@@ -5,7 +5,7 @@ many of the draws are its own.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -109,15 +109,20 @@ class RootSampler:
     def log_evidence(self) -> float:
         """Log of the prior's mean of the likelihood over its peak; -inf where no draw was
         accepted."""
-        return -math.inf if not self.held else sum(rate.log_probability for rate in self.rates)
+        return sum(rate.log_probability for rate in self.rates)
 
     @property
     def log_evidence_se(self) -> float:
-        """Standard error of `log_evidence`."""
-        return math.inf if not self.held else math.sqrt(sum(rate.variance for rate in self.rates))
+        """Standard error of `log_evidence`; infinite where no draw was accepted."""
+        return math.sqrt(sum(rate.variance for rate in self.rates))
+
+    def forget(self, number: int) -> None:
+        """Lets go of the first `number` draws, which have gone elsewhere."""
+        for sampler in self.samplers:
+            sampler.forget(number)
 
     def poses(self, number: int) -> Pose:
-        """The first `number` draws."""
+        """The first `number` draws that are held."""
         poses = Pose.blank(number)
         if number:
             for sampler in self.samplers:
@@ -155,6 +160,32 @@ def draw_mixture(
 ) -> Mixture:
     """Draws from a posterior by one of `PROPOSALS`; arguments and errors as in
     `inference.sample`."""
+    (mixture,) = mixture_blocks(
+        posterior,
+        key=key,
+        sampler=sampler,
+        num_samples=num_samples,
+        max_proposals=max_proposals,
+        progress=progress,
+        block=num_samples,
+    )
+    return mixture
+
+
+def mixture_blocks(
+    posterior: Posterior,
+    *,
+    key: jax.Array,
+    sampler: str,
+    num_samples: int,
+    max_proposals: int,
+    progress: Progress | None,
+    block: int,
+) -> Iterator[Mixture]:
+    """Draws from a posterior, `block` of them at a time: each block is a sample of the mixture, and
+    forgotten once it has been given. What the attributes say is of all draws until then; the last
+    block is the one that is not complete, or has the last of `num_samples`. Otherwise as
+    `draw_mixture`."""
     if sampler not in PROPOSALS:
         raise BadInput(f"there is no exact sampler {sampler!r}; choose from {', '.join(PROPOSALS)}")
     if num_samples < 1:
@@ -166,27 +197,49 @@ def draw_mixture(
     seed = jax.random.key_data(jax.random.fold_in(key, len(samplers)))
     rng = np.random.default_rng(np.asarray(seed))
     counts = rng.multinomial(num_samples, _shares(log_weight))
-    enough = _fill(samplers, counts, budget, progress)
-    held = [min(int(count), one.held) for count, one in zip(counts, samplers, strict=True)]
+    given = 0
+    for own in _shared_out(counts, block, rng):
+        report = _reporter(samplers, own, given, num_samples, progress)
+        enough = _fill(samplers, own, budget, report)
+        held = [min(int(count), one.held) for count, one in zip(own, samplers, strict=True)]
+        given += sum(held)
+        parts = _parts(samplers, held, prior)
+        evidence, error = _mixture_evidence(prior, parts)
+        attributes = {
+            "sampler": sampler,
+            "seed": key_words(key),
+            "num_samples": num_samples,
+            "num_proposals": budget.spent,
+            "acceptance_rate": given / max(budget.spent, 1),
+            "log_evidence": evidence,
+            "log_evidence_se": error,
+        }
+        status, sentence = COMPLETE, ""
+        if not enough:
+            status, sentence = _explain(samplers, posterior, budget, given, num_samples)
+        yield Mixture(parts, attributes, status, sentence, rng)
+        if not enough:
+            return
+        for one, number in zip(samplers, held, strict=True):
+            one.forget(number)
+
+
+def _parts(samplers: list[RootSampler], held: list[int], prior: np.ndarray) -> list[RootDraws]:
+    """The first draws of each root, so many as are `held`, and what is known of it by now."""
     shares = _shares(_log_weights(samplers, prior))
-    parts = [
+    return [
         RootDraws(one.poses(number), one.log_evidence, one.log_evidence_se, float(share))
         for one, number, share in zip(samplers, held, shares, strict=True)
     ]
-    evidence, error = _mixture_evidence(prior, parts)
-    attributes = {
-        "sampler": sampler,
-        "seed": key_words(key),
-        "num_samples": num_samples,
-        "num_proposals": budget.spent,
-        "acceptance_rate": sum(held) / max(budget.spent, 1),
-        "log_evidence": evidence,
-        "log_evidence_se": error,
-    }
-    status, sentence = COMPLETE, ""
-    if not enough:
-        status, sentence = _explain(samplers, posterior, budget, sum(held), num_samples)
-    return Mixture(parts, attributes, status, sentence, rng)
+
+
+def _shared_out(counts: np.ndarray, block: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
+    """How many draws of each root are in each block: as if all draws stood in random order."""
+    while counts.sum() > block:
+        own = rng.multivariate_hypergeometric(counts, block)
+        yield own
+        counts = counts - own
+    yield counts
 
 
 def root_samplers(posterior: Posterior, key: jax.Array, sampler: str) -> list[RootSampler]:
@@ -239,18 +292,34 @@ def _shares(log_weight: np.ndarray) -> np.ndarray:
 
 
 def _fill(
-    samplers: list[RootSampler], counts: np.ndarray, budget: Budget, progress: Progress | None
+    samplers: list[RootSampler], counts: np.ndarray, budget: Budget, report: Callable[[], None]
 ) -> bool:
-    wanted, pairs = int(counts.sum()), list(zip(samplers, counts.tolist(), strict=True))
+    """Goes on until every root holds its count of draws; False where one cannot."""
+    budget.watch = report
+    done = [
+        one.more(count, budget)
+        for one, count in zip(samplers, counts.tolist(), strict=True)
+        if count
+    ]
+    report()
+    return all(done)
+
+
+def _reporter(
+    samplers: list[RootSampler],
+    counts: np.ndarray,
+    given: int,
+    wanted: int,
+    progress: Progress | None,
+) -> Callable[[], None]:
+    """What says how far a block is, after `given` draws of the `wanted`."""
 
     def report() -> None:
         if progress:
-            progress(int(sum(one.progress(count) * count for one, count in pairs)), wanted)
+            pairs = zip(samplers, counts.tolist(), strict=True)
+            progress(given + int(sum(one.progress(count) * count for one, count in pairs)), wanted)
 
-    budget.watch = report
-    done = [one.more(count, budget) for one, count in pairs if count]
-    report()
-    return all(done)
+    return report
 
 
 def _mixture_evidence(prior: np.ndarray, parts: list[RootDraws]) -> tuple[float, float]:

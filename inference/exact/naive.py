@@ -68,6 +68,10 @@ class PriorBodies:
             for name in whole
         }
 
+    def forget(self, number: int) -> None:
+        for pile in self._piles:
+            pile.take(number)
+
     @property
     def slowest(self) -> str:
         return self.wholes[int(np.argmin(self._accepted))][-1]

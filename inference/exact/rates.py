@@ -98,8 +98,8 @@ class Budget:
 
 
 class GroupSampler(Protocol):
-    """Exact draws of one or more groups. `more` asks for draws, `draws` holds them, `rates` say
-    what they cost."""
+    """Exact draws of one or more groups. `more` asks for draws, `draws` holds them, `forget` lets
+    go of them, `rates` say what all of them cost."""
 
     def more(self, number: int, budget: Budget) -> bool:
         """Goes on until `number` draws are held in all; False where the budget ends first."""
@@ -110,6 +110,9 @@ class GroupSampler(Protocol):
 
     def draws(self) -> dict[str, GroupDraws]:
         """All draws held, by group."""
+
+    def forget(self, number: int) -> None:
+        """Lets go of the first `number` draws, which have gone elsewhere."""
 
     @property
     def rates(self) -> Sequence[Rate | Pooled]:

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from inference import Result
+from inference.drawsfile import sample_to_file
 from inference.hypothesis import Hypothesis, hypotheses
-from inference.results import COMPLETE, FIXED
-from inference.sampler import sample
+from inference.results import BLOCK, COMPLETE, FIXED
 from probmodel.failures import BadInput, OutOfBudget
 from reports import console, doubts, tables
 from reports.figures import hypotheses_figure, save_figure  # now: a first call waits here anyway
@@ -34,7 +34,8 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         warnings = doubts.about(settings.person, model)
     out = console.output_folder(settings.out)
     with console.progress(_task(settings), screen.quiet) as step:
-        result = sample(
+        result = sample_to_file(
+            out / "posterior.nc",
             model,
             frame,
             key=jax.random.key(sampling.seed),
@@ -42,15 +43,16 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
             max_proposals=sampling.max_proposals,
             root=settings.rooting.root,
             num_roots=settings.rooting.roots,
+            double=settings.double,
             progress=step,
         )
     if not result.num_draws:
         raise OutOfBudget(result.sentence)
     with console.progress("hypotheses and their pictures", screen.quiet):
-        result.save(out / "posterior.nc")
-        chosen = hypotheses(result, min(k, result.num_draws), seed=sampling.seed)
+        some = result.first(BLOCK)
+        chosen = hypotheses(some, min(k, some.num_draws), seed=sampling.seed)
         console.write_text(out / "hypotheses.json", _as_text(chosen, result, sampling.seed))
-        picture = hypotheses_figure(result.tree, chosen, image=photo, truth=truth)
+        picture = hypotheses_figure(some.tree, chosen, image=photo, truth=truth)
         save_figure(picture, out / "hypotheses.png")
         page = person_page(result, chosen, image=photo, truth=truth, warnings=warnings)
         write_page(page, out / "hypotheses.html")
@@ -87,7 +89,7 @@ def summary(chosen: list[Hypothesis], result: Result, out: Path) -> dict:
     return {
         "hypotheses": tables.hypotheses_table(chosen).json(),
         "candidates": tables.candidates_table(result.tree).json(),
-        "joints": tables.posterior_table(result.tree).json(),
+        "joints": tables.posterior_table(result.first(BLOCK).tree).json(),
         "summary": tables.summary_json(result),
         "out": str(out),
     }
@@ -99,7 +101,7 @@ def show(chosen: list[Hypothesis], result: Result, out: Path) -> None:
         console.say(line)
     for table in (
         tables.candidates_table(result.tree),
-        tables.posterior_table(result.tree),
+        tables.posterior_table(result.first(BLOCK).tree),
         tables.hypotheses_table(chosen),
     ):
         console.OUT.print(table)

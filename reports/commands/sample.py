@@ -1,9 +1,10 @@
 """`poseterior sample`: posterior draws of one person by a named sampler, as netCDF and a page."""
 
 from inference.drawers import sampler_under
+from inference.drawsfile import sample_to_file
 from inference.hypothesis import hypotheses
-from inference.results import COMPLETE, FIXED
-from inference.sampler import ROOTED_SAMPLERS, sample
+from inference.results import BLOCK, COMPLETE, FIXED
+from inference.sampler import ROOTED_SAMPLERS
 from probmodel.failures import BadInput, OutOfBudget
 from reports import console, doubts, tables
 from reports.interactive.page import write_page
@@ -36,7 +37,8 @@ def run(settings: SampleSettings, screen: Screen) -> None:
         frame = settings.estimation.estimate(settings.person.detection, model)
         warnings = doubts.about(settings.person, model)
     with console.progress(_task(settings), screen.quiet) as step:
-        result = sample(
+        result = sample_to_file(
+            out,
             model,
             frame,
             key=jax.random.key(sampling.seed),
@@ -46,14 +48,14 @@ def run(settings: SampleSettings, screen: Screen) -> None:
             chains=settings.chains,
             root=settings.rooting.root,
             num_roots=settings.rooting.roots,
+            double=settings.double,
             progress=step,
         )
     if not result.num_draws:
         raise OutOfBudget(result.sentence)
-    result.save(out)
     with console.progress("page", screen.quiet):
-        photo = settings.person.detected.photo
-        chosen = hypotheses(result, min(NUM_HYPOTHESES, result.num_draws), seed=sampling.seed)
+        photo, some = settings.person.detected.photo, result.first(BLOCK)
+        chosen = hypotheses(some, min(NUM_HYPOTHESES, some.num_draws), seed=sampling.seed)
         write_page(
             person_page(result, chosen, image=photo, warnings=warnings),
             page,

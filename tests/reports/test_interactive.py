@@ -335,7 +335,7 @@ def folder(
     example_result: Result, five: list[Hypothesis], tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
     path = tmp_path_factory.mktemp("result")
-    example_result.save(path / "posterior.nc")
+    example_result.save(path / "posterior.nc", double=True)
     chosen = {"hypotheses": [one.as_json() for one in five]}
     (path / "hypotheses.json").write_text(json.dumps(chosen))
     return path
@@ -349,7 +349,7 @@ def test_a_saved_result_gives_the_same_page(folder: Path, page: str) -> None:
 def test_a_saved_result_without_hypotheses_gets_new_ones(
     example_result: Result, tmp_path: Path, page: str
 ) -> None:
-    example_result.save(tmp_path / "posterior.nc")
+    example_result.save(tmp_path / "posterior.nc", double=True)
     assert saved.page_of(tmp_path) == page  # chosen by the same rule
 
 
@@ -474,6 +474,6 @@ def test_samplers_of_chains_can_be_shown(example_estimate, tmp_path: Path) -> No
     result = inference.sample(
         PoseModel(), example_estimate, key=jax.random.key(0), num_samples=40, chains=2
     )
-    result.save(tmp_path / "posterior.nc")
+    result.save(tmp_path / "posterior.nc", double=True)
     data = Parsed(saved.page_of(tmp_path / "posterior.nc")).data
     assert len(unpacked(data["draws"], 45)) == 40

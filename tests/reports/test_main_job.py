@@ -83,7 +83,7 @@ def test_the_walker_faces_left(shared_data):
 def test_results_open_in_xarray_and_arviz(model, shared_data, tmp_path):
     frame = inference.estimate_torso(read_detections(shared_data / "detections" / FILES[0][0])[0])
     result = inference.sample(model, frame, key=jax.random.key(0), num_samples=400)
-    result.save(tmp_path / "posterior.nc")
+    result.save(tmp_path / "posterior.nc", double=True)
     with xr.open_datatree(tmp_path / "posterior.nc", engine="netcdf4") as tree:
         assert set(tree.children) == {
             *("posterior", "sample_stats", "posterior_predictive", "log_likelihood"),

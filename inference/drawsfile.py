@@ -1,0 +1,218 @@
+"""Draws straight to disk: a result of any number of draws, in bounded memory.
+
+    result = sample_to_file("posterior.nc", model, frame, key=jax.random.key(0),
+                            num_samples=1_000_000)
+
+Exact rejection under a fixed root makes them block by block; each is a sample of the posterior, is
+written, and is forgotten. The file is that of `Result.save`, and appears when it is whole.
+"""
+
+import contextlib
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import netCDF4
+import xarray as xr
+
+from inference.exact import ahead
+from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress, mixture_blocks
+from inference.results import BLOCK, FIXED, Result, build_tree, single
+from inference.sampler import SAMPLERS, sample
+from inference.uncertain.weighted import NUM_ROOTS
+from probmodel.files import replacing
+from probmodel.model import PoseModel
+from probmodel.posterior import Estimate
+
+CHUNK = 1 << 12
+"""Draws that a file which grows has side by side: those of one joint are read without the rest."""
+_LAST = ("log_evidence", "log_evidence_se", "weight")
+"""What is known of the candidates only when all is drawn."""
+
+
+def sample_to_file(
+    path: str | os.PathLike,
+    model: PoseModel,
+    frame: Estimate,
+    *,
+    key: jax.Array,
+    sampler: str | None = None,
+    num_samples: int = 10_000,
+    max_proposals: int = MAX_PROPOSALS,
+    chains: int = 1,
+    root: str = FIXED,
+    num_roots: int = NUM_ROOTS,
+    double: bool = False,
+    progress: Progress | None = None,
+) -> Result:
+    """Draws as `inference.sample` makes them, saved in a file.
+
+    More than `BLOCK` draws of exact rejection, under a fixed root and in one chain, never are in
+    memory together: the result's tree then reads them from the file as they are asked for. They are
+    other ones, as random, than `sample` makes for the same key. All others are drawn first, and
+    then saved.
+
+    Parameters
+    ----------
+    path
+        The netCDF file. None is written where there is no draw.
+    model, frame, key, sampler, num_samples, max_proposals, chains, root, num_roots
+        As of `inference.sample`.
+    double
+        As of `Result.save`.
+    progress
+        As of `inference.sample`.
+
+    Returns
+    -------
+    Result
+        As of `inference.sample`.
+
+    Raises
+    ------
+    BadInput
+        As `inference.sample` does, and where the file cannot be written.
+    """
+    if num_samples > BLOCK and _is_exact(sampler, root, chains):
+        blocks = _blocks(model, frame, key, sampler, num_samples, max_proposals, progress)
+        return _written(path, blocks, double)
+    result = sample(
+        model,
+        frame,
+        key=key,
+        sampler=sampler,
+        num_samples=num_samples,
+        max_proposals=max_proposals,
+        chains=chains,
+        root=root,
+        num_roots=num_roots,
+        progress=progress,
+    )
+    if result.num_draws:
+        result.save(path, double=double)
+    return result
+
+
+def _is_exact(sampler: str | None, root: str, chains: int) -> bool:
+    return root == FIXED and chains == 1 and (sampler or SAMPLERS[0]) in PROPOSALS
+
+
+def _blocks(
+    model: PoseModel,
+    frame: Estimate,
+    key: jax.Array,
+    sampler: str | None,
+    num_samples: int,
+    max_proposals: int,
+    progress: Progress | None,
+) -> Iterator[Result]:
+    """The draws, block by block."""
+    started, posterior = time.perf_counter(), frame.posterior(model)
+    mixtures = mixture_blocks(
+        posterior,
+        key=key,
+        sampler=sampler or SAMPLERS[0],
+        num_samples=num_samples,
+        max_proposals=max_proposals,
+        progress=progress,
+        block=BLOCK,
+    )
+    for number, mixture in enumerate(mixtures):
+        ahead.finish()
+        attributes = {
+            **mixture.attributes,
+            "wall_time_s": time.perf_counter() - started,
+            "status": mixture.status,
+        }
+        tree = build_tree(posterior, mixture.parts, attributes, mixture.rng, number)
+        yield Result(tree, mixture.status, mixture.sentence)
+
+
+def _written(path: str | os.PathLike, blocks: Iterator[Result], double: bool) -> Result:
+    """Blocks in one file, and the result that reads them from there. Where the first one has no
+    draw, that one itself."""
+    last = next(blocks)
+    if not last.num_draws:
+        return last
+    encoding = {} if double else single(last.tree)
+    with (
+        replacing(path) as partial,
+        contextlib.closing(DrawsFile(partial, last.tree, encoding)) as file,
+    ):
+        _let_go(last.tree)
+        for last in blocks:
+            file.append(last.tree)
+            _let_go(last.tree)
+    return Result(xr.open_datatree(path, engine="netcdf4"), last.status, last.sentence)
+
+
+def _let_go(tree: xr.DataTree) -> None:
+    """Frees the memory of a tree that nobody looks at again: parents and children hold each other,
+    and Python would wait with them until it has made many more objects."""
+    for group in list(tree.children.values()):
+        group.orphan()
+
+
+class DrawsFile:
+    """A netCDF file that trees of draws are appended to.
+
+    Parameters
+    ----------
+    path
+        Of the file, which is written at once.
+    tree
+        The first draws, with everything that is no draw.
+    encoding
+        By group and variable, as of `xarray`.
+    """
+
+    def __init__(self, path: Path, tree: xr.DataTree, encoding: dict[str, dict[str, Any]]) -> None:
+        self._groups = [name for name, group in tree.children.items() if "draw" in group.dims]
+        chunked = {
+            f"/{name}": _chunked(tree[name].to_dataset(), encoding.get(f"/{name}", {}))
+            for name in self._groups
+        }
+        unlimited = {f"/{name}": ["draw"] for name in self._groups}
+        tree.to_netcdf(path, engine="netcdf4", encoding=chunked, unlimited_dims=unlimited)
+        self._file = netCDF4.Dataset(path, "a")
+        self._file.set_auto_maskandscale(False)
+        for name in self._groups:
+            for variable in self._file[name].variables.values():
+                if "draw" in variable.dimensions:
+                    variable.set_var_chunk_cache(0)  # whole chunks are written, and not read again
+        self._size = tree["posterior"].sizes["draw"]
+
+    def append(self, tree: xr.DataTree) -> None:
+        """Adds draws; what their tree says of the whole run replaces what was said before."""
+        rows = slice(self._size, self._size + tree["posterior"].sizes["draw"])
+        for name in self._groups:
+            for variable, values in tree[name].to_dataset().variables.items():
+                if "draw" in values.dims:
+                    where = tuple(rows if dim == "draw" else slice(None) for dim in values.dims)
+                    moved = self._size if variable == "draw" else 0
+                    self._file[name][variable][where] = values.values + moved
+        for variable in _LAST:
+            self._file["constant_data"][variable][:] = tree["constant_data"][variable].values
+        self._file.setncatts({str(name): value for name, value in tree.attrs.items()})
+        self._size = rows.stop
+
+    def close(self) -> None:
+        """Ends the file."""
+        self._file.close()
+
+
+def _chunked(group: xr.Dataset, encoding: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The encoding with chunks along the draws."""
+    return {
+        str(name): {
+            **encoding.get(str(name), {}),
+            "chunksizes": tuple(
+                CHUNK if dim == "draw" else group.sizes[dim] for dim in variable.dims
+            ),
+        }
+        for name, variable in group.variables.items()
+        if "draw" in variable.dims
+    }

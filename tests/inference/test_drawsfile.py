@@ -1,0 +1,237 @@
+"""Draws that go to disk block by block, against those that stay in memory; with blocks that repeat,
+shares that are not shuffled and predictions that repeat as negative controls.
+
+False alarms: 1e-4 a test, over a fresh seed; seeds are fixed."""
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.stats import hypergeom, ks_2samp
+
+import inference
+from inference import Result, drawsfile
+from inference.drawsfile import sample_to_file
+from inference.exact import mixture
+from inference.exact.mixture import RootSampler
+from inference.results import COMPLETE, OUT_OF_BUDGET, SINGLE
+from inference.saved import read_result
+from probmodel import BadInput, PoseModel
+from tests.goodness import floor
+from tests.scenes import key
+
+BLOCK, NUMBER = 512, 4000
+
+
+@pytest.fixture(scope="module")
+def model() -> PoseModel:
+    return PoseModel()
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch):
+    monkeypatch.setattr(drawsfile, "BLOCK", BLOCK)
+
+
+def joints_of(result: Result) -> np.ndarray:
+    return np.asarray(result.tree["posterior"].joints)[0]
+
+
+def repeated(joints: np.ndarray) -> int:
+    """How many draws there are twice."""
+    return len(joints) - len(np.unique(joints.reshape(len(joints), -1), axis=0))
+
+
+def test_blocks_are_draws_of_the_posterior(model, example_estimate, tmp_path):
+    filed = sample_to_file(
+        tmp_path / "a.nc",
+        model,
+        example_estimate,
+        key=key(1),
+        num_samples=NUMBER,
+        double=True,  # else the torso's joints, two points, are beside those in memory
+    )
+    held = inference.sample(model, example_estimate, key=key(2), num_samples=NUMBER)
+    ours, theirs = joints_of(filed), joints_of(held)
+    assert ours.shape == theirs.shape
+    assert filed.status == COMPLETE
+    assert repeated(ours) == 0
+    moving = np.argwhere(theirs.std(axis=0) > 1e-9)
+    values = [ks_2samp(ours[:, j, axis], theirs[:, j, axis]).pvalue for j, axis in moving]
+    assert min(values) > floor(len(values))
+    error = np.hypot(filed.tree.attrs["log_evidence_se"], held.tree.attrs["log_evidence_se"])
+    assert abs(filed.tree.attrs["log_evidence"] - held.tree.attrs["log_evidence"]) < 4 * error
+    assert np.array_equal(filed.tree["posterior"].draw, np.arange(NUMBER))
+
+
+def test_blocks_that_are_not_forgotten_would_repeat(model, example_estimate, tmp_path, monkeypatch):
+    monkeypatch.setattr(RootSampler, "forget", lambda self, number: None)
+    filed = sample_to_file(
+        tmp_path / "a.nc", model, example_estimate, key=key(1), num_samples=NUMBER
+    )
+    assert repeated(joints_of(filed)) > NUMBER / 2
+
+
+def rarest_share(result: Result) -> float:
+    """The p-value of the block whose share of the rarer candidate is the least likely if all draws
+    stand in random order, times the blocks and two sides."""
+    rare = np.asarray(result.tree["posterior"].candidate)[0] == 1
+    blocks = [rare[start : start + BLOCK] for start in range(0, len(rare), BLOCK)]
+    laws = [(block.sum(), hypergeom(len(rare), rare.sum(), len(block))) for block in blocks]
+    return 2 * len(blocks) * min(min(law.cdf(n), law.sf(n - 1)) for n, law in laws)
+
+
+def in_order(counts, block, rng):
+    """One candidate after the other."""
+    while counts.sum() > block:
+        own = np.array([min(counts[0], block), block - min(counts[0], block)])
+        yield own
+        counts = counts - own
+    yield counts
+
+
+@pytest.mark.parametrize("shared_out", [mixture._shared_out, in_order])
+def test_every_block_is_a_sample_of_the_mixture(
+    model, example_estimate, tmp_path, monkeypatch, shared_out
+):
+    monkeypatch.setattr(mixture, "_shared_out", shared_out)
+    filed = sample_to_file(
+        tmp_path / "a.nc", model, example_estimate, key=key(3), num_samples=NUMBER
+    )
+    weight = filed.tree["constant_data"].weight.values
+    assert 0.02 < weight[1] < 0.2
+    found = rarest_share(filed)
+    assert found < 1e-8 if shared_out is in_order else found > 1e-4
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_predictions_of_blocks_have_errors_of_their_own(
+    model, example_estimate, tmp_path, monkeypatch, numbered
+):
+    if not numbered:
+        build = drawsfile.build_tree
+        monkeypatch.setattr(drawsfile, "build_tree", lambda *given: build(*given[:4]))
+    filed = sample_to_file(
+        tmp_path / "a.nc", model, example_estimate, key=key(4), num_samples=2 * BLOCK + 1
+    )
+    made = filed.tree["posterior_predictive"].keypoints - filed.tree["posterior"].keypoints
+    (joint, *_) = np.flatnonzero(np.isfinite(made).all(axis=(0, 1, 3)))
+    errors = np.asarray(made)[0, :, joint, 0]
+    alike = np.corrcoef(errors[:BLOCK], errors[BLOCK : 2 * BLOCK])[0, 1]
+    assert abs(alike) < 4 / np.sqrt(BLOCK) if numbered else alike > 0.8
+
+
+@pytest.mark.parametrize("number", [100, NUMBER])
+@pytest.mark.parametrize("double", [False, True])
+def test_a_file_has_the_numbers_that_it_says(
+    model, example_estimate, tmp_path, monkeypatch, number, double
+):
+    """In one block or in many: what stands in the file, and what tables and pages read of it."""
+    path = tmp_path / "a.nc"
+    filed = sample_to_file(
+        path, model, example_estimate, key=key(5), num_samples=number, double=double
+    )
+    monkeypatch.setattr(drawsfile, "BLOCK", NUMBER)
+    exact = sample_to_file(
+        tmp_path / "b.nc", model, example_estimate, key=key(5), num_samples=number, double=True
+    )
+    with xr.open_datatree(path, engine="netcdf4") as tree:
+        for group, names in SINGLE.items():
+            assert {tree[group][name].dtype for name in names} == {
+                np.dtype("f8" if double else "f4")
+            }
+        assert tree["posterior"].bone_length.dtype == "f8"
+        assert tree.attrs["num_proposals"] == filed.tree.attrs["num_proposals"]
+        assert tree["posterior"].sizes["draw"] == tree["sample_stats"].sizes["draw"] == number
+        if number == 100:
+            close = 0 if double else 1e-6
+            for name in ("joints", "lp"):
+                group = "sample_stats" if name == "lp" else "posterior"
+                ours, theirs = tree[group][name].values, exact.tree[group][name].values
+                assert np.abs(ours - theirs).max() <= close
+    again = read_result(path)
+    assert again.num_draws == number
+    assert np.array_equal(again.tree["posterior"].joints, filed.tree["posterior"].joints) == (
+        double or number != 100  # few draws are still in memory, as they were drawn
+    )
+    assert model.limits.check(joints_of(again)).pose_valid.all()
+
+
+def test_a_budget_that_ends_leaves_what_there_is(model, example_estimate, tmp_path):
+    whole = sample_to_file(
+        tmp_path / "a.nc", model, example_estimate, key=key(6), num_samples=NUMBER
+    )
+    budget = int(whole.tree.attrs["num_proposals"] * 0.6)
+    found = sample_to_file(
+        tmp_path / "b.nc",
+        model,
+        example_estimate,
+        key=key(6),
+        num_samples=NUMBER,
+        max_proposals=budget,
+    )
+    assert found.status == OUT_OF_BUDGET
+    assert BLOCK < found.num_draws < NUMBER
+    assert found.sentence.startswith(f"{found.num_draws} of {NUMBER} draws after ")
+    assert found.tree.attrs["status"] == OUT_OF_BUDGET
+    assert repeated(joints_of(found)) == 0
+
+
+def test_nothing_is_written_where_there_is_no_draw(model, example_estimate, tmp_path):
+    found = sample_to_file(
+        tmp_path / "a.nc",
+        model,
+        example_estimate,
+        key=key(7),
+        num_samples=NUMBER,
+        max_proposals=10,
+    )
+    assert found.num_draws == 0
+    assert not list(tmp_path.iterdir())
+
+
+def test_one_block_is_in_memory_at_a_time(model, example_estimate, tmp_path, monkeypatch):
+    """Trees that nobody looks at again are gone at once, without the collector of cycles."""
+    alive: list[weakref.ref] = []
+    most, build = 0, drawsfile.build_tree
+
+    def counted(*given):
+        nonlocal most
+        tree = build(*given)
+        alive.append(weakref.ref(tree["posterior"].to_dataset().joints.variable._data))
+        most = max(most, sum(one() is not None for one in alive))
+        return tree
+
+    monkeypatch.setattr(drawsfile, "build_tree", counted)
+    gc.disable()
+    try:
+        sample_to_file(tmp_path / "a.nc", model, example_estimate, key=key(8), num_samples=NUMBER)
+    finally:
+        gc.enable()
+    assert len(alive) == -(-NUMBER // BLOCK)
+    assert most <= 2
+
+
+def test_the_first_draws_of_a_result(model, example_estimate, tmp_path):
+    filed = sample_to_file(
+        tmp_path / "a.nc", model, example_estimate, key=key(9), num_samples=NUMBER
+    )
+    some = filed.first(100)
+    assert some.num_draws == 100
+    assert np.array_equal(joints_of(some), joints_of(filed)[:100])
+    assert some.first(100) is some
+    assert some.tree.attrs == filed.tree.attrs
+
+
+def test_a_folder_that_cannot_be_written_to(model, example_estimate, tmp_path):
+    for number in (100, NUMBER):
+        with pytest.raises(BadInput, match=r"cannot write .*; choose a folder"):
+            sample_to_file(
+                tmp_path / "none" / "a.nc",
+                model,
+                example_estimate,
+                key=key(0),
+                num_samples=number,
+            )

@@ -50,7 +50,8 @@ class Posterior:
     @functools.cached_property
     def observations(self) -> tuple[Observation, ...]:
         """The detection under each root."""
-        return tuple(self.likelihood.observe(self.detection, one.root) for one in self.roots)
+        with jax.ensure_compile_time_eval():  # numbers, also where a sampler traces the program
+            return tuple(self.likelihood.observe(self.detection, one.root) for one in self.roots)
 
     @functools.cached_property
     def log_root_weights(self) -> np.ndarray:
@@ -60,7 +61,8 @@ class Posterior:
         """
         if len(self.roots) == 1:
             return np.zeros(1)
-        torso = [self.likelihood.log_torso(self.detection, one.root) for one in self.roots]
+        with jax.ensure_compile_time_eval():  # as above
+            torso = [self.likelihood.log_torso(self.detection, one.root) for one in self.roots]
         log_weight = np.array(torso) if np.isfinite(torso).any() else np.zeros(len(self.roots))
         return log_weight - np.logaddexp.reduce(log_weight)
 

@@ -79,6 +79,19 @@ def test_the_program_is_the_mixture(posterior) -> None:
     assert share[2] == 0
 
 
+def test_a_program_that_nobody_asked_before_can_be_traced(posterior) -> None:
+    """A sampler's trace may be what asks for weights and observations first: they are numbers then
+    too, and stay so."""
+    fresh = dataclasses.replace(posterior)
+    roots = Predictive(fresh.program, num_samples=10)(jax.random.key(1))["root"]
+    assert np.array_equal(
+        roots, Predictive(posterior.program, num_samples=10)(jax.random.key(1))["root"]
+    )
+    np.testing.assert_array_equal(fresh.log_weights, posterior.log_weights)
+    for leaf in jax.tree.leaves((fresh.observations, fresh.log_root_weights)):
+        assert not isinstance(leaf, jax.core.Tracer)
+
+
 def test_an_observation_is_in_body_units_on_the_plane(posterior) -> None:
     observation, root = posterior.observations[0], posterior.roots[0]
     pixels = np.asarray(root.camera.to_pixels(observation.target))

@@ -5,6 +5,7 @@ Poses are in the person's own body units, the hips' midpoint at the origin, z al
 sight to it. The film is cut in two: what is learned from one half judges the other.
 """
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Iterator
@@ -19,10 +20,10 @@ import inference
 from inference.machines import HERE
 from inference.results import FIXED, UNCERTAIN
 from inference.store import Block, Groups, Store, fill, locked
-from inference.studies.errorlaws.embedded import embedded
 from inference.studies.errorlaws.learn import Learned, learn
 from inference.studies.errorlaws.pairs import pairs_of_session
 from probmodel import Detection, Lens, Likelihood, PoseModel
+from probmodel.failures import BadInput
 from probmodel.faults import NO_FAULTS
 from probmodel.layouts import corrected
 from probmodel.sessions import Session, read_session
@@ -41,14 +42,15 @@ PARTS = 2
 
 class Way(NamedTuple):
     """One way to a posterior: its root, the error law's name, whether midpoints are moved to the
-    skeleton's thorax and pelvis, whether the focal length is known, and in how many frames it is
-    judged."""
+    skeleton's thorax and pelvis, whether the focal length is known, in how many frames it is
+    judged, and how many roots are weighed where they are uncertain."""
 
     root: str
     errors: str = DISC
     moved: bool = True
     focal: bool = False
-    frames: int = 25
+    frames: int = 100
+    roots: int = ROOTS
 
     def __str__(self) -> str:
         given = "" if self.moved else ", `--as-detected`"
@@ -65,9 +67,9 @@ WAYS = (
     Way(FIXED, moved=False),
     Way(FIXED),
     Way(UNCERTAIN),
-    Way(UNCERTAIN, focal=True, frames=10),
+    Way(UNCERTAIN, focal=True, frames=25),
     Way(UNCERTAIN, LEARNED),
-    Way(UNCERTAIN, LEARNED, focal=True, frames=7),
+    Way(UNCERTAIN, LEARNED, focal=True, frames=5, roots=4 * ROOTS),
 )
 
 
@@ -162,11 +164,11 @@ class Film:
     @functools.cached_property
     def learned(self) -> dict[bool, list[Likelihood]]:
         """By whether the focal length is known and by part of the film, what is learned from the
-        rest of it, without faults."""
+        rest of it, its bias in it, without faults."""
         return {focal: self._learned(focal) for focal in (False, True)}
 
     def _learned(self, focal: bool) -> list[Likelihood]:
-        laws = [embedded(self.unseen(part), perspective=focal) for part in range(PARTS)]
+        laws = [learn_as(self.unseen(part), perspective=focal).errors for part in range(PARTS)]
         return [dataclasses.replace(Likelihood.of(law), faults=NO_FAULTS) for law in laws]
 
     def likelihood(self, way: Way, frame: int) -> Likelihood:
@@ -176,10 +178,11 @@ class Film:
         )
 
 
-def learn_both(session: Session) -> Learned:
+def learn_as(session: Session, *, perspective: bool = False) -> Learned:
     """As `poseterior calibrate` learns: a law that has what perspective adds along the line of
-    sight, while the truth's own errors are those without it."""
-    return learn(pairs_of_session(session), truth=pairs_of_session(session, perspective=True))
+    sight, unless the focal length is to be known; the truth's own errors are those without it."""
+    true = pairs_of_session(session, perspective=True)
+    return learn(true if perspective else pairs_of_session(session), truth=true)
 
 
 def film(data: Path) -> Film:
@@ -195,7 +198,7 @@ def film(data: Path) -> Film:
 def drawn(seen: Film, way: Way, work: Path) -> Iterator[tuple[FilmedCase, Drawn]]:
     """The draws of a way in its cases; those that are not in the folder `work` are made."""
     cases = seen.cases[: way.frames * len(seen.session.cameras)]
-    settings = {"way": str(way), "session": seen.session.name, "draws": DRAWS, "roots": ROOTS}
+    settings = {"way": str(way), "session": seen.session.name, "draws": DRAWS, "roots": way.roots}
     with locked(work / way.folder):
         store = Store.begin(work / way.folder, settings)
         blocks = [_block(seen, way, number, case) for number, case in enumerate(cases)]
@@ -219,26 +222,31 @@ def _block(seen: Film, way: Way, number: int, case: FilmedCase) -> Block:
 
 
 def _draw(way: Way, given: tuple[Detection, Likelihood, Lens | None, np.ndarray, int]) -> Groups:
-    """Draws for one camera's detection."""
+    """Draws for one camera's detection; none where no root explains it, or where it shows too few
+    of the torso's joints for one."""
     detection, likelihood, lens, turns, seed = given
     model = _model().seen_by(lens)
-    result = inference.sample(
-        model,
-        inference.estimate_torso(detection, torsos=np.asarray(model.torsos), likelihood=likelihood),
-        key=jax.random.key(seed),
-        num_samples=DRAWS,
-        root=way.root,
-        num_roots=ROOTS,
-        max_proposals=BUDGET,
-    )
-    joints = np.zeros((0, NUM_JOINTS, 3))
-    if result.num_draws:
-        joints = result.tree["posterior"].joints.values[0]
-        joints = (joints - joints[:, HIPS].mean(axis=1, keepdims=True)) @ turns.T
-    about = {
-        "roots": float(result.tree.attrs.get("effective_roots", np.nan)),
-        "seconds": float(result.tree.attrs["wall_time_s"]),
-    }
+    joints, about = np.zeros((0, NUM_JOINTS, 3)), {"roots": np.nan, "seconds": np.nan}
+    with contextlib.suppress(BadInput):
+        frame = inference.estimate_torso(
+            detection, torsos=np.asarray(model.torsos), likelihood=likelihood
+        )
+        result = inference.sample(
+            model,
+            frame,
+            key=jax.random.key(seed),
+            num_samples=DRAWS,
+            root=way.root,
+            num_roots=way.roots,
+            max_proposals=BUDGET,
+        )
+        about = {
+            "roots": float(result.tree.attrs.get("effective_roots", np.nan)),
+            "seconds": float(result.tree.attrs["wall_time_s"]),
+        }
+        if result.num_draws:
+            joints = result.tree["posterior"].joints.values[0]
+            joints = (joints - joints[:, HIPS].mean(axis=1, keepdims=True)) @ turns.T
     columns = {"joints": (("draw", "joint", "axis"), joints.astype(np.float32))}
     return {"draws": xr.Dataset(columns, attrs=about)}
 

@@ -39,7 +39,7 @@ from reports.pages.filmed import (
     Way,
     drawn,
     film,
-    learn_both,
+    learn_as,
 )
 from reports.pages.page import write_page
 from reports.tables import Sheet, sheet_of
@@ -219,7 +219,7 @@ def law_table(seen: Film) -> Sheet:
     regions, cameras drawn anew: as it was fitted, and as `calibrate` writes it."""
     lines: list[tuple[Any, ...]] = []
     for part in range(PARTS):
-        found = learn_both(seen.unseen(part))
+        found = learn_as(seen.unseen(part))
         assert found.truth_fit is not None
         rest = pairs_of_session(seen.part(part))
         fitted = dataclasses.replace(

@@ -7,6 +7,7 @@ never run to its end: its cost a draw is the measured cost of a proposal over th
 """
 
 import functools
+import multiprocessing
 import os
 import platform
 import resource
@@ -14,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +23,7 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
+from inference.drawsfile import sample_to_file
 from inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
 from inference.exact.loops.attempts import attempt_lengths, attempt_limb, hand_over
 from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
@@ -29,9 +32,13 @@ from inference.exact.mixture import draw_mixture, root_samplers
 from inference.exact.naive import BATCH, propose
 from inference.exact.problem import limb_problems
 from inference.exact.rates import Budget
+from inference.results import FIXED, UNCERTAIN
+from inference.roots import estimate_torso
+from inference.sampler import sample
 from inference.stream import Item, sample_frames
 from inference.studies.scenes import motion_frames, prior_frames, prior_scene
 from probmodel import Estimate, PoseModel
+from probmodel.example import example
 from probmodel.skeleton import GROUPS
 from reports.figures.colours import PALETTE
 from reports.figures.style import page as blank_page
@@ -41,9 +48,11 @@ from reports.tables import Column, Sheet, sheet_of
 from reports.tables.evaluation import PAPERS_FRAMES
 
 DRAWS = 100_000
+FEW = 2000
+"""After which a process has what it holds however many draws it makes."""
 NUMBERS = 23
 """Uniform numbers of a pose: the floor."""
-STREAM_FRAMES = 32
+STREAM_FRAMES, STREAM_ROOTS = 32, 200
 STAGE_LEVEL, STAGE_ATTEMPTS = 2, 1 << 16
 """The resolution, and the attempts, by which the stages of an attempt are timed."""
 STAGE_FRAMES = slice(None, None, 8)
@@ -297,19 +306,70 @@ def curves(model: PoseModel, frame: Estimate) -> dict[str, Curve]:
     }
 
 
-def streams(model: PoseModel, frames: Sequence[Estimate]) -> Curve:
+def streams(model: PoseModel, frames: Sequence[Estimate], root: str = FIXED) -> Curve:
     """Seconds of streams of 1 to `STREAM_FRAMES` frames × 10,000 draws with five hypotheses."""
     items = [Item(str(number), frame) for number, frame in enumerate(frames)]
 
     def run(count: int) -> float:
         with tempfile.TemporaryDirectory() as folder:
             started = time.perf_counter()
-            sample_frames(model, items[:count], key=jax.random.key(0), out=folder)
+            sample_frames(
+                model,
+                items[:count],
+                key=jax.random.key(0),
+                out=folder,
+                root=root,
+                num_roots=STREAM_ROOTS,
+            )
             return time.perf_counter() - started
 
     run(1)  # compiles
     counts = [1, 4, 16, STREAM_FRAMES]
     return Curve(counts, [run(count) for count in counts])
+
+
+class Million(NamedTuple):
+    """A million draws of the embedded example, in a process of its own."""
+
+    how: str
+    seconds: float
+    peak: float
+    start: float
+    size: float
+
+
+def million(to_file: bool, double: bool) -> Million:
+    """Draws and saves them, in memory first or straight to the file, once a few have been drawn."""
+    in_doubles()
+    model, frame, number = PoseModel(), estimate_torso(example().detection), 1_000_000
+    draw = functools.partial(sample, model, frame, key=jax.random.key(0))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "posterior.nc"
+        draw(num_samples=FEW).save(path)
+        start, started = _peak(), time.perf_counter()
+        if to_file:
+            key = jax.random.key(0)
+            sample_to_file(path, model, frame, key=key, num_samples=number, double=double)
+        else:
+            draw(num_samples=number).save(path, double=double)
+        seconds, size = time.perf_counter() - started, path.stat().st_size
+    words = f"{'straight to disk' if to_file else 'in memory'}, {'double' if double else 'single'}"
+    return Million(words, seconds, _peak(), start, size / 1e6)
+
+
+def _peak() -> float:
+    """Megabytes that this process has held at most."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def millions() -> Sheet:
+    """A million draws each way, one after the other."""
+    ways = [(False, True), (True, True), (True, False)]
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn, max_tasks_per_child=1) as pool:
+        rows = [pool.submit(million, *way).result() for way in ways]
+    heads = ("seconds", "MB at most", f"MB, {FEW:,} draws", "MB on disk")
+    return sheet_of(["a million draws", *(Column(head, form=_digits) for head in heads)], rows)
 
 
 def picture(found: dict[str, Curve], stream: Curve) -> Figure:
@@ -330,6 +390,7 @@ def picture(found: dict[str, Curve], stream: Curve) -> Figure:
 def main(data: Path) -> None:
     """Measures, writes, and prints the page."""
     in_doubles()
+    large = millions()  # first: a process starts with the peak of the one that it comes from
     model = PoseModel()
     sets = {"Poses of the prior, by their seeds": prior_frames(model)}
     archive = data / "cmu" / "actions_train.npz"
@@ -345,6 +406,7 @@ def main(data: Path) -> None:
     found, stream = curves(model, frames[0]), streams(model, frames)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     slope = float(np.polyfit(*stream, 1)[0])
+    uncertain = float(np.polyfit(*streams(model, frames, UNCERTAIN), 1)[0])
     values: Values = {
         "tables": "\n\n".join(f"## {title}\n\n{own.markdown()}" for title, own in tables.items()),
         "draws": f"{DRAWS:,}",
@@ -355,9 +417,12 @@ def main(data: Path) -> None:
         "floors": floors_table(floor),
         "naive": naive_table(naive),
         "per_frame": f"{slope * 1e3:.0f}",
+        "per_uncertain": f"{uncertain * 1e3:.0f}",
+        "roots": str(STREAM_ROOTS),
         "thousand": f"{slope * 1000:,.0f}",
         "paper": f"{slope * PAPERS_FRAMES / 60:,.0f}",
         "memory": f"{memory:.2f}",
+        "millions": large,
     }
     print(write_page("speed", values, {"speed": picture(found, stream)}))
 

@@ -3,7 +3,7 @@ reports/whole.md.
 
     python -m reports.pages.whole work
 
-A thousand simulations from the model itself, some two hours on one core; `work` keeps what
+A thousand simulations from the model itself, about half an hour on one core; `work` keeps what
 is done, and a run that was stopped goes on there.
 """
 

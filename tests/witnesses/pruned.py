@@ -72,7 +72,7 @@ class PrunedGroup:
             LimbStream(jax.random.fold_in(key, index + 1), limb, plan_limb(limb))
             for index, limb in enumerate(limbs_of(group))
         ]
-        self._pile = Pile()
+        self._pile, self._gone = Pile(), 0
         self._chunks = self._tried = 0
 
     @property
@@ -81,7 +81,7 @@ class PrunedGroup:
         barren = any(
             stream.accepted == 0 and stream.rate.proposed >= HOPELESS for stream in self.streams
         )
-        return empty or barren or (self.held == 0 and self._tried >= HOPELESS_PAIRS)
+        return empty or barren or (self.held + self._gone == 0 and self._tried >= HOPELESS_PAIRS)
 
     @property
     def held(self) -> int:
@@ -115,13 +115,20 @@ class PrunedGroup:
     def draws(self) -> dict[str, GroupDraws]:
         return {self.name: GroupDraws(*self._pile.all())}
 
+    def forget(self, number: int) -> None:
+        self._pile.take(number)
+        self._gone += number
+
     @property
     def slowest(self) -> str:
         return self.name
 
     @property
     def rates(self) -> list[Rate]:
-        return [*(stream.rate for stream in self.streams), Rate(self._tried, self.held)]
+        return [
+            *(stream.rate for stream in self.streams),
+            Rate(self._tried, self.held + self._gone),
+        ]
 
 
 def _lengths(key: jax.Array, group: Group) -> np.ndarray:
@@ -143,7 +150,7 @@ class PriorGroups:
 
     def __init__(self, key: jax.Array, groups: dict[str, Group]) -> None:
         self._key, self.groups = key, groups
-        self._pile = Pile()
+        self._pile, self._gone = Pile(), 0
         self._batches = 0
 
     @property
@@ -169,6 +176,10 @@ class PriorGroups:
             for index, name in enumerate(self.groups)
         }
 
+    def forget(self, number: int) -> None:
+        self._pile.take(number)
+        self._gone += number
+
     @property
     def hopeless(self) -> bool:
         return False  # draws from the prior go on to the end of the budget
@@ -179,7 +190,7 @@ class PriorGroups:
 
     @property
     def rates(self) -> list[Rate]:
-        return [Rate(self._batches * BATCH, self.held)]
+        return [Rate(self._batches * BATCH, self.held + self._gone)]
 
 
 @jax.jit

@@ -9,19 +9,18 @@ written, and is forgotten. The file is that of `Result.save`, and appears when i
 
 import contextlib
 import os
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import jax
 import netCDF4
+import numpy as np
 import xarray as xr
 
-from inference.exact import ahead
-from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress, mixture_blocks
-from inference.results import BLOCK, FIXED, Result, build_tree, single
-from inference.sampler import SAMPLERS, sample
+from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress
+from inference.results import BLOCK, FIXED, Result, single
+from inference.sampler import SAMPLERS, exact_blocks, sample
 from inference.uncertain.weighted import NUM_ROOTS
 from probmodel.files import replacing
 from probmodel.model import PoseModel
@@ -76,8 +75,17 @@ def sample_to_file(
     BadInput
         As `inference.sample` does, and where the file cannot be written.
     """
-    if num_samples > BLOCK and _is_exact(sampler, root, chains):
-        blocks = _blocks(model, frame, key, sampler, num_samples, max_proposals, progress)
+    exact = root == FIXED and chains == 1 and (sampler or SAMPLERS[0]) in PROPOSALS
+    if exact and num_samples > BLOCK:
+        blocks = exact_blocks(
+            frame.posterior(model),
+            key=key,
+            sampler=sampler or SAMPLERS[0],
+            num_samples=num_samples,
+            max_proposals=max_proposals,
+            progress=progress,
+            block=BLOCK,
+        )
         return _written(path, blocks, double)
     result = sample(
         model,
@@ -94,41 +102,6 @@ def sample_to_file(
     if result.num_draws:
         result.save(path, double=double)
     return result
-
-
-def _is_exact(sampler: str | None, root: str, chains: int) -> bool:
-    return root == FIXED and chains == 1 and (sampler or SAMPLERS[0]) in PROPOSALS
-
-
-def _blocks(
-    model: PoseModel,
-    frame: Estimate,
-    key: jax.Array,
-    sampler: str | None,
-    num_samples: int,
-    max_proposals: int,
-    progress: Progress | None,
-) -> Iterator[Result]:
-    """The draws, block by block."""
-    started, posterior = time.perf_counter(), frame.posterior(model)
-    mixtures = mixture_blocks(
-        posterior,
-        key=key,
-        sampler=sampler or SAMPLERS[0],
-        num_samples=num_samples,
-        max_proposals=max_proposals,
-        progress=progress,
-        block=BLOCK,
-    )
-    for number, mixture in enumerate(mixtures):
-        ahead.finish()
-        attributes = {
-            **mixture.attributes,
-            "wall_time_s": time.perf_counter() - started,
-            "status": mixture.status,
-        }
-        tree = build_tree(posterior, mixture.parts, attributes, mixture.rng, number)
-        yield Result(tree, mixture.status, mixture.sentence)
 
 
 def _written(path: str | os.PathLike, blocks: Iterator[Result], double: bool) -> Result:
@@ -192,8 +165,10 @@ class DrawsFile:
             for variable, values in tree[name].to_dataset().variables.items():
                 if "draw" in values.dims:
                     where = tuple(rows if dim == "draw" else slice(None) for dim in values.dims)
-                    moved = self._size if variable == "draw" else 0
-                    self._file[name][variable][where] = values.values + moved
+                    added = (
+                        np.arange(rows.start, rows.stop) if variable == "draw" else values.values
+                    )
+                    self._file[name][variable][where] = added
         for variable in _LAST:
             self._file["constant_data"][variable][:] = tree["constant_data"][variable].values
         self._file.setncatts({str(name): value for name, value in tree.attrs.items()})

@@ -110,6 +110,11 @@ class Result:
         some = self.tree.isel(draw=slice(number), missing_dims="ignore").load()
         return replace(self, tree=some)
 
+    @functools.cached_property
+    def shown(self) -> "Result":
+        """The first `BLOCK` draws: those that pictures and tables are of."""
+        return self.first(BLOCK)
+
     def save(self, path: str | os.PathLike, *, double: bool = False) -> None:
         """Writes netCDF, whole or not at all.
 

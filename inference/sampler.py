@@ -3,7 +3,7 @@
 
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import jax
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from inference.baselines.catalogue import BASELINES, ROOTED, sample_baseline, sample_rooted
 from inference.drawers import sampler_under
 from inference.exact import ahead
-from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress, draw_mixture
+from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress, mixture_blocks
 from inference.joined import joined
 from inference.results import FIXED, UNCERTAIN, Result, build_tree, key_words
 from inference.uncertain.routes import ROUTES, draw_uncertain
@@ -19,7 +19,7 @@ from inference.uncertain.tree import uncertain_tree
 from inference.uncertain.weighted import NUM_ROOTS
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
+from probmodel.posterior import Estimate, Posterior
 
 SAMPLERS = (*PROPOSALS, *BASELINES)
 """Every sampler under a fixed root by its name: exact rejection first, then the baselines. Under an
@@ -127,23 +127,49 @@ def sample(
             max_evaluations=max_proposals,
             progress=progress,
         )
-    started = time.perf_counter()
-    mixture = draw_mixture(
+    (result,) = exact_blocks(
         posterior,
         key=key,
         sampler=sampler,
         num_samples=num_samples,
         max_proposals=max_proposals,
         progress=progress,
+        block=num_samples,
     )
-    attributes = {
-        **mixture.attributes,
-        "wall_time_s": time.perf_counter() - started,
-        "status": mixture.status,
-    }
-    ahead.finish()
-    tree = build_tree(posterior, mixture.parts, attributes, mixture.rng)
-    return Result(tree, mixture.status, mixture.sentence)
+    return result
+
+
+def exact_blocks(
+    posterior: Posterior,
+    *,
+    key: jax.Array,
+    sampler: str,
+    num_samples: int,
+    max_proposals: int,
+    progress: Progress | None,
+    block: int,
+) -> Iterator[Result]:
+    """The results of exact rejection under a fixed root, block by block, as `mixture_blocks` has
+    them."""
+    started = time.perf_counter()
+    mixtures = mixture_blocks(
+        posterior,
+        key=key,
+        sampler=sampler,
+        num_samples=num_samples,
+        max_proposals=max_proposals,
+        progress=progress,
+        block=block,
+    )
+    for number, mixture in enumerate(mixtures):
+        attributes = {
+            **mixture.attributes,
+            "wall_time_s": time.perf_counter() - started,
+            "status": mixture.status,
+        }
+        ahead.finish()
+        tree = build_tree(posterior, mixture.parts, attributes, mixture.rng, number)
+        yield Result(tree, mixture.status, mixture.sentence)
 
 
 def _several(

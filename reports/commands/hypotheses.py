@@ -9,7 +9,7 @@ import numpy as np
 from inference import Result
 from inference.drawsfile import sample_to_file
 from inference.hypothesis import Hypothesis, hypotheses
-from inference.results import BLOCK, COMPLETE, FIXED
+from inference.results import COMPLETE, FIXED
 from probmodel.failures import BadInput, OutOfBudget
 from reports import console, doubts, tables
 from reports.figures import hypotheses_figure, save_figure  # now: a first call waits here anyway
@@ -49,10 +49,9 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
     if not result.num_draws:
         raise OutOfBudget(result.sentence)
     with console.progress("hypotheses and their pictures", screen.quiet):
-        some = result.first(BLOCK)
-        chosen = hypotheses(some, min(k, some.num_draws), seed=sampling.seed)
+        chosen = hypotheses(result.shown, min(k, result.shown.num_draws), seed=sampling.seed)
         console.write_text(out / "hypotheses.json", _as_text(chosen, result, sampling.seed))
-        picture = hypotheses_figure(some.tree, chosen, image=photo, truth=truth)
+        picture = hypotheses_figure(result.shown.tree, chosen, image=photo, truth=truth)
         save_figure(picture, out / "hypotheses.png")
         page = person_page(result, chosen, image=photo, truth=truth, warnings=warnings)
         write_page(page, out / "hypotheses.html")
@@ -89,7 +88,7 @@ def summary(chosen: list[Hypothesis], result: Result, out: Path) -> dict:
     return {
         "hypotheses": tables.hypotheses_table(chosen).json(),
         "candidates": tables.candidates_table(result.tree).json(),
-        "joints": tables.posterior_table(result.first(BLOCK).tree).json(),
+        "joints": tables.posterior_table(result.shown.tree).json(),
         "summary": tables.summary_json(result),
         "out": str(out),
     }
@@ -101,7 +100,7 @@ def show(chosen: list[Hypothesis], result: Result, out: Path) -> None:
         console.say(line)
     for table in (
         tables.candidates_table(result.tree),
-        tables.posterior_table(result.first(BLOCK).tree),
+        tables.posterior_table(result.shown.tree),
         tables.hypotheses_table(chosen),
     ):
         console.OUT.print(table)

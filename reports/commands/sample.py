@@ -3,7 +3,7 @@
 from inference.drawers import sampler_under
 from inference.drawsfile import sample_to_file
 from inference.hypothesis import hypotheses
-from inference.results import BLOCK, COMPLETE, FIXED
+from inference.results import COMPLETE, FIXED
 from inference.sampler import ROOTED_SAMPLERS
 from probmodel.failures import BadInput, OutOfBudget
 from reports import console, doubts, tables
@@ -54,8 +54,8 @@ def run(settings: SampleSettings, screen: Screen) -> None:
     if not result.num_draws:
         raise OutOfBudget(result.sentence)
     with console.progress("page", screen.quiet):
-        photo, some = settings.person.detected.photo, result.first(BLOCK)
-        chosen = hypotheses(some, min(NUM_HYPOTHESES, some.num_draws), seed=sampling.seed)
+        photo, number = settings.person.detected.photo, result.shown.num_draws
+        chosen = hypotheses(result.shown, min(NUM_HYPOTHESES, number), seed=sampling.seed)
         write_page(
             person_page(result, chosen, image=photo, warnings=warnings),
             page,

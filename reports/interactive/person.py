@@ -12,7 +12,7 @@ import xarray as xr
 from PIL import Image
 
 from inference.hypothesis import Hypothesis
-from inference.results import BLOCK, COMPLETE, Result
+from inference.results import COMPLETE, Result
 from probmodel.skeleton import JOINT_INDEX, JOINTS
 from reports.figures.colours import LIMB_OF, hypothesis_colours
 from reports.figures.window import Window, cropped, window_of
@@ -31,8 +31,8 @@ from reports.tables.posterior import (
 from reports.tables.sheet import percent, signed
 from reports.tables.words import facing_words, pose_facing, spoken
 
-MAX_DRAWS, MOST_DRAWS = 1000, BLOCK
-"""Draws that a page holds, and those that its marginals and tables are of at most."""
+MAX_DRAWS = 1000
+"""Draws that a page holds; marginals are of all that are shown."""
 BINS = 48
 LONGEST_SIDE, QUALITY = 1400, 85
 """Of the photo: pixels, and JPEG's."""
@@ -68,7 +68,7 @@ def person_page(
     BadInput
         Where the image is not one, or shows none of the detected joints.
     """
-    tree = result.first(MOST_DRAWS).tree
+    tree = result.shown.tree
     window = window_of(tree, image)
     shown = _spread_evenly(len(values(tree, "posterior", "joints")))
     points = values(tree, "observed_data", "keypoints")

@@ -5,7 +5,6 @@ Poses are in the person's own body units, the hips' midpoint at the origin, z al
 sight to it. The film is cut in two: what is learned from one half judges the other.
 """
 
-import contextlib
 import dataclasses
 import functools
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ import xarray as xr
 import inference
 from inference.machines import HERE
 from inference.results import FIXED, UNCERTAIN
+from inference.roots.points import require_camera
 from inference.store import Block, Groups, Store, fill, locked
 from inference.studies.errorlaws.learn import Learned, learn
 from inference.studies.errorlaws.pairs import pairs_of_session
@@ -225,29 +225,30 @@ def _draw(way: Way, given: tuple[Detection, Likelihood, Lens | None, np.ndarray,
     """Draws for one camera's detection; none where no root explains it, or where it shows too few
     of the torso's joints for one."""
     detection, likelihood, lens, turns, seed = given
+    try:
+        require_camera(detection)
+    except BadInput:
+        return _kept(np.zeros((0, NUM_JOINTS, 3)), np.nan, np.nan)
     model = _model().seen_by(lens)
-    joints, about = np.zeros((0, NUM_JOINTS, 3)), {"roots": np.nan, "seconds": np.nan}
-    with contextlib.suppress(BadInput):
-        frame = inference.estimate_torso(
-            detection, torsos=np.asarray(model.torsos), likelihood=likelihood
-        )
-        result = inference.sample(
-            model,
-            frame,
-            key=jax.random.key(seed),
-            num_samples=DRAWS,
-            root=way.root,
-            num_roots=way.roots,
-            max_proposals=BUDGET,
-        )
-        about = {
-            "roots": float(result.tree.attrs.get("effective_roots", np.nan)),
-            "seconds": float(result.tree.attrs["wall_time_s"]),
-        }
-        if result.num_draws:
-            joints = result.tree["posterior"].joints.values[0]
-            joints = (joints - joints[:, HIPS].mean(axis=1, keepdims=True)) @ turns.T
+    result = inference.sample(
+        model,
+        inference.estimate_torso(detection, torsos=np.asarray(model.torsos), likelihood=likelihood),
+        key=jax.random.key(seed),
+        num_samples=DRAWS,
+        root=way.root,
+        num_roots=way.roots,
+        max_proposals=BUDGET,
+    )
+    joints = result.tree["posterior"].joints.values[0]
+    joints = (joints - joints[:, HIPS].mean(axis=1, keepdims=True)) @ turns.T
+    about = result.tree.attrs
+    return _kept(joints, about.get("effective_roots", np.nan), about["wall_time_s"])
+
+
+def _kept(joints: np.ndarray, roots: float, seconds: float) -> Groups:
+    """What is kept of a case: see `Drawn`."""
     columns = {"joints": (("draw", "joint", "axis"), joints.astype(np.float32))}
+    about = {"roots": float(roots), "seconds": float(seconds)}
     return {"draws": xr.Dataset(columns, attrs=about)}
 
 

@@ -341,6 +341,7 @@ def main(data: Path, work: Path) -> None:
     values: dict[str, str | int | Sheet] = {
         "draws": f"{DRAWS:,}",
         "roots": f"{ROOTS:,}",
+        "more": f"{max(way.roots for way in WAYS):,}",
         "table": table(outcomes),
         "paired": table(paired(outcomes)),
         "cameras": parts_of(outcomes, seen),

@@ -404,7 +404,7 @@ def main(data: Path) -> None:
         for title, own in sets.items()
     }
     found, stream = curves(model, frames[0]), streams(model, frames)
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    memory = _peak() / 1e3
     slope = float(np.polyfit(*stream, 1)[0])
     uncertain = float(np.polyfit(*streams(model, frames, UNCERTAIN), 1)[0])
     values: Values = {

@@ -4,7 +4,9 @@ shares that are not shuffled and predictions that repeat as negative controls.
 False alarms: 1e-4 a test, over a fresh seed; seeds are fixed."""
 
 import gc
+import importlib
 import weakref
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -23,6 +25,7 @@ from tests.goodness import floor
 from tests.scenes import key
 
 BLOCK, NUMBER = 512, 4000
+sampler = importlib.import_module("inference.sampler")
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +38,19 @@ def small_blocks(monkeypatch):
     monkeypatch.setattr(drawsfile, "BLOCK", BLOCK)
 
 
+@pytest.fixture
+def to_file(model, example_estimate, tmp_path) -> Callable[..., Result]:
+    """Draws of the example to a file of this name, by this seed."""
+
+    def run(name: str, seed: int, number: int = NUMBER, **given) -> Result:
+        path = tmp_path / name
+        return sample_to_file(
+            path, model, example_estimate, key=key(seed), num_samples=number, **given
+        )
+
+    return run
+
+
 def joints_of(result: Result) -> np.ndarray:
     return np.asarray(result.tree["posterior"].joints)[0]
 
@@ -44,15 +60,9 @@ def repeated(joints: np.ndarray) -> int:
     return len(joints) - len(np.unique(joints.reshape(len(joints), -1), axis=0))
 
 
-def test_blocks_are_draws_of_the_posterior(model, example_estimate, tmp_path):
-    filed = sample_to_file(
-        tmp_path / "a.nc",
-        model,
-        example_estimate,
-        key=key(1),
-        num_samples=NUMBER,
-        double=True,  # else the torso's joints, two points, are beside those in memory
-    )
+def test_blocks_are_draws_of_the_posterior(to_file, model, example_estimate):
+    # In single precision the torso's joints, two points, would be beside those in memory.
+    filed = to_file("a.nc", 1, double=True)
     held = inference.sample(model, example_estimate, key=key(2), num_samples=NUMBER)
     ours, theirs = joints_of(filed), joints_of(held)
     assert ours.shape == theirs.shape
@@ -66,11 +76,9 @@ def test_blocks_are_draws_of_the_posterior(model, example_estimate, tmp_path):
     assert np.array_equal(filed.tree["posterior"].draw, np.arange(NUMBER))
 
 
-def test_blocks_that_are_not_forgotten_would_repeat(model, example_estimate, tmp_path, monkeypatch):
+def test_blocks_that_are_not_forgotten_would_repeat(to_file, monkeypatch):
     monkeypatch.setattr(RootSampler, "forget", lambda self, number: None)
-    filed = sample_to_file(
-        tmp_path / "a.nc", model, example_estimate, key=key(1), num_samples=NUMBER
-    )
+    filed = to_file("a.nc", 1)
     assert repeated(joints_of(filed)) > NUMBER / 2
 
 
@@ -93,13 +101,9 @@ def in_order(counts, block, rng):
 
 
 @pytest.mark.parametrize("shared_out", [mixture._shared_out, in_order])
-def test_every_block_is_a_sample_of_the_mixture(
-    model, example_estimate, tmp_path, monkeypatch, shared_out
-):
+def test_every_block_is_a_sample_of_the_mixture(to_file, monkeypatch, shared_out):
     monkeypatch.setattr(mixture, "_shared_out", shared_out)
-    filed = sample_to_file(
-        tmp_path / "a.nc", model, example_estimate, key=key(3), num_samples=NUMBER
-    )
+    filed = to_file("a.nc", 3)
     weight = filed.tree["constant_data"].weight.values
     assert 0.02 < weight[1] < 0.2
     found = rarest_share(filed)
@@ -107,15 +111,11 @@ def test_every_block_is_a_sample_of_the_mixture(
 
 
 @pytest.mark.parametrize("numbered", [True, False])
-def test_predictions_of_blocks_have_errors_of_their_own(
-    model, example_estimate, tmp_path, monkeypatch, numbered
-):
+def test_predictions_of_blocks_have_errors_of_their_own(to_file, monkeypatch, numbered):
     if not numbered:
-        build = drawsfile.build_tree
-        monkeypatch.setattr(drawsfile, "build_tree", lambda *given: build(*given[:4]))
-    filed = sample_to_file(
-        tmp_path / "a.nc", model, example_estimate, key=key(4), num_samples=2 * BLOCK + 1
-    )
+        build = sampler.build_tree
+        monkeypatch.setattr(sampler, "build_tree", lambda *given: build(*given[:4]))
+    filed = to_file("a.nc", 4, 2 * BLOCK + 1)
     made = filed.tree["posterior_predictive"].keypoints - filed.tree["posterior"].keypoints
     (joint, *_) = np.flatnonzero(np.isfinite(made).all(axis=(0, 1, 3)))
     errors = np.asarray(made)[0, :, joint, 0]
@@ -125,18 +125,12 @@ def test_predictions_of_blocks_have_errors_of_their_own(
 
 @pytest.mark.parametrize("number", [100, NUMBER])
 @pytest.mark.parametrize("double", [False, True])
-def test_a_file_has_the_numbers_that_it_says(
-    model, example_estimate, tmp_path, monkeypatch, number, double
-):
+def test_a_file_has_the_numbers_that_it_says(to_file, model, tmp_path, monkeypatch, number, double):
     """In one block or in many: what stands in the file, and what tables and pages read of it."""
     path = tmp_path / "a.nc"
-    filed = sample_to_file(
-        path, model, example_estimate, key=key(5), num_samples=number, double=double
-    )
+    filed = to_file("a.nc", 5, number, double=double)
     monkeypatch.setattr(drawsfile, "BLOCK", NUMBER)
-    exact = sample_to_file(
-        tmp_path / "b.nc", model, example_estimate, key=key(5), num_samples=number, double=True
-    )
+    exact = to_file("b.nc", 5, number, double=True)
     with xr.open_datatree(path, engine="netcdf4") as tree:
         for group, names in SINGLE.items():
             assert {tree[group][name].dtype for name in names} == {
@@ -159,19 +153,10 @@ def test_a_file_has_the_numbers_that_it_says(
     assert model.limits.check(joints_of(again)).pose_valid.all()
 
 
-def test_a_budget_that_ends_leaves_what_there_is(model, example_estimate, tmp_path):
-    whole = sample_to_file(
-        tmp_path / "a.nc", model, example_estimate, key=key(6), num_samples=NUMBER
-    )
+def test_a_budget_that_ends_leaves_what_there_is(to_file):
+    whole = to_file("a.nc", 6)
     budget = int(whole.tree.attrs["num_proposals"] * 0.6)
-    found = sample_to_file(
-        tmp_path / "b.nc",
-        model,
-        example_estimate,
-        key=key(6),
-        num_samples=NUMBER,
-        max_proposals=budget,
-    )
+    found = to_file("b.nc", 6, max_proposals=budget)
     assert found.status == OUT_OF_BUDGET
     assert BLOCK < found.num_draws < NUMBER
     assert found.sentence.startswith(f"{found.num_draws} of {NUMBER} draws after ")
@@ -179,23 +164,16 @@ def test_a_budget_that_ends_leaves_what_there_is(model, example_estimate, tmp_pa
     assert repeated(joints_of(found)) == 0
 
 
-def test_nothing_is_written_where_there_is_no_draw(model, example_estimate, tmp_path):
-    found = sample_to_file(
-        tmp_path / "a.nc",
-        model,
-        example_estimate,
-        key=key(7),
-        num_samples=NUMBER,
-        max_proposals=10,
-    )
+def test_nothing_is_written_where_there_is_no_draw(to_file, tmp_path):
+    found = to_file("a.nc", 7, max_proposals=10)
     assert found.num_draws == 0
     assert not list(tmp_path.iterdir())
 
 
-def test_one_block_is_in_memory_at_a_time(model, example_estimate, tmp_path, monkeypatch):
+def test_one_block_is_in_memory_at_a_time(to_file, monkeypatch):
     """Trees that nobody looks at again are gone at once, without the collector of cycles."""
     alive: list[weakref.ref] = []
-    most, build = 0, drawsfile.build_tree
+    most, build = 0, sampler.build_tree
 
     def counted(*given):
         nonlocal most
@@ -204,20 +182,18 @@ def test_one_block_is_in_memory_at_a_time(model, example_estimate, tmp_path, mon
         most = max(most, sum(one() is not None for one in alive))
         return tree
 
-    monkeypatch.setattr(drawsfile, "build_tree", counted)
+    monkeypatch.setattr(sampler, "build_tree", counted)
     gc.disable()
     try:
-        sample_to_file(tmp_path / "a.nc", model, example_estimate, key=key(8), num_samples=NUMBER)
+        to_file("a.nc", 8)
     finally:
         gc.enable()
     assert len(alive) == -(-NUMBER // BLOCK)
     assert most <= 2
 
 
-def test_the_first_draws_of_a_result(model, example_estimate, tmp_path):
-    filed = sample_to_file(
-        tmp_path / "a.nc", model, example_estimate, key=key(9), num_samples=NUMBER
-    )
+def test_the_first_draws_of_a_result(to_file):
+    filed = to_file("a.nc", 9)
     some = filed.first(100)
     assert some.num_draws == 100
     assert np.array_equal(joints_of(some), joints_of(filed)[:100])
@@ -225,13 +201,7 @@ def test_the_first_draws_of_a_result(model, example_estimate, tmp_path):
     assert some.tree.attrs == filed.tree.attrs
 
 
-def test_a_folder_that_cannot_be_written_to(model, example_estimate, tmp_path):
+def test_a_folder_that_cannot_be_written_to(to_file):
     for number in (100, NUMBER):
         with pytest.raises(BadInput, match=r"cannot write .*; choose a folder"):
-            sample_to_file(
-                tmp_path / "none" / "a.nc",
-                model,
-                example_estimate,
-                key=key(0),
-                num_samples=number,
-            )
+            to_file("none/a.nc", 0, number)

@@ -124,7 +124,8 @@ class Result:
             The file.
         double
             Writes all numbers as they are. Otherwise those of `SINGLE`, nearly all of a file, are
-            rounded to single precision: half the size, and a ten-thousandth of a pixel.
+            rounded to single precision: half the size, and a ten-thousandth of a pixel, which puts
+            about one draw of a million beyond a limit that it was just within.
 
         Raises
         ------

@@ -97,7 +97,7 @@ def snooker() -> Any:
 
     class Snooker(emcee.moves.RedBlueMove):
         """A step along the line through another walker z, by the difference of two more projected
-        on it."""
+        on it. Where z is in the same place there is no line, and no step."""
 
         def __init__(self) -> None:
             super().__init__(nsplits=4)
@@ -111,9 +111,12 @@ def snooker() -> Any:
             )
             line = active - z
             distance = np.linalg.norm(line, axis=1)
+            apart = distance > 0
+            distance[~apart] = 1.0
             along = np.sum(line * (one - two), axis=1) / distance**2
             proposal = active + SNOOKER_SCALE * along[:, None] * line
-            ratio = np.log(np.linalg.norm(proposal - z, axis=1)) - np.log(distance)
+            farther = np.where(apart, np.linalg.norm(proposal - z, axis=1), 1.0)
+            ratio = np.log(farther) - np.log(distance)
             return proposal, (active.shape[1] - 1) * ratio
 
     return Snooker()

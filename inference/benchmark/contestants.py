@@ -157,6 +157,22 @@ def downhill(
     return points[misfit <= 1][:wanted], spent
 
 
+def filled(
+    target: FrozenTarget, rng: np.random.Generator, starts: np.ndarray, wanted: int
+) -> tuple[np.ndarray, int]:
+    """`(wanted, d)` starts from `(n, d)`, and the evaluations that this cost. Where they are fewer,
+    others lie beside them, as near as it takes to be inside: no ensemble can do anything with
+    walkers in one place."""
+    points = starts[np.arange(wanted) % len(starts)]
+    outside, scale, spent = np.arange(len(starts), wanted), STEP, 0
+    while len(outside):
+        beside = points[outside] + scale * rng.normal(size=(len(outside), target.dim))
+        inside = target.misfit(beside) <= 1
+        points[outside[inside]] = beside[inside]
+        spent, outside, scale = spent + len(outside), outside[~inside], scale / 2
+    return points, spent
+
+
 def _exact(target: FrozenTarget) -> Outcome:
     """The engine's own draws, everything compiled before the clock runs. How long it takes to set
     up is what one draw alone takes."""
@@ -199,11 +215,13 @@ def _baseline(
     if baseline.starts and start == GIFT:
         starts = exact_points(target, baseline.starts)
     elif baseline.starts:
-        starts, spent = downhill(target, np.random.default_rng(seed), baseline.starts, allowance)
-    if baseline.starts and not len(starts):
-        return None
+        rng = np.random.default_rng(seed)
+        starts, spent = downhill(target, rng, baseline.starts, allowance)
+        if not len(starts):
+            return None
+        starts, more = filled(target, rng, starts, baseline.starts)
+        spent += more
     before = CLOCK() - begun if start == PRIOR else 0.0
-    starts = starts[np.arange(baseline.starts) % len(starts)] if len(starts) else starts
     method = baseline.build(in_jax(target), jax.random.fold_in(key, 1), starts)
     first_step(method, CLOCK)
     seconds, finished = before, False

@@ -12,7 +12,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from inference.baselines.run import Allowance
-from inference.benchmark import contestants, load
+from inference.benchmark import contestants, exact_points, load
 from inference.readings import READINGS, Verdict
 from inference.studies.misreadings import Study
 from probmodel.learning.dictionaries import PoseDictionary
@@ -255,6 +255,20 @@ def test_walking_downhill_comes_inside_at_a_price(monkeypatch: pytest.MonkeyPatc
     assert len(points) >= 5
     assert (target.misfit(points) <= 1).all()
     assert spent > 2 * len(points)
+
+
+def test_walkers_are_spread_where_few_starts_were_found() -> None:
+    """All inside, none where another is, the found ones first, and every evaluation counted."""
+    target, rng = load("single"), np.random.default_rng(0)
+    few = exact_points(target, 3)
+    points, spent = contestants.filled(target, rng, few, 40)
+    np.testing.assert_array_equal(points[:3], few)
+    assert len(np.unique(points, axis=0)) == 40
+    assert (target.misfit(points) <= 1).all()
+    assert spent >= 37
+    same, nothing = contestants.filled(target, rng, few, 3)
+    np.testing.assert_array_equal(same, few)
+    assert nothing == 0
 
 
 def verdict(whole: float) -> Verdict:

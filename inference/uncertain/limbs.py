@@ -38,14 +38,16 @@ from probmodel.roots import RootPoint, RootPrior
 from probmodel.skeleton import GROUPS, TORSO_INDEX
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
-TRIALS, EACH = 16, 16
-"""Lengths of the bones under each root, and attempts at each limb under each of them: under roots
-that matter a group's evidence is then known to 10 to 20 %, which costs few effective roots."""
+EFFORT = {1: (128, 4), 2: (16, 16)}
+"""By the number of limbs in a group: lengths of the bones under each root, and attempts at each
+limb under each of them. Under roots that matter a group's evidence is then known to 10 to 30 %,
+which costs few effective roots. Two limbs explain their detections in pairs, the more the more
+attempts they share a length with; the head hangs on its length alone."""
 LIMBS = tuple(limb for members in GROUPS.values() for limb in members)
 ENDS = np.array([[bone.end for bone in (*limb.bones, *limb.bones)[:2]] for limb in LIMBS])
 """`(5, 2)`: the joints of each limb, from the torso outwards; the head's twice."""
 CHAINED = np.array([limb.lower is not None for limb in LIMBS])
-ATTEMPTS = TRIALS * EACH * len(LIMBS)
+ATTEMPTS = sum(math.prod(EFFORT[len(limbs)]) * len(limbs) for limbs in GROUPS.values())
 """Attempts at the limbs of one root."""
 KEPT = 64
 """Draws that are kept of a group under one root: any of them are as good as all."""
@@ -220,7 +222,7 @@ def attempt_limbs(
             found = [_free(free[name], words, *place) for place in path]
         else:
             states = np.array([seeded(words, *place) for place in path])
-            found = weigh_group(tables[name], own, law, states, TRIALS, EACH)
+            found = weigh_group(tables[name], own, law, states, *EFFORT[len(own)])
         for result, one in zip(results, found, strict=True):
             result[name] = one
     return results

@@ -18,7 +18,14 @@ from scipy.special import logsumexp
 from inference.exact.groups import workers
 from inference.exact.loops.numbers import words_of
 from inference.exact.rates import Budget
-from inference.resampling import systematic, times
+from inference.resampling import inclusion, systematic, times
+from inference.uncertain.attempts import (
+    PATIENCE,
+    Proposal,
+    TorsoDraws,
+    draw_posed,
+    quick_proposal_of,
+)
 from inference.uncertain.limbs import ATTEMPTS
 from inference.uncertain.patterns import (
     Fit,
@@ -29,16 +36,7 @@ from inference.uncertain.patterns import (
     propose,
     strata_of,
 )
-from inference.uncertain.torsos import (
-    PATIENCE,
-    Posed,
-    Proposal,
-    TorsoDraws,
-    draw_posed,
-    log_nearness,
-    proposal_of,
-    torso_problem,
-)
+from inference.uncertain.torsos import Posed, log_nearness, torso_problem
 from probmodel.faults import Faults
 from probmodel.roots import RootPoint
 from probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
@@ -72,9 +70,9 @@ class ProposedRoots(NamedTuple):
     log_weight : `(n,)`: prior × density of the torso's detection over what each was proposed with,
         × the peak of the limbs' likelihood and without the factors of the scale that they bring.
     stratum : `(n,)`: which of the strata each is of.
-    variance : `(strata,)`, of the log of each stratum's evidence of the torso.
-    doubt : what the relative variance of the evidence has of the number of roots that these were
-        taken from.
+    made : `(strata,)`: how many attempts at roots of each there were.
+    scatter : what the relative variance of the evidence has of the roots that these were taken
+        from, were their promises kept, and attempts without number.
     wanted : how many roots there would be, had the budget been large enough.
     attempts : how many were made.
     """
@@ -83,8 +81,8 @@ class ProposedRoots(NamedTuple):
     faults: Faults
     log_weight: np.ndarray
     stratum: np.ndarray
-    variance: np.ndarray
-    doubt: float
+    made: np.ndarray
+    scatter: float
     wanted: int
     attempts: int
 
@@ -98,11 +96,13 @@ class ProposedRoots(NamedTuple):
         )
 
     def relative_variance(self, share: np.ndarray) -> float:
-        """Of the evidence of roots that have these shares `(n,)` of it: by what the evidences of
-        the torsos err."""
-        of_strata = np.bincount(self.stratum, share, minlength=len(self.variance))
+        """Of the evidence of roots that have these shares `(n,)` of it, by how their weights
+        scatter and what they were taken from."""
+        of_strata = np.bincount(self.stratum, share, minlength=len(self.made))
         held = of_strata > 0
-        return float(np.sum(of_strata[held] ** 2 * self.variance[held]))
+        attempted = float(np.sum(of_strata[held] ** 2 / self.made[held]))
+        variance = float(np.sum(share**2)) - 1 / len(share) + self.scatter - attempted
+        return max(variance, 0.0)
 
 
 def propose_roots(
@@ -113,7 +113,7 @@ def propose_roots(
     strata, pool = strata_of(posterior), pool_of(posterior.model, words_of(pool_key))
     rng = np.random.default_rng(words_of(order_key))
     posed = [torso_problem(posterior, stratum.faults) for stratum in strata]
-    attempted = list(zip(posed, workers().map(proposal_of, posed), strict=True))
+    attempted = list(zip(posed, workers().map(quick_proposal_of, posed), strict=True))
     share, hopeful, attempts = np.ones(1), [True], 0
     if len(strata) > 1:
         most = [PILOT_ATTEMPTS] * len(strata)
@@ -130,32 +130,33 @@ def propose_roots(
     for index, (stratum, torso) in enumerate(zip(strata, torsos, strict=True)):
         found = len(torso.points.torso)
         taken = min(found, int(counts[index]))
-        wanted += int(counts[index]) if hopeful[index] else taken
+        wanted += int(counts[index]) if hopeful[index] and not torso.enough else taken
         if found:
             fit = fit_of(posterior, pool, stratum, torso.points)
             promise = log_promise(posterior, fit, stratum, torso.points)
-            rows, inclusion = _promising(promise, taken, rng)
+            rows, chance = _promising(promise + torso.log_share, taken, rng)
             points = torso.points.take(rows)
             faults, log_proposal = propose(fit.take(rows), stratum, rng)
             weight = torso.log_evidence + log_priors(posterior, faults) - log_proposal
-            weight += np.log(counts[index] / share[index] / found) - np.log(inclusion)
-            parts.append((points, faults, weight, np.full(taken, index), inclusion))
-    attempts += sum(torso.attempts for torso in torsos)
-    variance = np.array([torso.variance for torso in torsos])
+            weight += np.log(counts[index] / share[index]) + torso.log_share[rows]
+            weight -= np.log(chance)
+            chance = chance * torso.inclusion[rows]
+            parts.append((points, faults, weight, np.full(taken, index), chance))
+    made = np.array([torso.attempts for torso in torsos])
+    attempts += int(made.sum())
     if not parts:
         none, points = np.zeros(0, int), torsos[0].points
         empty = points, Faults.none(0), np.zeros(0), none
-        return ProposedRoots(*empty, variance, 0.0, number, attempts)
-    points, faults, weight, stratum_of, inclusion = (
+        return ProposedRoots(*empty, made, 0.0, number, attempts)
+    points, faults, weight, stratum_of, chance = (
         jax.tree.map(lambda *rows: np.concatenate(rows), *column)
         for column in zip(*parts, strict=True)
     )
     # The mean over the roots there are, not over those asked for, is to be the evidence.
     weight += np.log(len(weight) / number)
-    # If promises were kept, weights would have the relative variance of the inclusions.
-    looked_at = sum(len(torso.points.torso) for torso in torsos)
-    doubt = float(inclusion.mean()) / len(weight) - 1 / looked_at
-    whole = ProposedRoots(points, faults, weight, stratum_of, variance, doubt, wanted, attempts)
+    # If promises were kept, weights would have the relative variance of the chances.
+    scatter = float(chance.mean()) / len(weight)
+    whole = ProposedRoots(points, faults, weight, stratum_of, made, scatter, wanted, attempts)
     return whole.at(rng.permutation(len(weight)))
 
 
@@ -177,14 +178,7 @@ def _promising(
     None is taken twice, so that the effective number of what is taken is never more than that of
     the whole."""
     share = (1 - CHANCE) * _normal(TRUST * score) + CHANCE / len(score)
-    probability, certain = np.ones(len(share)), np.zeros(len(share), bool)
-    while not certain.all():
-        rest = ~certain
-        probability[rest] = share[rest] * (number - certain.sum()) / share[rest].sum()
-        if not (probability > 1).any():
-            break
-        certain |= probability >= 1
-        probability[certain] = 1.0
+    probability = inclusion(share, number)
     rows = systematic(probability, number, rng.uniform())
     return rows, probability[rows]
 
@@ -227,8 +221,7 @@ def _shares(
             fit = fit_of(posterior, pool, stratum, pilot.points)
             evidence = log_promise(posterior, fit, stratum, pilot.points)
             score[index] = (
-                logsumexp(evidence)
-                - np.log(len(evidence))
+                logsumexp(evidence + pilot.log_share)
                 + pilot.log_evidence
                 + _log_prior(posterior, stratum)
             )

@@ -27,6 +27,7 @@ from inference.exact.loops.numbers import words_of
 from inference.exact.mixture import MAX_PROPOSALS, Progress
 from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.roots.points import require_camera
+from inference.uncertain.attempts import HOPELESS, Proposal, attempted_roots, proposal_of
 from inference.uncertain.limbs import ATTEMPTS, LimbDraws, free_groups, limb_draws
 from inference.uncertain.patterns import (
     Stratum,
@@ -38,16 +39,7 @@ from inference.uncertain.patterns import (
     strata_of,
 )
 from inference.uncertain.proposals import TRUST, ProposedRoots, log_promise
-from inference.uncertain.torsos import (
-    HOPELESS,
-    Posed,
-    Proposal,
-    attempted_roots,
-    log_mass,
-    proposal_of,
-    require_distance,
-    torso_problem,
-)
+from inference.uncertain.torsos import Posed, log_mass, require_distance, torso_problem
 from inference.uncertain.weighted import NUM_ROOTS, WeightedRoots, log_limbs, require_number
 from probmodel.failures import BadInput
 from probmodel.faults import Faults
@@ -329,21 +321,19 @@ def _result(
     parts = [part for part in parts if part.limbs]
     if not parts:
         points, faults = NOWHERE, Faults.none(0)
-        evidence, doubt, cut_off = -math.inf, 0.0, 0.0
+        evidence, scatter, cut_off = -math.inf, 0.0, 0.0
     else:
         points, faults = (
             jax.tree.map(lambda *rows: np.concatenate(rows), *column)
             for column in zip(*((part.points, part.faults) for part in parts), strict=True)
         )
         evidence = math.log(total / attempts) + log_bound
-        doubt = float(np.sum(weight**2)) / total**2 - 1 / attempts
+        scatter = float(np.sum(weight**2)) / total**2
         cut_off = float(np.maximum(weight - 1, 0).sum()) / total
     limbs = [found for part in parts for found in part.limbs]
     number = len(limbs)
-    equal = np.full(number, evidence)
-    proposed = ProposedRoots(
-        points, faults, equal, np.zeros(number, int), np.zeros(1), doubt, wanted, attempts
-    )
+    equal, stratum, tried = np.full(number, evidence), np.zeros(number, int), np.array([attempts])
+    proposed = ProposedRoots(points, faults, equal, stratum, tried, scatter, wanted, attempts)
     return RejectedRoots(posterior, proposed, limbs, equal, made, cut_off, len(log_weight))
 
 

@@ -204,15 +204,12 @@ def side_data(
 
 def _evidence(roots: WeightedRoots, rows: np.ndarray) -> tuple[float, float]:
     """Log evidence of the roots in some rows alone, and its standard error."""
-    total = len(roots.log_weight)
-    own = np.isin(np.arange(total), rows)
+    own = np.isin(np.arange(len(roots.log_weight)), rows)
     whole = np.where(own, roots.share, 0.0)
     weight = whole.sum()
     if not weight:
         return log_mean(np.where(own, roots.log_weight, -np.inf)), np.inf
-    whole = whole / weight
-    relative = total * np.sum(whole**2) - 1
-    error = np.sqrt(max(relative, 0.0) / total + roots.proposed.relative_variance(whole))
+    error = np.sqrt(roots.proposed.relative_variance(whole / weight))
     return log_mean(np.where(own, roots.log_weight, -np.inf)), float(error)
 
 

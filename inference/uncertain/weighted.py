@@ -95,8 +95,7 @@ class WeightedRoots:
         """Standard error of `log_evidence`, by the delta method."""
         if not self.effective:
             return math.inf
-        relative = 1 / self.effective - 1 / len(self.log_weight) + self.proposed.doubt
-        return math.sqrt(relative + self.proposed.relative_variance(self.share))
+        return math.sqrt(self.proposed.relative_variance(self.share))
 
     def draw(self, rng: np.random.Generator, number: int) -> tuple[RootPoint, Pose, np.ndarray]:
         """`number` roots and poses, in random order, and which `(number,)` of the roots each has;

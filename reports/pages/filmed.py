@@ -69,7 +69,7 @@ WAYS = (
     Way(UNCERTAIN),
     Way(UNCERTAIN, focal=True, frames=25),
     Way(UNCERTAIN, LEARNED),
-    Way(UNCERTAIN, LEARNED, focal=True, frames=5, roots=4 * ROOTS),
+    Way(UNCERTAIN, LEARNED, focal=True, roots=4 * ROOTS),
 )
 
 

@@ -1,10 +1,13 @@
 """Roots by least squares, where the torso's joints err by Gaussians, against roots by discs that
-are thinned; and the bounds that they rest on.
+are thinned; the bounds that they rest on; and roots with weights, by guesses, against those by
+bounds.
 
 False alarms: 1e-4 for each law that is compared, 6e-5 for the evidence; seeds are fixed."""
 
 import dataclasses
+import functools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +18,9 @@ from inference.exact.loops import fits
 from inference.exact.loops.fits import FitCells, balance, cut_fits
 from inference.exact.loops.roots import TorsoProblem
 from inference.exact.rates import Budget
-from inference.uncertain import torsos
-from inference.uncertain.torsos import TorsoDraws, draw_roots, torso_problem
+from inference.uncertain import attempts
+from inference.uncertain.attempts import TorsoDraws, draw_posed, draw_roots, quick_proposal_of
+from inference.uncertain.torsos import Posed, torso_problem
 from probmodel import ErrorLaw, Likelihood, PoseModel
 from probmodel.faults import Faults
 from probmodel.likelihood import Gaussian, Student
@@ -47,13 +51,13 @@ def posterior(
 def by_discs(whole: UncertainPosterior, number: int, monkeypatch: pytest.MonkeyPatch) -> TorsoDraws:
     """As if nothing were known of the law but its ratio and its reach."""
 
-    def plain(posterior: UncertainPosterior, faults: Faults) -> torsos.Posed:
+    def plain(posterior: UncertainPosterior, faults: Faults) -> Posed:
         posed = torso_problem(posterior, faults)
         none = np.zeros_like(posed.problem.precision)
         return posed._replace(problem=posed.problem._replace(precision=none))
 
     with monkeypatch.context() as patch:
-        patch.setattr(torsos, "torso_problem", plain)
+        patch.setattr(attempts, "torso_problem", plain)
         return draw_roots(whole, Faults.none(), [3, 4], number, Budget(1 << 30))
 
 
@@ -112,11 +116,11 @@ def test_a_factor_of_the_scale_that_is_lost_is_found_out(monkeypatch: pytest.Mon
     whole = posterior()
     discs = by_discs(whole, 2500, monkeypatch)
 
-    def flatter(posterior: UncertainPosterior, faults: Faults) -> torsos.Posed:
+    def flatter(posterior: UncertainPosterior, faults: Faults) -> Posed:
         posed = torso_problem(posterior, faults)
         return posed._replace(problem=posed.problem._replace(power=posed.problem.power - 2))
 
-    monkeypatch.setattr(torsos, "torso_problem", flatter)
+    monkeypatch.setattr(attempts, "torso_problem", flatter)
     fitted = draw_roots(whole, Faults.none(), [1, 2], 2500, Budget(1 << 30))
     assert smallest_p(fitted, discs) < ALARM / 100
 
@@ -184,3 +188,106 @@ def test_the_same_key_gives_the_same_roots() -> None:
     other = draw_roots(whole, Faults.none(), [8], 50, Budget(1 << 24))
     np.testing.assert_array_equal(one.points.log_scale, again.points.log_scale)
     assert np.any(one.points.log_scale != other.points.log_scale)
+
+
+SHARP = {
+    "gaussian": lambda: posterior(0.12),
+    "student": lambda: posterior(0.12, Student(6.0)),
+    "wide": posterior,
+    "three-joints": lambda: posterior(0.2, without=("thorax", "pelvis", "left_hip")),
+}
+
+
+def weighed(
+    whole: UncertainPosterior, words: list[int], number: int, budget: Budget | None = None
+) -> TorsoDraws:
+    """Roots by guesses, with weights."""
+    posed = torso_problem(whole, Faults.none())
+    proposal = quick_proposal_of(posed)
+    assert not proposal.exact
+    return draw_posed(posed, proposal, words, number, budget or Budget(1 << 30), most=number)
+
+
+def far_apart(one: TorsoDraws, other: TorsoDraws) -> float:
+    """The largest difference of means, of torsos and of other quantities and their squares, in
+    standard errors."""
+    found = []
+    for draws in (one, other):
+        share = np.exp(draws.log_share) / np.exp(draws.log_share).sum()
+        measured = [*columns(draws).values(), *(draws.points.torso == k for k in range(3))]
+        value = np.array([measured[0], *measured], float)
+        value[0] = (value[0] - value[0].mean()) ** 2
+        mean = value @ share
+        # Those taken for certain are no draws of a number of their own, but not many of these are.
+        found.append((mean, (share**2) @ (value - mean[:, None]).T ** 2))
+    (a, of_a), (b, of_b) = found
+    return float(np.max(np.abs(a - b) / np.sqrt(of_a + of_b + 1e-30)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHARP)
+def test_weighed_roots_are_those_by_bounds(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evidence, means and spreads (4 standard errors of each, 1e-3 in all); and the negative
+    control: weights that are forgotten."""
+    whole = SHARP[name]()
+    exact = draw_roots(whole, Faults.none(), [1, 2], 3000, Budget(1 << 30))
+    found = weighed(whole, [3, 4], 20_000)
+    error = math.sqrt(exact.variance + found.variance)
+    assert abs(found.log_evidence - exact.log_evidence) < 4 * error < 0.12
+    assert far_apart(found, exact) < 4
+    forgotten = functools.partial(attempts.attempt_fits)
+
+    def without_weights(*arguments: Any) -> tuple[int, int]:
+        result = forgotten(*arguments)
+        arguments[-1].log_weight[:] = 0.0
+        return result
+
+    monkeypatch.setattr(attempts, "attempt_fits", without_weights)
+    wrong = weighed(whole, [3, 4], 20_000)
+    assert abs(wrong.log_evidence - exact.log_evidence) > 5 * error
+
+
+@pytest.mark.slow
+def test_few_weighed_roots_have_an_unbiased_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mean of 400 that are as short as they come (4 standard errors, 6e-5), and the sum of what
+    their roots count, which is taken from more; without the chance of being taken it is off."""
+    whole = posterior(0.12)
+    truth = weighed(whole, [3, 4], 100_000)
+    monkeypatch.setattr(attempts, "PROBE", 64)
+    some = [weighed(whole, [5, seed], 20) for seed in range(400)]
+    ratio = np.exp([one.log_evidence - truth.log_evidence for one in some])
+    assert abs(ratio.mean() - 1) < 4 * ratio.std() / 20 < 0.2
+    frontal = truth.points.rotation[:, 2, 1] > np.median(truth.points.rotation[:, 2, 1])
+    middle = float(np.median(truth.points.rotation[:, 2, 1]))
+    part = np.exp(truth.log_share) @ frontal
+    right, wrong = [], []
+    for one, times in zip(some, ratio, strict=True):
+        share = np.exp(one.log_share) * (one.points.rotation[:, 2, 1] > middle)
+        right.append(times * share.sum())
+        wrong.append(times * (share * one.inclusion).sum())
+    assert abs(np.mean(right) - part) < 4 * np.std(right) / 20
+    assert abs(np.mean(wrong) - part) > 9 * np.std(wrong) / 20
+
+
+def test_weighed_roots_end_with_the_budget() -> None:
+    """As many attempts as are left, an evidence of those, and a word that it was not enough."""
+    whole = posterior(0.12)
+    plenty = weighed(whole, [3, 4], 20_000)
+    assert plenty.enough
+    assert len(plenty.points.torso) == 20_000
+    none = weighed(whole, [3, 4], 20_000, Budget(100))
+    assert not none.enough
+    assert len(none.points.torso) == none.attempts == 0
+    assert none.log_evidence == -math.inf
+
+
+def test_a_root_that_is_nowhere_is_not_looked_for_for_ever() -> None:
+    """Joints so far apart that no torso fits: no root, though the budget would allow for more."""
+    whole = posterior(0.02, without=("thorax", "pelvis"))
+    keypoints = whole.detection.keypoints.copy()
+    hips = [JOINT_INDEX[name] for name in ("left_hip", "right_hip")]
+    keypoints[hips] = keypoints[hips[::-1]] + [[40.0, 0.0], [-40.0, 300.0]]
+    crossed = dataclasses.replace(whole.detection, keypoints=keypoints)
+    found = weighed(dataclasses.replace(whole, detection=crossed), [3, 4], 100)
+    assert found.enough
+    assert found.log_evidence == -math.inf

@@ -193,8 +193,8 @@ def test_the_judge_holds_both_routes_against_rejection(
     assert (tmp_path / "comparison.nc").exists()
     right = weighted.log_limbs
 
-    def wrong(posterior: Any, points: Any, limbs: Any) -> np.ndarray:
-        return right(posterior, points, limbs) + 2 * len(sound.SEEN) * points.log_scale
+    def wrong(posterior: Any, points: Any, faults: Any, limbs: Any) -> np.ndarray:
+        return right(posterior, points, faults, limbs) + 2 * len(sound.SEEN) * points.log_scale
 
     monkeypatch.setattr(weighted, "log_limbs", wrong)
     caught = compare_routes(model, frame, seed=2, **settings)

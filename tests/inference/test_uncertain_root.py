@@ -28,14 +28,10 @@ from inference.exact.rates import Budget
 from inference.resampling import times
 from inference.results import OUT_OF_BUDGET
 from inference.uncertain import proposals
+from inference.uncertain.attempts import TorsoDraws, draw_roots
 from inference.uncertain.limbs import log_evidence, picks
-from inference.uncertain.torsos import (
-    TorsoDraws,
-    draw_roots,
-    lowest_scale,
-    rotations_of,
-    torso_problem,
-)
+from inference.uncertain.proposals import ProposedRoots
+from inference.uncertain.torsos import lowest_scale, rotations_of, torso_problem
 from inference.uncertain.tree import placed, sides
 from inference.uncertain.weighted import WeightedRoots, log_mean, shares, weigh_roots
 from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
@@ -234,9 +230,9 @@ def test_who_is_believed_upright_weighs_as_much_more():
     afterwards: evidence and moments. Those without it are found out."""
     model, frame = small_case()
     _, plain = both_routes()
-    upright = PoseModel(torsos=model.torsos, upright=20.0)
+    upright = PoseModel(torsos=model.torsos, upright=40.0)
     roots = weigh_roots(frame.uncertain(upright), key=key(6), num_roots=1500)
-    density = UprightRotation(20.0).log_prob(np.asarray(plain.points.rotation))
+    density = UprightRotation(40.0).log_prob(np.asarray(plain.points.rotation))
     weighed = dataclasses.replace(plain, log_weight=plain.log_weight + np.asarray(density))
     error = math.hypot(roots.log_evidence_se, weighed.log_evidence_se)
     assert abs(roots.log_evidence - weighed.log_evidence) < 4 * error < 0.5
@@ -464,28 +460,35 @@ def test_draws_of_a_root_are_taken_evenly():
 
 def test_effective_roots_and_the_error_of_the_evidence_by_hand():
     """Four equal weights among seven are worth four; weights 3 and 1 are worth 16/10. The evidence
-    is a mean of independent weights times the torso's, which errs by itself, and so
-    does what the roots were taken from."""
+    is a mean of weights as good as independent, among attempts most of which found nothing, of two
+    strata whose attempts were of fixed number; and what the roots were taken from scatters by
+    itself."""
 
-    class Proposed:
-        """Stands for roots whose torso's evidence has a relative variance of 1 %."""
-
-        doubt = 0.0
-
-        def relative_variance(self, share: np.ndarray) -> float:
-            return 0.01
-
-    def weighted(*weights: float) -> WeightedRoots:
+    def weighted(*weights: float, made: tuple[int, ...], scatter: float = 0.0) -> WeightedRoots:
         with np.errstate(divide="ignore"):
-            return WeightedRoots(None, Proposed(), [], np.log(np.array(weights)), 0)
+            log_weight = np.log(np.array(weights))
+        nowhere = RootPoint(np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 2)))
+        stratum = np.arange(len(weights)) % len(made)
+        proposed = ProposedRoots(
+            nowhere, Faults.none(0), log_weight, stratum, np.array(made), scatter, 0, 0
+        )
+        return WeightedRoots(None, proposed, [], log_weight, 0)
 
-    assert weighted(2, 2, 2, 2, 0, 0, 0).effective == pytest.approx(4)
-    roots = weighted(3, 1)
+    assert weighted(2, 2, 2, 2, 0, 0, 0, made=(7,)).effective == pytest.approx(4)
+    # All that was found was weighed: two of ten attempts, each of them a tenth of the evidence.
+    roots = weighted(3, 1, made=(10,), scatter=1 / 2)
     assert roots.effective == pytest.approx(1.6)
-    of_mean = np.var([3, 1]) / 2 / np.mean([3, 1]) ** 2
-    assert roots.log_evidence_se == pytest.approx(math.sqrt(of_mean + 0.01))
-    Proposed.doubt = 0.02
-    assert roots.log_evidence_se == pytest.approx(math.sqrt(of_mean + 0.03))
+    attempts = np.array([3.0, 1.0, *np.zeros(8)])
+    of_mean = np.var(attempts) / 10 / np.mean(attempts) ** 2
+    assert roots.log_evidence_se == pytest.approx(math.sqrt(of_mean))
+    # One of each stratum, of ten and of five attempts.
+    roots = weighted(3, 1, made=(10, 5), scatter=1 / 2)
+    one, two = np.array([3.0, *np.zeros(9)]), np.array([1.0, *np.zeros(4)])
+    of_sum = 10 * np.var(one) + 5 * np.var(two)
+    assert roots.log_evidence_se == pytest.approx(math.sqrt(of_sum / 4**2))
+    # Taken for certain, or one in ten from so many that these have no say.
+    roots = weighted(1, 1, made=(10**9,), scatter=1 / 10 / 2)
+    assert roots.log_evidence_se == pytest.approx(math.sqrt(1 / 20), rel=1e-6)
 
 
 def test_a_root_goes_to_the_side_that_it_faces():

@@ -8,6 +8,10 @@ torso and a cell of rotations by a bound on its share, a rotation in it, v and p
 and passes with what the bound was too large by, if the joints lie within their reach. What passes
 is an exact draw (docs/model.md § 9).
 
+Where joints are known well, bounds are far too large, and one attempt in 10^5 passes. So cells may
+also be drawn by a guess at their share, which is near the truth; then every attempt counts as much
+as the guess was too small by.
+
 Bounds: χ is a distance from a subspace, so it changes by no more than the joints move; that is d at
 most in a cell. The density of v has a factor v^m, which lies below its tangent at a `star`, an
 exponential, which moves the Gaussian of v and leaves its width."""
@@ -33,6 +37,12 @@ TILTS = 6
 """Cells of the tilt that are looked at first, from 0 to π; twice as many of roll and of yaw."""
 LEVELS = 4
 """How often cells are cut into eight."""
+FEWER = 3
+"""The same where shares are guessed: a third less to set up."""
+GUESS = 0.25
+"""The part of what a cell's bounds allow for that guesses do: what a cell has of exp(-χ²/2) is a
+little more than it has in its middle. With this part attempts' weights scatter least, or nearly,
+whether joints are known well or not."""
 WORTH = 0.999
 """Share of the mass whose cells are cut again."""
 MOST_CUT = 15_000
@@ -49,8 +59,8 @@ class FitCells(NamedTuple):
     torso : `(m,)` the torso's number
     corner : `(m, 3)` the least roll, tilt and yaw
     width : `(m, 3)` of the cell
-    least : `(m,)` bound on χ², from below
-    top : `(m,)` bound on the inverse scale that fits best, from above
+    least : `(m,)` bound on χ², from below, or a guess at it
+    top : `(m,)` bound on the inverse scale that fits best, from above, or a guess
     star : `(m,)` where the tangent of v^m touches
     alias : `(m,)` table of the masses
     mass : of all of them
@@ -106,22 +116,43 @@ def balance(problem: TorsoProblem) -> Balance:
 
 
 def cut_fits(problem: TorsoProblem, known: Balance) -> FitCells:
-    """The cells in which a root may explain the torso, finest where most of the mass is."""
+    """The cells in which a root may explain the torso, with bounds, finest where most of the mass
+    is."""
+    return _drawable(*_cut(problem, known, LEVELS))
+
+
+def guess_fits(problem: TorsoProblem, known: Balance) -> FitCells:
+    """As `cut_fits`, with guesses in the place of the bounds; no cell is left out by a guess."""
+    torso, corner, width, guesses, log_mass = _cut(problem, known, FEWER)
+    _bound(problem, known, GUESS, torso, corner, width, guesses, log_mass)
+    return _drawable(torso, corner, width, guesses, log_mass)
+
+
+def _cut(problem: TorsoProblem, known: Balance, levels: int) -> tuple[np.ndarray, ...]:
+    """Cells: torso, corner, width, bounds and log mass."""
     torso, corner, width = _first_cells(len(problem.torsos))
     kept: list[tuple[np.ndarray, ...]] = []
-    for level in range(LEVELS + 1):
+    for level in range(levels + 1):
         bounds = np.empty((len(torso), 3))
         log_mass = np.empty(len(torso))
-        _bound(problem, known, torso, corner, width, bounds, log_mass)
+        _bound(problem, known, 1.0, torso, corner, width, bounds, log_mass)
         rows = np.isfinite(log_mass)
         torso, corner, width = torso[rows], corner[rows], width[rows]
         bounds, log_mass = bounds[rows], log_mass[rows]
-        cut = _worth_cutting(log_mass) if level < LEVELS else np.zeros(len(torso), bool)
+        cut = _worth_cutting(log_mass) if level < levels else np.zeros(len(torso), bool)
         kept.append(tuple(part[~cut] for part in (torso, corner, width, bounds, log_mass)))
         torso, corner, width = _eighths(torso[cut], corner[cut], width[cut])
-    torso, corner, width, bounds, log_mass = (
-        np.ascontiguousarray(np.concatenate(column)) for column in zip(*kept, strict=True)
-    )
+    return tuple(np.ascontiguousarray(np.concatenate(column)) for column in zip(*kept, strict=True))
+
+
+def _drawable(
+    torso: np.ndarray,
+    corner: np.ndarray,
+    width: np.ndarray,
+    bounds: np.ndarray,
+    log_mass: np.ndarray,
+) -> FitCells:
+    """Cells that can be drawn by their mass."""
     alias, mass = np.zeros(len(torso), ALIAS), 0.0
     if len(torso):
         highest = log_mass.max()
@@ -160,6 +191,7 @@ def _eighths(
 def _bound(
     problem: TorsoProblem,
     known: Balance,
+    part: float,
     torso: np.ndarray,
     corner: np.ndarray,
     width: np.ndarray,
@@ -167,7 +199,8 @@ def _bound(
     log_mass: np.ndarray,
 ) -> None:
     """Writes each cell's bounds, least χ², highest best inverse scale and the tangent's point, and
-    the log of its mass, -inf where no root of the cell can explain the torso."""
+    the log of its mass, -inf where no root of the cell can explain the torso. With a `part` below
+    one, guesses: as if joints moved by this part of what they may."""
     joints, power, precision = problem.reach.size, problem.power, problem.precision
     farthest = 0.0
     for joint in range(joints):
@@ -195,6 +228,8 @@ def _bound(
         if least > farthest * (1 + SLACK) or reached <= 0:
             log_mass[cell] = -math.inf
             continue
+        least = max(0.0, math.sqrt(chi) - part * moves - SLACK) ** 2
+        top = best + part * moves / math.sqrt(lever) + SLACK
         star = (top + math.sqrt(top * top + 4 * exponent / lever)) / 2
         bounds[cell, 0], bounds[cell, 1], bounds[cell, 2] = least, top, star
         tangent = exponent * (math.log(star) - 1 + top / star)
@@ -265,10 +300,12 @@ def attempt_fits(
     problem: TorsoProblem,
     known: Balance,
     cells: FitCells,
+    bounded: bool,
     table: RootTable,
 ) -> tuple[int, int]:
     """Makes attempts, up to a number of them or until the table is full. Returns how many roots
-    were found, and how many attempts were made."""
+    were found, and how many attempts were made. In cells that are not `bounded` but guessed at,
+    roots have weights."""
     stream, found, still = load(state), 0, np.zeros(3)
     exponent, lever, total = problem.power - 1, known.lever, known.total
     precision = problem.precision
@@ -300,8 +337,10 @@ def attempt_fits(
         log_ratio = (cells.least[entry] - chi) / 2
         log_ratio += exponent * (best - cells.top[entry]) / star
         log_ratio += exponent * (math.log(inverse / star) - (inverse - star) / star)
-        if math.log1p(-part) > log_ratio:
-            continue
+        if bounded:
+            if math.log1p(-part) > log_ratio:
+                continue
+            log_ratio = 0.0
         radius, angle = math.sqrt(-2 * math.log1p(-radius) / total), 2 * math.pi * angle
         cos_a, sin_a, sin_b = math.cos(roll), math.sin(roll), math.sin(tilt)
         cos_b, cos_c, sin_c = math.cos(tilt), math.cos(yaw), math.sin(yaw)
@@ -312,6 +351,7 @@ def attempt_fits(
         t1 = known.middle[1] * inverse - y + radius * math.sin(angle)
         if explains(problem, torso, turn, inverse, t0, t1, 0):
             write_root(table, found, torso, roll, tilt, yaw, inverse, t0, t1, attempt)
+            table.log_weight[found] = log_ratio
             found += 1
             if found == table.torso.size:
                 store(state, stream)

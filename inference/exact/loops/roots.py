@@ -79,6 +79,7 @@ class RootTable(NamedTuple):
     inverse: np.ndarray
     plane: np.ndarray
     attempt: np.ndarray
+    log_weight: np.ndarray
 
 
 def root_table(most: int) -> RootTable:
@@ -89,6 +90,7 @@ def root_table(most: int) -> RootTable:
         np.zeros(most),
         np.zeros((most, 2)),
         np.zeros(most, np.int64),
+        np.zeros(most),
     )
 
 

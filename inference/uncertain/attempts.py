@@ -20,7 +20,15 @@ import numpy as np
 from scipy.special import logsumexp
 
 from inference.exact.groups import workers
-from inference.exact.loops.fits import attempt_fits, balance, cut_fits, guess_fits
+from inference.exact.loops.fits import (
+    FEWER,
+    Balance,
+    FitCells,
+    attempt_fits,
+    balance,
+    cut_fits,
+    guess_fits,
+)
 from inference.exact.loops.numbers import seeded
 from inference.exact.loops.roots import (
     RootTable,
@@ -108,12 +116,19 @@ class Proposal(NamedTuple):
 def proposal_of(posed: Posed) -> Proposal:
     """Exact attempts: by least squares where joints whose errors a Gaussian bounds determine a
     scale, by discs otherwise."""
-    return _by_fits(posed, exact=True) if _determined(posed) else _by_discs(posed)
+    if not _determined(posed):
+        return _by_discs(posed)
+    known = balance(posed.problem)
+    return _by_fits(posed, known, cut_fits(posed.problem, known), exact=True)
 
 
-def quick_proposal_of(posed: Posed) -> Proposal:
-    """As `proposal_of`, but those by least squares have weights."""
-    return _by_fits(posed, exact=False) if _determined(posed) else _by_discs(posed)
+def quick_proposal_of(posed: Posed, levels: int = FEWER) -> Proposal:
+    """As `proposal_of`, but those by least squares have weights, which scatter the less the more
+    `levels` their cells have."""
+    if not _determined(posed):
+        return _by_discs(posed)
+    known = balance(posed.problem)
+    return _by_fits(posed, known, guess_fits(posed.problem, known, levels), exact=False)
 
 
 def _determined(posed: Posed) -> bool:
@@ -121,10 +136,8 @@ def _determined(posed: Posed) -> bool:
     return len(np.unique(problem.keypoints[problem.precision > 0], axis=0)) > 1
 
 
-def _by_fits(posed: Posed, *, exact: bool) -> Proposal:
+def _by_fits(posed: Posed, known: Balance, fits: FitCells, *, exact: bool) -> Proposal:
     problem = posed.problem
-    known = balance(problem)
-    fits = cut_fits(problem, known) if exact else guess_fits(problem, known)
     return Proposal(
         fits.mass,
         lambda state, number, table: attempt_fits(

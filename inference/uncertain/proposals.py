@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from inference.exact.groups import workers
+from inference.exact.loops.fits import FEWER
 from inference.exact.loops.numbers import words_of
 from inference.exact.rates import Budget
 from inference.resampling import inclusion, systematic, times
@@ -44,6 +45,9 @@ from probmodel.uncertain import UncertainPosterior
 
 PILOT = 48
 """Roots of a stratum in the pilot run."""
+ROUGH, WORTH = 1, 0.05
+"""Levels of the cells of a stratum; and the share of the roots above which it gets cells as fine as
+where there are no strata: most have next to none."""
 PILOT_ATTEMPTS = 1 << 20
 """Attempts of a stratum in the pilot run."""
 FEW_ATTEMPTS = 1 << 21
@@ -113,7 +117,8 @@ def propose_roots(
     strata, pool = strata_of(posterior), pool_of(posterior.model, words_of(pool_key))
     rng = np.random.default_rng(words_of(order_key))
     posed = [torso_problem(posterior, stratum.faults) for stratum in strata]
-    attempted = list(zip(posed, workers().map(quick_proposal_of, posed), strict=True))
+    levels = [ROUGH] * len(posed) if len(posed) > 1 else [FEWER]
+    attempted = list(zip(posed, workers().map(quick_proposal_of, posed, levels), strict=True))
     share, hopeful, attempts = np.ones(1), [True], 0
     if len(strata) > 1:
         most = [PILOT_ATTEMPTS] * len(strata)
@@ -121,6 +126,8 @@ def propose_roots(
         share = _shares(posterior, pool, strata, pilots)
         hopeful = [len(pilot.points.torso) > 0 for pilot in pilots]
         attempts = sum(pilot.attempts for pilot in pilots)
+        for index in np.flatnonzero(share > WORTH).tolist():
+            attempted[index] = posed[index], quick_proposal_of(posed[index])
     counts = times(share, number, rng.uniform())
     # Attempts at roots that may not be weighed are not taken away from limbs.
     ample = budget.proposals >= 2 * number * (PATIENCE + ATTEMPTS)

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from inference.exact.loops.bins import alias_table
-from inference.exact.loops.numbers import compiled, load, store, uniform
+from inference.exact.loops.numbers import compiled, inlined, load, store, uniform
 from inference.exact.loops.roots import (
     RootTable,
     TorsoProblem,
@@ -118,46 +118,37 @@ def balance(problem: TorsoProblem) -> Balance:
 def cut_fits(problem: TorsoProblem, known: Balance) -> FitCells:
     """The cells in which a root may explain the torso, with bounds, finest where most of the mass
     is."""
-    return _drawable(*_cut(problem, known, LEVELS))
+    return _cut(problem, known, LEVELS, 1.0)
 
 
-def guess_fits(problem: TorsoProblem, known: Balance) -> FitCells:
+def guess_fits(problem: TorsoProblem, known: Balance, levels: int = FEWER) -> FitCells:
     """As `cut_fits`, with guesses in the place of the bounds; no cell is left out by a guess."""
-    torso, corner, width, guesses, log_mass = _cut(problem, known, FEWER)
-    _bound(problem, known, GUESS, torso, corner, width, guesses, log_mass)
-    return _drawable(torso, corner, width, guesses, log_mass)
+    return _cut(problem, known, levels, GUESS)
 
 
-def _cut(problem: TorsoProblem, known: Balance, levels: int) -> tuple[np.ndarray, ...]:
-    """Cells: torso, corner, width, bounds and log mass."""
+def _cut(problem: TorsoProblem, known: Balance, levels: int, part: float) -> FitCells:
+    """Cells with guesses by this `part` of what bounds allow for; which are cut, and which are left
+    out, bounds say."""
     torso, corner, width = _first_cells(len(problem.torsos))
     kept: list[tuple[np.ndarray, ...]] = []
     for level in range(levels + 1):
-        bounds = np.empty((len(torso), 3))
-        log_mass = np.empty(len(torso))
-        _bound(problem, known, 1.0, torso, corner, width, bounds, log_mass)
-        rows = np.isfinite(log_mass)
+        guesses = np.empty((len(torso), 3))
+        log_bound, log_mass = np.empty(len(torso)), np.empty(len(torso))
+        _bound(problem, known, part, torso, corner, width, guesses, log_bound, log_mass)
+        rows = np.isfinite(log_bound)
         torso, corner, width = torso[rows], corner[rows], width[rows]
-        bounds, log_mass = bounds[rows], log_mass[rows]
-        cut = _worth_cutting(log_mass) if level < levels else np.zeros(len(torso), bool)
-        kept.append(tuple(part[~cut] for part in (torso, corner, width, bounds, log_mass)))
+        guesses, log_bound, log_mass = guesses[rows], log_bound[rows], log_mass[rows]
+        cut = _worth_cutting(log_bound) if level < levels else np.zeros(len(torso), bool)
+        kept.append(tuple(column[~cut] for column in (torso, corner, width, guesses, log_mass)))
         torso, corner, width = _eighths(torso[cut], corner[cut], width[cut])
-    return tuple(np.ascontiguousarray(np.concatenate(column)) for column in zip(*kept, strict=True))
-
-
-def _drawable(
-    torso: np.ndarray,
-    corner: np.ndarray,
-    width: np.ndarray,
-    bounds: np.ndarray,
-    log_mass: np.ndarray,
-) -> FitCells:
-    """Cells that can be drawn by their mass."""
+    torso, corner, width, guesses, log_mass = (
+        np.ascontiguousarray(np.concatenate(column)) for column in zip(*kept, strict=True)
+    )
     alias, mass = np.zeros(len(torso), ALIAS), 0.0
     if len(torso):
         highest = log_mass.max()
         mass = float(alias_table(np.exp(log_mass - highest), alias)) * math.exp(highest)
-    least, top, star = (np.ascontiguousarray(column) for column in bounds.T)
+    least, top, star = (np.ascontiguousarray(column) for column in guesses.T)
     return FitCells(torso, corner, width, least, top, star, alias, mass)
 
 
@@ -195,12 +186,13 @@ def _bound(
     torso: np.ndarray,
     corner: np.ndarray,
     width: np.ndarray,
-    bounds: np.ndarray,
+    guesses: np.ndarray,
+    log_bound: np.ndarray,
     log_mass: np.ndarray,
 ) -> None:
-    """Writes each cell's bounds, least χ², highest best inverse scale and the tangent's point, and
-    the log of its mass, -inf where no root of the cell can explain the torso. With a `part` below
-    one, guesses: as if joints moved by this part of what they may."""
+    """Writes the log of each cell's mass by bounds, -inf where no root of the cell can explain the
+    torso; and guesses at least χ², highest best inverse scale and the tangent's point, as if joints
+    moved by a `part` of what they may, all of it for bounds, with the log of the mass by these."""
     joints, power, precision = problem.reach.size, problem.power, problem.precision
     farthest = 0.0
     for joint in range(joints):
@@ -221,20 +213,40 @@ def _bound(
             yaw + width[cell, 2] / 2,
             width[cell],
         )
-        least = max(0.0, math.sqrt(chi) - moves - SLACK) ** 2
-        top = best + moves / math.sqrt(lever) + SLACK
+        least, top = _moved(chi, best, moves, lever)
         # No joint beyond its reach, so v is no farther from the best than this.
         reached = top + math.sqrt(max(0.0, farthest - least) / lever)
         if least > farthest * (1 + SLACK) or reached <= 0:
-            log_mass[cell] = -math.inf
+            log_bound[cell] = -math.inf
             continue
-        least = max(0.0, math.sqrt(chi) - part * moves - SLACK) ** 2
-        top = best + part * moves / math.sqrt(lever) + SLACK
-        star = (top + math.sqrt(top * top + 4 * exponent / lever)) / 2
-        bounds[cell, 0], bounds[cell, 1], bounds[cell, 2] = least, top, star
-        tangent = exponent * (math.log(star) - 1 + top / star)
-        tangent += exponent * exponent / (2 * lever * star * star)
-        log_mass[cell] = math.log(share) + constant - least / 2 + tangent
+        whole = math.log(share) + constant
+        log_bound[cell] = whole + _log_share(
+            least, top, _star(top, exponent, lever), exponent, lever
+        )
+        least, top = _moved(chi, best, part * moves, lever)
+        star = _star(top, exponent, lever)
+        guesses[cell, 0], guesses[cell, 1], guesses[cell, 2] = least, top, star
+        log_mass[cell] = whole + _log_share(least, top, star, exponent, lever)
+
+
+@inlined
+def _moved(chi: float, best: float, moves: float, lever: float) -> tuple[float, float]:
+    """χ² at least, and the inverse scale that fits best at most, where joints move by so much."""
+    least = max(0.0, math.sqrt(chi) - moves - SLACK) ** 2
+    return least, best + moves / math.sqrt(lever) + SLACK
+
+
+@inlined
+def _star(top: float, exponent: float, lever: float) -> float:
+    """Where v^exponent × the Gaussian around `top` is highest."""
+    return (top + math.sqrt(top * top + 4 * exponent / lever)) / 2
+
+
+@inlined
+def _log_share(least: float, top: float, star: float, exponent: float, lever: float) -> float:
+    """Log of exp(-χ²/2) × what the tangent of v^exponent at `star` has in the mean."""
+    tangent = exponent * (math.log(star) - 1 + top / star)
+    return tangent + exponent * exponent / (2 * lever * star * star) - least / 2
 
 
 @compiled

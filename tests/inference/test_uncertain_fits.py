@@ -257,9 +257,9 @@ def test_few_weighed_roots_have_an_unbiased_evidence(monkeypatch: pytest.MonkeyP
     some = [weighed(whole, [5, seed], 20) for seed in range(400)]
     ratio = np.exp([one.log_evidence - truth.log_evidence for one in some])
     assert abs(ratio.mean() - 1) < 4 * ratio.std() / 20 < 0.2
-    frontal = truth.points.rotation[:, 2, 1] > np.median(truth.points.rotation[:, 2, 1])
-    middle = float(np.median(truth.points.rotation[:, 2, 1]))
-    part = np.exp(truth.log_share) @ frontal
+    facing, share = truth.points.rotation[:, 2, 1], np.exp(truth.log_share)
+    middle = float(np.median(facing))
+    part = share @ (facing > middle) / share.sum()
     right, wrong = [], []
     for one, times in zip(some, ratio, strict=True):
         share = np.exp(one.log_share) * (one.points.rotation[:, 2, 1] > middle)

@@ -124,7 +124,7 @@ def weigh() -> None:
     import numpy as np
 
     from inference.exact.groups import group_tables
-    from inference.uncertain.limbs import Views, attempt_limbs
+    from inference.uncertain.limbs import EFFORT, Views, attempt_limbs
     from probmodel.likelihood import PAPER
     from probmodel.model import PoseModel
 
@@ -132,7 +132,7 @@ def weigh() -> None:
     none = np.zeros((2, 15, 2))
     views = Views(axes, start, none, np.inf * joints, joints, none, np.zeros(2))
     tables, outlier = group_tables(PoseModel()), np.zeros((2, 15), bool)
-    attempt_limbs(tables, {}, [0], PAPER.law, views, outlier, 0)
+    attempt_limbs(tables, {}, [0], PAPER.law, EFFORT, views, outlier, 0)
 
 
 def main(root: str) -> None:

@@ -38,17 +38,17 @@ from probmodel.roots import RootPoint, RootPrior
 from probmodel.skeleton import GROUPS, TORSO_INDEX
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
-EFFORT = {1: (128, 4), 2: (16, 16)}
+Effort = dict[int, tuple[int, int]]
 """By the number of limbs in a group: lengths of the bones under each root, and attempts at each
-limb under each of them. Under roots that matter a group's evidence is then known to 10 to 30 %,
-which costs few effective roots. Two limbs explain their detections in pairs, the more the more
-attempts they share a length with; the head hangs on its length alone."""
+limb under each of them."""
+EFFORT: Effort = {1: (128, 4), 2: (16, 16)}
+"""Under roots that matter a group's evidence is then known to 10 to 30 %, which costs few effective
+roots. Two limbs explain their detections in pairs, the more the more attempts they share a length
+with; the head hangs on its length alone."""
 LIMBS = tuple(limb for members in GROUPS.values() for limb in members)
 ENDS = np.array([[bone.end for bone in (*limb.bones, *limb.bones)[:2]] for limb in LIMBS])
 """`(5, 2)`: the joints of each limb, from the torso outwards; the head's twice."""
 CHAINED = np.array([limb.lower is not None for limb in LIMBS])
-ATTEMPTS = sum(math.prod(EFFORT[len(limbs)]) * len(limbs) for limbs in GROUPS.values())
-"""Attempts at the limbs of one root."""
 KEPT = 64
 """Draws that are kept of a group under one root: any of them are as good as all."""
 POOL = 4096
@@ -58,6 +58,14 @@ BLOCK = 512
 """Roots that are worked on at a time, which bounds the memory."""
 TASK = 32
 """Roots that a thread works on at a time."""
+
+
+def attempts_of(effort: Effort) -> int:
+    """Attempts at the limbs of one root."""
+    return sum(math.prod(effort[len(limbs)]) * len(limbs) for limbs in GROUPS.values())
+
+
+ATTEMPTS = attempts_of(EFFORT)
 
 
 class LimbDraws(NamedTuple):
@@ -85,7 +93,11 @@ class Views(NamedTuple):
 
 
 def limb_draws(
-    posterior: UncertainPosterior, points: RootPoint, faults: Faults, words: list[int]
+    posterior: UncertainPosterior,
+    points: RootPoint,
+    faults: Faults,
+    words: list[int],
+    effort: Effort = EFFORT,
 ) -> Iterator[dict[str, LimbDraws]]:
     """For each of the roots and patterns of faults `(n, ...)`, the attempts at its limbs by group;
     root `i` has random numbers of its own, whatever comes before it."""
@@ -100,7 +112,7 @@ def limb_draws(
             (Views(*(column[row] for column in views)), outlier[row], start + row.start)
             for row in rows
         ]
-        attempt = functools.partial(attempt_limbs, tables, free, words, law)
+        attempt = functools.partial(attempt_limbs, tables, free, words, law, effort)
         for found in workers().map(attempt, *zip(*tasks, strict=True)):
             yield from found
 
@@ -206,6 +218,7 @@ def attempt_limbs(
     free: dict[str, GroupDraws],
     words: list[int],
     law: ErrorLaw,
+    effort: Effort,
     views: Views,
     outlier: np.ndarray,
     first: int,
@@ -222,7 +235,7 @@ def attempt_limbs(
             found = [_free(free[name], words, *place) for place in path]
         else:
             states = np.array([seeded(words, *place) for place in path])
-            found = weigh_group(tables[name], own, law, states, *EFFORT[len(own)])
+            found = weigh_group(tables[name], own, law, states, *effort[len(own)])
         for result, one in zip(results, found, strict=True):
             result[name] = one
     return results

@@ -28,7 +28,7 @@ from inference.exact.mixture import MAX_PROPOSALS, Progress
 from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.roots.points import require_camera
 from inference.uncertain.attempts import HOPELESS, Proposal, attempted_roots, proposal_of
-from inference.uncertain.limbs import ATTEMPTS, LimbDraws, free_groups, limb_draws
+from inference.uncertain.limbs import Effort, LimbDraws, attempts_of, free_groups, limb_draws
 from inference.uncertain.patterns import (
     Stratum,
     fit_of,
@@ -47,6 +47,10 @@ from probmodel.pose import GroupDraws, Pose
 from probmodel.roots import RootPoint
 from probmodel.uncertain import UncertainPosterior
 
+EFFORT: Effort = {1: (16, 16), 2: (16, 16)}
+"""A root brings one draw, however well its evidence is known. The benchmark's frozen draws were
+made with these."""
+ATTEMPTS = attempts_of(EFFORT)
 ROOM = 3.0
 """The bound over the largest weight of the pilot run."""
 TOLERATED = 0.01
@@ -206,7 +210,7 @@ class _Rounds:
             for column in zip(*parts, strict=True)
         )
         words = words_of(limb_key)
-        limbs = list(limb_draws(posterior, points, faults, words))
+        limbs = list(limb_draws(posterior, points, faults, words, EFFORT))
         weight = weight + log_limbs(posterior, points, faults, limbs)
         free = free_groups(posterior, words)
         return Round(points, faults, limbs, weight, self.attempts, free)

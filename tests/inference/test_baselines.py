@@ -413,7 +413,6 @@ def normal_variance(move) -> float:
     )
 
 
-@pytest.mark.slow
 def test_walkers_in_one_place_stay_there_and_say_nothing_untrue():
     """Starts that were found come several times where they are few: no line leads through two
     walkers in one place, which emcee would end the run for ("At least one parameter value was
@@ -428,6 +427,7 @@ def test_walkers_in_one_place_stay_there_and_say_nothing_untrue():
     np.testing.assert_array_equal(log_ratio[still], 0)
 
 
+@pytest.mark.slow
 def test_our_snooker_keeps_a_normal_law_and_emcee_s_does_not():
     """Autocorrelation times of about 90 leave 700 effective draws × 10 coordinates: standard error
     0.017. The second half is the negative control; once it fails, emcee has been mended (its pull

@@ -3,6 +3,21 @@
 import numpy as np
 
 
+def shares(log_weight: np.ndarray) -> np.ndarray:
+    """Weights `(n,)` with sum one; zeros where none is finite."""
+    if not np.isfinite(log_weight).any():
+        return np.zeros(len(log_weight))
+    share = np.exp(log_weight - log_weight.max())
+    return share / share.sum()
+
+
+def effective(share: np.ndarray) -> float:
+    """How many equal weights these `(n,)` with sum one are worth: 1 / Σ share² (Kish 1965); 0 where
+    none has any."""
+    square = float(np.sum(share**2))
+    return 1 / square if square else 0.0
+
+
 def systematic(weight: np.ndarray, number: int, offset: float) -> np.ndarray:
     """`(number,)` rows of `weight` `(n,)`, each as often as its share says, rounded by one `offset`
     in [0, 1) for all, in order."""

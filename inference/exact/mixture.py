@@ -17,6 +17,7 @@ from inference.exact.naive import PriorBodies
 from inference.exact.problem import limb_problems, log_ratio_of
 from inference.exact.rates import Budget, GroupSampler, Pooled, Rate
 from inference.exact.reach import nearest_miss, out_of_reach
+from inference.resampling import shares
 from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET, RootDraws, key_words
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
@@ -287,8 +288,7 @@ def _shares(log_weight: np.ndarray) -> np.ndarray:
     all."""
     if not np.isfinite(log_weight).any():
         return np.eye(len(log_weight))[0]
-    share = np.exp(log_weight - log_weight.max())
-    return share / share.sum()
+    return shares(log_weight)
 
 
 def _fill(

@@ -38,7 +38,7 @@ from inference.exact.loops.roots import (
     root_table,
 )
 from inference.exact.rates import Budget
-from inference.resampling import inclusion, systematic
+from inference.resampling import effective, inclusion, shares, systematic
 from inference.uncertain.torsos import Posed, log_mass, points_of, rotations_of, torso_problem
 from probmodel.chunks import in_chunks
 from probmodel.faults import Faults
@@ -143,9 +143,9 @@ def _by_fits(posed: Posed, known: Balance, fits: FitCells, *, exact: bool) -> Pr
         lambda state, number, table: attempt_fits(
             state, number, problem, known, fits, exact, table
         ),
-        not posed.law.inlier.gaussian,
-        problem.precision,
-        exact,
+        thinned=not posed.law.inlier.gaussian,
+        precision=problem.precision,
+        exact=exact,
     )
 
 
@@ -155,8 +155,8 @@ def _by_discs(posed: Posed) -> Proposal:
     return Proposal(
         cells.mass,
         lambda state, number, table: attempt_roots(state, number, problem, cells, table),
-        not posed.law.flat,
-        np.zeros_like(problem.precision),
+        thinned=not posed.law.flat,
+        precision=np.zeros_like(problem.precision),
     )
 
 
@@ -261,17 +261,17 @@ def _weighed(
     if not budget.spend(PROBE):
         return _none(nowhere, 0, enough=False)
     probe, _ = _batch(posed, proposal, words, PROBE, PROBE, PROBING)
-    wanted = math.ceil(AMPLE * number * PROBE / max(_effective(probe.log_weight), 1.0))
+    worth = effective(shares(probe.log_weight))
+    wanted = math.ceil(AMPLE * number * PROBE / max(worth, 1.0))
     sizes = _sizes(min(max(wanted, PROBE), MOST_WEIGHED))
     allowed = [size for size in sizes if budget.spend(size)]
-    attempt = functools.partial(_batch, posed, proposal, words)
-    tables = workers().map(attempt, allowed, allowed, range(len(allowed)))
-    whole, made = _joined([root_table(0), *(table for table, _ in tables)]), sum(allowed)
-    enough, weight = len(allowed) == len(sizes), whole.log_weight
+    whole, made, enough = _all_of(posed, proposal, words, allowed), sum(allowed), allowed == sizes
+    weight = whole.log_weight
     if not np.isfinite(weight).any():
         return _none(nowhere, PROBE + made, enough=enough)
     total = float(logsumexp(weight))
-    chance = inclusion(np.exp(weight - total), number)
+    share = np.exp(weight - total)
+    chance = inclusion(share, number)
     rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(TAKING,)))
     rows = systematic(chance, min(number, int(np.count_nonzero(chance))), rng.uniform())
     return TorsoDraws(
@@ -280,21 +280,21 @@ def _weighed(
         chance[rows],
         PROBE + made,
         log_mass(posed, proposal.mass) + total - math.log(made),
-        1 / _effective(weight) - 1 / made,
+        1 / effective(share) - 1 / made,
         enough,
     )
-
-
-def _effective(log_weight: np.ndarray) -> float:
-    """How many equally weighted roots these are worth; 0 where none has any weight."""
-    if not np.isfinite(log_weight).any():
-        return 0.0
-    return float(np.exp(2 * logsumexp(log_weight) - logsumexp(2 * log_weight)))
 
 
 def _sizes(attempts: int) -> list[int]:
     """Of batches that make so many attempts."""
     return [min(BATCH, attempts - start) for start in range(0, attempts, BATCH)]
+
+
+def _all_of(posed: Posed, proposal: Proposal, words: list[int], sizes: list[int]) -> RootTable:
+    """The roots that batches of these sizes find, side by side."""
+    attempt = functools.partial(_batch, posed, proposal, words)
+    tables = workers().map(attempt, sizes, sizes, range(len(sizes)))
+    return _joined([root_table(0), *(table for table, _ in tables)])
 
 
 def _joined(tables: list[RootTable]) -> RootTable:
@@ -367,7 +367,4 @@ def _log_ratio(
 
 def attempted_roots(posed: Posed, proposal: Proposal, words: list[int], attempts: int) -> RootPoint:
     """The roots `(n, ...)` that a fixed number of exact attempts finds."""
-    sizes = _sizes(attempts)
-    attempt = functools.partial(_batch, posed, proposal, words)
-    tables = workers().map(attempt, sizes, sizes, range(len(sizes)))
-    return points_of(posed, _joined([root_table(0), *(table for table, _ in tables)]))
+    return points_of(posed, _all_of(posed, proposal, words, _sizes(attempts)))

@@ -20,7 +20,7 @@ import numpy as np
 from inference.exact.loops.numbers import words_of
 from inference.exact.mixture import MAX_PROPOSALS, Progress
 from inference.exact.rates import Budget
-from inference.resampling import times
+from inference.resampling import effective, shares, times
 from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.roots.points import require_camera
 from inference.uncertain.limbs import ATTEMPTS, LimbDraws, limb_draws, log_evidence, picks
@@ -81,8 +81,7 @@ class WeightedRoots:
     @property
     def effective(self) -> float:
         """How many equally weighted roots these are worth: 1 / Σ share² (Kish 1965)."""
-        square = float(np.sum(self.share**2))
-        return 1 / square if square else 0.0
+        return effective(self.share)
 
     @property
     def log_evidence(self) -> float:
@@ -121,14 +120,6 @@ class WeightedRoots:
         order = rng.permutation(number)
         chosen, poses = chosen[order], Pose(*(column[order] for column in poses))
         return self.points.take(chosen), poses, chosen
-
-
-def shares(log_weight: np.ndarray) -> np.ndarray:
-    """Weights `(n,)` with sum one; zeros where none is finite."""
-    if not np.isfinite(log_weight).any():
-        return np.zeros(len(log_weight))
-    share = np.exp(log_weight - log_weight.max())
-    return share / share.sum()
 
 
 def log_mean(log_weight: np.ndarray) -> float:

@@ -5,7 +5,6 @@ bounds.
 False alarms: 1e-4 for each law that is compared, 6e-5 for the evidence; seeds are fixed."""
 
 import dataclasses
-import functools
 import math
 from typing import Any
 
@@ -235,10 +234,10 @@ def test_weighed_roots_are_those_by_bounds(name: str, monkeypatch: pytest.Monkey
     error = math.sqrt(exact.variance + found.variance)
     assert abs(found.log_evidence - exact.log_evidence) < 4 * error < 0.12
     assert far_apart(found, exact) < 4
-    forgotten = functools.partial(attempts.attempt_fits)
+    right = attempts.attempt_fits
 
     def without_weights(*arguments: Any) -> tuple[int, int]:
-        result = forgotten(*arguments)
+        result = right(*arguments)
         arguments[-1].log_weight[:] = 0.0
         return result
 

@@ -224,13 +224,8 @@ def test_who_is_far_away_is_seen_by_weak_perspective() -> None:
     def apart(model: PoseModel, seed: int) -> tuple[float, float]:
         roots = weigh_roots(frame.uncertain(model), key=key(seed), num_roots=2000)
         error = math.hypot(roots.log_evidence_se, weak.log_evidence_se)
-        means, errors = [], []
-        for one in (roots, weak):
-            scale = one.points.log_scale
-            means.append(one.share @ scale)
-            errors.append(np.sqrt(one.share**2 @ (scale - means[-1]) ** 2))
-        scales = abs(means[0] - means[1]) / math.hypot(*errors)
-        return abs(roots.log_evidence - weak.log_evidence) / error, float(scales)
+        apart = abs(roots.log_evidence - weak.log_evidence) / error
+        return apart, sound.scales_apart(roots, weak)
 
     assert max(apart(model.seen_by(Lens(1e9, PRINCIPAL)), 3)) < 4
     assert min(apart(model, 3)) > 6

@@ -25,7 +25,7 @@ from inference.exact.loops.roots import (
     root_table,
 )
 from inference.exact.rates import Budget
-from inference.resampling import times
+from inference.resampling import shares, times
 from inference.results import OUT_OF_BUDGET
 from inference.uncertain import proposals
 from inference.uncertain.attempts import TorsoDraws, draw_roots
@@ -33,7 +33,7 @@ from inference.uncertain.limbs import log_evidence, picks
 from inference.uncertain.proposals import ProposedRoots
 from inference.uncertain.torsos import lowest_scale, rotations_of, torso_problem
 from inference.uncertain.tree import placed, sides
-from inference.uncertain.weighted import WeightedRoots, log_mean, shares, weigh_roots
+from inference.uncertain.weighted import WeightedRoots, log_mean, weigh_roots
 from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
 from probmodel.faults import Faults
 from probmodel.likelihood import Gaussian
@@ -163,6 +163,11 @@ def off(one: dict, other: dict) -> float:
     """The largest difference of two sets of moments, in standard errors."""
     error = np.hypot(one["mean_se"], other["mean_se"])
     return float(np.max(np.abs(one["mean"] - other["mean"]) / error))
+
+
+def scales_apart(one: WeightedRoots, other: WeightedRoots) -> float:
+    """The difference of two mean log scales, in standard errors."""
+    return off(*(moments(roots.share, roots.points.log_scale[:, None]) for roots in (one, other)))
 
 
 @functools.cache

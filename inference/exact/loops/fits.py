@@ -220,13 +220,12 @@ def _bound(
             log_bound[cell] = -math.inf
             continue
         whole = math.log(share) + constant
-        log_bound[cell] = whole + _log_share(
-            least, top, _star(top, exponent, lever), exponent, lever
-        )
+        log_share, _ = _log_share(least, top, exponent, lever)
+        log_bound[cell] = whole + log_share
         least, top = _moved(chi, best, part * moves, lever)
-        star = _star(top, exponent, lever)
+        log_share, star = _log_share(least, top, exponent, lever)
         guesses[cell, 0], guesses[cell, 1], guesses[cell, 2] = least, top, star
-        log_mass[cell] = whole + _log_share(least, top, star, exponent, lever)
+        log_mass[cell] = whole + log_share
 
 
 @inlined
@@ -237,16 +236,12 @@ def _moved(chi: float, best: float, moves: float, lever: float) -> tuple[float, 
 
 
 @inlined
-def _star(top: float, exponent: float, lever: float) -> float:
-    """Where v^exponent × the Gaussian around `top` is highest."""
-    return (top + math.sqrt(top * top + 4 * exponent / lever)) / 2
-
-
-@inlined
-def _log_share(least: float, top: float, star: float, exponent: float, lever: float) -> float:
-    """Log of exp(-χ²/2) × what the tangent of v^exponent at `star` has in the mean."""
+def _log_share(least: float, top: float, exponent: float, lever: float) -> tuple[float, float]:
+    """Log of exp(-χ²/2) × what the tangent of v^exponent has in the mean; and where it touches: v
+    at which v^exponent × the Gaussian around `top` is highest."""
+    star = (top + math.sqrt(top * top + 4 * exponent / lever)) / 2
     tangent = exponent * (math.log(star) - 1 + top / star)
-    return tangent + exponent * exponent / (2 * lever * star * star) - least / 2
+    return tangent + exponent * exponent / (2 * lever * star * star) - least / 2, star
 
 
 @compiled

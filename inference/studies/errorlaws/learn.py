@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from inference.studies.errorlaws.mixture import FREEDOM, Fit, Mixture, fit, start
+from inference.studies.errorlaws.mixture import FREEDOM, Expected, Fit, Mixture, fit, start
 from inference.studies.errorlaws.pairs import Pairs
 from probmodel.errorlaws import OUTLIER_RADIUS, DetectorErrors, Exchange, ScoreFactor
 from probmodel.failures import BadInput
+from probmodel.layouts import MIDPOINTS
+from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 LEAST_PAIRS = 20
 """Of a joint, below which nothing is said of it."""
@@ -94,7 +96,7 @@ def learn(
         kept = np.flatnonzero(groups != group)
         some = None if truth is None else truth.take(kept)
         parts.append(_fitted(pairs.take(kept), some, law, edges, whole)[0].mixture)
-    errors = _record(pairs, whole[0].mixture, parts, edges, count, about or {})
+    errors = _record(pairs, whole[0], parts, edges, count, about or {})
     return Learned(
         errors,
         whole[0],
@@ -128,18 +130,18 @@ def _fitted(
 
 def _record(
     pairs: Pairs,
-    mixture: Mixture,
+    fitted: Fit,
     parts: list[Mixture],
     edges: tuple[float, ...],
     count: np.ndarray,
     about: dict[str, Any],
 ) -> DetectorErrors:
-    known = count >= LEAST_PAIRS
+    mixture, known = fitted.mixture, count >= LEAST_PAIRS
     se = _standard_error([_columns(part) for part in parts])
     sigma, df = still_to_come(mixture, se, known)
     return DetectorErrors(
         "gaussian" if df == np.inf else "student",
-        np.where(known, sigma, np.nan),
+        np.where(known, sigma * np.sqrt(1 + in_common(fitted.expected)), np.nan),
         np.where(known, mixture.inlier, np.nan),
         np.where(known[:, None], mixture.bias, np.nan),
         df=df,
@@ -180,6 +182,26 @@ def still_to_come(mixture: Mixture, se: np.ndarray, known: np.ndarray) -> tuple[
     scatter = 1 / mixture.df + 2 * relative
     df = max(1 / scatter, FREEDOM[0]) if scatter else np.inf
     return sigma, df if df < FREEDOM[1] else np.inf
+
+
+def in_common(expected: Expected) -> np.ndarray:
+    """`(15,)`: the correlation of a hip's, or a shoulder's, errors with those of the other side,
+    both directions of the image together; 0 for other joints, and where it is negative.
+
+    A law takes joints for independent, but says by two hips where their midpoint is. If their
+    errors have correlation r, the midpoint's variance is 1 + r times what independent ones say.
+    Spreads widened by its root say it rightly, and of the hips' difference too little rather than
+    too much.
+    """
+    weight, left = expected.pattern[..., None] * expected.inlier, expected.left
+    found = np.zeros(NUM_JOINTS)
+    for right, other in MIDPOINTS.values():
+        sides = [JOINT_INDEX[right], JOINT_INDEX[other]]
+        both = weight[..., sides].prod(axis=-1)[..., None]
+        one, two = np.moveaxis(left[..., sides, :], -2, 0)
+        scale = np.sqrt(np.sum(both * one**2) * np.sum(both * two**2))
+        found[sides] = max(float(np.sum(both * one * two) / scale), 0.0) if scale > 0 else 0.0
+    return found
 
 
 def _columns(mixture: Mixture) -> np.ndarray:

@@ -17,7 +17,7 @@ from inference.studies.errorlaws import (
     shares_within,
 )
 from inference.studies.errorlaws.judge import LEVELS, standings
-from inference.studies.errorlaws.learn import jackknife_groups, still_to_come
+from inference.studies.errorlaws.learn import in_common, jackknife_groups, still_to_come
 from inference.studies.errorlaws.mixture import Mixture, log_density
 from inference.studies.errorlaws.pairs import PATTERNS
 from inference.studies.intervals import Interval
@@ -37,6 +37,8 @@ BIAS = RNG.normal(size=(NUM_JOINTS, 2)) * 0.03
 EXCHANGE = (0.04, 0.03, 0.02)
 FACTOR = np.array([1.6, 1.0, 1 / 1.6])
 """Of the spread, by thirds of the scores."""
+HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
+SHOULDERS = [JOINT_INDEX["right_shoulder"], JOINT_INDEX["left_shoulder"]]
 FREEDOM = 5.0
 NUMBER = 500
 FALSE_ALARM = 1e-3
@@ -259,6 +261,46 @@ def test_a_law_from_many_recordings_is_as_it_was_fitted() -> None:
     known = np.arange(NUM_JOINTS) == 0
     _, df = still_to_come(dataclasses.replace(whole, df=10.0), 10 * se, known)
     assert df == pytest.approx(1 / (1 / 10 + 2 * 0.2**2))
+
+
+def together(share: float, number: int = 2000) -> Pairs:
+    """Pairs of a detector both of whose hips err with that share of their variance in common."""
+    rng = np.random.default_rng(11)
+    truth = PoseDictionary.default().mean[:, :2] + np.zeros((number, 1, 2))
+    error = rng.normal(size=truth.shape)
+    common = rng.normal(size=(number, 1, 2))
+    error[:, HIPS] = np.sqrt(1 - share) * error[:, HIPS] + np.sqrt(share) * common
+    recording = np.array([f"film {row % 40}" for row in range(number)])
+    doubt, score = np.zeros((*error.shape, 2)), np.ones(error.shape[:2])
+    detected = truth + SIGMA[:, None] * error
+    return Pairs("together", detected, truth, doubt, score, recording, placed=True)
+
+
+def misses_of_the_hips_middle(errors: DetectorErrors, pairs: Pairs) -> int:
+    """How many of their midpoints' coordinates lie beyond 95 % of a law of independent hips."""
+    middle = (pairs.detected - pairs.truth - errors.bias)[:, HIPS].mean(axis=1)
+    spread = np.sqrt(np.sum(errors.sigma[HIPS] ** 2)) / 2
+    law = stats.norm if errors.law == "gaussian" else stats.t(errors.df)
+    return int(np.sum(np.abs(middle) > law.ppf(0.975) * spread))
+
+
+def test_hips_that_err_together_say_less_of_their_middle() -> None:
+    """At 1e-3 each. A law of the same spreads without what hips have in common is caught, and hips
+    that err by themselves have nothing in common."""
+    pairs = together(0.6)
+    found = learn(pairs)
+    error = stats.norm.isf(FALSE_ALARM / 2) * (1 - 0.6**2) / np.sqrt(2 * len(pairs))
+    common = in_common(found.fit.expected)
+    assert common[HIPS] == pytest.approx(0.6, abs=error + 0.01)  # outliers by mistake: 0.01
+    assert not np.delete(common, [*HIPS, *SHOULDERS]).any()
+    number, fewest = 2 * len(pairs), FALSE_ALARM / 2
+    low, high = stats.binom.ppf([fewest, 1 - fewest], number, 0.05)
+    assert low <= misses_of_the_hips_middle(found.errors, pairs) <= high
+    sigma = np.array(found.errors.sigma)
+    sigma[HIPS] = found.fit.mixture.sigma[HIPS]
+    assert misses_of_the_hips_middle(dataclasses.replace(found.errors, sigma=sigma), pairs) > high
+    alone = in_common(learn(together(0.0)).fit.expected)
+    assert alone.max() < stats.norm.isf(FALSE_ALARM / 2) / np.sqrt(2 * len(pairs))
 
 
 def test_bad_requests_are_refused() -> None:

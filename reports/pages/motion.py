@@ -3,7 +3,7 @@ reports/motion.md.
 
     python -m reports.pages.motion ../shared/data work
 
-Some twenty minutes on one core; `work` keeps what is done, and a run that was stopped goes on there.
+Twenty minutes on one core; `work` keeps what is done, and a run that was stopped goes on there.
 """
 
 import dataclasses

@@ -27,13 +27,13 @@ from probmodel.failures import BadInput
 from probmodel.faults import NO_FAULTS
 from probmodel.layouts import corrected
 from probmodel.sessions import Session, read_session
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from probmodel.sessions.session import HIPS
+from probmodel.skeleton import NUM_JOINTS
 from reports.pages.page import in_doubles
 
 DRAWS, ROOTS = 4000, 1000
 BUDGET = 300_000_000
 """Most proposals for a case."""
-HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
 DISC, LEARNED = "disc", "learned"
 GOLDEN = (5**0.5 - 1) / 2
 PARTS = 2

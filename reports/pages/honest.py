@@ -20,16 +20,17 @@ from scipy import stats
 from inference.hypothesis import diverse
 from inference.results import FIXED
 from inference.studies.errorlaws.judge import LEVELS, shares_within, standings
+from inference.studies.errorlaws.learn import in_common
 from inference.studies.errorlaws.pairs import pairs_of_session
 from inference.studies.intervals import Interval, of_share
 from inference.uncertain.weighted import FEWEST_EFFECTIVE
 from probmodel.sessions import Session
-from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
+from probmodel.sessions.session import HIPS
+from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
 from reports.figures.colours import PALETTE
 from reports.figures.style import FAINT, INK, SMALL, TITLE, page
 from reports.pages.filmed import (
     DRAWS,
-    HIPS,
     PARTS,
     ROOTS,
     WAYS,
@@ -259,17 +260,6 @@ def typical(values: np.ndarray) -> float:
     return float(np.nanmedian(np.abs(values)) / stats.norm.ppf(0.75))
 
 
-def together(session: Session) -> float:
-    """The correlation of the right and the left hip's errors, against the other joints of a
-    person."""
-    pairs = pairs_of_session(session, perspective=True)
-    error = pairs.detected - pairs.truth
-    rest = [joint for joint in range(NUM_JOINTS) if joint not in (*HIPS, JOINT_INDEX["pelvis"])]
-    apart = error[:, HIPS] - np.nanmedian(error[:, rest], axis=1)[:, None]
-    right, left = np.moveaxis(apart[np.isfinite(apart).all(axis=(1, 2))], 1, 0)
-    return float(np.sum(right * left) / np.sqrt(np.sum(right**2) * np.sum(left**2)))
-
-
 def doubts(cases: Sequence[FilmedCase]) -> tuple[float, float]:
     """Medians of the standard errors of the truth's limb joints, mm: across and in depth."""
     free = np.stack([case.errors(np.random.default_rng(0), 2000).std(axis=0) for case in cases])
@@ -338,6 +328,7 @@ def main(data: Path, work: Path) -> None:
     seen = film(data)
     outcomes = {way: [judge(*one) for one in drawn(seen, way, work)] for way in WAYS}
     across, depth = doubts(seen.cases)
+    whole = learn_as(seen.session, perspective=True)
     values: dict[str, str | int | Sheet] = {
         "draws": f"{DRAWS:,}",
         "roots": f"{ROOTS:,}",
@@ -347,7 +338,7 @@ def main(data: Path, work: Path) -> None:
         "cameras": parts_of(outcomes, seen),
         "laws": law_table(seen),
         "parts": parts_table(seen.session),
-        "together": f"{together(seen.session):.1f}",
+        "together": f"{in_common(whole.fit.expected)[HIPS[0]]:.1f}",
         "bare": bare_table(outcomes),
         "across": f"{across:.0f}",
         "depth": f"{depth:.0f}",

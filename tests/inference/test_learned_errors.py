@@ -27,6 +27,7 @@ from probmodel.errorlaws import OUTLIER_RADIUS, DetectorErrors, ScoreFactor
 from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.motion import Motion
 from probmodel.sessions import read_session
+from probmodel.sessions.session import HIPS
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from tests.filmed import filmed, moving
 
@@ -37,7 +38,6 @@ BIAS = RNG.normal(size=(NUM_JOINTS, 2)) * 0.03
 EXCHANGE = (0.04, 0.03, 0.02)
 FACTOR = np.array([1.6, 1.0, 1 / 1.6])
 """Of the spread, by thirds of the scores."""
-HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
 SHOULDERS = [JOINT_INDEX["right_shoulder"], JOINT_INDEX["left_shoulder"]]
 FREEDOM = 5.0
 NUMBER = 500

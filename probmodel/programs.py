@@ -33,6 +33,12 @@ _SEAL = hashlib.sha256().digest_size
 VARIABLE = "POSETERIOR_PROGRAMS"
 """Of the environment: the folder in which programs are kept; none are where it is empty."""
 
+if not os.environ.get(VARIABLE):
+    # What is traced in this process needs NumPyro, and the sooner the better: it brings Pallas,
+    # whose settings are part of what JAX knows a compiled function by, so that all that was
+    # compiled before it would be compiled again at its next call.
+    import numpyro  # noqa: F401
+
 
 def kept[**P](function: Callable[P, Any]) -> Callable[P, Any]:
     """A function of pytrees, compiled by JAX; where the environment names a folder, its programs

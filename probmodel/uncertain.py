@@ -21,6 +21,7 @@ from probmodel.likelihood import Likelihood, WithOutliers
 from probmodel.model import PoseModel, log_joint
 from probmodel.observation import Observation
 from probmodel.pose import Pose
+from probmodel.programs import kept
 from probmodel.roots import Candidate, RootPoint, RootPrior
 from probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 
@@ -181,7 +182,7 @@ class UncertainPosterior:
         return log_joints(self.model, self.detected, self.faults, points, poses, faults)
 
 
-@jax.jit
+@kept
 def log_joints(
     model: PoseModel,
     detected: DetectedJoints,

@@ -167,7 +167,8 @@ finally:
 
 
 @pytest.mark.slow
-def test_the_main_job_waits_for_no_more_than_it_needs(tmp_path: Path) -> None:
+@pytest.mark.parametrize("root", ["fixed", pytest.param("uncertain", marks=pytest.mark.slow)])
+def test_the_main_job_waits_for_no_more_than_it_needs(tmp_path: Path, root: str) -> None:
     """The second call, which finds all programs: NumPyro, ArviZ, scikit-learn and `scipy.stats`
     take seconds to import, and nothing that it does needs them."""
     heavy = ("numpyro", "arviz", "sklearn", "scipy.stats", "scipy.optimize", "inference.stream")
@@ -179,7 +180,8 @@ try:
 finally:
     print([name for name in {heavy} if name in sys.modules], file=sys.stderr)
 """
-    words = ("hypotheses", str(ROOT / "examples" / "skier.json"), "--quiet", "--out", "out")
+    skier = str(ROOT / "examples" / "skier.json")
+    words = ("hypotheses", skier, "--root", root, "--quiet", "--out", "out")
     said = []
     for programs in (str(tmp_path), str(tmp_path), ""):
         done = subprocess.run(
@@ -193,6 +195,24 @@ finally:
         said.append(done.stderr.splitlines()[-1])
     assert said[1] == "[]"
     assert said[2] == "['numpyro']"  # the control: without kept programs it traces, by NumPyro
+
+
+@pytest.mark.parametrize("first", ["probmodel.programs", "jax"])
+def test_tracing_compiles_nothing_anew(first: str) -> None:
+    """NumPyro, imported after JAX has compiled something, has it compiled again: so where programs
+    are traced it comes with the model, and not with the first trace. The control is without."""
+    code = f"""
+import {first}, jax
+twice = jax.jit(lambda x: x + x)
+twice(1.0)
+import probmodel.anatomy.lengths
+twice(1.0)
+print(twice._cache_size())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["1" if first == "probmodel.programs" else "2"]
 
 
 def test_types_are_declared() -> None:

@@ -34,6 +34,7 @@ from probmodel.kinematics import upper_axes
 from probmodel.likelihood import ErrorLaw
 from probmodel.model import PoseModel
 from probmodel.pose import GroupDraws, Pose
+from probmodel.programs import kept
 from probmodel.roots import RootPoint, RootPrior
 from probmodel.skeleton import GROUPS, TORSO_INDEX
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
@@ -120,7 +121,7 @@ def limb_draws(
 def views_of(posterior: UncertainPosterior, points: RootPoint, faults: Faults) -> Views:
     """The views of roots and patterns `(n, ...)`, compiled once."""
     look = functools.partial(_look, posterior.model, posterior.detected)
-    return in_chunks(look, *map(np.asarray, points), *faults, size=BLOCK)
+    return Views(*in_chunks(look, *map(np.asarray, points), *faults, size=BLOCK))
 
 
 def outliers_of(posterior: UncertainPosterior, faults: Faults) -> np.ndarray:
@@ -130,14 +131,15 @@ def outliers_of(posterior: UncertainPosterior, faults: Faults) -> np.ndarray:
     return np.take_along_axis(faults.outlier, order, axis=1) & counts[order]
 
 
-@jax.jit
-def _look(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> Views:
+@kept
+def _look(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> tuple[jax.Array, ...]:
+    """The columns of `Views`."""
     prior, lens = RootPrior.of(model), model.lens
 
-    def one(point: RootPoint, faults: Faults) -> Views:
+    def one(point: RootPoint, faults: Faults) -> tuple[jax.Array, ...]:
         observation = detected.under(prior, point, faults)
         view = observation.view
-        return Views(
+        return (
             upper_axes(view),
             view,
             jnp.asarray(observation.target),
@@ -330,13 +332,13 @@ def free_groups(posterior: UncertainPosterior, words: list[int]) -> dict[str, Gr
 
 def prior_poses(model: PoseModel, words: list[int]) -> Pose:
     """`POOL` draws of the prior."""
-    key = jax.random.wrap_key_data(jnp.asarray(words, jnp.uint32))
-    return Pose(*map(np.asarray, _prior(model, key)))
+    return Pose(*map(np.asarray, _prior(model, np.array(words, np.uint32))))
 
 
-@jax.jit
-def _prior(model: PoseModel, key: jax.Array) -> Pose:
-    return model.draw(key, POOL)
+@kept
+def _prior(model: PoseModel, words: jax.Array) -> tuple[jax.Array, ...]:
+    """As a tuple, whose program can be kept: tracing it takes longer than all that it draws."""
+    return tuple(model.draw(jax.random.wrap_key_data(words), POOL))
 
 
 def log_evidence(found: dict[str, LimbDraws]) -> float:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from inference.exact import ahead
 from inference.exact.groups import GroupTables, group_tables, workers
@@ -143,7 +144,7 @@ def _look(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> tup
             upper_axes(view),
             view,
             jnp.asarray(observation.target),
-            observation.law.reach * observation.spread,
+            jnp.asarray(observation.law.reach * observation.spread),
             jnp.asarray(observation.spread),
             jnp.asarray(detected.read(faults).rays(lens)),
             jnp.exp(point.log_scale) / (jnp.inf if lens is None else lens.focal),
@@ -269,14 +270,10 @@ def weigh_group(
         if not law.flat and law.deviation is None:
             found["weight"] *= _ratios(law, sight, found, ends)
         limbs.append((found, ends))
-    if len(limbs) == 1:
-        limbs.append(_certain(number, trials, each))
+    first, second = limbs if len(limbs) == 2 else (*limbs, _certain(number, trials, each))
     evidence, kept = np.zeros(number), np.zeros((number, KEPT, 2), np.int64)
-    combine_rows(states, *limbs[0], *limbs[1], trials, each, evidence, kept)
-    return [
-        _draws(limbs[: len(sights)], kept[row], lengths[:bones, row].T, evidence[row])
-        for row in range(number)
-    ]
+    combine_rows(states, *first, *second, trials, each, evidence, kept)
+    return _draws([found for found, _ in limbs], kept, lengths[:bones], evidence)
 
 
 def _certain(number: int, trials: int, each: int) -> tuple[np.ndarray, np.ndarray]:
@@ -296,17 +293,22 @@ def _ratios(law: ErrorLaw, sight: Sight, found: np.ndarray, ends: np.ndarray) ->
 
 
 def _draws(
-    limbs: list[tuple[np.ndarray, np.ndarray]],
-    kept: np.ndarray,
-    lengths: np.ndarray,
-    evidence: float,
-) -> LimbDraws:
-    """The draws that are kept of one group under one root with `lengths` `(trials, bones)`."""
-    kept = kept[: len(kept) if evidence else 0]
-    parts = [found[kept[:, column]] for column, (found, _) in enumerate(limbs)]
-    upper, lower = (np.stack([part[name] for part in parts], axis=1) for name in ("upper", "lower"))
-    draws = GroupDraws(lengths[parts[0]["trial"]], upper, lower)
-    return LimbDraws(math.log(evidence) if evidence else -math.inf, draws)
+    limbs: list[np.ndarray], kept: np.ndarray, lengths: np.ndarray, evidence: np.ndarray
+) -> list[LimbDraws]:
+    """The draws that are `kept` `(n, KEPT, 2)` of one group under each root, with lengths `(bones,
+    n, trials)`."""
+    if not evidence.any():
+        kept = kept[:, :0]
+    parts = [found[kept[..., column]] for column, found in enumerate(limbs)]
+    upper, lower = (np.stack([part[name] for part in parts], axis=2) for name in ("upper", "lower"))
+    own = np.take_along_axis(lengths, parts[0]["trial"][None], axis=2)
+    rows = zip(evidence.tolist(), np.moveaxis(own, 0, 2), upper, lower, strict=True)
+    return [
+        LimbDraws(math.log(found), GroupDraws(*draws))
+        if found
+        else LimbDraws(-math.inf, GroupDraws(*(part[:0] for part in draws)))
+        for found, *draws in rows
+    ]
 
 
 def _free(draws: GroupDraws, words: list[int], *path: int) -> LimbDraws:
@@ -336,9 +338,9 @@ def prior_poses(model: PoseModel, words: list[int]) -> Pose:
 
 
 @kept
-def _prior(model: PoseModel, words: jax.Array) -> tuple[jax.Array, ...]:
+def _prior(model: PoseModel, words: ArrayLike) -> tuple[jax.Array, ...]:
     """As a tuple, whose program can be kept: tracing it takes longer than all that it draws."""
-    return tuple(model.draw(jax.random.wrap_key_data(words), POOL))
+    return tuple(model.draw(jax.random.wrap_key_data(jnp.asarray(words)), POOL))
 
 
 def log_evidence(found: dict[str, LimbDraws]) -> float:

@@ -47,7 +47,11 @@ Factor = Annotated[
     float, Option(help="The factor in the radius τ of a detection's disc (the paper: 0.25).")
 ]
 Limits = Annotated[
-    str, Option(help="'default', a .npz from `poseterior learn`, or the published .mat.")
+    str,
+    Option(
+        help="'default'; 'wide', with twice the margins around what was seen; a .npz from"
+        " `poseterior learn`; or the published .mat."
+    ),
 ]
 NumSamples = Annotated[int, Option(min=1, max=10_000_000, help="How many poses to draw.")]
 Seed = Annotated[int, Option(min=0, max=2**32 - 1, help="The same seed gives the same draws.")]
@@ -131,8 +135,11 @@ class Prior:
     def anatomy(self) -> "Anatomy":
         """The tables. Raises `BadInput` on a limits file that is not one."""
         from probmodel import Anatomy
+        from probmodel.anatomy.limits import EMBEDDED
 
-        return Anatomy.default() if self.limits == "default" else Anatomy.load(Path(self.limits))
+        if self.limits in EMBEDDED:
+            return Anatomy.embedded(self.limits)
+        return Anatomy.load(Path(self.limits))
 
     def model(self, *, upright: float = 0.0, lens: "Lens | None" = None) -> "PoseModel":
         """The model. Raises `BadInput` on a limits file, or a lens, that is not one."""

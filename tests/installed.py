@@ -11,7 +11,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 NEEDED = (
     *("poseterior/__init__.py", "poseterior/py.typed", "probmodel/py.typed", "inference/py.typed"),
-    *("probmodel/data/limits.npz", "probmodel/data/poses.npz", "probmodel/data/example.json"),
+    *(
+        "probmodel/data/limits.npz",
+        "probmodel/data/limits_wide.npz",
+        "probmodel/data/poses.npz",
+        "probmodel/data/example.json",
+    ),
     "probmodel/data/errors.json",
     *(f"inference/benchmark/data/{name}" for name in ("anatomy.npz", "targets.json")),
     *("inference/benchmark/data/reference.json", "inference/benchmark/__init__.pyi"),

@@ -49,6 +49,8 @@ _BITS = {"occupied": "occupied", "has_plane": "offset"}
 WRITER = "`poseterior learn`"
 FILE = ("limits file", f"write one with {WRITER}")
 """What a file of limits is called, and what to do where there is none."""
+EMBEDDED = {"default": "limits.npz", "wide": "limits_wide.npz"}
+"""Files in `probmodel.data`, by the names that commands know them by."""
 LIMITS = ("none", "occupancy", "parent", "plane", "box")
 """What a bone can break. `parent`: its parent bone points into a cell without a plane, where no
 lower bone was ever seen."""
@@ -133,8 +135,24 @@ class AnatomicalLimits:
     @classmethod
     def default(cls) -> "AnatomicalLimits":
         """The embedded tables, learned from CMU motion capture by `poseterior learn`."""
-        with resources.as_file(resources.files("probmodel.data") / "limits.npz") as path:
-            return dataclasses.replace(cls.load(path), name="default")
+        return cls.embedded("default")
+
+    @classmethod
+    def embedded(cls, name: str) -> "AnatomicalLimits":
+        """One of the tables of `Anatomy.embedded`.
+
+        Parameters
+        ----------
+        name
+            One of `EMBEDDED`.
+
+        Returns
+        -------
+        AnatomicalLimits
+            The tables.
+        """
+        with resources.as_file(resources.files("probmodel.data") / EMBEDDED[name]) as path:
+            return dataclasses.replace(cls.load(path), name=name)
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "AnatomicalLimits":

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from probmodel.anatomy.limits import FILE, AnatomicalLimits
+from probmodel.anatomy.limits import EMBEDDED, FILE, AnatomicalLimits
 from probmodel.anatomy.published import read_published
 from probmodel.arrays import compact, doubles, possible, read_tables, write_tables
 from probmodel.failures import BadInput
@@ -59,11 +59,26 @@ class Anatomy:
     def default(cls) -> "Anatomy":
         """The embedded anatomy, learned from CMU motion capture; `probmodel/data/PROVENANCE.md`
         says how."""
-        with resources.as_file(resources.files("probmodel.data") / "limits.npz") as path:
+        return cls.embedded("default")
+
+    @classmethod
+    def embedded(cls, name: str) -> "Anatomy":
+        """One of those that come with the package: "default"; or "wide", of the same recordings
+        with twice the margins around what was seen, for people who do what nobody there did.
+
+        Parameters
+        ----------
+        name
+            One of `EMBEDDED`.
+
+        Returns
+        -------
+        Anatomy
+            Lengths and torsos are the same in all.
+        """
+        with resources.as_file(resources.files("probmodel.data") / EMBEDDED[name]) as path:
             anatomy = cls.load(path)
-        return dataclasses.replace(
-            anatomy, limits=dataclasses.replace(anatomy.limits, name="default")
-        )
+        return dataclasses.replace(anatomy, limits=dataclasses.replace(anatomy.limits, name=name))
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "Anatomy":

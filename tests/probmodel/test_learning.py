@@ -5,6 +5,7 @@ import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import scipy.stats
@@ -12,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from probmodel.anatomy.limits import GRID, AnatomicalLimits
+from probmodel.anatomy.limits import EMBEDDED, GRID, AnatomicalLimits
 from probmodel.anatomy.population import Anatomy
 from probmodel.body import body_unit, bone_lengths, mirror_pose, mirror_torso
 from probmodel.failures import BadInput
@@ -23,7 +24,7 @@ from probmodel.learning.occupancy import occupancy
 from probmodel.learning.overlap import overlap
 from probmodel.learning.poses import LEARNING_RATE, Poses, gather, read_all
 from probmodel.learning.sphere import cell_areas, cell_centres, fibonacci
-from probmodel.learning.tolerance import Tolerance
+from probmodel.learning.tolerance import DEFAULT, Tolerance
 from probmodel.learning.torsos import learn_torsos
 from probmodel.model import PoseModel
 from probmodel.motion import Motion, read_motion
@@ -459,13 +460,39 @@ def test_damaged_tables_are_refused(
         Anatomy.load(tmp_path / "anatomy.npz")
 
 
-def test_the_embedded_anatomy() -> None:
-    anatomy = Anatomy.default()
-    assert anatomy.limits.name == "default"
-    assert AnatomicalLimits.default().sha256 == anatomy.limits.sha256
+DATA = Path(__file__).parents[2] / "probmodel" / "data"
+MARGINS = {"default": 1.0, "wide": 2.0}
+"""Of the embedded tables, times the usual ones."""
+
+
+@pytest.mark.parametrize("name", EMBEDDED)
+def test_the_embedded_anatomy(name: str) -> None:
+    anatomy = Anatomy.embedded(name)
+    assert anatomy.limits.name == name
+    assert AnatomicalLimits.embedded(name).sha256 == anatomy.limits.sha256
     assert anatomy.torsos.shape == (48, 6, 3)
-    file = Path(__file__).parents[2] / "probmodel" / "data" / "limits.npz"
-    assert file.stat().st_size < 1_000_000
+    assert (DATA / EMBEDDED[name]).stat().st_size < 1_000_000
+
+
+def test_the_default_is_one_of_the_embedded() -> None:
+    default, wide = Anatomy.default(), Anatomy.embedded("wide")
+    assert default.limits.name == "default"
+    assert default.limits.sha256 == AnatomicalLimits.default().sha256 != wide.limits.sha256
+    np.testing.assert_array_equal(default.torsos, wide.torsos)
+    np.testing.assert_array_equal(np.array(default.lengths), np.array(wide.lengths))
+
+
+def test_what_is_possible_is_possible_under_wider_limits() -> None:
+    """Two thousand poses of each prior; the other way round a good part is not."""
+    narrow, wide = (PoseModel.from_anatomy(Anatomy.embedded(name)) for name in EMBEDDED)
+
+    def possible(model: PoseModel, other: PoseModel) -> float:
+        poses = model.draw(jax.random.key(0), 2000)
+        joints = np.asarray(model.joints(model.torsos[0], *poses))
+        return float(other.limits.check(joints).valid.all(axis=1).mean())
+
+    assert possible(narrow, wide) == 1.0
+    assert possible(wide, narrow) < 0.5
 
 
 def sources(shared_data: Path) -> list[Path]:
@@ -497,7 +524,8 @@ def equal_cells(one: AnatomicalLimits, other: AnatomicalLimits) -> np.ndarray:
 
 
 @pytest.mark.sweep
-def test_the_embedded_anatomy_can_be_rebuilt(shared_data: Path) -> None:
+@pytest.mark.parametrize("name", EMBEDDED)
+def test_the_embedded_anatomy_can_be_rebuilt(name: str, shared_data: Path) -> None:
     """To the last bit but for cells with straight knees and elbows: those lie on the very borders
     of the cubes by which a cell's directions are thinned, so rounding, which differs between
     processors, picks others of them. 97.8 % of the cells were the same on a processor other than
@@ -507,8 +535,9 @@ def test_the_embedded_anatomy_can_be_rebuilt(shared_data: Path) -> None:
     def progress(what: str, done: int, total: int) -> None:
         steps.append(what)
 
-    rebuilt = learn(read_all(sources(shared_data), progress), progress=progress)
-    embedded = Anatomy.default()
+    poses = read_all(sources(shared_data), progress)
+    rebuilt = learn(poses, tolerance=DEFAULT.wider(MARGINS[name]), progress=progress)
+    embedded = Anatomy.embedded(name)
     np.testing.assert_array_equal(np.array(rebuilt.lengths), np.array(embedded.lengths))
     np.testing.assert_array_equal(rebuilt.torsos, embedded.torsos)
     np.testing.assert_array_equal(rebuilt.limits.occupied, embedded.limits.occupied)
@@ -533,10 +562,10 @@ def test_the_embedded_anatomy_can_be_rebuilt(shared_data: Path) -> None:
     assert steps[0].startswith("reading")
 
 
-def test_the_embedded_file_is_what_saving_it_writes(tmp_path: Path) -> None:
-    Anatomy.default().save(tmp_path / "limits.npz")
-    file = Path(__file__).parents[2] / "probmodel" / "data" / "limits.npz"
-    with np.load(tmp_path / "limits.npz") as saved, np.load(file) as shipped:
+@pytest.mark.parametrize("name", EMBEDDED)
+def test_the_embedded_file_is_what_saving_it_writes(name: str, tmp_path: Path) -> None:
+    Anatomy.embedded(name).save(tmp_path / "limits.npz")
+    with np.load(tmp_path / "limits.npz") as saved, np.load(DATA / EMBEDDED[name]) as shipped:
         assert saved.files == shipped.files
         for name in set(saved.files) - {"name"}:
             assert saved[name].dtype == shipped[name].dtype

@@ -14,7 +14,6 @@ import xarray as xr
 from scipy import stats
 
 from inference.drawers import drawer
-from inference.results import COMPLETE
 from inference.studies.calibration import calibrate, cover, judge, simulate
 from inference.studies.calibration.assess import Answer, assess
 from inference.studies.calibration.controls import forgetting_scale
@@ -275,15 +274,17 @@ def test_the_whole_posterior_is_calibrated_and_the_control_is_not() -> None:
 
 @pytest.mark.sweep
 def test_the_posterior_with_faults_is_calibrated() -> None:
-    """Detections with outliers and exchanges, thirty simulations, 1 % false alarms; a likelihood
-    with a hundred times fewer outliers is found out, or explains hardly any of them."""
-    number, faults = 30, FaultPrior.of(outlier=0.1, exchange=0.1)
+    """Detections with outliers and many exchanges, thirty simulations, 1 % false alarms; a
+    likelihood that knows no exchanges is found out (p = 2e-5 when this was written). One with a
+    hundred times fewer outliers is not, nor one with six times more: whether a keypoint is an
+    outlier, the detections themselves say well enough."""
+    number, faults = 30, FaultPrior.of(outlier=0.1, exchange=0.5)
     likelihood = Likelihood(faults=faults)
-    rare = Likelihood(faults=FaultPrior.of(outlier=0.001))
+    blind = Likelihood(faults=FaultPrior.of(outlier=0.1))
     right = independent_roots(model(), 200, 300)
 
     def mistaken(index: int, instance: Instance, key: jax.Array) -> Answer:
-        frame = dataclasses.replace(instance.frame, likelihood=rare)
+        frame = dataclasses.replace(instance.frame, likelihood=blind)
         return right(index, instance._replace(frame=frame), key)
 
     def standings(sampler) -> xr.Dataset:
@@ -294,6 +295,4 @@ def test_the_posterior_with_faults_is_calibrated() -> None:
 
     found = judge(standings(right), fewest=number // 2)
     assert found.verdict != MISCALIBRATED, found.sentence
-    control = standings(mistaken)
-    lost = np.mean(control.status.values != COMPLETE)
-    assert lost > 0.5 or judge(control, fewest=3).verdict == MISCALIBRATED
+    assert judge(standings(mistaken), fewest=number // 2).verdict == MISCALIBRATED

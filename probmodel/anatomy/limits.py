@@ -12,6 +12,7 @@ import functools
 import hashlib
 import os
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -25,7 +26,7 @@ from scipy.spatial import cKDTree
 
 from probmodel.arrays import compact, doubles, possible, read_tables, write_tables
 from probmodel.chunks import in_chunks
-from probmodel.failures import BadInput
+from probmodel.failures import BadInput, shown
 from probmodel.kinematics import Articulation, articulation, azimuth_elevation, direction
 from probmodel.skeleton import BONE_NAMES, NUM_JOINTS, NUM_LOWER, NUM_UPPER
 
@@ -47,13 +48,20 @@ _PLANES = ("normal", "tangent", "offset", "bounds")
 _BITS = {"occupied": "occupied", "has_plane": "offset"}
 """Arrays stored as packed bits, and the table whose shape each has."""
 WRITER = "`poseterior learn`"
-FILE = ("limits file", f"write one with {WRITER}")
-"""What a file of limits is called, and what to do where there is none."""
 EMBEDDED = {"default": "limits.npz", "wide": "limits_wide.npz"}
 """Files in `probmodel.data`, by the names that commands know them by."""
+FILE = ("limits file", f"write one with {WRITER}, or take one of {', '.join(EMBEDDED)}")
+"""What a file of limits is called, and what to do where there is none."""
 LIMITS = ("none", "occupancy", "parent", "plane", "box")
 """What a bone can break. `parent`: its parent bone points into a cell without a plane, where no
 lower bone was ever seen."""
+
+
+def embedded_file(name: str) -> AbstractContextManager[Path]:
+    """Where the embedded tables of this name are. Raises `BadInput` where there are none."""
+    if name not in EMBEDDED:
+        raise BadInput(f"no embedded limits are called {shown(name)}; take {' or '.join(EMBEDDED)}")
+    return resources.as_file(resources.files("probmodel.data") / EMBEDDED[name])
 
 
 def cell_of(vector: ArrayLike) -> tuple[jax.Array, jax.Array]:
@@ -150,8 +158,13 @@ class AnatomicalLimits:
         -------
         AnatomicalLimits
             The tables.
+
+        Raises
+        ------
+        BadInput
+            On another name.
         """
-        with resources.as_file(resources.files("probmodel.data") / EMBEDDED[name]) as path:
+        with embedded_file(name) as path:
             return dataclasses.replace(cls.load(path), name=name)
 
     @classmethod

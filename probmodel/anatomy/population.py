@@ -8,14 +8,13 @@ body units (the mean length of a subject's limb bones is one). The usual way in:
 import dataclasses
 import os
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
-from probmodel.anatomy.limits import EMBEDDED, FILE, AnatomicalLimits
+from probmodel.anatomy.limits import FILE, AnatomicalLimits, embedded_file
 from probmodel.anatomy.published import read_published
 from probmodel.arrays import compact, doubles, possible, read_tables, write_tables
 from probmodel.failures import BadInput
@@ -75,8 +74,13 @@ class Anatomy:
         -------
         Anatomy
             Lengths and torsos are the same in all.
+
+        Raises
+        ------
+        BadInput
+            On another name.
         """
-        with resources.as_file(resources.files("probmodel.data") / EMBEDDED[name]) as path:
+        with embedded_file(name) as path:
             anatomy = cls.load(path)
         return dataclasses.replace(anatomy, limits=dataclasses.replace(anatomy.limits, name=name))
 

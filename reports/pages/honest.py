@@ -20,7 +20,6 @@ from scipy import stats
 from inference.hypothesis import diverse
 from inference.results import FIXED
 from inference.studies.errorlaws.judge import LEVELS, shares_within, standings
-from inference.studies.errorlaws.learn import in_common
 from inference.studies.errorlaws.pairs import pairs_of_session
 from inference.studies.intervals import Interval, of_share
 from inference.uncertain.weighted import FEWEST_EFFECTIVE
@@ -338,7 +337,7 @@ def main(data: Path, work: Path) -> None:
         "cameras": parts_of(outcomes, seen),
         "laws": law_table(seen),
         "parts": parts_table(seen.session),
-        "together": f"{in_common(whole.fit.expected)[HIPS[0]]:.1f}",
+        "together": f"{whole.common[HIPS[0]]:.1f}",
         "bare": bare_table(outcomes),
         "across": f"{across:.0f}",
         "depth": f"{depth:.0f}",

@@ -4,7 +4,8 @@ import numpy as np
 
 from inference.studies.errorlaws import Learned
 from probmodel.errorlaws import Exchange
-from probmodel.skeleton import JOINTS
+from probmodel.layouts import MIDPOINTS
+from probmodel.skeleton import JOINT_INDEX, JOINTS
 from reports.tables.sheet import Column, Sheet, sheet_of
 
 
@@ -44,6 +45,14 @@ def summary_lines(found: Learned) -> list[str]:
     shares = zip(Exchange._fields, errors.exchange, found.exchange_se, strict=True)
     said = ", ".join(f"{name} {100 * p:.1f} ± {100 * se:.1f} %" for name, p, se in shares)
     lines.append(f"Exchanged sides: {said}")
+    for right, _ in MIDPOINTS.values():
+        common = found.common[JOINT_INDEX[right]]
+        if round(common, 2):
+            lines.append(
+                f"Both {right.removeprefix('right_')}s err together (correlation {common:.2f}):"
+                f" their sigma is {np.sqrt(1 + common):.2f} times as large as their errors, to be"
+                " right about the point between them"
+            )
     if errors.score.edges:
         edges = ", ".join(f"{edge:.3g}" for edge in errors.score.edges)
         factors = ", ".join(f"{factor:.2f}" for factor in errors.score.sigma_factor)

@@ -474,6 +474,12 @@ def test_the_embedded_anatomy(name: str) -> None:
     assert (DATA / EMBEDDED[name]).stat().st_size < 1_000_000
 
 
+@pytest.mark.parametrize("embedded", [Anatomy.embedded, AnatomicalLimits.embedded])
+def test_other_names_are_refused(embedded: Callable[[str], object]) -> None:
+    with pytest.raises(BadInput, match="called 'narrow'; take default or wide"):
+        embedded("narrow")
+
+
 def test_the_default_is_one_of_the_embedded() -> None:
     default, wide = Anatomy.default(), Anatomy.embedded("wide")
     assert default.limits.name == "default"

@@ -1,14 +1,18 @@
 """`poseterior calibrate`: what it writes, says and refuses; sessions in the other studies."""
 
+import dataclasses
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from inference.studies.errorlaws import learn, pairs_of_session
 from probmodel import DetectorErrors
 from probmodel.errorlaws import FORMAT
+from probmodel.sessions import read_session
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from reports.tables.errorlaws import summary_lines
 from tests.conftest import Cli
 from tests.filmed import filmed, moving, write_session
 
@@ -36,6 +40,20 @@ def test_it_writes_a_law_and_a_picture_and_says_what_it_found(
     wrist = JOINT_INDEX["left_wrist"]
     assert errors.sigma[wrist] * 305 == pytest.approx(10, rel=0.3)
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_it_says_what_hips_have_in_common(film: Path) -> None:
+    """The film's errors know nothing of each other, so that by chance little is in common; where
+    one hip's are the other's too, all is."""
+    found = learn(pairs_of_session(read_session(film), perspective=True))
+    hips = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
+    assert found.common[hips[0]] < 0.3
+    left = found.fit.expected.left.copy()
+    left[..., hips[1], :] = left[..., hips[0], :]
+    expected = dataclasses.replace(found.fit.expected, left=left)
+    same = dataclasses.replace(found, fit=dataclasses.replace(found.fit, expected=expected))
+    (line,) = (line for line in summary_lines(same) if "hips" in line)
+    assert "(correlation 1.00): their sigma is 1.41 times" in line
 
 
 @pytest.mark.slow

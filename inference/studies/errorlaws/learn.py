@@ -45,6 +45,11 @@ class Learned:
     exchange_se: np.ndarray
     df_se: float
 
+    @property
+    def common(self) -> np.ndarray:
+        """`(15,)`: `in_common` of the pairs; by the root of one more spreads have been widened."""
+        return in_common(self.fit.expected)
+
 
 def learn(
     pairs: Pairs,

@@ -109,62 +109,104 @@ class ProposedRoots(NamedTuple):
         return max(variance, 0.0)
 
 
+class Plan(NamedTuple):
+    """How roots are going to be drawn: of which `strata`, by what attempts at each, `attempted`;
+    the `share` `(strata,)` of the roots that each gets, and whether there is hope of any,
+    `hopeful`; how many `attempts` it took to know."""
+
+    strata: list[Stratum]
+    attempted: list[tuple[Posed, Proposal]]
+    share: np.ndarray
+    hopeful: list[bool]
+    attempts: int
+
+
+class Part(NamedTuple):
+    """The roots of one stratum, as `ProposedRoots` has them, and the probability `(n,)` with which
+    each was taken from those that were attempted."""
+
+    points: RootPoint
+    faults: Faults
+    log_weight: np.ndarray
+    stratum: np.ndarray
+    chance: np.ndarray
+
+
 def propose_roots(
     posterior: UncertainPosterior, key: jax.Array, number: int, budget: Budget
 ) -> ProposedRoots:
     """`number` roots, in random order, or as many as the budget allows."""
     pool_key, pilot_key, torso_key, order_key = jax.random.split(key, 4)
-    strata, pool = strata_of(posterior), pool_of(posterior.model, words_of(pool_key))
+    pool = pool_of(posterior.model, words_of(pool_key))
     rng = np.random.default_rng(words_of(order_key))
-    posed = [torso_problem(posterior, stratum.faults) for stratum in strata]
-    levels = [ROUGH] * len(posed) if len(posed) > 1 else [FEWER]
-    attempted = list(zip(posed, workers().map(quick_proposal_of, posed, levels), strict=True))
-    share, hopeful, attempts = np.ones(1), [True], 0
-    if len(strata) > 1:
-        most = [PILOT_ATTEMPTS] * len(strata)
-        pilots = _draw(attempted, pilot_key, [PILOT] * len(strata), most, budget, 1)
-        share = _shares(posterior, pool, strata, pilots)
-        hopeful = [len(pilot.points.torso) > 0 for pilot in pilots]
-        attempts = sum(pilot.attempts for pilot in pilots)
-        for index in np.flatnonzero(share > WORTH).tolist():
-            attempted[index] = posed[index], quick_proposal_of(posed[index])
-    counts = times(share, number, rng.uniform())
+    plan = _plan(posterior, pool, pilot_key, budget)
+    counts = times(plan.share, number, rng.uniform())
     # Attempts at roots that may not be weighed are not taken away from limbs.
     ample = budget.proposals >= 2 * number * (PATIENCE + ATTEMPTS)
-    most = [budget.proposals if hope else FEW_ATTEMPTS for hope in hopeful]
-    torsos = _draw(attempted, torso_key, counts.tolist(), most, budget, MOST if ample else 1)
+    most = [budget.proposals if hope else FEW_ATTEMPTS for hope in plan.hopeful]
+    spare = MOST if ample else 1
+    torsos = _draw(plan.attempted, torso_key, counts.tolist(), most, budget, spare)
     parts, wanted = [], 0
-    for index, (stratum, torso) in enumerate(zip(strata, torsos, strict=True)):
-        found = len(torso.points.torso)
-        taken = min(found, int(counts[index]))
-        wanted += int(counts[index]) if hopeful[index] and not torso.enough else taken
+    for index, torso in enumerate(torsos):
+        found, asked = len(torso.points.torso), int(counts[index])
+        wanted += asked if plan.hopeful[index] and not torso.enough else min(found, asked)
         if found:
-            fit = fit_of(posterior, pool, stratum, torso.points)
-            promise = log_promise(posterior, fit, stratum, torso.points)
-            rows, chance = _promising(promise + torso.log_share, taken, rng)
-            points = torso.points.take(rows)
-            faults, log_proposal = propose(fit.take(rows), stratum, rng)
-            weight = torso.log_evidence + log_priors(posterior, faults) - log_proposal
-            weight += np.log(counts[index] / share[index]) + torso.log_share[rows]
-            weight -= np.log(chance)
-            chance = chance * torso.inclusion[rows]
-            parts.append((points, faults, weight, np.full(taken, index), chance))
+            parts.append(_part(posterior, pool, plan, index, torso, asked, rng))
     made = np.array([torso.attempts for torso in torsos])
-    attempts += int(made.sum())
+    attempts = plan.attempts + int(made.sum())
     if not parts:
         none, points = np.zeros(0, int), torsos[0].points
         empty = points, Faults.none(0), np.zeros(0), none
         return ProposedRoots(*empty, made, 0.0, number, attempts)
-    points, faults, weight, stratum_of, chance = (
-        jax.tree.map(lambda *rows: np.concatenate(rows), *column)
-        for column in zip(*parts, strict=True)
+    points, faults, weight, stratum, chance = jax.tree.map(
+        lambda *rows: np.concatenate(rows), parts[0], *parts[1:]
     )
     # The mean over the roots there are, not over those asked for, is to be the evidence.
     weight += np.log(len(weight) / number)
     # If promises were kept, weights would have the relative variance of the chances.
     scatter = float(chance.mean()) / len(weight)
-    whole = ProposedRoots(points, faults, weight, stratum_of, made, scatter, wanted, attempts)
+    whole = ProposedRoots(points, faults, weight, stratum, made, scatter, wanted, attempts)
     return whole.at(rng.permutation(len(weight)))
+
+
+def _plan(posterior: UncertainPosterior, pool: np.ndarray, key: jax.Array, budget: Budget) -> Plan:
+    """Where there are several strata, by a pilot run of each."""
+    strata = strata_of(posterior)
+    posed = [torso_problem(posterior, stratum.faults) for stratum in strata]
+    levels = [ROUGH] * len(posed) if len(posed) > 1 else [FEWER]
+    attempted = list(zip(posed, workers().map(quick_proposal_of, posed, levels), strict=True))
+    if len(strata) == 1:
+        return Plan(strata, attempted, np.ones(1), [True], 0)
+    most = [PILOT_ATTEMPTS] * len(strata)
+    pilots = _draw(attempted, key, [PILOT] * len(strata), most, budget, 1)
+    share = _shares(posterior, pool, strata, pilots)
+    for index in np.flatnonzero(share > WORTH).tolist():
+        attempted[index] = posed[index], quick_proposal_of(posed[index])
+    hopeful = [len(pilot.points.torso) > 0 for pilot in pilots]
+    return Plan(strata, attempted, share, hopeful, sum(pilot.attempts for pilot in pilots))
+
+
+def _part(
+    posterior: UncertainPosterior,
+    pool: np.ndarray,
+    plan: Plan,
+    index: int,
+    torso: TorsoDraws,
+    asked: int,
+    rng: np.random.Generator,
+) -> Part:
+    """So many roots of a stratum as were `asked` for, or all that were found, the more promising
+    the rather, each with a pattern of faults."""
+    stratum, taken = plan.strata[index], min(len(torso.points.torso), asked)
+    fit = fit_of(posterior, pool, stratum, torso.points)
+    promise = log_promise(posterior, fit, stratum, torso.points)
+    rows, chance = _promising(promise + torso.log_share, taken, rng)
+    faults, log_proposal = propose(fit.take(rows), stratum, rng)
+    weight = torso.log_evidence + log_priors(posterior, faults) - log_proposal
+    weight += np.log(asked / plan.share[index]) + torso.log_share[rows]
+    weight -= np.log(chance)
+    which = np.full(taken, index)
+    return Part(torso.points.take(rows), faults, weight, which, chance * torso.inclusion[rows])
 
 
 def log_promise(

@@ -271,9 +271,9 @@ def weigh_group(
             found["weight"] *= _ratios(law, sight, found, ends)
         limbs.append((found, ends))
     first, second = limbs if len(limbs) == 2 else (*limbs, _certain(number, trials, each))
-    evidence, kept = np.zeros(number), np.zeros((number, KEPT, 2), np.int64)
-    combine_rows(states, *first, *second, trials, each, evidence, kept)
-    return _draws([found for found, _ in limbs], kept, lengths[:bones], evidence)
+    evidence, chosen = np.zeros(number), np.zeros((number, KEPT, 2), np.int64)
+    combine_rows(states, *first, *second, trials, each, evidence, chosen)
+    return _draws([found for found, _ in limbs], chosen, lengths[:bones], evidence)
 
 
 def _certain(number: int, trials: int, each: int) -> tuple[np.ndarray, np.ndarray]:
@@ -293,13 +293,13 @@ def _ratios(law: ErrorLaw, sight: Sight, found: np.ndarray, ends: np.ndarray) ->
 
 
 def _draws(
-    limbs: list[np.ndarray], kept: np.ndarray, lengths: np.ndarray, evidence: np.ndarray
+    limbs: list[np.ndarray], chosen: np.ndarray, lengths: np.ndarray, evidence: np.ndarray
 ) -> list[LimbDraws]:
-    """The draws that are `kept` `(n, KEPT, 2)` of one group under each root, with lengths `(bones,
-    n, trials)`."""
-    if not evidence.any():
-        kept = kept[:, :0]
-    parts = [found[kept[..., column]] for column, found in enumerate(limbs)]
+    """The draws that were `chosen` `(n, KEPT, 2)` of one group under each root, with lengths
+    `(bones, n, trials)`."""
+    if not evidence.any():  # then nothing may have been found, of which to take the first
+        chosen = chosen[:, :0]
+    parts = [found[chosen[..., column]] for column, found in enumerate(limbs)]
     upper, lower = (np.stack([part[name] for part in parts], axis=2) for name in ("upper", "lower"))
     own = np.take_along_axis(lengths, parts[0]["trial"][None], axis=2)
     rows = zip(evidence.tolist(), np.moveaxis(own, 0, 2), upper, lower, strict=True)

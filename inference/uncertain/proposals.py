@@ -109,7 +109,7 @@ class ProposedRoots(NamedTuple):
         return max(variance, 0.0)
 
 
-class Plan(NamedTuple):
+class RootPlan(NamedTuple):
     """How roots are going to be drawn: of which `strata`, by what attempts at each, `attempted`;
     the `share` `(strata,)` of the roots that each gets, and whether there is hope of any,
     `hopeful`; how many `attempts` it took to know."""
@@ -121,7 +121,7 @@ class Plan(NamedTuple):
     attempts: int
 
 
-class Part(NamedTuple):
+class StratumRoots(NamedTuple):
     """The roots of one stratum, as `ProposedRoots` has them, and the probability `(n,)` with which
     each was taken from those that were attempted."""
 
@@ -151,7 +151,7 @@ def propose_roots(
         found, asked = len(torso.points.torso), int(counts[index])
         wanted += asked if plan.hopeful[index] and not torso.enough else min(found, asked)
         if found:
-            parts.append(_part(posterior, pool, plan, index, torso, asked, rng))
+            parts.append(_roots_of(posterior, pool, plan, index, torso, asked, rng))
     made = np.array([torso.attempts for torso in torsos])
     attempts = plan.attempts + int(made.sum())
     if not parts:
@@ -169,32 +169,34 @@ def propose_roots(
     return whole.at(rng.permutation(len(weight)))
 
 
-def _plan(posterior: UncertainPosterior, pool: np.ndarray, key: jax.Array, budget: Budget) -> Plan:
+def _plan(
+    posterior: UncertainPosterior, pool: np.ndarray, key: jax.Array, budget: Budget
+) -> RootPlan:
     """Where there are several strata, by a pilot run of each."""
     strata = strata_of(posterior)
     posed = [torso_problem(posterior, stratum.faults) for stratum in strata]
     levels = [ROUGH] * len(posed) if len(posed) > 1 else [FEWER]
     attempted = list(zip(posed, workers().map(quick_proposal_of, posed, levels), strict=True))
     if len(strata) == 1:
-        return Plan(strata, attempted, np.ones(1), [True], 0)
+        return RootPlan(strata, attempted, np.ones(1), [True], 0)
     most = [PILOT_ATTEMPTS] * len(strata)
     pilots = _draw(attempted, key, [PILOT] * len(strata), most, budget, 1)
     share = _shares(posterior, pool, strata, pilots)
     for index in np.flatnonzero(share > WORTH).tolist():
         attempted[index] = posed[index], quick_proposal_of(posed[index])
     hopeful = [len(pilot.points.torso) > 0 for pilot in pilots]
-    return Plan(strata, attempted, share, hopeful, sum(pilot.attempts for pilot in pilots))
+    return RootPlan(strata, attempted, share, hopeful, sum(pilot.attempts for pilot in pilots))
 
 
-def _part(
+def _roots_of(
     posterior: UncertainPosterior,
     pool: np.ndarray,
-    plan: Plan,
+    plan: RootPlan,
     index: int,
     torso: TorsoDraws,
     asked: int,
     rng: np.random.Generator,
-) -> Part:
+) -> StratumRoots:
     """So many roots of a stratum as were `asked` for, or all that were found, the more promising
     the rather, each with a pattern of faults."""
     stratum, taken = plan.strata[index], min(len(torso.points.torso), asked)
@@ -206,7 +208,9 @@ def _part(
     weight += np.log(asked / plan.share[index]) + torso.log_share[rows]
     weight -= np.log(chance)
     which = np.full(taken, index)
-    return Part(torso.points.take(rows), faults, weight, which, chance * torso.inclusion[rows])
+    return StratumRoots(
+        torso.points.take(rows), faults, weight, which, chance * torso.inclusion[rows]
+    )
 
 
 def log_promise(

@@ -85,7 +85,8 @@ def signatures() -> dict[str, tuple]:
             np.zeros(0, tables.SUBS),
             np.zeros(0, tables.ALIAS),
             np.zeros(0, tables.ENTRIES),
-            np.zeros(1, np.int64),
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
             np.zeros(0),
         ),
     )

@@ -20,7 +20,7 @@ from inference.exact import ahead
 from inference.exact.loops.attempts import attempt_lengths, attempt_limb, hand_over
 from inference.exact.loops.bins import length_bins
 from inference.exact.loops.numbers import seeded, words_of
-from inference.exact.loops.strata import Resolution, stratify
+from inference.exact.loops.strata import Resolution, Sketch, fill_in, sketch
 from inference.exact.loops.tables import (
     Bodies,
     CutLimb,
@@ -51,6 +51,8 @@ GAIN = (1.0, 1.7, 2.9, 3.8)
 STRATUM, ATTEMPT = 0.7, 1.0
 """What a stratum costs to set up, and an attempt, in 100 ns: only their ratio counts, and only for
 speed."""
+WORTH_A_THREAD = 1 << 15
+"""Strata that a thread of their own is worth waking for."""
 ATTEMPTS = 1 << 14
 """Attempts of a batch at least, but for the last one."""
 LARGEST = 1 << 18
@@ -167,7 +169,7 @@ class Plan(NamedTuple):
     @property
     def size(self) -> int:
         """How many strata there are."""
-        return sum(len(strata.entries) for strata in self.strata)
+        return sum(strata.size for strata in self.strata)
 
 
 _bins = functools.lru_cache(maxsize=256)(length_bins)
@@ -188,14 +190,39 @@ def plan_group(
     first = _bins(*tables.lengths[0].tolist(), resolution.first)
     second = _bins(*tables.lengths[-1].tolist(), resolution.second if two else 1)
 
-    def one(limb: LimbProblem, tables: LimbTables) -> Strata:
-        return stratify(limb, tables, first.edges, second.edges, resolution.sub)
-
-    strata = tuple((map if alone else workers().map)(one, limbs, tables.builds))
+    strata = _cut(tables, limbs, first.edges, second.edges, resolution.sub, alone)
     prior = np.outer(first.mass, second.mass).ravel() if two else first.mass
     weight = prior * np.prod([limb.totals for limb in strata], axis=0)
     mass = float(weight.sum())
     return Plan(resolution.sub, (first, second), strata, weight / mass if mass else weight, mass)
+
+
+def _cut(
+    tables: GroupTables,
+    limbs: tuple[LimbProblem, ...],
+    edges1: np.ndarray,
+    edges2: np.ndarray,
+    sub: int,
+    alone: bool,
+) -> tuple[Strata, ...]:
+    """The strata of every limb, by threads where there is enough to do."""
+
+    def begun(limb: LimbProblem, build: LimbTables) -> Sketch:
+        return sketch(limb, build, edges1, edges2, sub)
+
+    few = alone or len(limbs) == 1 or sub == 1
+    sketches = list((map if few else workers().map)(begun, limbs, tables.builds))
+    most = sum(len(found.strata.entries) for found in sketches)
+    parts = 1 if alone else min(os.cpu_count() or 1, 1 + most // WORTH_A_THREAD)
+    spans = [found.spans(parts) for found in sketches]
+
+    def fill_part(part: int) -> None:
+        for found, own in zip(sketches, spans, strict=True):
+            fill_in(found, own[part])
+
+    # All of it by the workers, while this thread sleeps: one that it wakes shares its core first.
+    list((map if parts == 1 else workers().map)(fill_part, range(parts)))
+    return tuple(found.strata for found in sketches)
 
 
 def attempt_group(

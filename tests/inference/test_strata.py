@@ -25,7 +25,7 @@ from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
 from inference.exact.loops.places import SOURCES, digest
 from inference.exact.loops.rectangles import COUNT, ROWS, largest_rectangle, rectangle
 from inference.exact.loops.series import arcsine, cosine, sine, small_sine_cosine
-from inference.exact.loops.strata import Resolution, frame_turn, lower_axes
+from inference.exact.loops.strata import Resolution, fill_in, frame_turn, lower_axes, sketch
 from inference.exact.loops.strata import _stratify as stratify_loop
 from inference.exact.loops.tables import ALIAS, REGIONS, CutLimb, LimbProblem, desk
 from inference.exact.problem import limb_problems
@@ -315,36 +315,66 @@ def _keeps(blocks, first, last, towards0, towards1, width, sides):
         )
 
 
+LIMITS = {"offset": -0.3, "low2": 0.2, "high2": 0.9, "low3": -0.1, "high3": 0.6}
+ACROSS, ALONG = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-1, 1, 21)] * 2))
+
+
+def hinge_at_random(rng, block) -> np.ndarray:
+    """Writes a hinge to the block, one limit of which may be met; returns its triple."""
+    triple = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    names = [f"{axis}{n}" for axis in ("normal", "second", "third") for n in range(3)]
+    for name, value in [*zip(names, triple.ravel(), strict=True), *LIMITS.items()]:
+        block[name] = value
+    return triple
+
+
+def any_allowed(triple, towards, middle, half, width, side) -> bool:
+    """Whether the hinge allows a direction of a fine grid over a piece of the chart."""
+    rho, angle = np.sqrt(1 - (width * ACROSS) ** 2), middle + half * ALONG
+    plane = towards[:, None] * rho * np.sin(angle)
+    plane = plane + np.array([-towards[1], towards[0]])[:, None] * width * ACROSS
+    h1, h2, h3 = triple @ np.vstack([plane, side * rho * np.cos(angle)])
+    inside = (h1 + LIMITS["offset"] < 0) & (h2 >= LIMITS["low2"]) & (h2 <= LIMITS["high2"])
+    return bool(np.any(inside & (h3 >= LIMITS["low3"]) & (h3 <= LIMITS["high3"])))
+
+
 def kept_pieces(tighten: float) -> tuple[int, int, int]:
-    """Pieces of a chart against hinges at random, one limit of which may be met: how many hold an
-    allowed direction (a fine grid of them), how many of these are dropped, and how many are kept in
-    all; `tighten` makes the pieces smaller for the bound alone."""
+    """Pieces of a chart against hinges at random: how many hold an allowed direction, how many of
+    these are dropped, and how many are kept in all; `tighten` makes the pieces smaller for the
+    bound alone."""
     rng, block, held, lost, kept = np.random.default_rng(6), np.zeros(1, REGIONS), 0, 0, 0
-    x, along = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-1, 1, 21)] * 2))
     for _ in range(400):
-        triple = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        names = [f"{axis}{n}" for axis in ("normal", "second", "third") for n in range(3)]
-        for name, value in zip(names, triple.ravel(), strict=True):
-            block[name] = value
-        limits = {"offset": -0.3, "low2": 0.2, "high2": 0.9, "low3": -0.1, "high3": 0.6}
-        for name, value in limits.items():
-            block[name] = value
+        triple = hinge_at_random(rng, block)
         middle, half, width = rng.uniform(-1.2, 1.2), rng.uniform(0.01, 0.3), rng.uniform(0.02, 0.9)
         turn, sides = rng.uniform(0, 2 * np.pi), np.zeros(2)
         towards = np.array([np.cos(turn), np.sin(turn)])
         half_, width_ = tighten * half, tighten * width
         _keeps(block, middle - half_, middle + half_, *towards, width_, sides)
-        rho, angle = np.sqrt(1 - (width * x) ** 2), middle + half * along
-        plane = towards[:, None] * rho * np.sin(angle)
-        plane = plane + np.array([-towards[1], towards[0]])[:, None] * width * x
         for row, side in enumerate((1, -1)):
-            h1, h2, h3 = triple @ np.vstack([plane, side * rho * np.cos(angle)])
-            inside = (h1 + limits["offset"] < 0) & (h2 >= 0.2) & (h2 <= 0.9)
-            inside &= (h3 >= -0.1) & (h3 <= 0.6)
-            held += inside.any()
-            lost += inside.any() and not sides[row]
+            inside = any_allowed(triple, towards, middle, half, width, side)
+            held += inside
+            lost += inside and not sides[row]
             kept += int(sides[row])
     return held, lost, kept
+
+
+def test_every_row_of_a_rectangle_is_kept_that_holds_an_allowed_direction():
+    """Rectangles of discs at random, nothing moving, cut into rows by this test: all that hold a
+    direction of a fine grid are in the mask, and few that hold none."""
+    rng, block, held, kept = np.random.default_rng(8), np.zeros(1, REGIONS), 0, 0
+    block["mass"], block["box_area"] = 1.0, 100.0
+    for _ in range(200):
+        triple, centre, radius = hinge_at_random(rng, block), rng.uniform(), rng.uniform(0.05, 0.9)
+        _bound_one(block, 2 * centre, 2 * radius, 1.0, 2.0)
+        width, low, high = rectangle(centre, radius)
+        half = (high - low) / ROWS / 2
+        for piece in range(2 * ROWS):
+            middle, side = low + (2 * (piece % ROWS) + 1) * half, 1 if piece < ROWS else -1
+            inside = any_allowed(triple, np.array([1.0, 0.0]), middle, half, width, side)
+            found = int(block["mask"][0, 0]) >> piece & 1
+            assert found or not inside
+            held, kept = held + inside, kept + found
+    assert 200 < held <= kept < 1.5 * held
 
 
 def test_no_piece_is_dropped_that_holds_an_allowed_direction():
@@ -381,7 +411,7 @@ def violation(strata, group, row, problem, resolution, edges, length, upper, low
         int(np.searchsorted(edge, size) - 1) for edge, size in zip(edges, length, strict=True)
     )
     index = one * resolution.second + two
-    first, last = strata.starts[index], strata.starts[index + 1]
+    first, last = strata.starts[index], strata.ends[index]
     subs = strata.subs[strata.entries["sub"][first:last]]
     height = np.sin((line + (along + 0.5) / resolution.sub) * CELL - np.pi / 2)
     wanted = {
@@ -487,6 +517,32 @@ def test_a_bound_two_percent_too_tight_is_caught():
     assert any(violations(PoseModel(), 0, 0.05, RESOLUTIONS[0], tighten=0.98))
 
 
+def test_strata_are_the_same_however_many_threads_find_them():
+    """Bins filled in by parts, or all by the calling thread: the same tables, bit for bit."""
+    model = PoseModel()
+    limbs, tables = limb_problems(prior_observation(model))["arms"], group_tables(model)["arms"]
+    plan = plan_group(tables, limbs, RESOLUTIONS[2])
+    (whole, _) = plan_group(tables, limbs, RESOLUTIONS[2], alone=True).strata
+    edges = [bins.edges for bins in plan.bins]
+    for parts in (1, 2, 3, 40):
+        found = sketch(limbs[0], tables.builds[0], *edges, RESOLUTIONS[2].sub)
+        spans = found.spans(parts)
+        assert len(spans) == parts
+        for span in spans:
+            fill_in(found, span)
+        assert same_strata(found.strata, whole)
+    assert same_strata(plan.strata[0], whole)
+
+
+def same_strata(one, other) -> bool:
+    spans = list(zip(one.starts, one.ends, strict=True))
+    return all(np.array_equal(a, b) for a, b in zip(one[3:], other[3:], strict=True)) and all(
+        np.array_equal(a[start:end], b[start:end])
+        for a, b in ((one.alias, other.alias), (one.entries, other.entries))
+        for start, end in spans
+    )
+
+
 def stratified(model, frame, name, seed) -> StratifiedGroup:
     limbs = limb_problems(frame.observation)
     return StratifiedGroup(key(seed), name, group_tables(model)[name], limbs[name])
@@ -574,9 +630,10 @@ def test_sub_cells_share_their_cells_mass(upper):
     "angle", in measure "area" as much as they are high."""
     model = PoseModel.from_anatomy(Anatomy.default(), upper=upper)
     (strata,) = unseen(model, "head", 0, Resolution(1, 1, 3), False)._plan.strata
-    given = np.bincount(np.arange(len(strata.alias)), strata.alias["share"])
-    given += np.bincount(strata.alias["partner"], 1 - strata.alias["share"], len(given))
-    subs = strata.subs[strata.entries["sub"]]
+    alias, entries = strata.alias[: strata.size], strata.entries[: strata.size]
+    given = np.bincount(np.arange(len(alias)), alias["share"])
+    given += np.bincount(alias["partner"], 1 - alias["share"], len(given))
+    subs = strata.subs[entries["sub"]]
     wanted = subs["fall"] - subs["lift"] if upper == "area" else np.ones(len(subs))
     np.testing.assert_allclose(given / given.sum(), wanted / wanted.sum(), rtol=1e-9)
 
@@ -592,7 +649,8 @@ def test_no_random_number_is_used_twice(name, lower, each):
     sampler, own, number = unseen(model, name, 0, RESOLUTIONS[0], False), desk(1000), 1000
     own.rows[:] = np.arange(number)
     strata = sampler._plan.strata[0]
-    assert not strata.entries["mask"].any()
+    spans = zip(strata.starts, strata.ends, strict=True)
+    assert not any(strata.entries["mask"][start:end].any() for start, end in spans)
     limb = CutLimb(sampler._limbs[0], sampler._tables.builds[0], strata)
     state = seeded([1], 1)
     before = int(state[3])

@@ -153,13 +153,13 @@ def _draw_strata(
 ) -> None:
     """A stratum for each of `size` rows, by the alias table of its bin; the random numbers of the
     upper direction."""
-    entries, subs, starts, entry = strata.entries, strata.subs, strata.starts, desk.entry
-    stream = load(state)
+    entries, subs, starts, ends = strata.entries, strata.subs, strata.starts, strata.ends
+    stream, entry = load(state), desk.entry
     for n in range(size):
         row = desk.rows[start + n]
         first = starts[desk.bins[row]]
         at, stream = uniform(stream)
-        at *= starts[desk.bins[row] + 1] - first
+        at *= ends[desk.bins[row]] - first
         column = int(at)
         own = strata.alias[first + column]
         # Without a branch, which would be guessed wrong half of the time.

@@ -13,7 +13,7 @@ import math
 
 from inference.exact.loops.numbers import compiled, inlined
 from inference.exact.loops.rectangles import ROWS, SLACK, largest_rectangle, rectangle
-from inference.exact.loops.series import arcsine, cosine, magnitude, sine, smaller
+from inference.exact.loops.series import arcsine, cosine, sine, smaller
 from inference.exact.loops.tables import Record
 
 
@@ -52,9 +52,9 @@ def bound_regions(
             image1 * towards0 - image0 * towards1,
         )
         # A length of the lower bone moves the centre along its own direction only.
-        stretch = spread1 * magnitude(along) + distance * spread2
+        stretch = spread1 * math.fabs(along) + distance * spread2
         radial = (high1 * part_moves(along, chord) + stretch) * most + SLACK
-        beside = (high1 * part_moves(across, chord) + spread1 * magnitude(across)) * most + SLACK
+        beside = (high1 * part_moves(across, chord) + spread1 * math.fabs(across)) * most + SLACK
         nearest, farthest = (
             distance - radial,
             math.sqrt((distance + radial) * (distance + radial) + beside * beside),
@@ -75,16 +75,20 @@ def bound_regions(
         rest = 1 - width * width
         drop = 1 - math.sqrt(rest if rest > 0 else 0.0) + SLACK
         view = towards0, towards1, width, drop, loose
-        # Row by row, written out: a loop in here would keep this one from becoming vector
-        # instructions.
-        front0, behind0 = _row(block, n, lowest, low + (highest - low) * 0.25, *view)
-        front1, behind1 = _row(
-            block, n, lowest + (high - lowest) * 0.25, low + (highest - low) * 0.5, *view
-        )
-        front2, behind2 = _row(
-            block, n, lowest + (high - lowest) * 0.5, low + (highest - low) * 0.75, *view
-        )
-        front3, behind3 = _row(block, n, lowest + (high - lowest) * 0.75, highest, *view)
+        # Row k is [lowest + k/4 (high - lowest), low + (k + 1)/4 (highest - low)]: from one to the
+        # next its middle turns by the same angle. Row by row, written out: a loop in here would
+        # keep this one from becoming vector instructions.
+        below, above = (high - lowest) * 0.125, (highest - low) * 0.125
+        middle, half = (lowest + low) * 0.5 + above, (low - lowest) * 0.5 + above
+        step, wider = below + above, above - below
+        height, depth, rise, stay = sine(middle), cosine(middle), sine(step), cosine(step)
+        front0, behind0 = _row(block, n, height, depth, half, *view)
+        height, depth = height * stay + depth * rise, depth * stay - height * rise
+        front1, behind1 = _row(block, n, height, depth, half + wider, *view)
+        height, depth = height * stay + depth * rise, depth * stay - height * rise
+        front2, behind2 = _row(block, n, height, depth, half + 2 * wider, *view)
+        height, depth = height * stay + depth * rise, depth * stay - height * rise
+        front3, behind3 = _row(block, n, height, depth, half + 3 * wider, *view)
         mask = (
             front0
             + 2 * front1
@@ -117,19 +121,18 @@ def part_moves(part: float, chord: float) -> float:
 def _row(
     block: Record,
     n: int,
-    first: float,
-    last: float,
+    height: float,
+    depth: float,
+    half: float,
     towards0: float,
     towards1: float,
     width: float,
     drop: float,
     loose: float,
 ) -> tuple[float, float]:
-    """Whether the hinge may allow a direction with |x| ≤ width and α in [first, last], in front and
-    behind: 1 or 0."""
-    middle, half = (first + last) * 0.5, (last - first) * 0.5
+    """Whether the hinge may allow a direction with |x| ≤ width and α within `half` of a middle,
+    whose sine and cosine are `height` and `depth`, in front and behind: 1 or 0."""
     half = half if half > 0 else 0.0
-    height, depth = sine(middle), cosine(middle)
     loose += 0.5 * half * half
     piece = towards0, towards1, width, half, drop, loose
     return _bends(block, n, height, depth, 1.0, *piece), _bends(
@@ -157,11 +160,9 @@ def _bends(
     u1, off1 = _part(block.normal0[n], block.normal1[n], block.normal2[n], *piece)
     u2, off2 = _part(block.second0[n], block.second1[n], block.second2[n], *piece)
     u3, off3 = _part(block.third0[n], block.third1[n], block.third2[n], *piece)
-    least = off1 + loose - u1 - block.offset[n]
-    least = smaller(least, u2 - block.low2[n] + off2 + loose)
-    least = smaller(least, block.high2[n] + off2 + loose - u2)
-    least = smaller(least, u3 - block.low3[n] + off3 + loose)
-    least = smaller(least, block.high3[n] + off3 + loose - u3)
+    within2 = smaller(u2 - block.low2[n], block.high2[n] - u2) + off2
+    within3 = smaller(u3 - block.low3[n], block.high3[n] - u3) + off3
+    least = smaller(off1 - u1 - block.offset[n], smaller(within2, within3)) + loose
     return 1.0 if least >= 0 else 0.0
 
 
@@ -183,4 +184,4 @@ def _part(
     in brackets has along h, width |h · across| + half |f'| + drop |f|."""
     along, across = h0 * towards0 + h1 * towards1, h1 * towards0 - h0 * towards1
     middle, slope = along * height + h2 * deep, along * deep - h2 * height
-    return middle, width * magnitude(across) + half * magnitude(slope) + drop * magnitude(middle)
+    return middle, width * math.fabs(across) + half * math.fabs(slope) + drop * math.fabs(middle)

@@ -21,7 +21,7 @@ _settings: Any = numba.config  # its attributes are made at import
 
 
 def _njit(function: Callable, **options: Any) -> Callable:
-    options |= {"nogil": True, "error_model": "numpy"}
+    options |= {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
     if FOLDER is None:
         return numba.njit(**options)(function)
     before = _settings.CACHE_DIR
@@ -33,9 +33,10 @@ def _njit(function: Callable, **options: Any) -> Callable:
 
 
 def compiled(function: Callable) -> Callable:
-    """How every function of the compiled loops is compiled: once a machine, free of Python's lock,
-    without fast-math. Arrays are handed over once a loop, never once an attempt: numba counts
-    references at every call."""
+    """How every function of the compiled loops is compiled: once a machine, free of Python's lock.
+    Of fast-math, products and sums in one step, rounded once, are all that is allowed: what a
+    processor without them computes may differ in its last digits. Arrays are handed over once a
+    loop, never once an attempt: numba counts references at every call."""
     return _njit(function)
 
 

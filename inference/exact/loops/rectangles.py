@@ -53,5 +53,7 @@ def largest_rectangle(nearest: float, farthest: float, radius: float) -> float:
     rim, from where on it shrinks."""
     touching = 1 - radius
     touching = touching if touching > nearest else nearest
-    width, low, high = rectangle(touching if touching < farthest else farthest, radius)
+    width, low, _ = rectangle(touching if touching < farthest else farthest, radius)
+    # Where that is not at `farthest`, both reach the rim; and this arcsine is known already.
+    high = arcsine(farthest + radius)
     return 2 * width * (high - low) * (1 + SLACK)

@@ -1,4 +1,4 @@
-"""Sine and arcsine as polynomials, magnitudes, and the smaller of two, for the compiled loops: no
+"""Sine and arcsine as polynomials, and the smaller of two, for the compiled loops: no
 calls and no branches, so that loops over them become vector instructions. Angles and sines are
 within 4e-16 of the true values."""
 
@@ -21,7 +21,7 @@ def sine(angle: float) -> float:
 @inlined
 def cosine(angle: float) -> float:
     """Cosine of an angle within ±π/2."""
-    return sine(math.pi / 2 - (angle if angle > 0 else -angle))
+    return sine(math.pi / 2 - math.fabs(angle))
 
 
 @inlined
@@ -36,7 +36,7 @@ def small_sine_cosine(angle: float) -> tuple[float, float]:
 def arcsine(value: float) -> float:
     """Arcsine of a number, taken as ±1 where it is beyond: up to ½ a polynomial in its square
     (interpolated in Chebyshev nodes), beyond by π/2 - 2 arcsin √((1-v)/2)."""
-    size = value if value > 0 else -value
+    size = math.fabs(value)
     size = size if size < 1 else 1.0
     z = 0.5 * (1 - size) if size > 0.5 else size * size
     s = math.sqrt(z) if size > 0.5 else size
@@ -53,16 +53,10 @@ def arcsine(value: float) -> float:
         0.1666666666666665 + z * (0.07500000000020764 + z * (0.04464285710342365 + z * p))
     )
     found = math.pi / 2 - 2 * p if size > 0.5 else p
-    return found if value > 0 else -found
+    return math.copysign(found, value)
 
 
 @inlined
 def smaller(one: float, other: float) -> float:
     """The smaller of two numbers, neither of which is NaN; `min` would look."""
     return one if one < other else other
-
-
-@inlined
-def magnitude(value: float) -> float:
-    """A number without its sign."""
-    return value if value > 0 else -value

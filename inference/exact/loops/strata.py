@@ -12,6 +12,7 @@ Bounds add up how far things can move inside a stratum: u by `chord`, the joint 
 length, the disc's centre by `shift`, the hinge's frame by `turn`. Nothing is estimated."""
 
 import functools
+import itertools
 import math
 from typing import NamedTuple
 
@@ -152,8 +153,9 @@ def _in_reach(
     square = end0 * end0 + end1 * end1
     length = (end0 * target0 + end1 * target1) / (square if square > 0 else 1.0)
     length = min(max(length, low), high)
-    slack = problem.reach[0] + high * cut.elevation[line].chord
-    return math.hypot(target0 - length * end0, target1 - length * end1) <= slack + SLACK
+    slack = problem.reach[0] + high * cut.elevation[line].chord + SLACK
+    off0, off1 = target0 - length * end0, target1 - length * end1
+    return off0 * off0 + off1 * off1 <= slack * slack
 
 
 @compiled
@@ -180,7 +182,7 @@ def _describe(
     geometry.mass = cell.mass * (elevation.share if tables.by_area else 1 / sub**2)
     geometry.image0 = -(f00 * u0 + f01 * u1 + f02 * u2)
     geometry.image1 = -(f10 * u0 + f11 * u1 + f12 * u2)
-    geometry.spread = math.hypot(geometry.image0, geometry.image1)
+    geometry.spread = math.sqrt(geometry.image0**2 + geometry.image1**2)
     if tables.bones == 1:
         return
     v0, v1, v2, w0, w1, w2, sine = lower_axes(u0, u1, u2, tables.reference)
@@ -213,10 +215,44 @@ def frame_turn(sine: float, chord: float) -> float:
     return min(2.0, chord + 2 * half + SLACK)
 
 
-def stratify(
+class Sketch(NamedTuple):
+    """A limb of which it is known how many strata it has at most, not yet which.
+
+    Attributes
+    ----------
+    problem, tables
+        Which limb.
+    edges
+        Of the bins of its bones' lengths, body units.
+    geometry
+        `(s,)` `GEOMETRY` of the sub-cells.
+    near, reached
+        `(bins of the first length, s)` and `(bins,)`: the sub-cells from which the upper bone's
+        joint can reach its disc with such a length, and how many there are.
+    strata
+        With room for all.
+    """
+
+    problem: LimbProblem
+    tables: LimbTables
+    edges: tuple[np.ndarray, np.ndarray]
+    geometry: np.ndarray
+    near: np.ndarray
+    reached: np.ndarray
+    strata: Strata
+
+    def spans(self, number: int) -> list[tuple[int, int]]:
+        """So many ranges of bins of the first length, about as much work each; some may be
+        empty."""
+        work = np.cumsum(self.reached)
+        cuts = np.searchsorted(work, work[-1] * np.arange(1, number) / number)
+        return list(itertools.pairwise([0, *cuts.tolist(), len(work)]))
+
+
+def sketch(
     problem: LimbProblem, tables: LimbTables, edges1: np.ndarray, edges2: np.ndarray, sub: int
-) -> Strata:
-    """Cuts a limb into strata.
+) -> Sketch:
+    """The first step of cutting a limb into strata: its sub-cells.
 
     Parameters
     ----------
@@ -225,7 +261,34 @@ def stratify(
     sub : sub-cells along a cell's side
     """
     subs, geometry = _sub_cells(problem, tables, edges1[0], edges1[-1], sub, grid(sub), grid(1))
-    return Strata(subs, *_stratify(problem, tables, geometry, edges1, edges2))
+    near, reached = _all_reached(problem, geometry, edges1)
+    bins = len(edges2) - 1
+    starts = np.repeat(np.cumsum(reached) - reached, bins) * bins
+    starts += np.outer(reached, np.arange(bins)).ravel()
+    most = bins * int(reached.sum())
+    # Few are kept, but memory that nothing is written on is not taken.
+    alias, entries = np.empty(most, ALIAS), np.empty(most, ENTRIES)
+    strata = Strata(subs, alias, entries, starts, np.zeros_like(starts), np.zeros(len(starts)))
+    return Sketch(problem, tables, (edges1, edges2), geometry, near, reached, strata)
+
+
+def fill_in(found: Sketch, span: tuple[int, int]) -> None:
+    """The second step: the strata of a range of bins of the first length. Ranges may be filled in
+    side by side."""
+    problem, tables, edges, geometry, near, reached, strata = found
+    _stratify(problem, tables, geometry, near, reached, *edges, *span, strata)
+
+
+@compiled
+def _all_reached(
+    problem: LimbProblem, geometry: np.ndarray, edges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """`near` and `reached` of a `Sketch`."""
+    bins = edges.size - 1
+    near, reached = np.empty((bins, geometry.size), np.int64), np.empty(bins, np.int64)
+    for one in range(bins):
+        reached[one] = _reached(problem, geometry, edges[one], edges[one + 1], near[one])
+    return near, reached
 
 
 @compiled
@@ -233,27 +296,24 @@ def _stratify(
     problem: LimbProblem,
     tables: LimbTables,
     geometry: np.ndarray,
+    near: np.ndarray,
+    reached: np.ndarray,
     edges1: np.ndarray,
     edges2: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The rest of `Strata`."""
-    number, bins1, bins2 = geometry.size, edges1.size - 1, edges2.size - 1
-    near, reached = np.empty((bins1, number), np.int64), np.empty(bins1, np.int64)
-    most = 0
-    for one in range(bins1):
-        reached[one] = _reached(problem, geometry, edges1[one], edges1[one + 1], near[one])
-        most += bins2 * reached[one]
-    # Few are kept, but memory that nothing is written on is not taken.
-    alias, entries = np.empty(most, ALIAS), np.empty(most, ENTRIES)
-    starts, totals = np.zeros(bins1 * bins2 + 1, np.int64), np.zeros(bins1 * bins2)
+    begin: int,
+    end: int,
+    strata: Strata,
+) -> None:
+    """Fills in the strata of the bins [begin, end) of the first length."""
+    number, bins2, starts = geometry.size, edges2.size - 1, strata.starts
     blocks, weight = np.empty(number // SUB_BLOCK + 1, REGIONS), np.empty(number)
-    found = 0
-    for one in range(bins1):
+    for one in range(begin, end):
         for start in range(0, reached[one], SUB_BLOCK):
             size = min(SUB_BLOCK, reached[one] - start)
             _pack(size, geometry, near[one], start, blocks[start // SUB_BLOCK])
         for two in range(bins2):
-            first = found
+            index = one * bins2 + two
+            first = found = starts[index]
             for start in range(0, reached[one], SUB_BLOCK):
                 block, size = blocks[start // SUB_BLOCK], min(SUB_BLOCK, reached[one] - start)
                 if tables.bones == 2:
@@ -268,12 +328,12 @@ def _stratify(
                         edges2[two + 1],
                         block,
                     )
-                found = _enter(size, near[one], start, block, entries, weight, first, found)
-            index = one * bins2 + two
-            starts[index + 1] = found
+                found = _enter(size, near[one], start, block, strata.entries, weight, first, found)
+            strata.ends[index] = found
             if found > first:
-                totals[index] = alias_table(weight[: found - first], alias[first:found])
-    return alias[:found], entries[:found], starts, totals
+                strata.totals[index] = alias_table(
+                    weight[: found - first], strata.alias[first:found]
+                )
 
 
 @compiled
@@ -317,8 +377,9 @@ def _reached(
     middle, spread, found = (low + high) / 2, (high - low) / 2, 0
     for s in range(geometry.size):
         row = geometry[s]
-        off = math.hypot(middle * row.image0 - target0, middle * row.image1 - target1)
-        if off <= radius + spread * min(1.0, row.spread + row.chord) + middle * row.chord + SLACK:
-            near[found] = s
-            found += 1
+        off0, off1 = middle * row.image0 - target0, middle * row.image1 - target1
+        moves = spread * min(1.0, row.spread + row.chord) + middle * row.chord
+        slack = radius + moves + SLACK
+        near[found] = s
+        found += int(off0 * off0 + off1 * off1 <= slack * slack)
     return found

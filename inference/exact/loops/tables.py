@@ -184,7 +184,8 @@ class Strata(NamedTuple):
     ----------
     subs : `(s,)` `SUBS`
     alias, entries : `(n,)` `ALIAS` (within the bin) and `ENTRIES`
-    starts : `(bins + 1,)` first entry of each bin
+    starts, ends : `(bins,)` the entries [start, end) of each bin; between bins there may be room
+        that nothing was written on
     totals : `(bins,)` weight of each bin
     """
 
@@ -192,7 +193,13 @@ class Strata(NamedTuple):
     alias: np.ndarray
     entries: np.ndarray
     starts: np.ndarray
+    ends: np.ndarray
     totals: np.ndarray
+
+    @property
+    def size(self) -> int:
+        """How many strata there are."""
+        return int(np.sum(self.ends - self.starts))
 
 
 class CutLimb(NamedTuple):

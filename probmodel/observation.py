@@ -62,7 +62,8 @@ class Observation(NamedTuple):
     def log_peak(self) -> jax.Array:
         """`()`: the log likelihood of a pose that projects onto every target, all of it at the
         pelvis' depth, per square pixel and joint seen; for discs -Σ log πτ²."""
-        pixels = jnp.where(self.seen, jnp.asarray(self.spread) * self.root.camera.scale, 1.0)
+        # An unseen joint's spread is infinite, and would make the slope along the scale NaN.
+        pixels = jnp.where(self.seen, jnp.asarray(self.spread), 1.0) * self.root.camera.scale
         return jnp.sum(jnp.where(self.seen, self.law.log_peak - 2 * jnp.log(pixels), 0.0))
 
     def offsets(self, joints: jax.Array) -> jax.Array:
@@ -116,12 +117,42 @@ class Observation(NamedTuple):
         slope = hardness * (squares - within) / reach
         return jnp.where(self.seen, self.law.log_ratio(within) - slope, 0.0)
 
+    def log_walls(self, joints: ArrayLike, sharpness: ArrayLike) -> jax.Array:
+        """Soft walls Π σ(sharpness · (1 - d²/reach²)) where joints end to be explained, for
+        samplers that need slopes.
+
+        Parameters
+        ----------
+        joints : `(..., 15, 3)`
+            Of poses, in camera axes.
+        sharpness
+            How steep they are.
+
+        Returns
+        -------
+        Array
+            `(...)`: the log of the walls, at most 0.
+        """
+        inwards = 1 - self.squares(joints) / self.law.reach**2
+        walls = jnp.where(self.seen, jax.nn.log_sigmoid(sharpness * inwards), 0.0)
+        return jnp.sum(walls, axis=-1)
+
+    def log_smooth(self, joints: ArrayLike, sharpness: ArrayLike) -> jax.Array:
+        """`(...)`: as the sum of `log_ratios`, with `log_walls` in place of the ends of reaches."""
+        within = jnp.sum(self.log_graded(joints, 0.0), axis=-1)
+        return within + self.log_walls(joints, sharpness)
+
+    def log_unit(self, joints: ArrayLike) -> jax.Array:
+        """`(...)`: what makes of the sum of `log_ratios` a density per square pixel and joint seen:
+        the peak, less where joints are nearer to the camera and their spread covers more pixels."""
+        magnification = self.root.camera.magnification(jnp.asarray(joints))
+        larger = jnp.sum(jnp.where(self.seen, jnp.log(magnification), 0.0), axis=-1)
+        return self.log_peak - 2 * larger
+
     def log_density(self, joints: ArrayLike) -> jax.Array:
         """`(...)`: the log likelihood of poses `(..., 15, 3)` in camera axes, per square pixel and
         joint seen."""
-        magnification = self.root.camera.magnification(jnp.asarray(joints))
-        larger = jnp.sum(jnp.where(self.seen, jnp.log(magnification), 0.0), axis=-1)
-        return self.log_peak - 2 * larger + jnp.sum(self.log_ratios(joints), axis=-1)
+        return self.log_unit(joints) + jnp.sum(self.log_ratios(joints), axis=-1)
 
     def misfit(self, joints: ArrayLike) -> jax.Array:
         """`(...)`: the largest distance of a seen joint from its target, in reaches."""

@@ -18,7 +18,15 @@ from inference.baselines.ensemble import ENSEMBLES
 from inference.baselines.hamiltonian import GRADIENTS
 from inference.baselines.metropolis import WALKS
 from inference.baselines.nested import NESTED
-from inference.baselines.run import Allowance, Baseline, Progress, Run, check_packages, run
+from inference.baselines.run import (
+    Allowance,
+    Baseline,
+    Progress,
+    Run,
+    check_law,
+    check_packages,
+    run,
+)
 from inference.baselines.target import Density, Target
 from inference.baselines.tempering import TEMPERINGS
 from inference.exact.loops.numbers import words_of
@@ -52,9 +60,9 @@ DISPERSED, ONE_FLIP = "dispersed", "one flip"
 STARTS = (DISPERSED, ONE_FLIP)
 STARTING = 1000
 """Exact draws from which a baseline is started where nothing else is said."""
-ROOTED = (*ENSEMBLES, *WALKS)
-"""Those that ask for no more than a `Density`, and can draw torso and camera with the pose: the
-others need walls with slopes, or a prior that has a mass."""
+ROOTED = (*ENSEMBLES, *WALKS, *GRADIENTS)
+"""Those that ask for no more than a `Density`, or its `Slopes`, and can draw torso and camera with
+the pose: the others need a prior that has a mass."""
 
 
 def starting_points(target: Density, exact: xr.DataTree, start: str) -> np.ndarray:
@@ -83,10 +91,11 @@ def sample_baseline(
 ) -> Result:
     """At least `num_samples` draws of a baseline, as many in every chain, started in draws of
     `exact(num_samples=…)`. They are not independent, and not exact: `inference.studies.comparison`
-    says how good they are. Raises as `Target.of`, and `BadInput` where chains are asked for more
-    than they keep."""
+    says how good they are. Raises as `Target.of` and `check_law`, and `BadInput` where chains are
+    asked for more than they keep."""
     target, baseline = Target.of(posterior), BASELINES[sampler]
     _check(sampler, num_samples)
+    check_law(sampler, baseline, posterior.likelihood.law)
     starts = (
         starting_points(target, exact(num_samples=STARTING).tree, DISPERSED)
         if baseline.starts

@@ -1,9 +1,12 @@
 """Hamiltonian Monte Carlo on a smoothed posterior, NUTS and HMC, made exact by weights.
 
-The indicator has no gradient, so each disc's rim is replaced by a soft wall σ(SHARPNESS · (1 -
-d²/τ²)). What is drawn inside all discs is weighted by the inverse of its walls (at most 2 to the
-number of discs), the rest by zero; how far such weights can be trusted is Pareto k̂ (Vehtari et al.
-2024), which is reported. Chains are independent."""
+Where a joint ends to be explained, at the rim of its disc, the likelihood has no gradient: the rim
+is replaced by a soft wall σ(SHARPNESS · (1 - d²/reach²)). What is drawn inside all rims is weighted
+by the inverse of its walls (at most 2 to the number of discs), the rest by zero; how far such
+weights can be trusted is Pareto k̂ (Vehtari et al. 2024), which is reported. Chains are independent.
+
+Limits and torsos are steps without a slope: a path takes no notice of them until its end is judged,
+which is exact, and may be refused."""
 
 import warnings
 from typing import Any
@@ -15,7 +18,7 @@ import numpy as np
 from inference.baselines.chains import Walk
 from inference.baselines.ensemble import NumPyroKernel
 from inference.baselines.run import Baseline, Drawn, Method
-from inference.baselines.target import Target
+from inference.baselines.target import Slopes
 from inference.resampling import systematic
 from probmodel.chunks import in_chunks
 
@@ -38,7 +41,7 @@ class Smoothed:
     """A walk on the smoothed posterior, whose draws are resampled in proportion to their weights,
     chain by chain."""
 
-    def __init__(self, target: Target, walk: Walk) -> None:
+    def __init__(self, target: Slopes, walk: Walk) -> None:
         self._target, self._walk = target, walk
 
     @property
@@ -89,29 +92,33 @@ class Smoothed:
         )
 
 
-def _log_weights(target: Target, points: np.ndarray) -> np.ndarray:
+def _log_weights(target: Slopes, points: np.ndarray) -> np.ndarray:
     """`(n,)`: log weights of draws of the smoothed posterior, -inf outside."""
     walls, misfit = in_chunks(lambda part: _walls(target, part), points)
     return np.where(misfit <= 1, -walls, -np.inf)
 
 
 @jax.jit
-def _walls(target: Target, points: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _walls(target: Slopes, points: jax.Array) -> tuple[jax.Array, jax.Array]:
     return target.log_walls(points, SHARPNESS), target.misfit(points)
 
 
 def _pareto_k(log_weight: np.ndarray) -> float:
-    """Pareto k̂ of weights `(n,)` in any order; NaN where there are too few."""
+    """Pareto k̂ of weights `(n,)` in any order; NaN where there are too few, or the largest are all
+    the same."""
     if len(log_weight) < 100:
         return np.nan
     from arviz_stats.base import array_stats
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what it warns of is the number that is returned
-        return float(array_stats.psislw(log_weight)[1])
+        try:
+            return float(array_stats.psislw(log_weight)[1])
+        except ValueError:  # a tail without a shape
+            return np.nan
 
 
-def _hamiltonian(target: Target, key: jax.Array, starts: np.ndarray, kernel: str) -> Smoothed:
+def _hamiltonian(target: Slopes, key: jax.Array, starts: np.ndarray, kernel: str) -> Smoothed:
     from numpyro.infer import HMC, NUTS
 
     def potential(point: jax.Array) -> jax.Array:
@@ -129,7 +136,7 @@ def _hamiltonian(target: Target, key: jax.Array, starts: np.ndarray, kernel: str
 
 
 def _build(kernel: str) -> Any:
-    def build(target: Target, key: jax.Array, starts: np.ndarray) -> Method:
+    def build(target: Slopes, key: jax.Array, starts: np.ndarray) -> Method:
         return _hamiltonian(target, key, starts, kernel)
 
     return build

@@ -247,6 +247,7 @@ NESTED = {
         "BlackJAX nested slice sampling of -misfit, 500 live points, 50 replaced at a time, 2d"
         " slice steps each",
         extra=("blackjax",),
+        discs=True,
     ),
     "nautilus": Baseline(
         functools.partial(_nested, method=Nautilus),
@@ -254,5 +255,6 @@ NESTED = {
         "nautilus on a likelihood graded by the misfit, 500 live points, ellipsoids without"
         " networks, exploration left out",
         extra=("nautilus",),
+        discs=True,
     ),
 }

@@ -16,6 +16,7 @@ begin with.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Self
 
 import jax
@@ -124,14 +125,31 @@ class RootedTarget:
         unit of R^d; what no seen joint depends on is integrated out."""
 
         def one(point: jax.Array) -> jax.Array:
-            root = self._root(point[self.limbs.dim :])
-            observation, joints = self._observed(root, point)
-            prior = self.limbs.log_base(point[: self.limbs.dim]) + self.prior.log_density(root)
-            found = prior + self._log_volume(point) + observation.log_density(joints)
-            # Far out scales overflow, where the density is 0.
-            return jnp.where(jnp.isnan(found), -jnp.inf, found)
+            observation, joints = self._observed(point)
+            return self._log_prior(point) + observation.log_density(joints)
 
-        return jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
+        return self._everywhere(one, points)
+
+    @jax.jit
+    def log_smooth(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
+        """As of `Slopes`."""
+
+        def one(point: jax.Array) -> jax.Array:
+            observation, joints = self._observed(point)
+            smooth = observation.log_unit(joints) + observation.log_smooth(joints, sharpness)
+            return self._log_prior(point) + smooth
+
+        return self._everywhere(one, points)
+
+    @jax.jit
+    def log_walls(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
+        """As of `Slopes`."""
+
+        def one(point: jax.Array) -> jax.Array:
+            observation, joints = self._observed(point)
+            return observation.log_walls(joints, sharpness)
+
+        return self._everywhere(one, points)
 
     @jax.jit
     def log_volume(self, points: ArrayLike) -> jax.Array:
@@ -145,7 +163,7 @@ class RootedTarget:
         detection, in reaches, at points of R^d."""
 
         def one(point: jax.Array) -> jax.Array:
-            observation, joints = self._observed(self._root(point[self.limbs.dim :]), point)
+            observation, joints = self._observed(point)
             return observation.misfit(joints)
 
         return jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
@@ -224,11 +242,24 @@ class RootedTarget:
         turn = _CAYLEY.log_abs_det_jacobian(own[1:4], _CAYLEY(own[1:4]))
         return torso + turn + 2 * own[4]
 
-    def _observed(self, root: RootPoint, point: jax.Array) -> tuple[Observation, jax.Array]:
-        """The detection under a root, and the joints of the pose at a point."""
+    def _log_prior(self, point: jax.Array) -> jax.Array:
+        """Of root and pose, per unit of R^d."""
+        root = self._root(point[self.limbs.dim :])
+        own = self.limbs.log_base(point[: self.limbs.dim]) + self.prior.log_density(root)
+        return own + self._log_volume(point)
+
+    def _observed(self, point: jax.Array) -> tuple[Observation, jax.Array]:
+        """The detection under the root at a point, and the joints of the pose there."""
+        root = self._root(point[self.limbs.dim :])
         observation = self.detected.under(self.prior, root, Faults.none())
         pose = self.limbs.pose(point[: self.limbs.dim])
         return observation, self.limbs.model.joints(observation.view, *pose)
+
+    def _everywhere(self, one: Callable[[jax.Array], jax.Array], points: ArrayLike) -> jax.Array:
+        """The log of a density at points `(..., d)`, also far out, where scales overflow and it is
+        0."""
+        found = jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
+        return jnp.where(jnp.isnan(found), -jnp.inf, found)
 
 
 def _alike(torsos: np.ndarray) -> np.ndarray:

@@ -16,12 +16,13 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import numpy as np
 
-from inference.baselines.target import Density
+from inference.baselines.target import Density, Target
 from inference.results import COMPLETE, OUT_OF_BUDGET, Cost
 from probmodel.arrays import read_tables
 from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
 from probmodel.files import replacing
+from probmodel.likelihood import ErrorLaw
 from probmodel.pose import Pose
 
 Progress = Callable[[int, int], None]
@@ -85,12 +86,14 @@ class Baseline:
     """One row of the table of baselines: `build(target, key, starts)` gives the method, where the
     target is a `Density` or, of those that ask for more, a `Target`; `starts` is
     how many starting points inside the support it needs (0: it begins with the prior); `note` how
-    it is set up, and by whose advice; `extra` the packages beyond the core."""
+    it is set up, and by whose advice; `extra` the packages beyond the core; `discs` whether its
+    draws are of discs, whatever the law of errors, so that it takes no other."""
 
     build: Callable[[Any, jax.Array, np.ndarray], Method]
     starts: int
     note: str
     extra: tuple[str, ...] = ()
+    discs: bool = False
 
 
 @dataclass(frozen=True)
@@ -159,8 +162,11 @@ def run(
     `starts` `(n, d)`: points inside the support; the method takes its walkers' places from them.
     With `save_to`, an `.npz` is written now and then, atomically, and read again by the next run of
     the same baseline, key, starts and target. `clock` tells the seconds. Raises `BadInput` where a
-    package is missing, no start lies inside the support, or the file is another's."""
+    package is missing, the law of errors is not the baseline's, no start lies inside the support,
+    or the file is another's."""
     check_packages(name, baseline)
+    if isinstance(target, Target):
+        check_law(name, baseline, target.observation.law)
     places = _places(baseline, name, target, key, starts)
     method = baseline.build(target, jax.random.fold_in(key, 1), places)
     saved = None if save_to is None else _Save(save_to, _fingerprint(name, target, key, places))
@@ -286,6 +292,15 @@ def check_packages(name: str, baseline: Baseline) -> None:
         raise BadInput(
             f"the sampler {name} needs {' and '.join(missing)}, which is not installed; "
             'install "poseterior[samplers]", or choose another'
+        )
+
+
+def check_law(name: str, baseline: Baseline, law: ErrorLaw) -> None:
+    """Raises `BadInput` where the baseline does not draw under a law of errors."""
+    if baseline.discs and not law.flat:
+        raise BadInput(
+            f"the sampler {name} shrinks discs, and knows of no other law of errors; take the law"
+            " disc (on the command line --errors disc), or another sampler"
         )
 
 

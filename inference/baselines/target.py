@@ -68,6 +68,17 @@ class Density(Protocol):
         """Points `(n, d)` of R^d of the draws of a result with one chain."""
 
 
+class Slopes(Density, Protocol):
+    """What samplers that follow slopes ask of a target besides."""
+
+    def log_smooth(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
+        """`(...)`: as `log_density` at points `(..., d)` of R^d, with a soft wall
+        Π σ(sharpness · (1 - d²/reach²)) where joints end to be explained."""
+
+    def log_walls(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
+        """`(...)`: the log of the walls alone, at most 0."""
+
+
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class LimbChart:
@@ -214,30 +225,15 @@ class Target(LimbChart):
 
     @jax.jit
     def log_smooth(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
-        """`(...)`: as `log_density`, with a soft wall Π σ(sharpness · (1 - d²/reach²)) in place of
-        each disc's rim."""
+        """As of `Slopes`."""
         points = jnp.asarray(points)
-        return self.log_base(points) + self.log_walls(points, sharpness)
+        smooth = self.observation.log_smooth(self.joints(points), sharpness)
+        return self.log_base(points) + smooth
 
+    @jax.jit
     def log_walls(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
-        """Soft walls around the discs, for samplers that need slopes.
-
-        Parameters
-        ----------
-        points : `(..., d)`
-            Points of R^d.
-        sharpness
-            How steep they are.
-
-        Returns
-        -------
-        Array
-            `(...)`: the log of the walls, at most 0.
-        """
-
-        squares = self.observation.squares(self.joints(points))
-        walls = jax.nn.log_sigmoid(sharpness * (1 - squares / self.observation.law.reach**2))
-        return jnp.sum(jnp.where(self.observation.seen, walls, 0.0), axis=-1)
+        """As of `Slopes`."""
+        return self.observation.log_walls(self.joints(points), sharpness)
 
     @jax.jit
     def log_graded(self, points: ArrayLike, hardness: ArrayLike) -> jax.Array:

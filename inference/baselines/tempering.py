@@ -198,5 +198,6 @@ TEMPERINGS = {
         "SMC that tempers τ (BlackJAX's step and systematic resampling), 4 × 256 particles, 60"
         " moves a stage",
         extra=("blackjax",),
+        discs=True,
     ),
 }

@@ -37,9 +37,7 @@ PATIENCE = 4000
 """Most steps of the walk downhill."""
 ANY_DENSITY = ("emcee", "emcee-de", "aies", "ess", "random-walk", "sa")
 """Baselines that ask for a density on R^d and nothing else. The others shrink discs (smc, nss,
-nautilus) or harden them (nuts, hmc), and know of one root only."""
-SHRINKING = ("smc", "nss", "nautilus")
-"""Baselines whose draws are of discs, whatever the law."""
+nautilus) or soften their rims (nuts, hmc), and know of one root only."""
 
 
 def cannot(target: FrozenTarget, name: str) -> str:
@@ -55,7 +53,7 @@ def cannot(target: FrozenTarget, name: str) -> str:
         return ""
     if not isinstance(target.root, GivenRoot):
         return "it knows of one torso and camera only"
-    if name in SHRINKING and target.law != "disc":
+    if BASELINES[name].discs and target.law != "disc":
         return "it shrinks discs, and soft walls are none"
     return ""
 

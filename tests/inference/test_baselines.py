@@ -27,14 +27,16 @@ from inference.baselines.catalogue import (
     starting_points,
 )
 from inference.baselines.ensemble import snooker
+from inference.baselines.hamiltonian import _log_weights
 from inference.baselines.run import Allowance, Baseline, Drawn, run
 from inference.baselines.target import Target
 from inference.baselines.tempering import next_multiple
 from inference.resampling import systematic
 from inference.results import COMPLETE, OUT_OF_BUDGET
-from inference.studies.comparison import contest
+from inference.studies.comparison import compare, contest
 from inference.studies.comparison.judge import DIFFERS
 from probmodel import BadInput, PoseModel
+from probmodel.likelihood import LAWS, Gaussian, Likelihood
 from probmodel.model import log_joint
 from probmodel.skeleton import JOINT_INDEX
 from probmodel.transport import CUBE_DIM
@@ -162,16 +164,35 @@ def test_unseen_limbs_follow_the_prior_and_seen_ones_do_not():
 
 
 @pytest.mark.slow
-def test_soft_walls_have_gradients_and_weights_undo_them():
+@pytest.mark.parametrize("law", LAWS.values())
+def test_soft_walls_have_gradients_and_weights_undo_them(law):
+    """Whatever the law of errors: a draw's weight is its density over what it was drawn from."""
     target, points = whole()
+    target = dataclasses.replace(target, observation=target.observation._replace(law=law()))
     slope = jax.vmap(jax.grad(lambda point: target.log_smooth(point, 8.0)))(
         jnp.asarray(points[:20])
     )
     assert np.isfinite(slope).all()
     walls = np.asarray(target.log_smooth(points, 8.0)) - np.asarray(target.log_density(points))
     np.testing.assert_allclose(walls, target.log_walls(points, 8.0), atol=1e-9)
+    np.testing.assert_allclose(walls, -_log_weights(target, points), atol=1e-9)
     seen = int(np.sum(target.observation.seen))
     assert np.all((walls <= 0) & (walls >= -seen * math.log(2) - 1e-9))
+
+
+@pytest.mark.parametrize("name", ["smc", "nss", "nautilus"])
+def test_who_shrinks_discs_is_refused_under_another_law(name):
+    """By `sample`, by `compare` before any work is done, and where a target is run."""
+    model = PoseModel()
+    frame = prior_scene(model, 1)
+    frame = dataclasses.replace(frame, likelihood=Likelihood(law=Gaussian()))
+    refused = pytest.raises(BadInput, match=f"the sampler {name} shrinks discs, and knows of no")
+    with refused:
+        inference.sample(model, frame, key=key(0), sampler=name, num_samples=10)
+    with refused:
+        compare(model, frame, [name])
+    with refused:
+        run(BASELINES[name], name, Target.of(frame.posterior(model)), key=key(0))
 
 
 def test_the_shares_of_shrinking_discs_are_not_flattered():

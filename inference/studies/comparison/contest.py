@@ -20,7 +20,7 @@ import numpy as np
 import xarray as xr
 
 from inference.baselines.catalogue import BASELINES, STARTS, baseline_tree, starting_points
-from inference.baselines.run import Allowance, Clock, Run, check_packages, run
+from inference.baselines.run import Allowance, Clock, Run, check_law, check_packages, run
 from inference.baselines.target import Density, Target
 from inference.exact.mixture import draw_mixture
 from inference.results import COMPLETE, Result, save_tree
@@ -124,12 +124,15 @@ def compare(
     Raises
     ------
     BadInput
-        On a sampler that does not exist or whose package is missing, before any work is done; where
-        `runs` holds another run, or another process is writing to `out`.
+        On a sampler that does not exist, does not draw under the law of errors or whose package is
+        missing, before any work is done; where `runs` holds another run, or another process is
+        writing to `out`.
     OutOfBudget
         Where there are no exact draws.
     """
     check_names([*samplers])
+    for name in {*samplers} & {*BASELINES}:
+        check_law(name, BASELINES[name], frame.likelihood.law)
     allowance = Allowance(max_evaluations, seconds)
     key = jax.random.key(seed)
     with locked(out) if out else contextlib.nullcontext():

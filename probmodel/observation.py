@@ -138,7 +138,20 @@ class Observation(NamedTuple):
         return jnp.sum(walls, axis=-1)
 
     def log_smooth(self, joints: ArrayLike, sharpness: ArrayLike) -> jax.Array:
-        """`(...)`: as the sum of `log_ratios`, with `log_walls` in place of the ends of reaches."""
+        """The sum of `log_ratios`, with soft walls in place of the ends of reaches.
+
+        Parameters
+        ----------
+        joints : `(..., 15, 3)`
+            Of poses, in camera axes.
+        sharpness
+            How steep the walls are, as of `log_walls`.
+
+        Returns
+        -------
+        Array
+            `(...)`.
+        """
         within = jnp.sum(self.log_graded(joints, 0.0), axis=-1)
         return within + self.log_walls(joints, sharpness)
 

@@ -188,7 +188,7 @@ def test_who_shrinks_discs_is_refused_under_another_law(name):
     frame = dataclasses.replace(frame, likelihood=Likelihood(law=Gaussian()))
     refused = pytest.raises(BadInput, match=f"the sampler {name} shrinks discs, and knows of no")
     with refused:
-        inference.sample(model, frame, key=key(0), sampler=name, num_samples=10)
+        inference.sample(model, frame, key=key(0), sampler=name, num_samples=10, max_proposals=1000)
     with refused:
         compare(model, frame, [name])
     with refused:

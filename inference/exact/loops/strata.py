@@ -242,9 +242,8 @@ class Sketch(NamedTuple):
     strata: Strata
 
     def spans(self, number: int) -> list[tuple[int, int]]:
-        """So many ranges of bins of the first length, about as much work each; some may be
-        empty."""
-        work = np.cumsum(self.reached)
+        """So many ranges of bins of the two lengths, about as much work each; some may be empty."""
+        work = np.cumsum(np.repeat(self.reached, len(self.edges[1]) - 1))
         cuts = np.searchsorted(work, work[-1] * np.arange(1, number) / number)
         return list(itertools.pairwise([0, *cuts.tolist(), len(work)]))
 
@@ -273,8 +272,7 @@ def sketch(
 
 
 def fill_in(found: Sketch, span: tuple[int, int]) -> None:
-    """The second step: the strata of a range of bins of the first length. Ranges may be filled in
-    side by side."""
+    """The second step: the strata of a range of bins. Ranges may be filled in side by side."""
     problem, tables, edges, geometry, near, reached, strata = found
     _stratify(problem, tables, geometry, near, reached, *edges, *span, strata)
 
@@ -304,36 +302,33 @@ def _stratify(
     end: int,
     strata: Strata,
 ) -> None:
-    """Fills in the strata of the bins [begin, end) of the first length."""
+    """Fills in the strata of the bins [begin, end), those of the second length innermost."""
     number, bins2, starts = geometry.size, edges2.size - 1, strata.starts
     blocks, weight = np.empty(number // SUB_BLOCK + 1, REGIONS), np.empty(number)
-    for one in range(begin, end):
+    for index in range(begin, end):
+        one, two = index // bins2, index % bins2
+        first = found = starts[index]
         for start in range(0, reached[one], SUB_BLOCK):
-            size = min(SUB_BLOCK, reached[one] - start)
-            _pack(size, geometry, near[one], start, blocks[start // SUB_BLOCK])
-        for two in range(bins2):
-            index = one * bins2 + two
-            first = found = starts[index]
-            for start in range(0, reached[one], SUB_BLOCK):
-                block, size = blocks[start // SUB_BLOCK], min(SUB_BLOCK, reached[one] - start)
-                if tables.bones == 2:
-                    bound_regions(
-                        size,
-                        problem.target[1, 0],
-                        problem.target[1, 1],
-                        problem.reach[1],
-                        edges1[one],
-                        edges1[one + 1],
-                        edges2[two],
-                        edges2[two + 1],
-                        block,
-                    )
-                found = _enter(size, near[one], start, block, strata.entries, weight, first, found)
-            strata.ends[index] = found
-            if found > first:
-                strata.totals[index] = alias_table(
-                    weight[: found - first], strata.alias[first:found]
+            block, size = blocks[start // SUB_BLOCK], min(SUB_BLOCK, reached[one] - start)
+            if two == 0 or index == begin:
+                _pack(size, geometry, near[one], start, block)
+            if tables.bones == 2:
+                bound_regions(
+                    size,
+                    problem.target[1, 0],
+                    problem.target[1, 1],
+                    problem.reach[1],
+                    edges1[one],
+                    edges1[one + 1],
+                    edges2[two],
+                    edges2[two + 1],
+                    block,
                 )
+            found = _enter(size, near[one], start, block, strata.entries, weight, first, found)
+        strata.ends[index] = found
+        if found > first:
+            own = strata.alias[first:found]
+            strata.totals[index] = alias_table(weight[: found - first], own)
 
 
 @compiled

@@ -37,7 +37,7 @@ from inference.roots import estimate_torso
 from inference.sampler import sample
 from inference.stream import Item, sample_frames
 from inference.studies.scenes import motion_frames, prior_frames, prior_scene
-from probmodel import Estimate, PoseModel
+from probmodel import Anatomy, Estimate, PoseModel, read_detections
 from probmodel.example import example
 from probmodel.skeleton import GROUPS
 from reports.figures.colours import PALETTE
@@ -48,6 +48,8 @@ from reports.tables import Column, Sheet, sheet_of
 from reports.tables.evaluation import PAPERS_FRAMES
 
 DRAWS = 100_000
+MANY = 2_000_000
+"""Draws of a photo's person."""
 FEW = 2000
 """After which a process has what it holds however many draws it makes."""
 NUMBERS = 23
@@ -159,6 +161,26 @@ def cost(model: PoseModel, frame: Estimate, naive: float) -> FrameCost:
         legs=last["legs"].accepted / last["legs"].proposed,
         proposals=budget.spent / candidate.held,
         naive=naive / min(evidence.values()),
+    )
+
+
+def published(data: Path) -> str:
+    """What a photo's person costs under the published limits, in words; empty where the data are
+    not at hand."""
+    limits = data / "akhter_black" / "jointAngleModel_v2.mat"
+    photo = data / "detections" / "openpose" / "body25_spin_im1010_keypoints.json"
+    if not (limits.exists() and photo.exists()):
+        return ""
+    model = PoseModel.from_anatomy(Anatomy.load(limits))
+    posterior = estimate_torso(read_detections(photo)[0]).posterior(model)
+
+    def draw() -> None:
+        candidate, *_ = root_samplers(posterior, jax.random.key(0), "rejection")
+        assert candidate.more(MANY, Budget(10**12))
+
+    return (
+        f"A photo's person (OpenPose's keypoints of `{photo.name}`) under the limits that Akhter"
+        f" and Black published: {MANY / timed(draw):,.0f} bodies a second, {MANY:,} of them."
     )
 
 
@@ -410,6 +432,7 @@ def main(data: Path) -> None:
     values: Values = {
         "tables": "\n\n".join(f"## {title}\n\n{own.markdown()}" for title, own in tables.items()),
         "draws": f"{DRAWS:,}",
+        "published": published(data),
         "cores": str(os.cpu_count()),
         "machine": platform.machine(),
         "stages": stages_table(where_it_goes(model, frames[STAGE_FRAMES])),

@@ -34,7 +34,7 @@ SAMPLERS = (
 JAX."""
 ROUTES = ("weighted-roots", "rejection")
 """The routes to an uncertain root, `inference.uncertain.routes.ROUTES`."""
-ROOTED = (*ROUTES, "emcee", "emcee-de", "aies", "ess", "random-walk", "sa", "nuts", "hmc")
+ROOTED = (*ROUTES, "emcee", "emcee-de", "aies", "ess", "random-walk", "sa")
 """The samplers with an uncertain root, `inference.sampler.ROOTED_SAMPLERS`."""
 PROGRAMS = "POSETERIOR_PROGRAMS"
 """The variable of `probmodel.programs`, which imports JAX."""

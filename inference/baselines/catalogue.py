@@ -60,9 +60,9 @@ DISPERSED, ONE_FLIP = "dispersed", "one flip"
 STARTS = (DISPERSED, ONE_FLIP)
 STARTING = 1000
 """Exact draws from which a baseline is started where nothing else is said."""
-ROOTED = (*ENSEMBLES, *WALKS, *GRADIENTS)
-"""Those that ask for no more than a `Density`, or its `Slopes`, and can draw torso and camera with
-the pose: the others need a prior that has a mass."""
+ROOTED = (*ENSEMBLES, *WALKS)
+"""Those that ask for no more than a `Density`, and can draw torso and camera with the pose: the
+others need a prior that has a mass, or bring too few draws (NUTS, HMC)."""
 
 
 def starting_points(target: Density, exact: xr.DataTree, start: str) -> np.ndarray:

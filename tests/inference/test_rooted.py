@@ -235,7 +235,7 @@ def test_the_same_key_the_same_draws_and_few_are_no_answer() -> None:
         sampled("emcee", max_proposals=1)
 
 
-@pytest.mark.parametrize("name", ["smc", "nss", "nautilus"])
+@pytest.mark.parametrize("name", ["smc", "nss", "nautilus", "nuts", "hmc"])
 def test_who_needs_more_than_a_density_is_refused(name: str) -> None:
     with pytest.raises(BadInput, match=f"the sampler {name} holds torso and camera fixed; choose"):
         sampled(name)

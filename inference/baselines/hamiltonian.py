@@ -5,8 +5,8 @@ is replaced by a soft wall σ(SHARPNESS · (1 - d²/reach²)). What is drawn ins
 by the inverse of its walls (at most 2 to the number of discs), the rest by zero; how far such
 weights can be trusted is Pareto k̂ (Vehtari et al. 2024), which is reported. Chains are independent.
 
-Limits and torsos are steps without a slope: a path takes no notice of them until its end is judged,
-which is exact, and may be refused."""
+Limits are steps without a slope: a path takes no notice of them until its end is judged, which is
+exact, and may be refused."""
 
 import warnings
 from typing import Any

@@ -265,7 +265,7 @@ def sketch(
     starts = np.repeat(np.cumsum(reached) - reached, bins) * bins
     starts += np.outer(reached, np.arange(bins)).ravel()
     most = bins * int(reached.sum())
-    # Few are kept, but memory that nothing is written on is not taken.
+    # Room for all, since bins are filled in side by side; what is dropped leaves a gap behind it.
     alias, entries = np.empty(most, ALIAS), np.empty(most, ENTRIES)
     strata = Strata(subs, alias, entries, starts, np.zeros_like(starts), np.zeros(len(starts)))
     return Sketch(problem, tables, (edges1, edges2), geometry, near, reached, strata)

@@ -8,6 +8,8 @@ from .hypothesis import diverse as diverse
 from .hypothesis import grid_poses as grid_poses
 from .hypothesis import hypotheses as hypotheses
 from .machines import Machines as Machines
+from .resident import Resident as Resident
+from .resident import resident_draws as resident_draws
 from .results import Result as Result
 from .roots import ESTIMATORS as ESTIMATORS
 from .roots import Estimating as Estimating

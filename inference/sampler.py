@@ -11,7 +11,7 @@ import numpy as np
 from inference.baselines.catalogue import BASELINES, ROOTED, sample_baseline, sample_rooted
 from inference.drawers import sampler_under
 from inference.exact import ahead
-from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress, mixture_blocks
+from inference.exact.mixture import MAX_PROPOSALS, ON_DEVICE, PROPOSALS, Progress, mixture_blocks
 from inference.joined import joined
 from inference.results import FIXED, UNCERTAIN, Result, build_tree, key_words
 from inference.uncertain.routes import ROUTES, draw_uncertain
@@ -21,9 +21,10 @@ from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate, Posterior
 
-SAMPLERS = (*PROPOSALS, *BASELINES)
-"""Every sampler under a fixed root by its name: exact rejection first, then the baselines. Under an
-uncertain one there are `ROOTED_SAMPLERS`."""
+SAMPLERS = tuple(sorted((*PROPOSALS, *BASELINES), key=lambda name: name == ON_DEVICE))
+"""Every sampler under a fixed root by its name: exact rejection first, then the baselines. Keys of
+draws go by the places, so that what came later stands at the end. Under an uncertain root there are
+`ROOTED_SAMPLERS`."""
 ROOTED_SAMPLERS = (*ROUTES, *ROOTED)
 """Every sampler of torso, camera and pose together: weighted roots, rejection, then baselines."""
 

@@ -29,6 +29,7 @@ SAMPLERS = (
     *("rejection", "rejection-group", "rejection-prior"),
     *("emcee", "emcee-de", "aies", "ess", "nuts", "hmc"),
     *("random-walk", "sa", "smc", "nss", "nautilus"),
+    "rejection-device",
 )
 """Those of `inference.SAMPLERS`, as a test makes sure: `--help` names them without importing
 JAX."""

@@ -92,7 +92,7 @@ def signatures() -> dict[str, tuple]:
     )
     law = tables.LengthLaw(0.0, 0.0, 0.0, 0.0)
     alias, slices = np.zeros(0, tables.ALIAS), np.zeros(0, tables.SLICES)
-    bins = tables.LengthBins(law, np.zeros(0), np.zeros(1), alias, slices)
+    bins = tables.LengthBins(law, np.zeros(0), np.zeros(0), np.zeros(1), alias, slices)
     state, counts = np.zeros(4, np.uint64), np.zeros(0, np.int64)
     bodies = tables.Bodies(np.zeros((0, 2)), np.zeros((0, 1, 3)), np.zeros((0, 1, 3)))
     desk = tables.desk(1)

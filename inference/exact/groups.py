@@ -48,9 +48,6 @@ RESOLUTIONS = (
 """From few strata to many."""
 GAIN = (1.0, 1.7, 2.9, 3.8)
 """How many times the acceptance of the first resolution each of them has, roughly."""
-STRATUM, ATTEMPT = 0.7, 1.0
-"""What a stratum costs to set up, and an attempt, in 100 ns: only their ratio counts, and only for
-speed."""
 WORTH_A_THREAD = 1 << 15
 """Strata that a thread of their own is worth waking for."""
 ATTEMPTS = 1 << 14
@@ -257,6 +254,10 @@ class StratifiedGroup:
     """Exact draws of one group, cut as finely as the number of draws asked for makes worth while;
     see the module."""
 
+    STRATUM, ATTEMPT = 0.7, 1.0
+    """What a stratum costs to set up, and an attempt, in 100 ns: only their ratio counts, and only
+    for speed."""
+
     def __init__(
         self,
         key: jax.Array,
@@ -338,7 +339,7 @@ class StratifiedGroup:
             attempts = missing / max(acceptance, min(1.0, gain * acceptance))
             growth = RESOLUTIONS[level].pieces / RESOLUTIONS[self.level].pieces
             strata = growth * self._plan.size if level > self.level else 0
-            return strata * STRATUM + attempts * ATTEMPT
+            return strata * self.STRATUM + attempts * self.ATTEMPT
 
         level = min(range(self.level, len(RESOLUTIONS)), key=cost)
         if level > self.level:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from inference.exact.device.group import device_groups
 from inference.exact.groups import StratifiedGroup, group_tables
 from inference.exact.naive import PriorBodies
 from inference.exact.problem import limb_problems, log_ratio_of
@@ -63,14 +64,16 @@ def _whole_body(key: jax.Array, model: PoseModel, observation: Observation) -> l
     return [PriorBodies(key, model, observation, (tuple(GROUPS),))]
 
 
+ON_DEVICE = "rejection-device"
 Proposal = Callable[[jax.Array, PoseModel, Observation], Sequence[GroupSampler]]
 PROPOSALS: dict[str, Proposal] = {
     "rejection": _strata,
     "rejection-group": _per_group,
     "rejection-prior": _whole_body,
+    ON_DEVICE: device_groups,
 }
 """How exact rejection proposes, by the sampler's name: by strata; each group, or the whole body,
-from the prior."""
+from the prior; by strata on the device that JAX computes on."""
 
 
 @dataclass

@@ -75,12 +75,13 @@ def log_ratio_of(
     def log_ratio(draws: GroupDraws) -> np.ndarray:
         poses = Pose.blank(len(draws.length))
         draws.fill(poses, limbs)
-        rows = in_chunks(lambda *pose: _log_ratios(model, observation, Pose(*pose)), *poses)
+        rows = in_chunks(lambda *pose: log_ratios(model, observation, Pose(*pose)), *poses)
         return rows[:, ends].sum(axis=1)
 
     return log_ratio
 
 
 @kept
-def _log_ratios(model: PoseModel, observation: Observation, poses: Pose) -> jax.Array:
+def log_ratios(model: PoseModel, observation: Observation, poses: Pose) -> jax.Array:
+    """`(n, 15)`: log of each joint's likelihood over its peak, for poses `(n, ...)`."""
     return observation.log_ratios(model.joints(observation.view, *poses))

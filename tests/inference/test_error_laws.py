@@ -101,7 +101,7 @@ def by_the_law(joints, camera, keypoints, spread):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sampler", ["rejection", "rejection-group"])
+@pytest.mark.parametrize("sampler", ["rejection", "rejection-device", "rejection-group"])
 def test_draws_and_evidence_follow_the_law(sampler):
     """Both arms and their lengths; and the disc that has the same reach, which must fail."""
     model = PoseModel()

@@ -16,6 +16,7 @@ import pytest
 from scipy import stats
 
 import inference
+from inference.exact.device.group import DeviceGroup
 from inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
 from inference.exact.loops import numbers, places
 from inference.exact.loops.attempts import attempt_limb as attempt_loop
@@ -561,7 +562,9 @@ def test_same_key_same_draws_and_more_are_added_at_the_end():
     assert np.array_equal(first, one.draws()["arms"].upper[:500])
 
 
-def unseen(model, name, seed, resolution, pieces) -> StratifiedGroup:
+def unseen(
+    model, name, seed, resolution, pieces, kind: type[StratifiedGroup] = StratifiedGroup
+) -> StratifiedGroup:
     """A sampler of a group of which nothing is seen. Where `pieces` are wanted, boxes are made too
     large to be chosen, and discs so large that nothing is outside."""
     anatomy, limbs = group_tables(model)[name], []
@@ -572,7 +575,7 @@ def unseen(model, name, seed, resolution, pieces) -> StratifiedGroup:
         anatomy = anatomy._replace(builds=tuple(tables))
     for problem in limb_problems(prior_observation(model))[name]:
         limbs.append(problem._replace(reach=np.full(2, 4.0 if pieces else np.inf)))
-    sampler = StratifiedGroup(key(seed), name, anatomy, tuple(limbs))
+    sampler = kind(key(seed), name, anatomy, tuple(limbs))
     sampler._plan = plan_group(anatomy, tuple(limbs), resolution)
     sampler._rates, sampler.level = [Rate(0, 0, sampler._plan.mass)], len(RESOLUTIONS) - 1
     return sampler
@@ -594,7 +597,8 @@ def dependence(columns) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("pieces", [False, True])
 @pytest.mark.parametrize(("upper", "lower"), [("angle", "area"), ("area", "box")])
-def test_where_nothing_is_seen_draws_are_draws_of_the_prior(upper, lower, pieces):
+@pytest.mark.parametrize("kind", [StratifiedGroup, DeviceGroup])
+def test_where_nothing_is_seen_draws_are_draws_of_the_prior(kind, upper, lower, pieces):
     """The evidence is one, within 4 standard errors (6e-5 each); the cube's coordinates of whole
     bodies are uniform and uncorrelated, and so are the places of upper bones in their sub-cells."""
     model, number, sub = (
@@ -605,7 +609,8 @@ def test_where_nothing_is_seen_draws_are_draws_of_the_prior(upper, lower, pieces
     bodies = Pose(*(np.zeros((number, size, 3)) for size in (5, 5, 4)))
     bodies = bodies._replace(length=np.zeros((number, 5)))
     for seed, (name, limbs) in enumerate(GROUPS.items()):
-        sampler = unseen(model, name, seed, Resolution(3, 2, sub), pieces and name != "head")
+        in_pieces = pieces and name != "head"
+        sampler = unseen(model, name, seed, Resolution(3, 2, sub), in_pieces, kind)
         assert sampler.more(number, Budget(10**8))
         (rate,), draws = sampler.rates, sampler.draws()[name]
         assert abs(rate.log_probability) < 4 * np.sqrt(rate.variance) + 1e-9

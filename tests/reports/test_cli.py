@@ -1030,7 +1030,7 @@ def test_every_sampler_draws(sampler: str, poseterior: Cli, tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_samplers_say_the_same(poseterior: Cli, tmp_path: Path) -> None:
-    """Log evidences of three ways of proposing agree to five standard errors of their
+    """Log evidences of all ways of proposing agree to five standard errors of their
     difference."""
     (tmp_path / "f.json").write_text(native(**FEW))
     found = []

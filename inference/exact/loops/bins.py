@@ -8,6 +8,7 @@ slices, where a factor may be unbounded, that factor is drawn by its power law i
 import functools
 
 import numpy as np
+from scipy.special import beta as beta_function
 from scipy.special import betainc
 
 from inference.exact.loops.numbers import compiled, load, store, uniform
@@ -44,7 +45,8 @@ def length_bins(low: float, high: float, alpha: float, beta: float, number: int)
     edges = low + (high - low) * cuts[::PER_BIN]
     mass = np.diff(betainc(alpha, beta, cuts[::PER_BIN]))
     law = LengthLaw(float(low), float(high - low), float(alpha), float(beta))
-    return LengthBins(law, mass, edges, alias, slices)
+    proposed = weight.reshape(-1, PER_BIN).sum(axis=1) / beta_function(alpha, beta)
+    return LengthBins(law, mass, proposed, edges, alias, slices)
 
 
 def _density(fraction: np.ndarray, alpha: float, beta: float) -> np.ndarray:

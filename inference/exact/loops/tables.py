@@ -226,12 +226,14 @@ class LengthBins(NamedTuple):
     ----------
     law : of the lengths
     mass : `(bins,)` prior probability
+    proposed : `(bins,)` the envelope's, which is more
     edges : `(bins + 1,)` body units
     alias, slices : `(bins · slices,)` `ALIAS` (within the bin) and `SLICES`
     """
 
     law: LengthLaw
     mass: np.ndarray
+    proposed: np.ndarray
     edges: np.ndarray
     alias: np.ndarray
     slices: np.ndarray

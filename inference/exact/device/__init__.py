@@ -1,0 +1,1 @@
+"""Exact rejection by strata on the device that JAX computes on."""

@@ -94,9 +94,18 @@ class Walk:
     def _after_burn_in(self) -> np.ndarray:
         return self._kept[:, int(np.ceil(BURN_IN * self._kept.shape[1])) :]
 
-    def drawn(self, key: jax.Array) -> Drawn:
+    @property
+    def points(self) -> np.ndarray:
+        """`(chain, draw, d)`: what is left after the burn-in."""
         kept = np.moveaxis(self._after_burn_in, 2, 1)  # runs, walkers, steps, d
         runs, walkers, steps, dim = kept.shape
+        return kept.reshape(
+            (runs, walkers * steps, dim) if self.ensemble else (runs * walkers, steps, dim)
+        )
+
+    def drawn(self, key: jax.Array) -> Drawn:
+        kept = np.moveaxis(self._after_burn_in, 2, 1)
+        runs, walkers, steps, _ = kept.shape
         moved = float(np.mean(np.any(np.diff(kept, axis=2) != 0, axis=-1))) if steps > 1 else np.nan
         kept_share = steps * self._stride / max(self._done + self._warm, 1)
         info = {
@@ -107,8 +116,7 @@ class Walk:
             "moved": moved,
             "kept": kept_share,
         }
-        shape = (runs, walkers * steps, dim) if self.ensemble else (runs * walkers, steps, dim)
-        return Drawn(kept.reshape(shape), np.nan, np.nan, info)
+        return Drawn(self.points, np.nan, np.nan, info)
 
     def state(self) -> dict[str, np.ndarray]:
         leaves = [_plain(leaf) for leaf in jax.tree.leaves(self._states)]

@@ -37,29 +37,34 @@ SHARPNESS = 8.0
 discs."""
 
 
+GROWTH = 1.2
+"""Weights are looked at again whenever the evaluations have become so many times as many."""
+
+
 class Smoothed:
     """A walk on the smoothed posterior, whose draws are resampled in proportion to their weights,
-    chain by chain."""
+    chain by chain. `held` is what there was when weights were last looked at."""
 
     def __init__(self, target: Slopes, walk: Walk) -> None:
         self._target, self._walk = target, walk
+        self.held = self._looked = 0
 
     @property
     def evaluations(self) -> int:
         return self._walk.evaluations
 
-    @property
-    def held(self) -> int:
-        return self._walk.held
-
     def more(self) -> bool:
-        return self._walk.more()
+        goes_on = self._walk.more()
+        if self._walk.held and self.evaluations >= GROWTH * self._looked:
+            self._weigh(self._walk.points)
+        return goes_on
 
     def state(self) -> dict[str, np.ndarray]:
-        return self._walk.state()
+        return {**self._walk.state(), "weighed": np.array([self.held, self._looked])}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         self._walk.restore(state)
+        self.held, self._looked = (int(count) for count in state["weighed"])
 
     def drawn(self, key: jax.Array) -> Drawn:
         """Draws by systematic resampling in the order of each chain, as many as the chain has
@@ -68,17 +73,14 @@ class Smoothed:
         chains, number, dim = raw.points.shape
         if not number:
             return raw
-        log_weight = _log_weights(self._target, raw.points.reshape(-1, dim)).reshape(chains, number)
-        inside = np.isfinite(log_weight)
+        log_weight = self._weigh(raw.points)
+        inside, keep = np.isfinite(log_weight), self.held // chains
         info = {
             **raw.info,
             "inside": float(inside.mean()),
             "pareto_k": _pareto_k(log_weight[inside]),
         }
-        keep = int(inside.sum() // chains)
-        # A chain that is never inside has nothing to offer, and its neighbours may not speak for
-        # it.
-        if keep == 0 or not inside.any(axis=1).all():
+        if not keep:
             return Drawn(np.empty((chains, 0, dim)), np.nan, np.nan, info)
         weight = np.exp(log_weight - log_weight.max())
         offset = float(jax.random.uniform(key))
@@ -90,6 +92,16 @@ class Smoothed:
             np.nan,
             info,
         )
+
+    def _weigh(self, points: np.ndarray) -> np.ndarray:
+        """`(chain, draw)`: log weights, by which `held` is known. A chain that is never inside has
+        nothing to offer, and its neighbours may not speak for it."""
+        chains, number, dim = points.shape
+        log_weight = _log_weights(self._target, points.reshape(-1, dim)).reshape(chains, number)
+        inside = np.isfinite(log_weight)
+        keep = inside.sum() // chains if inside.any(axis=1).all() else 0
+        self.held, self._looked = int(chains * keep), self.evaluations
+        return log_weight
 
 
 def _log_weights(target: Slopes, points: np.ndarray) -> np.ndarray:

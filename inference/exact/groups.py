@@ -254,9 +254,10 @@ class StratifiedGroup:
     """Exact draws of one group, cut as finely as the number of draws asked for makes worth while;
     see the module."""
 
-    STRATUM, ATTEMPT = 0.7, 1.0
-    """What a stratum costs to set up, and an attempt, in 100 ns: only their ratio counts, and only
-    for speed."""
+    STRATUM, ATTEMPT = 1.0, 1.0
+    """What a stratum costs to set up, and an attempt: only their ratio counts, and only for speed.
+    From 0.5 to 1.4 the time of 100,000 draws changes by 1 % and is least here, while the set-up, of
+    which fewer draws have most, takes a third less."""
 
     def __init__(
         self,

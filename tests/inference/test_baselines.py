@@ -259,11 +259,22 @@ def test_another_key_gives_other_draws():
 
 
 @pytest.mark.slow
-def test_a_run_ends_when_it_has_enough():
-    done = draw("emcee", 10**9, num_samples=500)
+@pytest.mark.parametrize("name", ["emcee", "hmc", "nuts"])
+def test_a_run_ends_when_it_has_enough(name):
+    """What counts are draws that are handed over: of soft walls, those after weighting."""
+    done = draw(name, 10**9, num_samples=500)
     assert done.status == COMPLETE
     assert done.num_draws >= 500
     assert done.history[-1].held == done.num_draws
+
+
+@pytest.mark.slow
+def test_what_a_short_run_holds_is_what_it_hands_over():
+    """Though weights are looked at now and then only."""
+    short = draw("hmc", NEEDED["hmc"])
+    assert short.status == OUT_OF_BUDGET
+    assert f"hmc holds {short.num_draws} of 1000000000 draws" in short.sentence
+    assert short.num_draws > 0
 
 
 @pytest.mark.slow

@@ -163,7 +163,7 @@ def _without(room: jax.Array, number: int) -> jax.Array:
 class DeviceGroup(StratifiedGroup):
     """Exact draws of one group, attempted on JAX's device; see the module."""
 
-    ATTEMPT = 0.01
+    STRATUM, ATTEMPT = 0.7, 0.01
 
     def __init__(
         self,

@@ -150,6 +150,7 @@ def test_no_more_is_attempted_than_the_budget_allows(model, frame):
     assert none.held == 0
 
 
+@pytest.mark.slow
 def test_a_round_is_so_many_batches(model, frame, monkeypatch):
     """The same attempts in rounds of one or of four batches: the same first draws."""
     found = []
@@ -179,6 +180,7 @@ def test_a_program_serves_all_frames_whose_tables_have_the_same_room(model, easy
     assert device._fill._cache_size() == before
 
 
+@pytest.mark.slow
 def test_where_nothing_fits_there_comes_an_end(model, frame, monkeypatch):
     """Proof that there is no draw; or many attempts in vain where there is one, and no more of
     them."""

@@ -16,15 +16,18 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import numpy as np
 
+from inference.composed import Drawn
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, draw_mixture
 from inference.results import FIXED, UNCERTAIN, joint_columns
 from inference.uncertain.routes import ROUTES, draw_uncertain
 from inference.uncertain.tree import placed
 from inference.uncertain.weighted import require_number
 from probmodel.failures import BadInput
+from probmodel.faults import Faults
 from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
+from probmodel.posterior import Estimate, Posterior
 from probmodel.roots import RootPoint
+from probmodel.uncertain import UncertainPosterior
 
 ROOTS = (FIXED, UNCERTAIN)
 """What torso and camera may be: given by an estimator, or drawn with the pose."""
@@ -39,26 +42,44 @@ class Draws(NamedTuple):
 
     Attributes
     ----------
+    posterior : what they were drawn from.
     joints : `(n, 15, 3)` camera axes, the pelvis at the origin, body units of each draw's root.
     bone_length : `(n, 5)` body units.
     keypoints : `(n, 15, 2)` pixels, where the draws' joints fall in the image.
     scale : `(n,)` pixels a body unit, of each draw's root.
+    candidate : `(n,)` each draw's root among the estimator's; None where the root is uncertain.
     points : the roots `(n, ...)` of the draws; None where the root is fixed.
+    faults : which detections are faults in each draw, `(n, ...)`; None where the root is fixed.
     log_evidence, log_evidence_se : as the attributes of a result with such a root.
     effective_roots : of how many equally good roots the draws are; NaN where the root is fixed.
     status, sentence : as in `inference.results.Result`.
     """
 
+    posterior: Posterior | UncertainPosterior
     joints: np.ndarray
     bone_length: np.ndarray
     keypoints: np.ndarray
     scale: np.ndarray
+    candidate: np.ndarray | None
     points: RootPoint | None
+    faults: Faults | None
     log_evidence: float
     log_evidence_se: float
     effective_roots: float
     status: str
     sentence: str
+
+    @property
+    def drawn(self) -> Drawn:
+        """Those of which hypotheses can be composed."""
+        return Drawn(
+            self.posterior,
+            self.joints,
+            self.bone_length,
+            self.candidate,
+            self.points,
+            self.faults,
+        )
 
 
 class Drawer(Protocol):
@@ -98,8 +119,10 @@ class FixedRoot:
             max_proposals=self.max_proposals,
         )
         return Draws(
+            posterior,
             **joint_columns(posterior, mixture.parts, mixture.rng),
             points=None,
+            faults=None,
             log_evidence=mixture.attributes["log_evidence"],
             log_evidence_se=mixture.attributes["log_evidence_se"],
             effective_roots=math.nan,
@@ -127,8 +150,9 @@ class UncertainRoot:
     def __call__(self, frame: Estimate, key: jax.Array) -> Draws:
         """As of a `Drawer`. Raises `BadInput` where the seen joints of the torso do not determine
         a camera."""
+        posterior = frame.uncertain(self.model)
         roots, status, sentence, _ = draw_uncertain(
-            frame.uncertain(self.model),
+            posterior,
             self.sampler,
             key=jax.random.fold_in(key, 0),
             num_samples=self.num_samples,
@@ -136,12 +160,15 @@ class UncertainRoot:
             max_proposals=self.max_proposals,
         )
         rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
-        points, poses, _ = roots.draw(rng, self.num_samples)
+        points, poses, chosen = roots.draw(rng, self.num_samples)
         return Draws(
+            posterior,
             **placed(self.model, points, poses),
             bone_length=poses.length,
             scale=np.exp(points.log_scale),
+            candidate=None,
             points=points,
+            faults=roots.proposed.faults.take(chosen),
             log_evidence=roots.log_evidence,
             log_evidence_se=roots.log_evidence_se,
             effective_roots=roots.effective,

@@ -42,20 +42,35 @@ class Hypothesis(NamedTuple):
     weight
         The share of poses in its cluster.
     draw
-        The number of the draw it is.
+        The number of the draw it is; of a composed one, of the draw nearest to it.
+    keypoints : `(15, 2)`
+        Where a composed one falls in the image, pixels; None where it is a draw, which has its own.
     """
 
     joints: np.ndarray
     weight: float
     draw: int
+    keypoints: np.ndarray | None = None
 
     def as_json(self) -> dict:
         """The form it has in hypotheses.json."""
-        joints = {
-            name: [round(float(value), 6) for value in xyz]
-            for name, xyz in zip(JOINTS, self.joints, strict=True)
-        }
-        return {"joints": joints, "weight": self.weight, "draw": self.draw}
+        found = {"joints": _named(self.joints, 6), "weight": self.weight, "draw": self.draw}
+        return found if self.keypoints is None else found | {"keypoints": _named(self.keypoints, 3)}
+
+
+def _named(points: np.ndarray, digits: int) -> dict[str, list[float]]:
+    return {
+        name: [round(float(value), digits) for value in point]
+        for name, point in zip(JOINTS, points, strict=True)
+    }
+
+
+def require_k(k: int, number: int) -> None:
+    """Raises `BadInput` where k hypotheses cannot be chosen among so many poses."""
+    if not 1 <= k <= number:
+        raise BadInput(
+            f"{k} hypotheses cannot be chosen among {number} poses; choose k from 1 to {number}"
+        )
 
 
 def hypotheses(result: Result, k: int = 5, *, seed: int = 0) -> list[Hypothesis]:
@@ -107,11 +122,7 @@ def diverse(joints: np.ndarray, k: int, *, seed: int = 0) -> list[Hypothesis]:
     BadInput
         Where k is not from 1 to n.
     """
-    if not 1 <= k <= len(joints):
-        raise BadInput(
-            f"{k} hypotheses cannot be chosen among {len(joints)} poses; choose k from 1 to"
-            f" {len(joints)}"
-        )
+    require_k(k, len(joints))
     flat = np.asarray(joints, float).reshape(len(joints), -1)
     with calm_blas():
         fit = clusters(flat, k, seed)

@@ -286,9 +286,8 @@ def assemble(
 def pose_columns(
     posterior: Posterior, parts: list[RootDraws], rng: np.random.Generator | None
 ) -> Columns:
-    """Draws under all roots as columns: those of `joint_columns`, torso, candidate, keypoints
-    `(n, 15, 2)`, the detection as it is read, lp; in random order, or without `rng` one root after
-    the other."""
+    """Draws under all roots as columns: those of `joint_columns` but for scale, torso, the
+    detection as it is read, lp; in random order, or without `rng` one root after the other."""
     columns: list[Columns] = []
     for index, (root, observation, part) in enumerate(
         zip(posterior.roots, posterior.observations, parts, strict=True)
@@ -321,10 +320,12 @@ def joint_columns(
     posterior: Posterior, parts: list[RootDraws], rng: np.random.Generator
 ) -> Columns:
     """Draws under all roots in the same random order: joints `(n, 15, 3)`, bone_length `(n, 5)`,
-    keypoints `(n, 15, 2)` and the root's scale `(n,)` in pixels a body unit only."""
+    keypoints `(n, 15, 2)`, candidate `(n,)` and the root's scale `(n,)` in pixels a body unit
+    only."""
     columns = [
         _seen(posterior.model, observation, part.poses)
-        for observation, part in zip(posterior.observations, parts, strict=True)
+        | {"candidate": np.full(len(part.poses.length), index)}
+        for index, (observation, part) in enumerate(zip(posterior.observations, parts, strict=True))
     ]
     return _shuffled(columns, rng)
 

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from inference.composed import compose
 from inference.drawers import NUM_ROOTS, Drawer, drawer
 from inference.exact.mixture import MAX_PROPOSALS
 from inference.hypothesis import diverse
@@ -99,6 +100,7 @@ def sample_frames(
     num_roots: int = NUM_ROOTS,
     num_samples: int = 10_000,
     k: int = 5,
+    composed: bool = False,
     keep: int = 0,
     max_proposals: int = MAX_PROPOSALS,
     machines: Machines = HERE,
@@ -124,8 +126,9 @@ def sample_frames(
         How detections are estimated; not needed where all frames are estimates.
     sampler, root, num_roots, num_samples
         As `inference.drawers.drawer` takes them: what is drawn of every frame.
-    k
-        How many hypotheses of each frame.
+    k, composed
+        How many hypotheses of each frame, and whether they are put together limb by limb
+        (`inference.composed`), rather than draws.
     keep
         How many draws of each frame are written, of `DRAW_BYTES` each, for `draws_of`.
     max_proposals
@@ -166,7 +169,7 @@ def sample_frames(
         num_roots=num_roots,
         max_proposals=max_proposals,
     )
-    task = _Drawing(draw, estimating, words, k, keep)
+    task = _Drawing(draw, estimating, words, k, composed, keep)
     settings = {
         "study": "stream of frames",
         "seed": key_words(key),
@@ -174,6 +177,7 @@ def sample_frames(
         **draw.settings,
         **(estimating.settings if estimating else {}),
         "k": k,
+        **({"composed": True} if composed else {}),
         "keep": keep,
         **provenance(model),
     }
@@ -326,6 +330,7 @@ class _Drawing:
     estimating: Estimating | None
     words: np.ndarray
     k: int
+    composed: bool
     keep: int
 
     def __call__(self, block: tuple[int, list[Item]]) -> Groups:
@@ -362,9 +367,11 @@ class _Drawing:
         )
         if number == 0:
             return drawn
-        chosen = diverse(joints.astype(np.float32), min(self.k, number))
-        for row, (pose, weight, draw) in enumerate(chosen):
-            drawn.hypotheses[row], drawn.weight[row], drawn.chosen[row] = pose, weight, draw
+        k = min(self.k, number)
+        chosen = compose(draws.drawn, k) if self.composed else diverse(joints.astype(np.float32), k)
+        for row, one in enumerate(chosen):
+            drawn.hypotheses[row], drawn.weight[row] = one.joints, one.weight
+            drawn.chosen[row] = one.draw
         kept = min(self.keep, number)
         drawn.joints[:kept], drawn.bone_length[:kept] = joints[:kept], draws.bone_length[:kept]
         return drawn._replace(

@@ -60,6 +60,14 @@ Roots = Annotated[
     int, Option(min=1, max=100_000, help="From how many torsos and cameras, if uncertain.")
 ]
 Hypotheses = Annotated[int, Option(help="How many diverse hypotheses of each person.")]
+Composed = Annotated[
+    bool,
+    Option(
+        "--composed",
+        help="Put hypotheses together of limbs of draws: possible poses, more like the means of"
+        " clusters than any draw.",
+    ),
+]
 
 Open = Annotated[bool, Option("--open", help="Open the page in a browser.")]
 Double = Annotated[

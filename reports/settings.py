@@ -13,6 +13,7 @@ from reports.options import (
     ROOTED,
     ROUTES,
     SAMPLERS,
+    Composed,
     Detected,
     Double,
     Estimation,
@@ -73,6 +74,7 @@ class HypothesesSettings:
         "hypotheses frame.json --estimator zhou",
         "hypotheses frame.json --root uncertain --upright 20",
         "hypotheses frame.json --root uncertain --focal 1650 --image photo.jpg",
+        "hypotheses frame.json --composed",
     )
     person: Person
     out: Annotated[
@@ -81,6 +83,7 @@ class HypothesesSettings:
     ] = Path("out")
     open: Open = False
     k: Hypotheses = 5
+    composed: Composed = False
     double: Double = False
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
@@ -156,6 +159,7 @@ class FramesSettings:
     ] = Path("out")
     open: Open = False
     k: Hypotheses = 5
+    composed: Composed = False
     keep: Annotated[
         int, Option(help="How many draws of each person are written, 200 bytes each.")
     ] = 0
@@ -465,6 +469,7 @@ class EvaluateSettings:
     ] = "fixed"
     roots: Roots = MANY_ROOTED.roots
     k: Annotated[str, Option(help="Numbers of hypotheses of which the best counts.")] = "5,20"
+    composed: Composed = False
     out: Annotated[
         Path, Option(help="Folder for the results; a run that was stopped goes on there.")
     ] = Path("evaluation")

@@ -167,6 +167,7 @@ def _protocol(settings: EvaluateSettings) -> Protocol:
         max_proposals=settings.sampling.max_proposals,
         seed=settings.sampling.seed,
         num_roots=settings.roots,
+        composed=settings.composed,
     )
 
 
@@ -233,7 +234,8 @@ def described(settings: EvaluateSettings, data: DataSet, protocol: Protocol) -> 
     return (
         f"{data.name}: {len(data):,} frames of {len(data.actions)} actions, {given};"
         f" {protocol.num_samples:,} draws a frame, {protocol.candidates} torso-and-camera"
-        " candidate(s). Errors after limb scaling and similarity alignment, ± half a 95 % interval"
+        f" candidate(s), hypotheses {'composed of limbs' if protocol.composed else 'chosen'} among"
+        " them. Errors after limb scaling and similarity alignment, ± half a 95 % interval"
         " over recordings. The paper's are of another data set, Human3.6M."
     )
 

@@ -41,6 +41,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
             num_roots=settings.rooting.roots,
             num_samples=sampling.num_samples,
             k=settings.k,
+            composed=settings.composed,
             keep=settings.keep,
             max_proposals=sampling.max_proposals,
             machines=settings.workforce.machines(),

@@ -7,10 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from inference import Result
+from inference.composed import composed
 from inference.drawsfile import sample_to_file
 from inference.hypothesis import Hypothesis, hypotheses
 from inference.results import COMPLETE, FIXED
 from probmodel.failures import BadInput, OutOfBudget
+from probmodel.model import PoseModel
+from probmodel.posterior import Estimate
 from reports import console, doubts, tables
 from reports.figures import hypotheses_figure, save_figure  # now: a first call waits here anyway
 from reports.interactive.page import write_page
@@ -49,7 +52,7 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
     if not result.num_draws:
         raise OutOfBudget(result.sentence)
     with console.progress("hypotheses and their pictures", screen.quiet):
-        chosen = hypotheses(result.shown, min(k, result.shown.num_draws), seed=sampling.seed)
+        chosen = _chosen(settings, model, frame, result.shown)
         console.write_text(out / "hypotheses.json", _as_text(chosen, result, sampling.seed))
         picture = hypotheses_figure(result.shown.tree, chosen, image=photo, truth=truth)
         save_figure(picture, out / "hypotheses.png")
@@ -65,6 +68,17 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         console.open_page(out / "hypotheses.html")
     if result.status != COMPLETE:
         raise OutOfBudget(f"{result.sentence} (what there is, is saved in {out})")
+
+
+def _chosen(
+    settings: HypothesesSettings, model: PoseModel, frame: Estimate, shown: Result
+) -> list[Hypothesis]:
+    k, seed = min(settings.k, shown.num_draws), settings.sampling.seed
+    if not settings.composed:
+        return hypotheses(shown, k, seed=seed)
+    fixed = settings.rooting.root == FIXED
+    posterior = frame.posterior(model) if fixed else frame.uncertain(model)
+    return composed(shown, posterior, k, seed=seed)
 
 
 def _task(settings: HypothesesSettings) -> str:

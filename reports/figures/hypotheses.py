@@ -38,7 +38,14 @@ from reports.figures.style import (
     page,
 )
 from reports.figures.window import MAX_DRAWS, Window, cropped, window_of
-from reports.tables.posterior import LIKELY, faults_of, heaviest, is_uncertain, values
+from reports.tables.posterior import (
+    LIKELY,
+    faults_of,
+    heaviest,
+    is_uncertain,
+    projected,
+    values,
+)
 from reports.tables.sheet import percent
 from reports.tables.words import spoken
 
@@ -177,11 +184,15 @@ def _flattened(
     axes = [view.across, view.along]
     if view is VIEWS[0]:
         camera = _heaviest_camera(tree)
-        flat = (values(tree, "posterior", "keypoints") - camera.translation) / camera.scale
+        drawn, chosen = (
+            (points - camera.translation) / camera.scale
+            for points in (values(tree, "posterior", "keypoints"), projected(tree, hypotheses))
+        )
     else:
-        flat = values(tree, "posterior", "joints")[..., axes]
-    chosen = flat[[one.draw for one in hypotheses]].reshape(-1, NUM_JOINTS, 2)
-    return Flat(flat[:MAX_DRAWS], chosen, None if truth is None else truth[:, axes])
+        drawn = values(tree, "posterior", "joints")[..., axes]
+        chosen = np.array([one.joints[:, axes] for one in hypotheses])
+    chosen = chosen.reshape(-1, NUM_JOINTS, 2)
+    return Flat(drawn[:MAX_DRAWS], chosen, None if truth is None else truth[:, axes])
 
 
 def _panels(

@@ -24,6 +24,7 @@ from reports.tables.posterior import (
     heaviest,
     hypotheses_table,
     posterior_table,
+    projected,
     still,
     summary_lines,
     values,
@@ -105,16 +106,18 @@ def _spread_evenly(number: int) -> np.ndarray:
 
 def _hypotheses(tree: xr.DataTree, hypotheses: Sequence[Hypothesis]) -> list[dict[str, Any]]:
     """Each with its own projection: its camera may be its own."""
-    keypoints = values(tree, "posterior", "keypoints")
+    colours = hypothesis_colours(len(hypotheses))
     return [
         {
             "joints": rounded(one.joints),
-            "projected": rounded(keypoints[one.draw]),
+            "projected": rounded(points),
             "weight": float(one.weight),
             "colour": colour,
             "words": f"{percent(one.weight)}, {facing_words(pose_facing(one.joints))}",
         }
-        for one, colour in zip(hypotheses, hypothesis_colours(len(hypotheses)), strict=True)
+        for one, points, colour in zip(
+            hypotheses, projected(tree, hypotheses), colours, strict=True
+        )
     ]
 
 

@@ -1,6 +1,8 @@
 """The page of what was saved: a posterior.nc, its folder, or the folder of a stream."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +11,7 @@ from inference.results import Result
 from inference.saved import read_result
 from inference.store import SETTINGS
 from inference.stream import open_stream
+from probmodel.detections import LARGEST_NUMBER
 from probmodel.documents import read_json
 from probmodel.failures import BadInput
 from probmodel.skeleton import JOINTS
@@ -21,6 +24,8 @@ K = 5
 _ADVICE = "give a posterior.nc, its folder, or that of a stream of `poseterior frames`"
 _WRITTEN = 1e-6
 """Body units to which hypotheses.json has the joints."""
+_AS_NEAR = 1e-5
+"""Body units, over all joints, to which distances from draws are known."""
 
 
 def page_of(path: Path, image: np.ndarray | None = None) -> str:
@@ -52,24 +57,47 @@ def _chosen(path: Path, result: Result) -> list[Hypothesis]:
     if not path.exists():
         return hypotheses(result, min(K, result.num_draws))
     content = read_json(path, "hypotheses.json of poseterior", "give another folder")
-    joints = values(result.tree, "posterior", "joints")
     try:
         found = [
-            Hypothesis(joints[int(one["draw"])], float(one["weight"]), int(one["draw"]))
+            Hypothesis(
+                _points(one["joints"], 3),
+                float(one["weight"]),
+                int(one["draw"]),
+                _points(one["keypoints"], 2) if "keypoints" in one else None,
+            )
             for one in content["hypotheses"]
         ]
-        written = np.array(
-            [[one["joints"][name] for name in JOINTS] for one in content["hypotheses"]], float
-        )
+        joints = values(result.shown.tree, "posterior", "joints")
+        theirs = [_is_of(joints, one) for one in found]
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
         raise BadInput(
             f"{path} is not a hypotheses.json of poseterior ({type(error).__name__}); take it away,"
             " or put the right one there"
         ) from None
-    drawn = np.array([one.joints for one in found])
-    same = written.shape == drawn.shape and (np.abs(written - drawn) <= _WRITTEN).all()
-    if not (found and same and all(0 <= one.weight <= 1 for one in found)):
+    if not (found and all(theirs) and all(0 <= one.weight <= 1 for one in found)):
         raise BadInput(
             f"{path} is not of the draws beside it; take it away, or put the right one there"
         )
-    return found
+    return [_of_draw(joints, one) for one in found]
+
+
+def _points(written: Mapping[str, Any], size: int) -> np.ndarray:
+    """`(15, size)`, as hypotheses.json has it. Raises `ValueError` where it is no such thing."""
+    points = np.array([written[name] for name in JOINTS], float)
+    if points.shape != (len(JOINTS), size) or not (np.abs(points) < LARGEST_NUMBER).all():
+        raise ValueError(f"points of shape {points.shape}")
+    return points
+
+
+def _is_of(joints: np.ndarray, one: Hypothesis) -> bool:
+    """Whether a hypothesis that was read is of draws `(n, 15, 3)`: its draw itself, or composed of
+    their limbs, and no draw nearer to it than its own."""
+    if one.keypoints is None:
+        return bool((np.abs(joints[one.draw] - one.joints) <= _WRITTEN).all())
+    away = np.linalg.norm((joints - one.joints).reshape(len(joints), -1), axis=1)
+    return bool(away[one.draw] <= away.min() + _AS_NEAR)
+
+
+def _of_draw(joints: np.ndarray, one: Hypothesis) -> Hypothesis:
+    """With all digits, where it is a draw."""
+    return one if one.keypoints is not None else one._replace(joints=joints[one.draw])

@@ -66,6 +66,14 @@ def still(tree: xr.DataTree) -> np.ndarray:
     return torso & (np.ptp(joints, axis=0).max(axis=1) <= STILL)
 
 
+def projected(tree: xr.DataTree, hypotheses: Sequence["Hypothesis"]) -> np.ndarray:
+    """`(k, 15, 2)` pixels: where hypotheses of a result fall in the image, each seen by its own
+    camera."""
+    drawn = values(tree, "posterior", "keypoints")
+    own = [drawn[one.draw] if one.keypoints is None else one.keypoints for one in hypotheses]
+    return np.array(own).reshape(-1, len(JOINTS), 2)
+
+
 def hypotheses_table(hypotheses: Sequence["Hypothesis"]) -> Sheet:
     """Each hypothesis: its share of the draws, its draw, where it faces, and the depth of its
     wrists and ankles."""
@@ -87,6 +95,8 @@ def hypotheses_table(hypotheses: Sequence["Hypothesis"]) -> Sheet:
         *(_depth(name) for name in _ENDS),
     ]
     caption = "Wrists and ankles: depth behind the pelvis, body units (− is in front of it)."
+    if any(one.keypoints is not None for one in hypotheses):
+        caption += " Composed of limbs of draws; the draw nearest to each is named."
     return Sheet(columns, records, "Hypotheses", caption)
 
 

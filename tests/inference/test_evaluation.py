@@ -169,6 +169,24 @@ def test_a_frame_comes_out_as_it_does_by_hand(judged):
     assert judged["status"].tolist() == ["complete"] * 6
 
 
+def test_hypotheses_may_be_composed(judged):
+    """Of the same draws, and judged by the same errors."""
+    import inference
+    from inference.studies.errors import joint_errors
+
+    protocol = dataclasses.replace(PROTOCOL, composed=True)
+    found = judge_block(protocol, Condition("zhou"), DATA.take(np.array([2])), 2)
+    assert np.array_equal(found["all"][0], judged["all"][2])
+    (frame,) = inference.estimate_torsos([DATA.case(2).detection], "zhou", num_candidates=1)
+    result = inference.sample(
+        PROTOCOL.model, frame, key=jax.random.fold_in(jax.random.key(0), 2), num_samples=40
+    )
+    chosen = inference.composed(result, frame.posterior(PROTOCOL.model), 3)
+    errors = joint_errors(np.array([one.joints for one in chosen]), DATA.case(2).pose)
+    assert found["hypotheses_3"][0] == pytest.approx(errors, abs=1e-3)
+    assert not np.allclose(found["hypotheses_3"][0], judged["hypotheses_3"][2], atol=1.0)
+
+
 def test_a_frame_alone_is_the_frame_in_its_block(judged):
     """Its randomness comes from its number; only the estimators' last bits know the company."""
     alone = judge_block(PROTOCOL, Condition("zhou"), DATA.take(np.array([4])), 4)

@@ -109,6 +109,24 @@ def test_a_run_that_was_killed_goes_on_to_the_same_bits(model, items, tmp_path):
     assert not list(tmp_path.rglob("*.partial"))
 
 
+def test_composed_hypotheses_of_a_frame_are_those_of_its_result(model, items, tmp_path):
+    import jax
+
+    sample_frames(model, items[:2], key=key(0), out=tmp_path, composed=True, **SETTINGS)
+    result = inference.sample(
+        model,
+        items[1].frame,
+        key=jax.random.fold_in(key(0), 1),
+        num_samples=SETTINGS["num_samples"],
+    )
+    chosen = inference.composed(result, items[1].frame.posterior(model), SETTINGS["k"])
+    found = open_stream(tmp_path)["hypotheses"].isel(frame=1)
+    assert found.joints.values == pytest.approx(np.array([one.joints for one in chosen]))
+    assert found.draw.values.tolist() == [one.draw for one in chosen]
+    with pytest.raises(BadInput, match="composed"):
+        sample_frames(model, items[:2], key=key(0), out=tmp_path, **SETTINGS)
+
+
 # --- an uncertain root
 
 

@@ -34,6 +34,7 @@ from probmodel.kinematics import direction
 from probmodel.skeleton import JOINT_INDEX, JOINTS, LENGTH_GROUPS, NUM_JOINTS, NUM_LENGTHS
 from reports import cli, console
 from tests.conftest import Cli, Run
+from tests.reports.test_interactive import Parsed
 from tests.scenes import camera
 from tests.sweeps import sweep
 
@@ -941,6 +942,42 @@ def test_the_hypotheses_are_draws(written: Path) -> None:
             assert np.array([row["joints"][name] for name in JOINTS]) == pytest.approx(
                 draw.values, abs=1e-6
             )
+
+
+def test_composed_hypotheses_are_possible_and_read_back(poseterior: Cli, tmp_path: Path) -> None:
+    """They are no draws, have keypoints of their own, and `check` and `show` take them."""
+    out = tmp_path / "out"
+    run = poseterior(*hypotheses_of_example(out), "--composed")
+    assert run.code == 0, run
+    assert "Composed of limbs of draws" in run.out
+    content = json.loads((out / "hypotheses.json").read_text(encoding="utf-8"))
+    joints = np.array([[one["joints"][name] for name in JOINTS] for one in content["hypotheses"]])
+    points = np.array(
+        [[one["keypoints"][name] for name in JOINTS] for one in content["hypotheses"]]
+    )
+    away = np.linalg.norm(joints_of(out / "posterior.nc")[0] - joints[:, None], axis=(2, 3))
+    assert (away.min(axis=1) > 1e-2).all()
+    assert [one["draw"] for one in content["hypotheses"]] == away.argmin(axis=1).tolist()
+    with xr.open_datatree(out / "posterior.nc", engine="netcdf4") as tree:
+        off = points - tree["observed_data"]["keypoints"].values
+        radius = tree["constant_data"]["radius"].max("candidate").values
+        assert (np.linalg.norm(off, axis=2) <= radius + 1e-3)[:, np.isfinite(radius)].all()
+    checked = poseterior("check", out / "hypotheses.json")
+    assert f"{len(joints)} of {len(joints)} poses" in checked.out
+    before = Parsed((out / "hypotheses.html").read_text(encoding="utf-8")).data["hypotheses"]
+    assert poseterior("show", out).code == 0
+    after = Parsed((out / "hypotheses.html").read_text(encoding="utf-8")).data["hypotheses"]
+    for one, other in zip(before, after, strict=True):
+        assert np.array(one["projected"]) == pytest.approx(np.array(other["projected"]), abs=1e-3)
+        assert np.array(one["joints"]) == pytest.approx(np.array(other["joints"]), abs=1e-5)
+    content["hypotheses"][0]["joints"]["head"][2] = float("nan")
+    (out / "hypotheses.json").write_text(json.dumps(content))
+    assert poseterior("show", out).code == 2
+    content["hypotheses"][0]["joints"]["head"][2] = 5.0  # nearer to another draw
+    (out / "hypotheses.json").write_text(json.dumps(content))
+    refused = poseterior("show", out)
+    assert refused.code == 2
+    assert "is not of the draws beside it" in refused.err
 
 
 def joints_of(path: Path) -> np.ndarray:

@@ -14,7 +14,8 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.drawers import NUM_ROOTS, Drawer, drawer
+from inference.composed import compose
+from inference.drawers import NUM_ROOTS, Drawer, Draws, drawer
 from inference.hypothesis import diverse
 from inference.results import FIXED
 from inference.roots import estimate_torsos
@@ -64,6 +65,8 @@ class Protocol:
         Draws, the budget for them, and how many hypotheses are chosen among them.
     num_roots
         From how many roots draws are made where the root is uncertain.
+    composed
+        Whether hypotheses are put together limb by limb (`inference.composed`).
     """
 
     anatomy: Anatomy
@@ -77,6 +80,7 @@ class Protocol:
     max_proposals: int = 20_000_000
     seed: int = 0
     num_roots: int = NUM_ROOTS
+    composed: bool = False
 
     def __post_init__(self) -> None:
         if (
@@ -280,14 +284,20 @@ def _drawn(
         "flips": distinct_flips(joints),
     }
     for k in protocol.ks:
-        chosen = [
-            hypothesis.draw
-            for hypothesis in diverse(joints.astype(np.float32), k, seed=protocol.seed)
-        ]
-        rows = np.resize(chosen, k)  # fewer than k where draws are alike: then some stand twice
+        chosen = _hypotheses(protocol, draws, k)
         values |= {
-            f"hypotheses_{k}": scaled[rows],
-            f"hypotheses_{k}_unscaled": plain[rows],
-            f"flips_{k}": distinct_flips(joints[rows]),
+            f"hypotheses_{k}": joint_errors(chosen, case.pose),
+            f"hypotheses_{k}_unscaled": aligned_errors(chosen, case.pose).mean(axis=-1),
+            f"flips_{k}": distinct_flips(chosen),
         }
     return draws.status, draws.sentence, values
+
+
+def _hypotheses(protocol: Protocol, draws: Draws, k: int) -> np.ndarray:
+    """`(k, 15, 3)`; some stand twice where draws are alike, so that there are fewer than k."""
+    if protocol.composed:
+        poses = np.stack([one.joints for one in compose(draws.drawn, k, seed=protocol.seed)])
+    else:
+        chosen = diverse(draws.joints.astype(np.float32), k, seed=protocol.seed)
+        poses = draws.joints[[one.draw for one in chosen]]
+    return np.resize(poses, (k, *poses.shape[1:]))

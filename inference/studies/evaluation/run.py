@@ -159,6 +159,7 @@ def settings(data: DataSet, protocol: Protocol) -> dict[str, Any]:
         "num_samples": protocol.num_samples,
         "num_roots": protocol.num_roots,
         "k": list(protocol.ks),
+        **({"composed": True} if protocol.composed else {}),
         "max_proposals": protocol.max_proposals,
         "seed": protocol.seed,
         "versions": versions(),

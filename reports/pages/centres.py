@@ -1,0 +1,147 @@
+"""What it costs that hypotheses are draws: how near to the truth the draws nearest to clusters'
+centres come, beside poses composed of limbs, and the centres, which are no possible poses. Writes
+reports/centres.md.
+
+    python -m reports.pages.centres ../shared/data
+
+Some minutes. The frames and their errors are those of the relations in reports/motion.md.
+"""
+
+import dataclasses
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from inference.clusters import clusters
+from inference.composed import Drawn, compose
+from inference.drawers import NUM_ROOTS
+from inference.hypothesis import diverse
+from inference.results import FIXED, UNCERTAIN
+from inference.roots import estimate_torsos
+from inference.studies.calibration.real import TRUE, true_candidate
+from inference.studies.errors import best_of, mean_joint_error
+from inference.studies.evaluation.outcome import Protocol
+from inference.studies.evaluation.relations import LEAST_GAIN
+from inference.studies.evaluation.scores import clustered
+from probmodel import Likelihood
+from probmodel.datasets import Case, read_data_set
+from probmodel.likelihood import Gaussian
+from probmodel.posterior import Estimate
+from probmodel.skeleton import NUM_JOINTS
+from reports.pages.evaluation import CLASSES, NOISE, gain, protocol_of
+from reports.pages.motion import ESTIMATOR, FRAMES
+from reports.pages.page import Values, in_doubles, write_page
+from reports.tables import Sheet, sheet_of
+
+K = 5
+LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
+WAYS = ((FIXED, "disc"), (UNCERTAIN, "disc"), (UNCERTAIN, "Gaussian"), (TRUE, "disc"))
+NAMES = {FIXED: ESTIMATOR, UNCERTAIN: "uncertain", TRUE: "true"}
+
+
+class Errors(NamedTuple):
+    """Mean joint errors in mm: of the single estimate, and the best of k draws, k composed poses
+    and k centres; the last three once more where a draw that was kept apart stands in for the
+    truth."""
+
+    single: float
+    draws: float
+    composed: float
+    centres: float
+    own_draws: float
+    own_composed: float
+    own_centres: float
+
+
+def judged(drawn: Drawn, single: np.ndarray, case: Case) -> Errors:
+    """What draws in random order, and the single estimate `(15, 3)`, are worth."""
+    stand_in, rest = drawn.joints[0] * case.unit, drawn.take(slice(1, None))
+    some = (
+        np.stack([one.joints for one in diverse(rest.joints, K)]),
+        np.stack([one.joints for one in compose(rest, K)]),
+        clusters(rest.joints.reshape(len(rest.joints), -1), K, 0).centres.reshape(
+            -1, NUM_JOINTS, 3
+        ),
+    )
+    errors = [float(best_of(poses, truth)) for truth in (case.pose, stand_in) for poses in some]
+    return Errors(float(mean_joint_error(single, case.pose)), *errors)
+
+
+def found_of(
+    protocol: Protocol, cases: list[Case], frames: list[Estimate], root: str, law: str
+) -> list[Errors | None]:
+    """By frame; None where there are too few draws."""
+    draw, found = protocol.drawer(root), []
+    for case, frame in zip(cases, frames, strict=True):
+        given = dataclasses.replace(frame, likelihood=LAWS[law])
+        if root == TRUE:
+            given = dataclasses.replace(given, candidates=(true_candidate(case, protocol.model),))
+        drawn = draw(given, jax.random.fold_in(jax.random.key(protocol.seed), case.number))
+        assert frame.pose is not None  # Akhter & Black's has one
+        enough = len(drawn.joints) == protocol.num_samples
+        found.append(judged(drawn.drawn, frame.pose, case) if enough else None)
+    return found
+
+
+def line(root: str, law: str, found: list[Errors | None], recording: np.ndarray) -> tuple:
+    """One row of the table."""
+    rows = [number for number, one in enumerate(found) if one is not None]
+    values = np.array([one for one in found if one is not None])
+    own = recording[rows]
+    means = [f"{clustered(column, own).value:.1f}" for column in values.T]
+    gains = [gain(values[:, pair], own) for pair in ([0, 1], [0, 2], [0, 3], [4, 5])]
+    words = [f"{one.value:+.1f} % ({one.low:+.1f} to {one.high:+.1f})" for one in gains]
+    return NAMES[root], law, *means[:4], *words, len(rows)
+
+
+def table(data: Path, say: Callable[[str], None]) -> Sheet:
+    """Every way to have a root, with the errors of one set of frames."""
+    protocol = protocol_of(data)
+    cases = list(read_data_set(data / CLASSES, frames=FRAMES, noise=NOISE))
+    frames = estimate_torsos(
+        [case.detection for case in cases],
+        ESTIMATOR,
+        torsos=protocol.anatomy.torsos,
+        limits=protocol.anatomy.limits,
+        poses=protocol.dictionary,
+        num_candidates=1,
+    )
+    recording, rows = np.array([case.recording for case in cases]), []
+    for way in WAYS:
+        rows.append(line(*way, found_of(protocol, cases, frames, *way), recording))
+        say(str(rows[-1]))
+    head = (
+        "torso and camera",
+        "error law",
+        "single",
+        f"best of {K} draws",
+        f"best of {K} composed",
+        f"best of {K} centres",
+        "gain of draws on the single estimate",
+        "of composed",
+        "of centres",
+        "of composed on draws, a draw in place of the truth",
+        "frames",
+    )
+    return sheet_of(head, rows)
+
+
+def main(data: Path) -> None:
+    """Runs the study and writes the page."""
+    in_doubles()
+    values: Values = {
+        "table": table(data, print),
+        "frames": FRAMES,
+        "k": K,
+        "least": f"{100 * LEAST_GAIN:.0f} %",
+        "roots": NUM_ROOTS,
+    }
+    print(write_page("centres", values, {}))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

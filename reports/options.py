@@ -59,6 +59,18 @@ Seed = Annotated[int, Option(min=0, max=2**32 - 1, help="The same seed gives the
 Roots = Annotated[
     int, Option(min=1, max=100_000, help="From how many torsos and cameras, if uncertain.")
 ]
+Upright = Annotated[
+    float | None,
+    Option(
+        min=1,
+        max=90,
+        help=(
+            "How far a back is tilted from the image's vertical, standard deviation each way in"
+            " degrees (--root uncertain)."
+        ),
+        show_default="any way round is as probable as any other",
+    ),
+]
 Hypotheses = Annotated[int, Option(help="How many diverse hypotheses of each person.")]
 Composed = Annotated[
     bool,
@@ -410,6 +422,11 @@ class Estimation:
         return frame
 
 
+def concentration(upright: float | None) -> float:
+    """What the model believes where backs are tilted by so many degrees; 0 where nobody says."""
+    return 0.0 if upright is None else math.radians(upright) ** -2
+
+
 class RootKind(enum.StrEnum):
     """What torso and camera are."""
 
@@ -432,28 +449,12 @@ class Rooting:
         ),
     ] = RootKind.fixed
     roots: Roots = 1000
-    upright: Annotated[
-        float | None,
-        Option(
-            min=1,
-            max=90,
-            help=(
-                "How far a back is tilted from the image's vertical, standard deviation each way in"
-                " degrees (--root uncertain)."
-            ),
-            show_default="any way round is as probable as any other",
-        ),
-    ] = None
+    upright: Upright = None
 
     def model(self, prior: Prior) -> "PoseModel":
         """The model of anatomy, with what is believed of the root. Raises `BadInput` on a limits
         file that is not one."""
-        return prior.model(upright=self._concentration)
-
-    @property
-    def _concentration(self) -> float:
-        tilt = 0.0 if self.upright is None else math.radians(self.upright)
-        return 1 / tilt**2 if tilt else 0.0
+        return prior.model(upright=concentration(self.upright))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -479,7 +480,7 @@ class Viewing(Rooting):
     def model(self, prior: Prior, size: tuple[int, int] | None = None) -> "PoseModel":
         """As `Rooting.model`, for an image of this width and height, if they are known. Raises
         `BadInput` also on a camera that cannot be, or whose optical axis nobody knows."""
-        return prior.model(upright=self._concentration, lens=self._lens(size))
+        return prior.model(upright=concentration(self.upright), lens=self._lens(size))
 
     def _lens(self, size: tuple[int, int] | None) -> "Lens | None":
         import numpy as np

@@ -33,6 +33,7 @@ from reports.options import (
     Roots,
     Sampling,
     Seed,
+    Upright,
     Viewing,
     Workforce,
 )
@@ -450,6 +451,8 @@ class EvaluateSettings:
         " --predictions chen.npz",
         "evaluate actions_train.npz --frames 200 --noise gaussian:0.02 --estimator zhou"
         " --root fixed,uncertain,true --no-bias",
+        "evaluate actions_train.npz --frames 200 --noise gaussian:0.02 --estimator akhter-black"
+        " --root uncertain --upright 20 --composed --no-bias",
     )
     dataset: Annotated[
         Path,
@@ -468,6 +471,7 @@ class EvaluateSettings:
         ),
     ] = "fixed"
     roots: Roots = MANY_ROOTED.roots
+    upright: Upright = None
     k: Annotated[str, Option(help="Numbers of hypotheses of which the best counts.")] = "5,20"
     composed: Composed = False
     out: Annotated[

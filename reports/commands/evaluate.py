@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from inference.results import UNCERTAIN
 from inference.roots.external import read_poses
 from inference.studies.errors import mean_joint_error
 from inference.studies.evaluation.bias import LEAST_POSES, Bias, bias_study
@@ -25,7 +26,7 @@ from reports import console
 from reports.figures import save_figure
 from reports.figures.bias import bias_figure
 from reports.figures.evaluation import errors_figure, pck_curves, pck_figure
-from reports.options import Screen
+from reports.options import Screen, concentration
 from reports.settings import EvaluateSettings
 from reports.tables import Sheet
 from reports.tables.bias import actions_table, visits_table
@@ -149,6 +150,11 @@ def _conditions(settings: EvaluateSettings) -> list[Condition]:
     names = [name.strip() for name in settings.estimation.estimator.split(",") if name.strip()]
     missing = _listed(settings.missing, int, "--missing")
     roots = [name.strip() for name in settings.root.split(",") if name.strip()]
+    if settings.upright is not None and UNCERTAIN not in roots:
+        raise BadInput(
+            "--upright is a belief about torso and camera that are drawn with the pose; add"
+            " `uncertain` to --root, or leave it out"
+        )
     return conditions(names, missing, _listed(settings.rotate, float, "--rotate"), roots)
 
 
@@ -167,6 +173,7 @@ def _protocol(settings: EvaluateSettings) -> Protocol:
         max_proposals=settings.sampling.max_proposals,
         seed=settings.sampling.seed,
         num_roots=settings.roots,
+        upright=concentration(settings.upright),
         composed=settings.composed,
     )
 
@@ -231,12 +238,13 @@ def described(settings: EvaluateSettings, data: DataSet, protocol: Protocol) -> 
             if settings.noise == "none"
             else f"2D joints with noise {settings.noise} of body height"
         )
+    belief = f", backs tilted by some {settings.upright:g}°" if settings.upright else ""
+    chosen = ", hypotheses composed of limbs" if protocol.composed else ""
     return (
         f"{data.name}: {len(data):,} frames of {len(data.actions)} actions, {given};"
         f" {protocol.num_samples:,} draws a frame, {protocol.candidates} torso-and-camera"
-        f" candidate(s), hypotheses {'composed of limbs' if protocol.composed else 'chosen'} among"
-        " them. Errors after limb scaling and similarity alignment, ± half a 95 % interval"
-        " over recordings. The paper's are of another data set, Human3.6M."
+        f" candidate(s){belief}{chosen}. Errors after limb scaling and similarity alignment, ± half"
+        " a 95 % interval over recordings. The paper's are of another data set, Human3.6M."
     )
 
 

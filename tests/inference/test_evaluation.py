@@ -187,6 +187,26 @@ def test_hypotheses_may_be_composed(judged):
     assert not np.allclose(found["hypotheses_3"][0], judged["hypotheses_3"][2], atol=1.0)
 
 
+@pytest.mark.slow
+def test_upright_is_believed_where_the_root_is_uncertain():
+    """And nowhere else, where a torso is held fixed."""
+    import inference
+    from inference.drawers import drawer
+
+    protocol = dataclasses.replace(PROTOCOL, upright=8.0, num_roots=60)
+    plain = dataclasses.replace(PROTOCOL, num_roots=60)
+    way, one = Condition("zhou", root="uncertain"), DATA.take(np.array([2]))
+    found, other = (judge_block(each, way, one, 2) for each in (protocol, plain))
+    assert found["log_evidence"][0] != other["log_evidence"][0]
+    (frame,) = inference.estimate_torsos([DATA.case(2).detection], "zhou", num_candidates=1)
+    believing = PoseModel.from_anatomy(PROTOCOL.anatomy, upright=8.0)
+    draw = drawer(believing, root="uncertain", num_samples=40, num_roots=60)
+    drawn = draw(frame, jax.random.fold_in(jax.random.key(0), 2))
+    assert found["log_evidence"][0] == drawn.log_evidence
+    fixed = [judge_block(each, Condition("zhou"), one, 2)["all"] for each in (protocol, plain)]
+    assert np.array_equal(*fixed)
+
+
 def test_a_frame_alone_is_the_frame_in_its_block(judged):
     """Its randomness comes from its number; only the estimators' last bits know the company."""
     alone = judge_block(PROTOCOL, Condition("zhou"), DATA.take(np.array([4])), 4)

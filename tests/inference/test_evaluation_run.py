@@ -255,6 +255,8 @@ REFUSED = {
         "2",
     ),
     "k too large": ("k must be different numbers from 1 to the 25 draws", "--k", "26"),
+    "upright with fixed roots": ("add `uncertain` to --root", "--upright", "20"),
+    "composed into another run": ("composed", "--missing", "0,1", "--composed"),
     "no predictions": ("there is no file of poses", "--predictions", "nothing.npz"),
 }
 

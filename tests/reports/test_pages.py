@@ -36,6 +36,7 @@ SHEET = sheet_of(("", "error"), [("one", 1.0)])
 
 def test_there_are_pages() -> None:
     assert PAGES == [
+        "centres",
         "coverage",
         "device",
         "estimators",

@@ -17,7 +17,7 @@ import xarray as xr
 from inference.composed import compose
 from inference.drawers import NUM_ROOTS, Drawer, Draws, drawer
 from inference.hypothesis import diverse
-from inference.results import FIXED
+from inference.results import FIXED, UNCERTAIN
 from inference.roots import estimate_torsos
 from inference.studies.calibration.real import TRUE, true_candidate
 from inference.studies.errors import aligned_errors, joint_errors
@@ -65,6 +65,9 @@ class Protocol:
         Draws, the budget for them, and how many hypotheses are chosen among them.
     num_roots
         From how many roots draws are made where the root is uncertain.
+    upright
+        What is believed of how bodies are turned where the root is uncertain
+        (`probmodel.rotations.UprightRotation`).
     composed
         Whether hypotheses are put together limb by limb (`inference.composed`).
     """
@@ -80,6 +83,7 @@ class Protocol:
     max_proposals: int = 20_000_000
     seed: int = 0
     num_roots: int = NUM_ROOTS
+    upright: float = 0.0
     composed: bool = False
 
     def __post_init__(self) -> None:
@@ -98,10 +102,17 @@ class Protocol:
         """The model of it."""
         return PoseModel.from_anatomy(self.anatomy, upper=self.upper, lower=self.lower)
 
+    @functools.cached_property
+    def rooted(self) -> PoseModel:
+        """The model where the root is a part of the posterior."""
+        return PoseModel.from_anatomy(
+            self.anatomy, upper=self.upper, lower=self.lower, upright=self.upright
+        )
+
     def drawer(self, root: str) -> Drawer:
         """What draws under one of `conditions.ROOTS`; the true root is a fixed one."""
         return drawer(
-            self.model,
+            self.rooted if root == UNCERTAIN else self.model,
             root=FIXED if root == TRUE else root,
             num_samples=self.num_samples,
             num_roots=self.num_roots,

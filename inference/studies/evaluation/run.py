@@ -160,6 +160,7 @@ def settings(data: DataSet, protocol: Protocol) -> dict[str, Any]:
         "num_roots": protocol.num_roots,
         "k": list(protocol.ks),
         **({"composed": True} if protocol.composed else {}),
+        **({"upright": protocol.upright} if protocol.upright else {}),
         "max_proposals": protocol.max_proposals,
         "seed": protocol.seed,
         "versions": versions(),

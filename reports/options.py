@@ -48,10 +48,11 @@ Factor = Annotated[
     float, Option(help="The factor in the radius τ of a detection's disc (the paper: 0.25).")
 ]
 Limits = Annotated[
-    str,
+    str | None,
     Option(
         help="'default'; 'wide', with twice the margins around what was seen; a .npz from"
-        " `poseterior learn`; or the published .mat."
+        " `poseterior learn`; or the published .mat.",
+        show_default="default; of posteriors of torso and camera too, wide",
     ),
 ]
 NumSamples = Annotated[int, Option(min=1, max=10_000_000, help="How many poses to draw.")]
@@ -140,12 +141,21 @@ class Screen:
     ] = False
 
 
+def anatomy_of(limits: str) -> "Anatomy":
+    """Embedded tables by their name, or those of a file. Raises `BadInput` on one that is not of
+    limits."""
+    from probmodel import Anatomy
+    from probmodel.anatomy.limits import EMBEDDED
+
+    return Anatomy.embedded(limits) if limits in EMBEDDED else Anatomy.load(Path(limits))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Prior:
     """What anatomy allows: limits, and the measures in which directions are uniform."""
 
     PANEL: ClassVar = "The prior"
-    limits: Limits = "default"
+    limits: Limits = None
     upper: Annotated[
         UpperMeasure, Option(help="Measure in which upper bones are uniform; angle is eq. 7.")
     ] = UpperMeasure.angle
@@ -153,21 +163,20 @@ class Prior:
         LowerMeasure, Option(help="Measure in which lower bones are uniform; area is eq. 8.")
     ] = LowerMeasure.area
 
-    def anatomy(self) -> "Anatomy":
-        """The tables. Raises `BadInput` on a limits file that is not one."""
-        from probmodel import Anatomy
-        from probmodel.anatomy.limits import EMBEDDED
+    def anatomy(self, rooted: bool = False) -> "Anatomy":
+        """The tables, by default those of the paper's posterior, or of one that is `rooted`, of
+        torso and camera too: it is to hold true poses, and takes wider ones. Raises `BadInput` on a
+        limits file that is not one."""
+        return anatomy_of(self.limits or ("wide" if rooted else "default"))
 
-        if self.limits in EMBEDDED:
-            return Anatomy.embedded(self.limits)
-        return Anatomy.load(Path(self.limits))
-
-    def model(self, *, upright: float = 0.0, lens: "Lens | None" = None) -> "PoseModel":
+    def model(
+        self, *, rooted: bool = False, upright: float = 0.0, lens: "Lens | None" = None
+    ) -> "PoseModel":
         """The model. Raises `BadInput` on a limits file, or a lens, that is not one."""
         from probmodel import PoseModel
 
         return PoseModel.from_anatomy(
-            self.anatomy(), upper=self.upper, lower=self.lower, upright=upright, lens=lens
+            self.anatomy(rooted), upper=self.upper, lower=self.lower, upright=upright, lens=lens
         )
 
 
@@ -451,10 +460,15 @@ class Rooting:
     roots: Roots = 1000
     upright: Upright = None
 
+    @property
+    def rooted(self) -> bool:
+        """Whether torso and camera are drawn with the pose."""
+        return self.root == RootKind.uncertain
+
     def model(self, prior: Prior) -> "PoseModel":
         """The model of anatomy, with what is believed of the root. Raises `BadInput` on a limits
         file that is not one."""
-        return prior.model(upright=concentration(self.upright))
+        return prior.model(rooted=self.rooted, upright=concentration(self.upright))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -480,7 +494,8 @@ class Viewing(Rooting):
     def model(self, prior: Prior, size: tuple[int, int] | None = None) -> "PoseModel":
         """As `Rooting.model`, for an image of this width and height, if they are known. Raises
         `BadInput` also on a camera that cannot be, or whose optical axis nobody knows."""
-        return prior.model(upright=concentration(self.upright), lens=self._lens(size))
+        lens = self._lens(size)
+        return prior.model(rooted=self.rooted, upright=concentration(self.upright), lens=lens)
 
     def _lens(self, size: tuple[int, int] | None) -> "Lens | None":
         import numpy as np

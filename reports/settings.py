@@ -284,7 +284,7 @@ class CheckSettings:
             help="3D poses: .nc, .json, .amc, .bvh, .trc, .c3d, .npy, .npz.", show_default=False
         ),
     ]
-    limits: Limits = "default"
+    limits: Limits = None
 
 
 @dataclass(frozen=True, kw_only=True)

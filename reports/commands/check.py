@@ -5,13 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probmodel.arrays import read_array, read_netcdf
+from probmodel.arrays import HDF5, ArrayFile, read_array
 from probmodel.documents import read_json
 from probmodel.failures import BadInput
+from probmodel.files import opened
 from probmodel.motion import KINDS, READERS, read_motion
 from probmodel.skeleton import BONE_NAMES, BONES, JOINTS, NUM_JOINTS
 from reports import console, tables
-from reports.options import Prior, Screen
+from reports.options import Screen, anatomy_of
 from reports.settings import CheckSettings
 
 FEW = 20
@@ -22,10 +23,12 @@ LARGEST = 1e9
 
 
 class PosesToCheck(NamedTuple):
-    """Poses `joints` `(n, 15, 3)` of a file, and what each is called."""
+    """Poses `joints` `(n, 15, 3)` of a file, what each is called, and the embedded limits that
+    they are to keep: those that a result of ours was made with."""
 
     joints: np.ndarray
     names: list[str]
+    limits: str = "default"
 
 
 def run(settings: CheckSettings, screen: Screen) -> None:
@@ -34,7 +37,8 @@ def run(settings: CheckSettings, screen: Screen) -> None:
     with console.progress("reading and checking", screen.quiet):
         poses = read_poses(path)
         _require_poses(poses, path)
-        check = Prior(limits=settings.limits).anatomy().limits.check(poses.joints)
+        limits = anatomy_of(settings.limits or poses.limits).limits
+        check = limits.check(poses.joints)
     if screen.json:
         console.show_json(tables.check_json(check, poses.names))
         return
@@ -46,7 +50,10 @@ def run(settings: CheckSettings, screen: Screen) -> None:
 
         listed = Check(*(part[broken] for part in check))
         console.OUT.print(tables.check_table(listed, [poses.names[pose] for pose in broken]))
-    console.say(f"{check.pose_valid.sum():,} of {len(poses.names):,} poses in {path} are possible.")
+    console.say(
+        f"{check.pose_valid.sum():,} of {len(poses.names):,} poses in {path} are possible"
+        f" (limits {limits.name})."
+    )
 
 
 def read_poses(path: Path) -> PosesToCheck:
@@ -91,10 +98,14 @@ def _from_motion(path: Path) -> PosesToCheck:
 
 def _from_tree(path: Path) -> PosesToCheck:
     what, advice = "file of poses of poseterior", "write one with `poseterior sample`"
-    found = read_netcdf(path, _VARIABLES, what, advice)
+    with opened(path, what, advice) as content:
+        file = ArrayFile(content, str(path), what, advice)
+        file.require(HDF5)
+        found, limits = file.read(list(_VARIABLES)), file.own_attributes().get("limits")
     if not found:
         raise BadInput(f"{path} holds no poses of poseterior; {advice}")
-    return _numbered(next(found[name] for name in _VARIABLES if name in found), "draw", path)
+    joints = next(found[name] for name in _VARIABLES if name in found)
+    return _numbered(joints, "draw", path)._replace(limits=_embedded(limits))
 
 
 def _from_json(path: Path) -> PosesToCheck:
@@ -108,7 +119,16 @@ def _from_json(path: Path) -> PosesToCheck:
             f"{path} is not a hypotheses.json of poseterior ({type(error).__name__}); give one, or"
             " a .nc"
         ) from None
-    return _numbered(joints, "hypothesis", path, first=1)
+    found = _numbered(joints, "hypothesis", path, first=1)
+    return found._replace(limits=_embedded(content.get("limits")))
+
+
+def _embedded(said: object) -> str:
+    """The embedded limits that a result says it was made with; the default where it names none."""
+    from probmodel.anatomy.limits import EMBEDDED
+
+    name = str(said).partition(" ")[0]
+    return name if name in EMBEDDED else "default"
 
 
 def _from_array(path: Path) -> PosesToCheck:
@@ -127,7 +147,7 @@ def _numbered(joints: np.ndarray, kind: str, path: Path, *, first: int = 0) -> P
 
 def _require_poses(poses: PosesToCheck, path: Path) -> None:
     """Raises `BadInput`, naming pose and joint or bone, where a pose has no direction to check."""
-    joints, names = poses
+    joints, names = poses.joints, poses.names
     if not len(joints):
         raise BadInput(f"{path} holds no pose; give a file with one at least")
     for pose, joint in np.argwhere(~(np.abs(joints) <= LARGEST).all(axis=-1))[

@@ -149,13 +149,17 @@ def _conditions(settings: EvaluateSettings) -> list[Condition]:
     """Raises `BadInput` where a list holds what it must not."""
     names = [name.strip() for name in settings.estimation.estimator.split(",") if name.strip()]
     missing = _listed(settings.missing, int, "--missing")
-    roots = [name.strip() for name in settings.root.split(",") if name.strip()]
+    roots = _roots(settings)
     if settings.upright is not None and UNCERTAIN not in roots:
         raise BadInput(
             "--upright is a belief about torso and camera that are drawn with the pose; add"
             " `uncertain` to --root, or leave it out"
         )
     return conditions(names, missing, _listed(settings.rotate, float, "--rotate"), roots)
+
+
+def _roots(settings: EvaluateSettings) -> list[str]:
+    return [name.strip() for name in settings.root.split(",") if name.strip()]
 
 
 def _protocol(settings: EvaluateSettings) -> Protocol:
@@ -173,6 +177,7 @@ def _protocol(settings: EvaluateSettings) -> Protocol:
         max_proposals=settings.sampling.max_proposals,
         seed=settings.sampling.seed,
         num_roots=settings.roots,
+        rooted_anatomy=prior.anatomy(rooted=UNCERTAIN in _roots(settings)),
         upright=concentration(settings.upright),
         composed=settings.composed,
     )

@@ -1111,7 +1111,9 @@ def test_prior_is_possible(poseterior: Cli, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "count"), [("posterior.nc", NUM), ("hypotheses.json", 4)])
 def test_draws_are_possible(name: str, count: int, written: Path, poseterior: Cli) -> None:
     run = poseterior("check", written / name, "--quiet")
-    assert run == Run(0, f"{count} of {count} poses in {written / name} are possible.\n", "")
+    assert run == Run(
+        0, f"{count} of {count} poses in {written / name} are possible (limits default).\n", ""
+    )
 
 
 def test_a_broken_elbow_is_named(poseterior: Cli, tmp_path: Path) -> None:
@@ -1123,7 +1125,7 @@ def test_a_broken_elbow_is_named(poseterior: Cli, tmp_path: Path) -> None:
     assert re.search(
         r"pose 1\s+left forearm\s+(bends|turns) beyond the joint's (plane|range)\s+\d+\.\d", row
     )
-    assert f"1 of 2 poses in {file} are possible." in run.out
+    assert f"1 of 2 poses in {file} are possible (limits default)." in run.out
     fine, spoilt = strict_json(poseterior("check", file, "--quiet", "--json").out)
     assert fine == {"pose": "pose 0", "possible": True, "broken": []}
     assert [broken["bone"] for broken in spoilt["broken"]] == ["left_forearm"]
@@ -1137,7 +1139,7 @@ def test_many_broken_poses_are_counted_by_bone(poseterior: Cli, tmp_path: Path) 
     run = poseterior("check", file, "--quiet")
     assert run.code == 0
     assert re.search(r"left forearm\s+(plane|box)\s+50\s+\d+\.\d", run.out)
-    assert f"0 of 50 poses in {file} are possible." in run.out
+    assert f"0 of 50 poses in {file} are possible (limits default)." in run.out
     assert len(run.out.splitlines()) < 20
 
 

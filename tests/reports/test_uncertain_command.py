@@ -10,7 +10,7 @@ import xarray as xr
 from inference.results import OUT_OF_BUDGET
 from inference.saved import read_result
 from probmodel.example import example
-from reports.options import Person, RootKind, Viewing
+from reports.options import Person, Prior, RootKind, Viewing
 from reports.settings import HypothesesSettings, SampleSettings
 from tests.conftest import Cli
 from tests.reports.test_interactive import Parsed
@@ -49,6 +49,33 @@ def test_hypotheses_differ_in_their_torsos(poseterior: Cli, folder: Path) -> Non
         assert tree["roots"].share.shape == (200,)
         assert tree.attrs["effective_roots"] == said["summary"]["effective_roots"]
         assert tree.attrs["seed"] == "0 0"
+
+
+def test_an_uncertain_root_believes_wide_limits(poseterior: Cli, folder: Path) -> None:
+    """Which results say, so that `check` knows; the control: default limits exclude some draws."""
+    if not (folder / "posterior.nc").exists():
+        poseterior("hypotheses", EXAMPLE, "--out", folder, *UNCERTAIN, "--roots", 200)
+    for file in (folder / "posterior.nc", folder / "hypotheses.json"):
+        said = poseterior("check", file, "--quiet").out
+        assert "are possible (limits wide)" in said
+        possible, whole = said.split(" poses in")[0].splitlines()[-1].split(" of ")
+        assert possible == whole
+    narrow = poseterior("check", folder / "posterior.nc", "--limits", "default", "--quiet").out
+    assert "are possible (limits default)" in narrow
+    assert "400 of 400" not in narrow
+
+
+@pytest.mark.parametrize(
+    ("root", "limits", "name"),
+    [
+        (RootKind.fixed, None, "default"),
+        (RootKind.uncertain, None, "wide"),
+        (RootKind.uncertain, "default", "default"),
+        (RootKind.fixed, "wide", "wide"),
+    ],
+)
+def test_what_is_said_of_limits_counts(root: RootKind, limits: str | None, name: str) -> None:
+    assert Viewing(root=root).model(Prior(limits=limits)).limits.name == name
 
 
 def test_the_page_shows_every_hypothesis_by_its_own_camera(poseterior: Cli, folder: Path) -> None:

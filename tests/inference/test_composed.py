@@ -118,7 +118,8 @@ def test_composed_hypotheses_are_possible_under_an_uncertain_root(name):
     drawn = uncertain(name)
     faults = drawn.faults
     rows = np.unique(np.column_stack([faults.exchange, faults.outlier]), axis=0, return_index=True)
-    for one in compose(drawn, K):
+    twins = compose(drawn, 1)  # whose mean camera, between both ways round, explains nothing
+    for one in [*compose(drawn, K), *twins]:
         assert drawn.posterior.model.limits.check(one.joints).valid.all()
         assert np.isfinite(density_of(drawn.posterior, one, faults.take(rows[1])))
 
@@ -197,7 +198,7 @@ def test_of_few_draws_it_is_the_best_of_all_combinations():
     """Five draws under one root: 5⁵ ways to combine their limbs, under 5 sets of lengths, most of
     which do not explain the detection."""
     model, frame = scene("small discs")
-    drawn = drawer(model, num_samples=NUM)(frame, key(1)).drawn.take(slice(5))
+    drawn = drawer(model, num_samples=NUM)(frame, key(1)).drawn.take(slice(5, 10))
     seen, centre = drawn.posterior.observations[0], drawn.joints.mean(axis=0)
     wanted, every = directions(centre), directions(drawn.joints)
     best, nearest, pose = np.inf, np.inf, np.empty(0)

@@ -1,6 +1,6 @@
 from .baselines.rooted import RootedTarget as RootedTarget
 from .baselines.target import Target as Target
-from .composed import composed as composed
+from .composition import composed as composed
 from .drawsfile import sample_to_file as sample_to_file
 from .evidences import Evidence as Evidence
 from .evidences import evidence as evidence

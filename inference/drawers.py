@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import numpy as np
 
-from inference.composed import Drawn
+from inference.composition import Drawn
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, draw_mixture
 from inference.results import FIXED, UNCERTAIN, joint_columns
 from inference.uncertain.routes import ROUTES, draw_uncertain

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from inference.composed import compose
+from inference.composition import compose
 from inference.drawers import NUM_ROOTS, Drawer, drawer
 from inference.exact.mixture import MAX_PROPOSALS
 from inference.hypothesis import diverse
@@ -128,7 +128,7 @@ def sample_frames(
         As `inference.drawers.drawer` takes them: what is drawn of every frame.
     k, composed
         How many hypotheses of each frame, and whether they are put together limb by limb
-        (`inference.composed`), rather than draws.
+        (`inference.composition`), rather than draws.
     keep
         How many draws of each frame are written, of `DRAW_BYTES` each, for `draws_of`.
     max_proposals

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from inference import Result
-from inference.composed import composed
+from inference.composition import composed
 from inference.drawsfile import sample_to_file
 from inference.hypothesis import Hypothesis, hypotheses
 from inference.results import COMPLETE, FIXED

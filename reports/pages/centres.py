@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 from inference.clusters import clusters
-from inference.composed import Drawn, compose
+from inference.composition import Drawn, compose
 from inference.drawers import NUM_ROOTS
 from inference.hypothesis import diverse
 from inference.results import FIXED, UNCERTAIN

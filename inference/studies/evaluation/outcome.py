@@ -14,7 +14,7 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.composed import compose
+from inference.composition import compose
 from inference.drawers import NUM_ROOTS, Drawer, Draws, drawer
 from inference.hypothesis import diverse
 from inference.results import FIXED, UNCERTAIN
@@ -71,7 +71,7 @@ class Protocol:
         What is believed of how bodies are turned where the root is uncertain
         (`probmodel.rotations.UprightRotation`).
     composed
-        Whether hypotheses are put together limb by limb (`inference.composed`).
+        Whether hypotheses are put together limb by limb (`inference.composition`).
     """
 
     anatomy: Anatomy

@@ -26,18 +26,20 @@ from inference.studies.calibration.real import TRUE, true_candidate
 from inference.studies.errors import best_of, mean_joint_error
 from inference.studies.evaluation.outcome import Protocol
 from inference.studies.evaluation.relations import LEAST_GAIN
-from inference.studies.evaluation.scores import clustered
+from inference.studies.evaluation.scores import Interval
 from probmodel import Likelihood
 from probmodel.datasets import Case, read_data_set
 from probmodel.likelihood import Gaussian
 from probmodel.posterior import Estimate
 from probmodel.skeleton import NUM_JOINTS
+from reports.figures.composition import gains_figure
 from reports.pages.evaluation import CLASSES, NOISE, gain, protocol_of
 from reports.pages.motion import ESTIMATOR, FRAMES
 from reports.pages.page import Values, in_doubles, write_page
 from reports.tables import Sheet, sheet_of
 
 K = 5
+CHOSEN = ("draws", "composed", "centres, which are no poses")
 LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
 WAYS = ((FIXED, "disc"), (UNCERTAIN, "disc"), (UNCERTAIN, "Gaussian"), (TRUE, "disc"))
 NAMES = {FIXED: ESTIMATOR, UNCERTAIN: "uncertain", TRUE: "true"}
@@ -87,18 +89,28 @@ def found_of(
     return found
 
 
-def line(root: str, law: str, found: list[Errors | None], recording: np.ndarray) -> tuple:
-    """One row of the table."""
-    rows = [number for number, one in enumerate(found) if one is not None]
-    values = np.array([one for one in found if one is not None])
-    own = recording[rows]
-    means = [f"{clustered(column, own).value:.1f}" for column in values.T]
-    gains = [gain(values[:, pair], own) for pair in ([0, 1], [0, 2], [0, 3], [4, 5])]
-    words = [f"{one.value:+.1f} % ({one.low:+.1f} to {one.high:+.1f})" for one in gains]
-    return NAMES[root], law, *means[:4], *words, len(rows)
+class Row(NamedTuple):
+    """A way to have a root: mean errors, gains on the single estimate of the three ways to choose,
+    that of composed poses on draws where a draw stands in for the truth, and how many frames there
+    are."""
+
+    way: tuple[str, str]
+    means: list[float]
+    gains: list[Interval]
+    own: Interval
+    frames: int
+
+    @classmethod
+    def of(cls, way: tuple[str, str], found: list[Errors | None], recording: np.ndarray) -> "Row":
+        """The row of what was found by frame."""
+        rows = [number for number, one in enumerate(found) if one is not None]
+        values, own = np.array([one for one in found if one is not None]), recording[rows]
+        gains = [gain(values[:, [0, column]], own) for column in (1, 2, 3)]
+        means = values.mean(axis=0)[:4].tolist()
+        return cls(way, means, gains, gain(values[:, [4, 5]], own), len(rows))
 
 
-def table(data: Path, say: Callable[[str], None]) -> Sheet:
+def rows_of(data: Path, say: Callable[[str], None]) -> list[Row]:
     """Every way to have a root, with the errors of one set of frames."""
     protocol = protocol_of(data)
     cases = list(read_data_set(data / CLASSES, frames=FRAMES, noise=NOISE))
@@ -111,9 +123,15 @@ def table(data: Path, say: Callable[[str], None]) -> Sheet:
         num_candidates=1,
     )
     recording, rows = np.array([case.recording for case in cases]), []
-    for way in WAYS:
-        rows.append(line(*way, found_of(protocol, cases, frames, *way), recording))
+    for root, law in WAYS:
+        found = found_of(protocol, cases, frames, root, law)
+        rows.append(Row.of((NAMES[root], law), found, recording))
         say(str(rows[-1]))
+    return rows
+
+
+def table(rows: list[Row]) -> Sheet:
+    """Errors and gains."""
     head = (
         "torso and camera",
         "error law",
@@ -127,20 +145,38 @@ def table(data: Path, say: Callable[[str], None]) -> Sheet:
         "of composed on draws, a draw in place of the truth",
         "frames",
     )
-    return sheet_of(head, rows)
+    return sheet_of(
+        head,
+        [
+            (
+                *row.way,
+                *(f"{mean:.1f}" for mean in row.means),
+                *(_words(one) for one in (*row.gains, row.own)),
+                row.frames,
+            )
+            for row in rows
+        ],
+    )
+
+
+def _words(one: Interval) -> str:
+    return f"{one.value:+.1f} % ({one.low:+.1f} to {one.high:+.1f})"
 
 
 def main(data: Path) -> None:
     """Runs the study and writes the page."""
     in_doubles()
+    rows = rows_of(data, print)
     values: Values = {
-        "table": table(data, print),
+        "table": table(rows),
         "frames": FRAMES,
         "k": K,
         "least": f"{100 * LEAST_GAIN:.0f} %",
         "roots": NUM_ROOTS,
     }
-    print(write_page("centres", values, {}))
+    gains = dict(zip(CHOSEN, zip(*(row.gains for row in rows), strict=True), strict=True))
+    figure = gains_figure(gains, [", ".join(row.way) for row in rows], K)
+    write_page("centres", values, {"centres": figure})
 
 
 if __name__ == "__main__":

@@ -59,12 +59,18 @@ class Observation(NamedTuple):
         return self.root.view
 
     @property
-    def log_peak(self) -> jax.Array:
-        """`()`: the log likelihood of a pose that projects onto every target, all of it at the
-        pelvis' depth, per square pixel and joint seen; for discs -Σ log πτ²."""
+    def log_peaks(self) -> jax.Array:
+        """`(15,)`: the log likelihood of each joint where it projects onto its target at the
+        pelvis' depth, per square pixel; for discs -log πτ². 0 where a joint does not count."""
         # An unseen joint's spread is infinite, and would make the slope along the scale NaN.
         pixels = jnp.where(self.seen, jnp.asarray(self.spread), 1.0) * self.root.camera.scale
-        return jnp.sum(jnp.where(self.seen, self.law.log_peak - 2 * jnp.log(pixels), 0.0))
+        return jnp.where(self.seen, self.law.log_peak - 2 * jnp.log(pixels), 0.0)
+
+    @property
+    def log_peak(self) -> jax.Array:
+        """`()`: the log likelihood of a pose that projects onto every target, all of it at the
+        pelvis' depth, per square pixel and joint seen."""
+        return jnp.sum(self.log_peaks)
 
     def offsets(self, joints: jax.Array) -> jax.Array:
         """`(15, 2)`: where the joints `(15, 3)` of one pose, in camera axes, fall beside their
@@ -155,17 +161,25 @@ class Observation(NamedTuple):
         within = jnp.sum(self.log_graded(joints, 0.0), axis=-1)
         return within + self.log_walls(joints, sharpness)
 
-    def log_unit(self, joints: ArrayLike) -> jax.Array:
-        """`(...)`: what makes of the sum of `log_ratios` a density per square pixel and joint seen:
-        the peak, less where joints are nearer to the camera and their spread covers more pixels."""
+    def log_units(self, joints: ArrayLike) -> jax.Array:
+        """`(..., 15)`: what makes of each of `log_ratios` a density per square pixel: the peak,
+        less where a joint is nearer to the camera and its spread covers more pixels."""
         magnification = self.root.camera.magnification(jnp.asarray(joints))
-        larger = jnp.sum(jnp.where(self.seen, jnp.log(magnification), 0.0), axis=-1)
-        return self.log_peak - 2 * larger
+        return self.log_peaks - 2 * jnp.where(self.seen, jnp.log(magnification), 0.0)
+
+    def log_unit(self, joints: ArrayLike) -> jax.Array:
+        """`(...)`: the sum of `log_units`."""
+        return jnp.sum(self.log_units(joints), axis=-1)
+
+    def log_densities(self, joints: ArrayLike) -> jax.Array:
+        """`(..., 15)`: the log likelihood of each joint of poses `(..., 15, 3)` in camera axes, per
+        square pixel; 0 where a joint does not count."""
+        return self.log_units(joints) + self.log_ratios(joints)
 
     def log_density(self, joints: ArrayLike) -> jax.Array:
         """`(...)`: the log likelihood of poses `(..., 15, 3)` in camera axes, per square pixel and
         joint seen."""
-        return self.log_unit(joints) + jnp.sum(self.log_ratios(joints), axis=-1)
+        return jnp.sum(self.log_densities(joints), axis=-1)
 
     def misfit(self, joints: ArrayLike) -> jax.Array:
         """`(...)`: the largest distance of a seen joint from its target, in reaches."""

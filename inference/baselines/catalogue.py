@@ -45,7 +45,6 @@ from inference.studies.flips import away, codes
 from inference.uncertain.tree import BASE_MEASURE, draw_columns, side_data, sides
 from inference.uncertain.weighted import FEWEST_EFFECTIVE, verdict, weigh_roots
 from probmodel.failures import BadInput, OutOfBudget
-from probmodel.faults import Faults
 from probmodel.pose import Pose
 from probmodel.posterior import Posterior
 from probmodel.roots import RootPoint
@@ -201,7 +200,8 @@ def rooted_tree(
     points = RootPoint(
         *(np.asarray(part) for part in target.roots(run.points.reshape(number, target.dim)))
     )
-    columns = draw_columns(posterior, points, poses, Faults.none(number))
+    faults = target.faults(jax.random.fold_in(key, 5), run.points.reshape(number, target.dim))
+    columns = draw_columns(posterior, points, poses, faults)
     columns["candidate"] = sides(posterior, points)
     constant = side_data(
         posterior, points, np.full(number, 1 / max(number, 1)), lambda rows: (np.nan, np.nan)

@@ -16,6 +16,7 @@ begin with.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Self
 
@@ -27,12 +28,14 @@ from jax.typing import ArrayLike
 
 from inference.baselines.target import LimbChart, active_coordinates
 from inference.uncertain.tree import nearest_rotation
+from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
-from probmodel.faults import Faults
+from probmodel.faults import NO_FAULTS, ORDERS, FaultPrior, Faults
 from probmodel.observation import Observation
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint, RootPrior
 from probmodel.rotations import RotationTransform
+from probmodel.summed import NUM_UNIFORMS, SummedFaults
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 ROOT_COORDINATES = ("torso", *(f"turn {axis}" for axis in "xyz"), "log scale", "place u", "place v")
@@ -62,6 +65,8 @@ class RootedTarget:
         The rotation at the middle of the chart.
     centre : `(2,)`
         The point of the image from which places are measured, pixels.
+    faulty
+        How often the detector errs; faults are summed out.
     """
 
     limbs: LimbChart
@@ -70,6 +75,7 @@ class RootedTarget:
     order: jax.Array
     turn: jax.Array
     centre: jax.Array
+    faulty: FaultPrior = NO_FAULTS
 
     @classmethod
     def of(cls, posterior: UncertainPosterior) -> Self:
@@ -78,27 +84,22 @@ class RootedTarget:
         Parameters
         ----------
         posterior
-            Of a detector without faults. Its candidates decide where the middle of the chart is,
-            and nothing else.
+            Its candidates decide where the middle of the chart is, and nothing else.
 
         Returns
         -------
         RootedTarget
-            Its coordinates are those that a seen joint depends on.
+            Its coordinates are those that a seen joint depends on, whatever sides are exchanged.
 
         Raises
         ------
         BadInput
-            Where the detector may have faults, or no limb joint is seen.
+            Where no limb joint is seen.
         """
-        where, detected = posterior.detection.where, posterior.detected
-        if posterior.faults.any:
-            raise BadInput(
-                "outliers and exchanged sides are discrete, and this sampler walks in R^d; leave"
-                " them out, or choose weighted-roots or rejection"
-            )
+        where, detected, faults = posterior.detection.where, posterior.detected, posterior.faults
         counts = np.asarray(detected.counts)
-        active = active_coordinates(counts)
+        exchanges = SummedFaults(detected, faults, posterior.prior).exchanges
+        active = active_coordinates(counts[ORDERS[exchanges]].any(axis=0))
         if not active:
             raise BadInput(
                 f"{where} has no seen limb joint: its poses are those of the prior; use"
@@ -112,6 +113,7 @@ class RootedTarget:
             jnp.asarray(_alike(np.asarray(posterior.model.torsos))),
             jnp.asarray(nearest_rotation(np.mean(cameras, axis=0))),
             jnp.asarray(np.asarray(detected.keypoints)[counts].mean(axis=0)),
+            faults,
         )
 
     @property
@@ -122,17 +124,21 @@ class RootedTarget:
     @jax.jit
     def log_density(self, points: ArrayLike) -> jax.Array:
         """`(...)`: log joint density of root, pose and detection at points `(..., d)` of R^d, per
-        unit of R^d; what no seen joint depends on is integrated out."""
+        unit of R^d; what no seen joint depends on is integrated out, and so are faults."""
 
         def one(point: jax.Array) -> jax.Array:
-            observation, joints = self._observed(point)
-            return self._log_prior(point) + observation.log_density(joints)
+            if self.faulty.any:
+                likelihood = self._summed.log_likelihood(*self._placed(point))
+            else:
+                observation, joints = self._observed(point)
+                likelihood = observation.log_density(joints)
+            return self._log_prior(point) + likelihood
 
         return self._everywhere(one, points)
 
     @jax.jit
     def log_smooth(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
-        """As of `Slopes`."""
+        """As of `Slopes`, of a detector without faults."""
 
         def one(point: jax.Array) -> jax.Array:
             observation, joints = self._observed(point)
@@ -143,7 +149,7 @@ class RootedTarget:
 
     @jax.jit
     def log_walls(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
-        """As of `Slopes`."""
+        """As of `Slopes`, of a detector without faults."""
 
         def one(point: jax.Array) -> jax.Array:
             observation, joints = self._observed(point)
@@ -160,9 +166,11 @@ class RootedTarget:
     @jax.jit
     def misfit(self, points: ArrayLike) -> jax.Array:
         """`(...)`: the largest distance of a seen joint, the torso's among them, from its
-        detection, in reaches, at points of R^d."""
+        detection, in reaches, at points of R^d; under the pattern of faults that explains most."""
 
         def one(point: jax.Array) -> jax.Array:
+            if self.faulty.any:
+                return self._summed.misfit(*self._placed(point))
             observation, joints = self._observed(point)
             return observation.misfit(joints)
 
@@ -191,6 +199,27 @@ class RootedTarget:
             Leaves start with `...`.
         """
         return self.limbs.poses(key, np.asarray(points)[..., : self.limbs.dim])
+
+    def faults(self, key: jax.Array, points: ArrayLike) -> Faults:
+        """Which detections are faults at points of R^d, drawn given root and pose.
+
+        Parameters
+        ----------
+        key
+            Of those draws.
+        points : `(n, d)`
+            Points of R^d inside the support.
+
+        Returns
+        -------
+        Faults
+            Leaves start with n.
+        """
+        points = np.asarray(points)
+        if not (self.faulty.any and len(points)):
+            return Faults.none(len(points))
+        uniform = np.asarray(jax.random.uniform(key, (len(points), NUM_UNIFORMS)))
+        return Faults(*in_chunks(functools.partial(_faults, self), points, uniform))
 
     def points_of(self, roots: RootPoint, poses: Pose) -> np.ndarray:
         """Points of R^d of roots and poses; each torso in the middle of its part.
@@ -248,18 +277,37 @@ class RootedTarget:
         own = self.limbs.log_base(point[: self.limbs.dim]) + self.prior.log_density(root)
         return own + self._log_volume(point)
 
-    def _observed(self, point: jax.Array) -> tuple[Observation, jax.Array]:
-        """The detection under the root at a point, and the joints of the pose there."""
+    @property
+    def _summed(self) -> SummedFaults:
+        return SummedFaults(self.detected, self.faulty, self.prior)
+
+    def _placed(self, point: jax.Array) -> tuple[RootPoint, jax.Array]:
+        """The root at a point, and the joints of the pose there."""
         root = self._root(point[self.limbs.dim :])
-        observation = self.detected.under(self.prior, root, Faults.none())
         pose = self.limbs.pose(point[: self.limbs.dim])
-        return observation, self.limbs.model.joints(observation.view, *pose)
+        return root, self.limbs.model.joints(self.prior.root(root).view, *pose)
+
+    def _observed(self, point: jax.Array) -> tuple[Observation, jax.Array]:
+        """The detection without a fault under the root at a point, and the joints of the pose
+        there."""
+        if self.faulty.any:
+            raise BadInput("a detector with faults has no slopes; leave its faults out")
+        root, joints = self._placed(point)
+        return self.detected.under(self.prior, root, Faults.none()), joints
 
     def _everywhere(self, one: Callable[[jax.Array], jax.Array], points: ArrayLike) -> jax.Array:
         """The log of a density at points `(..., d)`, also far out, where scales overflow and it is
         0."""
         found = jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
         return jnp.where(jnp.isnan(found), -jnp.inf, found)
+
+
+@jax.jit
+def _faults(target: RootedTarget, points: jax.Array, uniform: jax.Array) -> Faults:
+    def one(point: jax.Array, own: jax.Array) -> Faults:
+        return target._summed.draw(own, *target._placed(point))
+
+    return jax.vmap(one)(points, uniform)
 
 
 def _alike(torsos: np.ndarray) -> np.ndarray:

@@ -6,9 +6,11 @@ False alarms: the judge's, 0.01 a sampler; seeds are fixed."""
 
 import dataclasses
 import functools
+import itertools
 import math
 from pathlib import Path
 
+import arviz as az
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,22 +20,26 @@ from numpyro.infer.util import potential_energy
 
 import inference
 from inference.baselines import rooted
-from inference.baselines.catalogue import ROOTED
+from inference.baselines.catalogue import BASELINES, ROOTED, rooted_tree
 from inference.baselines.hamiltonian import _log_weights
 from inference.baselines.rooted import ROOT_COORDINATES, RootedTarget
+from inference.baselines.run import Allowance, run
 from inference.results import COMPLETE, OUT_OF_BUDGET, Result
 from inference.saved import read_result
 from inference.studies.comparison import compare_routes
+from inference.studies.comparison.contest import ENDLESS
 from inference.studies.comparison.judge import AGREES, DIFFERS
 from inference.uncertain.weighted import weigh_roots
 from probmodel import BadInput, Estimate, PoseModel, RootPoint
 from probmodel.failures import OutOfBudget
-from probmodel.faults import FaultPrior
+from probmodel.faults import EXCHANGE_INDEX, FaultPrior, Faults
 from probmodel.likelihood import LAWS, ErrorLaw
 from probmodel.pose import Pose
 from probmodel.rotations import RotationTransform, rodrigues
 from probmodel.skeleton import JOINTS, TORSO_INDEX
+from probmodel.summed import States, SummedFaults
 from probmodel.transport import CUBE_DIM
+from tests.inference import test_uncertain_faults as faulty
 from tests.inference import test_uncertain_root as sound
 from tests.scenes import key, prior_scene
 
@@ -242,10 +248,7 @@ def test_who_needs_more_than_a_density_is_refused(name: str) -> None:
 
 
 def test_what_is_no_density_on_r_d_is_refused() -> None:
-    model, frame = sound.small_case()
-    faulty = dataclasses.replace(frame.likelihood, faults=FaultPrior.of(outlier=0.1))
-    with pytest.raises(BadInput, match="outliers and exchanged sides are discrete"):
-        RootedTarget.of(dataclasses.replace(frame, likelihood=faulty).uncertain(model))
+    model, _ = sound.small_case()
     limbs = tuple(name for row, name in enumerate(JOINTS) if row not in TORSO_INDEX)
     bare = prior_scene(model, 11, missing=limbs)
     with pytest.raises(BadInput, match="has no seen limb joint"):
@@ -254,9 +257,11 @@ def test_what_is_no_density_on_r_d_is_refused() -> None:
         sampled("random-walk", num_samples=100_000)
 
 
-def judged(samplers: list[str], seed: int) -> list[str]:
-    """Verdicts by 1,200 draws of rejection."""
-    model, frame = sound.small_case()
+def judged(
+    samplers: list[str], seed: int, case: tuple[PoseModel, Estimate] | None = None
+) -> list[str]:
+    """Verdicts by 1,200 draws of rejection, by default on the small case."""
+    model, frame = case or sound.small_case()
     found = compare_routes(
         model,
         frame,
@@ -267,6 +272,85 @@ def judged(samplers: list[str], seed: int) -> list[str]:
         exact_draws=1200,
     )
     return [entry.verdict for entry in found.entries]
+
+
+@pytest.mark.slow
+def test_a_detector_s_faults_are_summed_out_of_the_density() -> None:
+    """Log density = log of the sum, over patterns, of the posterior's own; draws bring patterns
+    that explain them, and the arm that is seen only if sides are exchanged has coordinates too."""
+    model, frame = faulty.small_case()
+    posterior = frame.uncertain(model)
+    target, roots = RootedTarget.of(posterior), faulty.weighed()
+    points, poses, _ = roots.draw(np.random.default_rng(1), 400)
+    assert target.dim == 2 + 4 * 2 + len(ROOT_COORDINATES)  # lengths and bones of both arms
+    x = target.points_of(points, poses)
+    roots_of, poses_of = placed(target, x)
+    log_each = []
+    for exchange, hip, shoulder, elbow, wrist in itertools.product(
+        (0, EXCHANGE_INDEX["arms"]), *[(False, True)] * 4
+    ):
+        outlier = np.zeros(len(JOINTS), bool)
+        named = dict(zip(faulty.OUTLIER, (shoulder, hip, elbow, wrist), strict=True))
+        outlier[[JOINTS.index(name) for name, flag in named.items() if flag]] = True
+        pattern = Faults(np.full(len(x), exchange), np.tile(outlier, (len(x), 1)))
+        log_each.append(np.asarray(posterior.log_joint(roots_of, poses_of, pattern)))
+    own = np.logaddexp.reduce(log_each) - np.asarray(model.log_prior(*poses_of))
+    chart = target.limbs.log_base(jnp.asarray(x[:, : target.limbs.dim])) + target.log_volume(x)
+    found = np.asarray(target.log_density(x))
+    assert np.isfinite(found).all()
+    np.testing.assert_allclose(found, own + chart, rtol=0, atol=1e-8)
+    assert (np.asarray(target.misfit(x)) <= 1).all()
+    drawn = target.faults(key(4), x)
+    assert np.isfinite(posterior.log_joint(roots_of, poses_of, drawn)).all()
+    assert len(np.unique(drawn.outlier, axis=0)) > 1
+
+
+@pytest.mark.sweep
+def test_a_walk_finds_faults_as_often_as_brute_force(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Probabilities of an outlier of the wrist and of the hip and of exchanged arms, and the mean
+    log scale, within 4 standard errors (6e-5 each); where any joint is an outlier as probably as
+    not, they are not."""
+    model, frame = faulty.small_case()
+    posterior, brute, roots = frame.uncertain(model), faulty.brute_force(), faulty.weighed()
+    target = RootedTarget.of(posterior)
+    starts = target.points_of(*roots.draw(np.random.default_rng(1), 1000)[:2])
+
+    def off(evaluations: int) -> float:
+        done = run(
+            *(BASELINES["random-walk"], "random-walk", target),
+            key=key(6),
+            starts=starts,
+            num_samples=ENDLESS,
+            allowance=Allowance(evaluations=evaluations),
+        )
+        draws = rooted_tree(posterior, target, done, key(6))["posterior"]
+        values = [
+            draws.outlier.values[..., JOINTS.index("right_wrist")],
+            draws.outlier.values[..., JOINTS.index("left_hip")],
+            draws.exchange.values == EXCHANGE_INDEX["arms"],
+            np.log(draws.scale.values),
+        ]
+        mean = np.array([np.mean(one) for one in values])
+        error = np.array([float(az.mcse(np.asarray(one, float))) for one in values])
+        return float(np.max(np.abs(mean - brute["mean"]) / np.hypot(error, brute["mean_se"])))
+
+    assert off(4_000_000) < 4
+    right, often = SummedFaults._log_prior, FaultPrior.of(0.5)
+
+    def wrong(self: SummedFaults) -> States:
+        faults = dataclasses.replace(often, exchange=self.faults.exchange)
+        return right(self._replace(faults=faults))
+
+    monkeypatch.setattr(SummedFaults, "_log_prior", wrong)
+    jax.clear_caches()
+    assert off(1_000_000) > 8
+    monkeypatch.undo()
+    jax.clear_caches()
+
+
+@pytest.mark.sweep
+def test_the_judge_holds_walks_among_faults_against_rejection() -> None:
+    assert judged(["random-walk", "emcee"], 3, faulty.small_case()) == [AGREES, AGREES]
 
 
 @pytest.mark.sweep

@@ -168,12 +168,13 @@ class SummedFaults(NamedTuple):
 
         def read(outlier: bool) -> jax.Array:
             """`(e, 15)`, by keypoint: an exchange is its own inverse."""
-            found = []
-            for exchange in self.exchanges:
+
+            def one(exchange: jax.Array) -> jax.Array:
                 faults = Faults(exchange, np.full(NUM_JOINTS, outlier))
                 observation = self.detected.under(self.prior, point, faults)
-                found.append(number(observation)[ORDERS[exchange]])
-            return jnp.stack(found)
+                return number(observation)[jnp.asarray(ORDERS)[exchange]]
+
+            return jax.vmap(one)(jnp.asarray(self.exchanges))
 
         near, far = read(False), read(True)
         torso, limbs = np.array(TORSO_INDEX), np.array(LIMB_INDEX)

@@ -143,6 +143,16 @@ class FaultPrior:
         """Whether there may be faults."""
         return any(self.outlier) or any(self.exchange)
 
+    @property
+    def exchange_probabilities(self) -> np.ndarray:
+        """`(6,)`: of all exchanges, "none" first."""
+        return np.array([1 - sum(self.exchange), *self.exchange])
+
+    @property
+    def exchanges(self) -> np.ndarray:
+        """`(e,)`: those that there may be, as indices into `EXCHANGES`."""
+        return np.flatnonzero(self.exchange_probabilities)
+
     def compose(self, counts: ArrayLike, step: Callable[[str, Any], Any]) -> Faults:
         """The prior, written once.
 
@@ -161,9 +171,7 @@ class FaultPrior:
         from numpyro.distributions import BernoulliProbs, CategoricalProbs
 
         outlier = jnp.where(jnp.asarray(counts), jnp.asarray(self.outlier), 0.0)
-        exchange = step(
-            "exchange", CategoricalProbs(jnp.array([1 - sum(self.exchange), *self.exchange]))
-        )
+        exchange = step("exchange", CategoricalProbs(jnp.asarray(self.exchange_probabilities)))
         odds = outlier[jnp.array(TORSO_INDEX)] / (1 - outlier[jnp.array(TORSO_INDEX)])
         moved = jnp.asarray(MOVES_TORSO)[exchange]
         one = jnp.append(1.0, jnp.where(moved, 0.0, odds))

@@ -97,6 +97,10 @@ class Observation(NamedTuple):
 
         return jnp.vectorize(one, signature="(j,x)->(j)")(joints)
 
+    def squares_in_reaches(self, joints: ArrayLike) -> jax.Array:
+        """`(..., 15)`: the same in reaches: more than 1 where a joint is not explained."""
+        return self.squares(joints) / self.law.reach**2
+
     def log_ratios(self, joints: ArrayLike) -> jax.Array:
         """`(..., 15)`: for each joint, the log of the likelihood over its peak: at most 0, and 0
         where a joint does not count."""
@@ -139,7 +143,7 @@ class Observation(NamedTuple):
         Array
             `(...)`: the log of the walls, at most 0.
         """
-        inwards = 1 - self.squares(joints) / self.law.reach**2
+        inwards = 1 - self.squares_in_reaches(joints)
         walls = jnp.where(self.seen, jax.nn.log_sigmoid(sharpness * inwards), 0.0)
         return jnp.sum(walls, axis=-1)
 
@@ -183,7 +187,7 @@ class Observation(NamedTuple):
 
     def misfit(self, joints: ArrayLike) -> jax.Array:
         """`(...)`: the largest distance of a seen joint from its target, in reaches."""
-        return jnp.sqrt(jnp.max(self.squares(joints) / self.law.reach**2, axis=-1))
+        return jnp.sqrt(jnp.max(self.squares_in_reaches(joints), axis=-1))
 
     def within(self, joints: ArrayLike) -> jax.Array:
         """`(..., 15)` bool: which joints of poses `(..., 15, 3)` in camera axes lie within their

@@ -20,8 +20,6 @@ from probmodel.roots import RootPoint, RootPrior
 from probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 from probmodel.uncertain import DetectedJoints
 
-NUM_UNIFORMS = 2 + len(LIMB_INDEX)
-"""Random numbers that decide a pattern: its exchange, the torso's outlier, each limb joint."""
 _ASTRAY = np.eye(1 + len(TORSO_INDEX), len(TORSO_INDEX), -1, dtype=bool)
 """In each state of the torso, which of its joints is an outlier: none, then one after the other."""
 
@@ -61,11 +59,6 @@ class SummedFaults(NamedTuple):
     faults: FaultPrior
     prior: RootPrior
 
-    @property
-    def exchanges(self) -> np.ndarray:
-        """`(e,)`: those that there may be, as indices into `EXCHANGES`."""
-        return np.flatnonzero([True, *self.faults.exchange])
-
     def log_likelihood(self, point: RootPoint, joints: jax.Array) -> jax.Array:
         """Summed over all patterns.
 
@@ -83,13 +76,13 @@ class SummedFaults(NamedTuple):
         """
         return logsumexp(_log_exchanges(self._log_states(point, joints)))
 
-    def draw(self, uniform: jax.Array, point: RootPoint, joints: jax.Array) -> Faults:
+    def draw(self, key: jax.Array, point: RootPoint, joints: jax.Array) -> Faults:
         """A pattern given root and pose.
 
         Parameters
         ----------
-        uniform : `(NUM_UNIFORMS,)`
-            Random numbers between 0 and 1.
+        key
+            Of the draw.
         point
             One root.
         joints : `(15, 3)`
@@ -101,10 +94,11 @@ class SummedFaults(NamedTuple):
             One of them, as probable as the posterior has it.
         """
         states = self._log_states(point, joints)
-        row = _chosen(uniform[0], _log_exchanges(states))
-        torso = _chosen(uniform[1], states.torso[row])
-        limbs = jax.vmap(_chosen)(uniform[2:], states.limbs[row])
-        return faults_of(jnp.asarray(self.exchanges)[row], torso, limbs)
+        keys = jax.random.split(key, 3)
+        row = jax.random.categorical(keys[0], _log_exchanges(states))
+        torso = jax.random.categorical(keys[1], states.torso[row])
+        limbs = jax.random.categorical(keys[2], states.limbs[row])
+        return faults_of(jnp.asarray(self.faults.exchanges)[row], torso, limbs)
 
     def misfit(self, point: RootPoint, joints: jax.Array) -> jax.Array:
         """How far the pattern that explains a pose best is from doing so.
@@ -122,11 +116,7 @@ class SummedFaults(NamedTuple):
             `()`: under that pattern, the largest distance of a seen joint from its detection, in
             reaches.
         """
-
-        def squares(observation: Observation) -> jax.Array:
-            return observation.squares(joints) / observation.law.reach**2
-
-        torso, limbs = self._by_state(point, squares)
+        torso, limbs = self._by_state(point, lambda seen: seen.squares_in_reaches(joints))
         prior = self._log_prior()
         torso = jnp.where(jnp.isfinite(prior.torso), torso.max(axis=-1), jnp.inf).min(axis=-1)
         limbs = jnp.where(jnp.isfinite(prior.limbs), limbs, jnp.inf).min(axis=-1)
@@ -134,20 +124,19 @@ class SummedFaults(NamedTuple):
 
     def _log_states(self, point: RootPoint, joints: jax.Array) -> States:
         """Of prior and likelihood together; of the exchange, of its prior."""
-        torso, limbs = self._by_state(point, lambda observation: observation.log_densities(joints))
+        torso, limbs = self._by_state(point, lambda seen: seen.log_densities(joints))
         prior = self._log_prior()
         return States(prior.exchange, prior.torso + torso.sum(axis=-1), prior.limbs + limbs)
 
     def _log_prior(self) -> States:
         """By the laws of `FaultPrior.compose`."""
 
-        def under(exchange: int) -> States:
+        def under(exchange: jax.Array) -> States:
             laws: dict[str, Any] = {}
 
             def step(site: str, law: Any) -> jax.Array:
                 laws[site] = law
-                shape = law.batch_shape + law.event_shape
-                return jnp.full(shape, exchange if site == "exchange" else 0)
+                return exchange if site == "exchange" else jnp.zeros(law.shape(), int)
 
             self.faults.compose(self.detected.counts, step)
             astray = laws["limb_outlier"].base_dist.probs
@@ -158,7 +147,7 @@ class SummedFaults(NamedTuple):
             )
             return States(*map(jnp.log, states))
 
-        return jax.tree.map(lambda *each: jnp.stack(each), *map(under, self.exchanges))
+        return jax.vmap(under)(jnp.asarray(self.faults.exchanges))
 
     def _by_state(
         self, point: RootPoint, number: Callable[[Observation], jax.Array]
@@ -174,9 +163,11 @@ class SummedFaults(NamedTuple):
                 observation = self.detected.under(self.prior, point, faults)
                 return number(observation)[jnp.asarray(ORDERS)[exchange]]
 
-            return jax.vmap(one)(jnp.asarray(self.exchanges))
+            return jax.vmap(one)(jnp.asarray(self.faults.exchanges))
 
-        near, far = read(False), read(True)
+        near = read(False)
+        # Where there are no outliers, no state of theirs has a prior probability.
+        far = read(True) if any(self.faults.outlier) else near
         torso, limbs = np.array(TORSO_INDEX), np.array(LIMB_INDEX)
         return (
             jnp.where(_ASTRAY, far[:, None, torso], near[:, None, torso]),
@@ -188,9 +179,3 @@ def _log_exchanges(states: States) -> jax.Array:
     """`(e,)`: each exchange with all states of torso and limbs."""
     torso = logsumexp(states.torso, axis=-1)
     return states.exchange + torso + logsumexp(states.limbs, axis=-1).sum(axis=-1)
-
-
-def _chosen(uniform: jax.Array, log_weight: jax.Array) -> jax.Array:
-    """`()`: one of the states `(n,)`, as probable as it weighs."""
-    below = jnp.cumsum(jax.nn.softmax(log_weight))
-    return jnp.minimum(jnp.sum(uniform * below[-1] >= below), len(log_weight) - 1)

@@ -197,10 +197,9 @@ def rooted_tree(
     `effective_roots` are the effective draws of the worst coordinate, `rhat` is the largest."""
     poses = _flat(run.poses)
     number = len(poses.length)
-    points = RootPoint(
-        *(np.asarray(part) for part in target.roots(run.points.reshape(number, target.dim)))
-    )
-    faults = target.faults(jax.random.fold_in(key, 5), run.points.reshape(number, target.dim))
+    flat = run.points.reshape(number, target.dim)
+    points = RootPoint(*(np.asarray(part) for part in target.roots(flat)))
+    faults = target.faults(jax.random.fold_in(key, 5), flat)
     columns = draw_columns(posterior, points, poses, faults)
     columns["candidate"] = sides(posterior, points)
     constant = side_data(

@@ -30,12 +30,12 @@ from inference.baselines.target import LimbChart, active_coordinates
 from inference.uncertain.tree import nearest_rotation
 from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
-from probmodel.faults import NO_FAULTS, ORDERS, FaultPrior, Faults
+from probmodel.faults import ORDERS, FaultPrior, Faults
 from probmodel.observation import Observation
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint, RootPrior
 from probmodel.rotations import RotationTransform
-from probmodel.summed import NUM_UNIFORMS, SummedFaults
+from probmodel.summed import SummedFaults
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 ROOT_COORDINATES = ("torso", *(f"turn {axis}" for axis in "xyz"), "log scale", "place u", "place v")
@@ -75,7 +75,7 @@ class RootedTarget:
     order: jax.Array
     turn: jax.Array
     centre: jax.Array
-    faulty: FaultPrior = NO_FAULTS
+    faulty: FaultPrior
 
     @classmethod
     def of(cls, posterior: UncertainPosterior) -> Self:
@@ -98,8 +98,7 @@ class RootedTarget:
         """
         where, detected, faults = posterior.detection.where, posterior.detected, posterior.faults
         counts = np.asarray(detected.counts)
-        exchanges = SummedFaults(detected, faults, posterior.prior).exchanges
-        active = active_coordinates(counts[ORDERS[exchanges]].any(axis=0))
+        active = active_coordinates(counts[ORDERS[faults.exchanges]].any(axis=0))
         if not active:
             raise BadInput(
                 f"{where} has no seen limb joint: its poses are those of the prior; use"
@@ -127,12 +126,7 @@ class RootedTarget:
         unit of R^d; what no seen joint depends on is integrated out, and so are faults."""
 
         def one(point: jax.Array) -> jax.Array:
-            if self.faulty.any:
-                likelihood = self._summed.log_likelihood(*self._placed(point))
-            else:
-                observation, joints = self._observed(point)
-                likelihood = observation.log_density(joints)
-            return self._log_prior(point) + likelihood
+            return self._log_prior(point) + self._summed.log_likelihood(*self._placed(point))
 
         return self._everywhere(one, points)
 
@@ -169,10 +163,7 @@ class RootedTarget:
         detection, in reaches, at points of R^d; under the pattern of faults that explains most."""
 
         def one(point: jax.Array) -> jax.Array:
-            if self.faulty.any:
-                return self._summed.misfit(*self._placed(point))
-            observation, joints = self._observed(point)
-            return observation.misfit(joints)
+            return self._summed.misfit(*self._placed(point))
 
         return jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
 
@@ -218,8 +209,8 @@ class RootedTarget:
         points = np.asarray(points)
         if not (self.faulty.any and len(points)):
             return Faults.none(len(points))
-        uniform = np.asarray(jax.random.uniform(key, (len(points), NUM_UNIFORMS)))
-        return Faults(*in_chunks(functools.partial(_faults, self), points, uniform))
+        keys = np.asarray(jax.random.key_data(jax.random.split(key, len(points))))
+        return Faults(*in_chunks(functools.partial(_faults, self), points, keys))
 
     def points_of(self, roots: RootPoint, poses: Pose) -> np.ndarray:
         """Points of R^d of roots and poses; each torso in the middle of its part.
@@ -303,11 +294,11 @@ class RootedTarget:
 
 
 @jax.jit
-def _faults(target: RootedTarget, points: jax.Array, uniform: jax.Array) -> Faults:
-    def one(point: jax.Array, own: jax.Array) -> Faults:
-        return target._summed.draw(own, *target._placed(point))
+def _faults(target: RootedTarget, points: jax.Array, keys: jax.Array) -> Faults:
+    def one(point: jax.Array, key: jax.Array) -> Faults:
+        return target._summed.draw(jax.random.wrap_key_data(key), *target._placed(point))
 
-    return jax.vmap(one)(points, uniform)
+    return jax.vmap(one)(points, keys)
 
 
 def _alike(torsos: np.ndarray) -> np.ndarray:

@@ -22,7 +22,6 @@ from probmodel.chunks import in_chunks
 from probmodel.faults import (
     LIMB_INDEX,
     MOVES_TORSO,
-    NUM_EXCHANGES,
     ORDERS,
     FaultPrior,
     Faults,
@@ -58,16 +57,14 @@ class Stratum(NamedTuple):
 def strata_of(posterior: UncertainPosterior) -> list[Stratum]:
     """All that may be wrong with the torso's keypoints, nothing first."""
     prior, counts = posterior.faults, np.asarray(posterior.detected.counts)
-    probability = (1.0, *prior.exchange)
-    still = [index for index in range(NUM_EXCHANGES) if not MOVES_TORSO[index]]
-    possible = tuple(index for index in still if probability[index])
+    exchanges = prior.exchanges
+    possible = tuple(exchanges[~MOVES_TORSO[exchanges]].tolist())
     found = [Stratum(Faults.none(), possible)]
     for place, joint in enumerate(TORSO_INDEX, 1):
         if prior.outlier[joint] and counts[joint]:
             found.append(Stratum(_pattern(0, place, np.zeros(len(LIMB_INDEX))), possible))
-    for index in np.flatnonzero(MOVES_TORSO).tolist():
-        if probability[index]:
-            found.append(Stratum(_pattern(index, 0, np.zeros(len(LIMB_INDEX))), (index,)))
+    for index in exchanges[MOVES_TORSO[exchanges]].tolist():
+        found.append(Stratum(_pattern(index, 0, np.zeros(len(LIMB_INDEX))), (index,)))
     return found
 
 
@@ -123,8 +120,8 @@ def fit_of(
         for limb in anew:
             errors = _errors(posterior, order[limb], bool(CHAINED[limb]))
             limbs[:, place, limb] = _fit(pool[:, limb], errors, sights[limb])
-    probability = np.array([1 - sum(prior.exchange), *prior.exchange])
-    return Fit(limbs, stratum.exchanges, np.log(probability[list(stratum.exchanges)]))
+    probability = prior.exchange_probabilities[list(stratum.exchanges)]
+    return Fit(limbs, stratum.exchanges, np.log(probability))
 
 
 class Errors(NamedTuple):

@@ -305,6 +305,13 @@ def test_a_detector_s_faults_are_summed_out_of_the_density() -> None:
     assert len(np.unique(drawn.outlier, axis=0)) > 1
 
 
+def test_a_target_of_faults_has_no_slopes() -> None:
+    model, frame = faulty.small_case()
+    target = RootedTarget.of(frame.uncertain(model))
+    with pytest.raises(BadInput, match="a detector with faults has no slopes"):
+        target.log_smooth(np.zeros(target.dim), 8.0)
+
+
 @pytest.mark.sweep
 def test_a_walk_finds_faults_as_often_as_brute_force(monkeypatch: pytest.MonkeyPatch) -> None:
     """Probabilities of an outlier of the wrist and of the hip and of exchanged arms, and the mean

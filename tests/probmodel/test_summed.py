@@ -17,15 +17,15 @@ from jax.scipy.special import logsumexp
 from scipy import stats
 
 from inference.uncertain.weighted import weigh_roots
-from probmodel import BadInput, Lens, Likelihood, PoseModel
-from probmodel.errorlaws import DetectorErrors
+from probmodel import Lens, Likelihood, PoseModel
 from probmodel.faults import EXCHANGES, LIMB_INDEX, FaultPrior, Faults
 from probmodel.model import log_joint
 from probmodel.pose import Pose
 from probmodel.roots import RootPoint
 from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
-from probmodel.summed import NUM_UNIFORMS, SummedFaults
+from probmodel.summed import SummedFaults
 from probmodel.uncertain import UncertainPosterior
+from tests.inference import test_uncertain_faults as faulty
 from tests.scenes import key, prior_scene
 
 ASTRAY = {"left_hip": 0.3, "thorax": 0.1, "left_elbow": 0.2, "right_wrist": 0.4, "left_knee": 0.1}
@@ -37,14 +37,9 @@ PIXELS = 1000.0
 """Focal length and principal point."""
 
 
-def learned() -> Likelihood:
-    """Gaussian errors with a bias of its own for every joint."""
-    bias = np.linspace(-0.3, 0.4, 2 * NUM_JOINTS).reshape(NUM_JOINTS, 2)
-    sigma, inlier = np.linspace(0.4, 0.9, NUM_JOINTS), np.ones(NUM_JOINTS)
-    return Likelihood.of(DetectorErrors("gaussian", sigma=sigma, inlier=inlier, bias=bias))
-
-
-LIKELIHOODS = {"disc": Likelihood(factor=0.6), "learned": learned()}
+LEARNED = Likelihood.of(faulty.learned(sigma=np.linspace(0.4, 0.9, NUM_JOINTS)))
+"""Gaussian errors with a bias of its own for every joint."""
+LIKELIHOODS = {"disc": Likelihood(factor=0.6), "learned": LEARNED}
 
 
 @functools.cache
@@ -165,11 +160,11 @@ def test_patterns_are_drawn_as_probable_as_they_are() -> None:
     faults, log_each = every_pattern(posterior, point, pose)
     probable = np.exp(log_each - log_each.max())
     number = 20_000
-    uniform = jax.random.uniform(key(4), (number, NUM_UNIFORMS))
+    keys = jax.random.split(key(4), number)
 
     def p_value(prior: FaultPrior) -> float:
         one = summed(posterior)._replace(faults=prior)
-        drawn = jax.jit(jax.vmap(lambda some: one.draw(some, point, joints)))(uniform)
+        drawn = jax.jit(jax.vmap(lambda some: one.draw(some, point, joints)))(keys)
         code = {
             (int(exchange), outlier.tobytes()): row
             for row, (exchange, outlier) in enumerate(zip(*faults, strict=True))
@@ -210,14 +205,5 @@ def test_without_faults_the_sum_is_the_likelihood() -> None:
         assert float(log_joint(posterior.model, observation, *pose)) == pytest.approx(
             float(observation.log_density(joints) + posterior.model.log_prior(*pose)), rel=1e-9
         )
-        assert plain.exchanges.tolist() == [0]
+        assert plain.faults.exchanges.tolist() == [0]
         assert jnp.isfinite(plain.misfit(point, joints))
-
-
-def test_a_target_of_faults_has_no_slopes() -> None:
-    from inference.baselines.rooted import RootedTarget
-
-    posterior, points, poses = case("disc")
-    target = RootedTarget.of(posterior)
-    with pytest.raises(BadInput, match="a detector with faults has no slopes"):
-        target.log_smooth(target.points_of(points, poses), 8.0)

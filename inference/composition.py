@@ -247,7 +247,7 @@ def _bones(joints: jax.Array) -> jax.Array:
     return joints - joints[..., np.maximum(PARENTS, 0), :]
 
 
-@kept
+@jax.jit  # and not kept: what it returns is more than tuples
 def _under(
     model: PoseModel, detected: DetectedJoints, points: RootPoint, faults: Faults
 ) -> Observation:

@@ -43,8 +43,14 @@ if not os.environ.get(VARIABLE):
 def kept[**P](function: Callable[P, Any]) -> Callable[P, Any]:
     """A function of pytrees, compiled by JAX; where the environment names a folder, its programs
     are kept there. Its arguments are positional, and what it returns are arrays, or tuples of
-    them."""
-    compiled, ready = jax.jit(function), dict[Any, Callable]()
+    them. Raises `TypeError` where it returns anything else, since that has no file, with a folder
+    or without: tests run without one."""
+
+    @functools.wraps(function)
+    def plain(*given: P.args, **named: P.kwargs) -> Any:
+        return _plain(function(*given, **named), function.__qualname__)
+
+    compiled, ready = jax.jit(plain), dict[Any, Callable]()
 
     @functools.wraps(function)
     def call(*given: P.args, **named: P.kwargs) -> Any:
@@ -65,7 +71,7 @@ def _program(function: Any, tree: Any, leaves: list, folder: Path) -> Callable:
     """The program of a function for such arguments: found, or traced and kept."""
 
     def flat(*leaves: Any) -> Any:
-        return function(*jax.tree.unflatten(tree, leaves))
+        return _plain(function(*jax.tree.unflatten(tree, leaves)), function.__qualname__)
 
     types = [(str(kind := jax.typeof(leaf)), kind.weak_type) for leaf in leaves]
     whole = f"{_state(function.__code__.co_filename)} {function.__qualname__} {tree} {types}"
@@ -76,6 +82,15 @@ def _program(function: Any, tree: Any, leaves: list, folder: Path) -> Callable:
         program = export.export(jax.jit(flat))(*leaves)
         _write(path, bytes(program.serialize()))
     return jax.jit(program.call)
+
+
+def _plain(found: Any, name: str) -> Any:
+    """What a kept function of this name returned: leaves, and tuples that are no more than that."""
+    if type(found) is tuple:
+        return tuple(_plain(part, name) for part in found)
+    if not jax.tree_util.treedef_is_leaf(jax.tree.structure(found)):
+        raise TypeError(f"{name} returns a {type(found).__name__}, whose program cannot be kept")
+    return found
 
 
 def _read(path: Path) -> Any:

@@ -3,6 +3,7 @@ of the function, of its sources or of its arguments."""
 
 import dataclasses
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -112,3 +113,21 @@ def test_inside_another_program_it_is_a_part_of_that(folder: Path) -> None:
     assert np.array_equal(outer(ROWS), 2 * (ROWS + 1))
     assert jax.grad(lambda x: jnp.sum(inner(Gaussian(), x)[1]))(ROWS).shape == ROWS.shape
     assert not folder.exists()
+
+
+@pytest.mark.parametrize("where", ["programs", ""])
+def test_what_has_no_file_is_refused_everywhere(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where no folder is named, as in tests."""
+    monkeypatch.setenv(VARIABLE, where and str(tmp_path / where))
+
+    class Pair(NamedTuple):
+        one: jax.Array
+        other: jax.Array
+
+    def nested(rows: jax.Array) -> tuple[jax.Array, Pair]:
+        return rows, Pair(rows, rows)
+
+    with pytest.raises(TypeError, match="nested returns a Pair, whose program cannot be kept"):
+        kept(nested)(ROWS)

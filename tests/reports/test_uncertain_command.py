@@ -10,7 +10,7 @@ import xarray as xr
 from inference.results import OUT_OF_BUDGET
 from inference.saved import read_result
 from probmodel.example import example
-from reports.options import Person, Prior, RootKind, Viewing
+from reports.options import PROGRAMS, Person, Prior, RootKind, Viewing
 from reports.settings import HypothesesSettings, SampleSettings
 from tests.conftest import Cli
 from tests.reports.test_interactive import Parsed
@@ -49,6 +49,21 @@ def test_hypotheses_differ_in_their_torsos(poseterior: Cli, folder: Path) -> Non
         assert tree["roots"].share.shape == (200,)
         assert tree.attrs["effective_roots"] == said["summary"]["effective_roots"]
         assert tree.attrs["seed"] == "0 0"
+
+
+@pytest.mark.slow
+def test_composed_hypotheses_come_where_programs_are_kept(
+    poseterior: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As every command keeps them; other tests do not."""
+    monkeypatch.setenv(PROGRAMS, str(tmp_path / "programs"))
+    out = tmp_path / "out"
+    run = poseterior("hypotheses", EXAMPLE, "--out", out, *UNCERTAIN, "--roots", 200, "--composed")
+    assert run.code == 0, run
+    assert any((tmp_path / "programs").iterdir())
+    chosen = json.loads((out / "hypotheses.json").read_text())["hypotheses"]
+    assert all("keypoints" in one for one in chosen)
+    assert poseterior("check", out / "hypotheses.json", "--quiet").code == 0
 
 
 def test_an_uncertain_root_believes_wide_limits(poseterior: Cli, folder: Path) -> None:

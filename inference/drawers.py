@@ -226,8 +226,7 @@ def sampler_under(root: str, sampler: str | None, rooted: Sequence[str] = ROUTES
     if root == UNCERTAIN and sampler not in rooted:
         choice = f"{', '.join(rooted[:-1])} or {rooted[-1]}"
         raise BadInput(
-            f"the sampler {sampler} holds torso and camera fixed; choose {choice}, or the root"
-            f" {FIXED!r}"
+            f"no sampler {sampler!r} draws torso and camera; choose {choice}, or the root {FIXED!r}"
         )
     if root == FIXED and sampler == ROUTES[0]:
         raise BadInput(

@@ -3,8 +3,9 @@
     result = sample_to_file("posterior.nc", model, frame, key=jax.random.key(0),
                             num_samples=1_000_000)
 
-Exact rejection under a fixed root makes them block by block; each is a sample of the posterior, is
-written, and is forgotten. The file is that of `Result.save`, and appears when it is whole.
+Exact rejection under a fixed root and weighted roots make them block by block; each is a sample of
+the posterior, is written, and is forgotten. The file is that of `Result.save`, and appears when it
+is whole.
 """
 
 import contextlib
@@ -18,9 +19,11 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
+from inference.drawers import sampler_under
 from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress
 from inference.results import BLOCK, FIXED, Result, single
-from inference.sampler import SAMPLERS, exact_blocks, sample
+from inference.sampler import ROOTED_SAMPLERS, exact_blocks, sample, uncertain_blocks
+from inference.uncertain.routes import ROUTES
 from inference.uncertain.weighted import NUM_ROOTS
 from probmodel.files import replacing
 from probmodel.model import PoseModel
@@ -49,10 +52,10 @@ def sample_to_file(
 ) -> Result:
     """Draws as `inference.sample` makes them, saved in a file.
 
-    More than `BLOCK` draws of exact rejection, under a fixed root and in one chain, never are in
-    memory together: the result's tree then reads them from the file as they are asked for. They are
-    other ones, as random, than `sample` makes for the same key. All others are drawn first, and
-    then saved.
+    More than `BLOCK` draws of exact rejection in one chain under a fixed root, or of weighted
+    roots, never are in memory together: the result's tree then reads them from the file as they are
+    asked for. They are other ones, as random, than `sample` makes for the same key. All others are
+    drawn first, and then saved.
 
     Parameters
     ----------
@@ -75,18 +78,22 @@ def sample_to_file(
     BadInput
         As `inference.sample` does, and where the file cannot be written.
     """
-    exact = root == FIXED and chains == 1 and (sampler or SAMPLERS[0]) in PROPOSALS
-    if exact and num_samples > BLOCK:
-        blocks = exact_blocks(
-            frame.posterior(model),
-            key=key,
-            sampler=sampler or SAMPLERS[0],
-            num_samples=num_samples,
-            max_proposals=max_proposals,
-            progress=progress,
-            block=BLOCK,
-        )
-        return _written(path, blocks, double)
+    if num_samples > BLOCK and chains == 1:
+        name = sampler_under(root, sampler, ROOTED_SAMPLERS)
+        given: dict[str, Any] = {
+            "key": key,
+            "num_samples": num_samples,
+            "max_proposals": max_proposals,
+            "progress": progress,
+            "block": BLOCK,
+        }
+        if root == FIXED and name in PROPOSALS:
+            blocks = exact_blocks(frame.posterior(model), name, **given)
+            return _written(path, blocks, double)
+        if name == ROUTES[0]:
+            posterior = frame.uncertain(model)
+            blocks = uncertain_blocks(posterior, name, num_roots=num_roots, **given)
+            return _written(path, blocks, double)
     result = sample(
         model,
         frame,

@@ -20,6 +20,7 @@ from inference.uncertain.weighted import NUM_ROOTS
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate, Posterior
+from probmodel.uncertain import UncertainPosterior
 
 SAMPLERS = tuple(sorted((*PROPOSALS, *BASELINES), key=lambda name: name == ON_DEVICE))
 """Every sampler under a fixed root by its name: exact rejection first, then the baselines. Keys of
@@ -90,14 +91,15 @@ def sample(
     """
     sampler = sampler_under(root, sampler, ROOTED_SAMPLERS)
     if root == UNCERTAIN:
+        if num_samples < 1:
+            raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
         if chains != 1:
             raise BadInput(
                 f"several chains are runs under fixed roots; leave their number out, or choose the"
                 f" root {FIXED!r}"
             )
         return _sample_uncertain(
-            model,
-            frame,
+            frame.uncertain(model),
             sampler,
             key=key,
             num_samples=num_samples,
@@ -130,8 +132,8 @@ def sample(
         )
     (result,) = exact_blocks(
         posterior,
+        sampler,
         key=key,
-        sampler=sampler,
         num_samples=num_samples,
         max_proposals=max_proposals,
         progress=progress,
@@ -142,9 +144,9 @@ def sample(
 
 def exact_blocks(
     posterior: Posterior,
+    sampler: str,
     *,
     key: jax.Array,
-    sampler: str,
     num_samples: int,
     max_proposals: int,
     progress: Progress | None,
@@ -216,8 +218,7 @@ def _several(
 
 
 def _sample_uncertain(
-    model: PoseModel,
-    frame: Estimate,
+    posterior: UncertainPosterior,
     sampler: str,
     *,
     key: jax.Array,
@@ -227,11 +228,9 @@ def _sample_uncertain(
     progress: Progress | None,
 ) -> Result:
     """`sample` where the root is uncertain."""
-    if num_samples < 1:
-        raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
     if sampler in ROOTED:
         return sample_rooted(
-            frame.uncertain(model),
+            posterior,
             key=key,
             sampler=sampler,
             num_samples=num_samples,
@@ -239,9 +238,36 @@ def _sample_uncertain(
             max_proposals=max_proposals,
             progress=progress,
         )
+    (result,) = uncertain_blocks(
+        posterior,
+        sampler,
+        key=key,
+        num_samples=num_samples,
+        num_roots=num_roots,
+        max_proposals=max_proposals,
+        progress=progress,
+        block=num_samples,
+    )
+    return result
+
+
+def uncertain_blocks(
+    posterior: UncertainPosterior,
+    sampler: str,
+    *,
+    key: jax.Array,
+    num_samples: int,
+    num_roots: int,
+    max_proposals: int,
+    progress: Progress | None,
+    block: int,
+) -> Iterator[Result]:
+    """The results of a route to an uncertain root, block by block: its roots are made once, and
+    each block is a sample of them. There is one block at least, and no other where that one has no
+    draw."""
     started = time.perf_counter()
-    route = draw_uncertain(
-        frame.uncertain(model),
+    roots, status, sentence, about = draw_uncertain(
+        posterior,
         sampler,
         key=jax.random.fold_in(key, 0),
         num_samples=num_samples,
@@ -250,7 +276,17 @@ def _sample_uncertain(
         progress=progress,
     )
     rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
-    attributes = {"sampler": sampler, "seed": key_words(key), "num_samples": num_samples}
-    tree = uncertain_tree(route.roots, rng, num_samples, attributes | route.attributes)
-    tree.attrs.update(wall_time_s=time.perf_counter() - started, status=route.status)
-    return Result(tree, route.status, route.sentence)
+    attributes = {"sampler": sampler, "seed": key_words(key), "num_samples": num_samples} | about
+    done = 0
+    for number, start in enumerate(range(0, num_samples, block)):
+        size = min(block, num_samples - start)
+        tree = uncertain_tree(roots, rng, size, attributes, number)
+        done += tree["posterior"].sizes["draw"]
+        tree.attrs.update(
+            acceptance_rate=done / max(roots.proposals, 1),
+            wall_time_s=time.perf_counter() - started,
+            status=status,
+        )
+        yield Result(tree, status, sentence)
+        if not done:
+            return

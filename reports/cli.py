@@ -133,8 +133,7 @@ def _register(name: str, kind: Any) -> None:
     def command(context: typer.Context, **values: Any) -> None:
         options.prepare_jax()
         wanted: Any = built(kind, values)
-        if isinstance(wanted, settings.CoverageSettings):
-            wanted.require_one_way({word for word in values if _typed(context, word)})
+        options.require_meaning(wanted, {word for word in values if _typed(context, word)})
         screen = built(Screen, values)
         with console.progress("reading", screen.quiet):
             options.check(wanted)

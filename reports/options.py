@@ -9,7 +9,7 @@ import functools
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -436,6 +436,10 @@ def concentration(upright: float | None) -> float:
     return 0.0 if upright is None else math.radians(upright) ** -2
 
 
+ESTIMATED = ("estimator", "poses", "candidates", "chains")
+"""Options of torsos and cameras that are estimated and held fixed."""
+
+
 class RootKind(enum.StrEnum):
     """What torso and camera are."""
 
@@ -464,6 +468,18 @@ class Rooting:
     def rooted(self) -> bool:
         """Whether torso and camera are drawn with the pose."""
         return self.root == RootKind.uncertain
+
+    def require_meaning(self, given: Set[str]) -> None:
+        """Raises `BadInput` where an option was given that means nothing with this kind of root."""
+        from probmodel import BadInput
+
+        other = RootKind.fixed if self.rooted else RootKind.uncertain
+        for name in ESTIMATED if self.rooted else ("roots",):
+            if name in given:
+                raise BadInput(
+                    f"--{name} means nothing where torso and camera are {self.root}; leave it out,"
+                    f" or choose --root {other}"
+                )
 
     def model(self, prior: Prior) -> "PoseModel":
         """The model of anatomy, with what is believed of the root. Raises `BadInput` on a limits
@@ -584,6 +600,14 @@ def check(settings: object) -> None:
     for one in (*vars(settings).values(), settings):
         if hasattr(one, "check"):
             one.check()
+
+
+def require_meaning(settings: object, given: Set[str]) -> None:
+    """Raises `BadInput` where an option was given that settings, or a group of theirs, know to mean
+    nothing beside the others."""
+    for one in (settings, *vars(settings).values()):
+        if hasattr(one, "require_meaning"):
+            one.require_meaning(given)
 
 
 def prepare_jax() -> None:

@@ -3,7 +3,7 @@ help."""
 
 import functools
 from collections.abc import Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 
 CONTESTANTS = "rejection,emcee,aies,random-walk"
 """Of `compare`, where nobody says whom."""
+OPEN = Viewing(root=RootKind.uncertain)
+"""Of commands for whoever asks about a person, and not about a sampler or the paper."""
 MANY_ROOTED = Rooting(roots=200)
 """Where many people are drawn from, each has fewer roots: about a second of one core."""
 REAL = "Real poses (with --dataset)"
@@ -71,11 +73,10 @@ class HypothesesSettings:
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "hypotheses frame_keypoints.json --out result",
         "hypotheses people.json --person 3 --image photo.jpg --k 8",
-        "hypotheses frame.json --limits limits.npz --candidates 1",
-        "hypotheses frame.json --estimator zhou",
-        "hypotheses frame.json --root uncertain --upright 20",
-        "hypotheses frame.json --root uncertain --focal 1650 --image photo.jpg",
-        "hypotheses frame.json --composed",
+        "hypotheses frame.json --upright 20 --composed",
+        "hypotheses frame.json --focal 1650 --image photo.jpg --errors learned",
+        "hypotheses frame.json --root fixed --limits limits.npz --candidates 1",
+        "hypotheses frame.json --root fixed --estimator zhou",
     )
     person: Person
     out: Annotated[
@@ -88,7 +89,7 @@ class HypothesesSettings:
     double: Double = False
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
-    rooting: Viewing = Viewing()
+    rooting: Viewing = OPEN
     prior: Prior = Prior()
 
     @property
@@ -103,10 +104,10 @@ class SampleSettings:
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "sample frame.json --out posterior.nc --num-samples 100000",
-        "sample frame.json --chains 4 --num-samples 4000 --out chains.nc",
-        "sample frame.json --sampler emcee --candidates 1 --num-samples 1000",
-        "sample frame.json --root uncertain --sampler rejection --num-samples 20",
-        "sample frame.json --root uncertain --sampler emcee --num-samples 1000",
+        "sample frame.json --sampler rejection --num-samples 20",
+        "sample frame.json --sampler emcee --num-samples 1000",
+        "sample frame.json --root fixed --chains 4 --num-samples 4000 --out chains.nc",
+        "sample frame.json --root fixed --candidates 1 --sampler nuts --num-samples 1000",
     )
     person: Person
     out: Annotated[
@@ -126,7 +127,7 @@ class SampleSettings:
     double: Double = False
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
-    rooting: Viewing = Viewing()
+    rooting: Viewing = OPEN
     prior: Prior = Prior()
 
     @property
@@ -144,8 +145,9 @@ class FramesSettings:
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "frames walk/ --out walk-posterior",
         "frames video.json --out result --num-samples 1000 --keep 100",
-        "frames walk/ --out walk-uncertain --root uncertain --roots 400",
-        "frames walk/ --root uncertain --focal 1650 --principal 960,540",
+        "frames walk/ --out walk-uncertain --roots 400 --upright 20",
+        "frames walk/ --focal 1650 --principal 960,540",
+        "frames walk/ --root fixed --out walk-of-the-paper",
     )
     path: Annotated[
         Path,
@@ -168,7 +170,7 @@ class FramesSettings:
     sampling: Sampling = Sampling()
     detected: Detected = Detected()
     estimation: Estimation = Estimation()
-    rooting: Viewing = Viewing(roots=MANY_ROOTED.roots)
+    rooting: Viewing = replace(OPEN, roots=MANY_ROOTED.roots)
     prior: Prior = Prior()
 
     @property
@@ -583,7 +585,7 @@ class CoverageSettings:
     sampling: Sampling = Sampling(num_samples=1000, max_proposals=3_000_000)
     prior: Prior = Prior()
 
-    def require_one_way(self, given: Set[str]) -> None:
+    def require_meaning(self, given: Set[str]) -> None:
         """Raises `BadInput` where an option was given that the chosen way does not know."""
         from probmodel import BadInput
 

@@ -341,7 +341,9 @@ def _explain(
 ) -> tuple[str, str]:
     """Why there are fewer draws than wanted, in a sentence that names the joint or the group."""
     model, where = posterior.model, posterior.detection.where
-    unreachable = [out_of_reach(model, observation) for observation in posterior.observations]
+    unreachable = [
+        out_of_reach(model, limb_problems(observation)) for observation in posterior.observations
+    ]
     if all(unreachable):
         scale = float(posterior.roots[0].camera.scale)
         return IMPOSSIBLE, f"no pose explains {where}: {unreachable[0][0].sentence(scale)}"

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from inference.exact.loops.strata import grid
-from inference.exact.problem import limb_problems
+from inference.exact.loops.tables import LimbProblem
 from probmodel.directions.cells import cell_centres
 from probmodel.model import PoseModel
 from probmodel.observation import Observation
@@ -36,10 +36,11 @@ class OutOfReach(NamedTuple):
         )
 
 
-def out_of_reach(model: PoseModel, observation: Observation) -> list[OutOfReach]:
-    """The seen joints that are out of reach for every occupied direction and every length in
-    range."""
-    problems = limb_problems(observation)
+def out_of_reach(
+    model: PoseModel, problems: dict[str, tuple[LimbProblem, ...]]
+) -> list[OutOfReach]:
+    """The seen joints that are out of reach under one root, given the problem of every limb, for
+    every occupied direction and every length in range."""
     found = []
     for name, limbs in GROUPS.items():
         for limb, problem in zip(limbs, problems[name], strict=True):
@@ -50,7 +51,7 @@ def out_of_reach(model: PoseModel, observation: Observation) -> list[OutOfReach]
     return found
 
 
-def _excess(model: PoseModel, limb: Limb, row: int, problem: NamedTuple) -> float:
+def _excess(model: PoseModel, limb: Limb, row: int, problem: LimbProblem) -> float:
     """At least how far the limb's joint `row` stays from its disc, body units; negative where it
     may reach it."""
     axes, target, reach = problem

@@ -31,10 +31,15 @@ EVIDENCE = ("log_evidence", "log_evidence_se")
 
 
 def uncertain_tree(
-    roots: WeightedRoots, rng: np.random.Generator, number: int, attributes: dict[str, Any]
+    roots: WeightedRoots,
+    rng: np.random.Generator,
+    number: int,
+    attributes: dict[str, Any],
+    block: int = 0,
 ) -> xr.DataTree:
     """The DataTree of `number` draws, none where no root has any weight. Beside the groups that
-    every result has, `roots` holds all that were weighed, with their weights."""
+    every result has, `roots` holds all that were weighed, with their weights. The `block` counts as
+    in `build_tree`."""
     posterior = roots.posterior
     points, poses, chosen = roots.draw(rng, number)
     faults = roots.proposed.faults.take(chosen)
@@ -51,7 +56,7 @@ def uncertain_tree(
         "converged": int(all(one.converged for one in posterior.candidates)),
     }
     constant = side_data(posterior, roots.points, roots.share, functools.partial(_evidence, roots))
-    tree = assemble(posterior, columns, constant, BASE_MEASURE, about | dict(attributes))
+    tree = assemble(posterior, columns, constant, BASE_MEASURE, about | attributes, block)
     tree["roots"] = xr.DataTree(_weighed(roots))
     return tree
 

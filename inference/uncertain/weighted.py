@@ -11,6 +11,7 @@ are draws of the posterior. How far a number of roots is from there, the effecti
 
 import functools
 import math
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,11 +20,21 @@ import numpy as np
 
 from inference.exact.loops.numbers import words_of
 from inference.exact.mixture import MAX_PROPOSALS, Progress
+from inference.exact.problem import limbs_of
 from inference.exact.rates import Budget
+from inference.exact.reach import out_of_reach
 from inference.resampling import effective, shares, times
 from inference.results import COMPLETE, OUT_OF_BUDGET
 from inference.roots.points import require_camera
-from inference.uncertain.limbs import ATTEMPTS, LimbDraws, limb_draws, log_evidence, picks
+from inference.uncertain.limbs import (
+    ATTEMPTS,
+    LimbDraws,
+    limb_draws,
+    log_evidence,
+    outliers_of,
+    picks,
+    views_of,
+)
 from inference.uncertain.proposals import ProposedRoots, propose_roots
 from inference.uncertain.torsos import log_nearness, require_distance
 from probmodel.failures import BadInput
@@ -39,6 +50,8 @@ MOST_ROOTS = 100_000
 """More would not fit the memory of a small machine."""
 FEWEST_EFFECTIVE = 20
 """Effective roots below which draws are no answer: an interval would rest on one or two of them."""
+EXAMINED = 32
+"""Roots under which it is asked, where none explains a group of limbs, what is out of reach."""
 APART = 2
 """Effective roots for every draw that counts as independent of the others."""
 
@@ -208,6 +221,8 @@ def verdict(roots: WeightedRoots) -> tuple[str, str]:
     and what to do."""
     where, weighed = roots.posterior.detection.where, len(roots.log_weight)
     wanted = roots.proposed.wanted
+    if not roots.proposals:
+        return OUT_OF_BUDGET, f"no root was attempted for {where}; allow more proposals"
     if not len(roots.points.torso):
         return OUT_OF_BUDGET, (
             f"no torso brings all its seen joints within reach of their detections in"
@@ -215,23 +230,52 @@ def verdict(roots: WeightedRoots) -> tuple[str, str]:
             " shoulders, hips, thorax and pelvis, or raise the factor of the radii"
         )
     if not roots.effective:
-        return OUT_OF_BUDGET, (
+        found = (
             f"none of {weighed:,} roots that explain the torso of {where} was found to have a pose"
-            f" whose {_rarest(roots)} explain their detections; mend or drop one, ask for more"
-            " roots, or raise the factor of the radii"
+            f" whose {_rarest(roots)} explain their detections"
         )
-    if roots.effective < FEWEST_EFFECTIVE:
+        far = _out_of_reach(roots)
+        if far is not None:
+            return OUT_OF_BUDGET, f"{found}: {far}"
+        return OUT_OF_BUDGET, (
+            f"{found}; mend or drop one, ask for more roots, or raise the factor of the radii"
+        )
+    few = roots.effective < FEWEST_EFFECTIVE
+    if weighed < wanted:
+        return OUT_OF_BUDGET, (
+            f"{weighed:,} of {wanted:,} roots after {roots.proposals:,} proposals for {where};"
+            f" {'' if few else 'ask for fewer roots, or '}allow more proposals"
+        )
+    if few:
         return OUT_OF_BUDGET, (
             f"the draws for {where} rest on {roots.effective:.1f} effective roots of {weighed:,},"
             f" too few for an answer (at least {FEWEST_EFFECTIVE}); ask for some"
             f" {_enough(roots):,} roots, or mend the detection that hardly any root explains"
         )
-    if weighed < wanted:
-        return OUT_OF_BUDGET, (
-            f"{weighed:,} of {wanted:,} roots after {roots.proposals:,} proposals for {where};"
-            " ask for fewer roots, or allow more proposals"
-        )
     return COMPLETE, ""
+
+
+def _out_of_reach(roots: WeightedRoots) -> str | None:
+    """A sentence on the joint that is farthest out of reach under every one of some roots; None
+    where there is no such joint, or where a focal length is known, for which there are no
+    bounds."""
+    model, proposed = roots.posterior.model, roots.proposed.at(slice(0, EXAMINED))
+    if model.lens is not None:
+        return None
+    views = views_of(roots.posterior, proposed.points, proposed.faults)
+    reach = np.where(outliers_of(roots.posterior, proposed.faults), np.inf, views.reach)
+    columns = views.axes, views.start[..., :2], views.target, reach
+    each = [
+        {one.joint: one for one in out_of_reach(model, limbs_of(*map(np.array, row)))}
+        for row in zip(*columns, strict=True)
+    ]
+    always = set.intersection(*map(set, each))
+    if not always:
+        return None
+    excess = operator.attrgetter("excess")
+    nearest = [min((found[name] for found in each), key=excess) for name in always]
+    scale = float(np.median(np.exp(proposed.points.log_scale)))
+    return max(nearest, key=excess).sentence(scale)
 
 
 def _rarest(roots: WeightedRoots) -> str:

@@ -3,6 +3,7 @@ shares that are not shuffled and predictions that repeat as negative controls.
 
 False alarms: 1e-4 a test, over a fresh seed; seeds are fixed."""
 
+import dataclasses
 import gc
 import importlib
 import weakref
@@ -21,10 +22,15 @@ from inference.exact.mixture import RootSampler
 from inference.results import COMPLETE, OUT_OF_BUDGET, SINGLE
 from inference.saved import read_result
 from probmodel import BadInput, PoseModel
+from probmodel.faults import FaultPrior
+from probmodel.likelihood import PAPER
 from tests.goodness import floor
 from tests.scenes import key
 
 BLOCK, NUMBER = 512, 4000
+ROOTED = {"root": "uncertain", "num_roots": 100, "double": True}
+MAKERS = [("build_tree", {}), ("uncertain_tree", ROOTED)]
+"""What makes the blocks of either kind of root, and what such a root is asked for by."""
 sampler = importlib.import_module("inference.sampler")
 
 
@@ -111,16 +117,77 @@ def test_every_block_is_a_sample_of_the_mixture(to_file, monkeypatch, shared_out
 
 
 @pytest.mark.parametrize("numbered", [True, False])
-def test_predictions_of_blocks_have_errors_of_their_own(to_file, monkeypatch, numbered):
+@pytest.mark.parametrize(("made_by", "given"), MAKERS)
+def test_predictions_of_blocks_have_errors_of_their_own(
+    to_file, monkeypatch, made_by, given, numbered
+):
     if not numbered:
-        build = sampler.build_tree
-        monkeypatch.setattr(sampler, "build_tree", lambda *given: build(*given[:4]))
-    filed = to_file("a.nc", 4, 2 * BLOCK + 1)
+        build = getattr(sampler, made_by)
+        monkeypatch.setattr(sampler, made_by, lambda *given: build(*given[:4]))
+    filed = to_file("a.nc", 4, 2 * BLOCK + 1, **given)
     made = filed.tree["posterior_predictive"].keypoints - filed.tree["posterior"].keypoints
     (joint, *_) = np.flatnonzero(np.isfinite(made).all(axis=(0, 1, 3)))
     errors = np.asarray(made)[0, :, joint, 0]
     alike = np.corrcoef(errors[:BLOCK], errors[BLOCK : 2 * BLOCK])[0, 1]
     assert abs(alike) < 4 / np.sqrt(BLOCK) if numbered else alike > 0.8
+
+
+def test_blocks_of_weighted_roots_are_draws_of_the_posterior(to_file, model, example_estimate):
+    """Each block has every root as often as its weight says, to one draw; the others are those of
+    draws in memory."""
+    filed = to_file("a.nc", 1, **ROOTED)
+    held = inference.sample(
+        model, example_estimate, key=key(1), num_samples=NUMBER, root="uncertain", num_roots=100
+    )
+    share = held.tree["roots"].share.values
+    assert np.array_equal(filed.tree["roots"].share, share), "the same roots"
+    rows = filed.tree["posterior"].root_index.values[0]
+    for start in range(0, NUMBER, BLOCK):
+        own = rows[start : start + BLOCK]
+        counts = np.bincount(own, minlength=100)
+        assert np.abs(counts - len(own) * share).max() < 1 + 1e-9
+    ours, theirs = joints_of(filed), joints_of(held)
+    assert ours.shape == theirs.shape
+    assert repeated(ours) < NUMBER / 100, "two limbs of a root are drawn together now and then"
+    moving = np.argwhere(theirs.std(axis=0) > 1e-9)
+    values = [  # not exact: draws of one root have one torso
+        ks_2samp(ours[:, j, axis], theirs[:, j, axis], method="asymp").pvalue for j, axis in moving
+    ]
+    assert min(values) > floor(len(values))
+    assert np.array_equal(filed.tree["posterior"].draw, np.arange(NUMBER))
+    for name in ("acceptance_rate", "log_evidence", "num_samples", "seed", "effective_roots"):
+        assert filed.tree.attrs[name] == held.tree.attrs[name], name
+
+
+def test_blocks_of_weighted_roots_by_one_seed_would_repeat(to_file, monkeypatch):
+    build = sampler.uncertain_tree
+
+    def seeded(roots, _rng, *given):
+        return build(roots, np.random.default_rng(0), *given)
+
+    monkeypatch.setattr(sampler, "uncertain_tree", seeded)
+    assert repeated(joints_of(to_file("a.nc", 1, **ROOTED))) > NUMBER / 2
+
+
+def test_faults_stand_in_every_block(to_file, tmp_path, example_estimate, model):
+    faulty = dataclasses.replace(
+        example_estimate,
+        likelihood=dataclasses.replace(PAPER, faults=FaultPrior.of(0.2, 0.1)),
+    )
+    path, given = tmp_path / "f.nc", {"key": key(3), "num_samples": 3 * BLOCK}
+    sample_to_file(path, model, faulty, **given, root="uncertain", num_roots=100)
+    with xr.open_datatree(path, engine="netcdf4") as tree:
+        draws, roots = tree["posterior"].isel(chain=0).load(), tree["roots"].load()
+    assert draws.outlier.dtype == bool
+    for start in range(0, 3 * BLOCK, BLOCK):
+        block = slice(start, start + BLOCK)
+        assert draws.outlier[block].values.any()
+        turned = roots.rotation.values[draws.root_index.values[block]]
+        np.testing.assert_allclose(draws.rotation.values[block], turned)
+    # One root has one pattern, in whichever block.
+    for own in np.unique(draws.root_index.values):
+        rows = draws.root_index.values == own
+        assert len(np.unique(draws.outlier.values[rows], axis=0)) == 1
 
 
 @pytest.mark.parametrize("number", [100, NUMBER])
@@ -170,10 +237,11 @@ def test_nothing_is_written_where_there_is_no_draw(to_file, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_one_block_is_in_memory_at_a_time(to_file, monkeypatch):
+@pytest.mark.parametrize(("made_by", "given"), MAKERS)
+def test_one_block_is_in_memory_at_a_time(to_file, monkeypatch, made_by, given):
     """Trees that nobody looks at again are gone at once, without the collector of cycles."""
     alive: list[weakref.ref] = []
-    most, build = 0, sampler.build_tree
+    most, build = 0, getattr(sampler, made_by)
 
     def counted(*given):
         nonlocal most
@@ -182,10 +250,10 @@ def test_one_block_is_in_memory_at_a_time(to_file, monkeypatch):
         most = max(most, sum(one() is not None for one in alive))
         return tree
 
-    monkeypatch.setattr(sampler, "build_tree", counted)
+    monkeypatch.setattr(sampler, made_by, counted)
     gc.disable()
     try:
-        to_file("a.nc", 8)
+        to_file("a.nc", 8, **given)
     finally:
         gc.enable()
     assert len(alive) == -(-NUMBER // BLOCK)

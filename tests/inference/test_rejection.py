@@ -16,15 +16,16 @@ from scipy.stats import chi2, ks_2samp
 import inference
 from inference.exact import mixture
 from inference.exact.mixture import PROPOSALS
+from inference.exact.problem import limb_problems
 from inference.exact.rates import Budget
 from inference.exact.reach import out_of_reach
 from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
 from probmodel import Anatomy, PoseModel
 from probmodel.anatomy.limits import NUM_ELEVATION, cell_of
 from probmodel.kinematics import lower_axes
-from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, LENGTH_GROUPS, TORSO_INDEX
+from probmodel.skeleton import GROUPS, JOINTS, LENGTH_GROUPS, TORSO_INDEX
 from tests.brute_force import brute_force
-from tests.scenes import ALL_BUT_AN_ARM, key, prior_scene
+from tests.scenes import ALL_BUT_AN_ARM, key, moved, prior_scene
 from tests.sweeps import sweep
 from tests.witnesses.limbs import Draws, build_groups
 from tests.witnesses.patches import limbs_of, patch_rectangle, plan_limb
@@ -295,15 +296,6 @@ def test_every_draw_is_possible_and_explains_the_detection(model):
     assert np.isfinite(result.tree["sample_stats"].lp).all()
 
 
-def moved(frame, joint: str, offset: tuple[float, float]):
-    """The frame with one detection moved by some pixels."""
-    keypoints = np.array(frame.detection.keypoints)
-    keypoints[JOINT_INDEX[joint]] += offset
-    return dataclasses.replace(
-        frame, detection=dataclasses.replace(frame.detection, keypoints=keypoints)
-    )
-
-
 def test_a_wrist_out_of_reach_is_named_with_its_distance(model):
     frame = moved(prior_scene(model, 2), "right_wrist", (2000.0, 0.0))
     result = inference.sample(model, frame, key=key(0), num_samples=100)
@@ -318,15 +310,17 @@ def test_what_a_pose_reaches_is_not_called_out_of_reach(model):
     reach is a bound that is none. A detection a limb farther is out of reach."""
     for seed in range(12):
         frame = prior_scene(model, seed, factor=1e-6)
-        assert out_of_reach(model, frame.observation) == []
+        assert out_of_reach(model, limb_problems(frame.observation)) == []
         far = moved(frame, "left_wrist", (400.0, 0.0))
-        assert {one.joint for one in out_of_reach(model, far.observation)} == {"left_wrist"}
+        assert {one.joint for one in out_of_reach(model, limb_problems(far.observation))} == {
+            "left_wrist"
+        }
 
 
 @pytest.mark.slow
 def test_where_the_bounds_leave_nothing_no_budget_is_blamed(model, monkeypatch):
     """One group is enough for that, and nobody has to say which joint is out of reach."""
-    monkeypatch.setattr(mixture, "out_of_reach", lambda model, observation: [])
+    monkeypatch.setattr(mixture, "out_of_reach", lambda model, problems: [])
     frame = moved(prior_scene(model, 2), "right_wrist", (2000.0, 0.0))
     result = inference.sample(model, frame, key=key(0), num_samples=100)
     assert result.status == IMPOSSIBLE

@@ -201,7 +201,10 @@ def test_an_uncertain_stream_goes_on_to_the_same_bits(model, items, uncertain, t
     ("arguments", "match"),
     [
         ({"root": "free"}, "there is no root 'free'"),
-        ({"root": "uncertain", "sampler": "rejection-prior"}, "holds torso and camera fixed"),
+        (
+            {"root": "uncertain", "sampler": "rejection-prior"},
+            "no sampler 'rejection-prior' draws torso",
+        ),
         ({"root": "uncertain", "num_roots": 0}, "roots must lie between 1 and"),
         ({"sampler": "emcee"}, "there is no exact sampler 'emcee'"),
     ],

@@ -153,7 +153,7 @@ def test_draws_are_as_many_as_are_independent() -> None:
 
 
 def test_a_sampler_under_fixed_roots_is_refused() -> None:
-    with pytest.raises(BadInput, match="the sampler emcee holds torso and camera fixed"):
+    with pytest.raises(BadInput, match="no sampler 'emcee' draws torso and camera; choose"):
         calibrate(model(), "emcee", root="uncertain", num_simulations=1)
     with pytest.raises(BadInput, match="there is no root 'free'"):
         cover(model(), [cases()[0]], root="free")

@@ -169,7 +169,7 @@ def test_what_makes_no_sense_is_refused(settings: dict[str, int], words: str) ->
         (
             "uncertain",
             "smc",
-            "holds torso and camera fixed; choose weighted-roots, rejection, emcee",
+            "draws torso and camera; choose weighted-roots, rejection, emcee",
         ),
         ("fixed", "weighted-roots", "weighted-roots needs torso and camera uncertain"),
     ],

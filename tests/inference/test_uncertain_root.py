@@ -7,6 +7,7 @@ False alarms: evidence and every moment are held to 4 standard errors, 6e-5 each
 import dataclasses
 import functools
 import math
+import re
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from inference.exact.loops.roots import (
 from inference.exact.rates import Budget
 from inference.resampling import shares, times
 from inference.results import OUT_OF_BUDGET
-from inference.uncertain import proposals
+from inference.uncertain import proposals, weighted
 from inference.uncertain.attempts import TorsoDraws, draw_roots
 from inference.uncertain.limbs import log_evidence, picks
 from inference.uncertain.proposals import ProposedRoots
@@ -35,13 +36,14 @@ from inference.uncertain.torsos import lowest_scale, rotations_of, torso_problem
 from inference.uncertain.tree import placed, sides
 from inference.uncertain.weighted import WeightedRoots, log_mean, weigh_roots
 from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
+from probmodel.camera import Lens
 from probmodel.faults import Faults
 from probmodel.likelihood import Gaussian
 from probmodel.pose import Pose
 from probmodel.rotations import UprightRotation
 from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 from tests.brute_force import propose_group
-from tests.scenes import key, prior_scene
+from tests.scenes import key, moved, prior_scene
 
 FACTOR = 0.5
 SEEN = ("right_shoulder", "left_shoulder", "right_hip", "left_hip", "right_elbow", "right_wrist")
@@ -294,7 +296,7 @@ def test_a_root_needs_enough_of_the_torso():
         ({"root": "maybe"}, "there is no root 'maybe'; choose one of fixed, uncertain"),
         ({"root": "uncertain", "num_roots": 0}, "number of roots must lie between 1 and 100,000"),
         ({"root": "uncertain", "num_samples": 0}, "number of samples must be at least 1"),
-        ({"root": "uncertain", "sampler": "smc"}, "smc holds torso and camera fixed"),
+        ({"root": "uncertain", "sampler": "smc"}, "no sampler 'smc' draws torso and camera"),
     ],
 )
 def test_what_makes_no_sense_is_refused(settings, words):
@@ -317,6 +319,43 @@ def test_an_answer_that_is_none_is_not_called_one():
     )
     assert (none.status, none.num_draws) == (OUT_OF_BUDGET, 0)
     assert "no torso brings all its seen joints within reach" in none.sentence
+
+
+def test_a_joint_out_of_reach_is_named_with_its_distance():
+    """Under every root that was looked at; the controls: nothing is out of reach in a pose of the
+    prior, and nobody knows bounds where a focal length is known."""
+    model = PoseModel()
+    scene = prior_scene(model, 2)
+    far = moved(scene, "right_wrist", (2000.0, 0.0))
+    settings = {"key": key(0), "root": "uncertain", "num_roots": 40}
+    result = inference.sample(model, far, **settings)
+    assert (result.status, result.num_draws) == (OUT_OF_BUDGET, 0)
+    assert "whose arms explain their detections: right_wrist was detected" in result.sentence
+    assert 1300 < float(result.sentence.split(" px")[0].split()[-1]) < 2000
+    near = moved(scene, "right_wrist", (600.0, 0.0))
+    found = inference.sample(model, near, **settings).sentence
+    excess = float(found.split(" px")[0].split()[-1])
+    assert 0 < excess < 600
+    for seed in range(3):
+        roots = weigh_roots(
+            prior_scene(model, seed, factor=0.05).uncertain(model), key=key(1), num_roots=40
+        )
+        assert weighted._out_of_reach(roots) is None
+    lens = PoseModel(lens=Lens(1500.0, np.array([320.0, 240.0])))
+    said = inference.sample(lens, far, **settings).sentence
+    assert "whose arms explain their detections; mend or drop one" in said
+
+
+def test_a_budget_that_ended_says_so():
+    model = PoseModel()
+    scene = prior_scene(model, 2)
+    settings = {"key": key(0), "root": "uncertain", "num_roots": 1000}
+    none = inference.sample(model, scene, **settings, max_proposals=1)
+    assert none.sentence.startswith("no root was attempted for")
+    assert none.sentence.endswith("allow more proposals")
+    few = inference.sample(model, scene, **settings, max_proposals=200_000)
+    assert few.status == OUT_OF_BUDGET
+    assert re.search(r"\d+ of 1,000 roots after [\d,]+ proposals for .*; allow more", few.sentence)
 
 
 def test_draws_are_possible_and_say_where_they_come_from():

@@ -328,7 +328,7 @@ REFUSALS = [
     ),
     Refusal(
         "unknown estimator",
-        HYPOTHESES + "--estimator magic",
+        HYPOTHESES + "--root fixed --estimator magic",
         GOOD,
         "no estimator 'magic'; choose one of",
     ),
@@ -413,7 +413,37 @@ REFUSALS = [
         "unknown sampler",
         "sample @f.json --sampler gibbs --out @p.nc",
         GOOD,
-        "no sampler 'gibbs'; choose",
+        "no sampler 'gibbs' draws torso and camera; choose weighted-roots, .* or the root 'fixed'",
+    ),
+    Refusal(
+        "unknown sampler of fixed roots",
+        "sample @f.json --root fixed --sampler gibbs --out @p.nc",
+        GOOD,
+        "no sampler 'gibbs'; choose one of rejection,",
+    ),
+    Refusal(
+        "estimator of an uncertain root",
+        HYPOTHESES + "--estimator zhou",
+        GOOD,
+        "--estimator means nothing where torso and camera are uncertain; .* --root fixed",
+    ),
+    Refusal(
+        "candidates of an uncertain root",
+        HYPOTHESES + "--candidates 1",
+        GOOD,
+        "--candidates means nothing where torso and camera are uncertain; .* --root fixed",
+    ),
+    Refusal(
+        "chains of an uncertain root",
+        "sample @f.json --chains 4 --out @p.nc",
+        GOOD,
+        "--chains means nothing where torso and camera are uncertain; .* --root fixed",
+    ),
+    Refusal(
+        "number of fixed roots",
+        HYPOTHESES + "--root fixed --roots 9",
+        GOOD,
+        "--roots means nothing where torso and camera are fixed; .* --root uncertain",
     ),
     Refusal(
         "sample into a folder",
@@ -669,14 +699,22 @@ def test_a_frame_of_motion_capture_that_is_cut_off(
 # --- nothing explains the detection, or the budget ends
 
 
-def test_a_wrist_out_of_reach(poseterior: Cli, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("root", "said"),
+    [
+        ("fixed", "no pose explains"),
+        ("uncertain", "none of 1,000 roots that explain the torso of"),
+    ],
+)
+def test_a_wrist_out_of_reach(root: str, said: str, poseterior: Cli, tmp_path: Path) -> None:
     started = time.process_time()
     given = {"f.json": native(right_wrist=FAR)}
     match = (
-        r"no pose explains person 0 of .*: right_wrist was detected \d{4} px \(\d+\.\d\d limb"
+        rf"{said} person 0 of .*: right_wrist was detected \d{{4}} px \(\d+\.\d\d limb"
         r" lengths\) farther than"
     )
-    refused(Refusal("", HYPOTHESES + "--num-samples 100", given, match, 3), poseterior, tmp_path)
+    words = f"{HYPOTHESES} --root {root} --num-samples 100"
+    refused(Refusal("", words, given, match, 3), poseterior, tmp_path)
     assert time.process_time() - started < 60
 
 
@@ -752,6 +790,8 @@ def test_two_arms_that_no_shared_length_explains(poseterior: Cli, tmp_path: Path
     options = (
         "--limits",
         limits_file,
+        "--root",
+        "fixed",
         "--candidates",
         1,
         "--num-samples",
@@ -781,6 +821,8 @@ def test_what_a_budget_sufficed_for_is_saved(poseterior: Cli, tmp_path: Path) ->
     run = poseterior(
         "hypotheses",
         EXAMPLE,
+        "--root",
+        "fixed",
         "--num-samples",
         500_000,
         "--max-proposals",
@@ -799,13 +841,15 @@ def test_what_a_budget_sufficed_for_is_saved(poseterior: Cli, tmp_path: Path) ->
         assert tree.attrs["status"] == "out of budget"
 
 
-def test_a_budget_below_the_first_proposals(poseterior: Cli, tmp_path: Path) -> None:
-    options = "--num-samples 10 --max-proposals 1"
-    refused(
-        Refusal("", HYPOTHESES + options, GOOD, "0 of 10 draws after 0 proposals", 3),
-        poseterior,
-        tmp_path,
-    )
+@pytest.mark.parametrize(
+    ("root", "said"),
+    [("fixed", "0 of 10 draws after 0 proposals"), ("uncertain", "no root was attempted for")],
+)
+def test_a_budget_below_the_first_proposals(
+    root: str, said: str, poseterior: Cli, tmp_path: Path
+) -> None:
+    options = f"--root {root} --num-samples 10 --max-proposals 1"
+    refused(Refusal("", HYPOTHESES + options, GOOD, said, 3), poseterior, tmp_path)
 
 
 # --- what is written
@@ -845,7 +889,7 @@ ATTRIBUTES = {
 
 @pytest.fixture(scope="module")
 def written(cache: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder that `hypotheses` makes of the example."""
+    """The folder that `hypotheses` makes of the example, the paper's way."""
     out = tmp_path_factory.mktemp("made") / "new" / "folder"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["poseterior", *hypotheses_of_example(out)])
@@ -858,6 +902,8 @@ def hypotheses_of_example(out: Path, seed: int = 3) -> list[str]:
     words = [
         "hypotheses",
         EXAMPLE,
+        "--root",
+        "fixed",
         "--num-samples",
         NUM,
         "--k",
@@ -1058,7 +1104,8 @@ def test_every_sampler_draws(sampler: str, poseterior: Cli, tmp_path: Path) -> N
     (tmp_path / "f.json").write_text(native(**FEW))
     out = tmp_path / "posterior.nc"
     options = ("--num-samples", 100, "--factor", 1, "--out", out, "--quiet", "--json")
-    run = poseterior("sample", tmp_path / "f.json", "--sampler", sampler, *options)
+    by = ("--root", "fixed", "--sampler", sampler)
+    run = poseterior("sample", tmp_path / "f.json", *by, *options)
     assert run.code == 0, run
     assert strict_json(run.out)["sampler"] == sampler
     assert joints_of(out).shape == (1, 100, 15, 3)
@@ -1073,6 +1120,8 @@ def test_samplers_say_the_same(poseterior: Cli, tmp_path: Path) -> None:
     found = []
     for seed, sampler in enumerate(PROPOSALS):
         options = (
+            "--root",
+            "fixed",
             "--num-samples",
             1000,
             "--factor",

@@ -123,7 +123,7 @@ OF_THEIR_OWN = {
     "estimator": {"evaluate", "coverage"},
     "missing": {"evaluate", "coverage"},
     "frames": {"evaluate", "coverage", "calibrate"},
-    "root": {"evaluate"},
+    "root": {"evaluate", "hypotheses", "sample", "frames"},  # open where a person is asked about
     "roots": {"frames", "evaluate", "coverage"},
     "noise": {"evaluate", "coverage"},
     "dataset": {"evaluate", "coverage", "calibrate"},

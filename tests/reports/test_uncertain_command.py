@@ -1,4 +1,4 @@
-"""`--root uncertain` on the command line: files, tables, exit codes."""
+"""Torso and camera uncertain on the command line: files, tables, exit codes."""
 
 import json
 from pathlib import Path
@@ -10,6 +10,7 @@ import xarray as xr
 from inference.results import OUT_OF_BUDGET
 from inference.saved import read_result
 from probmodel.example import example
+from reports.cli import COMMANDS, declared
 from reports.options import PROGRAMS, Person, Prior, RootKind, Viewing
 from reports.settings import HypothesesSettings, SampleSettings
 from tests.conftest import Cli
@@ -24,9 +25,22 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("uncertain")
 
 
-def test_the_default_is_the_paper() -> None:
-    for kind in (HypothesesSettings, SampleSettings):
-        assert kind.__dataclass_fields__["rooting"].default.root == "fixed"
+@pytest.mark.parametrize("command", ["hypotheses", "sample", "frames", "compare", "coverage"])
+def test_who_asks_about_a_person_gets_all_that_is_uncertain(command: str) -> None:
+    """What is compared with the paper, or with samplers of poses, holds torso and camera fixed."""
+    (root,) = (one.default for one in declared(COMMANDS[command]) if one.name == "root")
+    assert root == ("fixed" if command in ("compare", "coverage") else "uncertain")
+
+
+def test_what_nobody_says_is_uncertain(poseterior: Cli, folder: Path) -> None:
+    few = ("--num-samples", 400, "--roots", 200, "--quiet", "--json")
+    said = [
+        json.loads(poseterior("sample", EXAMPLE, "--out", folder / "d.nc", *few, *root).out)
+        for root in ((), ("--root", "uncertain"))
+    ]
+    for one in said:
+        del one["wall_time_s"]
+    assert said[0] == said[1]
 
 
 def test_hypotheses_differ_in_their_torsos(poseterior: Cli, folder: Path) -> None:
@@ -155,7 +169,7 @@ def test_too_few_roots_are_no_answer(poseterior: Cli, folder: Path) -> None:
 def test_a_sampler_under_fixed_roots_is_refused(poseterior: Cli, folder: Path) -> None:
     run = poseterior("sample", EXAMPLE, "--out", folder / "x.nc", *UNCERTAIN, "--sampler", "smc")
     assert run.code == 2, run
-    assert "the sampler smc holds torso and camera fixed" in run.err
+    assert "no sampler 'smc' draws torso and camera; choose" in run.err
 
 
 @pytest.mark.slow
@@ -182,10 +196,11 @@ def test_an_outlier_stands_in_table_files_and_picture(poseterior: Cli, folder: P
 
 
 def test_outliers_need_an_uncertain_root(poseterior: Cli, folder: Path) -> None:
-    run = poseterior("hypotheses", EXAMPLE, "--out", folder / "no", "--outliers", 0.1)
+    by = ("hypotheses", EXAMPLE, "--out", folder / "no", "--root", "fixed")
+    run = poseterior(*by, "--outliers", 0.1)
     assert run.code == 2
     assert "outliers and exchanges need torso and camera to be uncertain" in run.err
-    run = poseterior("hypotheses", EXAMPLE, "--out", folder / "no", "--outliers", 1.5)
+    run = poseterior(*by, "--outliers", 1.5)
     assert run.code == 2
     assert "probability of an outlier must lie between 0 and 1" in run.err
 
@@ -212,7 +227,8 @@ def test_a_sampler_that_holds_the_root_is_refused(poseterior: Cli, folder: Path)
 
 @pytest.mark.slow
 def test_who_is_believed_upright_needs_an_uncertain_root(poseterior: Cli, folder: Path) -> None:
-    run = poseterior("sample", EXAMPLE, "--upright", 20, "--num-samples", 5, "--quiet")
+    few = ("--num-samples", 5, "--quiet")
+    run = poseterior("sample", EXAMPLE, "--root", "fixed", "--upright", 20, *few)
     assert run.code == 2, run
     assert "a belief that people are upright needs torso and camera to be uncertain" in run.err
     out = folder / "upright.nc"
@@ -225,20 +241,21 @@ def test_who_is_believed_upright_needs_an_uncertain_root(poseterior: Cli, folder
 
 
 def test_what_is_compiled_ahead_is_what_the_call_draws_by() -> None:
-    person, uncertain = Person(file=Path("frame.json")), Viewing(root=RootKind.uncertain)
-    assert HypothesesSettings(person=person).drawn == "fixed"
-    assert HypothesesSettings(person=person, rooting=uncertain).drawn == "uncertain"
-    assert SampleSettings(person=person).drawn == "fixed"
-    assert (
-        SampleSettings(person=person, sampler="rejection", rooting=uncertain).drawn == "uncertain"
-    )
-    assert SampleSettings(person=person, sampler="emcee").drawn is None
+    person, fixed = Person(file=Path("frame.json")), Viewing(root=RootKind.fixed)
+    assert HypothesesSettings(person=person).drawn == "uncertain"
+    assert HypothesesSettings(person=person, rooting=fixed).drawn == "fixed"
+    assert SampleSettings(person=person, sampler="rejection").drawn == "uncertain"
+    assert SampleSettings(person=person, sampler="rejection", rooting=fixed).drawn == "fixed"
+    assert SampleSettings(person=person, sampler="emcee", rooting=fixed).drawn is None
 
 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (["--focal", 900, "--principal", "320,240"], "a known focal length needs torso and camera"),
+        (
+            ["--root", "fixed", "--focal", 900, "--principal", "320,240"],
+            "a known focal length needs torso and camera",
+        ),
         ([*UNCERTAIN, "--principal", "320,240"], "give --focal too"),
         ([*UNCERTAIN, "--focal", 0, "--principal", "320,240"], "a focal length must be positive"),
         ([*UNCERTAIN, "--focal", 900, "--principal", "middle"], "--principal must look like"),

@@ -163,7 +163,7 @@ class UncertainRoot:
         points, poses, chosen = roots.draw(rng, self.num_samples)
         return Draws(
             posterior,
-            **placed(self.model, points, poses),
+            **placed(posterior.model, points, poses),
             bone_length=poses.length,
             scale=np.exp(points.log_scale),
             candidate=None,

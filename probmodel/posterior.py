@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from probmodel.camera import Lens
 from probmodel.detections import Detection
 from probmodel.failures import BadInput
 from probmodel.likelihood import PAPER, Likelihood
@@ -113,12 +114,15 @@ class Estimate:
         How detections err.
     estimator
         Where the candidates come from.
+    lens
+        Of the camera that saw this person, if it is known, whatever the model's cameras are.
     """
 
     detection: Detection
     candidates: tuple[Candidate, ...]
     likelihood: Likelihood = PAPER
     estimator: str = ""
+    lens: Lens | None = None
 
     def posterior(self, model: PoseModel) -> Posterior:
         """The posterior under a model of poses, roots held fixed.
@@ -145,7 +149,7 @@ class Estimate:
                 "a belief that people are upright needs torso and camera to be uncertain; choose"
                 " the root 'uncertain', or leave it out"
             )
-        if model.lens is not None:
+        if (self.lens or model.lens) is not None:
             raise BadInput(
                 "a known focal length needs torso and camera to be uncertain; choose the root"
                 " 'uncertain', or leave it out"
@@ -160,8 +164,9 @@ class Estimate:
 
     def uncertain(self, model: PoseModel) -> UncertainPosterior:
         """The posterior under a model of poses in which torso and camera are uncertain too."""
+        seen = model if self.lens is None else model.seen_by(self.lens)
         return UncertainPosterior(
-            model, self.likelihood, self.detection, self.candidates, self.estimator
+            seen, self.likelihood, self.detection, self.candidates, self.estimator
         )
 
     @property

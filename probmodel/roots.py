@@ -71,7 +71,7 @@ class Candidate:
 
     torso_index: int
     torso: np.ndarray
-    camera: WeakPerspective
+    camera: WeakPerspective | Perspective
     reprojection_error: float
     pose: np.ndarray | None = None
     objective: float = np.nan

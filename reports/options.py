@@ -72,6 +72,14 @@ Upright = Annotated[
         show_default="any way round is as probable as any other",
     ),
 ]
+KnownLenses = Annotated[
+    bool,
+    Option(
+        "--perspective",
+        help="Focal lengths of calibrated cameras are known (as by --focal): what weak perspective"
+        " cannot explain is no error.",
+    ),
+]
 Hypotheses = Annotated[int, Option(help="How many diverse hypotheses of each person.")]
 Composed = Annotated[
     bool,

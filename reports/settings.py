@@ -20,6 +20,7 @@ from reports.options import (
     ExportFormat,
     Factor,
     Hypotheses,
+    KnownLenses,
     LearnedLaw,
     LengthUnit,
     Limits,
@@ -455,6 +456,7 @@ class EvaluateSettings:
         " --root fixed,uncertain,true --no-bias",
         "evaluate actions_train.npz --frames 200 --noise gaussian:0.02 --estimator akhter-black"
         " --root uncertain --upright 20 --composed --no-bias",
+        "evaluate session/ --root uncertain --roots 1000 --perspective --errors law.json --no-bias",
     )
     dataset: Annotated[
         Path,
@@ -474,6 +476,7 @@ class EvaluateSettings:
     ] = "fixed"
     roots: Roots = MANY_ROOTED.roots
     upright: Upright = None
+    perspective: KnownLenses = False
     k: Annotated[str, Option(help="Numbers of hypotheses of which the best counts.")] = "5,20"
     composed: Composed = False
     out: Annotated[
@@ -512,6 +515,7 @@ class EvaluateSettings:
             noise=Noise.parse(self.noise),
             seed=self.sampling.seed,
             detections=self.detections,
+            perspective=self.perspective,
         )
 
     def check(self) -> None:
@@ -535,6 +539,7 @@ class CoverageSettings:
         "coverage --dataset recordings.npz --estimator zhou --noise gaussian:0.02 --missing 1"
         " --out real",
         "coverage --root uncertain --num-simulations 1000 --out whole",
+        "coverage --dataset session/ --root uncertain --perspective --noise none --out filmed",
     )
     sampler: Annotated[
         str | None,
@@ -579,6 +584,7 @@ class CoverageSettings:
     missing: Annotated[
         int, Option(min=0, help="Limb joints that are not seen.", rich_help_panel=REAL)
     ] = 0
+    perspective: KnownLenses = False
     rooting: Rooting = MANY_ROOTED
     factor: Factor = 0.25
     workforce: Workforce = Workforce()
@@ -589,7 +595,7 @@ class CoverageSettings:
         """Raises `BadInput` where an option was given that the chosen way does not know."""
         from probmodel import BadInput
 
-        real = ["frames", "estimator", "noise", "missing"]
+        real = ["frames", "estimator", "noise", "missing", "perspective"]
         draws = ["sampler", "num_samples", "max_proposals", "root", "roots", "upright"]
         if self.dataset is not None:
             way, unknown = "with --dataset", ["simulate_only", "num_simulations"]
@@ -633,14 +639,7 @@ class CalibrateSettings:
     law: Annotated[
         LearnedLaw, Option(help="Of errors that are no outliers; --errors takes gaussian.")
     ] = LearnedLaw.gaussian
-    perspective: Annotated[
-        bool,
-        Option(
-            "--perspective",
-            help="Leave out of the law what weak perspective cannot explain: for a known focal"
-            " length.",
-        ),
-    ] = False
+    perspective: KnownLenses = False
     frames: Annotated[
         int, Option(min=1, help="Most detected people to learn from, evenly over all.")
     ] = 2000

@@ -51,6 +51,7 @@ def read_data_set(
     noise: Noise = EXACT,
     seed: int = 0,
     detections: str = "gt",
+    perspective: bool = False,
 ) -> DataSet:
     """The data set at a path, whatever its kind.
 
@@ -66,6 +67,8 @@ def read_data_set(
         The error of synthetic detections, and its seed.
     detections
         Which of Human3.6M's 2D files: `data_2d_h36m_<detections>.npz`.
+    perspective
+        Whether the lenses of calibrated cameras are known, and poses in their axes.
 
     Returns
     -------
@@ -76,11 +79,17 @@ def read_data_set(
     ------
     BadInput
         Where it is no data set of this skeleton in millimetres, a frame is not finite or has no
-        action, or noise is asked for where the file has detections of its own.
+        action, noise is asked for where the file has detections of its own, or perspective where
+        there are no calibrated cameras.
     """
     path = Path(path)
     if frames is not None and frames < 1:
         raise BadInput(f"the number of frames must be at least 1, not {frames}")
+    if perspective and not is_session(path):
+        raise BadInput(
+            f"perspective needs calibrated cameras, which {path} has not; leave it out, or give a"
+            " folder in Pose2Sim's layout"
+        )
     if not brings_detections(path):
         return from_motions(read_motion(path), path.name, frames=frames, noise=noise, seed=seed)
     if noise != EXACT:
@@ -89,5 +98,8 @@ def read_data_set(
         )
     if is_human36m(path):
         return read_human36m(path, detections, frames)
-    data = from_session(read_session(path)) if is_session(path) else read_plain(path)
+    if is_session(path):
+        data = from_session(read_session(path), perspective=perspective)
+    else:
+        data = read_plain(path)
     return data if frames is None else data.spread(frames)

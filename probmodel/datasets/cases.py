@@ -1,9 +1,9 @@
 """A data set: true 3D poses, a 2D detection of each, and who does what in them; and one case of it.
 
 Poses are in millimetres and camera axes (x right, y down, z away from the camera), the pelvis at
-the origin; a weak- perspective camera of known scale and place took them: pixels = scale · (x, y) +
-translation, but for the detector's errors. Everything random about a case comes out of the seed and
-the number of the case alone."""
+the origin; a weak-perspective camera of known scale and place took them: pixels = scale · (x, y) +
+translation, but for the detector's errors; or one whose lens is known, with that scale where the
+pelvis is. Everything random about a case comes out of the seed and the number of the case alone."""
 
 import dataclasses
 import hashlib
@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from probmodel.body import body_unit
+from probmodel.camera import Lens
 from probmodel.detections import LARGEST_NUMBER, Detection
 from probmodel.failures import BadInput, shown
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS, PARENTS
@@ -40,8 +42,9 @@ def body_height(poses: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True, eq=False)
 class Case:
     """One pose `(15, 3)` (mm, camera axes, pelvis at the origin), its `detection`, the true
-    camera's `scale` (pixels a mm) and `translation` `(2,)` (pixels), and the `number` of the case,
-    from which its randomness comes."""
+    camera's `scale` (pixels a mm, where the pelvis is) and `translation` `(2,)` (pixels, of the
+    pelvis), its `lens` if it is known, and the `number` of the case, from which its randomness
+    comes."""
 
     number: int
     pose: np.ndarray
@@ -51,12 +54,28 @@ class Case:
     action: str
     subject: str
     recording: str
+    lens: Lens | None = None
+
+    def image(self, poses: np.ndarray) -> np.ndarray:
+        """`(..., 15, 2)` pixels in which the true camera would see poses `(..., 15, 3)`, mm and
+        camera axes, whose pelvis is where that of the truth is."""
+        flat = self.translation + self.scale * poses[..., :2]
+        if self.lens is None:
+            return flat
+        principal = np.asarray(self.lens.principal)
+        return principal + (flat - principal) * self.magnification(poses)[..., None]
+
+    def magnification(self, poses: np.ndarray) -> np.ndarray:
+        """`(..., 15)`: how much larger than at the pelvis things appear where the joints of poses
+        `(..., 15, 3)` are; 1 under weak perspective."""
+        focal = np.inf if self.lens is None else float(self.lens.focal)
+        return 1 / (1 + poses[..., 2] * (self.scale / focal))
 
     @property
     def pixels(self) -> np.ndarray:
-        """`(15, 3)`: the pose in pixels, in camera axes: x and y are where its joints truly are in
-        the image."""
-        return self.scale * self.pose + np.append(self.translation, 0.0)
+        """`(15, 3)`: x and y are where the pose's joints truly are in the image; z is their depth
+        in pixels, camera axes."""
+        return np.column_stack([self.image(self.pose), self.scale * self.pose[:, 2]])
 
     @property
     def unit(self) -> float:
@@ -81,12 +100,18 @@ class Case:
         the joints."""
         turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
         centre = self.pixels[:, :2].mean(axis=0)
-        keypoints = (self.detection.keypoints - centre) @ turn[:2, :2].T + centre
+
+        def about(places: ArrayLike) -> np.ndarray:
+            return (np.asarray(places) - centre) @ turn[:2, :2].T + centre
+
+        lens = self.lens and self.lens._replace(principal=about(self.lens.principal))
+        keypoints = about(self.detection.keypoints)
         return dataclasses.replace(
             self,
             pose=self.pose @ turn.T,
-            translation=(self.translation - centre) @ turn[:2, :2].T + centre,
+            translation=about(self.translation),
             detection=dataclasses.replace(self.detection, keypoints=keypoints),
+            lens=lens,
         )
 
 
@@ -107,11 +132,13 @@ class DataSet:
     score : `(N, 15)`
         0 where missing.
     scale : `(N,)`
-        Pixels a millimetre.
+        Pixels a millimetre, where the pelvis is.
     translation : `(N, 2)`
         Where the pelvis falls in the image, pixels.
     action, subject, recording : `(N,)` texts
         What was done, by whom, and in which recording.
+    lens
+        The lenses of the cameras, arrays `(N,)` and `(N, 2)`, where they are known.
 
     Raises
     ------
@@ -129,6 +156,7 @@ class DataSet:
     action: np.ndarray
     subject: np.ndarray
     recording: np.ndarray
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         number = len(self.poses)
@@ -203,14 +231,16 @@ class DataSet:
         detection = Detection(
             self.keypoints[row], self.score[row], "skeleton_15", f"frame {number} of {self.name}", 0
         )
-        labels = (str(field[row]) for field in (self.action, self.subject, self.recording))
         return Case(
             number,
             self.poses[row],
             detection,
             float(self.scale[row]),
             self.translation[row],
-            *labels,
+            str(self.action[row]),
+            str(self.subject[row]),
+            str(self.recording[row]),
+            self._lens(row),
         )
 
     def __iter__(self) -> Iterator[Case]:
@@ -223,10 +253,11 @@ class DataSet:
 
     def take(self, rows: np.ndarray) -> "DataSet":
         """Some of the cases, numbered anew."""
-        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return DataSet(
-            **{name: value if name == "name" else value[rows] for name, value in fields.items()}
-        )
+        columns = {name: getattr(self, name)[rows] for name in COLUMNS}
+        return dataclasses.replace(self, **columns, lens=self._lens(rows))
+
+    def _lens(self, rows: int | np.ndarray) -> Lens | None:
+        return self.lens and Lens(*(np.asarray(column)[rows] for column in self.lens))
 
     def spread(self, frames: int) -> "DataSet":
         """`frames` cases, as many of each action as of any other while there are that many, evenly
@@ -253,19 +284,21 @@ class DataSet:
     def sha256(self) -> str:
         """Hash of the contents: the same cases have the same, wherever they were read from."""
         digest = hashlib.sha256()
-        for field in dataclasses.fields(self)[1:]:
-            value = getattr(self, field.name)
+        columns = {name: getattr(self, name) for name in COLUMNS}
+        for name, column in (columns | (self.lens._asdict() if self.lens else {})).items():
             value = (
-                value.astype("<f8")
-                if value.dtype.kind == "f"
-                else np.array("\n".join(value.tolist()).encode())
+                column.astype("<f8")
+                if column.dtype.kind == "f"
+                else np.array("\n".join(column.tolist()).encode())
             )
             digest.update(
-                field.name.encode()
-                + str(value.shape).encode()
-                + np.ascontiguousarray(value).tobytes()
+                name.encode() + str(value.shape).encode() + np.ascontiguousarray(value).tobytes()
             )
         return digest.hexdigest()
+
+
+COLUMNS = tuple(field.name for field in dataclasses.fields(DataSet)[1:-1])
+"""The fields of a `DataSet` that have a row for each case."""
 
 
 def _metres(height: float) -> str:

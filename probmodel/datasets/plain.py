@@ -6,13 +6,12 @@ Arrays: `poses` (N, 15, 3) in millimetres, right-handed, joints in the order of 
 pixels a mm and `translation` (N, 2) of the true camera, then the poses must be in its axes (x
 right, y down, z away), else the camera is fitted."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
 
 from probmodel.arrays import ZIP, ArrayFile, doubles, possible, read_tables, write_tables
-from probmodel.datasets.cases import DataSet
+from probmodel.datasets.cases import COLUMNS, DataSet
 from probmodel.datasets.views import resection
 from probmodel.detections import LARGEST_NUMBER, is_label
 from probmodel.failures import BadInput, shown
@@ -75,15 +74,24 @@ def read_plain(path: Path) -> DataSet:
         )
     keypoints = np.where((seen & (score != 0))[..., None], keypoints, np.nan)
     return DataSet(
-        path.name, poses, keypoints, np.where(seen, score, 0.0), scale, translation, **labels
+        path.name,
+        poses,
+        keypoints,
+        np.where(seen, score, 0.0),
+        scale,
+        translation,
+        labels["action"],
+        labels["subject"],
+        labels["recording"],
     )
 
 
 def write_plain(data: DataSet, path: Path) -> None:
-    """Writes what `read_plain` reads, atomically. Raises `BadInput` where it cannot be written."""
-    write_tables(
-        path, {field.name: getattr(data, field.name) for field in dataclasses.fields(data)[1:]}
-    )
+    """Writes what `read_plain` reads, atomically. Raises `BadInput` where it cannot be written, and
+    on cases whose lenses are known, for which such a file has no room."""
+    if data.lens is not None:
+        raise BadInput(f"{path} has no room for lenses; write the cases without perspective")
+    write_tables(path, {name: getattr(data, name) for name in COLUMNS})
 
 
 def _numbers(value: np.ndarray, name: str, row: tuple[int, ...], path: Path) -> np.ndarray:

@@ -2,14 +2,16 @@
 the other cameras triangulate.
 
 Poses are in the axes of the weak-perspective camera that explains the truth's projections best, as
-for Human3.6M; what it leaves unexplained is perspective. Keypoints are without the lens'
-distortion. A camera's film is a recording."""
+for Human3.6M; what it leaves unexplained is perspective. Or they are in those of the calibrated
+camera itself, whose lens is then known. Keypoints are without the lens' distortion. A camera's film
+is a recording."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
+from probmodel.camera import Lens
 from probmodel.datasets.cases import DataSet
 from probmodel.datasets.views import resection
 from probmodel.failures import BadInput
@@ -72,11 +74,12 @@ def judged_views(session: Session) -> Iterator[JudgedView]:
         )
 
 
-def from_session(session: Session) -> DataSet:
-    """The cases of a session whose truth is whole, camera by camera. Raises `BadInput` as
-    `judged_views`, and where no case is whole."""
-    parts = [_of_view(session, view) for view in judged_views(session)]
-    poses, keypoints, score, scale, translation, recording = (
+def from_session(session: Session, *, perspective: bool = False) -> DataSet:
+    """The cases of a session whose truth is whole, camera by camera; with `perspective` their
+    lenses are known. Raises `BadInput` as `judged_views`, and where no case is whole."""
+    look = _in_perspective if perspective else _of_view
+    parts = [look(session, view) for view in judged_views(session)]
+    poses, keypoints, score, scale, translation, recording, *lens = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
     if not len(poses):
@@ -85,7 +88,18 @@ def from_session(session: Session) -> DataSet:
             f" joint; a data set needs {', '.join(JOINTS)}: detect with a layout that has them"
         )
     who = np.full(len(poses), session.name)
-    return DataSet(session.name, poses, keypoints, score, scale, translation, who, who, recording)
+    return DataSet(
+        session.name,
+        poses,
+        keypoints,
+        score,
+        scale,
+        translation,
+        who,
+        who,
+        recording,
+        Lens(*lens) if lens else None,
+    )
 
 
 def _of_view(session: Session, view: JudgedView) -> tuple[np.ndarray, ...]:
@@ -99,4 +113,24 @@ def _of_view(session: Session, view: JudgedView) -> tuple[np.ndarray, ...]:
         view.scale[whole],
         view.translation[whole],
         np.full(len(rows), f"{session.name} {session.labels[view.camera]}"),
+    )
+
+
+def _in_perspective(session: Session, view: JudgedView) -> tuple[np.ndarray, ...]:
+    """The same in the calibrated camera's axes, focal lengths and principal points besides. Pixels
+    that are not square are made so."""
+    _, keypoints, score, _, _, recording = _of_view(session, view)
+    camera, number = session.straight[view.camera], len(recording)
+    points = view.world.points[np.isfinite(view.world.points).all(axis=(1, 2))]
+    placed, focal = camera.view(points), float(camera.focal.mean())
+    pelvis = placed[:, :1]
+    return (
+        placed - pelvis,
+        camera.principal + (keypoints - camera.principal) * (focal / camera.focal),
+        score,
+        focal / pelvis[:, 0, 2],
+        camera.principal + focal * pelvis[:, 0, :2] / pelvis[:, 0, 2:],
+        recording,
+        np.full(number, focal),
+        np.tile(camera.principal, (number, 1)),
     )

@@ -101,6 +101,7 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
             likelihood=Likelihood(factor=settings.factor),
             root=settings.rooting.root,
             seed=settings.sampling.seed,
+            perspective=settings.perspective,
         )
     with console.progress(f"posteriors by {_drawer(settings)}", screen.quiet) as step:
         tree = calibration.cover(

@@ -155,6 +155,11 @@ def _conditions(settings: EvaluateSettings) -> list[Condition]:
             "--upright is a belief about torso and camera that are drawn with the pose; add"
             " `uncertain` to --root, or leave it out"
         )
+    if settings.perspective and set(roots) != {UNCERTAIN}:
+        raise BadInput(
+            "--perspective needs torso and camera to be uncertain; choose --root uncertain, or"
+            " leave it out"
+        )
     return conditions(names, missing, _listed(settings.rotate, float, "--rotate"), roots)
 
 
@@ -243,10 +248,11 @@ def described(settings: EvaluateSettings, data: DataSet, protocol: Protocol) -> 
             if settings.noise == "none"
             else f"2D joints with noise {settings.noise} of body height"
         )
+    seen = ", focal lengths known" if settings.perspective else ""
     belief = f", backs tilted by some {settings.upright:g}°" if settings.upright else ""
     chosen = ", hypotheses composed of limbs" if protocol.composed else ""
     return (
-        f"{data.name}: {len(data):,} frames of {len(data.actions)} actions, {given};"
+        f"{data.name}: {len(data):,} frames of {len(data.actions)} actions, {given}{seen};"
         f" {protocol.num_samples:,} draws a frame, {protocol.candidates} torso-and-camera"
         f" candidate(s){belief}{chosen}. Errors after limb scaling and similarity alignment, ± half"
         " a 95 % interval over recordings. The paper's are of another data set, Human3.6M."

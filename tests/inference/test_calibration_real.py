@@ -48,7 +48,7 @@ from inference.studies.calibration.run import cover, stand
 from inference.studies.calibration.simulations import Instance
 from inference.studies.intervals import resampled
 from probmodel import BadInput, PoseModel
-from probmodel.camera import WeakPerspective
+from probmodel.camera import Lens, WeakPerspective
 from probmodel.datasets import Case
 from probmodel.likelihood import Likelihood
 from probmodel.roots import Candidate
@@ -406,6 +406,46 @@ def test_detections_of_the_likelihood_stay_in_their_discs(
         ).all()
         again = by_the_likelihood(case)
         np.testing.assert_array_equal(again.detection.keypoints, drawn.detection.keypoints)
+
+
+def near(case: Case) -> Case:
+    """The same person two metres from a camera whose lens is known, and seen exactly."""
+    lens = Lens(2000 * case.scale, np.array([900.0, -200.0]))
+    case = dataclasses.replace(case, lens=lens)
+    keypoints = np.where(case.detection.seen[:, None], case.image(case.pose), np.nan)
+    return dataclasses.replace(
+        case, detection=dataclasses.replace(case.detection, keypoints=keypoints)
+    )
+
+
+def test_known_lenses_explain_who_is_near(model: PoseModel, cases: list[Case]) -> None:
+    """Torso and camera of the truth show what was seen, and nothing excludes it; to a camera that
+    does not know its lens it would be far off."""
+    some = [near(case) for case in possible(model, cases)[:6]]
+    likelihood = Likelihood(factor=0.05)
+    known = instances(some, model, likelihood=likelihood)
+    for case, instance in zip(some, known, strict=True):
+        candidate = instance.frame.candidates[0]
+        seen = np.asarray(candidate.camera.image(instance.joints))
+        np.testing.assert_allclose(seen, case.image(case.pose), atol=1e-9)
+        posterior = instance.frame.uncertain(model)
+        assert float(posterior.model.lens.focal) == 2000 * case.scale
+    assert exclusions(model, some, known, "uncertain") == [[]] * len(some)
+    without = [dataclasses.replace(case, lens=None) for case in some]
+    blind = instances(without, model, likelihood=likelihood)
+    assert all(exclusions(model, without, blind, "uncertain"))
+
+
+def test_what_is_near_strays_farther_in_the_image(cases: list[Case]) -> None:
+    case = near(cases[1])
+    far = dataclasses.replace(case, lens=None)
+    strays = [
+        np.linalg.norm(by_the_likelihood(one).detection.keypoints - one.image(one.pose), axis=1)
+        for one in (case, far)
+    ]
+    ratio, seen = strays[0] / strays[1], case.detection.seen
+    np.testing.assert_allclose(ratio[seen], case.magnification(case.pose)[seen])
+    assert np.ptp(ratio[seen]) > 0.1
 
 
 def test_estimates_bring_the_truth_into_their_own_units(

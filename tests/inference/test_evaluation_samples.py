@@ -26,6 +26,7 @@ from inference.studies.evaluation.samples import (
 )
 from inference.studies.evaluation.scores import SampleScores, sample_scores
 from probmodel import Anatomy, BadInput
+from probmodel.camera import Lens
 from probmodel.datasets import DataSet, from_motions
 from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.motion import Motion
@@ -53,7 +54,11 @@ def scored(samples: np.ndarray, recordings: int = 50) -> SampleScores:
     truths = normal()[0]
     rows = [
         of_samples(
-            joints, joints[..., :2], truth, np.ones(15, bool), np.random.default_rng([7, number])
+            joints,
+            (joints - truth)[..., :2],
+            truth,
+            np.ones(15, bool),
+            np.random.default_rng([7, number]),
         )
         for number, (joints, truth) in enumerate(zip(samples, truths, strict=True))
     ]
@@ -79,7 +84,7 @@ def test_best_of_n_as_a_reader_of_the_definition_would_write_it() -> None:
     for number in range(3):
         truth, joints = truths[number], samples[number] + 5.0  # moved as a whole: nothing changes
         rng = np.random.default_rng(0)
-        found = of_samples(joints, joints[..., :2], truth, np.ones(15, bool), rng)
+        found = of_samples(joints, (joints - truth)[..., :2], truth, np.ones(15, bool), rng)
         plain = [
             float(np.mean([np.linalg.norm(one[j] - one[0] - truth[j]) for j in range(15)]))
             for one in joints
@@ -156,7 +161,8 @@ def test_what_is_given_is_not_asked() -> None:
     truth, joints = normal()[0][0], normal()[1][0].copy()
     joints[:, TORSO_INDEX] = truth[list(TORSO_INDEX)]
     rng = np.random.default_rng(0)
-    found = of_samples(joints, joints[..., :2], truth, np.ones(15, bool), rng, given=TORSO_INDEX)
+    off = (joints - truth)[..., :2]
+    found = of_samples(joints, off, truth, np.ones(15, bool), rng, given=TORSO_INDEX)
     told = [joint in TORSO_INDEX for joint in JUDGED]
     for name in ("level", "standing", "beyond", "width"):
         unknown = np.isnan(found[name]).reshape(len(JUDGED), -1)
@@ -171,7 +177,7 @@ def test_the_error_in_the_image_is_of_seen_joints() -> None:
     seen = np.ones(15, bool)
     seen[4] = False
     rng = np.random.default_rng(0)
-    found = of_samples(joints, joints[..., :2], truth, seen, rng)
+    found = of_samples(joints, (joints - truth)[..., :2], truth, seen, rng)
     assert found["across"] == pytest.approx(5.0 / 14)
 
 
@@ -196,13 +202,13 @@ def test_predictions_are_scored_as_samples() -> None:
     case = data().case(2)
     own = of_samples(
         poses[2],
-        (poses[2] - poses[2, :, :1])[..., :2],
+        (poses[2] - poses[2, :, :1] - case.pose)[..., :2],
         case.pose,
         case.detection.score > 0,
         np.random.default_rng([0, 3, 2]),
     )
     for name, values in own.items():
-        np.testing.assert_array_equal(found[name][2], values)
+        np.testing.assert_allclose(found[name][2], values, rtol=1e-12)
     scores = sample_scores(found, data().recording)
     assert scores.best_root[0].value > 40
     assert np.isnan(scores.best_root[3].value)  # of fifty there are none
@@ -245,15 +251,25 @@ def test_roots_that_no_estimator_gives_stand_beside_the_first() -> None:
         conditions(("zhou",), (0,), (0.0,), ("free",))
 
 
+NEAR = Lens(1200.0, np.array([300.0, 250.0]))
+"""A camera some two metres away."""
+
+
 @pytest.mark.slow
-def test_an_uncertain_root_is_judged_by_the_same_scores() -> None:
-    """Second route: the public functions, one frame, in a row."""
+@pytest.mark.parametrize("lens", [None, NEAR])
+def test_an_uncertain_root_is_judged_by_the_same_scores(lens: Lens | None) -> None:
+    """Second route: the public functions, one frame, in a row; and a pinhole camera by hand."""
     from inference.studies.errors import aligned_errors, joint_errors
 
-    found, case = judged("uncertain"), data().case(1)
+    some = data().take(np.arange(2))
+    if lens is not None:
+        columns = Lens(np.full(2, lens.focal), np.tile(lens.principal, (2, 1)))
+        some = dataclasses.replace(some, lens=columns)
+    found = judge_block(PROTOCOL, Condition("dictionary", root="uncertain"), some, 0)
+    case = data().case(1)
     frame = inference.estimate_torso(case.detection, "dictionary", num_candidates=1)
     result = inference.sample(
-        PROTOCOL.model,
+        PROTOCOL.model.seen_by(lens),
         frame,
         key=jax.random.fold_in(jax.random.key(0), 1),
         num_samples=60,
@@ -269,7 +285,12 @@ def test_an_uncertain_root_is_judged_by_the_same_scores() -> None:
     assert found["best_procrustes"][1, 3] == pytest.approx(
         aligned_errors(joints[:50], case.pose).mean(axis=1).min(), abs=1e-3
     )
-    pixels = np.linalg.norm(draws.keypoints.values[0] - case.pixels[:, :2], axis=-1).mean()
+    seen = case.pixels[:, :2]
+    if lens is not None:
+        away = np.append((case.translation - lens.principal) / lens.focal, 1.0)
+        world = case.pose + away * float(lens.focal) / case.scale
+        seen = lens.principal + lens.focal * world[:, :2] / world[:, 2:]
+    pixels = np.linalg.norm(draws.keypoints.values[0] - seen, axis=-1).mean()
     assert found["across"][1] == pytest.approx(pixels / case.scale)
     wrist = joints[:, LIMB_JOINTS[0]] * case.unit
     low, high = np.quantile(wrist, [0.025, 0.975], axis=0)

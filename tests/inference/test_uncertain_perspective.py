@@ -14,6 +14,8 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+import inference
+from inference.drawers import drawer
 from inference.uncertain import limbs, weighted
 from inference.uncertain.torsos import log_nearness, torso_problem
 from inference.uncertain.tree import placed
@@ -301,6 +303,27 @@ def simulated(model: PoseModel, seed: int) -> tuple[Any, Any, Detection]:
     error = 0.25 * np.asarray(Gaussian().sample(key(1000 + seed), (NUM_JOINTS,)))
     pixels = PRINCIPAL + FOCAL * (place[:, :2] + error) / place[:, 2:]
     return points, poses, Detection(pixels, np.ones(NUM_JOINTS), "synthetic", "a scene", 0)
+
+
+def test_an_estimate_brings_the_lens_of_its_own_camera() -> None:
+    """The draws are those of a model of that camera, to the bit; the control: of no lens, others.
+    Under a fixed root it is refused as a model's is."""
+    model, frame = small_case()
+    own = dataclasses.replace(frame, lens=model.lens)
+    settings = {"root": "uncertain", "num_samples": 40, "num_roots": 60}
+    plain = model.seen_by(None)
+    drawn = [
+        drawer(people, **settings)(one, key(3))
+        for people, one in ((model, frame), (plain, own), (plain, frame))
+    ]
+    for name in ("joints", "keypoints", "scale"):
+        found = [getattr(one, name) for one in drawn]
+        np.testing.assert_array_equal(found[0], found[1])
+        assert np.abs(found[0] - found[2]).max() > 1e-3
+    sampled = inference.sample(plain, own, key=key(3), **settings)
+    assert float(sampled.tree.attrs["focal"]) == FOCAL
+    with pytest.raises(BadInput, match="a known focal length needs torso and camera to be uncert"):
+        own.posterior(plain)
 
 
 def ranks(model: PoseModel, simulations: int, believed: PoseModel | None = None) -> np.ndarray:

@@ -12,7 +12,8 @@ from scipy import stats
 
 from probmodel import BadInput, Detection
 from probmodel.body import body_unit
-from probmodel.datasets import brings_detections, from_session, read_data_set
+from probmodel.camera import Perspective, WeakPerspective
+from probmodel.datasets import brings_detections, from_session, read_data_set, write_plain
 from probmodel.datasets.sessions import judged_views
 from probmodel.sessions import Pinhole, Session, is_session, read_session
 from probmodel.sessions.session import HIPS
@@ -200,6 +201,59 @@ def test_a_session_is_a_data_set(folder: Path):
     left = whole.keypoints - whole.scale[:, None, None] * whole.poses[..., :2]
     left = (left - whole.translation[:, None]) / whole.scale[:, None, None]
     assert 3 < np.median(np.linalg.norm(left, axis=-1)) < 60
+
+
+def test_known_lenses_explain_what_weak_perspective_does_not(exact: Session):
+    """What is seen of the truth, by the data set's own formula, by the model's camera and by the
+    calibrated one, whose pixels are not square."""
+    session = exact.take(range(6))
+    data = from_session(session, perspective=True)
+    for number, case in enumerate(data):
+        assert case.lens is not None
+        camera, joints = session.straight[number // 6], JOINTS_3D[number % 6]
+        truth = camera.view(joints)
+        assert case.pose == pytest.approx(truth - truth[0], abs=1e-3)
+        square = camera.focal.mean() / camera.focal
+        seen = camera.principal + (camera.project(joints) - camera.principal) * square
+        assert case.pixels[:, :2] == pytest.approx(seen, abs=1e-3)
+        assert case.detection.keypoints == pytest.approx(seen, abs=1e-3)
+        weak = WeakPerspective(340 * case.scale, np.eye(3), case.translation)
+        model = Perspective(weak, case.lens)
+        assert np.asarray(model.image(case.pose / 340)) == pytest.approx(case.pixels[:, :2])
+        larger = np.asarray(model.magnification(case.pose / 340))
+        assert larger == pytest.approx(case.magnification(case.pose))
+    without = dataclasses.replace(data, lens=None)
+    assert np.abs(without.case(0).pixels - data.case(0).pixels).max() > 20
+    far = from_session(session)
+    assert np.linalg.norm(far.poses, axis=-1) == pytest.approx(
+        np.linalg.norm(data.poses, axis=-1), abs=1e-3
+    )
+    assert (far.lens, far.sha256 == data.sha256) == (None, False)
+
+
+def test_cases_with_lenses_are_chosen_turned_and_hidden(exact: Session):
+    """A turned image shows the turned pose as the other showed the other."""
+    data = from_session(exact.take(range(6)), perspective=True)
+    some = data.take(np.array([23, 2]))
+    assert [float(column) for column in some.case(0).lens[:1]] == [1495.0]
+    assert some.case(1).lens[1] == pytest.approx(data.case(2).lens[1])
+    case = data.case(8)
+    turned = case.hiding(2).turned(70.0)
+    seen = turned.detection.score > 0
+    assert seen.sum() == NUM_JOINTS - 2
+    assert turned.detection.keypoints[seen] == pytest.approx(turned.pixels[seen, :2], abs=1e-3)
+    assert np.abs(turned.pixels - case.pixels).max() > 50
+    kept = dataclasses.replace(turned, lens=case.lens)
+    assert np.abs(kept.pixels - turned.pixels).max() > 1, "the principal point is turned, too"
+
+
+def test_known_lenses_need_calibrated_cameras(folder: Path, tmp_path: Path):
+    path = tmp_path / "plain.npz"
+    with pytest.raises(BadInput, match="has no room for lenses"):
+        write_plain(read_data_set(folder, perspective=True), path)
+    write_plain(read_data_set(folder), path)
+    with pytest.raises(BadInput, match=r"perspective needs calibrated cameras, which .*plain.npz"):
+        read_data_set(path, perspective=True)
 
 
 def test_a_joint_that_no_camera_sees_leaves_pairs_but_no_data_set(exact: Session):

@@ -2,12 +2,14 @@
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from inference.studies.errorlaws import learn, pairs_of_session
+from inference.studies.evaluation.run import open_evaluation
 from probmodel import DetectorErrors
 from probmodel.errorlaws import FORMAT
 from probmodel.sessions import read_session
@@ -110,3 +112,59 @@ def test_the_embedded_law_is_rebuilt(shared_data: Path) -> None:
     found = embedded(read_session(shared_data / "multicamera"))
     assert found.sigma == pytest.approx(DetectorErrors.default().sigma, abs=0.0011)
     assert found.exchange == DetectorErrors.default().exchange
+
+
+# --- sessions in the other studies
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "evaluate FILM --perspective --estimator akhter-black",
+        "evaluate FILM --perspective --root fixed,uncertain --estimator akhter-black",
+        "coverage --dataset FILM --perspective --noise none",
+    ],
+)
+def test_known_lenses_need_an_uncertain_root(
+    words: str, film: Path, poseterior: Cli, tmp_path: Path
+) -> None:
+    run = poseterior(
+        *words.replace("FILM", str(film)).split(), "--frames", 4, "--out", tmp_path / "x", "--quiet"
+    )
+    assert run.code == 2
+    assert re.search("needs torso and camera to be uncertain; choose .*uncertain", run.err)
+    assert run.err.count("\n") == 1
+
+
+def test_known_lenses_without_calibrated_cameras(poseterior: Cli, tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", poses=np.zeros((1, 15, 3)), keypoints=np.zeros((1, 15, 2)))
+    run = poseterior("evaluate", tmp_path / "a.npz", "--root", "uncertain", "--perspective")
+    assert (run.code, run.out) == (2, "")
+    assert "perspective needs calibrated cameras, which" in run.err
+
+
+@pytest.mark.slow
+def test_known_lenses_bring_the_truth_nearer(film: Path, poseterior: Cli, tmp_path: Path) -> None:
+    """Samples lie nearer to the truth in the image: what weak perspective leaves is no error."""
+    few = ("--frames", 12, "--roots", 300, "--num-samples", 400)
+    by = ("--root", "uncertain", "--estimator", "akhter-black", "--no-bias")
+    found = {}
+    for name in ("known", "unknown"):
+        out, lens = tmp_path / name, ("--perspective",) * (name == "known")
+        run = poseterior("evaluate", film, "--out", out, *by, *few, *lens, "--quiet")
+        assert run.code == 0, run
+        found[name] = open_evaluation(out)
+    known, unknown = (
+        found[name][next(iter(found[name].children))].to_dataset() for name in ("known", "unknown")
+    )
+    assert np.isfinite([known.across, unknown.across]).all()
+    assert known.across.mean() < unknown.across.mean()
+    assert "focal lengths known" in (tmp_path / "known" / "evaluation.md").read_text()
+    assert "focal lengths known" not in (tmp_path / "unknown" / "evaluation.md").read_text()
+    study = ("--root", "uncertain", "--noise", "none", "--frames", 4, "--roots", 100)
+    run = poseterior(
+        *("coverage", "--dataset", film, "--perspective", *study),
+        *("--num-samples", 100, "--out", tmp_path / "cover", "--quiet", "--json"),
+    )
+    assert run.code == 0, run
+    assert json.loads(run.out)["poses"] == 4

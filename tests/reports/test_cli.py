@@ -1404,10 +1404,17 @@ def test_a_disk_that_is_full() -> None:
     ("number", "code", "sentence"),
     [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
 )
+@pytest.mark.parametrize(
+    ("stage", "much"),
+    [
+        ("draws by rejection", ["--root", "fixed", "--num-samples", 10_000_000]),
+        ("roots and their limbs", ["--roots", 100_000]),
+    ],
+)
 def test_a_signal_in_the_midst_of_compiled_loops(
-    number: int, code: int, sentence: str, tmp_path: Path
+    stage: str, much: list[Any], number: int, code: int, sentence: str, tmp_path: Path
 ) -> None:
-    words = ["sample", EXAMPLE, "--num-samples", 10_000_000, "--out", tmp_path / "p.nc"]
+    words = ["sample", EXAMPLE, *much, "--out", tmp_path / "p.nc"]
     # Where the tests run in the background of a shell, SIGINT is ignored from the start; a
     # terminal's is not.
     heed = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
@@ -1421,7 +1428,7 @@ def test_a_signal_in_the_midst_of_compiled_loops(
         command, cwd=Path(__file__).parents[2], stderr=subprocess.PIPE, text=True
     ) as running:
         assert running.stderr is not None
-        while "draws by rejection" not in (line := running.stderr.readline()):
+        while stage not in (line := running.stderr.readline()):
             assert line, "it ended before it could be interrupted"
         running.send_signal(number)
         try:

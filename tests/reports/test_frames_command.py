@@ -100,7 +100,8 @@ def test_an_uncertain_root_is_said_with_its_number(
     assert [frame["effective_roots"] is None for frame in frames] == [False, True, False]
     again = poseterior("frames", folder, "--out", tmp_path / "out", *few)
     assert "effective roots of a frame: " in again.out
-    other = poseterior("frames", folder, "--out", tmp_path / "out", *OPTIONS)
+    fixed = ("--root", "fixed", *OPTIONS)
+    other = poseterior("frames", folder, "--out", tmp_path / "out", *fixed)
     assert other.code == 2
     assert "its root is 'uncertain', not 'fixed'" in other.err
 

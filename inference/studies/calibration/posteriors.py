@@ -130,7 +130,7 @@ def independent_roots(
                 break
         rng = np.random.default_rng(words_of(draws_key))
         points, poses, _ = roots.draw(rng, min(num_samples, int(roots.effective / APART)))
-        joints = placed(model, points, poses, size=PLACED)["joints"]
+        joints = placed(posterior.model, points, poses, size=PLACED)["joints"]
         return Answer(joints, roots.log_evidence, status, sentence, points)
 
     return draw

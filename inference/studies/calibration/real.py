@@ -15,8 +15,9 @@ from inference.results import FIXED
 from inference.roots import estimate_torsos
 from inference.studies.calibration.simulations import SPREADS, Instance, detected
 from probmodel.body import align_torsos
-from probmodel.camera import WeakPerspective
+from probmodel.camera import Perspective, WeakPerspective
 from probmodel.datasets import Case, Noise, read_data_set
+from probmodel.failures import BadInput
 from probmodel.likelihood import PAPER, Likelihood
 from probmodel.model import PoseModel
 from probmodel.posterior import Estimate
@@ -42,6 +43,7 @@ def read_cases(
     likelihood: Likelihood = PAPER,
     root: str = FIXED,
     seed: int = 0,
+    perspective: bool = False,
 ) -> tuple[list[Case], dict[str, Any]]:
     """Poses of a data set as they are seen, and what `run.cover` records of where they come from.
 
@@ -62,6 +64,8 @@ def read_cases(
         law too, where detections are drawn from it.
     seed
         Of noise and of what is hidden.
+    perspective
+        Whether the lenses of calibrated cameras are known; the root must then be uncertain.
 
     Returns
     -------
@@ -75,7 +79,12 @@ def read_cases(
     """
     drawn = noise == LIKELIHOOD
     kind = Noise() if drawn else Noise.parse(noise)
-    data = read_data_set(path, frames=frames, noise=kind, seed=seed)
+    if perspective and root == FIXED:
+        raise BadInput(
+            "a known focal length needs torso and camera to be uncertain; choose the root"
+            " 'uncertain', or leave perspective out"
+        )
+    data = read_data_set(path, frames=frames, noise=kind, seed=seed, perspective=perspective)
     cases = [case.hiding(missing, seed) for case in data]
     if drawn:
         cases = [by_the_likelihood(case, likelihood, seed, root) for case in cases]
@@ -88,8 +97,9 @@ def by_the_likelihood(
     """The case with its detection drawn from the likelihood instead, scores and missing joints as
     they are."""
     rng = np.random.default_rng([seed, 2, case.number])
-    exact, score = case.pixels[:, :2], case.detection.score
-    spread = case.scale * case.unit * SPREADS[root](score, likelihood)
+    exact, score = case.image(case.pose), case.detection.score
+    unit = case.scale * case.unit * case.magnification(case.pose)
+    spread = unit * SPREADS[root](score, likelihood)
     found = detected(exact, score, spread, likelihood, rng, source="likelihood")
     return dataclasses.replace(
         case, detection=dataclasses.replace(case.detection, keypoints=found.keypoints)
@@ -101,7 +111,9 @@ def true_candidate(case: Case, model: PoseModel) -> Candidate:
     scale = case.scale * case.unit
     view = (case.pose / case.unit)[list(TORSO_INDEX)]
     rotation = align_torsos(view[None], np.asarray(model.torsos).mean(axis=0))[0].T
-    return Candidate(-1, view @ rotation, WeakPerspective(scale, rotation, case.pixels[0, :2]), 0.0)
+    weak = WeakPerspective(scale, rotation, case.translation)
+    camera = weak if case.lens is None else Perspective(weak, case.lens)
+    return Candidate(-1, view @ rotation, camera, 0.0)
 
 
 def instances(
@@ -129,6 +141,9 @@ def instances(
             **settings,
         )
     return [
-        Instance(frame, (case.pixels - case.pixels[0]) / float(frame.best.camera.scale))
+        Instance(
+            dataclasses.replace(frame, lens=case.lens),
+            case.pose * (case.scale / float(frame.best.camera.scale)),
+        )
         for case, frame in zip(cases, frames, strict=True)
     ]

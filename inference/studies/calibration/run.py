@@ -380,6 +380,7 @@ def _fingerprint(cases: Sequence[Case]) -> str:
             case.detection.score,
             case.scale,
             case.translation,
+            *(case.lens or ()),
         ):
             digest.update(np.ascontiguousarray(array, "<f8").data)
     return digest.hexdigest()

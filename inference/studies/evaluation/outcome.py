@@ -4,6 +4,7 @@ it went.
 A block of frames is estimated together and then drawn one by one, each with a key from its own
 number. The same block gives the same bits wherever and whenever it is done."""
 
+import dataclasses
 import functools
 import time
 from collections.abc import Mapping, Sequence
@@ -224,7 +225,12 @@ def _estimated(
             except Exception as error:  # recorded, frame by frame
                 frames.append(error)
     rest = iter(frames)
-    return [case if isinstance(case, Exception) else next(rest) for case in cases]
+    return [case if isinstance(case, Exception) else _taken_by(case, next(rest)) for case in cases]
+
+
+def _taken_by(case: Case, frame: Estimate | Exception) -> Estimate | Exception:
+    """The estimate with what is known of the case's camera."""
+    return frame if isinstance(frame, Exception) else dataclasses.replace(frame, lens=case.lens)
 
 
 def _judged(
@@ -284,7 +290,7 @@ def _drawn(
         return draws.status, draws.sentence, values
     values |= of_samples(
         joints * case.unit,
-        (draws.keypoints - case.translation) / case.scale,
+        (draws.keypoints - case.image(case.pose)) / case.scale,
         case.pose,
         case.detection.score > 0,
         np.random.default_rng([protocol.seed, 3, case.number]),

@@ -44,7 +44,7 @@ SHAPES: dict[str, dict[str, int]] = {
 
 def of_samples(
     joints: np.ndarray,
-    image: np.ndarray,
+    off: np.ndarray,
     truth: np.ndarray,
     seen: np.ndarray,
     rng: np.random.Generator,
@@ -56,8 +56,8 @@ def of_samples(
     Parameters
     ----------
     joints : `(n, 15, 3)` samples, mm.
-    image : `(n, 15, 2)` where they fall in the image, in mm at the person's distance, axes as the
-        truth's.
+    off : `(n, 15, 2)` how far from the truth they fall in the image, in mm at the person's
+        distance.
     truth : `(15, 3)` mm.
     seen : `(15,)` bool, the joints that were detected.
     rng : breaks ties, and chooses the samples that stand in for the truth.
@@ -76,7 +76,7 @@ def of_samples(
     rooted, truth = joints - joints[:, :1], truth - truth[:1]
     far = np.linalg.norm(rooted - truth, axis=-1).mean(axis=-1)
     turned = aligned_errors(joints[: max(BESTS)], truth).mean(axis=-1)
-    apart = np.linalg.norm(image - truth[:, :2], axis=-1)[:, seen]
+    apart = np.linalg.norm(off, axis=-1)[:, seen]
     found = {
         "best_root": first_bests(far),
         "best_procrustes": first_bests(turned),
@@ -121,10 +121,11 @@ def of_predictions(poses: np.ndarray, data: DataSet, seed: int = 0) -> dict[str,
     metric = SMALLEST <= float(np.median(body_height(poses))) <= TALLEST
     rows = []
     for number, (joints, case) in enumerate(zip(poses, data, strict=True)):
-        image = (joints - joints[:, :1])[..., :2]
+        image = case.image(joints - joints[:, :1])
+        off = (image - case.image(case.pose)) / case.scale
         rng = np.random.default_rng([seed, 3, number])
         seen = case.detection.score > 0
-        rows.append(of_samples(joints, image, case.pose, seen, rng))
+        rows.append(of_samples(joints, off, case.pose, seen, rng))
     found = {name: np.array([row[name] for row in rows]) for name in SHAPES}
     if not metric:
         found |= {

@@ -66,6 +66,7 @@ $(VENV)/.done: pyproject.toml requirements.lock
 	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint requirements.lock --editable ".[dev]"
 	@echo "compiling the loops, once"
 	@$(BIN)/poseterior demo --quiet --out $(VENV)/demo > /dev/null
+	@$(BIN)/poseterior hypotheses examples/skier.json --quiet --out $(VENV)/skier > /dev/null
 	@touch $@
 
 # FUZZ_CASES or FUZZ_SECONDS says how much, FUZZ_SEED which.

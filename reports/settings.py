@@ -68,8 +68,8 @@ class DemoSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class HypothesesSettings:
-    """Exact posterior draws and diverse hypotheses for one detected person: a picture, a page that
-    turns, a table, two files."""
+    """Posterior draws and diverse hypotheses for one detected person: a picture, a page that turns,
+    a table, two files."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "hypotheses frame_keypoints.json --out result",
@@ -123,7 +123,8 @@ class SampleSettings:
         ),
     ] = None
     chains: Annotated[
-        int, Option(help="Independent runs of exact rejection, which share the samples.")
+        int,
+        Option(help="Independent runs of exact rejection, which share the samples (--root fixed)."),
     ] = 1
     double: Double = False
     sampling: Sampling = Sampling()
@@ -140,8 +141,8 @@ class SampleSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class FramesSettings:
-    """Exact draws and hypotheses of everyone in many frames, written as they come; goes on where it
-    was stopped."""
+    """Posterior draws and hypotheses of everyone in many frames, written as they come; goes on
+    where it was stopped."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "frames walk/ --out walk-posterior",

@@ -1,5 +1,5 @@
-"""`poseterior hypotheses`: a detector's file → exact posterior draws, k diverse hypotheses, a
-picture, a page that turns and a table."""
+"""`poseterior hypotheses`: a detector's file → posterior draws, k diverse hypotheses, a picture, a
+page that turns and a table."""
 
 import json
 from pathlib import Path

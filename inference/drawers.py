@@ -139,13 +139,15 @@ class UncertainRoot:
     sampler: str
     num_samples: int
     num_roots: int
+    most_roots: int | None
     max_proposals: int
 
     @property
     def settings(self) -> dict[str, Any]:
         """As of a `Drawer`."""
-        names = ("sampler", "num_samples", "num_roots", "max_proposals")
-        return {"root": UNCERTAIN} | {name: getattr(self, name) for name in names}
+        names = ("sampler", "num_samples", "num_roots", "most_roots", "max_proposals")
+        given = {name: getattr(self, name) for name in names}
+        return {"root": UNCERTAIN} | {name: value for name, value in given.items() if value}
 
     def __call__(self, frame: Estimate, key: jax.Array) -> Draws:
         """As of a `Drawer`. Raises `BadInput` where the seen joints of the torso do not determine
@@ -157,6 +159,7 @@ class UncertainRoot:
             key=jax.random.fold_in(key, 0),
             num_samples=self.num_samples,
             num_roots=self.num_roots,
+            most_roots=self.most_roots,
             max_proposals=self.max_proposals,
         )
         rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
@@ -184,6 +187,7 @@ def drawer(
     sampler: str | None = None,
     num_samples: int = 10_000,
     num_roots: int = NUM_ROOTS,
+    most_roots: int | None = None,
     max_proposals: int = MAX_PROPOSALS,
 ) -> Drawer:
     """The drawer for one kind of root.
@@ -195,7 +199,8 @@ def drawer(
     sampler : how exact rejection proposes where the root is fixed: one of `PROPOSALS`; one of
         `ROUTES` where it is uncertain. By default the first of them.
     num_samples : draws of each detection.
-    num_roots : from how many roots they are made where the root is uncertain.
+    num_roots, most_roots : from how many roots they are made where the root is uncertain, and from
+        how many at most where these are too few, as `inference.sample` takes them.
     max_proposals : most proposals for each detection.
 
     Raises
@@ -209,7 +214,7 @@ def drawer(
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
     if root == UNCERTAIN:
         require_number(num_roots)
-        return UncertainRoot(model, sampler, num_samples, num_roots, max_proposals)
+        return UncertainRoot(model, sampler, num_samples, num_roots, most_roots, max_proposals)
     if sampler not in PROPOSALS:
         raise BadInput(f"there is no exact sampler {sampler!r}; choose from {', '.join(PROPOSALS)}")
     return FixedRoot(model, sampler, num_samples, max_proposals)

@@ -47,6 +47,7 @@ def sample_to_file(
     chains: int = 1,
     root: str = FIXED,
     num_roots: int = NUM_ROOTS,
+    most_roots: int | None = None,
     double: bool = False,
     progress: Progress | None = None,
 ) -> Result:
@@ -61,7 +62,7 @@ def sample_to_file(
     ----------
     path
         The netCDF file. None is written where there is no draw.
-    model, frame, key, sampler, num_samples, max_proposals, chains, root, num_roots
+    model, frame, key, sampler, num_samples, max_proposals, chains, root, num_roots, most_roots
         As of `inference.sample`.
     double
         As of `Result.save`.
@@ -92,7 +93,8 @@ def sample_to_file(
             return _written(path, blocks, double)
         if name == ROUTES[0]:
             posterior = frame.uncertain(model)
-            blocks = uncertain_blocks(posterior, name, num_roots=num_roots, **given)
+            given |= {"num_roots": num_roots, "most_roots": most_roots}
+            blocks = uncertain_blocks(posterior, name, **given)
             return _written(path, blocks, double)
     result = sample(
         model,
@@ -104,6 +106,7 @@ def sample_to_file(
         chains=chains,
         root=root,
         num_roots=num_roots,
+        most_roots=most_roots,
         progress=progress,
     )
     if result.num_draws:

@@ -41,6 +41,7 @@ def sample(
     chains: int = 1,
     root: str = FIXED,
     num_roots: int = NUM_ROOTS,
+    most_roots: int | None = None,
     progress: Progress | None = None,
 ) -> Result:
     """Draws from the posterior of a detection.
@@ -74,6 +75,9 @@ def sample(
     num_roots
         From how many roots draws are made where the root is uncertain; by rejection: those of the
         pilot run that finds its bound; by a baseline: those that it is started in.
+    most_roots
+        From how many roots at most, where `num_roots` weighted roots are worth fewer than 20: then
+        as many as would do are drawn in their place. By default no more.
     progress
         Called now and then with the draws (or roots) made and wanted.
 
@@ -104,6 +108,7 @@ def sample(
             key=key,
             num_samples=num_samples,
             num_roots=num_roots,
+            most_roots=most_roots,
             max_proposals=max_proposals,
             progress=progress,
         )
@@ -224,6 +229,7 @@ def _sample_uncertain(
     key: jax.Array,
     num_samples: int,
     num_roots: int,
+    most_roots: int | None,
     max_proposals: int,
     progress: Progress | None,
 ) -> Result:
@@ -244,6 +250,7 @@ def _sample_uncertain(
         key=key,
         num_samples=num_samples,
         num_roots=num_roots,
+        most_roots=most_roots,
         max_proposals=max_proposals,
         progress=progress,
         block=num_samples,
@@ -258,6 +265,7 @@ def uncertain_blocks(
     key: jax.Array,
     num_samples: int,
     num_roots: int,
+    most_roots: int | None,
     max_proposals: int,
     progress: Progress | None,
     block: int,
@@ -272,6 +280,7 @@ def uncertain_blocks(
         key=jax.random.fold_in(key, 0),
         num_samples=num_samples,
         num_roots=num_roots,
+        most_roots=most_roots,
         max_proposals=max_proposals,
         progress=progress,
     )

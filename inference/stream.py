@@ -98,6 +98,7 @@ def sample_frames(
     sampler: str | None = None,
     root: str = FIXED,
     num_roots: int = NUM_ROOTS,
+    most_roots: int | None = None,
     num_samples: int = 10_000,
     k: int = 5,
     composed: bool = False,
@@ -124,7 +125,7 @@ def sample_frames(
         The folder.
     estimating
         How detections are estimated; not needed where all frames are estimates.
-    sampler, root, num_roots, num_samples
+    sampler, root, num_roots, most_roots, num_samples
         As `inference.drawers.drawer` takes them: what is drawn of every frame.
     k, composed
         How many hypotheses of each frame, and whether they are put together limb by limb
@@ -167,6 +168,7 @@ def sample_frames(
         sampler=sampler,
         num_samples=num_samples,
         num_roots=num_roots,
+        most_roots=most_roots,
         max_proposals=max_proposals,
     )
     task = _Drawing(draw, estimating, words, k, composed, keep)

@@ -39,6 +39,9 @@ ROOTED = (*ROUTES, "emcee", "emcee-de", "aies", "ess", "random-walk", "sa")
 """The samplers with an uncertain root, `inference.sampler.ROOTED_SAMPLERS`."""
 PROGRAMS = "POSETERIOR_PROGRAMS"
 """The variable of `probmodel.programs`, which imports JAX."""
+MOST_ROOTS, FURTHER = 100_000, 16
+"""`inference.uncertain.weighted.MOST_ROOTS`; and how many times as many roots as were asked for are
+drawn where these are too few."""
 LARGEST_SIDE = 10**6
 """Pixels; no image is larger."""
 SMALLEST_FACTOR = 1e-6
@@ -58,7 +61,7 @@ Limits = Annotated[
 NumSamples = Annotated[int, Option(min=1, max=10_000_000, help="How many poses to draw.")]
 Seed = Annotated[int, Option(min=0, max=2**32 - 1, help="The same seed gives the same draws.")]
 Roots = Annotated[
-    int, Option(min=1, max=100_000, help="From how many torsos and cameras, if uncertain.")
+    int, Option(min=1, max=MOST_ROOTS, help="From how many torsos and cameras, if uncertain.")
 ]
 Upright = Annotated[
     float | None,
@@ -482,10 +485,11 @@ class Rooting:
         from probmodel import BadInput
 
         other = RootKind.fixed if self.rooted else RootKind.uncertain
-        for name in ESTIMATED if self.rooted else ("roots",):
+        for name in ESTIMATED if self.rooted else ("roots", "most_roots"):
             if name in given:
+                option = "--" + name.replace("_", "-")
                 raise BadInput(
-                    f"--{name} means nothing where torso and camera are {self.root}; leave it out,"
+                    f"{option} means nothing where torso and camera are {self.root}; leave it out,"
                     f" or choose --root {other}"
                 )
 
@@ -570,6 +574,27 @@ class Workforce:
         from inference.machines import Machines
 
         return Machines(self.workers, self.scheduler)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawing(Viewing):
+    """As `Viewing`, of people who are drawn without anybody to look whether their roots are
+    enough."""
+
+    most_roots: Annotated[
+        int | None,
+        Option(
+            min=1,
+            max=MOST_ROOTS,
+            help="From how many at most: where fewer than 20 count, as many as would do are drawn.",
+            show_default=f"{FURTHER} times --roots",
+        ),
+    ] = None
+
+    @property
+    def most(self) -> int:
+        """How many roots at most."""
+        return min(FURTHER * self.roots, MOST_ROOTS) if self.most_roots is None else self.most_roots
 
 
 def parse_point(text: str, option: str, example: str) -> "np.ndarray":

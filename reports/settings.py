@@ -3,7 +3,7 @@ help."""
 
 import functools
 from collections.abc import Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -16,6 +16,7 @@ from reports.options import (
     Composed,
     Detected,
     Double,
+    Drawing,
     Estimation,
     ExportFormat,
     Factor,
@@ -46,10 +47,11 @@ if TYPE_CHECKING:
 
 CONTESTANTS = "rejection,emcee,aies,random-walk"
 """Of `compare`, where nobody says whom."""
-OPEN = Viewing(root=RootKind.uncertain)
+OPEN = Drawing(root=RootKind.uncertain)
 """Of commands for whoever asks about a person, and not about a sampler or the paper."""
 MANY_ROOTED = Rooting(roots=200)
 """Where many people are drawn from, each has fewer roots: about a second of one core."""
+OPEN_MANY = Drawing(root=RootKind.uncertain, roots=MANY_ROOTED.roots)
 REAL = "Real poses (with --dataset)"
 """The part of the help for options of `coverage` that mean nothing without a data set."""
 
@@ -90,7 +92,7 @@ class HypothesesSettings:
     double: Double = False
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
-    rooting: Viewing = OPEN
+    rooting: Drawing = OPEN
     prior: Prior = Prior()
 
     @property
@@ -129,7 +131,7 @@ class SampleSettings:
     double: Double = False
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
-    rooting: Viewing = OPEN
+    rooting: Drawing = OPEN
     prior: Prior = Prior()
 
     @property
@@ -172,7 +174,7 @@ class FramesSettings:
     sampling: Sampling = Sampling()
     detected: Detected = Detected()
     estimation: Estimation = Estimation()
-    rooting: Viewing = replace(OPEN, roots=MANY_ROOTED.roots)
+    rooting: Drawing = OPEN_MANY
     prior: Prior = Prior()
 
     @property

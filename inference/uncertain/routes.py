@@ -32,14 +32,20 @@ def draw_uncertain(
     key: jax.Array,
     num_samples: int,
     num_roots: int = NUM_ROOTS,
+    most_roots: int | None = None,
     max_proposals: int = MAX_PROPOSALS,
     progress: Progress | None = None,
 ) -> Route:
-    """Roots by one of `ROUTES`, enough for `num_samples` draws; the rest as `weigh_roots` and
-    `reject_roots` take it. Raises `BadInput` as they do."""
+    """Roots by one of `ROUTES`, enough for `num_samples` draws; the rest as `weigh_enough_roots`
+    and `reject_roots` take it. Raises `BadInput` as they do."""
     if sampler == WEIGHTED:
-        weighed = weighted.weigh_roots(
-            posterior, key=key, num_roots=num_roots, max_proposals=max_proposals, progress=progress
+        weighed = weighted.weigh_enough_roots(
+            posterior,
+            key=key,
+            num_roots=num_roots,
+            most_roots=most_roots,
+            max_proposals=max_proposals,
+            progress=progress,
         )
         return Route(weighed, *weighted.verdict(weighed), {})
     rejected = rejection.reject_roots(

@@ -9,6 +9,7 @@ Weights that are random but unbiased leave the limit what it is: with more and m
 are draws of the posterior. How far a number of roots is from there, the effective number says.
 """
 
+import dataclasses
 import functools
 import math
 import operator
@@ -191,6 +192,65 @@ def weigh_roots(
         proposed.log_weight + log_limbs(posterior, proposed.points, proposed.faults, limbs),
         proposed.attempts + ATTEMPTS * len(limbs),
     )
+
+
+def weigh_enough_roots(
+    posterior: UncertainPosterior,
+    *,
+    key: jax.Array,
+    num_roots: int = NUM_ROOTS,
+    most_roots: int | None = None,
+    max_proposals: int = MAX_PROPOSALS,
+    progress: Progress | None = None,
+) -> WeightedRoots:
+    """As `weigh_roots`; but where fewer than `FEWEST_EFFECTIVE` of the roots are effective, all are
+    drawn anew, as many as would do.
+
+    Roots are not added to those of which too few were effective. Still, roots that stay were judged
+    by their own weights, so that the evidence is no longer quite without bias.
+
+    Parameters
+    ----------
+    posterior, key, progress
+        As of `weigh_roots`.
+    num_roots
+        How many roots, at first.
+    most_roots
+        How many at most; by default no more than at first.
+    max_proposals
+        Most attempts, of all rounds together; a round that they may not suffice for is not begun.
+
+    Raises
+    ------
+    BadInput
+        As `weigh_roots`.
+    """
+    most, spent = num_roots if most_roots is None else most_roots, 0
+    require_number(most)
+    number: int | None = num_roots
+    while number is not None:
+        roots = weigh_roots(
+            posterior,
+            key=key,
+            num_roots=number,
+            max_proposals=max_proposals - spent,
+            progress=progress,
+        )
+        spent += roots.proposals
+        key, number = jax.random.fold_in(key, 0), _next(roots, most, max_proposals - spent)
+    return dataclasses.replace(roots, proposals=spent)
+
+
+def _next(roots: WeightedRoots, most: int, proposals: int) -> int | None:
+    """How many roots would do in the place of these, within so many proposals; None where these
+    do, no root explains the limbs, or the most that there may be would not do either."""
+    number = len(roots.log_weight)
+    if not 0 < roots.effective < FEWEST_EFFECTIVE or number < roots.proposed.wanted:
+        return None
+    more = min(most, max(2 * number, _enough(roots)))
+    hopeless = roots.effective * more < FEWEST_EFFECTIVE * number
+    dear = roots.proposals * more > proposals * number
+    return None if more <= number or hopeless or dear else more
 
 
 def require_number(num_roots: int) -> None:

@@ -39,6 +39,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
             estimating=estimating,
             root=settings.rooting.root,
             num_roots=settings.rooting.roots,
+            most_roots=settings.rooting.most,
             num_samples=sampling.num_samples,
             k=settings.k,
             composed=settings.composed,

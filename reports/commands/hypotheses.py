@@ -46,6 +46,7 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
             max_proposals=sampling.max_proposals,
             root=settings.rooting.root,
             num_roots=settings.rooting.roots,
+            most_roots=settings.rooting.most,
             double=settings.double,
             progress=step,
         )

@@ -48,6 +48,7 @@ def run(settings: SampleSettings, screen: Screen) -> None:
             chains=settings.chains,
             root=settings.rooting.root,
             num_roots=settings.rooting.roots,
+            most_roots=settings.rooting.most,
             double=settings.double,
             progress=step,
         )

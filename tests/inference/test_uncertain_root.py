@@ -9,6 +9,7 @@ import functools
 import math
 import re
 
+import jax
 import numpy as np
 import pytest
 from numpyro.infer.util import log_density
@@ -34,7 +35,12 @@ from inference.uncertain.limbs import log_evidence, picks
 from inference.uncertain.proposals import ProposedRoots
 from inference.uncertain.torsos import lowest_scale, rotations_of, torso_problem
 from inference.uncertain.tree import placed, sides
-from inference.uncertain.weighted import WeightedRoots, log_mean, weigh_roots
+from inference.uncertain.weighted import (
+    WeightedRoots,
+    log_mean,
+    weigh_enough_roots,
+    weigh_roots,
+)
 from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
 from probmodel.camera import Lens
 from probmodel.faults import Faults
@@ -344,6 +350,42 @@ def test_a_joint_out_of_reach_is_named_with_its_distance():
     lens = PoseModel(lens=Lens(1500.0, np.array([320.0, 240.0])))
     said = inference.sample(lens, far, **settings).sentence
     assert "whose arms explain their detections; mend or drop one" in said
+
+
+def test_too_few_roots_are_drawn_anew_as_many_as_would_do():
+    """To the bit those of `weigh_roots` of that number, with a key of their own; nothing is drawn
+    anew where the first ones do, where no root explains the limbs, where the most that there may be
+    would not do, and where the budget would end before."""
+    model = PoseModel()
+    posterior = moved(prior_scene(model, 2), "right_wrist", (100.0, 0.0)).uncertain(model)
+    first = weigh_roots(posterior, key=key(3), num_roots=40)
+    assert 5 < first.effective < weighted.FEWEST_EFFECTIVE
+    found = weigh_enough_roots(posterior, key=key(3), num_roots=40, most_roots=4000)
+    number = len(found.log_weight)
+    assert 80 <= number <= 400
+    assert found.effective >= weighted.FEWEST_EFFECTIVE
+    again = weigh_roots(posterior, key=jax.random.fold_in(key(3), 0), num_roots=number)
+    np.testing.assert_array_equal(found.log_weight, again.log_weight)
+    assert found.proposals == first.proposals + again.proposals
+
+    def left(**settings: int) -> None:
+        kept = weigh_enough_roots(posterior, key=key(3), num_roots=40, **settings)
+        np.testing.assert_array_equal(kept.log_weight, first.log_weight)
+        assert kept.proposals == first.proposals
+
+    left()
+    left(most_roots=40)
+    left(most_roots=50)
+    left(most_roots=4000, max_proposals=first.proposals + again.proposals // 3)
+    with pytest.raises(BadInput, match="number of roots must lie between 1 and 100,000"):
+        left(most_roots=0)
+    nobody = moved(prior_scene(model, 2), "right_wrist", (2000.0, 0.0)).uncertain(model)
+    none = weigh_enough_roots(nobody, key=key(3), num_roots=40, most_roots=4000)
+    assert (len(none.log_weight), none.effective) == (40, 0)
+    enough = prior_scene(model, 2).uncertain(model)
+    held = weigh_enough_roots(enough, key=key(3), num_roots=100, most_roots=4000)
+    assert len(held.log_weight) == 100
+    assert held.effective >= weighted.FEWEST_EFFECTIVE
 
 
 def test_a_budget_that_ended_says_so():

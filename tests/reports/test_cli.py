@@ -440,6 +440,12 @@ REFUSALS = [
         "--chains means nothing where torso and camera are uncertain; .* --root fixed",
     ),
     Refusal(
+        "most fixed roots",
+        HYPOTHESES + "--root fixed --most-roots 9",
+        GOOD,
+        "--most-roots means nothing where torso and camera are fixed; .* --root uncertain",
+    ),
+    Refusal(
         "number of fixed roots",
         HYPOTHESES + "--root fixed --roots 9",
         GOOD,

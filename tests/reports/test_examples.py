@@ -17,6 +17,7 @@ from PIL import Image
 from inference import ESTIMATORS, SAMPLERS
 from inference.sampler import ROOTED_SAMPLERS
 from inference.uncertain.routes import ROUTES
+from inference.uncertain.weighted import MOST_ROOTS
 from probmodel import Anatomy, read_detections
 from reports import cli, options
 from tests.conftest import Cli
@@ -145,6 +146,7 @@ def test_one_option_means_one_thing() -> None:
 
 def test_help_names_what_is_accepted() -> None:
     assert tuple(SAMPLERS) == options.SAMPLERS
+    assert MOST_ROOTS == options.MOST_ROOTS
     assert ROUTES == options.ROUTES
     assert ROOTED_SAMPLERS == options.ROOTED
     assert all(

@@ -159,11 +159,16 @@ def test_a_baseline_draws_and_is_judged(poseterior: Cli, folder: Path) -> None:
 
 def test_too_few_roots_are_no_answer(poseterior: Cli, folder: Path) -> None:
     out = folder / "few.nc"
-    run = poseterior("sample", EXAMPLE, "--out", out, *UNCERTAIN, "--roots", 15)
+    few = ("sample", EXAMPLE, "--out", out, *UNCERTAIN, "--roots", 15)
+    run = poseterior(*few, "--most-roots", 15)
     assert run.code == 3, run
     assert "too few for an answer" in run.err
     assert "what there is, is saved" in run.err
     assert read_result(out).status == OUT_OF_BUDGET
+    assert poseterior(*few).code == 0
+    more = read_result(out).tree.attrs
+    assert 15 < more["num_roots"] <= 16 * 15
+    assert more["effective_roots"] >= 20
 
 
 def test_a_sampler_under_fixed_roots_is_refused(poseterior: Cli, folder: Path) -> None:

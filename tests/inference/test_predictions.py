@@ -189,11 +189,10 @@ def test_the_command_has_chains(tmp_path: Path, poseterior: Cli) -> None:
     from probmodel.example import example
 
     out = tmp_path / "chains.nc"
-    run = poseterior(
-        *("sample", example().path, "--num-samples", 41, "--chains", 2, "--out", out, "--quiet")
-    )
+    words = ("sample", example().path, "--root", "fixed", "--out", out, "--quiet")
+    run = poseterior(*words, "--num-samples", 41, "--chains", 2)
     assert (run.code, run.err) == (0, "")
     assert "42 draws by rejection" in run.out
-    refused = poseterior("sample", example().path, "--chains", 0, "--out", out)
+    refused = poseterior(*words, "--chains", 0)
     assert refused.code == 2
     assert "cannot be in 0 chains" in refused.err

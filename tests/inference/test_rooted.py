@@ -238,7 +238,7 @@ def test_the_same_key_the_same_draws_and_few_are_no_answer() -> None:
     assert "too few for an answer (at least 20); ask for more draws" in few.sentence
     again = sampled("emcee", num_samples=8)
     np.testing.assert_array_equal(few.tree["posterior"].joints, again.tree["posterior"].joints)
-    with pytest.raises(OutOfBudget, match="emcee has nowhere to start: no torso brings"):
+    with pytest.raises(OutOfBudget, match="emcee has nowhere to start: no root was attempted"):
         sampled("emcee", max_proposals=1)
 
 

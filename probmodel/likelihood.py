@@ -137,7 +137,7 @@ class Student(ErrorLaw):
     """A bivariate Student's t of scale σ, half a spread, cut where as much of its mass lies beyond
     as beyond three σ of a Gaussian, which is its limit.
 
-    With r = |e|/σ the mass beyond is (1 + r²/df)^(-df/2): it ends at r² = df (e^(9/df) - 1).
+    With r = `|e|/σ` the mass beyond is (1 + r²/df)^(-df/2): it ends at r² = df (e^(9/df) - 1).
 
     Attributes
     ----------
@@ -167,8 +167,8 @@ class Student(ErrorLaw):
 
     @property
     def deviation(self) -> float:  # type: ignore[override]
-        """Log t is convex in |e|², so it lies below its chord from the peak to the reach, where it
-        is -(df + 2)/2 · 9/df: a Gaussian."""
+        """Log t is convex in `|e|²`, so it lies below its chord from the peak to the reach, where
+        it is -(df + 2)/2 · 9/df: a Gaussian."""
         return self.reach / math.sqrt(9 * (1 + 2 / self.df))
 
     def log_ratio(self, square: ArrayLike) -> jax.Array:

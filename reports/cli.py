@@ -161,8 +161,8 @@ def _compile_ahead(root: str, screen: Screen) -> None:
 
     if ahead.missing(root) and not screen.quiet:
         console.warn(
-            "compiling the sampling loops, once: this call takes some ten seconds longer than the"
-            " next one"
+            "compiling the sampling loops, once: this call takes some fifteen seconds longer than"
+            " the next one"
         )
     ahead.begin(root)
 

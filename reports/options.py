@@ -578,8 +578,7 @@ class Workforce:
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing(Viewing):
-    """As `Viewing`, of people who are drawn without anybody to look whether their roots are
-    enough."""
+    """As `Viewing`, where roots that are too few are drawn anew."""
 
     most_roots: Annotated[
         int | None,

@@ -29,6 +29,7 @@ from probmodel.roots import RootPoint
 from probmodel.skeleton import GROUPS, LENGTH_GROUPS, NUM_JOINTS, PARENTS, TORSO_INDEX
 from probmodel.uncertain import UncertainPosterior
 from tests.scenes import key, prior_scene
+from tests.sweeps import sweep
 
 NUM, K = 600, 4
 LIMBS = [limb for limbs in GROUPS.values() for limb in limbs]
@@ -113,7 +114,7 @@ def density_of(posterior: UncertainPosterior, one: Hypothesis, patterns: Faults)
     return best
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", sweep(CASES, ["disc", "small discs"]))
 def test_composed_hypotheses_are_possible_under_an_uncertain_root(name):
     drawn = uncertain(name)
     faults = drawn.faults

@@ -169,6 +169,7 @@ def test_blocks_of_weighted_roots_by_one_seed_would_repeat(to_file, monkeypatch)
     assert repeated(joints_of(to_file("a.nc", 1, **ROOTED))) > NUMBER / 2
 
 
+@pytest.mark.slow
 def test_faults_stand_in_every_block(to_file, tmp_path, example_estimate, model):
     faulty = dataclasses.replace(
         example_estimate,

@@ -327,6 +327,7 @@ def test_an_answer_that_is_none_is_not_called_one():
     assert "no torso brings all its seen joints within reach" in none.sentence
 
 
+@pytest.mark.slow
 def test_a_joint_out_of_reach_is_named_with_its_distance():
     """Under every root that was looked at. The controls: a joint that 3 of 32 roots bring into
     reach is not named, nor any in poses of the prior, nor where a focal length is known, for which
@@ -352,6 +353,7 @@ def test_a_joint_out_of_reach_is_named_with_its_distance():
     assert "whose arms explain their detections; mend or drop one" in said
 
 
+@pytest.mark.slow
 def test_too_few_roots_are_drawn_anew_as_many_as_would_do():
     """To the bit those of `weigh_roots` of that number, with a key of their own; nothing is drawn
     anew where the first ones do, where no root explains the limbs, where the most that there may be

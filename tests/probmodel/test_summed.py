@@ -191,6 +191,7 @@ def _entropy(log_each: np.ndarray) -> float:
     return float(stats.entropy(np.exp(log_each - log_each.max())))
 
 
+@pytest.mark.slow
 def test_without_faults_the_sum_is_the_likelihood() -> None:
     posterior, _, _ = case("disc")
     for _, point, pose, joints in itertools.islice(rows("disc", False), 3):

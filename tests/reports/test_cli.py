@@ -708,7 +708,7 @@ def test_a_frame_of_motion_capture_that_is_cut_off(
 @pytest.mark.parametrize(
     ("root", "said"),
     [
-        ("fixed", "no pose explains"),
+        pytest.param("fixed", "no pose explains", marks=pytest.mark.slow),
         ("uncertain", "none of 1,000 roots that explain the torso of"),
     ],
 )

@@ -4,6 +4,7 @@
 import functools
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import jax
 import numpy as np
@@ -102,16 +103,19 @@ def sample(
                 f"several chains are runs under fixed roots; leave their number out, or choose the"
                 f" root {FIXED!r}"
             )
-        return _sample_uncertain(
-            frame.uncertain(model),
-            sampler,
-            key=key,
-            num_samples=num_samples,
-            num_roots=num_roots,
-            most_roots=most_roots,
-            max_proposals=max_proposals,
-            progress=progress,
-        )
+        posterior = frame.uncertain(model)
+        given: dict[str, Any] = {
+            "key": key,
+            "num_samples": num_samples,
+            "num_roots": num_roots,
+            "max_proposals": max_proposals,
+            "progress": progress,
+        }
+        if sampler in ROOTED:
+            return sample_rooted(posterior, sampler=sampler, **given)
+        given |= {"most_roots": most_roots, "block": num_samples}
+        (result,) = uncertain_blocks(posterior, sampler, **given)
+        return result
     if sampler not in PROPOSALS and sampler not in BASELINES:
         raise BadInput(f"there is no sampler {sampler!r}; choose one of {', '.join(SAMPLERS)}")
     if chains != 1:
@@ -124,10 +128,10 @@ def sample(
             max_proposals=max_proposals,
             progress=progress,
         )
-    posterior = frame.posterior(model)
+    mixture = frame.posterior(model)
     if sampler in BASELINES and num_samples > 0:
         return sample_baseline(
-            posterior,
+            mixture,
             functools.partial(sample, model, frame, key=jax.random.fold_in(key, 0)),
             key=key,
             sampler=sampler,
@@ -136,7 +140,7 @@ def sample(
             progress=progress,
         )
     (result,) = exact_blocks(
-        posterior,
+        mixture,
         sampler,
         key=key,
         num_samples=num_samples,
@@ -220,42 +224,6 @@ def _several(
     whole = joined(results)
     whole.tree.attrs["seed"] = key_words(key)
     return whole
-
-
-def _sample_uncertain(
-    posterior: UncertainPosterior,
-    sampler: str,
-    *,
-    key: jax.Array,
-    num_samples: int,
-    num_roots: int,
-    most_roots: int | None,
-    max_proposals: int,
-    progress: Progress | None,
-) -> Result:
-    """`sample` where the root is uncertain."""
-    if sampler in ROOTED:
-        return sample_rooted(
-            posterior,
-            key=key,
-            sampler=sampler,
-            num_samples=num_samples,
-            num_roots=num_roots,
-            max_proposals=max_proposals,
-            progress=progress,
-        )
-    (result,) = uncertain_blocks(
-        posterior,
-        sampler,
-        key=key,
-        num_samples=num_samples,
-        num_roots=num_roots,
-        most_roots=most_roots,
-        max_proposals=max_proposals,
-        progress=progress,
-        block=num_samples,
-    )
-    return result
 
 
 def uncertain_blocks(

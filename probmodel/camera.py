@@ -71,6 +71,11 @@ class WeakPerspective(NamedTuple):
         """Projects points `(..., 3)` in body axes to pixels `(..., 2)`."""
         return self.image(self.view(points))
 
+    def through(self, lens: "Lens | None") -> "WeakPerspective | Perspective":
+        """The camera that has this lens and sees the pelvis as this one does; this one itself where
+        no lens is known."""
+        return self if lens is None else Perspective(self, lens)
+
 
 class Lens(NamedTuple):
     """What is known of a camera before it sees anybody, a pytree.

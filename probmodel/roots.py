@@ -180,4 +180,4 @@ class RootPrior:
         torso = jnp.asarray(self.torsos)[point.torso]
         scale = jnp.exp(jnp.asarray(point.log_scale))
         weak = WeakPerspective(scale, point.rotation, point.translation)
-        return Root(torso, weak if self.lens is None else Perspective(weak, self.lens))
+        return Root(torso, weak.through(self.lens))

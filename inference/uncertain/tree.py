@@ -50,7 +50,6 @@ def uncertain_tree(
         "num_roots": len(roots.log_weight),
         "effective_roots": roots.effective,
         "num_proposals": roots.proposals,
-        "acceptance_rate": len(chosen) / max(roots.proposals, 1),
         "log_evidence": roots.log_evidence,
         "log_evidence_se": roots.log_evidence_se,
         "converged": int(all(one.converged for one in posterior.candidates)),

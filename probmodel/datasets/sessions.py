@@ -44,6 +44,11 @@ class JudgedView(NamedTuple):
     translation: np.ndarray
 
     @property
+    def whole(self) -> np.ndarray:
+        """`(n,)`: in which of the frames every joint is known."""
+        return np.isfinite(self.world.points).all(axis=(1, 2))
+
+    @property
     def poses(self) -> np.ndarray:
         """`(n, 15, 3)` mm, the pelvis at the origin, in the weak-perspective cameras' axes."""
         points = self.world.points - self.world.points[:, :1]
@@ -104,7 +109,7 @@ def from_session(session: Session, *, perspective: bool = False) -> DataSet:
 
 def _of_view(session: Session, view: JudgedView) -> tuple[np.ndarray, ...]:
     """Poses, keypoints, scores, scales, translations and recordings of a camera's cases."""
-    whole = np.isfinite(view.world.points).all(axis=(1, 2))
+    whole = view.whole
     rows = view.rows[whole]
     return (
         view.poses[whole],
@@ -121,8 +126,7 @@ def _in_perspective(session: Session, view: JudgedView) -> tuple[np.ndarray, ...
     that are not square are made so."""
     _, keypoints, score, _, _, recording = _of_view(session, view)
     camera, number = session.straight[view.camera], len(recording)
-    points = view.world.points[np.isfinite(view.world.points).all(axis=(1, 2))]
-    placed, focal = camera.view(points), float(camera.focal.mean())
+    placed, focal = camera.view(view.world.points[view.whole]), float(camera.focal.mean())
     pelvis = placed[:, :1]
     return (
         placed - pelvis,

@@ -267,7 +267,8 @@ def test_what_is_compiled_ahead_is_what_the_call_draws_by() -> None:
         ([*UNCERTAIN, "--focal", 900, "--principal", "inf,0"], "must be two finite numbers"),
     ],
 )
-def test_cameras_that_cannot_be(poseterior: Cli, given: list, said: str) -> None:
-    run = poseterior("sample", EXAMPLE, *given, "--num-samples", 5, "--quiet")
+def test_cameras_that_cannot_be(poseterior: Cli, folder: Path, given: list, said: str) -> None:
+    out = folder / "cameras.nc"
+    run = poseterior("sample", EXAMPLE, *given, "--num-samples", 5, "--quiet", "--out", out)
     assert run.code == 2
     assert said in run.err

@@ -15,7 +15,7 @@ from inference.results import FIXED
 from inference.roots import estimate_torsos
 from inference.studies.calibration.simulations import SPREADS, Instance, detected
 from probmodel.body import align_torsos
-from probmodel.camera import Perspective, WeakPerspective
+from probmodel.camera import WeakPerspective
 from probmodel.datasets import Case, Noise, read_data_set
 from probmodel.failures import BadInput
 from probmodel.likelihood import PAPER, Likelihood
@@ -112,8 +112,7 @@ def true_candidate(case: Case, model: PoseModel) -> Candidate:
     view = (case.pose / case.unit)[list(TORSO_INDEX)]
     rotation = align_torsos(view[None], np.asarray(model.torsos).mean(axis=0))[0].T
     weak = WeakPerspective(scale, rotation, case.translation)
-    camera = weak if case.lens is None else Perspective(weak, case.lens)
-    return Candidate(-1, view @ rotation, camera, 0.0)
+    return Candidate(-1, view @ rotation, weak.through(case.lens), 0.0)
 
 
 def instances(

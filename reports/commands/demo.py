@@ -3,18 +3,19 @@ hypotheses."""
 
 from probmodel.example import example
 from reports.commands import hypotheses
-from reports.options import Person, Sampling, Screen
+from reports.options import Drawing, Person, Sampling, Screen
 from reports.settings import DemoSettings, HypothesesSettings
 
 
 def run(settings: DemoSettings, screen: Screen) -> None:
-    """Draws 10,000 poses and chooses five for the example: one pose of motion capture, one wrist
-    missing."""
+    """Draws 10,000 poses and chooses five for the example, the paper's way: one pose of motion
+    capture, one wrist missing."""
     made = example()
     wanted = HypothesesSettings(
         person=Person(file=made.path),
         out=settings.out,
         open=settings.open,
         sampling=Sampling(seed=settings.seed),
+        rooting=Drawing(root=settings.drawn),
     )
     hypotheses.run(wanted, screen, truth=made.joints)

@@ -1451,7 +1451,8 @@ def test_a_signal_in_the_midst_of_compiled_loops(
 def test_demo(poseterior: Cli, tmp_path: Path) -> None:
     run = poseterior("demo", "--out", tmp_path / "demo", "--quiet", "--json")
     assert run.code == 0
-    assert strict_json(run.out)["summary"]["num_draws"] == 10_000
+    said = strict_json(run.out)["summary"]
+    assert (said["num_draws"], said["sampler"]) == (10_000, "rejection")
     assert sorted(files(tmp_path / "demo")) == RESULTS
     check = poseterior("check", tmp_path / "demo" / "posterior.nc", "--quiet")
     assert check.out.startswith("10,000 of 10,000 poses")

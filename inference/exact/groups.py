@@ -9,7 +9,7 @@ import functools
 import os
 import threading
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -70,17 +70,26 @@ class GroupTables(NamedTuple):
     lengths: np.ndarray
 
 
-_known: dict[int, tuple[weakref.ref, dict[str, GroupTables]]] = {}
-"""By the identity of the model, which is no key itself; an entry goes when its model goes."""
+def once_a_model[Made](make: Callable[[PoseModel], Made]) -> Callable[[PoseModel], Made]:
+    """`make`, whose results are remembered by the identity of the model, which is no key itself; an
+    entry goes when its model goes."""
+    known: dict[int, tuple[weakref.ref, Made]] = {}
+
+    @functools.wraps(make)
+    def made(model: PoseModel) -> Made:
+        identity = id(model)
+        if identity not in known or known[identity][0]() is not model:
+            found = make(model)
+            known[identity] = weakref.ref(model, lambda _: known.pop(identity, None)), found
+        return known[identity][1]
+
+    return made
 
 
+@once_a_model
 def group_tables(model: PoseModel) -> dict[str, GroupTables]:
     """The model's tables as the compiled loops read them, by group; made once a model."""
-    identity = id(model)
-    if identity not in _known or _known[identity][0]() is not model:
-        found = {name: _group(model, limbs) for name, limbs in GROUPS.items()}
-        _known[identity] = weakref.ref(model, lambda _: _known.pop(identity, None)), found
-    return _known[identity][1]
+    return {name: _group(model, limbs) for name, limbs in GROUPS.items()}
 
 
 def _group(model: PoseModel, limbs: Sequence) -> GroupTables:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import logsumexp
 
-from inference.exact.groups import workers
+from inference.exact.groups import once_a_model, workers
 from inference.exact.loops.promise import near_rows
 from inference.uncertain.limbs import CHAINED, ENDS, LIMBS, Sight, prior_poses, sights_of, views_of
 from probmodel.chunks import in_chunks
@@ -42,6 +42,8 @@ SHARE = 512
 """Roots that a thread works on at a time."""
 LEAST = 1e-30
 """The least density of a joint, per square body unit: in single precision it would be zero."""
+WORDS = [0, 0]
+"""Of the key of the draws by which is guessed."""
 PATTERNS = np.array([[False, False], [True, False], [False, True], [True, True]])
 """`(4, 2)`: which joints of a limb are outliers."""
 
@@ -167,10 +169,12 @@ def _fit(pool: np.ndarray, errors: Errors, sight: Sight) -> np.ndarray:
         return np.log(np.maximum(whole, LEAST)) + np.log(astray)
 
 
-def pool_of(model: PoseModel, words: list[int]) -> np.ndarray:
+@once_a_model
+def pool_of(model: PoseModel) -> np.ndarray:
     """`(3, 5, 2, n)`: where the joints of each limb lie from its start, in the local axes of its
-    upper bone, in the `n` draws of `prior_poses`; single precision."""
-    return np.asarray(_pool(model, prior_poses(model, words)), np.float32)
+    upper bone, in `n` draws of `prior_poses`; single precision. The same ones for every key, since
+    no guess makes a draw wrong."""
+    return np.asarray(_pool(model, prior_poses(model, WORDS)), np.float32)
 
 
 @jax.jit

@@ -5,10 +5,12 @@ its limbs' evidence costs. How well draws of the prior fit the limbs says
 which roots are promising; each is taken by a probability that this decides, and weighed by its
 inverse, so that a wrong guess costs effective roots and nothing else.
 
-Where the detector has faults, every stratum of the torso's faults gets a share of the roots: a
-pilot run guesses what it has of the posterior.
+A pilot run guesses how many have to be looked at for one that is promising. Where the detector has
+faults, every stratum of the torso's faults gets a share of the roots: the pilot run guesses what it
+has of the posterior.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -18,8 +20,9 @@ from scipy.special import logsumexp
 from inference.exact.groups import workers
 from inference.exact.loops.fits import FEWER
 from inference.exact.loops.numbers import words_of
+from inference.exact.loops.promise import LANES
 from inference.exact.rates import Budget
-from inference.resampling import inclusion, systematic, times
+from inference.resampling import effective, inclusion, shares, systematic, times
 from inference.uncertain.attempts import (
     PATIENCE,
     Proposal,
@@ -27,7 +30,7 @@ from inference.uncertain.attempts import (
     draw_posed,
     quick_proposal_of,
 )
-from inference.uncertain.limbs import ATTEMPTS
+from inference.uncertain.limbs import ATTEMPTS, POOL
 from inference.uncertain.patterns import (
     Fit,
     Stratum,
@@ -39,6 +42,7 @@ from inference.uncertain.patterns import (
 )
 from inference.uncertain.torsos import Posed, log_nearness, torso_problem
 from probmodel.faults import Faults
+from probmodel.model import PoseModel
 from probmodel.roots import RootPoint
 from probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 from probmodel.uncertain import UncertainPosterior
@@ -54,8 +58,11 @@ FEW_ATTEMPTS = 1 << 21
 """Attempts of a stratum of which the pilot run brought no root."""
 EVEN = 0.1
 """What is shared out evenly among the strata, whatever the pilot run says."""
-MOST = 8
-"""Roots of the torso that are looked at, where they come easily, for one that is weighed."""
+LOOKS = 8, 32
+"""How many roots of the torso are looked at, where they come easily, for one that is weighed."""
+PROMISING = 1.7
+"""So many equally promising ones shall be among them, if the looks allow for that: where limbs say
+much of the torso, one root in twenty is."""
 FURTHER = 1 << 17
 """So many roots are looked at altogether, if not more are to be weighed: it bounds the memory."""
 TRUST = 0.85
@@ -111,12 +118,13 @@ class ProposedRoots(NamedTuple):
 
 class RootPlan(NamedTuple):
     """How roots are going to be drawn: of which `strata`, by what attempts at each, `attempted`;
-    the `share` `(strata,)` of the roots that each gets, and whether there is hope of any,
-    `hopeful`; how many `attempts` it took to know."""
+    the `share` `(strata,)` of the roots that each gets, how many are looked at for one of them,
+    `looks`, and whether there is hope of any, `hopeful`; how many `attempts` it took to know."""
 
     strata: list[Stratum]
     attempted: list[tuple[Posed, Proposal]]
     share: np.ndarray
+    looks: list[int]
     hopeful: list[bool]
     attempts: int
 
@@ -136,22 +144,20 @@ def propose_roots(
     posterior: UncertainPosterior, key: jax.Array, number: int, budget: Budget
 ) -> ProposedRoots:
     """`number` roots, in random order, or as many as the budget allows."""
-    pool_key, pilot_key, torso_key, order_key = jax.random.split(key, 4)
-    pool = pool_of(posterior.model, words_of(pool_key))
+    pilot_key, torso_key, order_key = jax.random.split(key, 3)
     rng = np.random.default_rng(words_of(order_key))
-    plan = _plan(posterior, pool, pilot_key, budget)
-    counts = times(plan.share, number, rng.uniform())
     # Attempts at roots that may not be weighed are not taken away from limbs.
     ample = budget.proposals >= 2 * number * (PATIENCE + ATTEMPTS)
+    plan = _plan(posterior, pilot_key, budget, ample)
+    counts = times(plan.share, number, rng.uniform())
     most = [budget.proposals if hope else FEW_ATTEMPTS for hope in plan.hopeful]
-    spare = MOST if ample else 1
-    torsos = _draw(plan.attempted, torso_key, counts.tolist(), most, budget, spare)
+    torsos = _draw(plan.attempted, torso_key, counts.tolist(), most, budget, plan.looks)
     parts, wanted = [], 0
     for index, torso in enumerate(torsos):
         found, asked = len(torso.points.torso), int(counts[index])
         wanted += asked if plan.hopeful[index] and not torso.enough else min(found, asked)
         if found:
-            parts.append(_roots_of(posterior, pool, plan, index, torso, asked, rng))
+            parts.append(_roots_of(posterior, plan, index, torso, asked, rng))
     made = np.array([torso.attempts for torso in torsos])
     attempts = plan.attempts + int(made.sum())
     if not parts:
@@ -169,28 +175,50 @@ def propose_roots(
     return whole.at(rng.permutation(len(weight)))
 
 
-def _plan(
-    posterior: UncertainPosterior, pool: np.ndarray, key: jax.Array, budget: Budget
-) -> RootPlan:
-    """Where there are several strata, by a pilot run of each."""
+def _plan(posterior: UncertainPosterior, key: jax.Array, budget: Budget, ample: bool) -> RootPlan:
+    """By a pilot run of each stratum; where there is but one, and the budget is not `ample`, none
+    is needed."""
     strata = strata_of(posterior)
     posed = [torso_problem(posterior, stratum.faults) for stratum in strata]
     levels = [ROUGH] * len(posed) if len(posed) > 1 else [FEWER]
     attempted = list(zip(posed, workers().map(quick_proposal_of, posed, levels), strict=True))
-    if len(strata) == 1:
-        return RootPlan(strata, attempted, np.ones(1), [True], 0)
-    most = [PILOT_ATTEMPTS] * len(strata)
-    pilots = _draw(attempted, key, [PILOT] * len(strata), most, budget, 1)
-    share = _shares(posterior, pool, strata, pilots)
-    for index in np.flatnonzero(share > WORTH).tolist():
-        attempted[index] = posed[index], quick_proposal_of(posed[index])
-    hopeful = [len(pilot.points.torso) > 0 for pilot in pilots]
-    return RootPlan(strata, attempted, share, hopeful, sum(pilot.attempts for pilot in pilots))
+    if len(strata) == 1 and not ample:
+        return RootPlan(strata, attempted, np.ones(1), [1], [True], 0)
+    once, most = [1] * len(strata), [PILOT_ATTEMPTS] * len(strata)
+    pilots = _draw(attempted, key, [PILOT] * len(strata), most, budget, once)
+    guesses = [_guess(posterior, *of) for of in zip(strata, pilots, strict=True)]
+    share = _shares(posterior, strata, pilots, guesses)
+    if len(strata) > 1:
+        for index in np.flatnonzero(share > WORTH).tolist():
+            attempted[index] = posed[index], quick_proposal_of(posed[index])
+    return RootPlan(
+        strata,
+        attempted,
+        share,
+        [_looks(guess) for guess in guesses] if ample else once,
+        [len(guess) > 0 or len(strata) == 1 for guess in guesses],
+        sum(pilot.attempts for pilot in pilots),
+    )
+
+
+def _guess(posterior: UncertainPosterior, stratum: Stratum, pilot: TorsoDraws) -> np.ndarray:
+    """`(n,)`: log of about what each root of a pilot run has of its stratum."""
+    if not len(pilot.points.torso):
+        return np.zeros(0)
+    fit = fit_of(posterior, pool_of(posterior.model), stratum, pilot.points)
+    return log_promise(posterior, fit, stratum, pilot.points) + pilot.log_share
+
+
+def _looks(guess: np.ndarray) -> int:
+    """How many roots to look at for one that is weighed, by what a pilot run guesses `(n,)`."""
+    if not len(guess):
+        return LOOKS[0]
+    wanted = math.ceil(PROMISING * len(guess) / effective(shares(TRUST * guess)))
+    return min(max(wanted, LOOKS[0]), LOOKS[1])
 
 
 def _roots_of(
     posterior: UncertainPosterior,
-    pool: np.ndarray,
     plan: RootPlan,
     index: int,
     torso: TorsoDraws,
@@ -200,7 +228,7 @@ def _roots_of(
     """So many roots of a stratum as were `asked` for, or all that were found, the more promising
     the rather, each with a pattern of faults."""
     stratum, taken = plan.strata[index], min(len(torso.points.torso), asked)
-    fit = fit_of(posterior, pool, stratum, torso.points)
+    fit = fit_of(posterior, _some(posterior.model, plan.looks[index]), stratum, torso.points)
     promise = log_promise(posterior, fit, stratum, torso.points)
     rows, chance = _promising(promise + torso.log_share, taken, rng)
     faults, log_proposal = propose(fit.take(rows), stratum, rng)
@@ -211,6 +239,12 @@ def _roots_of(
     return StratumRoots(
         torso.points.take(rows), faults, weight, which, chance * torso.inclusion[rows]
     )
+
+
+def _some(model: PoseModel, looks: int) -> np.ndarray:
+    """The pool's first draws: the more roots are looked at, the fewer each is held against."""
+    number = POOL * LOOKS[0] // max(looks, LOOKS[0]) // LANES * LANES
+    return np.ascontiguousarray(pool_of(model)[..., :number])
 
 
 def log_promise(
@@ -246,16 +280,16 @@ def _draw(
     counts: list[int],
     most: list[int],
     budget: Budget,
-    spare: int,
+    looks: list[int],
 ) -> list[TorsoDraws]:
-    """So many roots of each stratum, or `spare` times as many, by so many attempts at most."""
+    """So many roots of each stratum, or `looks` times as many, by so many attempts at most."""
     return [
         draw_posed(
             *torso,
             words_of(jax.random.fold_in(key, index)),
             counts[index],
             Budget(most[index], whole=budget),
-            most=max(counts[index], min(spare * counts[index], FURTHER)),
+            most=max(counts[index], min(looks[index] * counts[index], FURTHER)),
         )
         for index, torso in enumerate(attempted)
     ]
@@ -263,21 +297,15 @@ def _draw(
 
 def _shares(
     posterior: UncertainPosterior,
-    pool: np.ndarray,
     strata: list[Stratum],
     pilots: list[TorsoDraws],
+    guesses: list[np.ndarray],
 ) -> np.ndarray:
     """`(strata,)`: what each gets of the roots: about what it has of the posterior."""
     score = np.full(len(strata), -np.inf)
-    for index, (stratum, pilot) in enumerate(zip(strata, pilots, strict=True)):
-        if len(pilot.points.torso):
-            fit = fit_of(posterior, pool, stratum, pilot.points)
-            evidence = log_promise(posterior, fit, stratum, pilot.points)
-            score[index] = (
-                logsumexp(evidence + pilot.log_share)
-                + pilot.log_evidence
-                + _log_prior(posterior, stratum)
-            )
+    for index, (stratum, pilot, guess) in enumerate(zip(strata, pilots, guesses, strict=True)):
+        if len(guess):
+            score[index] = logsumexp(guess) + pilot.log_evidence + _log_prior(posterior, stratum)
     if not np.isfinite(score).any():
         return np.full(len(strata), 1 / len(strata))
     share = np.exp(score - logsumexp(score))

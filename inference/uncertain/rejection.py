@@ -166,8 +166,7 @@ class _Rounds:
     budget ends."""
 
     def __init__(self, posterior: UncertainPosterior, key: jax.Array, max_proposals: int) -> None:
-        pool_key, self.key = jax.random.split(key)
-        self.posterior, self.pool = posterior, pool_of(posterior.model, words_of(pool_key))
+        self.posterior, self.key = posterior, key
         self.strata = _strata(posterior)
         self.left, self.number, self.attempts = max_proposals, 0, FIRST
         self.made, self.promising = 0, -math.inf
@@ -221,7 +220,7 @@ class _Rounds:
         """The roots whose limbs are asked, with patterns, and the log of what each counts."""
         if not len(points.torso):
             return NOWHERE, Faults.none(0), np.zeros(0)
-        fit = fit_of(self.posterior, self.pool, one.stratum, points)
+        fit = fit_of(self.posterior, pool_of(self.posterior.model), one.stratum, points)
         promise = log_promise(self.posterior, fit, one.stratum, points)
         if math.isinf(self.promising):
             self.promising = float(np.quantile(promise, LIKELY))

@@ -4,7 +4,7 @@ reports/centres.md.
 
     python -m reports.pages.centres ../shared/data
 
-Some minutes. The frames and their errors are those of the relations in reports/motion.md.
+Some minutes. Frames and errors are like those of the relations in reports/motion.md, but fewer.
 """
 
 import dataclasses
@@ -34,11 +34,11 @@ from probmodel.posterior import Estimate
 from probmodel.skeleton import NUM_JOINTS
 from reports.figures.composition import gains_figure
 from reports.pages.evaluation import CLASSES, NOISE, gain, protocol_of
-from reports.pages.motion import ESTIMATOR, FRAMES
+from reports.pages.motion import ESTIMATOR
 from reports.pages.page import Values, in_doubles, write_page
 from reports.tables import Sheet, sheet_of
 
-K = 5
+K, FRAMES = 5, 160
 CHOSEN = ("draws", "composed", "centres, which are no poses")
 LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
 WAYS = ((FIXED, "disc"), (UNCERTAIN, "disc"), (UNCERTAIN, "Gaussian"), (TRUE, "disc"))

@@ -3,7 +3,7 @@
     python -m reports.pages.coverage ../shared/data WORK [STAGE…]
 
 Every stage leaves its result in the folder WORK and is not done twice; the page is written when all
-are there. With names of stages, only those are done. About an hour on one core.
+are there. With names of stages, only those are done. About half an hour on two cores.
 """
 
 import json

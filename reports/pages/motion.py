@@ -3,7 +3,7 @@ reports/motion.md.
 
     python -m reports.pages.motion ../shared/data work
 
-Twenty minutes on one core; `work` keeps what is done, and a run that was stopped goes on there.
+An hour on two cores; `work` keeps what is done, and a run that was stopped goes on there.
 """
 
 import dataclasses
@@ -53,7 +53,7 @@ POSES, ROOTS = 48, 1000
 BUDGET = 100_000_000
 NEAREST = 8
 """So many of the dictionary's torsos are laid on the true one."""
-FRAMES = 160
+FRAMES = 640
 """Of the paper's relations."""
 ESTIMATOR = "akhter-black"
 ROOTED = (FIXED, UNCERTAIN, TRUE)

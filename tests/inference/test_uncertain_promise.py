@@ -4,16 +4,22 @@ are effective."""
 
 import dataclasses
 import functools
+import gc
 import math
+import weakref
 
 import numpy as np
 import pytest
 
+from inference.exact.groups import once_a_model
 from inference.exact.loops import fits
+from inference.exact.loops.promise import LANES
 from inference.exact.rates import Budget
 from inference.uncertain import attempts, proposals
 from inference.uncertain.attempts import TorsoDraws, draw_roots
-from inference.uncertain.proposals import _promising
+from inference.uncertain.limbs import POOL
+from inference.uncertain.patterns import pool_of
+from inference.uncertain.proposals import _looks, _promising, _some
 from inference.uncertain.weighted import WeightedRoots, weigh_roots
 from probmodel import Likelihood, PoseModel
 from probmodel.faults import Faults
@@ -50,6 +56,54 @@ def test_rows_are_taken_by_their_chance() -> None:
     error = np.std(right) / math.sqrt(4000)
     assert abs(np.mean(right) - value.sum()) < 4.5 * error
     assert abs(np.mean(wrong) - value.sum()) > 9 * np.std(wrong) / math.sqrt(4000)
+
+
+def test_where_few_are_promising_more_are_looked_at() -> None:
+    """Eight for one where all promise the same; so many that 1.7 of them promise as much as the
+    best where one in twelve does; 32 where one in 48 does, or where the promises of a pilot run are
+    as uneven as a scatter of 10 nats makes them; TRUST is how far they are believed."""
+
+    def looks(promising: int) -> int:
+        return _looks(np.where(np.arange(48) < promising, 0.0, -np.inf))
+
+    assert looks(48) == 8
+    assert looks(4) == math.ceil(1.7 * 12)
+    assert looks(1) == 32
+    rng = np.random.default_rng(0)
+    assert _looks(10 * rng.normal(size=48)) == 32
+    assert _looks(0.1 * rng.normal(size=48)) == 8
+    guess = 5 * rng.normal(size=48)
+    believed = np.exp(proposals.TRUST * guess)
+    wanted = 1.7 * 48 * np.sum(believed**2) / np.sum(believed) ** 2
+    assert 8 < _looks(guess) == math.ceil(wanted) < 32
+    assert _looks(np.zeros(0)) == 8  # nothing is known of a stratum without any
+
+
+def test_the_more_are_looked_at_the_fewer_draws_judge_them() -> None:
+    """As much work in all, within a fifth; in whole vectors, or what is read lies outside."""
+    model = PoseModel()
+    for looks in range(proposals.LOOKS[0], proposals.LOOKS[1] + 1):
+        number = _some(model, looks).shape[-1]
+        assert number % LANES == 0
+        assert 0.8 < looks * number / (proposals.LOOKS[0] * POOL) <= 1
+
+
+def test_every_seed_is_guessed_by_the_same_draws_of_the_prior() -> None:
+    """Once a model, and for no longer than the model is there."""
+    made: list[int] = []
+
+    @once_a_model
+    def count(model: PoseModel) -> int:
+        made.append(id(model))
+        return len(made)
+
+    model, other = PoseModel(), PoseModel()
+    assert [count(model), count(other), count(model), count(other)] == [1, 2, 1, 2]
+    gone = weakref.ref(other)
+    del other
+    gc.collect()
+    assert gone() is None
+    assert pool_of(model) is pool_of(model)
 
 
 def test_where_all_are_wanted_all_are_taken() -> None:
@@ -93,9 +147,9 @@ def test_promises_change_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
     """Roots as they come, roots by promises, and roots by promises that are the wrong way round
     have one evidence (4 standard errors); without the inverse chances it is another one."""
     promised = weighed(0, 1500)
-    monkeypatch.setattr(proposals, "MOST", 1)
+    monkeypatch.setattr(proposals, "LOOKS", (1, 1))
     plain = weigh_roots(an_arm(), key=key(1), num_roots=1500)
-    monkeypatch.setattr(proposals, "MOST", 4)
+    monkeypatch.setattr(proposals, "LOOKS", (4, 4))
     monkeypatch.setattr(proposals, "TRUST", -0.3)
     perverse = weigh_roots(an_arm(), key=key(2), num_roots=1500)
     for one in (plain, perverse):
@@ -117,7 +171,7 @@ def test_more_roots_are_effective(monkeypatch: pytest.MonkeyPatch) -> None:
     model = PoseModel()
     posterior = prior_scene(model, 3, factor=0.4).uncertain(model)
     promised = weigh_roots(posterior, key=key(0), num_roots=200)
-    monkeypatch.setattr(proposals, "MOST", 1)
+    monkeypatch.setattr(proposals, "LOOKS", (1, 1))
     plain = weigh_roots(posterior, key=key(0), num_roots=200)
     assert promised.proposed.scatter < plain.proposed.scatter == 1 / 200
     assert promised.effective > 3 * plain.effective
@@ -146,7 +200,7 @@ def test_sharp_torsos_have_the_evidence_of_exact_ones(monkeypatch: pytest.Monkey
 def test_a_small_budget_is_not_spent_on_promises(monkeypatch: pytest.MonkeyPatch) -> None:
     """What was enough for roots as they come is enough."""
     with monkeypatch.context() as patch:
-        patch.setattr(proposals, "MOST", 1)
+        patch.setattr(proposals, "LOOKS", (1, 1))
         plain = weigh_roots(an_arm(), key=key(5), num_roots=100)
     enough = plain.proposals + 4 * attempts.BATCH  # attempts are allowed in batches
     tight = weigh_roots(an_arm(), key=key(5), num_roots=100, max_proposals=enough)

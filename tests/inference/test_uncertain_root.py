@@ -219,7 +219,7 @@ def test_a_biased_evidence_is_found_out(monkeypatch):
     draw counted alike, as if a draw had been waited for."""
     brute, _ = both_routes()
     model, frame = small_case()
-    monkeypatch.setattr(proposals, "MOST", 1)
+    monkeypatch.setattr(proposals, "LOOKS", (1, 1))
     roots = weigh_roots(frame.uncertain(model), key=key(3), num_roots=3000)
     alive = np.isfinite(roots.log_weight)
     wrong = roots.log_evidence - log_mean(roots.log_weight) + roots.log_weight[alive].mean()

@@ -121,19 +121,11 @@ def programs() -> None:
 
 
 def weigh() -> None:
-    """Has numba compile what weighs limbs, by weighing those of two roots that see nothing."""
-    import numpy as np
-
-    from inference.exact.groups import group_tables
-    from inference.uncertain.limbs import EFFORT, Views, attempt_limbs
-    from probmodel.likelihood import PAPER
+    """Has numba compile what weighs limbs, by weighing those of roots that see nothing."""
+    from inference.uncertain.patterns import pool_of
     from probmodel.model import PoseModel
 
-    axes, start, joints = np.tile(np.eye(3), (2, 5, 1, 1)), np.zeros((2, 6, 3)), np.ones((2, 15))
-    none = np.zeros((2, 15, 2))
-    views = Views(axes, start, none, np.inf * joints, joints, none, np.zeros(2))
-    tables, outlier = group_tables(PoseModel()), np.zeros((2, 15), bool)
-    attempt_limbs(tables, {}, [0], PAPER.law, EFFORT, views, outlier, 0)
+    pool_of(PoseModel())
 
 
 def main(root: str) -> None:

@@ -37,7 +37,7 @@ from probmodel.model import PoseModel
 from probmodel.pose import GroupDraws, Pose
 from probmodel.programs import kept
 from probmodel.roots import RootPoint, RootPrior
-from probmodel.skeleton import GROUPS, TORSO_INDEX
+from probmodel.skeleton import GROUPS, NUM_JOINTS, NUM_UPPER, TORSO_INDEX
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 Effort = dict[int, tuple[int, int]]
@@ -55,7 +55,7 @@ KEPT = 64
 """Draws that are kept of a group under one root: any of them are as good as all."""
 POOL = 4096
 """Draws of the prior that stand for it: for groups of which nothing was seen, which are the same
-under every root, and for what the others promise."""
+under every root, and for what limbs promise."""
 BLOCK = 512
 """Roots that are worked on at a time, which bounds the memory."""
 TASK = 32
@@ -123,6 +123,20 @@ def views_of(posterior: UncertainPosterior, points: RootPoint, faults: Faults) -
     """The views of roots and patterns `(n, ...)`, compiled once."""
     look = functools.partial(_look, posterior.model, posterior.detected)
     return Views(*in_chunks(look, *map(np.asarray, points), *faults, size=BLOCK))
+
+
+def blind(number: int) -> Views:
+    """Views of so many roots that see nothing."""
+    joints = np.ones((number, NUM_JOINTS))
+    return Views(
+        axes=np.tile(np.eye(3), (number, NUM_UPPER, 1, 1)),
+        start=np.zeros((number, len(TORSO_INDEX), 3)),
+        target=np.zeros((*joints.shape, 2)),
+        reach=np.inf * joints,
+        spread=joints,
+        ray=np.zeros((*joints.shape, 2)),
+        nearness=np.zeros(number),
+    )
 
 
 def outliers_of(posterior: UncertainPosterior, faults: Faults) -> np.ndarray:

@@ -11,13 +11,24 @@ import functools
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.special import logsumexp
 
-from inference.exact.groups import once_a_model, workers
-from inference.exact.loops.promise import near_rows
-from inference.uncertain.limbs import CHAINED, ENDS, LIMBS, Sight, prior_poses, sights_of, views_of
+from inference.exact.groups import group_tables, once_a_model, workers
+from inference.exact.loops.promise import limb_ends, near_rows
+from inference.uncertain.limbs import (
+    CHAINED,
+    ENDS,
+    KEPT,
+    LIMBS,
+    POOL,
+    Effort,
+    Sight,
+    attempt_limbs,
+    blind,
+    sights_of,
+    views_of,
+)
 from probmodel.chunks import in_chunks
 from probmodel.faults import (
     LIMB_INDEX,
@@ -27,9 +38,8 @@ from probmodel.faults import (
     Faults,
     faults_of,
 )
-from probmodel.kinematics import upper_axes
+from probmodel.likelihood import PAPER
 from probmodel.model import PoseModel
-from probmodel.pose import Pose
 from probmodel.roots import RootPoint
 from probmodel.skeleton import TORSO_INDEX
 from probmodel.uncertain import DetectedJoints, UncertainPosterior
@@ -44,6 +54,8 @@ LEAST = 1e-30
 """The least density of a joint, per square body unit: in single precision it would be zero."""
 WORDS = [0, 0]
 """Of the key of the draws by which is guessed."""
+BLIND_EFFORT: Effort = {1: (128, 4), 2: (64, 16)}
+"""Attempts that bring them: several for one that is kept."""
 PATTERNS = np.array([[False, False], [True, False], [False, True], [True, True]])
 """`(4, 2)`: which joints of a limb are outliers."""
 
@@ -171,19 +183,27 @@ def _fit(pool: np.ndarray, errors: Errors, sight: Sight) -> np.ndarray:
 
 @once_a_model
 def pool_of(model: PoseModel) -> np.ndarray:
-    """`(3, 5, 2, n)`: where the joints of each limb lie from its start, in the local axes of its
-    upper bone, in `n` draws of `prior_poses`; single precision. The same ones for every key, since
-    no guess makes a draw wrong."""
-    return np.asarray(_pool(model, prior_poses(model, WORDS)), np.float32)
+    """`(3, 5, 2, POOL)`: where the joints of each limb lie from its start, in the local axes of its
+    upper bone, in draws of the prior; single precision. The same ones for every key, since no guess
+    makes a draw wrong.
 
-
-@jax.jit
-def _pool(model: PoseModel, poses: Pose) -> jax.Array:
-    torso = jnp.asarray(model.torsos)[0]
-    joints = model.joints(torso, *poses)
-    starts = np.array([limb.bones[0].start for limb in LIMBS])
-    axes = upper_axes(torso)[np.array([limb.upper for limb in LIMBS])]
-    return jnp.einsum("lij,plei->jlep", axes, joints[:, ENDS] - joints[:, starts, None])
+    They are what attempts bring that have nothing to explain, so that nothing else has to be
+    compiled; where limits are narrow, some come more than once."""
+    tables, views = group_tables(model), blind(POOL // KEPT)
+    outlier = np.zeros(views.reach.shape, bool)
+    found = attempt_limbs(tables, {}, WORDS, PAPER.law, BLIND_EFFORT, views, outlier, 0)
+    pool, limb = np.empty((3, len(LIMBS), 2, POOL), np.float32), 0
+    for name, group in tables.items():
+        draws = [one[name].draws for one in found]
+        length, upper, lower = (np.concatenate(parts) for parts in zip(*draws, strict=True))
+        length = np.resize(length[:, [0, -1]], (POOL, 2))
+        for place, build in enumerate(group.builds):
+            directions = (np.resize(part[:, place], (POOL, 3)) for part in (upper, lower))
+            limb_ends(build.reference, length, *directions, pool[:, limb])
+            if build.bones == 1:
+                pool[:, limb, 1] = pool[:, limb, 0]
+            limb += 1
+    return pool
 
 
 def propose(fit: Fit, stratum: Stratum, rng: np.random.Generator) -> tuple[Faults, np.ndarray]:

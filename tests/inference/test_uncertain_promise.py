@@ -17,12 +17,15 @@ from inference.exact.loops.promise import LANES
 from inference.exact.rates import Budget
 from inference.uncertain import attempts, proposals
 from inference.uncertain.attempts import TorsoDraws, draw_roots
-from inference.uncertain.limbs import POOL
+from inference.uncertain.limbs import CHAINED, ENDS, LIMBS, POOL, prior_poses
 from inference.uncertain.patterns import pool_of
 from inference.uncertain.proposals import _looks, _promising, _some
 from inference.uncertain.weighted import WeightedRoots, weigh_roots
 from probmodel import Likelihood, PoseModel
+from probmodel.anatomy.limits import EMBEDDED
+from probmodel.anatomy.population import Anatomy
 from probmodel.faults import Faults
+from probmodel.kinematics import upper_axes
 from probmodel.likelihood import Gaussian
 from probmodel.uncertain import UncertainPosterior
 from tests.inference.test_uncertain_root import scales_apart, small_case
@@ -104,6 +107,48 @@ def test_every_seed_is_guessed_by_the_same_draws_of_the_prior() -> None:
     gc.collect()
     assert gone() is None
     assert pool_of(model) is pool_of(model)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limits", EMBEDDED)
+def test_draws_that_judge_are_draws_of_the_prior(limits: str) -> None:
+    """Attempts with nothing to explain, placed by a compiled loop, against the prior's own draws,
+    placed by the model: means and mean squares of both joints and of what lies between them (5
+    standard errors of as many draws as are different; false alarms 1e-4). Bones the other way round
+    are found out."""
+    model = PoseModel.from_anatomy(Anatomy.embedded(limits))
+    pool = pool_of(model).astype(float)
+    truth = placed_pool(model)
+    for limb, chained in enumerate(CHAINED):
+        number = len(np.unique(pool[:, limb, 1], axis=1).T)
+        assert number > POOL / 2
+        assert apart(pool[:, limb], truth[:, limb], number) < 5
+        assert apart(-pool[:, limb], truth[:, limb], number) > 20
+        assert (pool[:, limb, 0] == pool[:, limb, 1]).all() == (not chained)
+
+
+def placed_pool(model: PoseModel) -> np.ndarray:
+    """As `pool_of`, by the prior's draws and the model's joints."""
+    poses, torso = prior_poses(model, [3, 4]), np.asarray(model.torsos)[0]
+    joints = np.asarray(model.joints(torso, *poses))
+    starts = np.array([limb.bones[0].start for limb in LIMBS])
+    axes = np.asarray(upper_axes(torso))[[limb.upper for limb in LIMBS]]
+    return np.einsum("lij,plei->jlep", axes, joints[:, ENDS] - joints[:, starts, None])
+
+
+def apart(one: np.ndarray, other: np.ndarray, number: int) -> float:
+    """How many standard errors moments of two sets of joints `(3, 2, n)` are apart; of the first
+    only so `number` are different."""
+    values = [
+        np.concatenate([part.reshape(6, -1), (part[:, 0] - part[:, 1])]) for part in (one, other)
+    ]
+    moments = [np.concatenate([part, part**2]) for part in values]
+    error = [
+        np.std(moments[0], axis=1) / math.sqrt(number),
+        np.std(moments[1], axis=1) / math.sqrt(POOL),
+    ]
+    gap = np.abs(moments[0].mean(axis=1) - moments[1].mean(axis=1))
+    return float(np.max(gap / np.maximum(np.hypot(*error), 1e-9)))
 
 
 def test_where_all_are_wanted_all_are_taken() -> None:

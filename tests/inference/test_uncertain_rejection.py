@@ -80,7 +80,12 @@ def test_patterns_of_faults_against_brute_force() -> None:
     roots = reject_roots(frame.uncertain(model), key=key(9), num_samples=600)
     brute = faulty.brute_force()
     assert apart(roots, brute) < 4
-    assert faulty.off(faulty.fast_moments(roots, roots.log_weight), brute) < 4
+    found = faulty.fast_moments(roots, roots.log_weight)
+    share = brute["mean"][:3]
+    # What hardly ever happens may be in none of 600 draws, which then have no scatter of their own.
+    rare = np.sqrt(share * (1 - share) / 600)
+    found["mean_se"][:3] = np.maximum(found["mean_se"][:3], rare)
+    assert faulty.off(found, brute) < 4
 
 
 def test_draws_are_independent_roots_with_one_draw_each() -> None:

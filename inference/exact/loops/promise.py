@@ -5,10 +5,36 @@ many more roots than are weighed, and decides no more than which those are."""
 import numpy as np
 
 from inference.exact.loops.numbers import compiled, inlined
+from inference.exact.loops.strata import lower_axes
+from inference.exact.loops.tables import Reference
 
 LANES = 16
 """Sums that are kept side by side; the number of draws is a multiple of it."""
 _ONE, _EIGHTH = np.float32(1), np.float32(1 / 8)
+
+
+@compiled
+def limb_ends(
+    reference: Reference, length: np.ndarray, upper: np.ndarray, lower: np.ndarray, ends: np.ndarray
+) -> None:
+    """Where the joints of a limb lie from its start, in its upper bone's local frame.
+
+    Parameters
+    ----------
+    reference : of the lower bone's frame
+    length : `(n, 2)` of both bones
+    upper, lower : `(n, 3)` their local directions, parent minus child
+    ends : `(3, 2, n)` single precision, written on
+    """
+    for n in range(len(length)):
+        u0, u1, u2 = upper[n, 0], upper[n, 1], upper[n, 2]
+        v0, v1, v2, w0, w1, w2, _ = lower_axes(u0, u1, u2, reference)
+        q0, q1, q2 = lower[n, 0], lower[n, 1], lower[n, 2]
+        one, two = length[n, 0], length[n, 1]
+        ends[0, 0, n], ends[1, 0, n], ends[2, 0, n] = -one * u0, -one * u1, -one * u2
+        ends[0, 1, n] = -one * u0 - two * (u0 * q0 + v0 * q1 + w0 * q2)
+        ends[1, 1, n] = -one * u1 - two * (u1 * q0 + v1 * q1 + w1 * q2)
+        ends[2, 1, n] = -one * u2 - two * (u2 * q0 + v2 * q1 + w2 * q2)
 
 
 @inlined

@@ -71,16 +71,18 @@ class GroupTables(NamedTuple):
 
 
 def once_a_model[Made](make: Callable[[PoseModel], Made]) -> Callable[[PoseModel], Made]:
-    """`make`, whose results are remembered by the identity of the model, which is no key itself; an
-    entry goes when its model goes."""
+    """`make`, whose results depend on limits and lengths, remembered by the identity of the model's
+    cells: a model is no key itself, and those that `seen_by` makes of it share them. An entry goes
+    when they go."""
     known: dict[int, tuple[weakref.ref, Made]] = {}
 
     @functools.wraps(make)
     def made(model: PoseModel) -> Made:
-        identity = id(model)
-        if identity not in known or known[identity][0]() is not model:
+        identity = id(model.cells)
+        if identity not in known or known[identity][0]() is not model.cells:
             found = make(model)
-            known[identity] = weakref.ref(model, lambda _: known.pop(identity, None)), found
+            gone = weakref.ref(model.cells, lambda _: known.pop(identity, None))
+            known[identity] = gone, found
         return known[identity][1]
 
     return made

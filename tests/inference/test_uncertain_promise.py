@@ -24,6 +24,7 @@ from inference.uncertain.weighted import WeightedRoots, weigh_roots
 from probmodel import Likelihood, PoseModel
 from probmodel.anatomy.limits import EMBEDDED
 from probmodel.anatomy.population import Anatomy
+from probmodel.camera import Lens
 from probmodel.faults import Faults
 from probmodel.kinematics import upper_axes
 from probmodel.likelihood import Gaussian
@@ -92,7 +93,7 @@ def test_the_more_are_looked_at_the_fewer_draws_judge_them() -> None:
 
 
 def test_every_seed_is_guessed_by_the_same_draws_of_the_prior() -> None:
-    """Once a model, and for no longer than the model is there."""
+    """Once a model, whoever's camera it is seen by, and for no longer than the model is there."""
     made: list[int] = []
 
     @once_a_model
@@ -101,9 +102,10 @@ def test_every_seed_is_guessed_by_the_same_draws_of_the_prior() -> None:
         return len(made)
 
     model, other = PoseModel(), PoseModel()
-    assert [count(model), count(other), count(model), count(other)] == [1, 2, 1, 2]
-    gone = weakref.ref(other)
-    del other
+    copy = other.seen_by(Lens(1500.0, np.array([320.0, 240.0])))
+    assert [count(one) for one in (model, other, model, other, copy)] == [1, 2, 1, 2, 2]
+    gone = weakref.ref(other.cells)
+    del other, copy
     gc.collect()
     assert gone() is None
     assert pool_of(model) is pool_of(model)

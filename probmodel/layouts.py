@@ -7,6 +7,7 @@ they are the midpoints of shoulders and hips; `corrected` moves them to where th
 as every command that reads detections does. Offsets and their sources: reports/detectors.md."""
 
 import dataclasses
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -25,6 +26,10 @@ TOWARDS_THE_OTHER = {"thorax": 0.125, "pelvis": 0.192}
 over the embedded torsos, projected onto that line (a test derives them again). The thorax lies
 below the shoulders' midpoint and the pelvis above the hips'; under weak perspective a share of a
 line stays the same share in every view."""
+
+BEHIND = {"thorax": -0.016, "pelvis": 0.100}
+"""How far behind that line the joint lies, in the line's lengths: what an image does not tell, but
+a pose in space does. The same mean."""
 
 STRAY = {"thorax": 0.030, "pelvis": 0.097}
 """How far from there they lie, body units: the standard deviation along any one axis over the
@@ -329,26 +334,64 @@ LAYOUTS = MappingProxyType(
 def corrected(detection: Detection) -> Detection:
     """`detection` with the thorax and pelvis where the skeleton has them, if they are midpoints.
 
-    They are where the detection's layout says so, and where they lie exactly midway because they
-    were missed. A midpoint whose counterpart is not seen cannot be moved and stays; what has been
-    moved (`Detection.moved`) is not moved again. Shares: `TOWARDS_THE_OTHER`."""
+    A midpoint whose counterpart is not seen cannot be moved and stays; what has been moved
+    (`Detection.moved`) is not moved again. Shares: `TOWARDS_THE_OTHER`."""
+    midpoints = midpoints_of(detection)
+    if detection.moved or not np.isfinite(_line(detection.keypoints, midpoints)).all():
+        return detection
+    keypoints = without_midpoints(detection.keypoints, midpoints)
+    return dataclasses.replace(detection, keypoints=keypoints, moved=midpoints)
+
+
+def midpoints_of(detection: Detection) -> tuple[str, ...]:
+    """Which of thorax and pelvis are midpoints: where the layout says so, and where they lie
+    exactly midway because they were missed."""
     layout = LAYOUTS.get(detection.layout)
     defined = () if layout is None else layout.midpoints
-    halfway = {
-        name: np.mean([detection.keypoints[JOINT_INDEX[side]] for side in sides], axis=0)
-        for name, sides in MIDPOINTS.items()
-    }
-    own = {name: detection.keypoints[JOINT_INDEX[name]] for name in MIDPOINTS}
-    midpoints = [name for name in MIDPOINTS if name in defined or _same(own[name], halfway[name])]
-    middle = {name: own[name] if name in midpoints else halfway[name] for name in MIDPOINTS}
-    line = middle["pelvis"] - middle["thorax"]
-    if detection.moved or not np.isfinite(line).all():
-        return detection
-    keypoints = np.array(detection.keypoints)
+    halfway = _halfway(detection.keypoints)
+    return tuple(
+        name
+        for name in MIDPOINTS
+        if name in defined or _same(detection.keypoints[JOINT_INDEX[name]], halfway[name])
+    )
+
+
+def without_midpoints(joints: np.ndarray, midpoints: Collection[str]) -> np.ndarray:
+    """Joints `(..., 15, 2)` of an image, or `(..., 15, 3)` in a right-handed space, with those of
+    thorax and pelvis that are `midpoints` moved to where the skeleton has them: along the line
+    between both (`TOWARDS_THE_OTHER`), and in space behind it (`BEHIND`)."""
+    line, moved = _line(joints, midpoints), np.array(joints)
     for name in midpoints:
         way = line if name == "thorax" else -line
-        keypoints[JOINT_INDEX[name]] += TOWARDS_THE_OTHER[name] * way
-    return dataclasses.replace(detection, keypoints=keypoints, moved=tuple(midpoints))
+        moved[..., JOINT_INDEX[name], :] += TOWARDS_THE_OTHER[name] * way
+        if joints.shape[-1] == len("xyz"):
+            moved[..., JOINT_INDEX[name], :] += BEHIND[name] * _backwards(joints, line)
+    return moved
+
+
+def _halfway(joints: np.ndarray) -> dict[str, np.ndarray]:
+    return {
+        name: np.mean([joints[..., JOINT_INDEX[side], :] for side in sides], axis=0)
+        for name, sides in MIDPOINTS.items()
+    }
+
+
+def _line(joints: np.ndarray, midpoints: Collection[str]) -> np.ndarray:
+    """From the shoulders' midpoint to the hips', by thorax and pelvis where these are `midpoints`
+    of their own."""
+    middle = _halfway(joints) | {name: joints[..., JOINT_INDEX[name], :] for name in midpoints}
+    return middle["pelvis"] - middle["thorax"]
+
+
+def _backwards(joints: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """`(..., 3)`: to the person's back, as long as the line."""
+    across = sum(
+        joints[..., JOINT_INDEX[left], :] - joints[..., JOINT_INDEX[right], :]
+        for right, left in MIDPOINTS.values()
+    )
+    back = np.cross(across, line)
+    size = np.linalg.norm(line, axis=-1, keepdims=True)
+    return back * (size / np.linalg.norm(back, axis=-1, keepdims=True))
 
 
 def _same(point: FloatArray, other: FloatArray) -> bool:

@@ -15,6 +15,7 @@ from probmodel.camera import Lens
 from probmodel.datasets.cases import DataSet
 from probmodel.datasets.views import resection
 from probmodel.failures import BadInput
+from probmodel.layouts import without_midpoints
 from probmodel.sessions import Session, Triangulated
 from probmodel.skeleton import JOINTS, TORSO_INDEX
 
@@ -48,11 +49,10 @@ class JudgedView(NamedTuple):
         """`(n,)`: in which of the frames every joint is known."""
         return np.isfinite(self.world.points).all(axis=(1, 2))
 
-    @property
-    def poses(self) -> np.ndarray:
-        """`(n, 15, 3)` mm, the pelvis at the origin, in the weak-perspective cameras' axes."""
-        points = self.world.points - self.world.points[:, :1]
-        return points @ np.swapaxes(self.rotation, -1, -2)
+    def posed(self, points: np.ndarray) -> np.ndarray:
+        """Joints `(n, 15, 3)` of the world in the weak-perspective cameras' axes, the pelvis that
+        was seen at the origin, mm."""
+        return (points - self.world.points[:, :1]) @ np.swapaxes(self.rotation, -1, -2)
 
 
 def judged_views(session: Session) -> Iterator[JudgedView]:
@@ -81,7 +81,9 @@ def judged_views(session: Session) -> Iterator[JudgedView]:
 
 def from_session(session: Session, *, perspective: bool = False) -> DataSet:
     """The cases of a session whose truth is whole, camera by camera; with `perspective` their
-    lenses are known. Raises `BadInput` as `judged_views`, and where no case is whole."""
+    lenses are known. Thorax and pelvis that are midpoints for the detector are moved to where the
+    skeleton has them, in detections and in the truth (`layouts.without_midpoints`): a definition is
+    no error. Raises `BadInput` as `judged_views`, and where no case is whole."""
     look = _in_perspective if perspective else _of_view
     parts = [look(session, view) for view in judged_views(session)]
     poses, keypoints, score, scale, translation, recording, *lens = (
@@ -110,13 +112,15 @@ def from_session(session: Session, *, perspective: bool = False) -> DataSet:
 def _of_view(session: Session, view: JudgedView) -> tuple[np.ndarray, ...]:
     """Poses, keypoints, scores, scales, translations and recordings of a camera's cases."""
     whole = view.whole
-    rows = view.rows[whole]
+    rows, scale = view.rows[whole], view.scale[whole]
+    placed = view.posed(without_midpoints(view.world.points, session.midpoints))[whole]
+    pelvis = placed[:, :1]
     return (
-        view.poses[whole],
-        session.keypoints[view.camera][rows],
+        placed - pelvis,
+        without_midpoints(session.keypoints[view.camera][rows], session.midpoints),
         session.score[view.camera][rows],
-        view.scale[whole],
-        view.translation[whole],
+        scale,
+        view.translation[whole] + scale[:, None] * pelvis[:, 0, :2],
         np.full(len(rows), f"{session.name} {session.labels[view.camera]}"),
     )
 
@@ -126,7 +130,8 @@ def _in_perspective(session: Session, view: JudgedView) -> tuple[np.ndarray, ...
     that are not square are made so."""
     _, keypoints, score, _, _, recording = _of_view(session, view)
     camera, number = session.straight[view.camera], len(recording)
-    placed, focal = camera.view(view.world.points[view.whole]), float(camera.focal.mean())
+    points = without_midpoints(view.world.points[view.whole], session.midpoints)
+    placed, focal = camera.view(points), float(camera.focal.mean())
     pelvis = placed[:, :1]
     return (
         placed - pelvis,

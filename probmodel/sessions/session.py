@@ -23,6 +23,7 @@ from probmodel.body import bone_lengths
 from probmodel.detections import Detection
 from probmodel.failures import BadInput, shown
 from probmodel.formats.frames import DetectedFrame, natural_order, read_frames, sorted_files
+from probmodel.layouts import MIDPOINTS, midpoints_of
 from probmodel.sessions.calibrations import is_calibration, read_cameras
 from probmodel.sessions.pinhole import Pinhole
 from probmodel.sessions.triangulation import Triangulated, residuals, triangulate
@@ -85,6 +86,15 @@ class Session:
     def score(self) -> np.ndarray:
         """`(C, F, 15)`, 0 where missing."""
         return np.array([[person.score for person in people] for people in self.people])
+
+    @cached_property
+    def midpoints(self) -> tuple[str, ...]:
+        """Which of thorax and pelvis are midpoints in all detections (`layouts.corrected`), and
+        so in what they triangulate."""
+        people = [person for view in self.people for person in view]
+        found = [midpoints_of(person) for person in people if not person.moved]
+        same = len(found) == len(people)
+        return tuple(name for name in MIDPOINTS if same and all(name in own for own in found))
 
     @cached_property
     def unit(self) -> float:

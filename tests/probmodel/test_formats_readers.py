@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+from scipy.spatial.transform import Rotation
 
 import probmodel
 from probmodel import (
@@ -25,6 +26,7 @@ from probmodel.formats import Content, read_content
 from probmodel.formats.frames import PROBES
 from probmodel.formats.named_points import VISION
 from probmodel.layouts import (
+    BEHIND,
     BODY_25,
     COCO_17,
     COCO_18,
@@ -32,6 +34,7 @@ from probmodel.layouts import (
     HALPE_26,
     LAYOUTS,
     MEDIAPIPE_33,
+    MIDPOINTS,
     MPII_16,
     STRAY,
     TOWARDS_THE_OTHER,
@@ -39,8 +42,9 @@ from probmodel.layouts import (
     corrected,
     layout_of_names,
     spoken_name,
+    without_midpoints,
 )
-from probmodel.skeleton import JOINT_INDEX, JOINTS
+from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 from tests.probmodel.test_formats import (
     ALPHAPOSE,
     HMR,
@@ -761,6 +765,47 @@ def test_correction_moves_midpoints_to_where_the_skeleton_has_them() -> None:
         left = joint - midpoint - TOWARDS_THE_OTHER[name] * (other - midpoint)
         stray = np.sqrt(np.mean(np.sum(left**2, axis=1)) / 3)
         assert stray == pytest.approx(STRAY[name], abs=1e-3)
+    across = torsos[:, 3] - torsos[:, 2] + torsos[:, 5] - torsos[:, 4]
+    size = np.linalg.norm(hips - shoulders, axis=1)
+    back = np.cross(across, hips - shoulders)
+    back *= (size / np.linalg.norm(back, axis=1))[:, None]
+    for name, joint, midpoint in (
+        ("thorax", torsos[:, 1], shoulders),
+        ("pelvis", torsos[:, 0], hips),
+    ):
+        behind = np.mean(np.sum((joint - midpoint) * back, axis=1) / size**2)
+        assert behind == pytest.approx(BEHIND[name], abs=1e-3)
+
+
+def test_midpoints_in_space_are_moved_to_where_torsos_have_them() -> None:
+    """Torsos of the package with midpoints for thorax and pelvis, turned any way round and of any
+    size: moved, both lie within 24 mm of their own (root mean square, a body unit being 350 mm),
+    the pelvis as far as it was before if it is moved to the other side of the line. What is no
+    midpoint stays, and so do all other joints."""
+    torsos = Anatomy.default().torsos
+    joints = np.zeros((len(torsos), NUM_JOINTS, 3))
+    joints[:, list(TORSO_INDEX)] = torsos
+    turns = Rotation.random(len(torsos), rng=0).as_matrix()
+    size = np.random.default_rng(0).uniform(0.5, 700.0, len(torsos))[:, None, None]
+    truth = size * np.einsum("nij,nkj->nki", turns, joints) + 40.0
+    halfway = truth.copy()
+    for name, sides in MIDPOINTS.items():
+        halfway[:, JOINT_INDEX[name]] = truth[:, [JOINT_INDEX[side] for side in sides]].mean(axis=1)
+
+    def off(found: np.ndarray, name: str) -> float:
+        gap = (found - truth)[:, JOINT_INDEX[name]] / size[:, 0]
+        return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
+
+    moved = without_midpoints(halfway, BOTH)
+    assert off(moved, "thorax") < 0.07 < 0.19 < off(halfway, "thorax")
+    assert off(moved, "pelvis") < 0.1 < 0.3 < off(halfway, "pelvis")
+    mirrored = without_midpoints(halfway * [-1, 1, 1], BOTH) * [-1, 1, 1]
+    assert off(mirrored, "pelvis") > 0.25
+    others = [row for row in range(NUM_JOINTS) if row not in map(JOINT_INDEX.get, BOTH)]
+    np.testing.assert_array_equal(moved[:, others], halfway[:, others])
+    half = without_midpoints(truth, ("pelvis",))
+    np.testing.assert_array_equal(half[:, JOINT_INDEX["thorax"]], truth[:, JOINT_INDEX["thorax"]])
+    np.testing.assert_array_equal(without_midpoints(truth, ()), truth)
 
 
 BOTH = ("thorax", "pelvis")

@@ -15,6 +15,7 @@ from probmodel.body import body_unit
 from probmodel.camera import Perspective, WeakPerspective
 from probmodel.datasets import brings_detections, from_session, read_data_set, write_plain
 from probmodel.datasets.sessions import judged_views
+from probmodel.layouts import corrected, without_midpoints
 from probmodel.sessions import Pinhole, Session, is_session, read_session
 from probmodel.sessions.session import HIPS
 from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
@@ -185,16 +186,23 @@ def test_frames_are_thinned_evenly(folder: Path):
 
 
 def test_a_session_is_a_data_set(folder: Path):
-    """Poses are the truth's, turned; the camera's own axes are near."""
+    """Poses are the truth's, turned; the camera's own axes are near. Midpoints, which a detector
+    has for thorax and pelvis, are where the skeleton has these joints, in detections too."""
     data = read_data_set(folder, frames=12)
     assert (len(data), len(set(data.recording.tolist()))) == (12, 4)
     whole = read_data_set(folder)
     assert len(whole) == 24
-    truth = JOINTS_3D[0] - JOINTS_3D[0, 0]
+    truth = without_midpoints(JOINTS_3D[0], ("thorax", "pelvis"))
+    assert 100 < np.linalg.norm(truth[0] - JOINTS_3D[0, 0]) < 160
+    truth = truth - truth[0]
     seen = whole.poses[0]
     assert np.linalg.norm(seen, axis=-1) == pytest.approx(
         np.linalg.norm(truth, axis=-1), abs=MIDWAY
     )
+    person = corrected(read_session(folder).people[0][0])
+    assert person.moved == ("thorax", "pelvis")
+    assert whole.keypoints[0, :2] == pytest.approx(person.keypoints[:2], abs=3)
+    assert np.abs(whole.keypoints[0] - read_session(folder).people[0][0].keypoints).max() > 10
     upright = cameras()[0].rotation @ truth.T
     assert np.linalg.norm(upright.T - seen, axis=-1).max() < 150
     # What weak perspective leaves of a person at 3.5 m.

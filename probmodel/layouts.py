@@ -361,11 +361,10 @@ def without_midpoints(joints: np.ndarray, midpoints: Collection[str]) -> np.ndar
     thorax and pelvis that are `midpoints` moved to where the skeleton has them: along the line
     between both (`TOWARDS_THE_OTHER`), and in space behind it (`BEHIND`)."""
     line, moved = _line(joints, midpoints), np.array(joints)
+    back = _backwards(joints, line) if joints.shape[-1] == len("xyz") else np.zeros_like(line)
     for name in midpoints:
         way = line if name == "thorax" else -line
-        moved[..., JOINT_INDEX[name], :] += TOWARDS_THE_OTHER[name] * way
-        if joints.shape[-1] == len("xyz"):
-            moved[..., JOINT_INDEX[name], :] += BEHIND[name] * _backwards(joints, line)
+        moved[..., JOINT_INDEX[name], :] += TOWARDS_THE_OTHER[name] * way + BEHIND[name] * back
     return moved
 
 

@@ -244,7 +244,7 @@ def _roots_of(
 def _some(model: PoseModel, looks: int) -> np.ndarray:
     """The pool's first draws: the more roots are looked at, the fewer each is held against."""
     number = POOL * LOOKS[0] // max(looks, LOOKS[0]) // LANES * LANES
-    return np.ascontiguousarray(pool_of(model)[..., :number])
+    return pool_of(model)[..., :number]
 
 
 def log_promise(

@@ -91,10 +91,9 @@ class Session:
     def midpoints(self) -> tuple[str, ...]:
         """Which of thorax and pelvis are midpoints in all detections (`layouts.corrected`), and
         so in what they triangulate."""
-        people = [person for view in self.people for person in view]
-        found = [midpoints_of(person) for person in people if not person.moved]
-        same = len(found) == len(people)
-        return tuple(name for name in MIDPOINTS if same and all(name in own for own in found))
+        people = (person for view in self.people for person in view)
+        found = [() if person.moved else midpoints_of(person) for person in people]
+        return tuple(name for name in MIDPOINTS if all(name in own for own in found))
 
     @cached_property
     def unit(self) -> float:

@@ -331,12 +331,25 @@ LAYOUTS = MappingProxyType(
 """By name."""
 
 
-def corrected(detection: Detection) -> Detection:
+def corrected(detection: Detection, midpoints: tuple[str, ...] | None = None) -> Detection:
     """`detection` with the thorax and pelvis where the skeleton has them, if they are midpoints.
 
     A midpoint whose counterpart is not seen cannot be moved and stays; what has been moved
-    (`Detection.moved`) is not moved again. Shares: `TOWARDS_THE_OTHER`."""
-    midpoints = midpoints_of(detection)
+    (`Detection.moved`) is not moved again. Shares: `TOWARDS_THE_OTHER`.
+
+    Parameters
+    ----------
+    detection
+        Of anyone.
+    midpoints
+        Which of the two are; by default those that `midpoints_of` finds.
+
+    Returns
+    -------
+    Detection
+        The same, or a new one whose `moved` names what was moved.
+    """
+    midpoints = midpoints_of(detection) if midpoints is None else midpoints
     if detection.moved or not np.isfinite(_line(detection.keypoints, midpoints)).all():
         return detection
     keypoints = without_midpoints(detection.keypoints, midpoints)
@@ -368,6 +381,19 @@ def without_midpoints(joints: np.ndarray, midpoints: Collection[str]) -> np.ndar
     return moved
 
 
+def weights_of(midpoints: Collection[str]) -> np.ndarray:
+    """`(15, 15)`: by how much each joint moves what `without_midpoints` makes of shoulders, hips
+    and the other joints, along the line between the midpoints."""
+    halfway, weights = np.eye(NUM_JOINTS), np.eye(NUM_JOINTS)
+    for middle, *ends in _MIDDLE_ROWS:
+        halfway[middle] = weights[ends].mean(axis=0)
+    for name in midpoints:
+        row, (other,) = JOINT_INDEX[name], (each for each in MIDPOINTS if each != name)
+        share = TOWARDS_THE_OTHER[name]
+        weights[row] = (1 - share) * halfway[row] + share * halfway[JOINT_INDEX[other]]
+    return weights
+
+
 def _halfway(joints: np.ndarray) -> dict[str, np.ndarray]:
     return {
         name: np.mean([joints[..., JOINT_INDEX[side], :] for side in sides], axis=0)
@@ -389,8 +415,8 @@ def _backwards(joints: np.ndarray, line: np.ndarray) -> np.ndarray:
         for right, left in MIDPOINTS.values()
     )
     back = np.cross(across, line)
-    size = np.linalg.norm(line, axis=-1, keepdims=True)
-    return back * (size / np.linalg.norm(back, axis=-1, keepdims=True))
+    size, length = (np.linalg.norm(way, axis=-1, keepdims=True) for way in (line, back))
+    return back * (size / np.where(length > 0, length, 1.0))  # a flat body has no back
 
 
 def _same(point: FloatArray, other: FloatArray) -> bool:

@@ -3,7 +3,8 @@
 Poses are in millimetres and camera axes (x right, y down, z away from the camera), the pelvis at
 the origin; a weak-perspective camera of known scale and place took them: pixels = scale · (x, y) +
 translation, but for the detector's errors; or one whose lens is known, with that scale where the
-pelvis is. Everything random about a case comes out of the seed and the number of the case alone."""
+pelvis is. A data set has its source's thorax and pelvis, its cases have the skeleton's. Everything
+random about a case comes out of the seed and the number of the case alone."""
 
 import dataclasses
 import hashlib
@@ -19,6 +20,7 @@ from probmodel.body import body_unit
 from probmodel.camera import Lens
 from probmodel.detections import LARGEST_NUMBER, Detection
 from probmodel.failures import BadInput, shown
+from probmodel.layouts import MIDPOINTS, corrected, weights_of, without_midpoints
 from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS, PARENTS
 
 _TALL = (
@@ -44,7 +46,8 @@ class Case:
     """One pose `(15, 3)` (mm, camera axes, pelvis at the origin), its `detection`, the true
     camera's `scale` (pixels a mm, where the pelvis is) and `translation` `(2,)` (pixels, of the
     pelvis), its `lens` if it is known, and the `number` of the case, from which its randomness
-    comes."""
+    comes; `doubt` `(15, 15, 3, 3)`, the covariances of the truth's own errors (mm²) by two joints,
+    where it has some."""
 
     number: int
     pose: np.ndarray
@@ -55,6 +58,7 @@ class Case:
     subject: str
     recording: str
     lens: Lens | None = None
+    doubt: np.ndarray | None = None
 
     def image(self, poses: np.ndarray) -> np.ndarray:
         """`(..., 15, 2)` pixels in which the true camera would see poses `(..., 15, 3)`, mm and
@@ -81,6 +85,28 @@ class Case:
     def unit(self) -> float:
         """Millimetres of one body unit, this person's mean limb length."""
         return float(body_unit(self.pose[None]))
+
+    def corrected(self, midpoints: tuple[str, ...]) -> "Case":
+        """With those of thorax and pelvis that are `midpoints` where the skeleton has them, in pose
+        and detection (`probmodel.layouts`)."""
+        if not midpoints:
+            return self
+        pose = without_midpoints(self.pose, midpoints)
+        return dataclasses.replace(
+            self,
+            pose=pose - pose[0],
+            detection=corrected(self.detection, midpoints),
+            scale=float(self.scale * self.magnification(pose)[0]),
+            translation=self.image(pose)[0],
+        )
+
+    def strays(self, rng: np.random.Generator, number: int) -> np.ndarray:
+        """`(number, 15, 3)` mm: errors that the truth may have, the pelvis at the origin; 0 where
+        it has none. Draws that are given such errors differ from the truth as it is known by no
+        more than they should."""
+        if self.doubt is None:
+            return np.zeros((number, *self.pose.shape))
+        return strays(self.doubt, rng, number)
 
     def hiding(self, missing: int, seed: int = 0) -> "Case":
         """With `missing` of the eight limb joints gone from the detection, chosen at random; when
@@ -109,15 +135,39 @@ class Case:
         return dataclasses.replace(
             self,
             pose=self.pose @ turn.T,
+            doubt=None if self.doubt is None else turn @ self.doubt @ turn.T,
             translation=about(self.translation),
             detection=dataclasses.replace(self.detection, keypoints=keypoints),
             lens=lens,
         )
 
 
+COLUMNS = {
+    "poses": (NUM_JOINTS, 3),
+    "keypoints": (NUM_JOINTS, 2),
+    "score": (NUM_JOINTS,),
+    "scale": (),
+    "translation": (2,),
+    "action": (),
+    "subject": (),
+    "recording": (),
+}
+"""The fields of every `DataSet` that have a row for each case, and the shapes of their rows."""
+
+
+def strays(doubt: np.ndarray, rng: np.random.Generator, number: int) -> np.ndarray:
+    """`(number, 15, 3)`: normal errors of covariances `(15, 15, 3, 3)` by two joints, less that of
+    the pelvis."""
+    flat = np.swapaxes(doubt, 1, 2).reshape(3 * NUM_JOINTS, -1)
+    size, axes = np.linalg.eigh(flat)
+    normal = rng.normal(size=(number, len(flat))) * np.sqrt(np.maximum(size, 0.0))
+    errors = (normal @ axes.T).reshape(number, NUM_JOINTS, 3)
+    return errors - errors[:, :1]
+
+
 @dataclass(frozen=True, eq=False)
 class DataSet:
-    """Cases whose truth is known, as arrays.
+    """Cases whose truth is known, as arrays, with the joints that their source has.
 
     Frames of one recording are alike: intervals are to be drawn over recordings.
 
@@ -139,12 +189,18 @@ class DataSet:
         What was done, by whom, and in which recording.
     lens
         The lenses of the cameras, arrays `(N,)` and `(N, 2)`, where they are known.
+    midpoints
+        Which of thorax and pelvis are midpoints of shoulders and hips, in poses and keypoints; the
+        cases have the skeleton's in their place, since a definition is no error.
+    doubt : `(N, 15, 3, 3)`
+        Covariances of the poses' own errors, mm², those of one joint independent of another's,
+        where they have some: draws are given such errors before a truth is ranked among them.
 
     Raises
     ------
     BadInput
-        On other shapes, on poses that are not finite or not in millimetres, and on frames without
-        action.
+        On other shapes, on poses that are not finite or not in millimetres, on frames without
+        action, on midpoints of other names, and on covariances that are none.
     """
 
     name: str
@@ -157,20 +213,12 @@ class DataSet:
     subject: np.ndarray
     recording: np.ndarray
     lens: Lens | None = None
+    midpoints: tuple[str, ...] = ()
+    doubt: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         number = len(self.poses)
-        shapes = {
-            "poses": (NUM_JOINTS, 3),
-            "keypoints": (NUM_JOINTS, 2),
-            "score": (NUM_JOINTS,),
-            "scale": (),
-            "translation": (2,),
-            "action": (),
-            "subject": (),
-            "recording": (),
-        }
-        for field, shape in shapes.items():
+        for field, shape in self._columns().items():
             found = np.shape(getattr(self, field))
             if found != (number, *shape):
                 raise BadInput(
@@ -178,7 +226,13 @@ class DataSet:
                 )
         if not number:
             raise BadInput(f"{self.name} has no frames")
+        if sorted(self.midpoints) != sorted(set(self.midpoints) & set(MIDPOINTS)):
+            raise BadInput(
+                f"{self.name}: the midpoints are {shown(' '.join(self.midpoints))}; name"
+                f" {' and '.join(MIDPOINTS)}, or one of them, or none"
+            )
         self._check_poses()
+        self._check_doubt()
         for frame in np.flatnonzero(np.char.str_len(np.char.strip(self.action)) == 0):
             raise BadInput(
                 f"{self.name}: frame {frame} has no action; name what is done in every frame"
@@ -204,11 +258,27 @@ class DataSet:
                 f"{self.name}: frame {frame} has a bone of length zero; leave that frame out"
             )
 
+    def _check_doubt(self) -> None:
+        if self.doubt is None:
+            return
+        own = np.where(np.abs(self.doubt) <= LARGEST_NUMBER, self.doubt, -1.0)
+        even = np.isclose(own, np.swapaxes(own, -1, -2), rtol=1e-6).all(axis=(1, 2, 3))
+        least = np.linalg.eigvalsh(own)[..., 0] >= -1e-6 * np.abs(own).max(axis=(2, 3))
+        for frame in np.flatnonzero(~(even & least.all(axis=1))):
+            raise BadInput(
+                f"{self.name}: the doubt of frame {frame} is no covariance of errors; give"
+                " symmetric matrices without negative eigenvalues, mm²"
+            )
+
+    def _columns(self) -> dict[str, tuple[int, ...]]:
+        """Those that are there."""
+        return COLUMNS if self.doubt is None else COLUMNS | {"doubt": (NUM_JOINTS, 3, 3)}
+
     def __len__(self) -> int:
         return len(self.poses)
 
     def case(self, row: int, number: int | None = None) -> Case:
-        """One of the cases.
+        """One of the cases, in the skeleton's joints.
 
         Parameters
         ----------
@@ -231,7 +301,7 @@ class DataSet:
         detection = Detection(
             self.keypoints[row], self.score[row], "skeleton_15", f"frame {number} of {self.name}", 0
         )
-        return Case(
+        case = Case(
             number,
             self.poses[row],
             detection,
@@ -241,7 +311,22 @@ class DataSet:
             str(self.subject[row]),
             str(self.recording[row]),
             self._lens(row),
+            self._doubt(row),
         )
+        return case.corrected(self.midpoints)
+
+    def _doubt(self, row: int) -> np.ndarray | None:
+        """In the skeleton's joints."""
+        if self.doubt is None:
+            return None
+        weights = weights_of(self.midpoints)
+        return np.einsum("ja,ka,axy->jkxy", weights, weights, self.doubt[row])
+
+    def corrected(self, poses: np.ndarray) -> np.ndarray:
+        """Poses `(..., 15, 3)` with this set's joints, of its truth or of a prediction for it, as
+        the cases have them: the skeleton's thorax and pelvis, the pelvis at the origin."""
+        placed = without_midpoints(poses, self.midpoints)
+        return placed - placed[..., :1, :]
 
     def __iter__(self) -> Iterator[Case]:
         return (self.case(number) for number in range(len(self)))
@@ -253,7 +338,7 @@ class DataSet:
 
     def take(self, rows: np.ndarray) -> "DataSet":
         """Some of the cases, numbered anew."""
-        columns = {name: getattr(self, name)[rows] for name in COLUMNS}
+        columns = {name: getattr(self, name)[rows] for name in self._columns()}
         return dataclasses.replace(self, **columns, lens=self._lens(rows))
 
     def _lens(self, rows: int | np.ndarray) -> Lens | None:
@@ -284,8 +369,10 @@ class DataSet:
     def sha256(self) -> str:
         """Hash of the contents: the same cases have the same, wherever they were read from."""
         digest = hashlib.sha256()
-        columns = {name: getattr(self, name) for name in COLUMNS}
-        for name, column in (columns | (self.lens._asdict() if self.lens else {})).items():
+        columns = {name: getattr(self, name) for name in self._columns()}
+        columns |= self.lens._asdict() if self.lens else {}
+        columns |= {"midpoints": np.array(self.midpoints)} if self.midpoints else {}
+        for name, column in columns.items():
             value = (
                 column.astype("<f8")
                 if column.dtype.kind == "f"
@@ -295,10 +382,6 @@ class DataSet:
                 name.encode() + str(value.shape).encode() + np.ascontiguousarray(value).tobytes()
             )
         return digest.hexdigest()
-
-
-COLUMNS = tuple(field.name for field in dataclasses.fields(DataSet)[1:-1])
-"""The fields of a `DataSet` that have a row for each case."""
 
 
 def _metres(height: float) -> str:

@@ -181,4 +181,5 @@ def _data_set(takes: list[_Take], file: Path) -> DataSet:
         labels([take.action.split(" ")[0] for take in takes]),
         labels([take.subject for take in takes]),
         labels([f"{take.subject} {take.action}" for take in takes]),
+        midpoints=H36M_17.midpoints,
     )

@@ -4,7 +4,9 @@ Arrays: `poses` (N, 15, 3) in millimetres, right-handed, joints in the order of 
 `keypoints` (N, 15, 2) pixels, NaN where missing; `action` and `subject` (N,) texts. Optional:
 `score` (N, 15), else 1 where seen; `recording` (N,), else the subject and action; `scale` (N,)
 pixels a mm and `translation` (N, 2) of the true camera, then the poses must be in its axes (x
-right, y down, z away), else the camera is fitted."""
+right, y down, z away), else the camera is fitted; `midpoints` texts, which of thorax and pelvis are
+midpoints of shoulders and hips, else none; `doubt` (N, 15, 3, 3), covariances of the poses' own
+errors, mm², in their axes."""
 
 from pathlib import Path
 
@@ -62,16 +64,19 @@ def read_plain(path: Path) -> DataSet:
         raise BadInput(
             f"{path}: score has shape {score.shape}, which must be {seen.shape}; one for each joint"
         )
-    poses = poses - poses[:, :1]
+    poses, doubt = poses - poses[:, :1], arrays.get("doubt")
+    if doubt is not None:
+        doubt = _numbers(doubt, "doubt", (NUM_JOINTS, 3, 3), path)
     if "scale" in arrays and "translation" in arrays:
         scale = _numbers(arrays["scale"], "scale", (), path)
         translation = _numbers(arrays["translation"], "translation", (2,), path)
     else:
         rotation, scale, translation = resection(poses, keypoints)
         fitted = np.isfinite(rotation).all(axis=(1, 2))
-        poses = np.where(
-            fitted[:, None, None], poses @ np.swapaxes(np.nan_to_num(rotation), -1, -2), poses
-        )
+        turn = np.where(fitted[:, None, None], np.nan_to_num(rotation), np.eye(3))
+        poses = poses @ np.swapaxes(turn, -1, -2)
+        if doubt is not None:
+            doubt = turn[:, None] @ doubt @ np.swapaxes(turn, -1, -2)[:, None]
     keypoints = np.where((seen & (score != 0))[..., None], keypoints, np.nan)
     return DataSet(
         path.name,
@@ -83,6 +88,8 @@ def read_plain(path: Path) -> DataSet:
         labels["action"],
         labels["subject"],
         labels["recording"],
+        midpoints=_midpoints(arrays.get("midpoints", np.array([], str)), path),
+        doubt=doubt,
     )
 
 
@@ -91,7 +98,10 @@ def write_plain(data: DataSet, path: Path) -> None:
     on cases whose lenses are known, for which such a file has no room."""
     if data.lens is not None:
         raise BadInput(f"{path} has no room for lenses; write the cases without perspective")
-    write_tables(path, {name: getattr(data, name) for name in COLUMNS})
+    columns = {name: getattr(data, name) for name in COLUMNS}
+    columns |= {} if data.doubt is None else {"doubt": data.doubt}
+    columns |= {"midpoints": np.array(data.midpoints)} if data.midpoints else {}
+    write_tables(path, columns)
 
 
 def _numbers(value: np.ndarray, name: str, row: tuple[int, ...], path: Path) -> np.ndarray:
@@ -109,11 +119,16 @@ def _numbers(value: np.ndarray, name: str, row: tuple[int, ...], path: Path) -> 
     return numbers
 
 
+def _midpoints(value: np.ndarray, path: Path) -> tuple[str, ...]:
+    names = _texts(value, "midpoints", value.size, path)
+    return tuple(dict.fromkeys(names.tolist()))
+
+
 def _texts(value: np.ndarray, name: str, number: int, path: Path) -> np.ndarray:
     if value.shape != (number,) or value.dtype.kind not in "US":
         raise BadInput(
-            f"{path}: {name} must be {number} texts, one a frame, but has shape"
-            f" {shown(value.shape)}"
+            f"{path}: {name} must be {number} texts in one row, but has shape"
+            f" {shown(value.shape)} and type {shown(str(value.dtype))}"
         )
     texts = np.char.decode(value, "utf-8", "replace") if value.dtype.kind == "S" else value
     for text in np.unique(texts):

@@ -3,8 +3,8 @@ the other cameras triangulate.
 
 Poses are in the axes of the weak-perspective camera that explains the truth's projections best, as
 for Human3.6M; what it leaves unexplained is perspective. Or they are in those of the calibrated
-camera itself, whose lens is then known. Keypoints are without the lens' distortion. A camera's film
-is a recording."""
+camera itself, whose lens is then known. Keypoints are without the lens' distortion. The truth errs
+too, by as much as the detections of which it is made. A camera's film is a recording."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -15,7 +15,6 @@ from probmodel.camera import Lens
 from probmodel.datasets.cases import DataSet
 from probmodel.datasets.views import resection
 from probmodel.failures import BadInput
-from probmodel.layouts import without_midpoints
 from probmodel.sessions import Session, Triangulated
 from probmodel.skeleton import JOINTS, TORSO_INDEX
 
@@ -49,11 +48,6 @@ class JudgedView(NamedTuple):
         """`(n,)`: in which of the frames every joint is known."""
         return np.isfinite(self.world.points).all(axis=(1, 2))
 
-    def posed(self, points: np.ndarray) -> np.ndarray:
-        """Joints `(n, 15, 3)` of the world in the weak-perspective cameras' axes, the pelvis that
-        was seen at the origin, mm."""
-        return (points - self.world.points[:, :1]) @ np.swapaxes(self.rotation, -1, -2)
-
 
 def judged_views(session: Session) -> Iterator[JudgedView]:
     """Every camera of a session with the others' truth. Raises `BadInput` where they are too few,
@@ -81,12 +75,10 @@ def judged_views(session: Session) -> Iterator[JudgedView]:
 
 def from_session(session: Session, *, perspective: bool = False) -> DataSet:
     """The cases of a session whose truth is whole, camera by camera; with `perspective` their
-    lenses are known. Thorax and pelvis that are midpoints for the detector are moved to where the
-    skeleton has them, in detections and in the truth (`layouts.without_midpoints`): a definition is
-    no error. Raises `BadInput` as `judged_views`, and where no case is whole."""
+    lenses are known. Raises `BadInput` as `judged_views`, and where no case is whole."""
     look = _in_perspective if perspective else _of_view
     parts = [look(session, view) for view in judged_views(session)]
-    poses, keypoints, score, scale, translation, recording, *lens = (
+    poses, keypoints, score, scale, translation, recording, doubt, *lens = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
     if not len(poses):
@@ -106,32 +98,40 @@ def from_session(session: Session, *, perspective: bool = False) -> DataSet:
         who,
         recording,
         Lens(*lens) if lens else None,
+        session.midpoints,
+        doubt,
     )
 
 
 def _of_view(session: Session, view: JudgedView) -> tuple[np.ndarray, ...]:
-    """Poses, keypoints, scores, scales, translations and recordings of a camera's cases."""
+    """Poses, keypoints, scores, scales, translations, recordings and doubts of a camera's cases."""
     whole = view.whole
-    rows, scale = view.rows[whole], view.scale[whole]
-    placed = view.posed(without_midpoints(view.world.points, session.midpoints))[whole]
-    pelvis = placed[:, :1]
+    rows = view.rows[whole]
+    points, axes = view.world.points[whole], view.rotation[whole]
     return (
-        placed - pelvis,
-        without_midpoints(session.keypoints[view.camera][rows], session.midpoints),
+        (points - points[:, :1]) @ np.swapaxes(axes, -1, -2),
+        session.keypoints[view.camera][rows],
         session.score[view.camera][rows],
-        scale,
-        view.translation[whole] + scale[:, None] * pelvis[:, 0, :2],
+        view.scale[whole],
+        view.translation[whole],
         np.full(len(rows), f"{session.name} {session.labels[view.camera]}"),
+        _doubt(session, view, axes),
     )
+
+
+def _doubt(session: Session, view: JudgedView, axes: np.ndarray) -> np.ndarray:
+    """`(n, 15, 3, 3)` mm²: covariances of the errors of a view's truths, in some axes `(..., 3,
+    3)`."""
+    own = view.world.covariance[view.whole] * session.stray[:, None, None] ** 2
+    return axes[..., None, :, :] @ own @ np.swapaxes(axes, -1, -2)[..., None, :, :]
 
 
 def _in_perspective(session: Session, view: JudgedView) -> tuple[np.ndarray, ...]:
     """The same in the calibrated camera's axes, focal lengths and principal points besides. Pixels
     that are not square are made so."""
-    _, keypoints, score, _, _, recording = _of_view(session, view)
+    _, keypoints, score, _, _, recording, _ = _of_view(session, view)
     camera, number = session.straight[view.camera], len(recording)
-    points = without_midpoints(view.world.points[view.whole], session.midpoints)
-    placed, focal = camera.view(points), float(camera.focal.mean())
+    placed, focal = camera.view(view.world.points[view.whole]), float(camera.focal.mean())
     pelvis = placed[:, :1]
     return (
         placed - pelvis,
@@ -140,6 +140,7 @@ def _in_perspective(session: Session, view: JudgedView) -> tuple[np.ndarray, ...
         focal / pelvis[:, 0, 2],
         camera.principal + focal * pelvis[:, 0, :2] / pelvis[:, 0, 2:],
         recording,
+        _doubt(session, view, camera.rotation),
         np.full(number, focal),
         np.tile(camera.principal, (number, 1)),
     )

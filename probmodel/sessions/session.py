@@ -122,6 +122,25 @@ class Session:
         """`(C, F, 15)` mm: how far detections are from the projected joints of all cameras."""
         return _apart(self.straight, self.world.points, self.keypoints)
 
+    @cached_property
+    def stray(self) -> np.ndarray:
+        """`(15,)` mm, each way: how far detections of each joint stray, by the residuals of what
+        all cameras triangulate and the freedom that this leaves them. What all joints of a person
+        have in common, where a camera points, is left out. With `Triangulated.covariance` it says
+        how far off a triangulated joint is."""
+        shape = self.score.shape
+        scale = np.broadcast_to(self.scale[..., None], shape).reshape(shape[0], -1)
+        places, points = self.keypoints.reshape(shape[0], -1, 2), self.world.points.reshape(-1, 3)
+        weight = self.world.weight[..., None]
+        own = residuals(self.straight, points, places, scale).reshape(*shape, 2)
+        own = np.where(weight > 0, own, 0.0)
+        total = weight.sum(axis=2, keepdims=True)
+        common = (weight * own).sum(axis=2, keepdims=True) / np.where(total > 0, total, 1.0)
+        square = (weight * (own - common) ** 2).sum(axis=(0, 1, 3))
+        views = (weight[..., 0] > 0).sum(axis=0)
+        freedom = np.maximum(2 * views - 3, 0).sum(axis=0) * (1 - 1 / shape[2])
+        return np.sqrt(square / np.where(freedom > 0, freedom, np.nan))
+
     def along_sight(self, camera: int, world: np.ndarray) -> np.ndarray:
         """Joints of the world in axes whose z is the camera's line of sight to the hips' midpoint,
         the origin.

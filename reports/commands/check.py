@@ -83,7 +83,7 @@ def _from_data_set(path: Path) -> PosesToCheck:
 
     data = read_plain(path)
     return PosesToCheck(
-        data.poses,
+        data.corrected(data.poses),
         [f"case {row}, {recording}" for row, recording in enumerate(data.recording)],
     )
 

@@ -69,15 +69,17 @@ class Predictions(NamedTuple):
 
     @classmethod
     def read(cls, path: Path, data: DataSet) -> "Predictions":
-        """Of a file. Raises `BadInput` where its poses are not those of the data set's frames."""
+        """Of a file, with the joints that the data set's source has. Raises `BadInput` where its
+        poses are not those of the data set's frames."""
         poses = read_poses(path)
         if len(poses) != len(data):
             raise BadInput(
                 f"{path} holds predictions for {len(poses)} frames, but {data.name} has {len(data)}"
                 " of them"
             )
+        poses, truth = data.corrected(poses), data.corrected(data.poses)
         try:
-            errors = np.asarray(mean_joint_error(poses, data.poses[:, None])).min(axis=1)
+            errors = np.asarray(mean_joint_error(poses, truth[:, None])).min(axis=1)
         except BadInput as error:
             raise BadInput(f"{path}: {error}") from None
         return cls(errors, of_predictions(poses, data))

@@ -196,6 +196,34 @@ def test_median_levels_by_hand() -> None:
 # --- verdicts
 
 
+def test_a_truth_that_errs_is_ranked_among_draws_that_err(model: PoseModel) -> None:
+    """Sixty truths from the draws' own law, told with errors twice as large: levels are uniform
+    where the errors' size is told too (Kolmogorov–Smirnov, 1e-3 for all), and not where it is
+    kept."""
+    one = simulate(model, 0, 0, 1)[0]
+    rng = np.random.default_rng(2)
+    doubt = np.zeros((15, 15, 3, 3))
+    doubt[range(1, 15), range(1, 15)] = 0.04 * np.eye(3)
+
+    def levels(told: np.ndarray | None) -> np.ndarray:
+        found = []
+        for _ in range(60):
+            both = one.joints + 0.1 * rng.normal(size=(101, 15, 3))
+            errors = 0.2 * rng.normal(size=(15, 3))
+            both[:, 0] = errors[0] = 0.0
+            instance = Instance(one.frame, both[0] + errors, told)
+            standing = assess(instance, Answer(both[1:]), rng)
+            found.append(np.concatenate([standing.whole, standing.lateral, standing.depth]))
+            assert standing.spread_depth == pytest.approx(0.1, rel=0.4)  # the draws' own
+        return np.transpose(found)
+
+    right, wrong = levels(doubt), levels(None)
+    for level in right:
+        assert stats.kstest(level, "uniform").pvalue > 1e-3 / len(right)
+    for level in wrong:
+        assert stats.kstest(level, "uniform").pvalue < 1e-3
+
+
 def test_holm() -> None:
     np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02])
     assert holm(np.array([0.9, 0.8])).max() == 1.0

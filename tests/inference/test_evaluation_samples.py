@@ -7,6 +7,7 @@ fixed.
 
 import dataclasses
 import functools
+from typing import Any
 
 import jax
 import numpy as np
@@ -155,6 +156,33 @@ def test_coverage_is_right_with_few_samples_too() -> None:
     found = scored(normal()[1][:, :20])
     assert found.axes is not None
     assert [axis.value for axis in found.axes] == pytest.approx([0.95] * 3, abs=3.5 * ERROR)
+
+
+def test_a_truth_that_errs_stands_where_it_would_without_errors() -> None:
+    """Truths from the samples' own law, told with errors twice as large: covered as often as is
+    said where samples are given such errors, and in 62 % (by hand) of cases where they are not.
+    Widths and best are the samples' own."""
+    truths, joints = normal()
+    rng = np.random.default_rng(8)
+    errors = 2 * SPREAD * rng.normal(size=truths.shape)
+    more = 2 * SPREAD * rng.normal(size=joints.shape)
+    errors[:, 0] = more[:, :, 0] = 0.0  # the origin
+
+    def covered(strays: np.ndarray | None) -> tuple[list[float], dict[str, Any]]:
+        rows = []
+        for row, truth in enumerate(truths + errors):
+            off = np.zeros((len(joints[row]), 15, 2))
+            own = 0.0 if strays is None else strays[row]
+            rows.append(of_samples(joints[row], off, truth, np.ones(15, bool), rng, strays=own))
+        standing = np.array([row["standing"] for row in rows])
+        return np.mean((standing > 0.025) & (standing < 0.975), axis=(0, 1)).tolist(), rows[0]
+
+    told, one = covered(more)
+    assert told == pytest.approx([0.95] * 3, abs=3.5 * ERROR)
+    untold, other = covered(None)
+    assert untold == pytest.approx([0.619] * 3, abs=0.04)
+    for name in ("width", "best_root", "best_procrustes"):
+        np.testing.assert_array_equal(one[name], other[name])
 
 
 def test_what_is_given_is_not_asked() -> None:

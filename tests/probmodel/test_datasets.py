@@ -13,7 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest, norm, t
 
-from probmodel import BadInput
+from probmodel import BadInput, Likelihood
+from probmodel.camera import Lens
 from probmodel.datasets import (
     EXACT,
     VIEWS,
@@ -29,10 +30,11 @@ from probmodel.datasets.human36m import SEVENTEEN
 from probmodel.datasets.noise import FREEDOM
 from probmodel.datasets.pickles import follow
 from probmodel.datasets.views import resection
-from probmodel.layouts import H36M_17
+from probmodel.errorlaws import DetectorErrors
+from probmodel.layouts import H36M_17, MIDPOINTS, corrected, weights_of, without_midpoints
 from probmodel.learning.dictionaries import PoseDictionary
 from probmodel.motion import Motion
-from probmodel.skeleton import JOINTS, LIMB_JOINTS, NUM_JOINTS
+from probmodel.skeleton import JOINT_INDEX, JOINTS, LIMB_JOINTS, NUM_JOINTS
 
 BODY = 330 * PoseDictionary.default().mean
 """A pose in millimetres, y up."""
@@ -168,6 +170,142 @@ def test_a_plain_file_gives_back_what_was_written(data, tmp_path):
     assert len(read_data_set(tmp_path / "set.npz", frames=10)) == 10
 
 
+# --- midpoints
+
+
+BOTH, EVERY = ("thorax", "pelvis"), tuple(range(NUM_JOINTS))
+
+
+def with_midpoints(joints: np.ndarray) -> np.ndarray:
+    """Joints of a detector that has no thorax and no pelvis of its own."""
+    halfway = joints.copy()
+    for name, sides in MIDPOINTS.items():
+        ends = [JOINT_INDEX[side] for side in sides]
+        halfway[:, JOINT_INDEX[name]] = joints[:, ends].mean(axis=1)
+    return halfway
+
+
+@pytest.mark.parametrize("lens", [None, Lens(1100.0, np.array([400.0, 300.0]))])
+def test_cases_have_the_skeletons_thorax_and_pelvis(data, lens):
+    """By hand: two joints of the pose have moved, the camera is where it was, the others are seen
+    where they were, and the detection is what `corrected` makes of it, so that the law is wider."""
+    camera = lens and Lens(*(np.repeat([column], len(data), axis=0) for column in lens))
+    poses = with_midpoints(data.poses)
+    poses -= poses[:, :1]
+    midway = dataclasses.replace(
+        data,
+        poses=poses,
+        keypoints=with_midpoints(data.keypoints),
+        lens=camera,
+        midpoints=BOTH,
+    )
+    for number in range(0, len(data), 7):
+        case, plainly = midway.case(number), dataclasses.replace(midway, midpoints=()).case(number)
+        moved = without_midpoints(poses[number], BOTH)
+        assert case.pose == pytest.approx(moved - moved[0], abs=1e-9)
+        assert case.pixels[2:, :2] == pytest.approx(plainly.pixels[2:, :2], abs=1e-6)
+        assert case.pixels[:2, :2] == pytest.approx(plainly.image(moved)[:2], abs=1e-6)
+        if lens is not None:  # the pelvis is as far as its scale says
+            far = lens.focal / plainly.scale + moved[0, 2]
+            assert case.scale == pytest.approx(lens.focal / far)
+        again = corrected(plainly.detection, BOTH)
+        assert case.detection.moved == again.moved == BOTH
+        np.testing.assert_array_equal(case.detection.keypoints, again.keypoints)
+        law, at = Likelihood.of(DetectorErrors.default(), EVERY), plainly.scale * plainly.unit
+        wider = law.spread(case.detection, at) / law.spread(plainly.detection, at)
+        assert (wider[:2] > 1.01).all()
+        assert wider[2:] == pytest.approx(1.0)
+    assert midway.sha256 != dataclasses.replace(midway, midpoints=()).sha256
+    assert midway.corrected(midway.poses)[7] == pytest.approx(midway.case(7).pose, abs=1e-9)
+    with pytest.raises(BadInput, match="the midpoints are 'neck'; name thorax and pelvis"):
+        dataclasses.replace(midway, midpoints=("neck",))
+
+
+def test_a_midpoint_whose_counterpart_is_hidden_stays(data):
+    keypoints, score = data.keypoints.copy(), data.score.copy()
+    keypoints[:, 1], score[:, 1] = np.nan, 0.0
+    midway = dataclasses.replace(data, keypoints=keypoints, score=score, midpoints=BOTH)
+    detection = midway.case(0).detection
+    assert detection.moved == ()
+    np.testing.assert_array_equal(detection.keypoints, keypoints[0])
+
+
+def test_a_plain_file_says_its_midpoints(data, tmp_path):
+    midway = dataclasses.replace(data, midpoints=BOTH)
+    write_plain(midway, tmp_path / "set.npz")
+    back = read_data_set(tmp_path / "set.npz")
+    assert (back.midpoints, back.sha256) == (BOTH, midway.sha256)
+    np.savez(tmp_path / "set.npz", **plain(data, midpoints=np.array(["pelvis"])))
+    assert read_data_set(tmp_path / "set.npz").case(3).detection.moved == ("pelvis",)
+
+
+def test_weights_are_the_slopes_of_what_is_moved():
+    """By differences, across the image where nothing lies behind the line; ends of midpoints move
+    these."""
+    weights = weights_of(BOTH)
+    flat = BODY[:, :2]
+    for joint in range(2, NUM_JOINTS):
+        step = np.zeros_like(flat)
+        step[joint] = [1.0, 2.0]
+        found = without_midpoints(with_midpoints((flat + step)[None]), BOTH)[0]
+        found -= without_midpoints(with_midpoints(flat[None]), BOTH)[0]
+        assert found == pytest.approx(weights[:, joint, None] * [1.0, 2.0], abs=1e-9)
+    assert weights.sum(axis=1) == pytest.approx(1.0)
+    np.testing.assert_array_equal(weights_of(()), np.eye(NUM_JOINTS))
+
+
+# --- errors of the truth
+
+
+def doubtful(data: DataSet) -> DataSet:
+    """With errors of 20 mm in depth, of one that grows with the joint to the right."""
+    size = np.zeros((len(data), NUM_JOINTS, 3, 3))
+    size[..., 2, 2] = 400.0
+    size[..., 0, 0] = np.arange(NUM_JOINTS) ** 2
+    return dataclasses.replace(data, doubt=size)
+
+
+def test_errors_of_the_truth_are_as_large_as_is_said(data):
+    """Rooted ones, of 40,000; the pelvis has none, and a turned case has turned ones."""
+    case = doubtful(data).case(3)
+    for one, across in ((case, 0), (case.turned(90.0), 1)):
+        errors = one.strays(np.random.default_rng(0), 40_000)
+        assert errors[:, 0] == pytest.approx(0.0)
+        size = errors.std(axis=0)
+        assert size[1:, 2] == pytest.approx(20 * np.sqrt(2), rel=0.02)
+        assert size[:, across] == pytest.approx(np.arange(NUM_JOINTS), rel=0.02)
+        assert size[:, 1 - across] == pytest.approx(0.0, abs=1e-5)
+    assert not data.case(3).strays(np.random.default_rng(0), 5).any()
+
+
+def test_midpoints_err_as_their_ends_do(data):
+    """The thorax is 7/8 of the shoulders' midpoint and 1/8 of the hips', which are the pelvis'."""
+    midway = dataclasses.replace(doubtful(data), midpoints=("thorax",))
+    doubt = midway.case(0).doubt
+    shoulders, hips = 875**2 * (2**2 + 5**2) / 4e6, 125**2 * (9**2 + 12**2) / 4e6
+    assert doubt[1, 1, 0, 0] == pytest.approx(shoulders + hips)
+    assert doubt[1, 2, 2, 2] == pytest.approx(400 * 0.875 / 2)
+
+
+def test_a_plain_file_says_its_errors(data, tmp_path):
+    write_plain(doubtful(data), tmp_path / "set.npz")
+    back = read_data_set(tmp_path / "set.npz")
+    assert back.sha256 == doubtful(data).sha256 != data.sha256
+    assert back.take(np.array([5, 3])).case(1).doubt == pytest.approx(doubtful(data).case(3).doubt)
+    turn = Rotation.from_rotvec([0.3, -1.0, 2.0]).as_matrix()
+    there = turn @ doubtful(data).doubt @ turn.T
+    np.savez(tmp_path / "set.npz", **plain(data, poses=data.poses @ turn.T, doubt=there))
+    fitted = read_data_set(tmp_path / "set.npz")
+    assert fitted.doubt == pytest.approx(doubtful(data).doubt, abs=1e-3)
+
+
+def test_a_flat_body_has_no_back():
+    """Shoulders and hips in one line: the pelvis moves along it, and stays a number."""
+    flat = np.zeros((NUM_JOINTS, 3))
+    flat[:, 0] = np.arange(NUM_JOINTS)
+    assert np.isfinite(without_midpoints(flat, BOTH)).all()
+
+
 def test_without_a_camera_one_is_fitted(data, tmp_path):
     """The 2D of a scaled orthographic camera gives its rotation back exactly; a turned world does
     not matter."""
@@ -229,6 +367,20 @@ REFUSED = {
         lambda d: plain(d, subject=np.full(60, "a\x1b[31m")),
         "which is no name",
     ),
+    "midpoints of numbers": (lambda d: plain(d, midpoints=np.ones(2)), "midpoints must be 2 texts"),
+    "unknown midpoints": (
+        lambda d: plain(d, midpoints=np.array(["spine"])),
+        "the midpoints are 'spine'; name thorax and pelvis",
+    ),
+    "errors of no size": (
+        lambda d: plain(d, doubt=np.full((60, 15, 3, 3), np.diag([1.0, 1.0, -1.0]))),
+        "the doubt of frame 0 is no covariance",
+    ),
+    "errors that are not finite": (
+        lambda d: plain(d, doubt=at(4, np.zeros((60, 15, 3, 3)), np.nan)),
+        "the doubt of frame 4 is no covariance",
+    ),
+    "errors of another shape": (lambda d: plain(d, doubt=np.ones((60, 3))), "doubt has shape"),
     "no frames": (lambda d: {k: v[:0] for k, v in plain(d).items()}, "no frames"),
 }
 
@@ -326,6 +478,7 @@ def test_human36m_is_read_without_unpickling(protocol, tmp_path, monkeypatch):
         truth, abs=0.02
     )  # of single precision, and of metres off the room's origin
     assert found.scale == pytest.approx(0.2, abs=1e-4)
+    assert {case.detection.moved for case in found} == {("pelvis",)}
     assert expected["S1"]["Walking"].shape == (12, 32, 3)
     few = read_data_set(folder / "data_3d_h36m.npz", frames=20)
     assert {action: int((few.action == action).sum()) for action in few.actions} == {

@@ -27,6 +27,7 @@ from inference.studies.calibration.quantities import (
     of_rooted,
 )
 from inference.studies.calibration.simulations import Instance
+from probmodel.datasets.cases import strays
 from probmodel.failures import BadInput
 from probmodel.model import PoseModel
 from probmodel.roots import Candidate, RootPoint
@@ -108,7 +109,7 @@ def assess(
     model: PoseModel | None = None,
     reference: np.ndarray | None = None,
 ) -> Standing:
-    """Ranks the truth among the draws in every way.
+    """Ranks the truth among the draws in every way; a truth that errs among draws with such errors.
 
     Parameters
     ----------
@@ -133,7 +134,10 @@ def assess(
         return failure(status, said, len(draws), posterior.log_evidence)
     level = dict.fromkeys(QUANTITIES, np.nan)
     both = np.concatenate([instance.joints[None], draws])
-    values = of_pose(both)
+    seen = both.copy()  # as the truth is known: with its errors
+    if instance.doubt is not None:
+        seen[1:] += strays(instance.doubt, rng, len(draws))
+    values = of_pose(seen)
     level.update(zip(OF_POSE, rank_level(values[0], values[1:], rng), strict=True))
     if model is not None and posterior.points is None:
         values = of_both(model, instance.frame.observation, both)
@@ -144,13 +148,13 @@ def assess(
         level.update(zip(OF_MODEL, rank_level(values[0], values[1:], rng), strict=True))
         values = of_root(points)
         level.update(zip(OF_ROOT, rank_level(values[0], values[1:], rng), strict=True))
-    moving = both[:, MOVING]
+    moving = seen[:, MOVING]
     flat = moving.reshape(len(moving), -1)
     level[ENERGY_BALL] = energy_level(flat[0], flat[1:], rng)
     if reference is not None:
         level[TARP] = distance_level(flat[0], flat[1:], reference[list(MOVING)].ravel(), rng)
     truth, cloud = moving[0], moving[1:]
-    spread = cloud.std(axis=0)
+    spread = draws[:, MOVING].std(axis=0)
     return Standing(
         posterior.status,
         posterior.sentence,

@@ -139,10 +139,13 @@ def instances(
             limits=model.limits,
             **settings,
         )
-    return [
-        Instance(
-            dataclasses.replace(frame, lens=case.lens),
-            case.pose * (case.scale / float(frame.best.camera.scale)),
-        )
-        for case, frame in zip(cases, frames, strict=True)
-    ]
+    return [_instance(case, frame) for case, frame in zip(cases, frames, strict=True)]
+
+
+def _instance(case: Case, frame: Estimate) -> Instance:
+    units = case.scale / float(frame.best.camera.scale)
+    return Instance(
+        dataclasses.replace(frame, lens=case.lens),
+        case.pose * units,
+        None if case.doubt is None else case.doubt * units**2,
+    )

@@ -68,10 +68,12 @@ Spread = Callable[[np.ndarray, Likelihood], np.ndarray]
 
 class Instance(NamedTuple):
     """What is seen of a person, and the truth behind it: the pose `joints` `(15, 3)`, pelvis at the
-    origin, camera axes, in the body units of the frame's first candidate."""
+    origin, camera axes, in the body units of the frame's first candidate; `doubt` `(15, 15, 3, 3)`,
+    the covariances of its own errors, where it has some (`probmodel.datasets.Case`)."""
 
     frame: Estimate
     joints: np.ndarray
+    doubt: np.ndarray | None = None
 
 
 def simulate(

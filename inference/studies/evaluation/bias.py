@@ -96,7 +96,8 @@ def bias_study(data: DataSet, anatomy: Anatomy, *, seed: int = 0) -> Bias:
         )
     data = data.take(np.arange(0, len(data), -(-len(data) // MOST_POSES)))
     torso = PoseDictionary.default().torso
-    own = directions(data.poses, torso)
+    poses = data.corrected(data.poses)
+    own = directions(poses, torso)
     model = PoseModel.from_anatomy(anatomy, upper="area", lower="area")
     number = JUDGED + len(data)
     drawn = np.asarray(
@@ -106,7 +107,7 @@ def bias_study(data: DataSet, anatomy: Anatomy, *, seed: int = 0) -> Bias:
     components = max(2, min(COMPONENTS, len(data) // 100))
     mixture = held_out_likelihood(own.reshape(len(own), -1), data, components, seed)
     picture, action = _picture(own, prior, data.action, seed)
-    actions = _actions(data, mixture, log_prior(model, data.poses))
+    actions = _actions(data, mixture, log_prior(model, poses))
     found = visits(own, prior[:JUDGED], prior[JUDGED:])
     return Bias(actions, found, picture, action, len(data), components)
 

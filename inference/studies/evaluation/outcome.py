@@ -288,13 +288,15 @@ def _drawn(
     }
     if len(joints) < max(protocol.ks):
         return draws.status, draws.sentence, values
+    rng = np.random.default_rng([protocol.seed, 3, case.number])
     values |= of_samples(
         joints * case.unit,
         (draws.keypoints - case.image(case.pose)) / case.scale,
         case.pose,
         case.detection.score > 0,
-        np.random.default_rng([protocol.seed, 3, case.number]),
+        rng,
         given=TORSO_INDEX if root == TRUE else (),
+        strays=case.strays(rng, len(joints)),
     )
     scaled, plain = joint_errors(joints, case.pose), aligned_errors(joints, case.pose).mean(axis=-1)
     means = scaled.mean(axis=-1)

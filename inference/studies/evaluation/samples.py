@@ -50,6 +50,7 @@ def of_samples(
     rng: np.random.Generator,
     *,
     given: Collection[int] = (),
+    strays: np.ndarray | float = 0.0,
 ) -> dict[str, Any]:
     """Everything that tables of samples are made of, for one pose.
 
@@ -62,6 +63,8 @@ def of_samples(
     seen : `(15,)` bool, the joints that were detected.
     rng : breaks ties, and chooses the samples that stand in for the truth.
     given : joints that whoever sampled was told: nothing is asked of them.
+    strays : `(n, 15, 3)` mm, errors that the truth may have (`Case.strays`), with which the samples
+        are where the truth is ranked among them.
 
     Returns
     -------
@@ -88,9 +91,9 @@ def of_samples(
             for name, sizes in SHAPES.items()
             if name not in found
         }
-    judged, at = rooted[:, JUDGED], truth[list(JUDGED)]
+    judged, at = (rooted + strays)[:, JUDGED], truth[list(JUDGED)]
     few = judged[:ECE_SAMPLES]
-    low, high = np.quantile(judged, [TAIL, 1 - TAIL], axis=0)
+    low, high = np.quantile(rooted[:, JUDGED], [TAIL, 1 - TAIL], axis=0)
     standing = rank_level(at, judged, rng)
     found |= {
         "level": median_levels(at, few),
@@ -115,17 +118,18 @@ def first_bests(errors: np.ndarray) -> np.ndarray:
 
 
 def of_predictions(poses: np.ndarray, data: DataSet, seed: int = 0) -> dict[str, np.ndarray]:
-    """`of_samples` of others' hypotheses `(N, H, 15, 3)` for the frames of a data set, by name, a
-    row a frame; the true camera says where they fall in the image. Where they are not in
-    millimetres (no person would be so tall), only what has no unit is said."""
+    """`of_samples` of others' hypotheses `(N, H, 15, 3)` for the frames of a data set, in the
+    skeleton's joints (`DataSet.corrected`), by name, a row a frame; the true camera says where they
+    fall in the image. Where they are not in millimetres (no person would be so tall), only what has
+    no unit is said."""
     metric = SMALLEST <= float(np.median(body_height(poses))) <= TALLEST
     rows = []
     for number, (joints, case) in enumerate(zip(poses, data, strict=True)):
         image = case.image(joints - joints[:, :1])
         off = (image - case.image(case.pose)) / case.scale
         rng = np.random.default_rng([seed, 3, number])
-        seen = case.detection.score > 0
-        rows.append(of_samples(joints, off, case.pose, seen, rng))
+        seen, errors = case.detection.score > 0, case.strays(rng, len(joints))
+        rows.append(of_samples(joints, off, case.pose, seen, rng, strays=errors))
     found = {name: np.array([row[name] for row in rows]) for name in SHAPES}
     if not metric:
         found |= {

@@ -94,6 +94,14 @@ def possible(model: PoseModel, cases: list[Case]) -> list[Case]:
 # --- instances and reasons
 
 
+def test_a_real_pose_errs_in_its_own_units(model: PoseModel, cases: list[Case]) -> None:
+    doubt = 25.0 * np.einsum("jk,xy->jkxy", np.eye(15), np.eye(3))
+    one = dataclasses.replace(cases[0], doubt=doubt)
+    (found, without) = instances([one, cases[1]], model)
+    assert found.doubt == pytest.approx(doubt / one.unit**2)
+    assert without.doubt is None
+
+
 def test_true_torso_and_camera_show_what_was_seen(model: PoseModel, cases: list[Case]) -> None:
     for case, instance in zip(cases, instances(cases, model), strict=True):
         candidate = instance.frame.candidates[0]

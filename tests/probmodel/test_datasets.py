@@ -185,7 +185,10 @@ def with_midpoints(joints: np.ndarray) -> np.ndarray:
     return halfway
 
 
-@pytest.mark.parametrize("lens", [None, Lens(1100.0, np.array([400.0, 300.0]))])
+NEAR = Lens(1100.0, np.array([400.0, 300.0]))
+
+
+@pytest.mark.parametrize("lens", [pytest.param(None, id="far"), pytest.param(NEAR, id="near")])
 def test_cases_have_the_skeletons_thorax_and_pelvis(data, lens):
     """By hand: two joints of the pose have moved, the camera is where it was, the others are seen
     where they were, and the detection is what `corrected` makes of it, so that the law is wider."""

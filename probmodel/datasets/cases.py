@@ -155,6 +155,13 @@ COLUMNS = {
 """The fields of every `DataSet` that have a row for each case, and the shapes of their rows."""
 
 
+def skeletal(doubt: np.ndarray, midpoints: tuple[str, ...]) -> np.ndarray:
+    """`(15, 15, 3, 3)`: covariances of the errors of the skeleton's joints, by two of them, from
+    those of a source's joints `(15, 3, 3)`, each independent of the others but for `midpoints`."""
+    weights = weights_of(midpoints)
+    return np.einsum("ja,ka,axy->jkxy", weights, weights, doubt)
+
+
 def strays(doubt: np.ndarray, rng: np.random.Generator, number: int) -> np.ndarray:
     """`(number, 15, 3)`: normal errors of covariances `(15, 15, 3, 3)` by two joints, less that of
     the pelvis."""
@@ -311,16 +318,9 @@ class DataSet:
             str(self.subject[row]),
             str(self.recording[row]),
             self._lens(row),
-            self._doubt(row),
+            None if self.doubt is None else skeletal(self.doubt[row], self.midpoints),
         )
         return case.corrected(self.midpoints)
-
-    def _doubt(self, row: int) -> np.ndarray | None:
-        """In the skeleton's joints."""
-        if self.doubt is None:
-            return None
-        weights = weights_of(self.midpoints)
-        return np.einsum("ja,ka,axy->jkxy", weights, weights, self.doubt[row])
 
     def corrected(self, poses: np.ndarray) -> np.ndarray:
         """Poses `(..., 15, 3)` with this set's joints, of its truth or of a prediction for it, as

@@ -23,9 +23,10 @@ from inference.store import Block, Groups, Store, fill, locked
 from inference.studies.errorlaws.learn import Learned, learn
 from inference.studies.errorlaws.pairs import pairs_of_session
 from probmodel import Detection, Lens, Likelihood, PoseModel
+from probmodel.datasets.cases import skeletal, strays
 from probmodel.failures import BadInput
 from probmodel.faults import NO_FAULTS
-from probmodel.layouts import corrected
+from probmodel.layouts import MIDPOINTS, corrected, without_midpoints
 from probmodel.sessions import Session, read_session
 from probmodel.sessions.session import HIPS
 from probmodel.skeleton import NUM_JOINTS
@@ -94,6 +95,15 @@ class FilmedCase(NamedTuple):
         spread = np.linalg.cholesky(np.nan_to_num(self.doubt) + 1e-12 * np.eye(3))
         free = np.einsum("jab,njb->nja", spread, rng.normal(size=(number, *self.truth.shape)))
         return free - free[:, HIPS].mean(axis=1, keepdims=True)
+
+    def skeletal_errors(self, rng: np.random.Generator, number: int) -> np.ndarray:
+        """`(number, 15, 3)`: those of `skeletal_truth`, rooted at its pelvis."""
+        return strays(skeletal(np.nan_to_num(self.doubt), (*MIDPOINTS,)), rng, number)
+
+    @property
+    def skeletal_truth(self) -> np.ndarray:
+        """`(15, 3)`: with the skeleton's thorax and pelvis in the place of the midpoints."""
+        return without_midpoints(self.truth, MIDPOINTS)
 
 
 class Drawn(NamedTuple):

@@ -19,8 +19,12 @@ from scipy import stats
 
 from inference.hypothesis import diverse
 from inference.results import FIXED
+from inference.studies.calibration.assess import STAND_INS
+from inference.studies.calibration.ece import ece
+from inference.studies.calibration.levels import median_levels, stand_in_levels
 from inference.studies.errorlaws.judge import LEVELS, shares_within, standings
 from inference.studies.errorlaws.pairs import pairs_of_session
+from inference.studies.evaluation.samples import ECE_SAMPLES, JUDGED_NAMES
 from inference.studies.intervals import Interval, of_share
 from inference.uncertain.weighted import FEWEST_EFFECTIVE
 from probmodel.sessions import Session
@@ -69,6 +73,9 @@ class Judged(NamedTuple):
         as the truth has them.
     bare : `(8, 3)` the same of draws without.
     spread : `(8, 3)` standard deviations of the draws, body units.
+    levels, stand_ins : `(14,)`, `(10, 14)` the share of draws nearer to their median than the truth
+        is, and the same of draws in its place, for all joints but the pelvis, rooted there; draws
+        have the truth's errors.
     mean, best : mm, errors of the posterior's mean and of the best of five hypotheses.
     effective : roots; NaN where the root is fixed.
     seconds : of the drawing.
@@ -80,6 +87,8 @@ class Judged(NamedTuple):
     standing: np.ndarray
     bare: np.ndarray
     spread: np.ndarray
+    levels: np.ndarray
+    stand_ins: np.ndarray
     mean: float
     best: float
     effective: float
@@ -88,13 +97,14 @@ class Judged(NamedTuple):
 
 
 NOWHERE = np.full((8, 3), np.nan)
+NO_LEVELS = np.full(len(JUDGED_NAMES), np.nan), np.full((STAND_INS, len(JUDGED_NAMES)), np.nan)
 
 
 def judge(case: FilmedCase, found: Drawn) -> Judged:
     """Draws for one camera's detection, against the truth; NaN where there are none."""
     joints, about = found.joints, (found.roots, found.seconds)
     if not len(joints):
-        nothing = NOWHERE, NOWHERE, NOWHERE, np.nan, np.nan
+        nothing = NOWHERE, NOWHERE, NOWHERE, *NO_LEVELS, np.nan, np.nan
         return Judged(case.camera, case.frame, *nothing, *about, False)
     limbs, truth = joints[:, LIMB_JOINTS], case.truth[list(LIMB_JOINTS)]
     rng = np.random.default_rng([case.camera, case.frame])
@@ -106,11 +116,23 @@ def judge(case: FilmedCase, found: Drawn) -> Judged:
         np.mean(limbs + noise < truth, axis=0),
         np.mean(limbs < truth, axis=0),
         limbs.std(axis=0),
+        *levels(case, joints, rng),
         float(error(joints.mean(axis=0)[None], case.truth)[0]),
         float(error(hypotheses, case.truth).min()),
         *about,
         True,
     )
+
+
+def levels(
+    case: FilmedCase, joints: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """`Judged.levels` and `Judged.stand_ins`, as `poseterior evaluate` has them."""
+    few = joints[:ECE_SAMPLES]
+    few = (few - few[:, :1] + case.skeletal_errors(rng, len(few)))[:, 1:]
+    truth = case.skeletal_truth
+    rows = rng.integers(0, len(few), STAND_INS)
+    return median_levels((truth - truth[0])[1:], few), stand_in_levels(few, rows)
 
 
 def error(joints: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -166,6 +188,21 @@ def by_axis(found: Sequence[Judged], column: str) -> list[str]:
     standing = np.stack([getattr(one, column) for one in found])
     camera = np.array([one.camera for one in found])
     return [share(coverage(standing[:, :, axis], camera)) for axis in range(3)]
+
+
+def ece_table(outcomes: Found) -> Sheet:
+    """A line a way: the field's calibration error, cameras drawn anew, and its floor."""
+    lines: list[tuple[Any, ...]] = []
+    for way, found in outcomes.items():
+        there = [one for one in found if np.isfinite(one.levels).all()]
+        of = ece(
+            np.stack([one.levels for one in there]),
+            np.stack([one.stand_ins for one in there]),
+            np.array([one.camera for one in there]),
+        )
+        value = f"{of.whole.value:.3f} ({of.whole.low:.3f}–{of.whole.high:.3f})"
+        lines.append((str(way), len(there), value, f"{of.floor:.3f}"))
+    return sheet_of(("torso and camera", "cases", "ECE", "its floor"), lines)
 
 
 def bare_table(outcomes: Found) -> Sheet:
@@ -338,6 +375,7 @@ def main(data: Path, work: Path) -> None:
         "laws": law_table(seen),
         "parts": parts_table(seen.session),
         "together": f"{whole.common[HIPS[0]]:.1f}",
+        "ece": ece_table(outcomes),
         "bare": bare_table(outcomes),
         "across": f"{across:.0f}",
         "depth": f"{depth:.0f}",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probmodel import Lens
-from probmodel.skeleton import LIMB_JOINTS, NUM_JOINTS
+from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
 from reports.pages import filmed as pages
 from reports.pages import honest
 from tests.filmed import detected, filmed, moving
@@ -30,6 +30,20 @@ def test_a_case_knows_its_camera() -> None:
         assert image == pytest.approx(case.straight.keypoints, abs=1.5)
 
 
+def test_the_skeletons_truth_is_not_the_midpoints() -> None:
+    """Its pelvis lies above and behind the hips' midpoint, which errs as the hips do."""
+    seen = pages.Film(filmed(moving(12), np.zeros((4, 12, NUM_JOINTS, 2))))
+    case = seen.cases[0]._replace(doubt=np.tile(0.01 * np.eye(3), (NUM_JOINTS, 1, 1)))
+    truth = case.skeletal_truth
+    assert 0.25 < np.linalg.norm(truth[0] - case.truth[0]) < 0.5
+    np.testing.assert_array_equal(truth[2:], case.truth[2:])
+    size = case.skeletal_errors(np.random.default_rng(0), 20_000).std(axis=0)
+    assert size[0] == pytest.approx(0.0)
+    wrist = size[JOINT_INDEX["left_wrist"]]
+    # The pelvis is four fifths of two hips' mean, a fifth of two shoulders'.
+    assert wrist == pytest.approx(0.1 * np.sqrt(1 + (0.808**2 + 0.192**2) / 2), rel=0.03)
+
+
 def test_draws_are_judged_in_spreads_and_millimetres() -> None:
     """A truth at the middle of standard normal draws in x, and beyond all of them in y; its own
     doubt, of both coordinates, pulls both towards the middle."""
@@ -50,6 +64,12 @@ def test_draws_are_judged_in_spreads_and_millimetres() -> None:
     # Eight of twelve judged joints are 9 body units from the draws' mean.
     assert found.mean == pytest.approx(338 * 9 * 8 / 12, rel=0.02)
     assert found.best > found.mean / 2
+    # A limb joint of the truth lies beyond all draws, but for the errors that it may have.
+    limbs = np.array(LIMB_JOINTS) - 1
+    assert (found.levels[limbs] < 0.5).all()
+    exact = honest.judge(case._replace(doubt=0 * doubt), pages.Drawn(joints, 50.0, 2.0))
+    assert (exact.levels[limbs] > 0.99).all()
+    assert found.stand_ins.shape == (10, NUM_JOINTS - 1)
     nothing = honest.judge(case, pages.Drawn(joints[:0], np.nan, 1.0))
     assert not nothing.drawn
     assert np.isnan(nothing.standing).all()

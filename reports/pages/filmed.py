@@ -20,10 +20,13 @@ from inference.machines import HERE
 from inference.results import FIXED, UNCERTAIN
 from inference.roots.points import require_camera
 from inference.store import Block, Groups, Store, fill, locked
+from inference.studies.calibration.real import TRUE, true_candidate
 from inference.studies.errorlaws.learn import Learned, learn
 from inference.studies.errorlaws.pairs import pairs_of_session
-from probmodel import Detection, Lens, Likelihood, PoseModel
+from probmodel import Detection, Estimate, Lens, Likelihood, PoseModel
+from probmodel.datasets import Case, from_session
 from probmodel.datasets.cases import skeletal, strays
+from probmodel.datasets.sessions import judged_views
 from probmodel.failures import BadInput
 from probmodel.faults import NO_FAULTS
 from probmodel.layouts import MIDPOINTS, corrected, without_midpoints
@@ -71,6 +74,8 @@ WAYS = (
     Way(UNCERTAIN, focal=True, frames=25),
     Way(UNCERTAIN, LEARNED),
     Way(UNCERTAIN, LEARNED, focal=True, roots=4 * ROOTS),
+    Way(TRUE),
+    Way(TRUE, LEARNED, frames=10),
 )
 
 
@@ -79,7 +84,9 @@ class FilmedCase(NamedTuple):
     of the person, the hips' midpoint at the origin, z along the line of sight to it; with the
     covariances `(15, 3, 3)` of the truth's own errors, those of one joint independent of another's.
     Where the focal length is to be known: the `straight` detection, without the distortion of the
-    `lens`, and what `turns` `(3, 3)` the camera's axes into those of the truth."""
+    `lens`, and what `turns` `(3, 3)` the camera's axes into those of the truth. Where torso and
+    camera are: the `known` case with its weak-perspective camera, None where not all joints are,
+    and what turns its axes, `known_turns`."""
 
     camera: int
     frame: int
@@ -89,6 +96,8 @@ class FilmedCase(NamedTuple):
     straight: Detection
     lens: Lens
     turns: np.ndarray
+    known: Case | None = None
+    known_turns: np.ndarray | None = None
 
     def errors(self, rng: np.random.Generator, number: int) -> np.ndarray:
         """`(number, 15, 3)`: errors that the truth may have, rooted as it is."""
@@ -160,9 +169,28 @@ class Film:
         turns = (axes[:, 0] @ seen_by.rotation.T).copy()
         lens = Lens(float(seen_by.focal.mean()), seen_by.principal)
         rows = zip(people, truth, doubt, straight, turns, strict=True)
-        return [
+        cases = [
             FilmedCase(camera, row, person, where, errs, plain, lens, turned)
             for row, (person, where, errs, plain, turned) in enumerate(rows)
+        ]
+        for row, (known, rotation) in self._known[camera].items():
+            turned = axes[row, 0] @ rotation.T
+            cases[row] = cases[row]._replace(known=known, known_turns=turned)
+        return cases
+
+    @functools.cached_property
+    def _known(self) -> list[dict[int, tuple[Case, np.ndarray]]]:
+        """By camera and frame, the cases whose truth is whole, and what `(3, 3)` turns the world's
+        axes into theirs."""
+        cases = iter(from_session(self.session))
+        return [
+            {
+                int(row): (next(cases), rotation)
+                for row, rotation in zip(
+                    view.rows[view.whole], view.rotation[view.whole], strict=True
+                )
+            }
+            for view in judged_views(self.session)
         ]
 
     @functools.cached_property
@@ -219,40 +247,71 @@ def drawn(seen: Film, way: Way, work: Path) -> Iterator[tuple[FilmedCase, Drawn]
             yield case, Drawn(found.joints.values.astype(float), *map(float, about))
 
 
+class Given(NamedTuple):
+    """What the draws of one case are made of: the `frame` or, where torso and camera are known, the
+    `case`; the focal length, if it is, and what turns the draws' axes into the truth's; the draws'
+    body units in those of the truth; a seed."""
+
+    detection: Detection
+    likelihood: Likelihood
+    lens: Lens | None
+    turns: np.ndarray
+    case: Case | None
+    units: float
+    seed: int
+
+
 def _block(seen: Film, way: Way, number: int, case: FilmedCase) -> Block:
     likelihood = seen.likelihood(way, case.frame)
     person = case.straight if way.focal else case.detection
     person = corrected(person) if way.moved else person
     lens, turns = (case.lens, case.turns) if way.focal else (None, np.eye(3))
+    known, units = None, 1.0
+    if way.root == TRUE and case.known is not None and case.known_turns is not None:
+        known, turns = case.known, case.known_turns
+        units = known.unit / seen.session.unit
     seed = case.frame * len(seen.session.cameras) + case.camera
     made_of = {"camera": case.camera, "frame": case.frame, "law": likelihood.sha256}
-    return Block(
-        number, f"{way}, case {number}", made_of, 1, (person, likelihood, lens, turns, seed)
-    )
+    given = Given(person, likelihood, lens, turns, known, units, seed)
+    return Block(number, f"{way}, case {number}", made_of, 1, given)
 
 
-def _draw(way: Way, given: tuple[Detection, Likelihood, Lens | None, np.ndarray, int]) -> Groups:
+def _draw(way: Way, given: Given) -> Groups:
     """Draws for one camera's detection; none where no root explains it, or where it shows too few
     of the torso's joints for one."""
-    detection, likelihood, lens, turns, seed = given
-    try:
-        require_camera(detection)
-    except BadInput:
+    model = _model().seen_by(given.lens)
+    frame = _frame(way, given, model)
+    if frame is None:
         return _kept(np.zeros((0, NUM_JOINTS, 3)), np.nan, np.nan)
-    model = _model().seen_by(lens)
     result = inference.sample(
         model,
-        inference.estimate_torso(detection, torsos=np.asarray(model.torsos), likelihood=likelihood),
-        key=jax.random.key(seed),
+        frame,
+        key=jax.random.key(given.seed),
         num_samples=DRAWS,
-        root=way.root,
+        root=FIXED if way.root == TRUE else way.root,
         num_roots=way.roots,
         max_proposals=BUDGET,
     )
     joints = result.tree["posterior"].joints.values[0]
-    joints = (joints - joints[:, HIPS].mean(axis=1, keepdims=True)) @ turns.T
+    joints = (joints - joints[:, HIPS].mean(axis=1, keepdims=True)) @ given.turns.T
     about = result.tree.attrs
-    return _kept(joints, about.get("effective_roots", np.nan), about["wall_time_s"])
+    return _kept(given.units * joints, about.get("effective_roots", np.nan), about["wall_time_s"])
+
+
+def _frame(way: Way, given: Given, model: PoseModel) -> Estimate | None:
+    """What is drawn from; None where it shows too little."""
+    if way.root == TRUE:
+        case = given.case
+        if case is None:
+            return None
+        root = true_candidate(case, model)
+        return Estimate(case.detection, (root,), given.likelihood, estimator=TRUE)
+    try:
+        require_camera(given.detection)
+    except BadInput:
+        return None
+    torsos, likelihood = np.asarray(model.torsos), given.likelihood
+    return inference.estimate_torso(given.detection, torsos=torsos, likelihood=likelihood)
 
 
 def _kept(joints: np.ndarray, roots: float, seconds: float) -> Groups:

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from inference.hypothesis import diverse
-from inference.results import FIXED
+from inference.results import UNCERTAIN
 from inference.studies.calibration.assess import STAND_INS
 from inference.studies.calibration.ece import ece
 from inference.studies.calibration.levels import median_levels, stand_in_levels
@@ -228,7 +228,7 @@ def parts_of(outcomes: Found, seen: Film) -> Sheet:
     coverage by axis, stretches of the film drawn anew, and how wide the draws are."""
     lines: list[tuple[Any, ...]] = []
     for way, found in outcomes.items():
-        if way.root == FIXED:
+        if way.root != UNCERTAIN:
             continue
         for part in range(PARTS):
             some = [one for one in found if seen.part_of(one.frame) == part]
@@ -316,7 +316,7 @@ def costs(outcomes: Found) -> Sheet:
         there = [one for one in found if one.drawn]
         seconds = np.median([one.seconds for one in there])
         effective = [one.effective for one in there]
-        few = "–" if way.root == FIXED else f"{np.median(effective):.0f} ({min(effective):.0f})"
+        few = "–" if way.root != UNCERTAIN else f"{np.median(effective):.0f} ({min(effective):.0f})"
         too_few = sum(one.effective < FEWEST_EFFECTIVE for one in there)
         lines.append((str(way), f"{seconds:.1f}", few, too_few, len(found) - len(there)))
     head = (

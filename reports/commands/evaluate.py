@@ -18,7 +18,7 @@ from inference.studies.evaluation.outcome import Protocol
 from inference.studies.evaluation.relations import Relation, relations
 from inference.studies.evaluation.run import Results, evaluate
 from inference.studies.evaluation.samples import of_predictions
-from inference.studies.evaluation.scores import Values
+from inference.studies.evaluation.scores import Values, lost
 from probmodel.datasets import DataSet, brings_detections, read_data_set
 from probmodel.failures import BadInput
 from probmodel.learning.dictionaries import PoseDictionary
@@ -135,6 +135,12 @@ def run(settings: EvaluateSettings, screen: Screen) -> None:
             caption=described(settings, data, protocol),
         )
         write(found, out)
+    for condition, values in results.items():
+        gone = lost(values)
+        if gone.number:
+            everyone = len(values["num_draws"])
+            what = f"{gone.number} of {everyone} frames under {condition.name} are lost"
+            console.warn(f"{what}; the first: {gone.reasons[0]}")
     if screen.json:
         console.show_json(_json(found, out))
         return
@@ -161,6 +167,11 @@ def _conditions(settings: EvaluateSettings) -> list[Condition]:
         raise BadInput(
             "--perspective needs torso and camera to be uncertain; choose --root uncertain, or"
             " leave it out"
+        )
+    if set(roots) != {UNCERTAIN} and settings.estimation.likelihood().faults.any:
+        raise BadInput(
+            "--errors has outliers or exchanges, which need torso and camera to be uncertain;"
+            " choose --root uncertain alone, or an error law without them"
         )
     return conditions(names, missing, _listed(settings.rotate, float, "--rotate"), roots)
 

@@ -295,6 +295,8 @@ def relations_table(found: Sequence[Relation], caption: str = RELATIONS_CAPTION)
 
 
 def _found(relation: Relation) -> str:
+    if not relation.frames:
+        return NOTHING
     factor, unit = (100.0, " %") if relation.unit == "share" else (1.0, " mm")
     value, low, high = (factor * part for part in relation.found)
     return f"{value:+.1f}{unit} ({low:+.1f} to {high:+.1f})".replace("-", "−")

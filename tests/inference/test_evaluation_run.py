@@ -250,6 +250,16 @@ def test_a_finished_run_is_only_told_again(data, undisturbed, monkeypatch, capsy
     assert (undisturbed / "metrics.csv").read_bytes() == before
 
 
+@pytest.mark.slow
+def test_frames_without_draws_are_told(data, tmp_path, monkeypatch, capsys):
+    code, out, told = said(
+        monkeypatch, capsys, *arguments(data, tmp_path / "out", "--max-proposals", "1")
+    )
+    assert code == 0
+    assert "frames under zhou-missing-0-rotate-0 are lost; the first: " in told
+    assert "nan" not in out
+
+
 NOBODY = "tcp://127.0.0.1:9"
 REFUSED = {
     "another seed": ("holds another run (its seed is 0, not 1)", "--seed", "1"),
@@ -265,6 +275,7 @@ REFUSED = {
         "2",
     ),
     "k too large": ("k must be different numbers from 1 to the 25 draws", "--k", "26"),
+    "faults with fixed roots": ("choose --root uncertain alone", "--errors", "learned"),
     "upright with fixed roots": ("add `uncertain` to --root", "--upright", "20"),
     "composed into another run": ("composed", "--missing", "0,1", "--composed"),
     "no predictions": ("there is no file of poses", "--predictions", "nothing.npz"),

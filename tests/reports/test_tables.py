@@ -14,11 +14,13 @@ from rich.console import Console
 
 from inference.hypothesis import Hypothesis
 from inference.results import Result
+from inference.studies.evaluation.relations import Relation
 from inference.studies.evaluation.scores import Interval
 from probmodel.anatomy.limits import AnatomicalLimits, Check
 from probmodel.skeleton import BONE_NAMES, JOINT_INDEX, JOINTS
 from reports import tables
 from reports.tables import posterior
+from reports.tables.evaluation import relations_table
 
 UPRIGHT = np.diag(
     [1.0, -1.0, -1.0]
@@ -338,6 +340,14 @@ SHEET = tables.sheet_of(
     caption="In mm.",
 )
 """Words, numbers, intervals, and what there is none of."""
+
+
+def test_a_relation_of_no_frames_has_no_numbers() -> None:
+    unknown = Relation("any", "7 %", Interval(np.nan, np.nan, np.nan), 0.0, 1.0, "share", 0)
+    rows = relations_table([unknown]).json()
+    assert rows[0]["found (95 % interval)"] == "–"
+    known = unknown._replace(found=Interval(0.1, -0.05, 0.2), frames=9)
+    assert relations_table([known]).json()[0]["found (95 % interval)"] == "+10.0 % (−5.0 to +20.0)"
 
 
 def test_a_sheet_as_markdown() -> None:

@@ -19,7 +19,7 @@ from probmodel.datasets.plain import is_plain, read_plain, write_plain
 from probmodel.datasets.sessions import from_session
 from probmodel.datasets.views import VIEWS, View
 from probmodel.failures import BadInput
-from probmodel.motion import read_motion
+from probmodel.motion import KINDS, holds_motion, read_motion
 from probmodel.sessions import is_session, read_session
 
 __all__ = [
@@ -91,6 +91,11 @@ def read_data_set(
             " folder in Pose2Sim's layout"
         )
     if not brings_detections(path):
+        if path.is_dir() and not holds_motion(path):
+            raise BadInput(
+                f"{path} is no data set: it holds neither a file of motion capture ({KINDS}) nor"
+                " the calibration of cameras (.qca.txt or .toml); give a folder with one of these"
+            )
         return from_motions(read_motion(path), path.name, frames=frames, noise=noise, seed=seed)
     if noise != EXACT:
         raise BadInput(

@@ -68,6 +68,11 @@ def read_motion(path: str | os.PathLike) -> list[Motion]:
     return reader(path)
 
 
+def holds_motion(folder: Path) -> bool:
+    """Whether a folder, or a folder in it, has a file of motion capture."""
+    return next(_files_in(folder), None) is not None
+
+
 def _files_in(folder: Path) -> Iterator[Path]:
     """Files of motion capture in a folder and its folders; closed ones are refused."""
     entries = 0

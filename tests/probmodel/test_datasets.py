@@ -402,6 +402,10 @@ def test_what_does_not_go_together_is_refused(data, tmp_path):
         read_data_set(tmp_path / "set.npz", noise=Noise("gaussian", 0.1))
     with pytest.raises(BadInput, match="at least 1, not 0"):
         read_data_set(tmp_path / "set.npz", frames=0)
+    (tmp_path / "films").mkdir()
+    (tmp_path / "films" / "cam01.json").write_text("[]")
+    with pytest.raises(BadInput, match=r"neither a file of motion .* nor the calibration of cam"):
+        read_data_set(tmp_path / "films")
     with pytest.raises(BadInput, match="there is no motion capture"):
         read_data_set(tmp_path / "nothing")
 

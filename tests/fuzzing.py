@@ -11,6 +11,7 @@ more memory than `MEMORY`. Case n of a seed is the same for ever. Workers are pr
 of their own, so that what crashes or hangs one is found as well."""
 
 import contextlib
+import dataclasses
 import functools
 import io
 import json
@@ -108,7 +109,9 @@ def targets() -> dict[str, Target]:
         "motion .asf": Target("07.asf", _subject, [_asf()], {"07_01.amc": _amc()}),
         "motion .amc": Target("07_01.amc", _motion, [_amc()], {"07.asf": _asf()}),
         "data set": Target(
-            "a.npz", _data_set, [_written(partial(write_plain, few), few), _plain(few)]
+            "a.npz",
+            _data_set,
+            [_written(partial(write_plain, few), few), _plain(few), _doubtful(few)],
         ),
         **_human36m(),
         "poses": Target("a.npz", read_poses, [npz(joints=joints, names=np.array(JOINTS))]),
@@ -288,6 +291,13 @@ def _plain(data: DataSet) -> bytes:
         action=data.action,
         subject=data.subject.astype("S"),
     )
+
+
+def _doubtful(data: DataSet) -> bytes:
+    """A data set whose truth errs and has midpoints."""
+    doubt = np.tile(25.0 * np.eye(3), (len(data), len(JOINTS), 1, 1))
+    more = dataclasses.replace(data, midpoints=("thorax", "pelvis"), doubt=doubt)
+    return _written(partial(write_plain, more), more)
 
 
 def _mat() -> bytes:

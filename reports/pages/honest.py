@@ -49,6 +49,8 @@ from reports.pages.page import write_page
 from reports.tables import Sheet, sheet_of
 
 BEST = 5
+CURVE = 100
+"""Cases of a way, at least, whose standings are drawn."""
 STRETCH = 10
 """Frames that are drawn anew together: they are alike."""
 ORDER = ("first half", "second half")
@@ -331,10 +333,11 @@ def costs(outcomes: Found) -> Sheet:
 
 def standings_figure(outcomes: Found) -> Figure:
     """By axis: how the truths' standings among the draws are distributed; uniform is right."""
+    many = {way: found for way, found in outcomes.items() if len(found) >= CURVE}
     figure = page(8.4, 3.0, dpi=150)
     for axis, name in zip(figure.subplots(1, 3), ("x", "y", "depth"), strict=True):
         axis.plot([0, 1], [0, 1], color=FAINT, lw=0.8, ls=":")
-        for colour, (way, found) in zip(PALETTE, outcomes.items(), strict=False):
+        for colour, (way, found) in zip(PALETTE, many.items(), strict=False):
             row = "xy".find(name) % 3
             standing = np.stack([one.standing[:, row] for one in found if one.drawn]).ravel()
             at = np.sort(standing)

@@ -251,13 +251,24 @@ def test_a_finished_run_is_only_told_again(data, undisturbed, monkeypatch, capsy
 
 
 @pytest.mark.slow
-def test_frames_without_draws_are_told(data, tmp_path, monkeypatch, capsys):
-    code, out, told = said(
-        monkeypatch, capsys, *arguments(data, tmp_path / "out", "--max-proposals", "1")
-    )
+def test_frames_without_draws_are_told(data, undisturbed, tmp_path, monkeypatch, capsys):
+    """All frames of the first condition of a finished run, spoilt on their way to the tables."""
+
+    def spoilt(*given: object, **settings: object) -> Results:
+        first, *_ = results = evaluate(*given, **settings)
+        lost = {"status": "out of budget", "sentence": "no draw in a million proposals"}
+        values = results[first]
+        blank = {name: values[name] * np.nan for name in values if values[name].dtype.kind == "f"}
+        words = {name: np.full(len(values["status"]), word) for name, word in lost.items()}
+        return results | {first: values | blank | words}
+
+    monkeypatch.setattr("reports.commands.evaluate.evaluate", spoilt)
+    out = Path(shutil.copytree(undisturbed, tmp_path / "out"))
+    code, shown, told = said(monkeypatch, capsys, *arguments(data, out, "--missing", "0,1"))
     assert code == 0
-    assert "frames under zhou-missing-0-rotate-0 are lost; the first: " in told
-    assert "nan" not in out
+    lost = f"{len(DATA)} of {len(DATA)} frames under zhou-missing-0-rotate-0 are lost"
+    assert f"{lost}; the first: no draw in a million proposals" in told
+    assert "nan" not in shown
 
 
 NOBODY = "tcp://127.0.0.1:9"

@@ -228,13 +228,13 @@ def test_how_far_detections_stray_is_found():
 
 @pytest.mark.parametrize("read", [False, True])
 def test_a_truth_errs_as_its_doubt_says(read: bool, tmp_path: Path):
-    """Squared distances of 200 people's joints from where they truly are, in units of the
+    """Squared distances of 120 people's joints from where they truly are, in units of the
     covariances, against chi² with three degrees of freedom, joint by joint: detections err by 8 mm,
     and have a thorax and pelvis of their own, or (read from files) midpoints. Those are taken in
     the image, where the thorax, which hardly errs, is beside its place: it is not asked. False
     alarm 1e-3 for all joints; a quarter of the covariances must fail."""
-    joints = moving(200)
-    session = filmed(joints, 8.0 * np.random.default_rng(5).normal(size=(4, 200, NUM_JOINTS, 2)))
+    joints = moving(120)
+    session = filmed(joints, 8.0 * np.random.default_rng(5).normal(size=(4, 120, NUM_JOINTS, 2)))
     if read:
         write_session(session, tmp_path / "film")
         session = read_session(tmp_path / "film")

@@ -104,8 +104,6 @@ class Case:
         """`(number, 15, 3)` mm: errors that the truth may have, the pelvis at the origin; 0 where
         it has none. Draws that are given such errors differ from the truth as it is known by no
         more than they should."""
-        if self.doubt is None:
-            return np.zeros((number, *self.pose.shape))
         return strays(self.doubt, rng, number)
 
     def hiding(self, missing: int, seed: int = 0) -> "Case":
@@ -162,9 +160,11 @@ def skeletal(doubt: np.ndarray, midpoints: tuple[str, ...]) -> np.ndarray:
     return np.einsum("ja,ka,axy->jkxy", weights, weights, doubt)
 
 
-def strays(doubt: np.ndarray, rng: np.random.Generator, number: int) -> np.ndarray:
+def strays(doubt: np.ndarray | None, rng: np.random.Generator, number: int) -> np.ndarray:
     """`(number, 15, 3)`: normal errors of covariances `(15, 15, 3, 3)` by two joints, less that of
-    the pelvis."""
+    the pelvis; 0, and nothing is drawn, where there are none."""
+    if doubt is None:
+        return np.zeros((number, NUM_JOINTS, 3))
     flat = np.swapaxes(doubt, 1, 2).reshape(3 * NUM_JOINTS, -1)
     size, axes = np.linalg.eigh(flat)
     normal = rng.normal(size=(number, len(flat))) * np.sqrt(np.maximum(size, 0.0))

@@ -106,17 +106,24 @@ def from_session(session: Session, *, perspective: bool = False) -> DataSet:
 def _of_view(session: Session, view: JudgedView) -> tuple[np.ndarray, ...]:
     """Poses, keypoints, scores, scales, translations, recordings and doubts of a camera's cases."""
     whole = view.whole
-    rows = view.rows[whole]
+    keypoints, score, recording = _seen(session, view)
     points, axes = view.world.points[whole], view.rotation[whole]
     return (
         (points - points[:, :1]) @ np.swapaxes(axes, -1, -2),
-        session.keypoints[view.camera][rows],
-        session.score[view.camera][rows],
+        keypoints,
+        score,
         view.scale[whole],
         view.translation[whole],
-        np.full(len(rows), f"{session.name} {session.labels[view.camera]}"),
+        recording,
         _doubt(session, view, axes),
     )
+
+
+def _seen(session: Session, view: JudgedView) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Keypoints, scores and recordings of a camera's cases."""
+    rows, label = view.rows[view.whole], f"{session.name} {session.labels[view.camera]}"
+    keypoints, score = session.keypoints[view.camera], session.score[view.camera]
+    return keypoints[rows], score[rows], np.full(len(rows), label)
 
 
 def _doubt(session: Session, view: JudgedView, axes: np.ndarray) -> np.ndarray:
@@ -129,7 +136,7 @@ def _doubt(session: Session, view: JudgedView, axes: np.ndarray) -> np.ndarray:
 def _in_perspective(session: Session, view: JudgedView) -> tuple[np.ndarray, ...]:
     """The same in the calibrated camera's axes, focal lengths and principal points besides. Pixels
     that are not square are made so."""
-    _, keypoints, score, _, _, recording, _ = _of_view(session, view)
+    keypoints, score, recording = _seen(session, view)
     camera, number = session.straight[view.camera], len(recording)
     placed, focal = camera.view(view.world.points[view.whole]), float(camera.focal.mean())
     pelvis = placed[:, :1]

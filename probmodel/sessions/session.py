@@ -27,7 +27,7 @@ from probmodel.layouts import MIDPOINTS, midpoints_of
 from probmodel.sessions.calibrations import is_calibration, read_cameras
 from probmodel.sessions.pinhole import Pinhole
 from probmodel.sessions.triangulation import Triangulated, residuals, triangulate
-from probmodel.skeleton import BONES, JOINT_INDEX
+from probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS
 
 HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
 FIRST_SCALE = 0.4
@@ -120,7 +120,7 @@ class Session:
     @cached_property
     def apart(self) -> np.ndarray:
         """`(C, F, 15)` mm: how far detections are from the projected joints of all cameras."""
-        return _apart(self.straight, self.world.points, self.keypoints)
+        return np.linalg.norm(_residuals(self.straight, self.world.points, self.keypoints), axis=-1)
 
     @cached_property
     def stray(self) -> np.ndarray:
@@ -128,17 +128,14 @@ class Session:
         all cameras triangulate and the freedom that this leaves them. What all joints of a person
         have in common, where a camera points, is left out. With `Triangulated.covariance` it says
         how far off a triangulated joint is."""
-        shape = self.score.shape
-        scale = np.broadcast_to(self.scale[..., None], shape).reshape(shape[0], -1)
-        places, points = self.keypoints.reshape(shape[0], -1, 2), self.world.points.reshape(-1, 3)
         weight = self.world.weight[..., None]
-        own = residuals(self.straight, points, places, scale).reshape(*shape, 2)
+        own = _residuals(self.straight, self.world.points, self.keypoints)
         own = np.where(weight > 0, own, 0.0)
         total = weight.sum(axis=2, keepdims=True)
         common = (weight * own).sum(axis=2, keepdims=True) / np.where(total > 0, total, 1.0)
         square = (weight * (own - common) ** 2).sum(axis=(0, 1, 3))
         views = (weight[..., 0] > 0).sum(axis=0)
-        freedom = np.maximum(2 * views - 3, 0).sum(axis=0) * (1 - 1 / shape[2])
+        freedom = np.maximum(2 * views - 3, 0).sum(axis=0) * (1 - 1 / NUM_JOINTS)
         return np.sqrt(square / np.where(freedom > 0, freedom, np.nan))
 
     def along_sight(self, camera: int, world: np.ndarray) -> np.ndarray:
@@ -229,10 +226,10 @@ def _scale(cameras: Sequence[Pinhole], points: np.ndarray) -> np.ndarray:
     return np.stack([camera.focal.mean() / camera.view(middle)[:, 2] for camera in cameras])
 
 
-def _apart(cameras: Sequence[Pinhole], points: np.ndarray, xy: np.ndarray) -> np.ndarray:
-    """`(C, F, 15)` mm: how far `xy` `(C, F, 15, 2)` are from projections of `points`."""
+def _residuals(cameras: Sequence[Pinhole], points: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """`(C, F, 15, 2)` mm: `xy` minus projections of `points` `(F, 15, 3)`."""
     scale = np.broadcast_to(_scale(cameras, points)[..., None], xy.shape[:3])
-    return np.linalg.norm(residuals(cameras, points, xy, scale), axis=-1)
+    return residuals(cameras, points, xy, scale)
 
 
 def _units(points: np.ndarray) -> np.ndarray:
@@ -389,7 +386,8 @@ def _agree(cameras: Sequence[Pinhole], people: Sequence[Sequence[Detection]]) ->
     score = np.array([[person.score for person in seen] for seen in people])
     points = _joints(straight, xy, score).points
     in_front = (_scale(straight, points) > 0).all(axis=0)  # false for NaN too
-    apart = np.where(score > 0, _apart(straight, points, xy), np.nan)
+    apart = np.linalg.norm(_residuals(straight, points, xy), axis=-1)
+    apart = np.where(score > 0, apart, np.nan)
     known = np.isfinite(apart).any(axis=2)
     middle = np.nanmedian(np.where(known[..., None], apart, np.inf), axis=2)
     return in_front & (middle <= BEYOND * _units(points)).all(axis=0)

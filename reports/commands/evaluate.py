@@ -168,11 +168,6 @@ def _conditions(settings: EvaluateSettings) -> list[Condition]:
             "--perspective needs torso and camera to be uncertain; choose --root uncertain, or"
             " leave it out"
         )
-    if set(roots) != {UNCERTAIN} and settings.estimation.likelihood().faults.any:
-        raise BadInput(
-            "--errors has outliers or exchanges, which need torso and camera to be uncertain;"
-            " choose --root uncertain alone, or an error law without them"
-        )
     return conditions(names, missing, _listed(settings.rotate, float, "--rotate"), roots)
 
 
@@ -181,21 +176,27 @@ def _roots(settings: EvaluateSettings) -> list[str]:
 
 
 def _protocol(settings: EvaluateSettings) -> Protocol:
-    """Raises `BadInput` on bad limits, pose dictionaries or numbers."""
+    """Raises `BadInput` on bad limits, pose dictionaries, error laws or numbers."""
     prior, estimation, poses = settings.prior, settings.estimation, settings.estimation.poses
+    likelihood, roots = estimation.likelihood(), _roots(settings)
+    if likelihood.faults.any and set(roots) != {UNCERTAIN}:
+        raise BadInput(
+            "--errors has outliers or exchanges, which need torso and camera to be uncertain;"
+            " choose --root uncertain alone, or an error law without them"
+        )
     return Protocol(
         anatomy=prior.anatomy(),
         dictionary=PoseDictionary.default() if poses == "default" else PoseDictionary.load(poses),
         upper=str(prior.upper),
         lower=str(prior.lower),
         candidates=estimation.candidates,
-        likelihood=estimation.likelihood(),
+        likelihood=likelihood,
         num_samples=settings.sampling.num_samples,
         ks=tuple(_listed(settings.k, int, "--k")),
         max_proposals=settings.sampling.max_proposals,
         seed=settings.sampling.seed,
         num_roots=settings.roots,
-        rooted_anatomy=prior.anatomy(rooted=UNCERTAIN in _roots(settings)),
+        rooted_anatomy=prior.anatomy(rooted=UNCERTAIN in roots),
         upright=concentration(settings.upright),
         composed=settings.composed,
     )

@@ -85,8 +85,8 @@ class FilmedCase(NamedTuple):
     covariances `(15, 3, 3)` of the truth's own errors, those of one joint independent of another's.
     Where the focal length is to be known: the `straight` detection, without the distortion of the
     `lens`, and what `turns` `(3, 3)` the camera's axes into those of the truth. Where torso and
-    camera are: the `known` case with its weak-perspective camera, None where not all joints are,
-    and what turns its axes, `known_turns`."""
+    camera are: the `known` case with its weak-perspective camera and what turns its axes, None
+    where not all joints are."""
 
     camera: int
     frame: int
@@ -96,8 +96,7 @@ class FilmedCase(NamedTuple):
     straight: Detection
     lens: Lens
     turns: np.ndarray
-    known: Case | None = None
-    known_turns: np.ndarray | None = None
+    known: tuple[Case, np.ndarray] | None = None
 
     def errors(self, rng: np.random.Generator, number: int) -> np.ndarray:
         """`(number, 15, 3)`: errors that the truth may have, rooted as it is."""
@@ -174,8 +173,7 @@ class Film:
             for row, (person, where, errs, plain, turned) in enumerate(rows)
         ]
         for row, (known, rotation) in self._known[camera].items():
-            turned = axes[row, 0] @ rotation.T
-            cases[row] = cases[row]._replace(known=known, known_turns=turned)
+            cases[row] = cases[row]._replace(known=(known, axes[row, 0] @ rotation.T))
         return cases
 
     @functools.cached_property
@@ -247,7 +245,7 @@ def drawn(seen: Film, way: Way, work: Path) -> Iterator[tuple[FilmedCase, Drawn]
             yield case, Drawn(found.joints.values.astype(float), *map(float, about))
 
 
-class Given(NamedTuple):
+class Asked(NamedTuple):
     """What the draws of one case are made of: the `frame` or, where torso and camera are known, the
     `case`; the focal length, if it is, and what turns the draws' axes into the truth's; the draws'
     body units in those of the truth; a seed."""
@@ -267,51 +265,51 @@ def _block(seen: Film, way: Way, number: int, case: FilmedCase) -> Block:
     person = corrected(person) if way.moved else person
     lens, turns = (case.lens, case.turns) if way.focal else (None, np.eye(3))
     known, units = None, 1.0
-    if way.root == TRUE and case.known is not None and case.known_turns is not None:
-        known, turns = case.known, case.known_turns
+    if way.root == TRUE and case.known is not None:
+        known, turns = case.known
         units = known.unit / seen.session.unit
     seed = case.frame * len(seen.session.cameras) + case.camera
     made_of = {"camera": case.camera, "frame": case.frame, "law": likelihood.sha256}
-    given = Given(person, likelihood, lens, turns, known, units, seed)
-    return Block(number, f"{way}, case {number}", made_of, 1, given)
+    asked = Asked(person, likelihood, lens, turns, known, units, seed)
+    return Block(number, f"{way}, case {number}", made_of, 1, asked)
 
 
-def _draw(way: Way, given: Given) -> Groups:
+def _draw(way: Way, asked: Asked) -> Groups:
     """Draws for one camera's detection; none where no root explains it, or where it shows too few
     of the torso's joints for one."""
-    model = _model().seen_by(given.lens)
-    frame = _frame(way, given, model)
+    model = _model().seen_by(asked.lens)
+    frame = _frame(way, asked, model)
     if frame is None:
         return _kept(np.zeros((0, NUM_JOINTS, 3)), np.nan, np.nan)
     result = inference.sample(
         model,
         frame,
-        key=jax.random.key(given.seed),
+        key=jax.random.key(asked.seed),
         num_samples=DRAWS,
         root=FIXED if way.root == TRUE else way.root,
         num_roots=way.roots,
         max_proposals=BUDGET,
     )
     joints = result.tree["posterior"].joints.values[0]
-    joints = (joints - joints[:, HIPS].mean(axis=1, keepdims=True)) @ given.turns.T
+    joints = (joints - joints[:, HIPS].mean(axis=1, keepdims=True)) @ asked.turns.T
     about = result.tree.attrs
-    return _kept(given.units * joints, about.get("effective_roots", np.nan), about["wall_time_s"])
+    return _kept(asked.units * joints, about.get("effective_roots", np.nan), about["wall_time_s"])
 
 
-def _frame(way: Way, given: Given, model: PoseModel) -> Estimate | None:
+def _frame(way: Way, asked: Asked, model: PoseModel) -> Estimate | None:
     """What is drawn from; None where it shows too little."""
     if way.root == TRUE:
-        case = given.case
+        case = asked.case
         if case is None:
             return None
         root = true_candidate(case, model)
-        return Estimate(case.detection, (root,), given.likelihood, estimator=TRUE)
+        return Estimate(case.detection, (root,), asked.likelihood, estimator=TRUE)
     try:
-        require_camera(given.detection)
+        require_camera(asked.detection)
     except BadInput:
         return None
-    torsos, likelihood = np.asarray(model.torsos), given.likelihood
-    return inference.estimate_torso(given.detection, torsos=torsos, likelihood=likelihood)
+    torsos, likelihood = np.asarray(model.torsos), asked.likelihood
+    return inference.estimate_torso(asked.detection, torsos=torsos, likelihood=likelihood)
 
 
 def _kept(joints: np.ndarray, roots: float, seconds: float) -> Groups:

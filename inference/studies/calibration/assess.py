@@ -135,8 +135,7 @@ def assess(
     level = dict.fromkeys(QUANTITIES, np.nan)
     both = np.concatenate([instance.joints[None], draws])
     seen = both.copy()  # as the truth is known: with its errors
-    if instance.doubt is not None:
-        seen[1:] += strays(instance.doubt, rng, len(draws))
+    seen[1:] += strays(instance.doubt, rng, len(draws))
     values = of_pose(seen)
     level.update(zip(OF_POSE, rank_level(values[0], values[1:], rng), strict=True))
     if model is not None and posterior.points is None:

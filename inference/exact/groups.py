@@ -19,7 +19,8 @@ import numpy as np
 from inference.exact import ahead
 from inference.exact.loops.attempts import attempt_lengths, attempt_limb, hand_over
 from inference.exact.loops.bins import length_bins
-from inference.exact.loops.numbers import seeded, words_of
+from inference.exact.loops.numbers import words_of
+from inference.exact.loops.seeds import seeded
 from inference.exact.loops.strata import Resolution, Sketch, fill_in, sketch
 from inference.exact.loops.tables import (
     Bodies,

@@ -29,7 +29,6 @@ from inference.exact.loops.fits import (
     cut_fits,
     guess_fits,
 )
-from inference.exact.loops.numbers import seeded
 from inference.exact.loops.roots import (
     RootTable,
     TorsoProblem,
@@ -37,6 +36,7 @@ from inference.exact.loops.roots import (
     cut_roots,
     root_table,
 )
+from inference.exact.loops.seeds import seeded
 from inference.exact.rates import Budget
 from inference.resampling import effective, inclusion, shares, systematic
 from inference.uncertain.torsos import Posed, log_mass, points_of, rotations_of, torso_problem
@@ -151,9 +151,9 @@ def _by_fits(posed: Posed, known: Balance, fits: FitCells, *, exact: bool) -> Pr
 
 def _by_discs(posed: Posed) -> Proposal:
     problem = posed.problem
-    cells = cut_roots(problem)
+    cells, mass = cut_roots(problem)
     return Proposal(
-        cells.mass,
+        mass,
         lambda state, number, table: attempt_roots(state, number, problem, cells, table),
         thinned=not posed.law.flat,
         precision=np.zeros_like(problem.precision),

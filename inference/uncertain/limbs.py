@@ -21,13 +21,15 @@ from jax.typing import ArrayLike
 from inference.exact import ahead
 from inference.exact.groups import GroupTables, group_tables, workers
 from inference.exact.loops.bins import length_bins
-from inference.exact.loops.numbers import seeded
+from inference.exact.loops.seeds import seeded_rows
+from inference.exact.loops.tables import blank_bodies
 from inference.exact.loops.weighed import (
     FOUND,
     OPTICS,
     attempt_rows,
     combine_rows,
     draw_trials,
+    see_rows,
 )
 from probmodel.chunks import in_chunks
 from probmodel.faults import ORDERS, Faults
@@ -56,9 +58,9 @@ KEPT = 64
 POOL = 4096
 """Draws of the prior that stand for it: for groups of which nothing was seen, which are the same
 under every root, and for what limbs promise."""
-BLOCK = 512
+BLOCK = 1024
 """Roots that are worked on at a time, which bounds the memory."""
-TASK = 32
+TASK = 64
 """Roots that a thread works on at a time."""
 
 
@@ -191,43 +193,17 @@ class Sight(NamedTuple):
 def sights_of(views: Views, outlier: np.ndarray) -> list[Sight]:
     """That of every limb; a joint that was not seen, or is not there, may fall anywhere."""
     starts = [TORSO_INDEX.index(limb.bones[0].start) for limb in LIMBS]
-    sights = []
+    nearness, sights = np.array(views.nearness, float), []
     for limb, ends, row, chained in zip(LIMBS, ENDS, starts, CHAINED, strict=True):
-        reach = np.array(views.reach[:, ends], float)
+        reach, spread = np.array(views.reach[:, ends], float), np.asarray(views.spread[:, ends])
         reach[:, 1] = reach[:, 1] if chained else np.inf
-        counts = np.isfinite(reach)
-        axes, start = np.array(views.axes[:, limb.upper], float), np.asarray(views.start[:, row])
-        turn, optics = _optics(views, ends, counts, axes, start)
-        gap = np.zeros((*counts.shape, 3))
-        gap[..., :2] = views.target[:, ends]
-        target = np.einsum("nkij,nkj->nki", turn[..., :2, :], gap - start[:, None])
-        target[~counts] = 0.0
-        own = np.einsum("nkij,njl->nkil", turn, axes)
-        spread = np.asarray(views.spread[:, ends])
-        sights.append(Sight(own, target, reach, spread, optics, outlier[:, ends]))
+        axes, start = np.array(views.axes[:, limb.upper], float), np.array(views.start[:, row])
+        target, ray = np.array(views.target[:, ends]), np.array(views.ray[:, ends])
+        own, across = np.empty((*reach.shape, 3, 3)), np.empty((*reach.shape, 2))
+        optics, counts = np.empty(reach.shape, OPTICS), np.isfinite(reach)
+        see_rows(axes, start, target, ray, nearness, counts, own, across, optics)
+        sights.append(Sight(own, across, reach, spread, optics, outlier[:, ends]))
     return sights
-
-
-def _optics(
-    views: Views, ends: np.ndarray, counts: np.ndarray, axes: np.ndarray, start: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest turns `(n, 2, 3, 3)` that bring the lines of sight to joints `ends` onto the
-    third axis, and the `OPTICS` `(n, 2)` of the joints. Those that do not count are seen as if they
-    were as far as the pelvis."""
-    ray = np.where(counts[..., None], views.ray[:, ends], 0.0)
-    cosine = 1 / np.sqrt(1 + np.sum(ray**2, axis=-1))
-    side = ray * cosine[..., None]
-    square = side[..., :, None] * side[..., None, :]
-    turn = np.empty((*counts.shape, 3, 3))
-    turn[..., :2, :2] = np.eye(2) - square / (1 + cosine)[..., None, None]
-    turn[..., :2, 2], turn[..., 2, :2], turn[..., 2, 2] = -side, side, cosine
-    nearness = np.asarray(views.nearness)[:, None] * counts
-    optics = np.zeros(counts.shape, OPTICS)
-    optics["start"] = 1 + nearness * start[:, None, 2]
-    optics["slope"] = -nearness[..., None] * axes[:, None, 2]
-    stretch = square / (cosine * (1 + cosine))[..., None, None]
-    optics["stretch"] = stretch[..., [0, 0, 1], [0, 1, 1]] + [1.0, 0.0, 1.0]
-    return turn, optics
 
 
 def attempt_limbs(
@@ -247,11 +223,11 @@ def attempt_limbs(
     results: list[dict[str, LimbDraws]] = [{} for _ in range(number)]
     for index, name in enumerate(GROUPS):
         own = [sight for sight, limb in zip(sights, LIMBS, strict=True) if limb in GROUPS[name]]
-        path = [(first + row, index) for row in range(number)]
+        paths = np.column_stack([first + np.arange(number), np.full(number, index)])
         if name in free:
-            found = [_free(free[name], words, *place) for place in path]
+            found = [_free(free[name], words, *path) for path in paths.tolist()]
         else:
-            states = np.array([seeded(words, *place) for place in path])
+            states = seeded_rows(words, paths)
             found = weigh_group(tables[name], own, law, states, *effort[len(own)])
         for result, one in zip(results, found, strict=True):
             result[name] = one
@@ -285,9 +261,15 @@ def weigh_group(
             found["weight"] *= _ratios(law, sight, found, ends)
         limbs.append((found, ends))
     first, second = limbs if len(limbs) == 2 else (*limbs, _certain(number, trials, each))
-    evidence, chosen = np.zeros(number), np.zeros((number, KEPT, 2), np.int64)
-    combine_rows(states, *first, *second, trials, each, evidence, chosen)
-    return _draws([found for found, _ in limbs], chosen, lengths[:bones], evidence)
+    evidence, bodies = np.zeros(number), blank_bodies(number * KEPT, len(limbs))
+    combine_rows(states, *first, *second, lengths, each, evidence, bodies)
+    draws = bodies.length[:, :bones], bodies.upper, bodies.lower
+    return [
+        LimbDraws(math.log(found), GroupDraws(*(part[row * KEPT :][:KEPT] for part in draws)))
+        if found
+        else LimbDraws(-math.inf, GroupDraws(*(part[:0] for part in draws)))
+        for row, found in enumerate(evidence.tolist())
+    ]
 
 
 def _certain(number: int, trials: int, each: int) -> tuple[np.ndarray, np.ndarray]:
@@ -304,25 +286,6 @@ def _ratios(law: ErrorLaw, sight: Sight, found: np.ndarray, ends: np.ndarray) ->
     inlier = np.isfinite(sight.reach) & ~sight.outlier
     square = found["square"] / np.where(inlier, sight.spread, 1.0)[rows] ** 2
     return np.exp(np.where(inlier[rows], law.log_ratio(square), 0.0).sum(axis=1))
-
-
-def _draws(
-    limbs: list[np.ndarray], chosen: np.ndarray, lengths: np.ndarray, evidence: np.ndarray
-) -> list[LimbDraws]:
-    """The draws that were `chosen` `(n, KEPT, 2)` of one group under each root, with lengths
-    `(bones, n, trials)`."""
-    if not evidence.any():  # then nothing may have been found, of which to take the first
-        chosen = chosen[:, :0]
-    parts = [found[chosen[..., column]] for column, found in enumerate(limbs)]
-    upper, lower = (np.stack([part[name] for part in parts], axis=2) for name in ("upper", "lower"))
-    own = np.take_along_axis(lengths, parts[0]["trial"][None], axis=2)
-    rows = zip(evidence.tolist(), np.moveaxis(own, 0, 2), upper, lower, strict=True)
-    return [
-        LimbDraws(math.log(found), GroupDraws(*draws))
-        if found
-        else LimbDraws(-math.inf, GroupDraws(*(part[:0] for part in draws)))
-        for found, *draws in rows
-    ]
 
 
 def _free(draws: GroupDraws, words: list[int], *path: int) -> LimbDraws:

@@ -8,9 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
-from inference.exact.loops.roots import RootTable, TorsoProblem
+from inference.exact.loops.roots import RootTable, TorsoProblem, turn_rows
 from probmodel.chunks import in_chunks
 from probmodel.failures import BadInput
 from probmodel.faults import ORDERS, Faults
@@ -131,9 +130,9 @@ def log_mass(posed: Posed, mass: float) -> float:
 
 def rotations_of(table: RootTable) -> np.ndarray:
     """`(n, 3, 3)`: the rotations of roots in a table."""
-    if not len(table.torso):
-        return np.zeros((0, 3, 3))
-    return Rotation.from_euler("ZYZ", table.angles).as_matrix()
+    rotations = np.empty((len(table.angles), 3, 3))
+    turn_rows(table.angles, rotations)
+    return rotations
 
 
 def points_of(posed: Posed, table: RootTable) -> RootPoint:

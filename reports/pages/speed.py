@@ -26,7 +26,8 @@ from matplotlib.figure import Figure
 from inference.drawsfile import sample_to_file
 from inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
 from inference.exact.loops.attempts import attempt_lengths, attempt_limb, hand_over
-from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
+from inference.exact.loops.numbers import compiled, load, store, uniform
+from inference.exact.loops.seeds import seeded
 from inference.exact.loops.tables import CutLimb, blank_bodies, desk_pair
 from inference.exact.mixture import draw_mixture, root_samplers
 from inference.exact.naive import BATCH, propose

@@ -22,9 +22,10 @@ from inference.exact.loops import numbers, places
 from inference.exact.loops.attempts import attempt_limb as attempt_loop
 from inference.exact.loops.bins import PER_BIN, alias_table, draw_lengths, length_bins
 from inference.exact.loops.bounds import _bends, bound_regions, part_moves
-from inference.exact.loops.numbers import compiled, load, seeded, store, uniform
+from inference.exact.loops.numbers import compiled, load, store, uniform
 from inference.exact.loops.places import SOURCES, digest
 from inference.exact.loops.rectangles import COUNT, ROWS, largest_rectangle, rectangle
+from inference.exact.loops.seeds import seeded, seeded_rows
 from inference.exact.loops.series import arcsine, cosine, sine, small_sine_cosine
 from inference.exact.loops.strata import Resolution, fill_in, frame_turn, lower_axes, sketch
 from inference.exact.loops.strata import _stratify as stratify_loop
@@ -64,6 +65,14 @@ def test_the_numbers_are_numpys_to_the_bit():
     )
     assert np.array_equal(found, generator.random(1000))
     assert not np.array_equal(seeded([7, 11], 3, 1), seeded([7, 11], 3, 2))
+
+
+@pytest.mark.parametrize("words", [[0], [7, 11], [2**32 - 1, 1, 2, 3], [1, 2, 3, 4, 5]])
+def test_seeds_are_numpys_to_the_bit(words):
+    paths = np.array([[0, 0], [3, 1], [2**32 - 1, 101]])
+    sequences = (np.random.SeedSequence(words, spawn_key=path) for path in paths.tolist())
+    numpys = [np.random.SFC64(sequence).state["state"]["state"] for sequence in sequences]
+    assert np.array_equal(seeded_rows(words, paths), numpys)
 
 
 def test_compiled_loops_are_kept_by_the_state_of_all_their_sources():

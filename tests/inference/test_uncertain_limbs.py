@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from inference.exact.groups import attempt_group, group_tables, plan_group
-from inference.exact.loops.numbers import seeded
+from inference.exact.loops.seeds import seeded
 from inference.exact.loops.strata import Resolution
+from inference.exact.loops.tables import blank_bodies
 from inference.exact.loops.weighed import FOUND, OPTICS, combine_rows
 from inference.exact.problem import limb_problems, log_ratio_of
 from inference.uncertain.limbs import LIMBS, Sight, outliers_of, sights_of, views_of, weigh_group
@@ -164,10 +165,16 @@ def test_pairs_of_attempts_share_their_lengths():
     first, second = np.zeros(3, FOUND), np.zeros(3, FOUND)
     first["trial"], first["weight"] = [0, 0, 1], [1.0, 3.0, 2.0]
     second["trial"], second["weight"] = [1, 1, 2], [5.0, 1.0, 7.0]
-    evidence, kept = np.zeros(1), np.zeros((1, 600, 2), np.int64)
-    ends = np.array([3])
-    combine_rows(seeded([9], 0)[None], first, ends, second, ends, 3, 4, evidence, kept)
+    for found in (first, second):
+        found["upper"] = np.arange(3)[:, None]  # the attempt's number
+        found["lower"] = -found["upper"]
+    evidence, ends, lengths = np.zeros(1), np.array([3]), np.arange(6.0).reshape(2, 1, 3)
+    draws = blank_bodies(600, 2)
+    combine_rows(seeded([9], 0)[None], first, ends, second, ends, lengths, 4, evidence, draws)
     assert evidence[0] == pytest.approx(2.0 * 6.0 / (3 * 4**2))
-    assert (kept[0, :, 0] == 2).all()
-    assert set(kept[0, :, 1]) == {0, 1}
-    assert abs((kept[0, :, 1] == 0).mean() - 5 / 6) < 4.5 * np.sqrt(5 / 36 / 600)
+    length, upper, lower = draws
+    assert (length == [1, 4]).all()
+    assert (lower == -upper).all()
+    assert (upper[:, 0] == 2).all()
+    assert set(upper[:, 1, 0]) == {0, 1}
+    assert abs((upper[:, 1, 0] == 0).mean() - 5 / 6) < 4.5 * np.sqrt(5 / 36 / 600)

@@ -18,7 +18,6 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import inference
-from inference.exact.loops.numbers import seeded
 from inference.exact.loops.roots import (
     TILTS,
     WIDTH,
@@ -27,6 +26,7 @@ from inference.exact.loops.roots import (
     cut_roots,
     root_table,
 )
+from inference.exact.loops.seeds import seeded
 from inference.exact.rates import Budget
 from inference.resampling import shares, times
 from inference.results import OUT_OF_BUDGET
@@ -474,14 +474,26 @@ def plain_roots(posterior, number: int, seed: int) -> tuple[np.ndarray, ...]:
 
 def left_out(problem, torso, rotation, inverse) -> float:
     """The share of roots that the cells do not hold."""
-    cells = cut_roots(problem)
+    cells, _ = cut_roots(problem)
     roll, tilt, yaw = np.moveaxis(Rotation.from_matrix(rotation).as_euler("ZYZ"), -1, 0)
     turn = 2 * TILTS
     roll, yaw = ((angle % (2 * np.pi) // WIDTH).astype(int) % turn for angle in (roll, yaw))
     code = ((torso * turn + yaw) * TILTS + (tilt // WIDTH).astype(int)) * turn + roll
-    place = np.minimum(np.searchsorted(cells.code, code), len(cells.code) - 1)
-    held = (cells.code[place] == code) & (inverse >= cells.low[place])
-    return 1 - float(np.mean(held & (inverse <= cells.high[place])))
+    own = cells[np.minimum(np.searchsorted(cells["code"], code), len(cells) - 1)]
+    beyond = inverse**problem.power - own["low"]
+    return 1 - float(np.mean((own["code"] == code) & (beyond >= 0) & (beyond <= own["span"])))
+
+
+def test_rotations_of_roots_are_those_of_their_angles():
+    table = root_table(1000)
+    table.angles[:] = np.random.default_rng(0).uniform(size=(1000, 3)) * [
+        2 * np.pi,
+        np.pi,
+        2 * np.pi,
+    ]
+    known = Rotation.from_euler("ZYZ", table.angles).as_matrix()
+    assert np.allclose(rotations_of(table), known, rtol=0, atol=1e-14)
+    assert rotations_of(root_table(0)).shape == (0, 3, 3)
 
 
 def test_attempts_at_a_root_are_draws_of_its_prior():
@@ -494,8 +506,8 @@ def test_attempts_at_a_root_are_draws_of_its_prior():
     keypoints = rng.normal(size=(3, 2))
     none = np.zeros((3, 2))
     problem = TorsoProblem(torsos, keypoints, none, reach, np.zeros(3), none, power)
-    cells, table, state = cut_roots(problem), root_table(number), seeded([1], 1)
-    assert cells.mass == pytest.approx(math.pi * reach[0] ** 2 / power)
+    (cells, mass), table, state = cut_roots(problem), root_table(number), seeded([1], 1)
+    assert mass == pytest.approx(math.pi * reach[0] ** 2 / power)
     before = int(state[3])
     assert attempt_roots(state, number, problem, cells, table) == (number, number)
     assert int(state[3]) - before == 7 * number

@@ -1,5 +1,5 @@
 """What the compiled loops have in common: how they are compiled, matrices as numbers, and uniform
-random numbers, NumPy's SFC64, seeded by NumPy, run on in four registers.
+random numbers, NumPy's SFC64, run on in four registers.
 
     stream = load(state)
     value, stream = uniform(stream)
@@ -48,16 +48,6 @@ def inlined(function: Callable) -> Callable:
 
 Stream = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 """The four words of a generator, as numbers."""
-
-
-def seeded(words: list[int], *path: int) -> np.ndarray:
-    """`(4,)` uint64: a generator's state, for the words of a key and whole numbers that say what it
-    is used for."""
-    return (
-        np.random.SFC64(np.random.SeedSequence(words, spawn_key=path))
-        .state["state"]["state"]
-        .copy()
-    )
 
 
 def words_of(key: jax.Array) -> list[int]:

@@ -21,6 +21,7 @@ SOURCES = (
     "inference/exact/loops/promise.py",
     "inference/exact/loops/rectangles.py",
     "inference/exact/loops/roots.py",
+    "inference/exact/loops/seeds.py",
     "inference/exact/loops/series.py",
     "inference/exact/loops/strata.py",
     "inference/exact/loops/tables.py",

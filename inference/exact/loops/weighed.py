@@ -15,6 +15,7 @@ bound by area at the poles: the first attempt under every lengths goes to the li
 them, and all count by the mixture of both proposals (docs/model.md § 9)."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,15 +31,16 @@ from inference.exact.loops.numbers import (
     uniform,
 )
 from inference.exact.loops.rectangles import rectangle
+from inference.exact.loops.series import arcsine, azimuth, circle, cosine, sine
 from inference.exact.loops.strata import lower_axes
-from inference.exact.loops.tables import LengthBins, LimbTables, Record
+from inference.exact.loops.tables import Bodies, LengthBins, LimbTables, Record, Reference
 from probmodel.anatomy.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION
 
 _EDGES = np.sin(np.arange(NUM_ELEVATION + 1) * CELL - np.pi / 2)
 HEIGHT = _EDGES[1:] - _EDGES[:-1]
 """`(60,)`: differences of the sine of the elevation, by line of cells."""
 LEAST = 1e-300
-"""A squared radius, for a uniform number that is exactly zero."""
+"""A squared radius, for uniform numbers that are both zero."""
 
 FOUND = np.dtype(
     [
@@ -62,6 +64,62 @@ OPTICS = np.dtype(
 What lies beside the line of sight becomes what lies beside it in a plane parallel to the image by a
 symmetric matrix, the `stretch` xx, xy, yy; where the line runs straight on, the identity."""
 Direction = tuple[float, float, float]
+
+
+@compiled
+def see_rows(
+    axes: np.ndarray,
+    start: np.ndarray,
+    target: np.ndarray,
+    ray: np.ndarray,
+    nearness: np.ndarray,
+    counts: np.ndarray,
+    own: np.ndarray,
+    across: np.ndarray,
+    optics: np.ndarray,
+) -> None:
+    """How a limb's two joints are seen under every root: each in axes of its own, those of the
+    camera after the smallest turn that brings the line of sight to where the joint was detected
+    onto the third. Joints that do not count are seen as if they were as far away as the pelvis.
+
+    Parameters
+    ----------
+    axes : `(n, 3, 3)` the upper bone's local frame in camera axes
+    start : `(n, 3)` where the limb starts
+    target, ray : `(n, 2, 2)` the detections, and the lines of sight to them
+    nearness : `(n,)` one over the pelvis' distance
+    counts : `(n, 2)` whether the joints were seen
+    own : `(n, 2, 3, 3)` written on: the local frame in the joints' axes
+    across : `(n, 2, 2)` written on: the detections minus the limb's start, in the same axes; 0
+        where a joint does not count
+    optics : `(n, 2)` `OPTICS`, written on
+    """
+    for row in range(len(axes)):
+        for joint in range(2):
+            counted = 1.0 if counts[row, joint] else 0.0
+            ray0, ray1 = ray[row, joint, 0] * counted, ray[row, joint, 1] * counted
+            near, optic = nearness[row] * counted, optics[row, joint]
+            cosine = 1 / math.sqrt(1 + ray0 * ray0 + ray1 * ray1)
+            side0, side1, bend = ray0 * cosine, ray1 * cosine, 1 / (1 + cosine)
+            t00, t01 = 1 - side0 * side0 * bend, -side0 * side1 * bend
+            t11 = 1 - side1 * side1 * bend
+            for column in range(3):
+                a0, a1, a2 = axes[row, 0, column], axes[row, 1, column], axes[row, 2, column]
+                own[row, joint, 0, column] = t00 * a0 + t01 * a1 - side0 * a2
+                own[row, joint, 1, column] = t01 * a0 + t11 * a1 - side1 * a2
+                own[row, joint, 2, column] = side0 * a0 + side1 * a1 + cosine * a2
+                optic.slope[column] = -near * a2
+            gap0, gap1 = (
+                target[row, joint, 0] - start[row, 0],
+                target[row, joint, 1] - start[row, 1],
+            )
+            gap2 = -start[row, 2]
+            across[row, joint, 0] = (t00 * gap0 + t01 * gap1 - side0 * gap2) * counted
+            across[row, joint, 1] = (t01 * gap0 + t11 * gap1 - side1 * gap2) * counted
+            optic.start = 1 + near * start[row, 2]
+            bend /= cosine
+            optic.stretch[0], optic.stretch[1] = 1 + side0 * side0 * bend, side0 * side1 * bend
+            optic.stretch[2] = 1 + side1 * side1 * bend
 
 
 @compiled
@@ -103,62 +161,139 @@ def attempt_rows(
     found : `(n · trials · each,)` `FOUND`, written on
     ends : `(n,)` written on: where in `found` each root's end
     """
-    count = 0
+    count, cells = 0, tables.cells
     for row in range(len(states)):
-        stream, frame = load(states[row]), rows_of(axes[row, 0])
-        second = rows_of(axes[row, 1])
+        stream = load(states[row])
+        first = _seen(axes[row, 0], target[row, 0], reach[row, 0], deviation[row, 0])
+        second = _seen(axes[row, 1], target[row, 1], reach[row, 1], deviation[row, 1])
+        optic1, optic2 = optics[row, 0], optics[row, 1]
         for trial in range(length1.shape[1]):
             one, two = length1[row, trial], length2[row, trial]
+            disc = _disc(first.target0 / one, first.target1 / one, first.reach / one)
             for attempt in range(each):
-                entry = found[count]
-                weight, stream = _attempt(
-                    stream,
-                    frame,
-                    second,
-                    target[row],
-                    reach[row],
-                    deviation[row],
-                    optics[row],
-                    tables,
-                    one,
-                    two,
-                    attempt == 0 and not tables.by_area,
-                    1 / each,
-                    entry,
-                )
-                entry.trial, entry.weight = trial, weight
-                count += int(weight > 0)
+                radius, share, stream = _radius(first, stream)
+                if first.deviation > 0:
+                    disc = _disc(disc.centre0, disc.centre1, radius / one)
+                if disc.area <= 0:
+                    continue
+                if attempt == 0 and not tables.by_area:
+                    d0, d1, d2, stream = _near_pole(first.frame, stream)
+                else:
+                    d0, d1, d2, stream = _in_rectangle(disc, stream)
+                square = _square(optic1, d0 * one - first.target0, d1 * one - first.target1)
+                if square > radius * radius:
+                    continue
+                u0, u1, u2 = upper = _local(first.frame, d0, d1, d2)
+                column, line = _cell_of(u0, u1, u2)
+                cell = cells[column * NUM_ELEVATION + line]
+                if cell.mass <= 0:
+                    continue
+                away = optic1.start + one * _along(optic1, u0, u1, u2)
+                weight = away * away * share * cell.mass / CELL
+                weight *= _over_proposal(tables.by_area, line, u2, disc.area, 1 / each)
+                lower, beyond = (0.0, 0.0, 0.0), 0.0
+                if tables.bones == 2:
+                    d0, d1 = _across(second.frame, u0, u1, u2)
+                    gap0, gap1 = second.target0 - one * d0, second.target1 - one * d1
+                    begins = optic2.start + one * _along(optic2, u0, u1, u2)
+                    lower, beyond, ratio, stream = _attempt_lower(
+                        stream,
+                        second,
+                        gap0,
+                        gap1,
+                        optic2,
+                        begins,
+                        upper,
+                        tables.reference,
+                        tables.flat,
+                        two,
+                        cell,
+                    )
+                    weight *= ratio
+                if weight > 0:
+                    _write(found[count], trial, weight, square, beyond, upper, lower)
+                    count += 1
         ends[row] = count
         store(states[row], stream)
 
 
+class Seen(NamedTuple):
+    """How one joint of a limb is seen under one root, as `attempt_rows` has it, in numbers."""
+
+    frame: Rows
+    target0: float
+    target1: float
+    reach: float
+    deviation: float
+
+
+@compiled
+def _seen(axes: np.ndarray, target: np.ndarray, reach: float, deviation: float) -> Seen:
+    return Seen(rows_of(axes), target[0], target[1], reach, deviation)
+
+
+class Disc(NamedTuple):
+    """What a bone of length one may see: a disc around `centre0` and `centre1`, at a `distance`,
+    the rectangle around its directions, and the rectangles' area, in front and behind together."""
+
+    centre0: float
+    centre1: float
+    distance: float
+    width: float
+    low: float
+    high: float
+    area: float
+
+
 @inlined
-def _radius(reach: float, deviation: float, stream: Stream) -> tuple[float, float, Stream]:
+def _disc(centre0: float, centre1: float, radius: float) -> Disc:
+    distance = math.sqrt(centre0 * centre0 + centre1 * centre1)
+    width, low, high = rectangle(distance, radius)
+    return Disc(centre0, centre1, distance, width, low, high, 4 * width * (high - low))
+
+
+@inlined
+def _write(
+    entry: Record,
+    trial: int,
+    weight: float,
+    square: float,
+    beyond: float,
+    upper: Direction,
+    lower: Direction,
+) -> None:
+    entry.trial, entry.weight = trial, weight
+    entry.square[0], entry.square[1] = square, beyond
+    entry.upper[0], entry.upper[1], entry.upper[2] = upper
+    entry.lower[0], entry.lower[1], entry.lower[2] = lower
+
+
+@inlined
+def _radius(seen: Seen, stream: Stream) -> tuple[float, float, Stream]:
     """The radius of a disc in which the error is uniform, and what it counts."""
+    reach, deviation = seen.reach, seen.deviation
     if deviation == 0:
         return reach, 1.0, stream
     one, stream = uniform(stream)
     two, stream = uniform(stream)
-    square = max(-2 * (math.log1p(-one) + math.log1p(-two)), LEAST)
+    square = max(-2 * math.log((1 - one) * (1 - two)), LEAST)
     return min(deviation * math.sqrt(square), reach), 2 / square, stream
 
 
 @inlined
-def _in_rectangle(
-    centre0: float, centre1: float, distance: float, size: tuple, stream: Stream
-) -> tuple[float, float, float, Stream]:
-    """A direction of the rectangle `size` around a disc, uniform by area, in front or behind;
-    camera axes."""
-    width, low, high = size
+def _in_rectangle(disc: Disc, stream: Stream) -> tuple[float, float, float, Stream]:
+    """A direction of the rectangle around a disc, uniform by area, in front or behind; camera
+    axes."""
+    distance, low, high = disc.distance, disc.low, disc.high
     across, stream = uniform(stream)
     along, stream = uniform(stream)
     front = along < 0.5
-    x = width * (2 * across - 1)
+    x = disc.width * (2 * across - 1)
     rest = max(0.0, 1 - x * x)
-    t = math.sqrt(rest) * math.sin(low + (high - low) * (2 * along - (0.0 if front else 1.0)))
+    t = math.sqrt(rest) * sine(low + (high - low) * (2 * along - (0.0 if front else 1.0)))
     z = math.sqrt(max(0.0, rest - t * t))
-    towards0 = centre0 / distance if distance > 1e-300 else 1.0
-    towards1 = centre1 / distance if distance > 1e-300 else 0.0
+    towards0 = disc.centre0 / distance if distance > 1e-300 else 1.0
+    towards1 = disc.centre1 / distance if distance > 1e-300 else 0.0
     return (
         towards0 * t - towards1 * x,
         towards1 * t + towards0 * x,
@@ -173,10 +308,11 @@ def _near_pole(frame: Rows, stream: Stream) -> tuple[float, float, float, Stream
     to joint."""
     turn, stream = uniform(stream)
     height, stream = uniform(stream)
-    azimuth, above = 2 * math.pi * turn, height < 0.5
+    above = height < 0.5
     from_pole = CELL * (2 * height - (0.0 if above else 1.0))
-    planar, lift = math.sin(from_pole), math.cos(from_pole) * (1.0 if above else -1.0)
-    u0, u1 = planar * math.cos(azimuth), planar * math.sin(azimuth)
+    planar, lift = sine(from_pole), cosine(from_pole) * (1.0 if above else -1.0)
+    sin_azimuth, cos_azimuth = circle(turn)
+    u0, u1 = planar * cos_azimuth, planar * sin_azimuth
     return (
         -(frame[0] * u0 + frame[1] * u1 + frame[2] * lift),
         -(frame[3] * u0 + frame[4] * u1 + frame[5] * lift),
@@ -219,73 +355,11 @@ def _square(optic: Record, off0: float, off1: float) -> float:
     return x * x + y * y
 
 
-@compiled
-def _attempt(
-    stream: Stream,
-    frame: Rows,
-    second: Rows,
-    target: np.ndarray,
-    reach: np.ndarray,
-    deviation: np.ndarray,
-    optics: np.ndarray,
-    tables: LimbTables,
-    length1: float,
-    length2: float,
-    polar: bool,
-    capped: float,
-    entry: Record,
-) -> tuple[float, Stream]:
-    """One attempt, `polar` as a share `capped` of them is, written to `entry`; its weight, 0 where
-    it fails, and the stream after it."""
-    radius, share, stream = _radius(reach[0], deviation[0], stream)
-    centre0, centre1 = target[0, 0] / length1, target[0, 1] / length1
-    distance = math.sqrt(centre0 * centre0 + centre1 * centre1)
-    size = rectangle(distance, radius / length1)
-    area = 4 * size[0] * (size[2] - size[1])
-    if area <= 0:
-        return 0.0, stream
-    if polar:
-        d0, d1, d2, stream = _near_pole(frame, stream)
-    else:
-        d0, d1, d2, stream = _in_rectangle(centre0, centre1, distance, size, stream)
-    optic = optics[0]
-    square = _square(optic, d0 * length1 - target[0, 0], d1 * length1 - target[0, 1])
-    if square > radius * radius:
-        return 0.0, stream
-    u0, u1, u2 = _local(frame, d0, d1, d2)
-    column = min(int((math.atan2(u1, u0) + math.pi) / CELL), NUM_AZIMUTH - 1)
-    lift = math.asin(min(1.0, max(-1.0, u2)))
-    line = min(int((lift + math.pi / 2) / CELL), NUM_ELEVATION - 1)
-    cell = tables.cells[column * NUM_ELEVATION + line]
-    if cell.mass <= 0:
-        return 0.0, stream
-    away = optic.start + length1 * _along(optic, u0, u1, u2)
-    weight = away * away * share * cell.mass / CELL
-    weight *= _over_proposal(tables.by_area, line, u2, area, capped)
-    entry.upper[0], entry.upper[1], entry.upper[2] = u0, u1, u2
-    entry.square[0], entry.square[1] = square, 0.0
-    if tables.bones == 1:
-        entry.lower[0] = entry.lower[1] = entry.lower[2] = 0.0
-        return weight, stream
-    d0, d1 = _across(second, u0, u1, u2)
-    gap0, gap1 = target[1, 0] - length1 * d0, target[1, 1] - length1 * d1
-    optic = optics[1]
-    begins = optic.start + length1 * _along(optic, u0, u1, u2)
-    lower, stream = _attempt_lower(
-        stream,
-        second,
-        gap0,
-        gap1,
-        reach[1],
-        deviation[1],
-        optic,
-        begins,
-        tables,
-        length2,
-        cell,
-        entry,
-    )
-    return weight * lower, stream
+@inlined
+def _cell_of(u0: float, u1: float, u2: float) -> tuple[int, int]:
+    """The column and the line of a local direction's cell."""
+    column = min(int((azimuth(u0, u1) + math.pi) / CELL), NUM_AZIMUTH - 1)
+    return column, min(int((arcsine(u2) + math.pi / 2) / CELL), NUM_ELEVATION - 1)
 
 
 @inlined
@@ -300,39 +374,36 @@ def _over_proposal(by_area: bool, line: int, lift: float, area: float, capped: f
     return 1 / (CELL * proposed)
 
 
-@compiled
+@inlined
 def _attempt_lower(
     stream: Stream,
-    frame: Rows,
+    seen: Seen,
     gap0: float,
     gap1: float,
-    reach: float,
-    deviation: float,
     optic: Record,
     begins: float,
-    tables: LimbTables,
+    upper: Direction,
+    reference: Reference,
+    flat: bool,
     length: float,
     cell: Record,
-    entry: Record,
-) -> tuple[float, Stream]:
+) -> tuple[Direction, float, float, Stream]:
     """The lower bone, whose joint is detected at `gap` from where it starts, as far away as
-    `begins` says: what the attempt counts, 0 where it fails, and the stream after it."""
-    radius, share, stream = _radius(reach, deviation, stream)
-    centre0, centre1 = gap0 / length, gap1 / length
-    distance = math.sqrt(centre0 * centre0 + centre1 * centre1)
-    size = rectangle(distance, radius / length)
-    patch = 4 * size[0] * (size[2] - size[1])
+    `begins` says: its direction, the squared distance of its joint from there, what the attempt
+    counts, 0 where it fails, and the stream after it."""
+    radius, share, stream = _radius(seen, stream)
+    disc = _disc(gap0 / length, gap1 / length, radius / length)
     turn = min(max(cell.box_last - cell.box_first, 0.0), 2 * math.pi)
     box = max(cell.box_high - cell.box_low, 0.0) * turn
-    region = min(patch, box)
+    region = min(disc.area, box)
     if region <= 0:
-        return 0.0, stream
-    u0, u1, u2 = entry.upper[0], entry.upper[1], entry.upper[2]
-    v0, v1, v2, w0, w1, w2, _ = lower_axes(u0, u1, u2, tables.reference)
+        return upper, 0.0, 0.0, stream
+    u0, u1, u2 = upper
+    v0, v1, v2, w0, w1, w2, _ = lower_axes(u0, u1, u2, reference)
     triple = cell.triple
-    if patch <= box:
-        d0, d1, d2, stream = _in_rectangle(centre0, centre1, distance, size, stream)
-        p0, p1, p2 = _local(frame, d0, d1, d2)
+    if disc.area <= box:
+        d0, d1, d2, stream = _in_rectangle(disc, stream)
+        p0, p1, p2 = _local(seen.frame, d0, d1, d2)
         q0 = u0 * p0 + u1 * p1 + u2 * p2
         q1 = v0 * p0 + v1 * p1 + v2 * p2
         q2 = w0 * p0 + w1 * p1 + w2 * p2
@@ -343,25 +414,24 @@ def _attempt_lower(
         across, stream = uniform(stream)
         along, stream = uniform(stream)
         h2 = cell.box_low + (cell.box_high - cell.box_low) * across
-        rho, angle = math.sqrt(max(0.0, 1 - h2 * h2)), cell.box_first + turn * along
-        h1, h3 = -rho * math.cos(angle), rho * math.sin(angle)
+        rho = math.sqrt(max(0.0, 1 - h2 * h2))
+        sin_angle, cos_angle = circle((cell.box_first + turn * along) / (2 * math.pi))
+        h1, h3 = -rho * cos_angle, rho * sin_angle
         q0 = triple[0] * h1 + triple[3] * h2 + triple[6] * h3
         q1 = triple[1] * h1 + triple[4] * h2 + triple[7] * h3
         q2 = triple[2] * h1 + triple[5] * h2 + triple[8] * h3
         p0 = u0 * q0 + v0 * q1 + w0 * q2
         p1 = u1 * q0 + v1 * q1 + w1 * q2
         p2 = u2 * q0 + v2 * q1 + w2 * q2
-        d0, d1 = _across(frame, p0, p1, p2)
+        d0, d1 = _across(seen.frame, p0, p1, p2)
     square = _square(optic, length * d0 - gap0, length * d1 - gap1)
     if square > radius * radius or h1 + cell.offset > 0:
-        return 0.0, stream
+        return upper, square, 0.0, stream
     if h2 < cell.low2 or h2 > cell.high2 or h3 < cell.low3 or h3 > cell.high3:
-        return 0.0, stream
-    entry.square[1] = square
-    entry.lower[0], entry.lower[1], entry.lower[2] = q0, q1, q2
+        return upper, square, 0.0, stream
     away = begins + length * _along(optic, p0, p1, p2)
     share *= away * away
-    return share * region / cell.area * (abs(h1) if tables.flat else 1.0), stream
+    return (q0, q1, q2), square, share * region / cell.area * (abs(h1) if flat else 1.0), stream
 
 
 @compiled
@@ -371,10 +441,10 @@ def combine_rows(
     ends1: np.ndarray,
     second: np.ndarray,
     ends2: np.ndarray,
-    trials: int,
+    lengths: np.ndarray,
     each: int,
     evidence: np.ndarray,
-    kept: np.ndarray,
+    draws: Bodies,
 ) -> None:
     """The evidence of a group of two limbs under every root, and draws of it.
 
@@ -382,11 +452,17 @@ def combine_rows(
     ----------
     states : `(n, 4)` of each root's random numbers, written on
     first, ends1, second, ends2 : of both limbs, as `attempt_rows` left them
-    trials, each : lengths, and attempts under each of them
+    lengths : `(2, n, trials)` of the bones
+    each : attempts under each of the lengths
     evidence : `(n,)` written on
-    kept : `(n, most, 2)` written on: the places of both limbs' attempts of as many draws, alike in
-        weight; left as they are where there is no evidence
+    draws : `(n · most, ...)` written on: as many of each root, alike in weight; left as they are
+        where there is no evidence
     """
+    trials, most, pair = (
+        lengths.shape[2],
+        len(draws.length) // len(states),
+        draws.upper.shape[1] == 2,
+    )
     one, two, product = np.empty(trials), np.empty(trials), np.empty(trials)
     from1, from2 = np.empty(trials + 1, np.int64), np.empty(trials + 1, np.int64)
     begin1, begin2 = 0, 0
@@ -401,7 +477,7 @@ def combine_rows(
         evidence[row] = total / (trials * float(each) ** 2)
         if total <= 0:
             continue
-        stream, most, trial = load(states[row]), kept.shape[1], 0
+        stream, trial = load(states[row]), 0
         offset, stream = uniform(stream)
         for n in range(most):
             while product[trial] < total * (n + offset) / most and trial < trials - 1:
@@ -409,10 +485,24 @@ def combine_rows(
             while one[trial] * two[trial] <= 0:  # rounding, at the very end
                 trial -= 1
             test, stream = uniform(stream)
-            kept[row, n, 0] = _picked(first, from1[trial], from1[trial + 1], test * one[trial])
+            place = _picked(first, from1[trial], from1[trial + 1], test * one[trial])
+            _hand_over(first, place, draws, row * most + n, 0)
             test, stream = uniform(stream)
-            kept[row, n, 1] = _picked(second, from2[trial], from2[trial + 1], test * two[trial])
+            if pair:
+                place = _picked(second, from2[trial], from2[trial + 1], test * two[trial])
+                _hand_over(second, place, draws, row * most + n, 1)
+            for bone in range(2):
+                draws.length[row * most + n, bone] = lengths[bone, row, trial]
         store(states[row], stream)
+
+
+@inlined
+def _hand_over(found: np.ndarray, place: int, draws: Bodies, row: int, limb: int) -> None:
+    """Writes the directions of one limb's attempt into a draw."""
+    entry, upper, lower = found[place], draws.upper, draws.lower
+    for axis in range(3):
+        upper[row, limb, axis] = entry.upper[axis]
+        lower[row, limb, axis] = entry.lower[axis]
 
 
 @compiled

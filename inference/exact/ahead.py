@@ -18,7 +18,7 @@ import threading
 
 from inference.exact.loops.places import FOLDER
 
-COMPILED = {"fixed": "attempts.attempt_limb", "uncertain": "weighed.combine_rows"}
+COMPILED = {"fixed": "attempts.attempt_limb", "uncertain": "pairs.combine_rows"}
 """By the kind of root: a loop that is kept where all are."""
 PATIENCE = 120.0
 """Seconds that are waited for the other process at most."""

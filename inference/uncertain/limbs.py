@@ -21,16 +21,11 @@ from jax.typing import ArrayLike
 from inference.exact import ahead
 from inference.exact.groups import GroupTables, group_tables, workers
 from inference.exact.loops.bins import length_bins
+from inference.exact.loops.pairs import combine_rows
 from inference.exact.loops.seeds import seeded_rows
+from inference.exact.loops.sights import OPTICS, see_rows
 from inference.exact.loops.tables import blank_bodies
-from inference.exact.loops.weighed import (
-    FOUND,
-    OPTICS,
-    attempt_rows,
-    combine_rows,
-    draw_trials,
-    see_rows,
-)
+from inference.exact.loops.weighed import FOUND, attempt_rows, draw_trials
 from probmodel.chunks import in_chunks
 from probmodel.faults import ORDERS, Faults
 from probmodel.kinematics import upper_axes

@@ -97,7 +97,7 @@ def test_what_weighs_limbs_is_found_too_and_nothing_else_is_compiled(tmp_path: P
     code = """
 import jax
 import inference
-from inference.exact.loops import weighed
+from inference.exact.loops import pairs, weighed
 from probmodel import PoseModel
 from tests.scenes import prior_scene
 model = PoseModel()
@@ -105,7 +105,7 @@ scene = prior_scene(model, 1)
 inference.sample(
     model, scene, key=jax.random.key(0), num_samples=50, root="uncertain", num_roots=40
 )
-for loop in (weighed.draw_trials, weighed.attempt_rows, weighed.combine_rows):
+for loop in (weighed.draw_trials, weighed.attempt_rows, pairs.combine_rows):
     print(sum(loop.stats.cache_hits.values()), sum(loop.stats.cache_misses.values()))
 """
     options = where_nothing_is_kept(tmp_path)

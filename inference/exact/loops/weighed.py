@@ -6,8 +6,7 @@ directions that put its joint into its disc, looks up what the prior has there, 
 bone from the smaller of two regions: the rectangle of its own disc, or its hinge's box. What
 explains both detections counts by prior over proposal, so that the mean weight is the evidence.
 
-Both limbs of a group make some attempts under each of some lengths: given the lengths they are
-independent, so the mean over the lengths of the products of their means is the group's evidence.
+Both limbs of a group make some attempts under each of some lengths (`pairs`).
 
 A Gaussian error is uniform in a disc of random radius (Khintchine): with ρ² = σ² χ²(4 degrees of
 freedom), its density over the peak is E 2σ²/ρ² 1[|e| ≤ ρ]. A prior that is uniform in angles has no
@@ -33,7 +32,7 @@ from inference.exact.loops.numbers import (
 from inference.exact.loops.rectangles import rectangle
 from inference.exact.loops.series import arcsine, azimuth, circle, cosine, sine
 from inference.exact.loops.strata import lower_axes
-from inference.exact.loops.tables import Bodies, LengthBins, LimbTables, Record, Reference
+from inference.exact.loops.tables import LengthBins, LimbTables, Record, Reference
 from probmodel.anatomy.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION
 
 _EDGES = np.sin(np.arange(NUM_ELEVATION + 1) * CELL - np.pi / 2)
@@ -55,71 +54,7 @@ FOUND = np.dtype(
 """Attempts that explain their detections: under which lengths, the weight, the squared distances of
 the joints from their targets, directions in local frames (the lower one zero in limbs of one bone).
 """
-OPTICS = np.dtype(
-    [("start", float), ("slope", float, (3,)), ("stretch", float, (3,))],
-    align=True,
-)
-"""How one joint of a limb is seen. Its distance from the camera over the pelvis' is `start` +
-`slope` · what of the limb leads to it, in the upper bone's local frame; under weak perspective 1.
-What lies beside the line of sight becomes what lies beside it in a plane parallel to the image by a
-symmetric matrix, the `stretch` xx, xy, yy; where the line runs straight on, the identity."""
 Direction = tuple[float, float, float]
-
-
-@compiled
-def see_rows(
-    axes: np.ndarray,
-    start: np.ndarray,
-    target: np.ndarray,
-    ray: np.ndarray,
-    nearness: np.ndarray,
-    counts: np.ndarray,
-    own: np.ndarray,
-    across: np.ndarray,
-    optics: np.ndarray,
-) -> None:
-    """How a limb's two joints are seen under every root: each in axes of its own, those of the
-    camera after the smallest turn that brings the line of sight to where the joint was detected
-    onto the third. Joints that do not count are seen as if they were as far away as the pelvis.
-
-    Parameters
-    ----------
-    axes : `(n, 3, 3)` the upper bone's local frame in camera axes
-    start : `(n, 3)` where the limb starts
-    target, ray : `(n, 2, 2)` the detections, and the lines of sight to them
-    nearness : `(n,)` one over the pelvis' distance
-    counts : `(n, 2)` whether the joints were seen
-    own : `(n, 2, 3, 3)` written on: the local frame in the joints' axes
-    across : `(n, 2, 2)` written on: the detections minus the limb's start, in the same axes; 0
-        where a joint does not count
-    optics : `(n, 2)` `OPTICS`, written on
-    """
-    for row in range(len(axes)):
-        for joint in range(2):
-            counted = 1.0 if counts[row, joint] else 0.0
-            ray0, ray1 = ray[row, joint, 0] * counted, ray[row, joint, 1] * counted
-            near, optic = nearness[row] * counted, optics[row, joint]
-            cosine = 1 / math.sqrt(1 + ray0 * ray0 + ray1 * ray1)
-            side0, side1, bend = ray0 * cosine, ray1 * cosine, 1 / (1 + cosine)
-            t00, t01 = 1 - side0 * side0 * bend, -side0 * side1 * bend
-            t11 = 1 - side1 * side1 * bend
-            for column in range(3):
-                a0, a1, a2 = axes[row, 0, column], axes[row, 1, column], axes[row, 2, column]
-                own[row, joint, 0, column] = t00 * a0 + t01 * a1 - side0 * a2
-                own[row, joint, 1, column] = t01 * a0 + t11 * a1 - side1 * a2
-                own[row, joint, 2, column] = side0 * a0 + side1 * a1 + cosine * a2
-                optic.slope[column] = -near * a2
-            gap0, gap1 = (
-                target[row, joint, 0] - start[row, 0],
-                target[row, joint, 1] - start[row, 1],
-            )
-            gap2 = -start[row, 2]
-            across[row, joint, 0] = (t00 * gap0 + t01 * gap1 - side0 * gap2) * counted
-            across[row, joint, 1] = (t01 * gap0 + t11 * gap1 - side1 * gap2) * counted
-            optic.start = 1 + near * start[row, 2]
-            bend /= cosine
-            optic.stretch[0], optic.stretch[1] = 1 + side0 * side0 * bend, side0 * side1 * bend
-            optic.stretch[2] = 1 + side1 * side1 * bend
 
 
 @compiled
@@ -432,102 +367,3 @@ def _attempt_lower(
     away = begins + length * _along(optic, p0, p1, p2)
     share *= away * away
     return (q0, q1, q2), square, share * region / cell.area * (abs(h1) if flat else 1.0), stream
-
-
-@compiled
-def combine_rows(
-    states: np.ndarray,
-    first: np.ndarray,
-    ends1: np.ndarray,
-    second: np.ndarray,
-    ends2: np.ndarray,
-    lengths: np.ndarray,
-    each: int,
-    evidence: np.ndarray,
-    draws: Bodies,
-) -> None:
-    """The evidence of a group of two limbs under every root, and draws of it.
-
-    Parameters
-    ----------
-    states : `(n, 4)` of each root's random numbers, written on
-    first, ends1, second, ends2 : of both limbs, as `attempt_rows` left them
-    lengths : `(2, n, trials)` of the bones
-    each : attempts under each of the lengths
-    evidence : `(n,)` written on
-    draws : `(n · most, ...)` written on: as many of each root, alike in weight; left as they are
-        where there is no evidence
-    """
-    trials, most, pair = (
-        lengths.shape[2],
-        len(draws.length) // len(states),
-        draws.upper.shape[1] == 2,
-    )
-    one, two, product = np.empty(trials), np.empty(trials), np.empty(trials)
-    from1, from2 = np.empty(trials + 1, np.int64), np.empty(trials + 1, np.int64)
-    begin1, begin2 = 0, 0
-    for row in range(len(states)):
-        _sums(first, begin1, ends1[row], one, from1)
-        _sums(second, begin2, ends2[row], two, from2)
-        begin1, begin2 = ends1[row], ends2[row]
-        total = 0.0
-        for trial in range(trials):
-            total += one[trial] * two[trial]
-            product[trial] = total
-        evidence[row] = total / (trials * float(each) ** 2)
-        if total <= 0:
-            continue
-        stream, trial = load(states[row]), 0
-        offset, stream = uniform(stream)
-        for n in range(most):
-            while product[trial] < total * (n + offset) / most and trial < trials - 1:
-                trial += 1
-            while one[trial] * two[trial] <= 0:  # rounding, at the very end
-                trial -= 1
-            test, stream = uniform(stream)
-            place = _picked(first, from1[trial], from1[trial + 1], test * one[trial])
-            _hand_over(first, place, draws, row * most + n, 0)
-            test, stream = uniform(stream)
-            if pair:
-                place = _picked(second, from2[trial], from2[trial + 1], test * two[trial])
-                _hand_over(second, place, draws, row * most + n, 1)
-            for bone in range(2):
-                draws.length[row * most + n, bone] = lengths[bone, row, trial]
-        store(states[row], stream)
-
-
-@inlined
-def _hand_over(found: np.ndarray, place: int, draws: Bodies, row: int, limb: int) -> None:
-    """Writes the directions of one limb's attempt into a draw."""
-    entry, upper, lower = found[place], draws.upper, draws.lower
-    for axis in range(3):
-        upper[row, limb, axis] = entry.upper[axis]
-        lower[row, limb, axis] = entry.lower[axis]
-
-
-@compiled
-def _sums(found: np.ndarray, begin: int, end: int, sums: np.ndarray, starts: np.ndarray) -> None:
-    """The weights of each trial, summed, and where in `found` each begins."""
-    sums[:] = 0.0
-    place = begin
-    for trial in range(sums.size):
-        starts[trial] = place
-        while place < end and found[place].trial == trial:
-            sums[trial] += found[place].weight
-            place += 1
-    starts[sums.size] = place
-
-
-@compiled
-def _picked(found: np.ndarray, begin: int, end: int, level: float) -> int:
-    """Where the sum of the weights from `begin` on passes a level."""
-    place, last = begin, begin
-    while place < end:
-        weight = found[place].weight
-        if weight > 0:
-            last = place
-            if level < weight:
-                return place
-        level -= weight
-        place += 1
-    return last

@@ -52,8 +52,8 @@ FIRST = 1 << 13
 """Attempts of the first batch; every other one is twice as large, since a few roots, which are all
 that most patterns of faults are asked for, are often found by few attempts."""
 PATIENCE = 8192
-"""Attempts at the torso for each root that is wanted, in search of more: they take a third of the
-time that a root's limbs take."""
+"""Attempts at the torso for each root that is wanted, in search of more: where they are all made,
+they take three times as long as a root's limbs."""
 HOPELESS = 1 << 26
 """Attempts without one success after which a torso is given up."""
 PROBE = 1 << 12

@@ -1,6 +1,6 @@
 """Roots given the torso, each with a pattern of faults, before anything is asked of the limbs.
 
-More roots are drawn than are weighed, since a root that explains the torso costs a tenth of what
+More roots are drawn than are weighed, since a root that explains the torso costs a sixth of what
 its limbs' evidence costs. How well draws of the prior fit the limbs says
 which roots are promising; each is taken by a probability that this decides, and weighed by its
 inverse, so that a wrong guess costs effective roots and nothing else.

@@ -1,5 +1,5 @@
-"""The fast route to draws with an uncertain root, judged by the exact one on real frames: writes
-reports/routes.md.
+"""The fast route to draws with an uncertain root, judged by the exact one on real frames, and what
+both cost: writes reports/routes.md.
 
     python -m reports.pages.routes ../shared/data
 
@@ -25,12 +25,16 @@ from inference.uncertain.rejection import RejectedRoots, reject_roots, verdict
 from inference.uncertain.tree import placed
 from inference.uncertain.weighted import APART, WeightedRoots, weigh_roots
 from probmodel import Detection, Estimate, Likelihood, PoseModel
+from probmodel.detections import LIKELIHOOD_JOINTS
+from probmodel.errorlaws import DetectorErrors
 from probmodel.faults import FaultPrior
 from probmodel.layouts import corrected
 from probmodel.likelihood import Gaussian
 from probmodel.skeleton import TORSO_INDEX
+from probmodel.uncertain import UncertainPosterior
 from reports.figures.colours import PALETTE
 from reports.figures.style import FAINT, INK, SMALL, TITLE, page
+from reports.pages.costs import costs_of, plot_costs, table_of
 from reports.pages.filmed import film
 from reports.pages.page import write_page
 from reports.tables import Sheet, sheet_of
@@ -48,6 +52,8 @@ LAWS = {
 TURNS = ("disc", "Gaussian", "disc", "disc, faults", "disc")
 """The error law of each of the frames."""
 FAST = "weighted roots"
+COSTED = (50, 90)
+"""Frames of every camera in which the number of roots is varied."""
 
 
 class JudgedFrame(NamedTuple):
@@ -104,9 +110,13 @@ def whole(roots: WeightedRoots, number: int, seed: int) -> Sample:
     return found.with_roots(joints[None], np.exp(points.log_scale)[None], points.translation[None])
 
 
+def _posterior(model: PoseModel, case: JudgedFrame) -> UncertainPosterior:
+    return Estimate(case.detection, (), LAWS[case.law]).uncertain(model)
+
+
 def study(model: PoseModel, case: JudgedFrame, seed: int) -> Found:
     """Both routes on one case, and the controls."""
-    posterior = Estimate(case.detection, (), LAWS[case.law]).uncertain(model)
+    posterior = _posterior(model, case)
     exact_key, fast_key = jax.random.split(jax.random.key(seed))
     started = time.perf_counter()
     exact = reject_roots(posterior, key=exact_key, num_samples=EXACT, max_proposals=BUDGET)
@@ -207,10 +217,20 @@ def main(data: Path) -> None:
         for number in range(len(session.cameras))
     ]
     model, found = PoseModel(), []
+    for law in LAWS:  # compiled before times are taken
+        first = next(case for case in cases if case.law == law)
+        reject_roots(_posterior(model, first), key=jax.random.key(0), num_samples=1)
     for seed, case in enumerate(cases):
         found.append(study(model, case, seed))
         said = {name: one.verdict for name, one in found[-1].judged.items()}
         print(case.name, found[-1].seconds, said, flush=True)
+    detections = [
+        corrected(session.people[number][frame])
+        for frame in COSTED
+        for number in range(len(session.cameras))
+    ]
+    learned = Likelihood.of(DetectorErrors.default(), LIKELIHOOD_JOINTS)
+    costs = costs_of(model, detections, LAWS | {"learned": learned}, print)
     rates = [len(one.exact.limbs) / one.seconds[0] for one in found]
     values: dict[str, str | int | Sheet] = {
         "cases": len(cases),
@@ -222,8 +242,11 @@ def main(data: Path) -> None:
         "fastest": f"{max(rates):.1f}",
         "counts": counts(found),
         "table": table(cases, found),
+        "detections": len(detections),
+        "costs": table_of(costs),
     }
-    print(write_page("routes", values, {"routes": figure_of(cases, found)}))
+    figures = {"routes": figure_of(cases, found), "routes-costs": plot_costs(costs)}
+    print(write_page("routes", values, figures))
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ from inference.exact.loops.roots import (
     turned,
     write_root,
 )
+from inference.exact.loops.series import circle, sine
 from inference.exact.loops.tables import ALIAS
 
 TILTS = 6
@@ -257,10 +258,14 @@ def _fit(
     """χ² and the inverse scale that fits best, under one rotation, how far the joints may move,
     weighed, when the rotation moves by half of `width` either way, and where their middle falls
     beside that of parallel lines of sight."""
-    cos_a, sin_a, cos_b, sin_b = math.cos(roll), math.sin(roll), math.cos(tilt), math.sin(tilt)
-    cos_c, sin_c = math.cos(yaw), math.sin(yaw)
-    by_roll, by_tilt = 2 * math.sin(width[0] / 4), 2 * math.sin(width[1] / 4)
-    by_yaw = 2 * math.sin(width[2] / 4)
+    sin_a, cos_a = circle(roll / (2 * math.pi))
+    sin_b, cos_b = circle(tilt / (2 * math.pi))
+    sin_c, cos_c = circle(yaw / (2 * math.pi))
+    by_roll, by_tilt, by_yaw = (
+        2 * sine(width[0] / 4),
+        2 * sine(width[1] / 4),
+        2 * sine(width[2] / 4),
+    )
     m0, m1, m2 = known.middles[torso, 0, 0], known.middles[torso, 0, 1], known.middles[torso, 0, 2]
     middle = cos_b * m2 - sin_b * (cos_c * m0 - sin_c * m1)
     side = math.sqrt(known.ray[0] ** 2 + known.ray[1] ** 2)
@@ -334,7 +339,8 @@ def attempt_fits(
         chi, best, _, aside0, aside1 = _fit(known, precision, torso, roll, tilt, yaw, still)
         radius, stream = uniform(stream)
         angle, stream = uniform(stream)
-        normal = math.sqrt(-2 * math.log1p(-radius)) * math.cos(2 * math.pi * angle)
+        _, across = circle(angle)
+        normal = math.sqrt(-2 * math.log(1 - radius)) * across
         inverse = best + exponent / (lever * star) + normal / math.sqrt(lever)
         part, stream = uniform(stream)
         radius, stream = uniform(stream)
@@ -345,17 +351,19 @@ def attempt_fits(
         log_ratio += exponent * (best - cells.top[entry]) / star
         log_ratio += exponent * (math.log(inverse / star) - (inverse - star) / star)
         if bounded:
-            if math.log1p(-part) > log_ratio:
+            if math.log(1 - part) > log_ratio:
                 continue
             log_ratio = 0.0
-        radius, angle = math.sqrt(-2 * math.log1p(-radius) / total), 2 * math.pi * angle
-        cos_a, sin_a, sin_b = math.cos(roll), math.sin(roll), math.sin(tilt)
-        cos_b, cos_c, sin_c = math.cos(tilt), math.cos(yaw), math.sin(yaw)
+        radius = math.sqrt(-2 * math.log(1 - radius) / total)
+        down, across = circle(angle)
+        sin_a, cos_a = circle(roll / (2 * math.pi))
+        sin_b, cos_b = circle(tilt / (2 * math.pi))
+        sin_c, cos_c = circle(yaw / (2 * math.pi))
         turn = turned(cos_a, sin_a, cos_b, sin_b, cos_c, sin_c)
         x, y = image(turn, known.middles, 0.0, 0.0, torso, 0)
         x, y = x - aside0 + known.bias[0], y - aside1 + known.bias[1]
-        t0 = known.middle[0] * inverse - x + radius * math.cos(angle)
-        t1 = known.middle[1] * inverse - y + radius * math.sin(angle)
+        t0 = known.middle[0] * inverse - x + radius * across
+        t1 = known.middle[1] * inverse - y + radius * down
         if explains(problem, torso, turn, inverse, t0, t1, 0):
             write_root(table, found, torso, roll, tilt, yaw, inverse, t0, t1, attempt)
             table.log_weight[found] = log_ratio

@@ -50,3 +50,23 @@ def test_ten_thousand_exact_draws(benchmark, problem):
     run = lambda: inference.sample(model, frame, key=jax.random.key(0), num_samples=10_000)  # noqa: E731
     result = benchmark.pedantic(run, warmup_rounds=1, rounds=3)
     assert result.num_draws == 10_000
+
+
+@pytest.mark.parametrize("sampler", ["weighted-roots", "rejection"])
+def test_draws_of_an_uncertain_root(benchmark, problem, sampler):
+    """4,000 weighted roots, a draw each; or ten exact draws."""
+    model, frame, _ = problem
+    number = 4000 if sampler == "weighted-roots" else 10
+    run = lambda: inference.sample(  # noqa: E731
+        model,
+        frame,
+        key=jax.random.key(0),
+        sampler=sampler,
+        num_samples=number,
+        root="uncertain",
+        num_roots=1000 if sampler == "rejection" else number,
+    )
+    result = benchmark.pedantic(run, warmup_rounds=1, rounds=3)
+    assert result.num_draws == number
+    effective = result.tree.attrs.get("effective_roots", number)
+    benchmark.extra_info["effective a second"] = effective / benchmark.stats.stats.median

@@ -114,5 +114,5 @@ def plot_costs(costs: Sequence[Cost]) -> Figure:
     title = "Effective draws a second: medians and ranges"
     axes.set_title(title, loc="left", fontsize=TITLE, color=INK)
     axes.spines[:].set_color(FAINT)
-    axes.legend(fontsize=SMALL, frameon=False)
+    axes.legend(fontsize=SMALL, frameon=False, loc="upper left")
     return figure

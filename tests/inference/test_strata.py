@@ -26,7 +26,14 @@ from inference.exact.loops.numbers import compiled, load, store, uniform
 from inference.exact.loops.places import SOURCES, digest
 from inference.exact.loops.rectangles import COUNT, ROWS, largest_rectangle, rectangle
 from inference.exact.loops.seeds import seeded, seeded_rows
-from inference.exact.loops.series import arcsine, cosine, sine, small_sine_cosine
+from inference.exact.loops.series import (
+    arcsine,
+    azimuth,
+    circle,
+    cosine,
+    sine,
+    small_sine_cosine,
+)
 from inference.exact.loops.strata import Resolution, fill_in, frame_turn, lower_axes, sketch
 from inference.exact.loops.strata import _stratify as stratify_loop
 from inference.exact.loops.tables import ALIAS, REGIONS, CutLimb, LimbProblem, desk
@@ -196,6 +203,13 @@ def test_the_series_are_sine_and_arcsine():
     np.testing.assert_allclose(
         pairs, np.stack([np.sin(small), np.cos(small)], axis=1), rtol=0, atol=3e-16
     )
+    turns = np.linspace(-1, 2, 3001)
+    around = np.array([circle(value) for value in turns])
+    known = np.stack([np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns)], axis=1)
+    np.testing.assert_allclose(around, known, rtol=0, atol=4e-15)
+    found = [azimuth(cosine, sine) for sine, cosine in 3 * around]
+    np.testing.assert_allclose(found, np.arctan2(*around.T), rtol=0, atol=1e-15)
+    assert azimuth(0.0, 0.0) == 0
 
 
 def test_the_rectangle_is_the_one_of_the_pruned_proposal_and_its_largest_is():

@@ -78,9 +78,11 @@ def arcsine(value: float) -> float:
 @inlined
 def azimuth(x: float, y: float) -> float:
     """The angle of a direction in the plane, -π to π; 0 where there is none."""
-    length = math.sqrt(x * x + y * y)
-    angle = arcsine(y / (length if length > 1e-300 else 1e-300))
-    return angle if x >= 0 else math.copysign(math.pi, y) - angle
+    length, across, up = math.sqrt(x * x + y * y), math.fabs(x), math.fabs(y)
+    # Near ±1 an arcsine knows its angle badly.
+    least = arcsine((up if up < across else across) / (length if length > 1e-300 else 1e-300))
+    acute = least if up <= across else math.pi / 2 - least
+    return math.copysign(acute if x >= 0 else math.pi - acute, y)
 
 
 @inlined

@@ -99,22 +99,22 @@ def attempt_rows(
     count, cells = 0, tables.cells
     for row in range(len(states)):
         stream = load(states[row])
-        first = _seen(axes[row, 0], target[row, 0], reach[row, 0], deviation[row, 0])
-        second = _seen(axes[row, 1], target[row, 1], reach[row, 1], deviation[row, 1])
+        first = _sight(axes[row, 0], target[row, 0], reach[row, 0], deviation[row, 0])
+        second = _sight(axes[row, 1], target[row, 1], reach[row, 1], deviation[row, 1])
         optic1, optic2 = optics[row, 0], optics[row, 1]
         for trial in range(length1.shape[1]):
             one, two = length1[row, trial], length2[row, trial]
-            disc = _disc(first.target0 / one, first.target1 / one, first.reach / one)
+            aim = _aim(first.target0 / one, first.target1 / one, first.reach / one)
             for attempt in range(each):
                 radius, share, stream = _radius(first, stream)
                 if first.deviation > 0:
-                    disc = _disc(disc.centre0, disc.centre1, radius / one)
-                if disc.area <= 0:
+                    aim = _aim(aim.centre0, aim.centre1, radius / one)
+                if aim.area <= 0:
                     continue
                 if attempt == 0 and not tables.by_area:
                     d0, d1, d2, stream = _near_pole(first.frame, stream)
                 else:
-                    d0, d1, d2, stream = _in_rectangle(disc, stream)
+                    d0, d1, d2, stream = _in_rectangle(aim, stream)
                 square = _square(optic1, d0 * one - first.target0, d1 * one - first.target1)
                 if square > radius * radius:
                     continue
@@ -125,24 +125,19 @@ def attempt_rows(
                     continue
                 away = optic1.start + one * _along(optic1, u0, u1, u2)
                 weight = away * away * share * cell.mass / CELL
-                weight *= _over_proposal(tables.by_area, line, u2, disc.area, 1 / each)
+                weight *= _over_proposal(tables.by_area, line, u2, aim.area, 1 / each)
                 lower, beyond = (0.0, 0.0, 0.0), 0.0
                 if tables.bones == 2:
-                    d0, d1 = _across(second.frame, u0, u1, u2)
-                    gap0, gap1 = second.target0 - one * d0, second.target1 - one * d1
-                    begins = optic2.start + one * _along(optic2, u0, u1, u2)
                     lower, beyond, ratio, stream = _attempt_lower(
                         stream,
                         second,
-                        gap0,
-                        gap1,
                         optic2,
-                        begins,
                         upper,
+                        cell,
+                        one,
+                        two,
                         tables.reference,
                         tables.flat,
-                        two,
-                        cell,
                     )
                     weight *= ratio
                 if weight > 0:
@@ -152,7 +147,7 @@ def attempt_rows(
         store(states[row], stream)
 
 
-class Seen(NamedTuple):
+class JointSight(NamedTuple):
     """How one joint of a limb is seen under one root, as `attempt_rows` has it, in numbers."""
 
     frame: Rows
@@ -163,11 +158,11 @@ class Seen(NamedTuple):
 
 
 @compiled
-def _seen(axes: np.ndarray, target: np.ndarray, reach: float, deviation: float) -> Seen:
-    return Seen(rows_of(axes), target[0], target[1], reach, deviation)
+def _sight(axes: np.ndarray, target: np.ndarray, reach: float, deviation: float) -> JointSight:
+    return JointSight(rows_of(axes), target[0], target[1], reach, deviation)
 
 
-class Disc(NamedTuple):
+class Aim(NamedTuple):
     """What a bone of length one may see: a disc around `centre0` and `centre1`, at a `distance`,
     the rectangle around its directions, and the rectangles' area, in front and behind together."""
 
@@ -181,10 +176,10 @@ class Disc(NamedTuple):
 
 
 @inlined
-def _disc(centre0: float, centre1: float, radius: float) -> Disc:
+def _aim(centre0: float, centre1: float, radius: float) -> Aim:
     distance = math.sqrt(centre0 * centre0 + centre1 * centre1)
     width, low, high = rectangle(distance, radius)
-    return Disc(centre0, centre1, distance, width, low, high, 4 * width * (high - low))
+    return Aim(centre0, centre1, distance, width, low, high, 4 * width * (high - low))
 
 
 @inlined
@@ -204,9 +199,9 @@ def _write(
 
 
 @inlined
-def _radius(seen: Seen, stream: Stream) -> tuple[float, float, Stream]:
+def _radius(sight: JointSight, stream: Stream) -> tuple[float, float, Stream]:
     """The radius of a disc in which the error is uniform, and what it counts."""
-    reach, deviation = seen.reach, seen.deviation
+    reach, deviation = sight.reach, sight.deviation
     if deviation == 0:
         return reach, 1.0, stream
     one, stream = uniform(stream)
@@ -216,19 +211,19 @@ def _radius(seen: Seen, stream: Stream) -> tuple[float, float, Stream]:
 
 
 @inlined
-def _in_rectangle(disc: Disc, stream: Stream) -> tuple[float, float, float, Stream]:
+def _in_rectangle(aim: Aim, stream: Stream) -> tuple[float, float, float, Stream]:
     """A direction of the rectangle around a disc, uniform by area, in front or behind; camera
     axes."""
-    distance, low, high = disc.distance, disc.low, disc.high
+    distance, low, high = aim.distance, aim.low, aim.high
     across, stream = uniform(stream)
     along, stream = uniform(stream)
     front = along < 0.5
-    x = disc.width * (2 * across - 1)
+    x = aim.width * (2 * across - 1)
     rest = max(0.0, 1 - x * x)
     t = math.sqrt(rest) * sine(low + (high - low) * (2 * along - (0.0 if front else 1.0)))
     z = math.sqrt(max(0.0, rest - t * t))
-    towards0 = disc.centre0 / distance if distance > 1e-300 else 1.0
-    towards1 = disc.centre1 / distance if distance > 1e-300 else 0.0
+    towards0 = aim.centre0 / distance if distance > 1e-300 else 1.0
+    towards1 = aim.centre1 / distance if distance > 1e-300 else 0.0
     return (
         towards0 * t - towards1 * x,
         towards1 * t + towards0 * x,
@@ -312,33 +307,33 @@ def _over_proposal(by_area: bool, line: int, lift: float, area: float, capped: f
 @inlined
 def _attempt_lower(
     stream: Stream,
-    seen: Seen,
-    gap0: float,
-    gap1: float,
+    sight: JointSight,
     optic: Record,
-    begins: float,
     upper: Direction,
+    cell: Record,
+    length1: float,
+    length: float,
     reference: Reference,
     flat: bool,
-    length: float,
-    cell: Record,
 ) -> tuple[Direction, float, float, Stream]:
-    """The lower bone, whose joint is detected at `gap` from where it starts, as far away as
-    `begins` says: its direction, the squared distance of its joint from there, what the attempt
-    counts, 0 where it fails, and the stream after it."""
-    radius, share, stream = _radius(seen, stream)
-    disc = _disc(gap0 / length, gap1 / length, radius / length)
+    """The bone below an `upper` one: its direction, the squared distance of its joint from where
+    that was detected, what the attempt counts, 0 where it fails, and the stream after it."""
+    u0, u1, u2 = upper
+    d0, d1 = _across(sight.frame, u0, u1, u2)
+    gap0, gap1 = sight.target0 - length1 * d0, sight.target1 - length1 * d1
+    begins = optic.start + length1 * _along(optic, u0, u1, u2)
+    radius, share, stream = _radius(sight, stream)
+    aim = _aim(gap0 / length, gap1 / length, radius / length)
     turn = min(max(cell.box_last - cell.box_first, 0.0), 2 * math.pi)
     box = max(cell.box_high - cell.box_low, 0.0) * turn
-    region = min(disc.area, box)
+    region = min(aim.area, box)
     if region <= 0:
         return upper, 0.0, 0.0, stream
-    u0, u1, u2 = upper
     v0, v1, v2, w0, w1, w2, _ = lower_axes(u0, u1, u2, reference)
     triple = cell.triple
-    if disc.area <= box:
-        d0, d1, d2, stream = _in_rectangle(disc, stream)
-        p0, p1, p2 = _local(seen.frame, d0, d1, d2)
+    if aim.area <= box:
+        d0, d1, d2, stream = _in_rectangle(aim, stream)
+        p0, p1, p2 = _local(sight.frame, d0, d1, d2)
         q0 = u0 * p0 + u1 * p1 + u2 * p2
         q1 = v0 * p0 + v1 * p1 + v2 * p2
         q2 = w0 * p0 + w1 * p1 + w2 * p2
@@ -358,7 +353,7 @@ def _attempt_lower(
         p0 = u0 * q0 + v0 * q1 + w0 * q2
         p1 = u1 * q0 + v1 * q1 + w1 * q2
         p2 = u2 * q0 + v2 * q1 + w2 * q2
-        d0, d1 = _across(seen.frame, p0, p1, p2)
+        d0, d1 = _across(sight.frame, p0, p1, p2)
     square = _square(optic, length * d0 - gap0, length * d1 - gap1)
     if square > radius * radius or h1 + cell.offset > 0:
         return upper, square, 0.0, stream

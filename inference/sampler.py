@@ -59,8 +59,8 @@ def sample(
         One of `SAMPLERS`, "rejection" if none is named: exact rejection draws independently from
         the posterior itself; a baseline draws chains under one candidate, started in exact draws.
         Under an uncertain root one of `ROOTED_SAMPLERS`: "weighted-roots" if none is named;
-        "rejection", some draws a second, which are independent; or a baseline, started in draws
-        from weighted roots.
+        "rejection", a few dozen draws a second, which are independent; or a baseline, started in
+        draws from weighted roots.
     num_samples
         How many draws, of all chains together; each chain gets as many as the others.
     max_proposals

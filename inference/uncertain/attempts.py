@@ -47,7 +47,7 @@ from probmodel.roots import RootPoint
 from probmodel.uncertain import UncertainPosterior
 
 BATCH = 1 << 17
-"""Most attempts made at a time by one thread: some 20 ms."""
+"""Most attempts made at a time by one thread: some 10 ms."""
 FIRST = 1 << 13
 """Attempts of the first batch; every other one is twice as large, since a few roots, which are all
 that most patterns of faults are asked for, are often found by few attempts."""

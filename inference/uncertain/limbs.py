@@ -23,9 +23,9 @@ from inference.exact.groups import GroupTables, group_tables, workers
 from inference.exact.loops.bins import length_bins
 from inference.exact.loops.pairs import combine_rows
 from inference.exact.loops.seeds import seeded_rows
-from inference.exact.loops.sights import OPTICS, see_rows
-from inference.exact.loops.tables import blank_bodies
-from inference.exact.loops.weighed import FOUND, attempt_rows, draw_trials
+from inference.exact.loops.sights import see_rows
+from inference.exact.loops.tables import FOUND, OPTICS, blank_bodies
+from inference.exact.loops.weighed import attempt_rows, draw_trials
 from probmodel.chunks import in_chunks
 from probmodel.faults import ORDERS, Faults
 from probmodel.kinematics import upper_axes
@@ -188,16 +188,19 @@ class Sight(NamedTuple):
 def sights_of(views: Views, outlier: np.ndarray) -> list[Sight]:
     """That of every limb; a joint that was not seen, or is not there, may fall anywhere."""
     starts = [TORSO_INDEX.index(limb.bones[0].start) for limb in LIMBS]
-    nearness, sights = np.array(views.nearness, float), []
+    # One layout in memory and one precision, or numba would compile for each of them.
+    plain = functools.partial(np.array, dtype=float, order="C")
+    nearness, sights = plain(views.nearness), []
     for limb, ends, row, chained in zip(LIMBS, ENDS, starts, CHAINED, strict=True):
-        reach, spread = np.array(views.reach[:, ends], float), np.asarray(views.spread[:, ends])
+        reach, spread = plain(views.reach[:, ends]), plain(views.spread[:, ends])
         reach[:, 1] = reach[:, 1] if chained else np.inf
-        axes, start = np.array(views.axes[:, limb.upper], float), np.array(views.start[:, row])
-        target, ray = np.array(views.target[:, ends]), np.array(views.ray[:, ends])
+        axes, start = plain(views.axes[:, limb.upper]), plain(views.start[:, row])
+        target, ray = plain(views.target[:, ends]), plain(views.ray[:, ends])
         own, across = np.empty((*reach.shape, 3, 3)), np.empty((*reach.shape, 2))
         optics, counts = np.empty(reach.shape, OPTICS), np.isfinite(reach)
         see_rows(axes, start, target, ray, nearness, counts, own, across, optics)
-        sights.append(Sight(own, across, reach, spread, optics, outlier[:, ends]))
+        strays = np.array(outlier[:, ends], order="C")
+        sights.append(Sight(own, across, reach, spread, optics, strays))
     return sights
 
 
@@ -245,7 +248,7 @@ def weigh_group(
         draw_trials(states, length_bins(*parameters, 1), lengths[column])
     limbs = []
     for sight, build in zip(sights, tables.builds, strict=True):
-        found, ends = np.empty(number * trials * each + 1, FOUND), np.zeros(number, np.int64)
+        found, ends = np.empty(number * trials * each, FOUND), np.zeros(number, np.int64)
         gaussian = np.where(sight.outlier | ~np.isfinite(sight.reach), 0.0, law.deviation or 0.0)
         deviation = gaussian * np.where(gaussian > 0, sight.spread, 1.0)
         attempt_rows(

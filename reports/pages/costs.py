@@ -50,8 +50,8 @@ def costs_of(
     found = []
     for law, likelihood in laws.items():
         frames = [Estimate(one, (), likelihood) for one in detections]
-        _drawn(model, frames[0], min(NUMBERS), 0)
         for number in NUMBERS:
+            _drawn(model, frames[0], number, 0)
             pairs = [_drawn(model, frame, number, seed) for seed, frame in enumerate(frames, 1)]
             seconds, effective = np.array(pairs).T
             found.append(Cost(law, number, seconds, effective))

@@ -34,7 +34,7 @@ from probmodel.skeleton import TORSO_INDEX
 from probmodel.uncertain import UncertainPosterior
 from reports.figures.colours import PALETTE
 from reports.figures.style import FAINT, INK, SMALL, TITLE, page
-from reports.pages.costs import costs_of, plot_costs, table_of
+from reports.pages.costs import WANTED, costs_of, plot_costs, table_of
 from reports.pages.filmed import film
 from reports.pages.page import write_page
 from reports.tables import Sheet, sheet_of
@@ -244,6 +244,7 @@ def main(data: Path) -> None:
         "table": table(cases, found),
         "detections": len(detections),
         "costs": table_of(costs),
+        "wanted": f"{WANTED:,}",
     }
     figures = {"routes": figure_of(cases, found), "routes-costs": plot_costs(costs)}
     print(write_page("routes", values, figures))

@@ -97,7 +97,7 @@ def test_what_weighs_limbs_is_found_too_and_nothing_else_is_compiled(tmp_path: P
     code = """
 import jax
 import inference
-from inference.exact.loops import pairs, weighed
+from inference.exact.loops import pairs, seeds, sights, weighed
 from probmodel import PoseModel
 from tests.scenes import prior_scene
 model = PoseModel()
@@ -105,7 +105,13 @@ scene = prior_scene(model, 1)
 inference.sample(
     model, scene, key=jax.random.key(0), num_samples=50, root="uncertain", num_roots=40
 )
-for loop in (weighed.draw_trials, weighed.attempt_rows, pairs.combine_rows):
+for loop in (
+    seeds._seed_rows,
+    sights.see_rows,
+    weighed.draw_trials,
+    weighed.attempt_rows,
+    pairs.combine_rows,
+):
     print(sum(loop.stats.cache_hits.values()), sum(loop.stats.cache_misses.values()))
 """
     options = where_nothing_is_kept(tmp_path)
@@ -114,4 +120,4 @@ for loop in (weighed.draw_trials, weighed.attempt_rows, pairs.combine_rows):
     found = subprocess.run(
         [sys.executable, "-c", code], check=True, capture_output=True, text=True, **options
     )
-    assert found.stdout.split() == ["1", "0"] * 3
+    assert found.stdout.split() == ["1", "0"] * 5

@@ -205,9 +205,10 @@ def test_the_series_are_sine_and_arcsine():
     )
     turns = np.linspace(-1, 2, 3001)
     around = np.array([circle(value) for value in turns])
-    known = np.stack([np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns)], axis=1)
-    np.testing.assert_allclose(around, known, rtol=0, atol=4e-15)
-    found = [azimuth(cosine, sine) for sine, cosine in 3 * around]
+    exactly = 8 * np.arctan(np.longdouble(1)) * turns
+    known = np.stack([np.sin(exactly), np.cos(exactly)], axis=1)
+    np.testing.assert_allclose(around, known.astype(float), rtol=0, atol=1e-15)
+    found = [azimuth(run, rise) for rise, run in 3 * around]
     np.testing.assert_allclose(found, np.arctan2(*around.T), rtol=0, atol=1e-15)
     assert azimuth(0.0, 0.0) == 0
 

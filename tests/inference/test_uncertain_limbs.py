@@ -12,10 +12,8 @@ import pytest
 from inference.exact.groups import attempt_group, group_tables, plan_group
 from inference.exact.loops.pairs import combine_rows
 from inference.exact.loops.seeds import seeded
-from inference.exact.loops.sights import OPTICS
 from inference.exact.loops.strata import Resolution
-from inference.exact.loops.tables import blank_bodies
-from inference.exact.loops.weighed import FOUND
+from inference.exact.loops.tables import FOUND, OPTICS, blank_bodies
 from inference.exact.problem import limb_problems, log_ratio_of
 from inference.uncertain.limbs import LIMBS, Sight, outliers_of, sights_of, views_of, weigh_group
 from inference.uncertain.weighted import weigh_roots

@@ -60,7 +60,7 @@ def alias_table(weight: np.ndarray, table: np.ndarray) -> float:
     Parameters
     ----------
     weight : `(n,)`, not all zero
-    table : `(n,)` `ALIAS`
+    table : `(n,)` `ALIAS`, or another with its columns
 
     Returns
     -------

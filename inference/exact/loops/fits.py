@@ -28,7 +28,7 @@ from inference.exact.loops.roots import (
     TorsoProblem,
     explains,
     image,
-    turned,
+    turn_of,
     write_root,
 )
 from inference.exact.loops.series import circle, sine
@@ -339,8 +339,8 @@ def attempt_fits(
         chi, best, _, aside0, aside1 = _fit(known, precision, torso, roll, tilt, yaw, still)
         radius, stream = uniform(stream)
         angle, stream = uniform(stream)
-        _, across = circle(angle)
-        normal = math.sqrt(-2 * math.log(1 - radius)) * across
+        _, cosine = circle(angle)
+        normal = math.sqrt(-2 * math.log(1 - radius)) * cosine
         inverse = best + exponent / (lever * star) + normal / math.sqrt(lever)
         part, stream = uniform(stream)
         radius, stream = uniform(stream)
@@ -356,10 +356,7 @@ def attempt_fits(
             log_ratio = 0.0
         radius = math.sqrt(-2 * math.log(1 - radius) / total)
         down, across = circle(angle)
-        sin_a, cos_a = circle(roll / (2 * math.pi))
-        sin_b, cos_b = circle(tilt / (2 * math.pi))
-        sin_c, cos_c = circle(yaw / (2 * math.pi))
-        turn = turned(cos_a, sin_a, cos_b, sin_b, cos_c, sin_c)
+        turn = turn_of(roll, tilt, yaw)
         x, y = image(turn, known.middles, 0.0, 0.0, torso, 0)
         x, y = x - aside0 + known.bias[0], y - aside1 + known.bias[1]
         t0 = known.middle[0] * inverse - x + radius * across

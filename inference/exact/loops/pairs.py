@@ -20,7 +20,8 @@ def combine_rows(
     evidence: np.ndarray,
     draws: Bodies,
 ) -> None:
-    """The evidence of a group of two limbs under every root, and draws of it.
+    """The evidence of a group of two limbs under every root, and draws of it. A group of one has a
+    second limb that explains everything, of which nothing is drawn.
 
     Parameters
     ----------

@@ -22,6 +22,7 @@ import numpy as np
 from inference.exact.loops.bins import alias_table
 from inference.exact.loops.numbers import compiled, inlined, load, store, uniform
 from inference.exact.loops.series import circle
+from inference.exact.loops.tables import ROOT_CELLS
 
 TILTS = 12
 """Cells of the tilt, from 0 to π; twice as many of roll and of yaw."""
@@ -62,21 +63,6 @@ class TorsoProblem(NamedTuple):
     power: float
 
 
-CELLS = np.dtype(
-    [
-        ("share", float),
-        ("partner", np.uint32),
-        ("code", np.uint32),
-        ("low", float),
-        ("span", float),
-    ],
-    align=True,
-)
-"""Cells in which a root may be: of the alias table of their masses an entry's own share and who has
-the rest, the number of torso and cell, and of the inverse scale to its `power` the lowest and how
-far it goes from there."""
-
-
 class RootTable(NamedTuple):
     """Where roots are written to: `torso` `(most,)`, `angles` `(most, 3)` roll, tilt and yaw,
     `inverse` `(most,)` of the scale, `plane` `(most, 2)` the translation over the scale, `attempt`
@@ -103,10 +89,10 @@ def root_table(most: int) -> RootTable:
 
 
 def cut_roots(problem: TorsoProblem) -> tuple[np.ndarray, float]:
-    """The `CELLS` in which a root may explain the torso, and the mass of them all, which has the
+    """The `ROOT_CELLS` in which a root may explain the torso, and the mass of all, which has the
     area of the first disc in it."""
     code, low, high = _kept_cells(problem, ROOM)
-    tilt, cells = code // (2 * TILTS) % TILTS, np.zeros(len(code), CELLS)
+    tilt, cells = code // (2 * TILTS) % TILTS, np.zeros(len(code), ROOT_CELLS)
     cells["code"], cells["low"] = code, low**problem.power
     cells["span"] = high**problem.power - cells["low"]
     share = (EDGES[tilt] - EDGES[tilt + 1]) / 2 / (2 * TILTS) ** 2 / len(problem.torsos)
@@ -226,14 +212,20 @@ def turned(
     )
 
 
+@inlined
+def turn_of(roll: float, tilt: float, yaw: float) -> Turn:
+    """The same for angles."""
+    sin_a, cos_a = circle(roll / (2 * math.pi))
+    sin_b, cos_b = circle(tilt / (2 * math.pi))
+    sin_c, cos_c = circle(yaw / (2 * math.pi))
+    return turned(cos_a, sin_a, cos_b, sin_b, cos_c, sin_c)
+
+
 @compiled
 def turn_rows(angles: np.ndarray, rotations: np.ndarray) -> None:
     """Writes the rotations `(n, 3, 3)` of roots with `angles` `(n, 3)` roll, tilt and yaw."""
     for row in range(len(angles)):
-        sin_a, cos_a = circle(angles[row, 0] / (2 * math.pi))
-        sin_b, cos_b = circle(angles[row, 1] / (2 * math.pi))
-        sin_c, cos_c = circle(angles[row, 2] / (2 * math.pi))
-        turn = turned(cos_a, sin_a, cos_b, sin_b, cos_c, sin_c)
+        turn = turn_of(angles[row, 0], angles[row, 1], angles[row, 2])
         for place in range(9):
             rotations[row, place // 3, place % 3] = turn[place]
 
@@ -301,8 +293,8 @@ def write_root(
 def attempt_roots(
     state: np.ndarray, attempts: int, problem: TorsoProblem, cells: np.ndarray, table: RootTable
 ) -> tuple[int, int]:
-    """Makes attempts in `CELLS`, up to a number of them or until the table is full. Returns how
-    many roots were found, and how many attempts were made."""
+    """Makes attempts in `ROOT_CELLS`, up to a number of them or until the table is full. Returns
+    how many roots were found, and how many attempts were made."""
     torsos, keypoints, reach = problem.torsos, problem.keypoints, problem.reach
     bias, ray = problem.bias, problem.ray
     stream, found, root = load(state), 0, 1 / problem.power

@@ -27,7 +27,7 @@ def seeded_rows(words: list[int], paths: np.ndarray) -> np.ndarray:
     """`(n, 4)` uint64: the states for the words of a key and each of the `paths` `(n, k)`. Words
     and paths are of 32 bits."""
     entropy = np.zeros(max(len(words), _POOL) + paths.shape[1], np.uint64)
-    entropy[: len(words)] = words
+    entropy[: len(words)] = np.array(words, np.uint32)  # refuses what is longer
     states = np.empty((len(paths), 4), np.uint64)
     _seed_rows(entropy, paths, states)
     return states

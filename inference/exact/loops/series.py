@@ -1,6 +1,6 @@
-"""Sine and arcsine as polynomials, and the smaller of two, for the compiled loops: no
-calls and no branches, so that loops over them become vector instructions. Angles and sines are
-within 4e-16 of the true values."""
+"""Sine, arcsine and azimuth as polynomials, sine and cosine by a table, and the smaller of two, for
+the compiled loops: no calls and no branches, so that loops over them become vector instructions.
+Angles and sines are within 8e-16 of the true values."""
 
 import math
 
@@ -47,8 +47,8 @@ def circle(turns: float) -> tuple[float, float]:
     below = math.floor(at)
     turned, kept = small_sine_cosine((at - below - 0.5) * (2 * math.pi / _PARTS))
     part = int(below) & (_PARTS - 1)
-    sine, cosine = _CIRCLE[part, 0], _CIRCLE[part, 1]
-    return sine * kept + cosine * turned, cosine * kept - sine * turned
+    rise, run = _CIRCLE[part, 0], _CIRCLE[part, 1]
+    return rise * kept + run * turned, run * kept - rise * turned
 
 
 @inlined

@@ -6,15 +6,6 @@ import numpy as np
 
 from inference.exact.loops.numbers import compiled
 
-OPTICS = np.dtype(
-    [("start", float), ("slope", float, (3,)), ("stretch", float, (3,))],
-    align=True,
-)
-"""How one joint of a limb is seen. Its distance from the camera over the pelvis' is `start` +
-`slope` · what of the limb leads to it, in the upper bone's local frame; under weak perspective 1.
-What lies beside the line of sight becomes what lies beside it in a plane parallel to the image by a
-symmetric matrix, the `stretch` xx, xy, yy; where the line runs straight on, the identity."""
-
 
 @compiled
 def see_rows(

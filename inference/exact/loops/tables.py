@@ -77,9 +77,44 @@ where the upper measure is "area", the sines at the edges."""
 
 ALIAS = np.dtype([("share", float), ("partner", np.int64)])
 """Walker's alias table: an entry's own share of its column, and who has the rest."""
+ROOT_CELLS = np.dtype(
+    [
+        ("share", float),
+        ("partner", np.uint32),
+        ("code", np.uint32),
+        ("low", float),
+        ("span", float),
+    ],
+    align=True,
+)
+"""Cells in which a root may be: of the alias table of their masses an entry's own share and who has
+the rest, the number of torso and cell, and of the inverse scale to its `power` the lowest and how
+far it goes from there."""
 ENTRIES = np.dtype([("region", float), ("sub", np.uint32), ("mask", np.uint8)], align=True)
 """Strata in order of their bins: bound on the area of a piece of the lower bone's region (or the
 area of the hinge's box), the sub-cell, and which pieces are kept (0 for the box)."""
+
+OPTICS = np.dtype(
+    [("start", float), ("slope", float, (3,)), ("stretch", float, (3,))],
+    align=True,
+)
+"""How one joint of a limb is seen. Its distance from the camera over the pelvis' is `start` +
+`slope` · what of the limb leads to it, in the upper bone's local frame; under weak perspective 1.
+What lies beside the line of sight becomes what lies beside it in a plane parallel to the image by a
+symmetric matrix, the `stretch` xx, xy, yy; where the line runs straight on, the identity."""
+FOUND = np.dtype(
+    [
+        ("trial", np.int64),
+        ("weight", float),
+        ("square", float, (2,)),
+        ("upper", float, (3,)),
+        ("lower", float, (3,)),
+    ],
+    align=True,
+)
+"""Attempts that explain their detections: under which lengths, the weight, the squared distances of
+the joints from their targets, directions in local frames (the lower one zero in limbs of one bone).
+"""
 
 SLICES = _rows(("start", "width", "floor", "envelope"))
 """Slices of bins of lengths: start and width as fractions of the range, lower bound over envelope,

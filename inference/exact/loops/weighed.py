@@ -10,7 +10,7 @@ Both limbs of a group make some attempts under each of some lengths (`pairs`).
 
 A Gaussian error is uniform in a disc of random radius (Khintchine): with ρ² = σ² χ²(4 degrees of
 freedom), its density over the peak is E 2σ²/ρ² 1[|e| ≤ ρ]. A prior that is uniform in angles has no
-bound by area at the poles: the first attempt under every lengths goes to the lines of cells around
+bound by area at the poles: the first attempt under all lengths goes to the lines of cells around
 them, and all count by the mixture of both proposals (docs/model.md § 9)."""
 
 import math
@@ -39,21 +39,8 @@ _EDGES = np.sin(np.arange(NUM_ELEVATION + 1) * CELL - np.pi / 2)
 HEIGHT = _EDGES[1:] - _EDGES[:-1]
 """`(60,)`: differences of the sine of the elevation, by line of cells."""
 LEAST = 1e-300
-"""A squared radius, for uniform numbers that are both zero."""
+"""A square, in the place of zero."""
 
-FOUND = np.dtype(
-    [
-        ("trial", np.int64),
-        ("weight", float),
-        ("square", float, (2,)),
-        ("upper", float, (3,)),
-        ("lower", float, (3,)),
-    ],
-    align=True,
-)
-"""Attempts that explain their detections: under which lengths, the weight, the squared distances of
-the joints from their targets, directions in local frames (the lower one zero in limbs of one bone).
-"""
 Direction = tuple[float, float, float]
 
 
@@ -115,8 +102,8 @@ def attempt_rows(
                     d0, d1, d2, stream = _near_pole(first.frame, stream)
                 else:
                     d0, d1, d2, stream = _in_rectangle(aim, stream)
-                square = _square(optic1, d0 * one - first.target0, d1 * one - first.target1)
-                if square > radius * radius:
+                square1 = _square(optic1, d0 * one - first.target0, d1 * one - first.target1)
+                if square1 > radius * radius:
                     continue
                 u0, u1, u2 = upper = _local(first.frame, d0, d1, d2)
                 column, line = _cell_of(u0, u1, u2)
@@ -126,9 +113,9 @@ def attempt_rows(
                 away = optic1.start + one * _along(optic1, u0, u1, u2)
                 weight = away * away * share * cell.mass / CELL
                 weight *= _over_proposal(tables.by_area, line, u2, aim.area, 1 / each)
-                lower, beyond = (0.0, 0.0, 0.0), 0.0
+                lower, square2 = (0.0, 0.0, 0.0), 0.0
                 if tables.bones == 2:
-                    lower, beyond, ratio, stream = _attempt_lower(
+                    lower, square2, ratio, stream = _attempt_lower(
                         stream,
                         second,
                         optic2,
@@ -141,14 +128,14 @@ def attempt_rows(
                     )
                     weight *= ratio
                 if weight > 0:
-                    _write(found[count], trial, weight, square, beyond, upper, lower)
+                    _write(found[count], trial, weight, square1, square2, upper, lower)
                     count += 1
         ends[row] = count
         store(states[row], stream)
 
 
 class JointSight(NamedTuple):
-    """How one joint of a limb is seen under one root, as `attempt_rows` has it, in numbers."""
+    """Of one joint under one root what `attempt_rows` is given, in numbers."""
 
     frame: Rows
     target0: float
@@ -163,8 +150,9 @@ def _sight(axes: np.ndarray, target: np.ndarray, reach: float, deviation: float)
 
 
 class Aim(NamedTuple):
-    """What a bone of length one may see: a disc around `centre0` and `centre1`, at a `distance`,
-    the rectangle around its directions, and the rectangles' area, in front and behind together."""
+    """What a bone of length one is to reach: a disc around `centre0` and `centre1`, at a
+    `distance`, the rectangle around its directions, and the rectangles' area, in front and behind
+    together."""
 
     centre0: float
     centre1: float
@@ -187,13 +175,13 @@ def _write(
     entry: Record,
     trial: int,
     weight: float,
-    square: float,
-    beyond: float,
+    square1: float,
+    square2: float,
     upper: Direction,
     lower: Direction,
 ) -> None:
     entry.trial, entry.weight = trial, weight
-    entry.square[0], entry.square[1] = square, beyond
+    entry.square[0], entry.square[1] = square1, square2
     entry.upper[0], entry.upper[1], entry.upper[2] = upper
     entry.lower[0], entry.lower[1], entry.lower[2] = lower
 
@@ -317,7 +305,8 @@ def _attempt_lower(
     flat: bool,
 ) -> tuple[Direction, float, float, Stream]:
     """The bone below an `upper` one: its direction, the squared distance of its joint from where
-    that was detected, what the attempt counts, 0 where it fails, and the stream after it."""
+    that was detected, what the attempt counts, and the stream after it. Where it fails it counts 0,
+    and the direction says nothing."""
     u0, u1, u2 = upper
     d0, d1 = _across(sight.frame, u0, u1, u2)
     gap0, gap1 = sight.target0 - length1 * d0, sight.target1 - length1 * d1

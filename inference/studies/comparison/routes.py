@@ -56,7 +56,7 @@ def compare_routes(
     stage: Stage = contextlib.nullcontext,
 ) -> Comparison:
     """Lets samplers draw torso, camera and pose of a frame together, and judges each by rejection:
-    some draws a second, which are independent.
+    a few dozen draws a second, which are independent.
 
     Parameters
     ----------

@@ -199,8 +199,8 @@ def sights_of(views: Views, outlier: np.ndarray) -> list[Sight]:
         own, across = np.empty((*reach.shape, 3, 3)), np.empty((*reach.shape, 2))
         optics, counts = np.empty(reach.shape, OPTICS), np.isfinite(reach)
         see_rows(axes, start, target, ray, nearness, counts, own, across, optics)
-        strays = np.array(outlier[:, ends], order="C")
-        sights.append(Sight(own, across, reach, spread, optics, strays))
+        wrong = np.ascontiguousarray(outlier[:, ends])
+        sights.append(Sight(own, across, reach, spread, optics, wrong))
     return sights
 
 

@@ -25,7 +25,7 @@ WANTED = 1000
 """Effective draws a second that a frame should have."""
 
 
-class Cost(NamedTuple):
+class RootCost(NamedTuple):
     """Of many roots of several detections under one error law: `seconds` and `effective` draws,
     `(detections,)`."""
 
@@ -44,8 +44,8 @@ def costs_of(
     model: PoseModel,
     detections: Sequence[Detection],
     laws: Mapping[str, Likelihood],
-    said: Callable[[Cost], None],
-) -> list[Cost]:
+    said: Callable[[RootCost], None],
+) -> list[RootCost]:
     """Every number of roots under every law; `said` is told of each at once."""
     found = []
     for law, likelihood in laws.items():
@@ -54,7 +54,7 @@ def costs_of(
             _drawn(model, frames[0], number, 0)
             pairs = [_drawn(model, frame, number, seed) for seed, frame in enumerate(frames, 1)]
             seconds, effective = np.array(pairs).T
-            found.append(Cost(law, number, seconds, effective))
+            found.append(RootCost(law, number, seconds, effective))
             said(found[-1])
     return found
 
@@ -74,7 +74,7 @@ def _drawn(model: PoseModel, frame: Estimate, number: int, seed: int) -> tuple[f
     return seconds, float(result.tree.attrs["effective_roots"])
 
 
-def table_of(costs: Sequence[Cost]) -> Sheet:
+def table_of(costs: Sequence[RootCost]) -> Sheet:
     """A line for each number of roots under each law."""
     lines = [
         (
@@ -91,7 +91,7 @@ def table_of(costs: Sequence[Cost]) -> Sheet:
     return sheet_of(head, lines)
 
 
-def plot_costs(costs: Sequence[Cost]) -> Figure:
+def plot_costs(costs: Sequence[RootCost]) -> Figure:
     """Effective draws a second against the number of roots: medians, with ranges."""
     figure = page(6.4, 3.4, dpi=150)
     axes = figure.subplots()

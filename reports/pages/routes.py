@@ -53,7 +53,7 @@ TURNS = ("disc", "Gaussian", "disc", "disc, faults", "disc")
 """The error law of each of the frames."""
 FAST = "weighted roots"
 COSTED = (50, 90)
-"""Frames of every camera in which the number of roots is varied."""
+"""Those of the frames in which the number of roots is varied."""
 
 
 class JudgedFrame(NamedTuple):
@@ -211,10 +211,11 @@ def figure_of(cases: list[JudgedFrame], found: list[Found]) -> Figure:
 def main(data: Path) -> None:
     """Runs the study and writes the page."""
     session = film(data).session
+    seen = {frame: [corrected(people[frame]) for people in session.people] for frame in FRAMES}
     cases = [
-        JudgedFrame(f"{frame}, camera {number + 1}", law, corrected(session.people[number][frame]))
+        JudgedFrame(f"{frame}, camera {number}", law, detection)
         for frame, law in zip(FRAMES, TURNS, strict=True)
-        for number in range(len(session.cameras))
+        for number, detection in enumerate(seen[frame], 1)
     ]
     model, found = PoseModel(), []
     for law in LAWS:  # compiled before times are taken
@@ -224,11 +225,7 @@ def main(data: Path) -> None:
         found.append(study(model, case, seed))
         said = {name: one.verdict for name, one in found[-1].judged.items()}
         print(case.name, found[-1].seconds, said, flush=True)
-    detections = [
-        corrected(session.people[number][frame])
-        for frame in COSTED
-        for number in range(len(session.cameras))
-    ]
+    detections = [detection for frame in COSTED for detection in seen[frame]]
     learned = Likelihood.of(DetectorErrors.default(), LIKELIHOOD_JOINTS)
     costs = costs_of(model, detections, LAWS | {"learned": learned}, print)
     rates = [len(one.exact.limbs) / one.seconds[0] for one in found]

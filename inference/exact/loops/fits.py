@@ -26,9 +26,10 @@ from inference.exact.loops.numbers import compiled, inlined, load, store, unifor
 from inference.exact.loops.roots import (
     RootTable,
     TorsoProblem,
+    cosines_sines,
     explains,
     image,
-    turn_of,
+    turned,
     write_root,
 )
 from inference.exact.loops.series import circle, sine
@@ -258,14 +259,9 @@ def _fit(
     """χ² and the inverse scale that fits best, under one rotation, how far the joints may move,
     weighed, when the rotation moves by half of `width` either way, and where their middle falls
     beside that of parallel lines of sight."""
-    sin_a, cos_a = circle(roll / (2 * math.pi))
-    sin_b, cos_b = circle(tilt / (2 * math.pi))
-    sin_c, cos_c = circle(yaw / (2 * math.pi))
-    by_roll, by_tilt, by_yaw = (
-        2 * sine(width[0] / 4),
-        2 * sine(width[1] / 4),
-        2 * sine(width[2] / 4),
-    )
+    cos_a, sin_a, cos_b, sin_b, cos_c, sin_c = cosines_sines(roll, tilt, yaw)
+    by_roll, by_tilt = 2 * sine(width[0] / 4), 2 * sine(width[1] / 4)
+    by_yaw = 2 * sine(width[2] / 4)
     m0, m1, m2 = known.middles[torso, 0, 0], known.middles[torso, 0, 1], known.middles[torso, 0, 2]
     middle = cos_b * m2 - sin_b * (cos_c * m0 - sin_c * m1)
     side = math.sqrt(known.ray[0] ** 2 + known.ray[1] ** 2)
@@ -356,7 +352,7 @@ def attempt_fits(
             log_ratio = 0.0
         radius = math.sqrt(-2 * math.log(1 - radius) / total)
         down, across = circle(angle)
-        turn = turn_of(roll, tilt, yaw)
+        turn = turned(*cosines_sines(roll, tilt, yaw))
         x, y = image(turn, known.middles, 0.0, 0.0, torso, 0)
         x, y = x - aside0 + known.bias[0], y - aside1 + known.bias[1]
         t0 = known.middle[0] * inverse - x + radius * across

@@ -213,19 +213,21 @@ def turned(
 
 
 @inlined
-def turn_of(roll: float, tilt: float, yaw: float) -> Turn:
-    """The same for angles."""
+def cosines_sines(
+    roll: float, tilt: float, yaw: float
+) -> tuple[float, float, float, float, float, float]:
+    """Cosine and sine of each of the angles, as `turned` takes them."""
     sin_a, cos_a = circle(roll / (2 * math.pi))
     sin_b, cos_b = circle(tilt / (2 * math.pi))
     sin_c, cos_c = circle(yaw / (2 * math.pi))
-    return turned(cos_a, sin_a, cos_b, sin_b, cos_c, sin_c)
+    return cos_a, sin_a, cos_b, sin_b, cos_c, sin_c
 
 
 @compiled
 def turn_rows(angles: np.ndarray, rotations: np.ndarray) -> None:
     """Writes the rotations `(n, 3, 3)` of roots with `angles` `(n, 3)` roll, tilt and yaw."""
     for row in range(len(angles)):
-        turn = turn_of(angles[row, 0], angles[row, 1], angles[row, 2])
+        turn = turned(*cosines_sines(angles[row, 0], angles[row, 1], angles[row, 2]))
         for place in range(9):
             rotations[row, place // 3, place % 3] = turn[place]
 

@@ -33,7 +33,7 @@ lint: $(VENV)/.done
 
 bench: $(VENV)/.done
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
-	$(BIN)/python -m reports.pages.speed
+	$(BIN)/python -m poseterior.reports.pages.speed
 
 # The site, in build/site: a warning, or a link that leads nowhere, ends it.
 docs: $(VENV)/.docs

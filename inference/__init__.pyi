@@ -2,6 +2,10 @@ from .baselines.rooted import RootedTarget as RootedTarget
 from .baselines.target import Target as Target
 from .composition import composed as composed
 from .drawsfile import sample_to_file as sample_to_file
+from .estimators import ESTIMATORS as ESTIMATORS
+from .estimators import Estimating as Estimating
+from .estimators import estimate_torso as estimate_torso
+from .estimators import estimate_torsos as estimate_torsos
 from .evidences import Evidence as Evidence
 from .evidences import evidence as evidence
 from .hypothesis import Hypothesis as Hypothesis
@@ -12,10 +16,6 @@ from .machines import Machines as Machines
 from .resident import Resident as Resident
 from .resident import resident_draws as resident_draws
 from .results import Result as Result
-from .roots import ESTIMATORS as ESTIMATORS
-from .roots import Estimating as Estimating
-from .roots import estimate_torso as estimate_torso
-from .roots import estimate_torsos as estimate_torsos
 from .sampler import SAMPLERS as SAMPLERS
 from .sampler import sample as sample
 from .stream import Item as Item

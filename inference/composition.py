@@ -15,19 +15,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.clusters import Clusters, clusters
-from inference.hypothesis import Hypothesis, require_k
-from inference.machines import calm_blas
-from inference.results import Result
-from inference.uncertain.tree import nearest_rotation
-from probmodel.faults import Faults
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.posterior import Posterior
-from probmodel.programs import kept
-from probmodel.roots import RootPoint, RootPrior
-from probmodel.skeleton import GROUPS, NUM_JOINTS, PARENTS, TORSO_INDEX
-from probmodel.uncertain import DetectedJoints, UncertainPosterior
+from poseterior.inference.clusters import Clusters, clusters
+from poseterior.inference.hypothesis import Hypothesis, require_k
+from poseterior.inference.importance.tree import nearest_rotation
+from poseterior.inference.machines import calm_blas
+from poseterior.inference.results import Result
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.programs import kept
+from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.skeleton import GROUPS, NUM_JOINTS, PARENTS, TORSO_INDEX
+from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 ROOTS = 8
 """Roots that are tried for each hypothesis, of each kind: draws' own, and the mean camera's."""

@@ -23,12 +23,12 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from PIL import Image
 
-from inference import network_process
-from probmodel.detections import LARGEST_NUMBER, Detection
-from probmodel.failures import BadInput, shown
-from probmodel.files import opened
-from probmodel.heatmaps import THRESHOLD, Crop, Decoded, decode
-from probmodel.layouts import Layout
+from poseterior.inference import network_process
+from poseterior.probmodel.detections import LARGEST_NUMBER, Detection
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.files import opened
+from poseterior.probmodel.heatmaps import THRESHOLD, Crop, Decoded, decode
+from poseterior.probmodel.layouts import Layout
 
 PIXELS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "imagenet": ((123.675, 116.28, 103.53), (58.395, 57.12, 57.375)),

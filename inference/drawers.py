@@ -16,18 +16,18 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import numpy as np
 
-from inference.composition import Drawn
-from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, draw_mixture
-from inference.results import FIXED, UNCERTAIN, joint_columns
-from inference.uncertain.routes import ROUTES, draw_uncertain
-from inference.uncertain.tree import placed
-from inference.uncertain.weighted import require_number
-from probmodel.failures import BadInput
-from probmodel.faults import Faults
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate, Posterior
-from probmodel.roots import RootPoint
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference.composition import Drawn
+from poseterior.inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, draw_mixture
+from poseterior.inference.importance.routes import ROUTES, draw_uncertain
+from poseterior.inference.importance.tree import placed
+from poseterior.inference.importance.weighted import require_number
+from poseterior.inference.results import FIXED, UNCERTAIN, joint_columns
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate, Posterior
+from poseterior.probmodel.roots import RootPoint
+from poseterior.probmodel.uncertain import UncertainPosterior
 
 ROOTS = (FIXED, UNCERTAIN)
 """What torso and camera may be: given by an estimator, or drawn with the pose."""

@@ -19,15 +19,15 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
-from inference.drawers import sampler_under
-from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress
-from inference.results import BLOCK, FIXED, Result, single
-from inference.sampler import ROOTED_SAMPLERS, exact_blocks, sample, uncertain_blocks
-from inference.uncertain.routes import ROUTES
-from inference.uncertain.weighted import NUM_ROOTS
-from probmodel.files import replacing
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
+from poseterior.inference.drawers import sampler_under
+from poseterior.inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress
+from poseterior.inference.importance.routes import ROUTES
+from poseterior.inference.importance.weighted import NUM_ROOTS
+from poseterior.inference.results import BLOCK, FIXED, Result, single
+from poseterior.inference.sampler import ROOTED_SAMPLERS, exact_blocks, sample, uncertain_blocks
+from poseterior.probmodel.files import replacing
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate
 
 CHUNK = 1 << 12
 """Draws that a file which grows has side by side: those of one joint are read without the rest."""

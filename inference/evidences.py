@@ -9,12 +9,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from inference.exact.groups import StratifiedGroup, group_tables
-from inference.exact.problem import limb_problems, log_ratio_of
-from inference.exact.rates import Budget, GroupSampler
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
-from probmodel.skeleton import GROUPS, Limb
+from poseterior.inference.exact.groups import StratifiedGroup, group_tables
+from poseterior.inference.exact.problem import limb_problems, log_ratio_of
+from poseterior.inference.exact.rates import Budget, GroupSampler
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.skeleton import GROUPS, Limb
 
 BODY = "body"
 STEP = 4000

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probmodel.detections import Detection
-from probmodel.roots import Candidate
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.roots import Candidate
 
 METRE = 1 / 0.325
 """Body units: a limb bone of the motion capture is 0.325 m long on average."""

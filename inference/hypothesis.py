@@ -11,18 +11,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.clusters import clusters
-from inference.machines import calm_blas
-from inference.results import Result
-from probmodel.anatomy.limits import cell_of
-from probmodel.directions.cells import Cells
-from probmodel.directions.hinges import Hinge
-from probmodel.failures import BadInput
-from probmodel.kinematics import direction
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.pose import GroupDraws, Pose
-from probmodel.skeleton import GROUPS, JOINTS, Limb
+from poseterior.inference.clusters import clusters
+from poseterior.inference.machines import calm_blas
+from poseterior.inference.results import Result
+from poseterior.probmodel.anatomy.limits import cell_of
+from poseterior.probmodel.directions.cells import Cells
+from poseterior.probmodel.directions.hinges import Hinge
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.kinematics import direction
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import GroupDraws, Pose
+from poseterior.probmodel.skeleton import GROUPS, JOINTS, Limb
 
 NUM_ANGLES = 15
 """Azimuths, and polar angles, of the grid for upper bones (Stage I of the paper)."""
@@ -160,7 +160,9 @@ def grid_poses(
     ndarray
         `(n, 15, 3)`, camera axes, body units; empty where nothing is left of a limb.
     """
-    from probmodel.anatomy.lengths import BoneLength  # imports NumPyro, which few hypotheses need
+    from poseterior.probmodel.anatomy.lengths import (
+        BoneLength,
+    )  # imports NumPyro, which few hypotheses need
 
     alpha, beta = np.asarray(model.lengths.alpha), np.asarray(model.lengths.beta)
     length = np.asarray(BoneLength(model.lengths).at(alpha / (alpha + beta)))

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inference.results import COMPLETE, Result
+from poseterior.inference.results import COMPLETE, Result
 
 CHAINED = ("posterior", "sample_stats", "posterior_predictive", "log_likelihood")
 """Groups with a chain."""

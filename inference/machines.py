@@ -20,7 +20,7 @@ from typing import Any
 
 import jax
 
-from probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput
 
 PATIENCE = "15s"
 """How long a scheduler may take to answer."""
@@ -224,7 +224,7 @@ def _preparing(task: Any) -> Any:
             self.data = data
 
         def setup(self, worker: Any) -> None:
-            from inference import machines
+            from poseterior.inference import machines
 
             machines.prepare(self.data)
 

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from probmodel.chunks import in_chunks
-from probmodel.likelihood import ErrorLaw, WithOutliers
-from probmodel.programs import kept
-from probmodel.skeleton import JOINTS
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.likelihood import ErrorLaw, WithOutliers
+from poseterior.probmodel.programs import kept
+from poseterior.probmodel.skeleton import JOINTS
 
 _STREAM = 1
 """Tells the random numbers of predictions from those of the draws, which have the same seed."""

@@ -8,11 +8,11 @@ import xarray as xr
 from numpyro.infer import Predictive
 from numpyro.infer.util import log_density
 
-from inference.results import key_words, provenance
-from probmodel.chunks import CHUNK
-from probmodel.failures import BadInput
-from probmodel.model import PoseModel
-from probmodel.skeleton import JOINTS, LENGTH_GROUPS
+from poseterior.inference.results import key_words, provenance
+from poseterior.probmodel.chunks import CHUNK
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS
 
 
 def sample_prior(

@@ -16,15 +16,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.face import log_face_likelihood
-from inference.roots import estimate_torso
-from probmodel.detections import FACE, Detection
-from probmodel.failures import BadInput
-from probmodel.model import PoseModel
-from probmodel.pose import Pose
-from probmodel.roots import Candidate
-from probmodel.skeleton import GROUPS, JOINT_INDEX, LIMB_JOINTS, MIRROR, TORSO_INDEX
-from probmodel.transport import CUBE_DIM, from_cube
+from poseterior.inference.estimators import estimate_torso
+from poseterior.inference.face import log_face_likelihood
+from poseterior.probmodel.detections import FACE, Detection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.roots import Candidate
+from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX, LIMB_JOINTS, MIRROR, TORSO_INDEX
+from poseterior.probmodel.transport import CUBE_DIM, from_cube
 
 DRAWS = 2**15
 """Poses of the prior that stand for it."""

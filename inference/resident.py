@@ -11,13 +11,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from inference.exact.device.group import device_groups, place_group
-from inference.exact.mixture import MAX_PROPOSALS, RootSampler
-from inference.exact.rates import Budget
-from probmodel.failures import BadInput
-from probmodel.model import PoseModel
-from probmodel.pose import Pose
-from probmodel.posterior import Estimate
+from poseterior.inference.exact.device.group import device_groups, place_group
+from poseterior.inference.exact.mixture import MAX_PROPOSALS, RootSampler
+from poseterior.inference.exact.rates import Budget
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.posterior import Estimate
 
 
 class Resident(NamedTuple):

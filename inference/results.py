@@ -14,19 +14,19 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.exact.loops.numbers import words_of
-from inference.predictions import KeypointsRead, prediction_groups
-from probmodel.camera import Lens
-from probmodel.chunks import in_chunks
-from probmodel.detections import Detection
-from probmodel.files import replacing
-from probmodel.model import PoseModel, log_joint
-from probmodel.observation import Observation
-from probmodel.pose import Pose
-from probmodel.posterior import Posterior
-from probmodel.programs import kept
-from probmodel.skeleton import JOINTS, LENGTH_GROUPS, NUM_JOINTS
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.predictions import KeypointsRead, prediction_groups
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.files import replacing
+from poseterior.probmodel.model import PoseModel, log_joint
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.programs import kept
+from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS, NUM_JOINTS
+from poseterior.probmodel.uncertain import UncertainPosterior
 
 _PACKAGES = ("poseterior", "numpyro", "jax", "numpy", "scipy", "arviz", "xarray")
 BASE_MEASURE = (

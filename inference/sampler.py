@@ -9,19 +9,30 @@ from typing import Any
 import jax
 import numpy as np
 
-from inference.baselines.catalogue import BASELINES, ROOTED, sample_baseline, sample_rooted
-from inference.drawers import sampler_under
-from inference.exact import ahead
-from inference.exact.mixture import MAX_PROPOSALS, ON_DEVICE, PROPOSALS, Progress, mixture_blocks
-from inference.joined import joined
-from inference.results import FIXED, UNCERTAIN, Result, build_tree, key_words
-from inference.uncertain.routes import ROUTES, draw_uncertain
-from inference.uncertain.tree import uncertain_tree
-from inference.uncertain.weighted import NUM_ROOTS
-from probmodel.failures import BadInput
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate, Posterior
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference.baselines.catalogue import (
+    BASELINES,
+    ROOTED,
+    sample_baseline,
+    sample_rooted,
+)
+from poseterior.inference.drawers import sampler_under
+from poseterior.inference.exact import ahead
+from poseterior.inference.exact.mixture import (
+    MAX_PROPOSALS,
+    ON_DEVICE,
+    PROPOSALS,
+    Progress,
+    mixture_blocks,
+)
+from poseterior.inference.importance.routes import ROUTES, draw_uncertain
+from poseterior.inference.importance.tree import uncertain_tree
+from poseterior.inference.importance.weighted import NUM_ROOTS
+from poseterior.inference.joined import joined
+from poseterior.inference.results import FIXED, UNCERTAIN, Result, build_tree, key_words
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate, Posterior
+from poseterior.probmodel.uncertain import UncertainPosterior
 
 SAMPLERS = tuple(sorted((*PROPOSALS, *BASELINES), key=lambda name: name == ON_DEVICE))
 """Every sampler under a fixed root by its name: exact rejection first, then the baselines. Keys of

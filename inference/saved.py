@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inference.results import NAMES, UNCERTAIN, Result
-from probmodel.arrays import HDF5, ArrayFile, doubles
-from probmodel.detections import LARGEST_NUMBER
-from probmodel.failures import BadInput
-from probmodel.files import opened
-from probmodel.skeleton import NUM_JOINTS
+from poseterior.inference.results import NAMES, UNCERTAIN, Result
+from poseterior.probmodel.arrays import HDF5, ArrayFile, doubles
+from poseterior.probmodel.detections import LARGEST_NUMBER
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.files import opened
+from poseterior.probmodel.skeleton import NUM_JOINTS
 
 WHAT, ADVICE = "posterior.nc of poseterior", "give one that `poseterior` wrote"
 _CANDIDATE = {

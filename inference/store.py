@@ -30,12 +30,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from inference.machines import Machines
-from inference.results import save_tree
-from probmodel.arrays import ArrayFile
-from probmodel.documents import read_json
-from probmodel.failures import BadInput, shown
-from probmodel.files import opened, replacing
+from poseterior.inference.machines import Machines
+from poseterior.inference.results import save_tree
+from poseterior.probmodel.arrays import ArrayFile
+from poseterior.probmodel.documents import read_json
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.files import opened, replacing
 
 LOG = logging.getLogger("poseterior")
 SETTINGS, LOCK = "run.json", "run.lock"

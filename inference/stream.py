@@ -24,20 +24,20 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from inference.composition import compose
-from inference.drawers import NUM_ROOTS, Drawer, drawer
-from inference.exact.mixture import MAX_PROPOSALS
-from inference.hypothesis import diverse
-from inference.machines import HERE, Machines, in_threads
-from inference.results import FIXED, key_words, provenance
-from inference.roots import Estimating
-from inference.store import Block, Groups, Store, fill, locked
-from probmodel.detections import Detection
-from probmodel.failures import BadInput
-from probmodel.formats.frames import DetectedFrame
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
-from probmodel.skeleton import JOINTS, LENGTH_GROUPS, NUM_JOINTS, NUM_LENGTHS
+from poseterior.inference.composition import compose
+from poseterior.inference.drawers import NUM_ROOTS, Drawer, drawer
+from poseterior.inference.estimators import Estimating
+from poseterior.inference.exact.mixture import MAX_PROPOSALS
+from poseterior.inference.hypothesis import diverse
+from poseterior.inference.machines import HERE, Machines, in_threads
+from poseterior.inference.results import FIXED, key_words, provenance
+from poseterior.inference.store import Block, Groups, Store, fill, locked
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats.frames import DetectedFrame
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS, NUM_JOINTS, NUM_LENGTHS
 
 DRAW_BYTES = 4 * (3 * NUM_JOINTS + NUM_LENGTHS)
 """Of a draw that is kept, in single precision."""

@@ -10,12 +10,10 @@ Names are looked up when they are first used: the import itself costs next to no
 bring JAX along."""
 
 from importlib import import_module, metadata
-from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors
-    from inference import (
+    from poseterior.inference import (
         ESTIMATORS,
         SAMPLERS,
         Estimating,
@@ -41,9 +39,9 @@ if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors
         sample_frames,
         sample_to_file,
     )
-    from inference.studies.calibration import calibrate, cover, read_cases
-    from inference.studies.comparison import Comparison, compare, compare_routes
-    from probmodel import (
+    from poseterior.inference.studies.calibration import calibrate, cover, read_cases
+    from poseterior.inference.studies.comparison import Comparison, compare, compare_routes
+    from poseterior.probmodel import (
         AnatomicalLimits,
         Anatomy,
         BadInput,
@@ -79,20 +77,20 @@ if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors
         read_published,
         write_detections,
     )
-    from probmodel.datasets import DataSet, read_data_set
-    from probmodel.motion import Motion, read_motion
-    from probmodel.sessions import Session, read_session
+    from poseterior.probmodel.datasets import DataSet, read_data_set
+    from poseterior.probmodel.motion import Motion, read_motion
+    from poseterior.probmodel.sessions import Session, read_session
 
     __version__: str
 
 _HOMES = (
-    "probmodel",
-    "probmodel.motion",
-    "probmodel.datasets",
-    "probmodel.sessions",
-    "inference",
-    "inference.studies.comparison",
-    "inference.studies.calibration",
+    "poseterior.probmodel",
+    "poseterior.probmodel.motion",
+    "poseterior.probmodel.datasets",
+    "poseterior.probmodel.sessions",
+    "poseterior.inference",
+    "poseterior.inference.studies.comparison",
+    "poseterior.inference.studies.calibration",
 )
 """Where names are looked for: the first one that exports a name has it."""
 
@@ -171,21 +169,6 @@ __all__ = [
 ]
 
 
-def _require_our_own() -> None:
-    """Raises `ImportError` where Python finds another package of the name of one of ours: the names
-    are common ones, and half of each would be worse than none."""
-    ours = Path(__file__).resolve().parents[1]
-    for name in ("probmodel", "inference"):
-        spec = find_spec(name)
-        place = Path(spec.origin).resolve() if spec and spec.origin else None
-        if place is None or place.parents[1] != ours:
-            found = place or (list(spec.submodule_search_locations or ()) if spec else "nothing")
-            raise ImportError(
-                f"poseterior needs its own package {name!r}, which lies in {ours}, but Python finds"
-                f" {found} under that name; rename that one, or take its folder off sys.path"
-            )
-
-
 def __getattr__(name: str) -> Any:
     """A public name, looked up once (PEP 562)."""
     if name not in __all__:
@@ -211,6 +194,3 @@ def _exported(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
-
-
-_require_our_own()

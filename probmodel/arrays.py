@@ -23,10 +23,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probmodel import matlab
-from probmodel.detections import LARGEST_NUMBER
-from probmodel.failures import BadInput, shown
-from probmodel.files import opened, read_bytes, replacing
+from poseterior.probmodel import matlab
+from poseterior.probmodel.detections import LARGEST_NUMBER
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.files import opened, read_bytes, replacing
 
 NPY, ZIP, HDF5 = b"\x93NUMPY", b"PK\x03\x04", b"\x89HDF\r\n\x1a\n"
 _EMPTY_ZIP = b"PK\x05\x06"

@@ -6,8 +6,8 @@ the person's left, y up along the back, z forward, the pelvis at the origin (doc
 
 import numpy as np
 
-from probmodel.failures import BadInput
-from probmodel.skeleton import BONES, JOINTS, LIMB_JOINTS, MIRROR, PARENTS, TORSO_INDEX
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import BONES, JOINTS, LIMB_JOINTS, MIRROR, PARENTS, TORSO_INDEX
 
 _MIRROR_TORSO = [TORSO_INDEX.index(MIRROR[joint]) for joint in TORSO_INDEX]
 _SIDEWAYS = np.array([-1.0, 1.0, 1.0])

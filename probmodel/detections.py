@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from probmodel.failures import BadInput, shown
-from probmodel.skeleton import BONES, JOINTS, LIMB_JOINTS, NUM_JOINTS
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.skeleton import BONES, JOINTS, LIMB_JOINTS, NUM_JOINTS
 
 __all__ = ["FACE", "LARGEST_NUMBER", "LIKELIHOOD_JOINTS", "LIMB_JOINTS", "Detection", "pick_person"]
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from probmodel.failures import BadInput
-from probmodel.files import LARGEST_FILE, read_bytes
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.files import LARGEST_FILE, read_bytes
 
 LARGEST_TEXT = 1_500_000_000
 """Bytes of memory that a text may take; one character beyond Latin-1 makes all of them wider."""

@@ -20,11 +20,11 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from probmodel.detections import LARGEST_NUMBER
-from probmodel.documents import read_json
-from probmodel.failures import BadInput, shown
-from probmodel.files import replacing
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
+from poseterior.probmodel.detections import LARGEST_NUMBER
+from poseterior.probmodel.documents import read_json
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.files import replacing
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 
 FORMAT = "poseterior error law 1"
 UNITS = "body units: the person's mean limb bone is 1"
@@ -234,7 +234,9 @@ class DetectorErrors:
     @classmethod
     def default(cls) -> Self:
         """The embedded law (probmodel/data/PROVENANCE.md)."""
-        with resources.as_file(resources.files("probmodel.data") / "errors.json") as path:
+        with resources.as_file(
+            resources.files("poseterior.probmodel.data") / "errors.json"
+        ) as path:
             return cls.read(path)
 
     @classmethod

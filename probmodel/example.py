@@ -1,7 +1,8 @@
 """The embedded example: a pose of motion capture, projected, with a detector's noise and one wrist
 missing; its truth is known.
 
-`example()` reads it; `python -m probmodel.example MOTION` makes it again, by `make_example`."""
+`example()` reads it; `python -m poseterior.probmodel.example MOTION` makes it again, by
+`make_example`."""
 
 import json
 import sys
@@ -12,12 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probmodel.body import body_unit
-from probmodel.camera import WeakPerspective
-from probmodel.detections import Detection
-from probmodel.formats import read_detections
-from probmodel.motion import read_motion
-from probmodel.skeleton import JOINT_INDEX, JOINTS
+from poseterior.probmodel.body import body_unit
+from poseterior.probmodel.camera import WeakPerspective
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.formats import read_detections
+from poseterior.probmodel.motion import read_motion
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 
 RECIPE: dict[str, Any] = {
     "sequence": "soccer/soccer_1",
@@ -45,7 +46,7 @@ class Example(NamedTuple):
 
 def example() -> Example:
     """The example that comes with the product."""
-    path = Path(str(resources.files("probmodel.data") / "example.json"))
+    path = Path(str(resources.files("poseterior.probmodel.data") / "example.json"))
     truth = json.loads(path.read_text(encoding="utf-8"))["truth"]["joints"]
     return Example(read_detections(path)[0], np.array([truth[name] for name in JOINTS]), path)
 
@@ -92,5 +93,5 @@ if __name__ == "__main__":
         motion for motion in read_motion(sys.argv[1]) if RECIPE["sequence"] in motion.name
     )
     made = make_example(motion.joints[int(RECIPE["frame"])], RECIPE)
-    out = Path(str(resources.files("probmodel.data") / "example.json"))
+    out = Path(str(resources.files("poseterior.probmodel.data") / "example.json"))
     out.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")

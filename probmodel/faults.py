@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from probmodel.failures import BadInput
-from probmodel.skeleton import JOINT_INDEX, JOINTS, MIRROR, NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, MIRROR, NUM_JOINTS, TORSO_INDEX
 
 OUTLIER_REACH = 8.0
 """Body units: how far from its joint an outlier may lie, where nothing else is said; more than the

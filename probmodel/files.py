@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput
 
 UNFINISHED: set[Path] = set()
 """What is being written, for whoever ends the process at once to remove."""

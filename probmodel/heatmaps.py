@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput
-from probmodel.layouts import Layout
+from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.layouts import Layout
 
 THRESHOLD = 0.002
 """The mean of a heatmap up to which its joint is missing (the paper's, for Stacked Hourglass)."""

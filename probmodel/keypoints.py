@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
 
-from probmodel.directions.supports import disc, same_rank
-from probmodel.likelihood import ErrorLaw
+from poseterior.probmodel.directions.supports import disc, same_rank
+from poseterior.probmodel.likelihood import ErrorLaw
 
 
 class DetectedKeypoint(Distribution):

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from probmodel.skeleton import (
+from poseterior.probmodel.skeleton import (
     BONES,
     JOINT_INDEX,
     LOWER_BONES,

@@ -14,8 +14,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from probmodel.detections import FACE, Detection, FloatArray
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.probmodel.detections import FACE, Detection, FloatArray
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 MIDPOINTS = {"thorax": ("right_shoulder", "left_shoulder"), "pelvis": ("right_hip", "left_hip")}
 """Joints that lie midway between two others, for the detectors that do not have them or missed

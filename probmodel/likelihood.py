@@ -22,17 +22,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from probmodel.detections import LARGEST_NUMBER, LIKELIHOOD_JOINTS, Detection
-from probmodel.errorlaws import DetectorErrors
-from probmodel.failures import BadInput
-from probmodel.faults import EXCHANGES, NO_FAULTS, FaultPrior
-from probmodel.layouts import STRAY
-from probmodel.observation import Observation
-from probmodel.programs import kept
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.detections import LARGEST_NUMBER, LIKELIHOOD_JOINTS, Detection
+from poseterior.probmodel.errorlaws import DetectorErrors
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.faults import EXCHANGES, NO_FAULTS, FaultPrior
+from poseterior.probmodel.layouts import STRAY
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.programs import kept
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 
 if TYPE_CHECKING:
-    from probmodel.roots import Root
+    from poseterior.probmodel.roots import Root
 
 
 class ErrorLaw(abc.ABC):

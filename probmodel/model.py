@@ -18,18 +18,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from probmodel.anatomy.limits import AnatomicalLimits, cell_of
-from probmodel.anatomy.population import Anatomy, LengthPrior
-from probmodel.camera import Lens
-from probmodel.detections import LARGEST_NUMBER
-from probmodel.directions.cells import Cells
-from probmodel.directions.hinges import Hinge
-from probmodel.failures import BadInput
-from probmodel.kinematics import articulation, pose
-from probmodel.observation import Observation
-from probmodel.pose import Pose
-from probmodel.programs import kept
-from probmodel.skeleton import BONES, NUM_LOWER
+from poseterior.probmodel.anatomy.limits import AnatomicalLimits, cell_of
+from poseterior.probmodel.anatomy.population import Anatomy, LengthPrior
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.detections import LARGEST_NUMBER
+from poseterior.probmodel.directions.cells import Cells
+from poseterior.probmodel.directions.hinges import Hinge
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.kinematics import articulation, pose
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.programs import kept
+from poseterior.probmodel.skeleton import BONES, NUM_LOWER
 
 CELL_ARRAYS = 3
 """Arrays of `Cells`."""
@@ -243,8 +243,8 @@ class PoseModel:
         `step(site, law)` says what becomes of each law in turn (a draw, a quantile, a given value);
         the law of the lower bones is that below the upper directions which `step` returned.
         """
-        from probmodel.anatomy.lengths import BoneLength
-        from probmodel.directions.distributions import HingedDirection, OccupiedDirection
+        from poseterior.probmodel.anatomy.lengths import BoneLength
+        from poseterior.probmodel.directions.distributions import HingedDirection, OccupiedDirection
 
         length = step("bone_length", BoneLength(self.lengths))
         upper = step("upper", OccupiedDirection(self.cells))
@@ -276,7 +276,7 @@ class PoseModel:
         """NumPyro model: a pose in body axes, body units; returns the joints `(15, 3)`."""
         import numpyro
 
-        from probmodel.anatomy.torsos import TorsoDictionary
+        from poseterior.probmodel.anatomy.torsos import TorsoDictionary
 
         index = numpyro.sample("torso", TorsoDictionary(self.torsos))
         return self._pose(jnp.asarray(self.torsos)[index])
@@ -289,7 +289,7 @@ class PoseModel:
         import numpyro
         from numpyro.handlers import mask
 
-        from probmodel.keypoints import DetectedKeypoint
+        from poseterior.probmodel.keypoints import DetectedKeypoint
 
         camera, seen = observation.root.camera, observation.seen
         joints = self._pose(observation.view)

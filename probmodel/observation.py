@@ -13,8 +13,8 @@ import numpy as np
 from jax.typing import ArrayLike
 
 if TYPE_CHECKING:
-    from probmodel.likelihood import ErrorLaw
-    from probmodel.roots import Root
+    from poseterior.probmodel.likelihood import ErrorLaw
+    from poseterior.probmodel.roots import Root
 
 
 class Observation(NamedTuple):

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from probmodel.skeleton import NUM_LENGTHS, NUM_LOWER, NUM_UPPER, Limb
+from poseterior.probmodel.skeleton import NUM_LENGTHS, NUM_LOWER, NUM_UPPER, Limb
 
 
 class Pose(NamedTuple):

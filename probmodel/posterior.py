@@ -13,15 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from probmodel.camera import Lens
-from probmodel.detections import Detection
-from probmodel.failures import BadInput
-from probmodel.likelihood import PAPER, Likelihood
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.programs import kept
-from probmodel.roots import Candidate
-from probmodel.uncertain import UncertainPosterior
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.likelihood import PAPER, Likelihood
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.programs import kept
+from poseterior.probmodel.roots import Candidate
+from poseterior.probmodel.uncertain import UncertainPosterior
 
 
 @dataclass(frozen=True, eq=False)

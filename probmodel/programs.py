@@ -25,7 +25,7 @@ from typing import Any
 import jax
 from jax import export
 
-OURS = ("builtins", "collections", "inference", "probmodel")
+OURS = ("builtins", "collections", "poseterior")
 """Packages whose classes in an argument are known by their sources' state: a class of a user's own
 may change while its name stays."""
 _VERSIONS = ("jax", "jaxlib", "numpyro")

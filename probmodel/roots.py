@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from probmodel.camera import Lens, Perspective, WeakPerspective
+from poseterior.probmodel.camera import Lens, Perspective, WeakPerspective
 
 if TYPE_CHECKING:
-    from probmodel.model import PoseModel
+    from poseterior.probmodel.model import PoseModel
 
 NEAREST = 4.0
 """Body units, 1.5 m: where the focal length is known, a pelvis is no nearer to the camera, measured
@@ -147,9 +147,9 @@ class RootPrior:
         """The prior, written once: `step(site, law)` says what becomes of each law."""
         from numpyro.distributions import ImproperUniform, constraints
 
-        from probmodel.anatomy.torsos import TorsoDictionary
-        from probmodel.rotations import UprightRotation
-        from probmodel.scales import FlatUpTo
+        from poseterior.probmodel.anatomy.torsos import TorsoDictionary
+        from poseterior.probmodel.rotations import UprightRotation
+        from poseterior.probmodel.scales import FlatUpTo
 
         flat = ImproperUniform(constraints.real, (), ())
         return RootPoint(

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.nn import logsumexp
 
-from probmodel.faults import LIMB_INDEX, ORDERS, FaultPrior, Faults, faults_of
-from probmodel.observation import Observation
-from probmodel.roots import RootPoint, RootPrior
-from probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
-from probmodel.uncertain import DetectedJoints
+from poseterior.probmodel.faults import LIMB_INDEX, ORDERS, FaultPrior, Faults, faults_of
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.uncertain import DetectedJoints
 
 _ASTRAY = np.eye(1 + len(TORSO_INDEX), len(TORSO_INDEX), -1, dtype=bool)
 """In each state of the torso, which of its joints is an outlier: none, then one after the other."""

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 from jax.scipy.special import betaln
 from jax.typing import ArrayLike
 
-from probmodel.model import PoseModel
-from probmodel.pose import Pose
-from probmodel.skeleton import NUM_LENGTHS, NUM_LOWER, NUM_UPPER
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.skeleton import NUM_LENGTHS, NUM_LOWER, NUM_UPPER
 
 CUBE_DIM = NUM_LENGTHS + 2 * NUM_UPPER + 2 * NUM_LOWER
 _CUTS = (NUM_LENGTHS, NUM_LENGTHS + 2 * NUM_UPPER)

@@ -14,19 +14,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from probmodel.camera import Lens
-from probmodel.detections import Detection
-from probmodel.faults import ORDERS, FaultPrior, Faults
-from probmodel.likelihood import Likelihood, WithOutliers
-from probmodel.model import PoseModel, log_joint
-from probmodel.observation import Observation
-from probmodel.pose import Pose
-from probmodel.programs import kept
-from probmodel.roots import Candidate, RootPoint, RootPrior
-from probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.faults import ORDERS, FaultPrior, Faults
+from poseterior.probmodel.likelihood import Likelihood, WithOutliers
+from poseterior.probmodel.model import PoseModel, log_joint
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.programs import kept
+from poseterior.probmodel.roots import Candidate, RootPoint, RootPrior
+from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 
 if TYPE_CHECKING:
-    from probmodel.likelihood import ErrorLaw
+    from poseterior.probmodel.likelihood import ErrorLaw
 
 
 class DetectedJoints(NamedTuple):

@@ -12,8 +12,8 @@ from typing import Annotated, Any, NoReturn, get_type_hints
 import typer
 from typer.models import OptionInfo
 
-from reports import console, options, settings, signals
-from reports.options import Screen
+from poseterior.reports import console, options, settings, signals
+from poseterior.reports.options import Screen
 
 COMMANDS: dict[str, type] = {
     "demo": settings.DemoSettings,
@@ -139,7 +139,7 @@ def _register(name: str, kind: Any) -> None:
             options.check(wanted)
         if root := getattr(wanted, "drawn", None):
             _compile_ahead(root, screen)
-        import_module(f"reports.commands.{name.replace(' ', '.')}").run(wanted, screen)
+        import_module(f"poseterior.reports.commands.{name.replace(' ', '.')}").run(wanted, screen)
 
     parameters = [*declared(kind), *declared(Screen)]
     command.__name__ = own
@@ -157,7 +157,7 @@ def _register(name: str, kind: Any) -> None:
 def _compile_ahead(root: str, screen: Screen) -> None:
     """Begins to compile what draws under this kind of root need and this machine has never
     compiled, and says so."""
-    from inference.exact import ahead
+    from poseterior.inference.exact import ahead
 
     if ahead.missing(root) and not screen.quiet:
         console.warn(

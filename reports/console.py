@@ -24,7 +24,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from reports.signals import Signals
+from poseterior.reports.signals import Signals
 
 LONGEST = 600
 """Most characters of a sentence; the middle of a longer one is left out."""
@@ -157,7 +157,7 @@ def show_json(value: Any) -> None:
 def _bad_input(sentence: str) -> Exception:
     # Imported here, because the package behind it brings JAX along, and `--help` should not wait
     # for that.
-    from probmodel.failures import BadInput
+    from poseterior.probmodel.failures import BadInput
 
     return BadInput(sentence)
 
@@ -210,7 +210,7 @@ def _try_writing(folder: Path) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Writes a text file, atomically. Raises `BadInput` where it cannot be written."""
-    from probmodel.files import replacing
+    from poseterior.probmodel.files import replacing
 
     with replacing(path, "choose another --out") as partial:
         partial.write_text(text, encoding="utf-8")
@@ -292,7 +292,7 @@ def _verdict(error: Exception) -> tuple[str, int]:
     """The sentence and the exit code of a failure; no sentence where it is a bug."""
     if isinstance(error, _USAGE):
         return _usage(error), 2
-    from probmodel.failures import BadInput, OutOfBudget
+    from poseterior.probmodel.failures import BadInput, OutOfBudget
 
     if isinstance(error, BadInput):
         return str(error), 2

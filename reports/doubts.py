@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from probmodel import Detection, PoseModel
-from probmodel.layouts import MEDIAPIPE_33
-from reports.options import Detected, Person
+from poseterior.probmodel import Detection, PoseModel
+from poseterior.probmodel.layouts import MEDIAPIPE_33
+from poseterior.reports.options import Detected, Person
 
 MOST_PEOPLE = 8
 """People of a file by whom its reading is judged, evenly spread, the one that is shown among
@@ -53,7 +53,7 @@ def about_the_size(people: Sequence[Detection], detected: Detected, model: PoseM
     they are asked only where somebody gave a size by hand, and the joints hang on it."""
     if detected.image_size is None or not any(size_is_open(one, detected) for one in people):
         return []
-    from inference.readings import SENTENCES, Judge
+    from poseterior.inference.readings import SENTENCES, Judge
 
     noticed = Judge(model).file(people, sizes=True).noticed
     return [SENTENCES["size"]] if "size" in noticed else []

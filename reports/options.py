@@ -16,14 +16,22 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from typer import Argument, Option
 
-from reports import console
+from poseterior.reports import console
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from inference import Estimating
-    from inference.machines import Machines
-    from probmodel import Anatomy, DetectedFrame, Detection, Estimate, Lens, Likelihood, PoseModel
+    from poseterior.inference import Estimating
+    from poseterior.inference.machines import Machines
+    from poseterior.probmodel import (
+        Anatomy,
+        DetectedFrame,
+        Detection,
+        Estimate,
+        Lens,
+        Likelihood,
+        PoseModel,
+    )
 
 SAMPLERS = (
     *("rejection", "rejection-group", "rejection-prior"),
@@ -34,14 +42,14 @@ SAMPLERS = (
 """Those of `inference.SAMPLERS`, as a test makes sure: `--help` names them without importing
 JAX."""
 ROUTES = ("weighted-roots", "rejection")
-"""The routes to an uncertain root, `inference.uncertain.routes.ROUTES`."""
+"""The routes to an uncertain root, `inference.importance.routes.ROUTES`."""
 ROOTED = (*ROUTES, "emcee", "emcee-de", "aies", "ess", "random-walk", "sa")
 """The samplers with an uncertain root, `inference.sampler.ROOTED_SAMPLERS`."""
 PROGRAMS = "POSETERIOR_PROGRAMS"
 """The variable of `probmodel.programs`, which imports JAX."""
 MOST_ROOTS, FURTHER = 100_000, 16
-"""`inference.uncertain.weighted.MOST_ROOTS`; and how many times as many roots as were asked for are
-drawn where these are too few."""
+"""`inference.importance.weighted.MOST_ROOTS`; and how many times as many roots as were asked for
+are drawn where these are too few."""
 LARGEST_SIDE = 10**6
 """Pixels; no image is larger."""
 SMALLEST_FACTOR = 1e-6
@@ -155,8 +163,8 @@ class Screen:
 def anatomy_of(limits: str) -> "Anatomy":
     """Embedded tables by their name, or those of a file. Raises `BadInput` on one that is not of
     limits."""
-    from probmodel import Anatomy
-    from probmodel.anatomy.limits import EMBEDDED
+    from poseterior.probmodel import Anatomy
+    from poseterior.probmodel.anatomy.limits import EMBEDDED
 
     return Anatomy.embedded(limits) if limits in EMBEDDED else Anatomy.load(Path(limits))
 
@@ -184,7 +192,7 @@ class Prior:
         self, *, rooted: bool = False, upright: float = 0.0, lens: "Lens | None" = None
     ) -> "PoseModel":
         """The model. Raises `BadInput` on a limits file, or a lens, that is not one."""
-        from probmodel import PoseModel
+        from poseterior.probmodel import PoseModel
 
         return PoseModel.from_anatomy(
             self.anatomy(rooted), upper=self.upper, lower=self.lower, upright=upright, lens=lens
@@ -235,20 +243,20 @@ class Detected:
         """`(H, W, 3)` bytes of the image, decoded once. Raises `BadInput` where it is none."""
         if self.image is None:
             return None
-        from reports.figures import read_image
+        from poseterior.reports.figures import read_image
 
         return read_image(self.image)
 
     def frames(self, path: Path) -> "Iterator[DetectedFrame]":
         """The frames of a folder or file, lazily. Raises `BadInput` as `read_frames` does."""
-        from probmodel import read_frames
+        from poseterior.probmodel import read_frames
 
         for frame in read_frames(path, self.format, self.threshold, **self._known()):
             yield frame._replace(people=self._corrected(frame.people))
 
     def people(self, file: Path) -> "list[Detection]":
         """The people of a file. Raises `BadInput` on a bad file, size, image or map of names."""
-        from probmodel import read_detections
+        from poseterior.probmodel import read_detections
 
         return self._corrected(read_detections(file, self.format, self.threshold, **self._known()))
 
@@ -257,7 +265,7 @@ class Detected:
         return {"image_size": self.size, "names": self._names(), "layout": self.layout}
 
     def _corrected(self, people: "list[Detection]") -> "list[Detection]":
-        from probmodel.layouts import corrected
+        from poseterior.probmodel.layouts import corrected
 
         return [corrected(person) for person in people] if self.correct else people
 
@@ -270,8 +278,8 @@ class Detected:
         return None if self.photo is None else (self.photo.shape[1], self.photo.shape[0])
 
     def _names(self) -> dict[str, str] | list[str] | None:
-        from probmodel import BadInput
-        from probmodel.documents import read_json
+        from poseterior.probmodel import BadInput
+        from poseterior.probmodel.documents import read_json
 
         if self.names is None:
             return None
@@ -304,7 +312,7 @@ class Person:
     @functools.cached_property
     def detection(self) -> "Detection":
         """The person. Raises `BadInput` on a bad file, or where there is no such person."""
-        from probmodel.detections import pick_person
+        from poseterior.probmodel.detections import pick_person
 
         return pick_person(self.people, self.person)
 
@@ -384,7 +392,7 @@ class Estimation:
         """How detections err. Raises `BadInput` on a bad factor, law or probability."""
         import dataclasses
 
-        from probmodel.faults import FaultPrior
+        from poseterior.probmodel.faults import FaultPrior
 
         likelihood = self._law()
         if self.outliers is None and self.exchanges is None:
@@ -397,10 +405,10 @@ class Estimation:
         return dataclasses.replace(likelihood, faults=faults)
 
     def _law(self) -> "Likelihood":
-        from probmodel import BadInput, Likelihood
-        from probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
-        from probmodel.errorlaws import DetectorErrors
-        from probmodel.likelihood import LAWS
+        from poseterior.probmodel import BadInput, Likelihood
+        from poseterior.probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
+        from poseterior.probmodel.errorlaws import DetectorErrors
+        from poseterior.probmodel.likelihood import LAWS
 
         if not SMALLEST_FACTOR <= self.factor <= 1 / SMALLEST_FACTOR:  # false for NaN too
             limits = f"{SMALLEST_FACTOR:g} and {1 / SMALLEST_FACTOR:g}"
@@ -418,8 +426,8 @@ class Estimation:
         """How people are estimated. Raises `BadInput` on a bad factor or a bad file of poses."""
         import numpy as np
 
-        from inference import Estimating
-        from probmodel.learning.dictionaries import PoseDictionary
+        from poseterior.inference import Estimating
+        from poseterior.probmodel.learning.dictionaries import PoseDictionary
 
         return Estimating(
             self.estimator,
@@ -482,7 +490,7 @@ class Rooting:
 
     def require_meaning(self, given: Set[str]) -> None:
         """Raises `BadInput` where an option was given that means nothing with this kind of root."""
-        from probmodel import BadInput
+        from poseterior.probmodel import BadInput
 
         other = RootKind.fixed if self.rooted else RootKind.uncertain
         for name in ESTIMATED if self.rooted else ("roots", "most_roots"):
@@ -528,8 +536,8 @@ class Viewing(Rooting):
     def _lens(self, size: tuple[int, int] | None) -> "Lens | None":
         import numpy as np
 
-        from probmodel import BadInput
-        from probmodel.camera import Lens
+        from poseterior.probmodel import BadInput
+        from poseterior.probmodel.camera import Lens
 
         if self.focal is None:
             if self.principal is not None:
@@ -571,7 +579,7 @@ class Workforce:
 
     def machines(self) -> "Machines":
         """The same, as `inference` takes it."""
-        from inference.machines import Machines
+        from poseterior.inference.machines import Machines
 
         return Machines(self.workers, self.scheduler)
 
@@ -600,7 +608,7 @@ def parse_point(text: str, option: str, example: str) -> "np.ndarray":
     """`(2,)` from such as "320,240.5". Raises `BadInput` otherwise."""
     import numpy as np
 
-    from probmodel import BadInput
+    from poseterior.probmodel import BadInput
 
     try:
         x, y = map(float, text.split(","))
@@ -611,7 +619,7 @@ def parse_point(text: str, option: str, example: str) -> "np.ndarray":
 
 def parse_size(text: str, option: str, example: str) -> tuple[int, int]:
     """Width and height from such as "640x480". Raises `BadInput` otherwise."""
-    from probmodel import BadInput
+    from poseterior.probmodel import BadInput
 
     width, _, height = text.partition("x")
     sides = [int(side) for side in (width, height) if side.isdecimal() and len(side) < 8]
@@ -668,7 +676,7 @@ def _cache() -> Path | None:
             return cache
     except (OSError, RuntimeError):  # RuntimeError: a user without a home
         pass
-    from inference.exact.loops.places import temporary
+    from poseterior.inference.exact.loops.places import temporary
 
     own = temporary()
     if own is not None:  # matplotlib looks for fonts once, too

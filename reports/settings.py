@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from typer import Argument, Option
 
-from reports.options import (
+from poseterior.reports.options import (
     ROOTED,
     ROUTES,
     SAMPLERS,
@@ -41,9 +41,9 @@ from reports.options import (
 )
 
 if TYPE_CHECKING:
-    from inference.benchmark import Submission
-    from probmodel.datasets import DataSet
-    from probmodel.sessions import Session
+    from poseterior.inference.benchmark import Submission
+    from poseterior.probmodel.datasets import DataSet
+    from poseterior.probmodel.sessions import Session
 
 CONTESTANTS = "rejection,emcee,aies,random-walk"
 """Of `compare`, where nobody says whom."""
@@ -197,7 +197,7 @@ class FramesSettings:
 
     def check(self) -> None:
         """Reads all frames. Raises `BadInput` on a bad one, or where there is nobody."""
-        from probmodel import BadInput
+        from poseterior.probmodel import BadInput
 
         if not self.people:
             raise BadInput(
@@ -413,7 +413,7 @@ class BenchmarkDrawsSettings:
 
     def check(self) -> None:
         """Raises `BadInput` where there is no such target."""
-        from inference.benchmark.catalogue import load
+        from poseterior.inference.benchmark.catalogue import load
 
         load(self.target)
 
@@ -433,8 +433,8 @@ class BenchmarkJudgeSettings:
     @functools.cached_property
     def submission(self) -> "Submission":
         """The draws. Raises `BadInput` where they cannot be draws of the target."""
-        from inference.benchmark.catalogue import load
-        from inference.benchmark.submission import read_submission
+        from poseterior.inference.benchmark.catalogue import load
+        from poseterior.inference.benchmark.submission import read_submission
 
         return read_submission(self.draws, load(self.target))
 
@@ -510,7 +510,7 @@ class EvaluateSettings:
     @functools.cached_property
     def data(self) -> "DataSet":
         """The data set. Raises `BadInput` as `read_data_set` does."""
-        from probmodel.datasets import Noise, read_data_set
+        from poseterior.probmodel.datasets import Noise, read_data_set
 
         return read_data_set(
             self.dataset,
@@ -596,7 +596,7 @@ class CoverageSettings:
 
     def require_meaning(self, given: Set[str]) -> None:
         """Raises `BadInput` where an option was given that the chosen way does not know."""
-        from probmodel import BadInput
+        from poseterior.probmodel import BadInput
 
         real = ["frames", "estimator", "noise", "missing", "perspective"]
         draws = ["sampler", "num_samples", "max_proposals", "root", "roots", "upright"]
@@ -658,8 +658,8 @@ class CalibrateSettings:
     @functools.cached_property
     def data(self) -> "DataSet | Session":
         """The session, or the data set. Raises `BadInput` where it is neither."""
-        from probmodel.datasets import Noise, read_data_set
-        from probmodel.sessions import is_session, read_session
+        from poseterior.probmodel.datasets import Noise, read_data_set
+        from poseterior.probmodel.sessions import is_session, read_session
 
         if is_session(self.dataset):
             return read_session(self.dataset)
@@ -668,7 +668,7 @@ class CalibrateSettings:
 
     def described(self) -> dict[str, str]:
         """What the law's file says of how it was learned."""
-        from probmodel.sessions import Session
+        from poseterior.probmodel.sessions import Session
 
         if not isinstance(self.data, Session):
             return {"truth": "given"}

@@ -97,7 +97,7 @@ def depart(code: int) -> NoReturn:
 def _leave(number: int) -> NoReturn:
     """Ends the process without waiting for anybody."""
     sentence, code = ENDINGS[number]
-    files = sys.modules.get("probmodel.files")
+    files = sys.modules.get("poseterior.probmodel.files")
     unfinished: set[Path] = getattr(files, "UNFINISHED", set())
     for path in list(unfinished):
         path.unlink(missing_ok=True)

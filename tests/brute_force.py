@@ -8,7 +8,7 @@ the tables have it."""
 
 import numpy as np
 
-from probmodel.skeleton import GROUPS, JOINT_INDEX, TORSO_JOINTS
+from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX, TORSO_JOINTS
 
 SWAP = [0, 2, 1]
 

@@ -14,8 +14,8 @@ import numpyro.distributions  # noqa: F401 — whole, before a test that breaks 
 import pytest
 
 if TYPE_CHECKING:  # the packages themselves are imported once floats are 64 bits wide
-    from inference import Result
-    from probmodel import Estimate
+    from poseterior.inference import Result
+    from poseterior.probmodel import Estimate
 
 CACHE = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
 """What XLA compiles is kept here, as the product keeps it for its user. Compiling is most of what
@@ -100,8 +100,8 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session")
 def example_estimate() -> "Estimate":
     """Torso and camera of the embedded example."""
-    from inference import estimate_torso
-    from probmodel.example import example
+    from poseterior.inference import estimate_torso
+    from poseterior.probmodel.example import example
 
     return estimate_torso(example().detection)
 
@@ -109,8 +109,8 @@ def example_estimate() -> "Estimate":
 @pytest.fixture(scope="session")
 def example_result(example_estimate: "Estimate") -> "Result":
     """Exact draws of the embedded example, few: for what needs any result."""
-    from inference import sample
-    from probmodel import PoseModel
+    from poseterior.inference import sample
+    from poseterior.probmodel import PoseModel
 
     return sample(PoseModel(), example_estimate, key=jax.random.key(0), num_samples=200)
 
@@ -128,7 +128,7 @@ def poseterior(
     cache: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Cli:
     """Runs the command in this process."""
-    from reports import cli
+    from poseterior.reports import cli
 
     def run(*arguments: object) -> Run:
         monkeypatch.setattr(sys, "argv", ["poseterior", *map(str, arguments)])

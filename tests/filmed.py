@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probmodel import Detection
-from probmodel.layouts import BODY_25B
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.sessions import Pinhole, Session
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.probmodel import Detection
+from poseterior.probmodel.layouts import BODY_25B
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.sessions import Pinhole, Session
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 UNIT = 340.0
 """Millimetres."""

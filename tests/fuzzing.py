@@ -39,26 +39,26 @@ import numpy as np
 import typer
 from typer.models import OptionInfo
 
-from inference.baselines.run import _checksum
-from inference.baselines.run import _Save as SavedRun
-from inference.roots.external import read_poses
-from inference.store import Block, Store
-from inference.stream import draws_of, open_stream
-from inference.studies.calibration.posteriors import _read as read_draws
-from probmodel import Anatomy, BadInput, read_frames
-from probmodel.datasets import from_motions, read_data_set, write_plain
-from probmodel.datasets.cases import DataSet
-from probmodel.example import example
-from probmodel.formats import read_detections
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.motion import read_motion
-from probmodel.skeleton import JOINTS
-from reports import cli, console
-from reports.commands import check
-from reports.commands.detect import read_boxes
-from reports.exports.results import Wanted, read_clip
-from reports.figures import read_image
-from reports.options import Detected
+from poseterior.inference.baselines.run import _checksum
+from poseterior.inference.baselines.run import _Save as SavedRun
+from poseterior.inference.estimators.external import read_poses
+from poseterior.inference.store import Block, Store
+from poseterior.inference.stream import draws_of, open_stream
+from poseterior.inference.studies.calibration.posteriors import _read as read_draws
+from poseterior.probmodel import Anatomy, BadInput, read_frames
+from poseterior.probmodel.datasets import from_motions, read_data_set, write_plain
+from poseterior.probmodel.datasets.cases import DataSet
+from poseterior.probmodel.example import example
+from poseterior.probmodel.formats import read_detections
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.motion import read_motion
+from poseterior.probmodel.skeleton import JOINTS
+from poseterior.reports import cli, console
+from poseterior.reports.commands import check
+from poseterior.reports.commands.detect import read_boxes
+from poseterior.reports.exports.results import Wanted, read_clip
+from poseterior.reports.figures import read_image
+from poseterior.reports.options import Detected
 from tests.probmodel import test_motion
 from tests.probmodel.test_datasets import MOTIONS, human36m
 from tests.probmodel.test_formats_fuzz import FILES, SIZE, hdf5, npy, npz

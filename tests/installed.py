@@ -10,17 +10,24 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 NEEDED = (
-    *("poseterior/__init__.py", "poseterior/py.typed", "probmodel/py.typed", "inference/py.typed"),
+    *("poseterior/__init__.py", "poseterior/py.typed"),
     *(
-        "probmodel/data/limits.npz",
-        "probmodel/data/limits_wide.npz",
-        "probmodel/data/poses.npz",
-        "probmodel/data/example.json",
+        "poseterior/probmodel/data/limits.npz",
+        "poseterior/probmodel/data/limits_wide.npz",
+        "poseterior/probmodel/data/poses.npz",
+        "poseterior/probmodel/data/example.json",
     ),
-    "probmodel/data/errors.json",
-    *(f"inference/benchmark/data/{name}" for name in ("anatomy.npz", "targets.json")),
-    *("inference/benchmark/data/reference.json", "inference/benchmark/__init__.pyi"),
-    *("reports/cli.py", "reports/exports/bvh.py", "reports/pages/limits.md"),
+    "poseterior/probmodel/data/errors.json",
+    *(f"poseterior/inference/benchmark/data/{name}" for name in ("anatomy.npz", "targets.json")),
+    *(
+        "poseterior/inference/benchmark/data/reference.json",
+        "poseterior/inference/benchmark/__init__.pyi",
+    ),
+    *(
+        "poseterior/reports/cli.py",
+        "poseterior/reports/exports/bvh.py",
+        "poseterior/reports/pages/limits.md",
+    ),
 )
 """Files without which the wheel does not work, or says less than it should."""
 

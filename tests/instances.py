@@ -6,15 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro.distributions as dist
 
-from probmodel.anatomy.lengths import BoneLength, LengthPrior
-from probmodel.anatomy.limits import GRID, AnatomicalLimits
-from probmodel.anatomy.torsos import TorsoDictionary
-from probmodel.directions.cells import Cells
-from probmodel.directions.distributions import HingedDirection, OccupiedDirection
-from probmodel.directions.hinges import Hinge
-from probmodel.keypoints import DetectedKeypoint
-from probmodel.likelihood import Disc
-from probmodel.rotations import UprightRotation
+from poseterior.probmodel.anatomy.lengths import BoneLength, LengthPrior
+from poseterior.probmodel.anatomy.limits import GRID, AnatomicalLimits
+from poseterior.probmodel.anatomy.torsos import TorsoDictionary
+from poseterior.probmodel.directions.cells import Cells
+from poseterior.probmodel.directions.distributions import HingedDirection, OccupiedDirection
+from poseterior.probmodel.directions.hinges import Hinge
+from poseterior.probmodel.keypoints import DetectedKeypoint
+from poseterior.probmodel.likelihood import Disc
+from poseterior.probmodel.rotations import UprightRotation
 
 NASTY_HINGES = {
     "published rounding": (1e-6, (-0.5, 0.6, -0.3, 0.4)),

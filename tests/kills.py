@@ -33,13 +33,13 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-import inference.baselines.run
-import inference.stream
-import inference.studies.calibration.run
-import inference.studies.comparison.contest
-import inference.studies.evaluation.run
-from probmodel.example import example
-from reports import cli
+import poseterior.inference.baselines.run
+import poseterior.inference.stream
+import poseterior.inference.studies.calibration.run
+import poseterior.inference.studies.comparison.contest
+import poseterior.inference.studies.evaluation.run
+from poseterior.probmodel.example import example
+from poseterior.reports import cli
 
 CHAIN = 4
 """Most kills in a row, before a run is left to finish."""
@@ -92,7 +92,7 @@ TRIALS = {
 
 def prepare(place: Path) -> None:
     """Files to begin with; blocks so small that there are several."""
-    from probmodel.datasets import from_motions, write_plain
+    from poseterior.probmodel.datasets import from_motions, write_plain
     from tests.probmodel.test_datasets import MOTIONS
 
     data = example().path.read_bytes()
@@ -103,14 +103,18 @@ def prepare(place: Path) -> None:
     np.savez(place / "motion.npz", **{f"a/{i}": one.joints for i, one in enumerate(MOTIONS)})
     few = from_motions(MOTIONS, "few", frames=6)
     write_plain(few, place / "few.npz")
-    inference.stream.MOST_FRAMES = 2
-    inference.studies.calibration.run.BLOCK = 25
-    inference.studies.evaluation.run.BLOCK = 2
-    inference.studies.comparison.contest.REFERENCE = 300
-    inference.baselines.run.SAVE_EVERY = 0.0
+    poseterior.inference.stream.MOST_FRAMES = 2
+    poseterior.inference.studies.calibration.run.BLOCK = 25
+    poseterior.inference.studies.evaluation.run.BLOCK = 2
+    poseterior.inference.studies.comparison.contest.REFERENCE = 300
+    poseterior.inference.baselines.run.SAVE_EVERY = 0.0
     for name in TRIALS:
-        import_module(f"reports.commands.{name}")
-    for name in ("probmodel.learning.learner", "reports.tables", "reports.figures"):
+        import_module(f"poseterior.reports.commands.{name}")
+    for name in (
+        "poseterior.probmodel.learning.learner",
+        "poseterior.reports.tables",
+        "poseterior.reports.figures",
+    ):
         import_module(name)
 
 

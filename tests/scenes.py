@@ -5,7 +5,7 @@ import dataclasses
 import jax
 import numpy as np
 
-from inference.studies.scenes import (
+from poseterior.inference.studies.scenes import (
     ALL_BUT_AN_ARM,
     camera,
     hidden,
@@ -13,8 +13,8 @@ from inference.studies.scenes import (
     prior_scene,
     scene,
 )
-from probmodel import Estimate
-from probmodel.skeleton import JOINT_INDEX
+from poseterior.probmodel import Estimate
+from poseterior.probmodel.skeleton import JOINT_INDEX
 
 __all__ = [
     "ALL_BUT_AN_ARM",

@@ -28,18 +28,29 @@ FILES = [
 
 
 def imported(source: str, package: str = "") -> set[str]:
-    """Top-level packages that a source imports anywhere, inside functions and by name too."""
+    """Packages that a source imports anywhere, inside functions and by name too: one of ours by its
+    own name, without `poseterior.` in front."""
     found = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            found |= {alias.name.split(".")[0] for alias in node.names}
+            found |= {_package(alias.name) for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level:
+            found.add(package)
+        elif isinstance(node, ast.ImportFrom) and node.module == "poseterior":
+            found |= {_package(f"poseterior.{alias.name}") for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            found.add((node.module or "").split(".")[0] if node.level == 0 else package)
+            found.add(_package(node.module or ""))
         elif isinstance(node, ast.Call) and _imports_by_name(node.func):
             found |= {
-                str(arg.value).split(".")[0] for arg in node.args if isinstance(arg, ast.Constant)
+                _package(str(arg.value)) for arg in node.args if isinstance(arg, ast.Constant)
             }
     return found
+
+
+def _package(module: str) -> str:
+    first, _, rest = module.partition(".")
+    second = rest.partition(".")[0]
+    return second if first == "poseterior" and second in FORBIDDEN else first
 
 
 def _imports_by_name(function: ast.expr) -> bool:
@@ -65,16 +76,16 @@ def test_dependencies_point_one_way(path: Path) -> None:
 @pytest.mark.parametrize(
     ("package", "source"),
     [
-        ("probmodel", "import inference"),
-        ("probmodel", "def late():\n    from reports.console import say"),
-        ("probmodel", "import numpy as np, inference.sampler as s"),
-        ("probmodel", "if TYPE_CHECKING:\n    from inference import Frame"),
-        ("probmodel", "importlib.import_module('inference.sampler')"),
-        ("inference", "from reports import tables"),
+        ("probmodel", "from poseterior import inference"),
+        ("probmodel", "def late():\n    from poseterior.reports.console import say"),
+        ("probmodel", "import numpy as np, poseterior.inference.sampler as s"),
+        ("probmodel", "if TYPE_CHECKING:\n    from poseterior.inference import Frame"),
+        ("probmodel", "importlib.import_module('poseterior.inference.sampler')"),
+        ("inference", "from poseterior.reports import tables"),
         ("inference", "from tests.scenes import camera"),
         ("reports", "import tests.goodness"),
         ("probmodel", "import poseterior as pt"),
-        ("poseterior", "from reports.cli import main"),
+        ("poseterior", "from poseterior.reports.cli import main"),
     ],
 )
 def test_an_offender_is_caught(package: str, source: str) -> None:
@@ -84,9 +95,9 @@ def test_an_offender_is_caught(package: str, source: str) -> None:
 @pytest.mark.parametrize(
     ("package", "source"),
     [
-        ("probmodel", "from probmodel import limits\nimport numpy"),
-        ("inference", "import probmodel.anatomy.limits\n# import reports"),
-        ("reports", "from inference import sample\nwords = 'from tests import x'"),
+        ("probmodel", "from poseterior.probmodel import limits\nimport numpy"),
+        ("inference", "import poseterior.probmodel.anatomy.limits\n# import reports"),
+        ("reports", "from poseterior.inference import sample\nwords = 'from tests import x'"),
         ("probmodel", "from . import limits"),
     ],
 )
@@ -125,7 +136,10 @@ def test_a_message_that_speaks_of_options_is_caught() -> None:
 
 def test_the_command_line_starts_without_jax() -> None:
     heavy = ("jax", "numpyro", "scipy", "xarray", "matplotlib", "sklearn")
-    code = f"import sys, reports.cli; print([name for name in {heavy} if name in sys.modules])"
+    code = (
+        "import sys, poseterior.reports.cli\n"
+        f"print([name for name in {heavy} if name in sys.modules])"
+    )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
     )
@@ -149,7 +163,7 @@ def test_a_refusal_waits_for_nothing_heavy(words: str, tmp_path: Path) -> None:
     heavy = ("jax", "numba", "numpyro", "arviz", "matplotlib", "sklearn", "xarray")
     code = f"""
 import sys
-from reports.cli import main
+from poseterior.reports.cli import main
 try:
     main()
 finally:
@@ -171,10 +185,17 @@ finally:
 def test_the_main_job_waits_for_no_more_than_it_needs(tmp_path: Path, root: str) -> None:
     """The second call, which finds all programs: NumPyro, ArviZ, scikit-learn and `scipy.stats`
     take seconds to import, and nothing that it does needs them."""
-    heavy = ("numpyro", "arviz", "sklearn", "scipy.stats", "scipy.optimize", "inference.stream")
+    heavy = (
+        "numpyro",
+        "arviz",
+        "sklearn",
+        "scipy.stats",
+        "scipy.optimize",
+        "poseterior.inference.stream",
+    )
     code = f"""
 import sys
-from reports.cli import main
+from poseterior.reports.cli import main
 try:
     main()
 finally:
@@ -197,7 +218,7 @@ finally:
     assert said[2] == "['numpyro']"  # the control: without kept programs it traces, by NumPyro
 
 
-@pytest.mark.parametrize("first", ["probmodel.programs", "jax"])
+@pytest.mark.parametrize("first", ["poseterior.probmodel.programs", "jax"])
 def test_tracing_compiles_nothing_anew(first: str) -> None:
     """NumPyro, imported after JAX has compiled something, has it compiled again: so where programs
     are traced it comes with the model, and not with the first trace. The control is without."""
@@ -205,16 +226,33 @@ def test_tracing_compiles_nothing_anew(first: str) -> None:
 import {first}, jax
 twice = jax.jit(lambda x: x + x)
 twice(1.0)
-import probmodel.anatomy.lengths
+import poseterior.probmodel.anatomy.lengths
 twice(1.0)
 print(twice._cache_size())
 """
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    assert done.stdout.split() == ["1" if first == "probmodel.programs" else "2"]
+    assert done.stdout.split() == ["1" if first == "poseterior.probmodel.programs" else "2"]
 
 
 def test_types_are_declared() -> None:
-    for package in PACKAGES:
-        assert (ROOT / package / "py.typed").exists(), f"{package} has no py.typed"
+    assert (ROOT / "poseterior" / "py.typed").exists()
+
+
+def by_bare_name(source: str) -> set[str]:
+    """Our packages that a source imports without `poseterior.`: as a second copy of themselves."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            found.add((node.module or "").partition(".")[0])
+    return found & {"probmodel", "inference", "reports"}
+
+
+def test_nothing_is_imported_twice_under_two_names() -> None:
+    tests = sorted((ROOT / "tests").rglob("*.py"))
+    for path in [*(ROOT / file for file in FILES), *tests]:
+        assert not by_bare_name(path.read_text(encoding="utf-8")), path
+    assert by_bare_name("import os\nfrom inference.sampler import sample") == {"inference"}

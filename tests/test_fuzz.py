@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from probmodel import BadInput
+from poseterior.probmodel import BadInput
 from tests import fuzzing
 
 

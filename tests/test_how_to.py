@@ -13,10 +13,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from probmodel import Detection, read_detections
-from probmodel.example import example
-from probmodel.layouts import COCO_17
-from probmodel.skeleton import JOINT_INDEX
+from poseterior.probmodel import Detection, read_detections
+from poseterior.probmodel.example import example
+from poseterior.probmodel.layouts import COCO_17
+from poseterior.probmodel.skeleton import JOINT_INDEX
 from tests.conftest import SHARED, Cli
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, landmarks, npy, table
 from tests.test_snippets import Snippet, run

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 from numpyro.infer import AIES, ESS, SA
 from numpyro.infer.ensemble import EnsembleSamplerState
 
-from inference.baselines.ensemble import NumPyroKernel
-from inference.baselines.metropolis import AdaptiveKernel
-from inference.baselines.target import Target
+from poseterior.inference.baselines.ensemble import NumPyroKernel
+from poseterior.inference.baselines.metropolis import AdaptiveKernel
+from poseterior.inference.baselines.target import Target
 
 
 class HalfUpdatedAIES(AIES):

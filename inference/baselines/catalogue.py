@@ -13,12 +13,12 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.baselines.chains import CAPACITY
-from inference.baselines.ensemble import ENSEMBLES
-from inference.baselines.hamiltonian import GRADIENTS
-from inference.baselines.metropolis import WALKS
-from inference.baselines.nested import NESTED
-from inference.baselines.run import (
+from poseterior.inference.baselines.chains import CAPACITY
+from poseterior.inference.baselines.ensemble import ENSEMBLES
+from poseterior.inference.baselines.hamiltonian import GRADIENTS
+from poseterior.inference.baselines.metropolis import WALKS
+from poseterior.inference.baselines.nested import NESTED
+from poseterior.inference.baselines.run import (
     Allowance,
     Baseline,
     Progress,
@@ -27,11 +27,13 @@ from inference.baselines.run import (
     check_packages,
     run,
 )
-from inference.baselines.target import Density, Target
-from inference.baselines.tempering import TEMPERINGS
-from inference.exact.loops.numbers import words_of
-from inference.joined import CHAINED
-from inference.results import (
+from poseterior.inference.baselines.target import Density, Target
+from poseterior.inference.baselines.tempering import TEMPERINGS
+from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.importance.tree import BASE_MEASURE, draw_columns, side_data, sides
+from poseterior.inference.importance.weighted import FEWEST_EFFECTIVE, verdict, weigh_roots
+from poseterior.inference.joined import CHAINED
+from poseterior.inference.results import (
     COMPLETE,
     OUT_OF_BUDGET,
     UNCERTAIN,
@@ -41,17 +43,15 @@ from inference.results import (
     build_tree,
     key_words,
 )
-from inference.studies.flips import away, codes
-from inference.uncertain.tree import BASE_MEASURE, draw_columns, side_data, sides
-from inference.uncertain.weighted import FEWEST_EFFECTIVE, verdict, weigh_roots
-from probmodel.failures import BadInput, OutOfBudget
-from probmodel.pose import Pose
-from probmodel.posterior import Posterior
-from probmodel.roots import RootPoint
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference.studies.flips import away, codes
+from poseterior.probmodel.failures import BadInput, OutOfBudget
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.roots import RootPoint
+from poseterior.probmodel.uncertain import UncertainPosterior
 
 if TYPE_CHECKING:
-    from inference.baselines.rooted import RootedTarget
+    from poseterior.inference.baselines.rooted import RootedTarget
 
 BASELINES: dict[str, Baseline] = {**ENSEMBLES, **GRADIENTS, **WALKS, **TEMPERINGS, **NESTED}
 """Every baseline by its name."""
@@ -128,7 +128,9 @@ def sample_rooted(
     """As `sample_baseline`, of torso, camera and pose, by one of `ROOTED`, started in draws from
     `num_roots` weighted roots. Where the chains are worth too few draws, the status says so. Raises
     as `RootedTarget.of` and `weigh_roots`, and `OutOfBudget` where there is nowhere to start."""
-    from inference.baselines.rooted import RootedTarget  # it needs NumPyro, and imports it
+    from poseterior.inference.baselines.rooted import (
+        RootedTarget,
+    )  # it needs NumPyro, and imports it
 
     target = RootedTarget.of(posterior)
     _check(sampler, num_samples)
@@ -218,8 +220,8 @@ def rooted_tree(
 
 def _mixed(tree: xr.DataTree) -> dict[str, float]:
     """How well chains mixed, in every coordinate of pose and root."""
-    from inference.studies.comparison.mixing import mixing
-    from inference.studies.comparison.sample import read_sample
+    from poseterior.inference.studies.comparison.mixing import mixing
+    from poseterior.inference.studies.comparison.sample import read_sample
 
     found = read_sample(tree)
     mixed = mixing(found.values, found.flat.std(axis=0))

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.baselines.run import Drawn
+from poseterior.inference.baselines.run import Drawn
 
 BURN_IN = 0.25
 """Share of a chain's steps that is thrown away."""

@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.baselines.chains import Kernel, Trace, Walk, settled
-from inference.baselines.run import Baseline, Method
-from inference.baselines.target import Density
+from poseterior.inference.baselines.chains import Kernel, Trace, Walk, settled
+from poseterior.inference.baselines.run import Baseline, Method
+from poseterior.inference.baselines.target import Density
 
 RUNS = 4
 WALKERS = 64

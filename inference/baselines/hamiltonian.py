@@ -15,12 +15,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.baselines.chains import Walk
-from inference.baselines.ensemble import NumPyroKernel
-from inference.baselines.run import Baseline, Drawn, Method
-from inference.baselines.target import Slopes
-from inference.resampling import systematic
-from probmodel.chunks import in_chunks
+from poseterior.inference.baselines.chains import Walk
+from poseterior.inference.baselines.ensemble import NumPyroKernel
+from poseterior.inference.baselines.run import Baseline, Drawn, Method
+from poseterior.inference.baselines.target import Slopes
+from poseterior.inference.resampling import systematic
+from poseterior.probmodel.chunks import in_chunks
 
 CHAINS = 16
 WARM_UP = 200

@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.baselines.chains import Trace, Walk
-from inference.baselines.ensemble import NumPyroKernel
-from inference.baselines.run import Baseline, Method
-from inference.baselines.target import Density
-from probmodel.transport import CUBE_DIM
+from poseterior.inference.baselines.chains import Trace, Walk
+from poseterior.inference.baselines.ensemble import NumPyroKernel
+from poseterior.inference.baselines.run import Baseline, Method
+from poseterior.inference.baselines.target import Density
+from poseterior.probmodel.transport import CUBE_DIM
 
 WALKERS = 128
 STEPS = 64

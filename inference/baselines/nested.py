@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.baselines.run import Baseline, Drawn, Method
-from inference.baselines.target import Target
-from inference.resampling import systematic
-from probmodel.chunks import in_chunks
+from poseterior.inference.baselines.run import Baseline, Drawn, Method
+from poseterior.inference.baselines.target import Target
+from poseterior.inference.resampling import systematic
+from poseterior.probmodel.chunks import in_chunks
 
 LIVE = 500
 DELETED = 50

@@ -26,17 +26,17 @@ import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
 
-from inference.baselines.target import LimbChart, active_coordinates
-from inference.uncertain.tree import nearest_rotation
-from probmodel.chunks import in_chunks
-from probmodel.failures import BadInput
-from probmodel.faults import ORDERS, FaultPrior, Faults
-from probmodel.observation import Observation
-from probmodel.pose import Pose
-from probmodel.roots import RootPoint, RootPrior
-from probmodel.rotations import RotationTransform
-from probmodel.summed import SummedFaults
-from probmodel.uncertain import DetectedJoints, UncertainPosterior
+from poseterior.inference.baselines.target import LimbChart, active_coordinates
+from poseterior.inference.importance.tree import nearest_rotation
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.faults import ORDERS, FaultPrior, Faults
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.rotations import RotationTransform
+from poseterior.probmodel.summed import SummedFaults
+from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 ROOT_COORDINATES = ("torso", *(f"turn {axis}" for axis in "xyz"), "log scale", "place u", "place v")
 """Names of the seven that follow the limbs'."""

@@ -16,14 +16,14 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import numpy as np
 
-from inference.baselines.target import Density, Target
-from inference.results import COMPLETE, OUT_OF_BUDGET, Cost
-from probmodel.arrays import read_tables
-from probmodel.chunks import in_chunks
-from probmodel.failures import BadInput
-from probmodel.files import replacing
-from probmodel.likelihood import ErrorLaw
-from probmodel.pose import Pose
+from poseterior.inference.baselines.target import Density, Target
+from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET, Cost
+from poseterior.probmodel.arrays import read_tables
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.files import replacing
+from poseterior.probmodel.likelihood import ErrorLaw
+from poseterior.probmodel.pose import Pose
 
 Progress = Callable[[int, int], None]
 Clock = Callable[[], float]

@@ -24,14 +24,14 @@ import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
 
-from probmodel.chunks import in_chunks
-from probmodel.failures import BadInput
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.pose import Pose
-from probmodel.posterior import Posterior
-from probmodel.skeleton import GROUPS, LENGTH_GROUPS, NUM_LENGTHS, NUM_LOWER, NUM_UPPER
-from probmodel.transport import (
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.skeleton import GROUPS, LENGTH_GROUPS, NUM_LENGTHS, NUM_LOWER, NUM_UPPER
+from poseterior.probmodel.transport import (
     CUBE_DIM,
     from_cube,
     from_fractions,

@@ -14,9 +14,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.baselines.metropolis import ACCEPTANCE, Stride, metropolis, root_of_covariance
-from inference.baselines.run import Baseline, Drawn, Method
-from inference.baselines.target import Target
+from poseterior.inference.baselines.metropolis import (
+    ACCEPTANCE,
+    Stride,
+    metropolis,
+    root_of_covariance,
+)
+from poseterior.inference.baselines.run import Baseline, Drawn, Method
+from poseterior.inference.baselines.target import Target
 
 POPULATIONS = 4
 PARTICLES = 256

@@ -15,8 +15,8 @@ from math import lgamma
 
 import numpy as np
 
-from probmodel.arrays import read_tables
-from probmodel.skeleton import (
+from poseterior.probmodel.arrays import read_tables
+from poseterior.probmodel.skeleton import (
     BONES,
     JOINT_INDEX,
     NUM_JOINTS,
@@ -369,7 +369,9 @@ class FrozenAnatomy:
     @functools.cache
     def default(cls) -> "FrozenAnatomy":
         """That of the benchmark, read once."""
-        with resources.as_file(resources.files("inference.benchmark.data") / FILE) as path:
+        with resources.as_file(
+            resources.files("poseterior.inference.benchmark.data") / FILE
+        ) as path:
             tables = read_tables(path, "table of the benchmark", "install poseterior anew")
         shape = (NUM_LOWER, NUM_AZIMUTH, NUM_ELEVATION)
         occupied = np.unpackbits(tables["occupied"]).astype(bool).reshape(NUM_UPPER, *shape[1:])

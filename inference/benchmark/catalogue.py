@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from inference.benchmark.anatomy import FrozenAnatomy
-from inference.benchmark.root import BoxedRoot, FrozenRoot, GivenRoot
-from inference.benchmark.target import FrozenTarget
-from probmodel.failures import BadInput
+from poseterior.inference.benchmark.anatomy import FrozenAnatomy
+from poseterior.inference.benchmark.root import BoxedRoot, FrozenRoot, GivenRoot
+from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.probmodel.failures import BadInput
 
 CHECKSUMS = {
     "anatomy.npz": "98b700b6c6ffc56f76ae16f723a2cddeb37050ace3262a521c39880a27d13e6a",
@@ -48,7 +48,7 @@ def load(name: str) -> FrozenTarget:
 
 
 def _content(name: str) -> bytes:
-    return (resources.files("inference.benchmark.data") / name).read_bytes()
+    return (resources.files("poseterior.inference.benchmark.data") / name).read_bytes()
 
 
 def _target(record: dict[str, Any]) -> FrozenTarget:

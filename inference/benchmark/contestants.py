@@ -12,18 +12,18 @@ import math
 import jax
 import numpy as np
 
-from inference.baselines.catalogue import BASELINES
-from inference.baselines.run import Allowance, check_packages, first_step
-from inference.baselines.target import Target
-from inference.benchmark.draws import DrawBlock, draw_roots, exact_points
-from inference.benchmark.guests import GUESTS
-from inference.benchmark.guests.graded import CLOCK, Outcome
-from inference.benchmark.programs import estimate, frozen_model, in_jax
-from inference.benchmark.root import BoxedRoot, GivenRoot
-from inference.benchmark.submission import Submission
-from inference.benchmark.target import FrozenTarget
-from inference.exact.mixture import draw_mixture
-from probmodel.failures import BadInput
+from poseterior.inference.baselines.catalogue import BASELINES
+from poseterior.inference.baselines.run import Allowance, check_packages, first_step
+from poseterior.inference.baselines.target import Target
+from poseterior.inference.benchmark.draws import DrawBlock, draw_roots, exact_points
+from poseterior.inference.benchmark.guests import GUESTS
+from poseterior.inference.benchmark.guests.graded import CLOCK, Outcome
+from poseterior.inference.benchmark.programs import estimate, frozen_model, in_jax
+from poseterior.inference.benchmark.root import BoxedRoot, GivenRoot
+from poseterior.inference.benchmark.submission import Submission
+from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.exact.mixture import draw_mixture
+from poseterior.probmodel.failures import BadInput
 
 EXACT, GIFT, PRIOR = "exact", "exact draws", "prior"
 """The engine, and the two starts of Markov chains."""

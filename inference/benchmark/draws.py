@@ -19,22 +19,22 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from inference.baselines.target import Target
-from inference.benchmark.programs import estimate, frozen_model, model_of
-from inference.benchmark.references import SHIPPED, Moments, reference, sample_at
-from inference.benchmark.root import BoxedRoot, GivenRoot
-from inference.benchmark.target import FrozenTarget
-from inference.exact.loops.numbers import words_of
-from inference.exact.mixture import Progress, root_samplers
-from inference.exact.rates import Budget
-from inference.results import COMPLETE
-from inference.studies.flips import FLIPPING
-from inference.uncertain.rejection import reject_roots
-from inference.uncertain.rejection import verdict as complaint
-from probmodel.arrays import read_tables
-from probmodel.failures import BadInput, OutOfBudget
-from probmodel.files import replacing
-from probmodel.transport import to_fractions
+from poseterior.inference.baselines.target import Target
+from poseterior.inference.benchmark.programs import estimate, frozen_model, model_of
+from poseterior.inference.benchmark.references import SHIPPED, Moments, reference, sample_at
+from poseterior.inference.benchmark.root import BoxedRoot, GivenRoot
+from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.exact.mixture import Progress, root_samplers
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.importance.rejection import reject_roots
+from poseterior.inference.importance.rejection import verdict as complaint
+from poseterior.inference.results import COMPLETE
+from poseterior.inference.studies.flips import FLIPPING
+from poseterior.probmodel.arrays import read_tables
+from poseterior.probmodel.failures import BadInput, OutOfBudget
+from poseterior.probmodel.files import replacing
+from poseterior.probmodel.transport import to_fractions
 
 
 class Blocks(NamedTuple):
@@ -85,7 +85,7 @@ def blocks_of(target: FrozenTarget) -> Blocks:
     if kind not in BLOCKS:
         raise BadInput(
             f"there are no exact draws of {target.name} under a {target.law} law with an uncertain"
-            " root; take the disc, or `inference.uncertain.rejection`"
+            " root; take the disc, or `inference.importance.rejection`"
         )
     return BLOCKS[kind]
 

@@ -1,5 +1,6 @@
-"""How the targets were made: `python -m inference.benchmark.freeze targets` writes them and says
-their checksums, `… reference` measures them and writes what is known of them and some exact draws.
+"""How the targets were made: `python -m poseterior.inference.benchmark.freeze targets` writes
+them and says their checksums, `… reference` measures them and writes what is known of them and some
+exact draws.
 
 It is kept for whoever asks where the numbers come from, and for new targets. Run after a change of
 the product, it may write other ones: then the targets stay, and the change is what is new."""
@@ -16,15 +17,20 @@ from typing import Any
 import jax
 import numpy as np
 
-from inference.benchmark.anatomy import FrozenAnatomy
-from inference.benchmark.catalogue import CHECKSUMS, load, targets
-from inference.benchmark.draws import measured, shipped_file
-from inference.studies.scenes import ALL_BUT_AN_ARM, foreshortened, low_scores, prior_scene
-from probmodel.files import replacing
-from probmodel.likelihood import Gaussian
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
-from probmodel.skeleton import GROUPS, JOINTS, TORSO_INDEX
+from poseterior.inference.benchmark.anatomy import FrozenAnatomy
+from poseterior.inference.benchmark.catalogue import CHECKSUMS, load, targets
+from poseterior.inference.benchmark.draws import measured, shipped_file
+from poseterior.inference.studies.scenes import (
+    ALL_BUT_AN_ARM,
+    foreshortened,
+    low_scores,
+    prior_scene,
+)
+from poseterior.probmodel.files import replacing
+from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.skeleton import GROUPS, JOINTS, TORSO_INDEX
 
 DATA = Path(__file__).with_name("data")
 SMALL = 0.08

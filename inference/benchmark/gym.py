@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.benchmark.catalogue import load
-from inference.benchmark.programs import in_jax
-from inference.benchmark.references import Moments, shipped_points
+from poseterior.inference.benchmark.catalogue import load
+from poseterior.inference.benchmark.programs import in_jax
+from poseterior.inference.benchmark.references import Moments, shipped_points
 
 
 def gym_model(name: str, hardness: float = math.inf) -> Any:

@@ -12,24 +12,24 @@ from importlib import resources
 
 import numpy as np
 
-from inference.baselines.target import Target
-from inference.benchmark.anatomy import FILE
-from inference.benchmark.root import GivenRoot
-from inference.benchmark.target import FrozenTarget
-from inference.benchmark.uncertain import UncertainTarget
-from probmodel.anatomy.population import Anatomy
-from probmodel.camera import WeakPerspective
-from probmodel.detections import Detection
-from probmodel.likelihood import LAWS, Likelihood
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
-from probmodel.roots import Candidate
+from poseterior.inference.baselines.target import Target
+from poseterior.inference.benchmark.anatomy import FILE
+from poseterior.inference.benchmark.root import GivenRoot
+from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.benchmark.uncertain import UncertainTarget
+from poseterior.probmodel.anatomy.population import Anatomy
+from poseterior.probmodel.camera import WeakPerspective
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.likelihood import LAWS, Likelihood
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.roots import Candidate
 
 
 @functools.cache
 def frozen_model() -> PoseModel:
     """The model of the frozen anatomy."""
-    with resources.as_file(resources.files("inference.benchmark.data") / FILE) as path:
+    with resources.as_file(resources.files("poseterior.inference.benchmark.data") / FILE) as path:
         return PoseModel.from_anatomy(Anatomy.load(path))
 
 

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from inference.benchmark.target import FrozenTarget
-from inference.studies.comparison.sample import Sample, sample_of
-from probmodel.failures import BadInput
+from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.studies.comparison.sample import Sample, sample_of
+from poseterior.probmodel.failures import BadInput
 
 SHIPPED = 10_000
 """Draws of a target in the package, in single precision."""
-FOLDER = "inference.benchmark.data"
+FOLDER = "poseterior.inference.benchmark.data"
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from probmodel.skeleton import TORSO_INDEX
+from poseterior.probmodel.skeleton import TORSO_INDEX
 
 
 class PlacedTorso(NamedTuple):

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from inference.benchmark.catalogue import load
-from inference.benchmark.references import shipped_points
-from inference.benchmark.target import FrozenTarget
-from probmodel.failures import BadInput
+from poseterior.inference.benchmark.catalogue import load
+from poseterior.inference.benchmark.references import shipped_points
+from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.probmodel.failures import BadInput
 
 SIMULATIONS = [1_000, 10_000, 100_000]
 """Numbers of simulations that algorithms are compared at, as sbibm's own tasks have them."""

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from inference.benchmark.target import FrozenTarget
-from probmodel.arrays import read_array, read_tables
-from probmodel.failures import BadInput, shown
+from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.probmodel.arrays import read_array, read_tables
+from poseterior.probmodel.failures import BadInput, shown
 
 CHARTS = ("points", "box", "cube")
 WEIGHTS = ("weights", "log_weights")

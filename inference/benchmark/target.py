@@ -19,14 +19,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inference.benchmark.anatomy import (
+from poseterior.inference.benchmark.anatomy import (
     CUBE_DIM,
     FrozenAnatomy,
     column_of_lower,
     column_of_upper,
 )
-from inference.benchmark.root import FrozenRoot, PlacedTorso
-from probmodel.skeleton import (
+from poseterior.inference.benchmark.root import FrozenRoot, PlacedTorso
+from poseterior.probmodel.skeleton import (
     BONES,
     GROUPS,
     JOINTS,

@@ -11,16 +11,16 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from inference.benchmark.root import BoxedRoot
-from inference.benchmark.target import FrozenTarget
-from probmodel.faults import Faults
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.pose import Pose
-from probmodel.roots import RootPoint, RootPrior
-from probmodel.rotations import rotation_of
-from probmodel.transport import CUBE_DIM, from_fractions, log_density_of_logits
-from probmodel.uncertain import DetectedJoints, UncertainPosterior
+from poseterior.inference.benchmark.root import BoxedRoot
+from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.rotations import rotation_of
+from poseterior.probmodel.transport import CUBE_DIM, from_fractions, log_density_of_logits
+from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 
 @jax.tree_util.register_dataclass

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.benchmark.references import reference, sample_at, shipped_points
-from inference.benchmark.submission import Submission
-from inference.benchmark.target import FrozenTarget
-from inference.studies.comparison.distances import standardised, wasserstein
-from inference.studies.comparison.judge import Judgement, judge
-from inference.studies.comparison.sample import Sample
+from poseterior.inference.benchmark.references import reference, sample_at, shipped_points
+from poseterior.inference.benchmark.submission import Submission
+from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.studies.comparison.distances import standardised, wasserstein
+from poseterior.inference.studies.comparison.judge import Judgement, judge
+from poseterior.inference.studies.comparison.sample import Sample
 
 MOST = 20_000
 """Draws that are judged at most, taken evenly along every chain."""

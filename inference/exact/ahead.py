@@ -16,7 +16,7 @@ import subprocess
 import sys
 import threading
 
-from inference.exact.loops.places import FOLDER
+from poseterior.inference.exact.loops.places import FOLDER
 
 COMPILED = {"fixed": "attempts.attempt_limb", "uncertain": "pairs.combine_rows"}
 """By the kind of root: a loop that is kept where all are."""
@@ -41,7 +41,7 @@ def begin(root: str) -> None:
     if _other is not None or FOLDER is None or not missing(root) or (os.cpu_count() or 1) < 2:
         return
     # -P: a folder `inference` where the user happens to be is not ours.
-    command = [sys.executable, "-P", "-m", "inference.exact.ahead", root]
+    command = [sys.executable, "-P", "-m", "poseterior.inference.exact.ahead", root]
     quiet = subprocess.DEVNULL
     try:
         _other = subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet)
@@ -76,7 +76,7 @@ def signatures() -> dict[str, tuple]:
     import numba
     import numpy as np
 
-    from inference.exact.loops import tables
+    from poseterior.inference.exact.loops import tables
 
     limb = tables.CutLimb(
         tables.LimbProblem(np.eye(3), np.zeros((2, 2)), np.ones(2)),
@@ -109,11 +109,11 @@ def programs() -> None:
     detection."""
     import numpy as np
 
-    from inference.results import RootDraws, build_tree
-    from inference.roots import estimate_torso
-    from probmodel.example import example
-    from probmodel.model import PoseModel
-    from probmodel.pose import Pose
+    from poseterior.inference.estimators import estimate_torso
+    from poseterior.inference.results import RootDraws, build_tree
+    from poseterior.probmodel.example import example
+    from poseterior.probmodel.model import PoseModel
+    from poseterior.probmodel.pose import Pose
 
     posterior = estimate_torso(example().detection).posterior(PoseModel())
     parts = [RootDraws(Pose.blank(1), 0.0, 0.0, 1.0) for _ in posterior.roots]
@@ -122,8 +122,8 @@ def programs() -> None:
 
 def weigh() -> None:
     """Has numba compile what weighs limbs, by weighing those of roots that see nothing."""
-    from inference.uncertain.patterns import pool_of
-    from probmodel.model import PoseModel
+    from poseterior.inference.importance.patterns import pool_of
+    from poseterior.probmodel.model import PoseModel
 
     pool_of(PoseModel())
 
@@ -133,7 +133,7 @@ def main(root: str) -> None:
     if root == "uncertain":
         weigh()
         return
-    from inference.exact.loops import attempts
+    from poseterior.inference.exact.loops import attempts
 
     for name, types in signatures().items():
         getattr(attempts, name).compile(types)

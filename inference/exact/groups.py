@@ -16,13 +16,13 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from inference.exact import ahead
-from inference.exact.loops.attempts import attempt_lengths, attempt_limb, hand_over
-from inference.exact.loops.bins import length_bins
-from inference.exact.loops.numbers import words_of
-from inference.exact.loops.seeds import seeded
-from inference.exact.loops.strata import Resolution, Sketch, fill_in, sketch
-from inference.exact.loops.tables import (
+from poseterior.inference.exact import ahead
+from poseterior.inference.exact.loops.attempts import attempt_lengths, attempt_limb, hand_over
+from poseterior.inference.exact.loops.bins import length_bins
+from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.exact.loops.seeds import seeded
+from poseterior.inference.exact.loops.strata import Resolution, Sketch, fill_in, sketch
+from poseterior.inference.exact.loops.tables import (
     Bodies,
     CutLimb,
     Desk,
@@ -34,11 +34,11 @@ from inference.exact.loops.tables import (
     cell_table,
     desk_pair,
 )
-from inference.exact.problem import LogRatio
-from inference.exact.rates import HOPELESS, Budget, Pile, Pooled, Rate
-from probmodel.model import PoseModel
-from probmodel.pose import GroupDraws
-from probmodel.skeleton import GROUPS
+from poseterior.inference.exact.problem import LogRatio
+from poseterior.inference.exact.rates import HOPELESS, Budget, Pile, Pooled, Rate
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.pose import GroupDraws
+from poseterior.probmodel.skeleton import GROUPS
 
 RESOLUTIONS = (
     Resolution(4, 3, 1),

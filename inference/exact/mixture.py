@@ -12,20 +12,20 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from inference.exact.device.group import device_groups
-from inference.exact.groups import StratifiedGroup, group_tables
-from inference.exact.naive import PriorBodies
-from inference.exact.problem import limb_problems, log_ratio_of
-from inference.exact.rates import Budget, GroupSampler, Pooled, Rate
-from inference.exact.reach import nearest_miss, out_of_reach
-from inference.resampling import shares
-from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET, RootDraws, key_words
-from probmodel.failures import BadInput
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.pose import Pose
-from probmodel.posterior import Posterior
-from probmodel.skeleton import GROUPS
+from poseterior.inference.exact.device.group import device_groups
+from poseterior.inference.exact.groups import StratifiedGroup, group_tables
+from poseterior.inference.exact.naive import PriorBodies
+from poseterior.inference.exact.problem import limb_problems, log_ratio_of
+from poseterior.inference.exact.rates import Budget, GroupSampler, Pooled, Rate
+from poseterior.inference.exact.reach import nearest_miss, out_of_reach
+from poseterior.inference.resampling import shares
+from poseterior.inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET, RootDraws, key_words
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.skeleton import GROUPS
 
 PILOTS = (64, 2000)
 """Draws of each root from which the roots are weighed, in two rounds, before the rest is shared

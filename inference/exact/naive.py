@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.exact.rates import Budget, Pile, Rate
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.pose import GroupDraws, Pose
-from probmodel.skeleton import GROUPS
+from poseterior.inference.exact.rates import Budget, Pile, Rate
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import GroupDraws, Pose
+from poseterior.probmodel.skeleton import GROUPS
 
 BATCH = 1 << 15
 """Bodies proposed at a time; one compilation serves every batch of every frame."""

@@ -10,14 +10,14 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from inference.exact.loops.tables import LimbProblem
-from probmodel.chunks import in_chunks
-from probmodel.kinematics import upper_axes
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.pose import GroupDraws, Pose
-from probmodel.programs import kept
-from probmodel.skeleton import GROUPS, TORSO_INDEX, Limb
+from poseterior.inference.exact.loops.tables import LimbProblem
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.kinematics import upper_axes
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import GroupDraws, Pose
+from poseterior.probmodel.programs import kept
+from poseterior.probmodel.skeleton import GROUPS, TORSO_INDEX, Limb
 
 LogRatio = Callable[[GroupDraws], np.ndarray]
 """`(n,)`: for draws of a group, the log of the likelihood of its joints over its peak."""

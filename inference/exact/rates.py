@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from probmodel.pose import GroupDraws
+from poseterior.probmodel.pose import GroupDraws
 
 HOPELESS = 1 << 24
 """Pruned proposals without one success after which a group is given up: its rate is below 3e-7 with

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from inference.exact.loops.strata import grid
-from inference.exact.loops.tables import LimbProblem
-from probmodel.directions.cells import cell_centres
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.skeleton import GROUPS, JOINTS, Limb
+from poseterior.inference.exact.loops.strata import grid
+from poseterior.inference.exact.loops.tables import LimbProblem
+from poseterior.probmodel.directions.cells import cell_centres
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.skeleton import GROUPS, JOINTS, Limb
 
 TRIALS = 1 << 15
 """Draws of the prior among which the nearest miss is looked for."""

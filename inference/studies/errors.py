@@ -9,8 +9,8 @@ error NaN."""
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probmodel.body import bone_vectors, with_lengths
-from probmodel.skeleton import PARENTS
+from poseterior.probmodel.body import bone_vectors, with_lengths
+from poseterior.probmodel.skeleton import PARENTS
 
 
 def similarity_aligned(joints: ArrayLike, truth: ArrayLike) -> np.ndarray:

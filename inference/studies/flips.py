@@ -6,7 +6,7 @@ They are the modes of a posterior that a local sampler finds hard to leave.
 
 import numpy as np
 
-from probmodel.skeleton import BONES, UPPER_BONES
+from poseterior.probmodel.skeleton import BONES, UPPER_BONES
 
 FLIPPING = tuple(bone for bone in BONES if bone is not UPPER_BONES[0])
 """The eight bones of the limbs."""

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from inference.face import POINTS
-from inference.readings import (
+from poseterior.inference.face import POINTS
+from poseterior.inference.readings import (
     ASPECTS,
     BODY,
     READINGS,
@@ -25,12 +25,12 @@ from inference.readings import (
     stretched,
     weigh,
 )
-from inference.studies.scenes import camera
-from probmodel.body import body_unit
-from probmodel.detections import FACE, Detection
-from probmodel.layouts import COCO_17, H36M_17, Layout
-from probmodel.motion import read_motion
-from probmodel.skeleton import JOINT_INDEX, JOINTS
+from poseterior.inference.studies.scenes import camera
+from poseterior.probmodel.body import body_unit
+from poseterior.probmodel.detections import FACE, Detection
+from poseterior.probmodel.layouts import COCO_17, H36M_17, Layout
+from poseterior.probmodel.motion import read_motion
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 
 NOISE = 0.08
 """Body units (2.6 cm): MMPose's joints lie so far from COCO's annotation on the one image that both

@@ -12,17 +12,17 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from probmodel.body import body_unit
-from probmodel.camera import WeakPerspective
-from probmodel.datasets import View
-from probmodel.detections import Detection
-from probmodel.likelihood import Likelihood
-from probmodel.model import PoseModel
-from probmodel.motion import read_motion
-from probmodel.posterior import Estimate
-from probmodel.roots import Candidate
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
-from probmodel.transport import CUBE_DIM, from_cube
+from poseterior.probmodel.body import body_unit
+from poseterior.probmodel.camera import WeakPerspective
+from poseterior.probmodel.datasets import View
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.likelihood import Likelihood
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.motion import read_motion
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.roots import Candidate
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.transport import CUBE_DIM, from_cube
 
 CENTRE = (320.0, 240.0)
 """Pixels: where the pelvis is seen."""

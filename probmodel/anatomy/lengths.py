@@ -12,9 +12,9 @@ from jax.scipy.special import betainc, gammaln, ndtri, xlog1py, xlogy
 from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
 
-from probmodel.anatomy.population import LengthPrior
-from probmodel.directions.regions import invert_monotone
-from probmodel.directions.supports import same_rank
+from poseterior.probmodel.anatomy.population import LengthPrior
+from poseterior.probmodel.directions.regions import invert_monotone
+from poseterior.probmodel.directions.supports import same_rank
 
 
 class BoneLength(Distribution):

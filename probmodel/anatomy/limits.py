@@ -24,11 +24,11 @@ import numpy as np
 from jax.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from probmodel.arrays import compact, doubles, possible, read_tables, write_tables
-from probmodel.chunks import in_chunks
-from probmodel.failures import BadInput, shown
-from probmodel.kinematics import Articulation, articulation, azimuth_elevation, direction
-from probmodel.skeleton import BONE_NAMES, NUM_JOINTS, NUM_LOWER, NUM_UPPER
+from poseterior.probmodel.arrays import compact, doubles, possible, read_tables, write_tables
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.kinematics import Articulation, articulation, azimuth_elevation, direction
+from poseterior.probmodel.skeleton import BONE_NAMES, NUM_JOINTS, NUM_LOWER, NUM_UPPER
 
 CELL = np.pi / 60
 """Side of a cell: 3° in azimuth and in elevation."""
@@ -61,7 +61,7 @@ def embedded_file(name: str) -> AbstractContextManager[Path]:
     """Where the embedded tables of this name are. Raises `BadInput` where there are none."""
     if name not in EMBEDDED:
         raise BadInput(f"no embedded limits are called {shown(name)}; take {' or '.join(EMBEDDED)}")
-    return resources.as_file(resources.files("probmodel.data") / EMBEDDED[name])
+    return resources.as_file(resources.files("poseterior.probmodel.data") / EMBEDDED[name])
 
 
 def cell_of(vector: ArrayLike) -> tuple[jax.Array, jax.Array]:

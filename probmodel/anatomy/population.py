@@ -14,11 +14,11 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from probmodel.anatomy.limits import FILE, AnatomicalLimits, embedded_file
-from probmodel.anatomy.published import read_published
-from probmodel.arrays import compact, doubles, possible, read_tables, write_tables
-from probmodel.failures import BadInput
-from probmodel.skeleton import NUM_LENGTHS, TORSO_JOINTS
+from poseterior.probmodel.anatomy.limits import FILE, AnatomicalLimits, embedded_file
+from poseterior.probmodel.anatomy.published import read_published
+from poseterior.probmodel.arrays import compact, doubles, possible, read_tables, write_tables
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import NUM_LENGTHS, TORSO_JOINTS
 
 
 class LengthPrior(NamedTuple):

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from probmodel.anatomy.limits import GRID, AnatomicalLimits
-from probmodel.arrays import doubles, possible, read_mat
-from probmodel.failures import BadInput
-from probmodel.skeleton import LOWER_BONES, UPPER_BONES
+from poseterior.probmodel.anatomy.limits import GRID, AnatomicalLimits
+from poseterior.probmodel.arrays import doubles, possible, read_mat
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import LOWER_BONES, UPPER_BONES
 
 _BONE_OF_CHILD = {
     "head": 8,

@@ -11,16 +11,16 @@ calibrated cameras, each judged by the others; a plain .npz holds anything else.
 import os
 from pathlib import Path
 
-from probmodel.datasets.capture import from_motions
-from probmodel.datasets.cases import Case, DataSet, body_height
-from probmodel.datasets.human36m import is_human36m, read_human36m
-from probmodel.datasets.noise import EXACT, Noise
-from probmodel.datasets.plain import is_plain, read_plain, write_plain
-from probmodel.datasets.sessions import from_session
-from probmodel.datasets.views import VIEWS, View
-from probmodel.failures import BadInput
-from probmodel.motion import KINDS, holds_motion, read_motion
-from probmodel.sessions import is_session, read_session
+from poseterior.probmodel.datasets.capture import from_motions
+from poseterior.probmodel.datasets.cases import Case, DataSet, body_height
+from poseterior.probmodel.datasets.human36m import is_human36m, read_human36m
+from poseterior.probmodel.datasets.noise import EXACT, Noise
+from poseterior.probmodel.datasets.plain import is_plain, read_plain, write_plain
+from poseterior.probmodel.datasets.sessions import from_session
+from poseterior.probmodel.datasets.views import VIEWS, View
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.motion import KINDS, holds_motion, read_motion
+from poseterior.probmodel.sessions import is_session, read_session
 
 __all__ = [
     "EXACT",

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from probmodel.datasets.cases import DataSet, body_height, shares
-from probmodel.datasets.noise import EXACT, Noise
-from probmodel.datasets.views import CENTRE, VIEWS, View
-from probmodel.failures import BadInput
-from probmodel.motion import Motion
+from poseterior.probmodel.datasets.cases import DataSet, body_height, shares
+from poseterior.probmodel.datasets.noise import EXACT, Noise
+from poseterior.probmodel.datasets.views import CENTRE, VIEWS, View
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.motion import Motion
 
 RATE = 30.0
 """Frames a second that are chosen from; neighbouring frames of faster capture say the same."""

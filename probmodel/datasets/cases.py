@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from probmodel.body import body_unit
-from probmodel.camera import Lens
-from probmodel.detections import LARGEST_NUMBER, Detection
-from probmodel.failures import BadInput, shown
-from probmodel.layouts import MIDPOINTS, corrected, weights_of, without_midpoints
-from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS, PARENTS
+from poseterior.probmodel.body import body_unit
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.detections import LARGEST_NUMBER, Detection
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.layouts import MIDPOINTS, corrected, weights_of, without_midpoints
+from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS, PARENTS
 
 _TALL = (
     ("thorax", "head"),

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from probmodel.datasets.cases import DataSet, shares
-from probmodel.datasets.pickles import read_object
-from probmodel.datasets.views import resection
-from probmodel.detections import LARGEST_NUMBER
-from probmodel.failures import BadInput, shown
-from probmodel.layouts import H36M_17
-from probmodel.skeleton import JOINTS
+from poseterior.probmodel.datasets.cases import DataSet, shares
+from poseterior.probmodel.datasets.pickles import read_object
+from poseterior.probmodel.datasets.views import resection
+from poseterior.probmodel.detections import LARGEST_NUMBER
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.layouts import H36M_17
+from poseterior.probmodel.skeleton import JOINTS
 
 FILE_3D = "data_3d_h36m.npz"
 SEVENTEEN = (0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27)

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probmodel.failures import BadInput
-from probmodel.skeleton import NUM_JOINTS
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import NUM_JOINTS
 
 KINDS = ("none", "gaussian", "heavy-tailed")
 FREEDOM = 2.0

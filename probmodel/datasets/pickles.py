@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from probmodel.arrays import LONGEST_NAME, ArrayFile
-from probmodel.failures import BadInput, shown
-from probmodel.files import opened
+from poseterior.probmodel.arrays import LONGEST_NAME, ArrayFile
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.files import opened
 
 MOST_STEPS = 1_000_000
 """Opcodes of a pickle; VideoPose3D's files have some ten thousand. Each may make an object."""

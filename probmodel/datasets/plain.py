@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.arrays import ZIP, ArrayFile, doubles, possible, read_tables, write_tables
-from probmodel.datasets.cases import COLUMNS, DataSet
-from probmodel.datasets.views import resection
-from probmodel.detections import LARGEST_NUMBER, is_label
-from probmodel.failures import BadInput, shown
-from probmodel.files import opened
-from probmodel.skeleton import NUM_JOINTS
+from poseterior.probmodel.arrays import ZIP, ArrayFile, doubles, possible, read_tables, write_tables
+from poseterior.probmodel.datasets.cases import COLUMNS, DataSet
+from poseterior.probmodel.datasets.views import resection
+from poseterior.probmodel.detections import LARGEST_NUMBER, is_label
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.files import opened
+from poseterior.probmodel.skeleton import NUM_JOINTS
 
 NEEDED = ("poses", "keypoints", "action", "subject")
 _WHAT, _ADVICE = "data set", f"give an .npz with {', '.join(NEEDED)}"

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probmodel.camera import Lens
-from probmodel.datasets.cases import DataSet
-from probmodel.datasets.views import resection
-from probmodel.failures import BadInput
-from probmodel.sessions import Session, Triangulated
-from probmodel.skeleton import JOINTS, TORSO_INDEX
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.datasets.cases import DataSet
+from poseterior.probmodel.datasets.views import resection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.sessions import Session, Triangulated
+from poseterior.probmodel.skeleton import JOINTS, TORSO_INDEX
 
 FEWEST_CAMERAS = 3
 """So that two are left to see depth where one is judged."""

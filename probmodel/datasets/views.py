@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probmodel.camera import WeakPerspective
+from poseterior.probmodel.camera import WeakPerspective
 
 UPRIGHT = np.diag([1.0, -1.0, -1.0])
 """Turns right-handed axes with y up into the camera's, which then looks along −z."""

@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from probmodel.anatomy.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION, cell_of
-from probmodel.directions.regions import Region
-from probmodel.kinematics import azimuth_elevation, direction
+from poseterior.probmodel.anatomy.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION, cell_of
+from poseterior.probmodel.directions.regions import Region
+from poseterior.probmodel.kinematics import azimuth_elevation, direction
 
 UPPER_MEASURES = ("angle", "area")
 

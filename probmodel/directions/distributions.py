@@ -11,10 +11,10 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
 
-from probmodel.directions.cells import Cells
-from probmodel.directions.hinges import Hinge
-from probmodel.directions.regions import Region
-from probmodel.directions.supports import directions, is_inside, over_batch
+from poseterior.probmodel.directions.cells import Cells
+from poseterior.probmodel.directions.hinges import Hinge
+from poseterior.probmodel.directions.regions import Region
+from poseterior.probmodel.directions.supports import directions, is_inside, over_batch
 
 
 class _Direction(Distribution):

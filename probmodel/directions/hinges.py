@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from probmodel.directions.regions import Region, invert_monotone
+from poseterior.probmodel.directions.regions import Region, invert_monotone
 
 LOWER_MEASURES = ("area", "box")
 MARGIN = 1e-9

@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from numpyro.distributions import constraints
 from numpyro.distributions.transforms import Transform, biject_to
 
-from probmodel.directions.regions import Region
+from poseterior.probmodel.directions.regions import Region
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))

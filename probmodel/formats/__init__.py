@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from probmodel.detections import Detection
-from probmodel.failures import BadInput
-from probmodel.files import LARGEST_FILE, read_bytes, replacing
-from probmodel.formats import (
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.files import LARGEST_FILE, read_bytes, replacing
+from poseterior.probmodel.formats import (
     alphapose,
     coco,
     deeplabcut,
@@ -32,9 +32,9 @@ from probmodel.formats import (
     ultralytics,
     videopose3d,
 )
-from probmodel.formats.common import Content, at_least_one_joint
-from probmodel.formats.kinds import seeming
-from probmodel.heatmaps import THRESHOLD as HEATMAP_THRESHOLD
+from poseterior.probmodel.formats.common import Content, at_least_one_joint
+from poseterior.probmodel.formats.kinds import seeming
+from poseterior.probmodel.heatmaps import THRESHOLD as HEATMAP_THRESHOLD
 
 __all__ = [
     "FORMATS",

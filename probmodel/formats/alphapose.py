@@ -10,10 +10,10 @@ Its usual form is a list of COCO results (`coco`), in COCO-17, Halpe-26 or Halpe
 from collections.abc import Iterator
 from typing import Any
 
-from probmodel.detections import Detection
-from probmodel.failures import BadInput, shown
-from probmodel.formats.common import Content, mapping, scored_points, sequence
-from probmodel.layouts import COCO_18
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.common import Content, mapping, scored_points, sequence
+from poseterior.probmodel.layouts import COCO_18
 
 KEYS = {"people": "pose_keypoints_2d", "bodies": "joints"}
 """Where an image's people stand, and where a person's points."""

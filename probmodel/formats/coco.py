@@ -10,9 +10,9 @@ layout it is."""
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput, shown
-from probmodel.formats.common import (
+from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.common import (
     Content,
     image_name,
     image_side,
@@ -22,7 +22,14 @@ from probmodel.formats.common import (
     scored_points,
     sequence,
 )
-from probmodel.layouts import COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133, Layout
+from poseterior.probmodel.layouts import (
+    COCO_17,
+    HALPE_26,
+    HALPE_136,
+    MPII_16,
+    WHOLEBODY_133,
+    Layout,
+)
 
 PERSON = 1
 """COCO's category of persons."""

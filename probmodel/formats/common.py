@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from probmodel.arrays import ArrayFile
-from probmodel.detections import FACE, LARGEST_NUMBER, Detection, FloatArray
-from probmodel.documents import decoded, json_failures, parsed, require_modest
-from probmodel.failures import BadInput, shown
-from probmodel.layouts import LAYOUTS, Layout, layout_of_names
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
+from poseterior.probmodel.arrays import ArrayFile
+from poseterior.probmodel.detections import FACE, LARGEST_NUMBER, Detection, FloatArray
+from poseterior.probmodel.documents import decoded, json_failures, parsed, require_modest
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.layouts import LAYOUTS, Layout, layout_of_names
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 
 OUTSIDE = 0.5
 """How far outside of the image, in images, a fraction may still lie."""

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probmodel import arrays
-from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput, shown
-from probmodel.formats.common import Content, named_layout, table_rows
+from poseterior.probmodel import arrays
+from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.common import Content, named_layout, table_rows
 
 HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 COORDS = ("x", "y", "likelihood")

@@ -13,10 +13,10 @@ from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
-from probmodel.detections import Detection
-from probmodel.failures import BadInput
-from probmodel.formats import content_of, format_of, openpose, people_of
-from probmodel.formats.common import Content
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats import content_of, format_of, openpose, people_of
+from poseterior.probmodel.formats.common import Content
 
 PROBES = 25
 """Files of a folder, evenly spread, that say in which format it is."""

@@ -13,12 +13,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from probmodel import arrays
-from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput
-from probmodel.formats.common import Content, chosen_layout
-from probmodel.heatmaps import Crop, Decoded, decode
-from probmodel.layouts import COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133, Layout
+from poseterior.probmodel import arrays
+from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats.common import Content, chosen_layout
+from poseterior.probmodel.heatmaps import Crop, Decoded, decode
+from poseterior.probmodel.layouts import (
+    COCO_17,
+    HALPE_26,
+    HALPE_136,
+    MPII_16,
+    WHOLEBODY_133,
+    Layout,
+)
 
 KNOWN = (MPII_16, COCO_17, HALPE_26, WHOLEBODY_133, HALPE_136)
 """Layouts that are told by their number of channels."""

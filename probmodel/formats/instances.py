@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput, shown
-from probmodel.formats.common import (
+from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.common import (
     Content,
     chosen_layout,
     mapping,
@@ -26,7 +26,14 @@ from probmodel.formats.common import (
     scored_point,
     sequence,
 )
-from probmodel.layouts import COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133, Layout
+from poseterior.probmodel.layouts import (
+    COCO_17,
+    HALPE_26,
+    HALPE_136,
+    MPII_16,
+    WHOLEBODY_133,
+    Layout,
+)
 
 KNOWN = (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)
 """Layouts that are told by their number of points."""

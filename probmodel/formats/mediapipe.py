@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from probmodel.detections import Detection, FloatArray
-from probmodel.documents import require_modest
-from probmodel.failures import BadInput, shown
-from probmodel.formats.common import (
+from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.documents import require_modest
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.common import (
     Content,
     mapping,
     number,
@@ -29,7 +29,7 @@ from probmodel.formats.common import (
     sequence,
     table_rows,
 )
-from probmodel.layouts import MEDIAPIPE_33
+from poseterior.probmodel.layouts import MEDIAPIPE_33
 
 THRESHOLD = 0.5
 """The visibility up to which a landmark is missing."""

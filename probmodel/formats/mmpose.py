@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput, shown
-from probmodel.formats.common import (
+from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.common import (
     Content,
     chosen_layout,
     image_name,
@@ -26,7 +26,7 @@ from probmodel.formats.common import (
     scored_point,
     sequence,
 )
-from probmodel.layouts import (
+from poseterior.probmodel.layouts import (
     AIC_14,
     COCO_17,
     CROWDPOSE_14,

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from probmodel.detections import Detection
-from probmodel.failures import BadInput, shown
-from probmodel.formats.common import (
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.common import (
     Content,
     image_name,
     mapping,
@@ -16,7 +16,7 @@ from probmodel.formats.common import (
     scored_point,
     sequence,
 )
-from probmodel.layouts import MPII_16
+from poseterior.probmodel.layouts import MPII_16
 
 
 def recognises(content: Content) -> bool:

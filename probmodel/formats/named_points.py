@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput
-from probmodel.formats.common import (
+from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats.common import (
     Content,
     are_fractions,
     mapping,

@@ -11,11 +11,11 @@ from contextlib import suppress
 
 import numpy as np
 
-from probmodel.detections import Detection
-from probmodel.failures import BadInput, shown
-from probmodel.formats.common import Content, named_layout, scored_points, table_rows
-from probmodel.layouts import spoken_name
-from probmodel.skeleton import JOINTS
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.common import Content, named_layout, scored_points, table_rows
+from poseterior.probmodel.layouts import spoken_name
+from poseterior.probmodel.skeleton import JOINTS
 
 FEWEST = 3
 """Joints that a header must name to be recognised; a camera needs as many."""

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from probmodel.detections import FACE, Detection, FloatArray
-from probmodel.failures import BadInput, shown
-from probmodel.formats.common import (
+from poseterior.probmodel.detections import FACE, Detection, FloatArray
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.common import (
     Content,
     image_name,
     image_side,
@@ -24,7 +24,7 @@ from probmodel.formats.common import (
     sequence,
     skeleton_arrays,
 )
-from probmodel.skeleton import JOINTS
+from poseterior.probmodel.skeleton import JOINTS
 
 FORMAT, VERSION, LAYOUT = "poseterior-detections", 1, "poseterior"
 

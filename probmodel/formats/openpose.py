@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput
-from probmodel.formats.common import Content, mapping, scored_points, sequence
-from probmodel.layouts import BODY_25, BODY_25B, COCO_18, Layout
+from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats.common import Content, mapping, scored_points, sequence
+from poseterior.probmodel.layouts import BODY_25, BODY_25B, COCO_18, Layout
 
 KEYS = ("pose_keypoints_2d", "pose_keypoints")
 """Where a person's points stand; the second is OpenPose 1.0's."""

@@ -15,13 +15,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from probmodel import arrays
-from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput
-from probmodel.formats.common import Content, are_fractions, chosen_layout, pixels
-from probmodel.formats.hourglass import scored
-from probmodel.formats.instances import KNOWN
-from probmodel.layouts import COCO_17, MEDIAPIPE_33
+from poseterior.probmodel import arrays
+from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats.common import Content, are_fractions, chosen_layout, pixels
+from poseterior.probmodel.formats.hourglass import scored
+from poseterior.probmodel.formats.instances import KNOWN
+from poseterior.probmodel.layouts import COCO_17, MEDIAPIPE_33
 
 PEOPLE, NUMBERS = 6, 56
 """What MoveNet's model for several people returns for each image."""

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from probmodel import arrays
-from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput, shown
-from probmodel.formats.common import Content, named_layout
+from poseterior.probmodel import arrays
+from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.common import Content, named_layout
 
 DIMS = ("track", "xy", "node", "frame")
 

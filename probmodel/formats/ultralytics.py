@@ -11,9 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from probmodel.detections import Detection, FloatArray
-from probmodel.failures import BadInput, shown
-from probmodel.formats.common import (
+from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.common import (
     OUTSIDE,
     Content,
     are_fractions,
@@ -23,7 +23,7 @@ from probmodel.formats.common import (
     scored_points,
     sequence,
 )
-from probmodel.layouts import COCO_17
+from poseterior.probmodel.layouts import COCO_17
 
 _BOX = 5
 """The class and its box, before the points of a line."""

@@ -13,12 +13,12 @@ scores are 1."""
 from collections.abc import Iterator
 from dataclasses import replace
 
-from probmodel import arrays
-from probmodel.detections import Detection
-from probmodel.failures import BadInput
-from probmodel.formats.common import Content, said_layout
-from probmodel.formats.hourglass import scored
-from probmodel.layouts import H36M_17
+from poseterior.probmodel import arrays
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats.common import Content, said_layout
+from poseterior.probmodel.formats.hourglass import scored
+from poseterior.probmodel.layouts import H36M_17
 
 
 def recognises(content: Content) -> bool:

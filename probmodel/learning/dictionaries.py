@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.arrays import doubles, possible, read_tables, single, write_tables
-from probmodel.body import aligned, bone_vectors, mean_torso, mirror_pose, with_lengths
-from probmodel.failures import BadInput
-from probmodel.learning.poses import in_body_units, usable
-from probmodel.motion import Motion
-from probmodel.skeleton import JOINTS, MIRROR, NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.arrays import doubles, possible, read_tables, single, write_tables
+from poseterior.probmodel.body import aligned, bone_vectors, mean_torso, mirror_pose, with_lengths
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.learning.poses import in_body_units, usable
+from poseterior.probmodel.motion import Motion
+from poseterior.probmodel.skeleton import JOINTS, MIRROR, NUM_JOINTS, TORSO_INDEX
 
 EXPLAINED = 0.99
 """Share of a class's variance that its principal directions keep, `MOST` of them at most."""
@@ -71,7 +71,7 @@ class PoseDictionary:
     def default(cls) -> "PoseDictionary":
         """The embedded dictionary, learned from CMU motion capture; `probmodel/data/PROVENANCE.md`
         says how."""
-        with resources.as_file(resources.files("probmodel.data") / "poses.npz") as path:
+        with resources.as_file(resources.files("poseterior.probmodel.data") / "poses.npz") as path:
             return cls.load(path)
 
     @classmethod

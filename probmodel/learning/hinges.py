@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from probmodel.anatomy.limits import GRID, NUM_ELEVATION
-from probmodel.learning.sphere import cells_of, chord, fibonacci, grid_points, swing
-from probmodel.learning.tolerance import Tolerance
+from poseterior.probmodel.anatomy.limits import GRID, NUM_ELEVATION
+from poseterior.probmodel.learning.sphere import cells_of, chord, fibonacci, grid_points, swing
+from poseterior.probmodel.learning.tolerance import Tolerance
 
 REFERENCE = np.array([1.0, 0.0, 0.0])
 """The line through the shoulders or hips: only a limb stretched out exactly sideways is parallel to

@@ -4,14 +4,14 @@ The usual way in: `learn(read_all(paths))`."""
 
 from collections.abc import Sequence
 
-from probmodel.anatomy.population import Anatomy, LengthPrior
-from probmodel.arrays import single
-from probmodel.learning.lengths import learn_lengths
-from probmodel.learning.limits import learn_limits
-from probmodel.learning.poses import Progress, gather
-from probmodel.learning.tolerance import DEFAULT, Tolerance
-from probmodel.learning.torsos import learn_torsos
-from probmodel.motion import Motion
+from poseterior.probmodel.anatomy.population import Anatomy, LengthPrior
+from poseterior.probmodel.arrays import single
+from poseterior.probmodel.learning.lengths import learn_lengths
+from poseterior.probmodel.learning.limits import learn_limits
+from poseterior.probmodel.learning.poses import Progress, gather
+from poseterior.probmodel.learning.tolerance import DEFAULT, Tolerance
+from poseterior.probmodel.learning.torsos import learn_torsos
+from poseterior.probmodel.motion import Motion
 
 
 def learn(

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from probmodel.anatomy.population import LengthPrior
-from probmodel.body import bone_lengths
-from probmodel.learning.poses import Poses
-from probmodel.skeleton import BONES, LENGTH_GROUPS, NUM_LENGTHS
+from poseterior.probmodel.anatomy.population import LengthPrior
+from poseterior.probmodel.body import bone_lengths
+from poseterior.probmodel.learning.poses import Poses
+from poseterior.probmodel.skeleton import BONES, LENGTH_GROUPS, NUM_LENGTHS
 
 SPREAD_FLOOR = 0.05
 """Least standard deviation of a bone length, as a share of its mean. Tables of human proportions

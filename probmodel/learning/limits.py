@@ -7,15 +7,15 @@ goes. The way in: `learn_limits(joints, tolerance)`."""
 import jax
 import numpy as np
 
-from probmodel.anatomy.limits import GRID, NUM_AZIMUTH, AnatomicalLimits
-from probmodel.arrays import single
-from probmodel.body import mirror_pose
-from probmodel.kinematics import articulation
-from probmodel.learning.hinges import FALLBACK, REFERENCE, Observations, fit_cell
-from probmodel.learning.occupancy import occupancy
-from probmodel.learning.poses import Progress
-from probmodel.learning.tolerance import Tolerance
-from probmodel.skeleton import LOWER_BONES, NUM_LOWER, NUM_UPPER
+from poseterior.probmodel.anatomy.limits import GRID, NUM_AZIMUTH, AnatomicalLimits
+from poseterior.probmodel.arrays import single
+from poseterior.probmodel.body import mirror_pose
+from poseterior.probmodel.kinematics import articulation
+from poseterior.probmodel.learning.hinges import FALLBACK, REFERENCE, Observations, fit_cell
+from poseterior.probmodel.learning.occupancy import occupancy
+from poseterior.probmodel.learning.poses import Progress
+from poseterior.probmodel.learning.tolerance import Tolerance
+from poseterior.probmodel.skeleton import LOWER_BONES, NUM_LOWER, NUM_UPPER
 
 _TABLES: dict[str, tuple[int, ...]] = {
     "normal": (3,),

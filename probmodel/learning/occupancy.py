@@ -6,8 +6,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from probmodel.anatomy.limits import GRID
-from probmodel.learning.sphere import cell_areas, cell_centres, cells_of, chord
+from poseterior.probmodel.anatomy.limits import GRID
+from poseterior.probmodel.learning.sphere import cell_areas, cell_centres, cells_of, chord
 
 
 def occupancy(vectors: np.ndarray, radius: float, closing: float) -> np.ndarray:

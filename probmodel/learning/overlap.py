@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from probmodel.anatomy.limits import AnatomicalLimits
-from probmodel.kinematics import lower_axes
-from probmodel.learning.sphere import cell_areas, cell_centres, fibonacci
-from probmodel.skeleton import NUM_LOWER
+from poseterior.probmodel.anatomy.limits import AnatomicalLimits
+from poseterior.probmodel.kinematics import lower_axes
+from poseterior.probmodel.learning.sphere import cell_areas, cell_centres, fibonacci
+from poseterior.probmodel.skeleton import NUM_LOWER
 
 
 class Overlap(NamedTuple):

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probmodel.body import body_unit, bone_vectors
-from probmodel.failures import BadInput
-from probmodel.motion import Motion, read_motion
+from poseterior.probmodel.body import body_unit, bone_vectors
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.motion import Motion, read_motion
 
 LEARNING_RATE = 30.0
 """Frames a second that are learned from; neighbouring frames of 120 Hz capture say the same."""

@@ -4,8 +4,8 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probmodel.anatomy.limits import CELL, GRID, cell_of
-from probmodel.directions import cells
+from poseterior.probmodel.anatomy.limits import CELL, GRID, cell_of
+from poseterior.probmodel.directions import cells
 
 
 def cells_of(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from probmodel.failures import BadInput
-from probmodel.skeleton import UPPER_BONES
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import UPPER_BONES
 
 
 @dataclasses.dataclass(frozen=True)

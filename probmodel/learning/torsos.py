@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from probmodel.body import aligned, mean_torso, mirror_torso
-from probmodel.skeleton import TORSO_INDEX
+from poseterior.probmodel.body import aligned, mean_torso, mirror_torso
+from poseterior.probmodel.skeleton import TORSO_INDEX
 
 
 def learn_torsos(joints: np.ndarray, count: int, *, mirror: bool) -> np.ndarray:

@@ -11,12 +11,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
 
-from probmodel.failures import BadInput
-from probmodel.motion.archive import read_archive
-from probmodel.motion.asf import Asf, asf_beside, parse_asf, read_amc, read_amc_alone
-from probmodel.motion.bvh import read_bvh
-from probmodel.motion.markers import read_c3d, read_trc
-from probmodel.motion.recording import CMU_UNIT, FROM_SEVENTEEN, Motion
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.motion.archive import read_archive
+from poseterior.probmodel.motion.asf import Asf, asf_beside, parse_asf, read_amc, read_amc_alone
+from poseterior.probmodel.motion.bvh import read_bvh
+from poseterior.probmodel.motion.markers import read_c3d, read_trc
+from poseterior.probmodel.motion.recording import CMU_UNIT, FROM_SEVENTEEN, Motion
 
 MOST_ENTRIES = 100_000
 """Files and folders that are looked through."""

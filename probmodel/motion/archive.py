@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.arrays import doubles, possible, read_tables
-from probmodel.detections import LARGEST_NUMBER
-from probmodel.failures import BadInput
-from probmodel.motion.recording import FROM_SEVENTEEN, NPZ_RATE, Motion
-from probmodel.skeleton import NUM_JOINTS
+from poseterior.probmodel.arrays import doubles, possible, read_tables
+from poseterior.probmodel.detections import LARGEST_NUMBER
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.motion.recording import FROM_SEVENTEEN, NPZ_RATE, Motion
+from poseterior.probmodel.skeleton import NUM_JOINTS
 
 
 def read_archive(path: Path) -> list[Motion]:

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probmodel.detections import LARGEST_NUMBER
-from probmodel.failures import BadInput, shown
-from probmodel.motion.recording import (
+from poseterior.probmodel.detections import LARGEST_NUMBER
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.motion.recording import (
     CMU_UNIT,
     MOST_JOINTS,
     NUMBER,
@@ -21,7 +21,7 @@ from probmodel.motion.recording import (
     read_text,
     require_frames,
 )
-from probmodel.skeleton import JOINT_INDEX, JOINTS
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 
 _BVH_NAMES: tuple[dict[str, str], ...] = (
     {

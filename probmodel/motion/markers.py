@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.arrays import doubles
-from probmodel.failures import BadInput, shown
-from probmodel.files import read_bytes
-from probmodel.layouts import MIDPOINTS, spoken_name
-from probmodel.motion.recording import (
+from poseterior.probmodel.arrays import doubles
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.files import read_bytes
+from poseterior.probmodel.layouts import MIDPOINTS, spoken_name
+from poseterior.probmodel.motion.recording import (
     LARGEST_TEXT,
     MOST_FRAMES,
     Motion,
@@ -26,7 +26,7 @@ from probmodel.motion.recording import (
     positions,
     read_text,
 )
-from probmodel.skeleton import JOINTS
+from poseterior.probmodel.skeleton import JOINTS
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 """Millimetres in the units that both formats name."""

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probmodel.detections import LARGEST_NUMBER
-from probmodel.failures import BadInput
-from probmodel.files import read_bytes
-from probmodel.skeleton import PARENTS
+from poseterior.probmodel.detections import LARGEST_NUMBER
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.files import read_bytes
+from poseterior.probmodel.skeleton import PARENTS
 
 INCH = 25.4
 CMU_UNIT = INCH / 0.45

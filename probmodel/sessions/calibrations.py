@@ -13,10 +13,10 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probmodel.detections import LARGEST_NUMBER
-from probmodel.documents import read_text
-from probmodel.failures import BadInput, shown
-from probmodel.sessions.pinhole import Pinhole
+from poseterior.probmodel.detections import LARGEST_NUMBER
+from poseterior.probmodel.documents import read_text
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.sessions.pinhole import Pinhole
 
 LARGEST_CALIBRATION = 10_000_000
 """Bytes; a calibration has some thousand for each camera."""

@@ -19,15 +19,20 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.body import bone_lengths
-from probmodel.detections import Detection
-from probmodel.failures import BadInput, shown
-from probmodel.formats.frames import DetectedFrame, natural_order, read_frames, sorted_files
-from probmodel.layouts import MIDPOINTS, midpoints_of
-from probmodel.sessions.calibrations import is_calibration, read_cameras
-from probmodel.sessions.pinhole import Pinhole
-from probmodel.sessions.triangulation import Triangulated, residuals, triangulate
-from probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS
+from poseterior.probmodel.body import bone_lengths
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.frames import (
+    DetectedFrame,
+    natural_order,
+    read_frames,
+    sorted_files,
+)
+from poseterior.probmodel.layouts import MIDPOINTS, midpoints_of
+from poseterior.probmodel.sessions.calibrations import is_calibration, read_cameras
+from poseterior.probmodel.sessions.pinhole import Pinhole
+from poseterior.probmodel.sessions.triangulation import Triangulated, residuals, triangulate
+from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS
 
 HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
 FIRST_SCALE = 0.4

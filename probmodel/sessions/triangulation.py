@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probmodel.sessions.pinhole import Pinhole
+from poseterior.probmodel.sessions.pinhole import Pinhole
 
 ROBUST = 50.0
 """Millimetres: residuals beyond it count less and less."""

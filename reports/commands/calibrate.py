@@ -2,15 +2,21 @@
 
 import numpy as np
 
-from inference.studies.errorlaws import Learned, Pairs, learn, pairs_of_data, pairs_of_session
-from probmodel import BadInput
-from probmodel.sessions import Session
-from reports import console
-from reports.figures import save_figure
-from reports.figures.errorlaws import residuals_figure
-from reports.options import Screen
-from reports.settings import CalibrateSettings
-from reports.tables.errorlaws import errors_table, summary_lines
+from poseterior.inference.studies.errorlaws import (
+    Learned,
+    Pairs,
+    learn,
+    pairs_of_data,
+    pairs_of_session,
+)
+from poseterior.probmodel import BadInput
+from poseterior.probmodel.sessions import Session
+from poseterior.reports import console
+from poseterior.reports.figures import save_figure
+from poseterior.reports.figures.errorlaws import residuals_figure
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import CalibrateSettings
+from poseterior.reports.tables.errorlaws import errors_table, summary_lines
 
 
 def run(settings: CalibrateSettings, screen: Screen) -> None:

@@ -5,15 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probmodel.arrays import HDF5, ArrayFile, read_array
-from probmodel.documents import read_json
-from probmodel.failures import BadInput
-from probmodel.files import opened
-from probmodel.motion import KINDS, READERS, read_motion
-from probmodel.skeleton import BONE_NAMES, BONES, JOINTS, NUM_JOINTS
-from reports import console, tables
-from reports.options import Screen, anatomy_of
-from reports.settings import CheckSettings
+from poseterior.probmodel.arrays import HDF5, ArrayFile, read_array
+from poseterior.probmodel.documents import read_json
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.files import opened
+from poseterior.probmodel.motion import KINDS, READERS, read_motion
+from poseterior.probmodel.skeleton import BONE_NAMES, BONES, JOINTS, NUM_JOINTS
+from poseterior.reports import console, tables
+from poseterior.reports.options import Screen, anatomy_of
+from poseterior.reports.settings import CheckSettings
 
 FEW = 20
 """Up to so many impossible poses are listed one by one, more are counted by bone."""
@@ -46,7 +46,7 @@ def run(settings: CheckSettings, screen: Screen) -> None:
     if len(broken) > FEW:
         console.OUT.print(tables.broken_table(check))
     elif len(broken):
-        from probmodel.anatomy.limits import Check
+        from poseterior.probmodel.anatomy.limits import Check
 
         listed = Check(*(part[broken] for part in check))
         console.OUT.print(tables.check_table(listed, [poses.names[pose] for pose in broken]))
@@ -63,7 +63,7 @@ def read_poses(path: Path) -> PosesToCheck:
     suffix = path.suffix.lower()
     if not path.exists():
         raise BadInput(f"there is no file {path}; give one with 3D poses")
-    from probmodel.datasets.plain import is_plain  # takes a while
+    from poseterior.probmodel.datasets.plain import is_plain  # takes a while
 
     if is_plain(path):
         return _from_data_set(path)
@@ -79,7 +79,7 @@ def read_poses(path: Path) -> PosesToCheck:
 
 
 def _from_data_set(path: Path) -> PosesToCheck:
-    from probmodel.datasets.plain import read_plain
+    from poseterior.probmodel.datasets.plain import read_plain
 
     data = read_plain(path)
     return PosesToCheck(
@@ -125,7 +125,7 @@ def _from_json(path: Path) -> PosesToCheck:
 
 def _embedded(said: object) -> str:
     """The embedded limits that a result says it was made with; the default where it names none."""
-    from probmodel.anatomy.limits import EMBEDDED
+    from poseterior.probmodel.anatomy.limits import EMBEDDED
 
     name = str(said).partition(" ")[0]
     return name if name in EMBEDDED else "default"

@@ -5,14 +5,14 @@ import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from inference.results import FIXED
-from probmodel.failures import BadInput
-from reports import console
-from reports.options import ROUTES, Screen
-from reports.settings import CONTESTANTS, CompareSettings
+from poseterior.inference.results import FIXED
+from poseterior.probmodel.failures import BadInput
+from poseterior.reports import console
+from poseterior.reports.options import ROUTES, Screen
+from poseterior.reports.settings import CONTESTANTS, CompareSettings
 
 if TYPE_CHECKING:
-    from inference.studies.comparison import Comparison
+    from poseterior.inference.studies.comparison import Comparison
 
 FEWEST = 100
 """Draws of exact rejection with which it can be judged."""
@@ -21,11 +21,11 @@ FEWEST = 100
 def run(settings: CompareSettings, screen: Screen) -> None:
     """Writes comparison.nc and comparison.png. What samplers have done is kept in `runs`: the next
     call takes it up. Raises `BadInput`, or `OutOfBudget` where there are no exact draws."""
-    from inference.baselines.catalogue import BASELINES
-    from inference.studies.comparison import contest, routes
-    from reports.figures import save_figure
-    from reports.figures.comparison import comparison_figure
-    from reports.tables.comparison import NARROW, WIDE, comparison_table
+    from poseterior.inference.baselines.catalogue import BASELINES
+    from poseterior.inference.studies.comparison import contest, routes
+    from poseterior.reports.figures import save_figure
+    from poseterior.reports.figures.comparison import comparison_figure
+    from poseterior.reports.tables.comparison import NARROW, WIDE, comparison_table
 
     if not settings.seconds > 0:
         raise BadInput(f"--seconds must be more than 0, not {settings.seconds:g}")
@@ -66,7 +66,7 @@ def run(settings: CompareSettings, screen: Screen) -> None:
 
 def _contest(settings: CompareSettings) -> Callable[..., "Comparison"]:
     """Samplers under one candidate, or of torso and camera, too."""
-    from inference.studies.comparison import contest, routes
+    from poseterior.inference.studies.comparison import contest, routes
 
     if settings.rooting.root == FIXED:
         return functools.partial(

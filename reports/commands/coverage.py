@@ -4,19 +4,19 @@ not, why?"""
 from pathlib import Path
 from typing import Any
 
-from inference.drawers import sampler_under
-from inference.results import FIXED, save_tree
-from inference.studies import calibration
-from inference.studies.calibration.coverage import CoverageSummary
-from inference.studies.calibration.record import instances_tree
-from inference.studies.calibration.verdict import FEWEST
-from probmodel import BadInput, Likelihood
-from reports import console
-from reports.figures import save_figure
-from reports.figures.coverage import coverage_figure, ranks_figure
-from reports.options import Screen
-from reports.settings import CoverageSettings
-from reports.tables.coverage import (
+from poseterior.inference.drawers import sampler_under
+from poseterior.inference.results import FIXED, save_tree
+from poseterior.inference.studies import calibration
+from poseterior.inference.studies.calibration.coverage import CoverageSummary
+from poseterior.inference.studies.calibration.record import instances_tree
+from poseterior.inference.studies.calibration.verdict import FEWEST
+from poseterior.probmodel import BadInput, Likelihood
+from poseterior.reports import console
+from poseterior.reports.figures import save_figure
+from poseterior.reports.figures.coverage import coverage_figure, ranks_figure
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import CoverageSettings
+from poseterior.reports.tables.coverage import (
     brief_table,
     calibration_json,
     reasons_table,

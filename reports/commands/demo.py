@@ -1,10 +1,10 @@
 """`poseterior demo`: the main job on the embedded example, with the true pose beside the
 hypotheses."""
 
-from probmodel.example import example
-from reports.commands import hypotheses
-from reports.options import Drawing, Person, Sampling, Screen
-from reports.settings import DemoSettings, HypothesesSettings
+from poseterior.probmodel.example import example
+from poseterior.reports.commands import hypotheses
+from poseterior.reports.options import Drawing, Person, Sampling, Screen
+from poseterior.reports.settings import DemoSettings, HypothesesSettings
 
 
 def run(settings: DemoSettings, screen: Screen) -> None:

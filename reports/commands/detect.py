@@ -4,13 +4,13 @@ reads."""
 from collections.abc import Callable
 from pathlib import Path
 
-from inference.detector import Network
-from probmodel import BadInput, Detection, write_detections
-from probmodel.documents import read_json
-from probmodel.layouts import LAYOUTS
-from reports import console, figures, tables
-from reports.options import Screen, parse_size
-from reports.settings import DetectSettings
+from poseterior.inference.detector import Network
+from poseterior.probmodel import BadInput, Detection, write_detections
+from poseterior.probmodel.documents import read_json
+from poseterior.probmodel.layouts import LAYOUTS
+from poseterior.reports import console, figures, tables
+from poseterior.reports.options import Screen, parse_size
+from poseterior.reports.settings import DetectSettings
 
 Box = tuple[float, ...]
 

@@ -9,28 +9,28 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from inference.results import UNCERTAIN
-from inference.roots.external import read_poses
-from inference.studies.errors import mean_joint_error
-from inference.studies.evaluation.bias import LEAST_POSES, Bias, bias_study
-from inference.studies.evaluation.conditions import Condition, conditions
-from inference.studies.evaluation.outcome import Protocol
-from inference.studies.evaluation.relations import Relation, relations
-from inference.studies.evaluation.run import Results, evaluate
-from inference.studies.evaluation.samples import of_predictions
-from inference.studies.evaluation.scores import Values, lost
-from probmodel.datasets import DataSet, brings_detections, read_data_set
-from probmodel.failures import BadInput
-from probmodel.learning.dictionaries import PoseDictionary
-from reports import console
-from reports.figures import save_figure
-from reports.figures.bias import bias_figure
-from reports.figures.evaluation import errors_figure, pck_curves, pck_figure
-from reports.options import Screen, concentration
-from reports.settings import EvaluateSettings
-from reports.tables import Sheet
-from reports.tables.bias import actions_table, visits_table
-from reports.tables.evaluation import (
+from poseterior.inference.estimators.external import read_poses
+from poseterior.inference.results import UNCERTAIN
+from poseterior.inference.studies.errors import mean_joint_error
+from poseterior.inference.studies.evaluation.bias import LEAST_POSES, Bias, bias_study
+from poseterior.inference.studies.evaluation.conditions import Condition, conditions
+from poseterior.inference.studies.evaluation.outcome import Protocol
+from poseterior.inference.studies.evaluation.relations import Relation, relations
+from poseterior.inference.studies.evaluation.run import Results, evaluate
+from poseterior.inference.studies.evaluation.samples import of_predictions
+from poseterior.inference.studies.evaluation.scores import Values, lost
+from poseterior.probmodel.datasets import DataSet, brings_detections, read_data_set
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.reports import console
+from poseterior.reports.figures import save_figure
+from poseterior.reports.figures.bias import bias_figure
+from poseterior.reports.figures.evaluation import errors_figure, pck_curves, pck_figure
+from poseterior.reports.options import Screen, concentration
+from poseterior.reports.settings import EvaluateSettings
+from poseterior.reports.tables import Sheet
+from poseterior.reports.tables.bias import actions_table, visits_table
+from poseterior.reports.tables.evaluation import (
     PAPERS_FRAMES,
     Labels,
     best_table,
@@ -45,7 +45,7 @@ from reports.tables.evaluation import (
     table_1,
     table_2,
 )
-from reports.tables.words import duration
+from poseterior.reports.tables.words import duration
 
 MANY_FRAMES = 1_000_000
 PRINTED = ("table1", "table2", "relations", "best", "calibration", "sharpness")

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from reports import console
-from reports.exports import TARGETS, Clip, unit_of
-from reports.exports.results import Wanted, read_clip
-from reports.options import Screen
-from reports.settings import ExportSettings
+from poseterior.reports import console
+from poseterior.reports.exports import TARGETS, Clip, unit_of
+from poseterior.reports.exports.results import Wanted, read_clip
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import ExportSettings
 
 
 def run(settings: ExportSettings, screen: Screen) -> None:

@@ -5,13 +5,13 @@ import itertools
 
 from rich.filesize import decimal
 
-from inference.stream import DRAW_BYTES, People, open_stream, sample_frames
-from probmodel import Detection
-from reports import console, doubts, figures, tables
-from reports.interactive.film import film_page
-from reports.interactive.page import write_page
-from reports.options import Screen
-from reports.settings import FramesSettings
+from poseterior.inference.stream import DRAW_BYTES, People, open_stream, sample_frames
+from poseterior.probmodel import Detection
+from poseterior.reports import console, doubts, figures, tables
+from poseterior.reports.interactive.film import film_page
+from poseterior.reports.interactive.page import write_page
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import FramesSettings
 
 
 def run(settings: FramesSettings, screen: Screen) -> None:

@@ -6,20 +6,23 @@ from pathlib import Path
 
 import numpy as np
 
-from inference import Result
-from inference.composition import composed
-from inference.drawsfile import sample_to_file
-from inference.hypothesis import Hypothesis, hypotheses
-from inference.results import COMPLETE, FIXED
-from probmodel.failures import BadInput, OutOfBudget
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
-from reports import console, doubts, tables
-from reports.figures import hypotheses_figure, save_figure  # now: a first call waits here anyway
-from reports.interactive.page import write_page
-from reports.interactive.person import person_page
-from reports.options import Screen
-from reports.settings import HypothesesSettings
+from poseterior.inference import Result
+from poseterior.inference.composition import composed
+from poseterior.inference.drawsfile import sample_to_file
+from poseterior.inference.hypothesis import Hypothesis, hypotheses
+from poseterior.inference.results import COMPLETE, FIXED
+from poseterior.probmodel.failures import BadInput, OutOfBudget
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate
+from poseterior.reports import console, doubts, tables
+from poseterior.reports.figures import (
+    hypotheses_figure,
+    save_figure,
+)  # now: a first call waits here anyway
+from poseterior.reports.interactive.page import write_page
+from poseterior.reports.interactive.person import person_page
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import HypothesesSettings
 
 
 def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | None = None) -> None:

@@ -3,11 +3,11 @@ dictionaries in another."""
 
 import numpy as np
 
-from probmodel.learning.poses import read_all
-from probmodel.learning.tolerance import DEFAULT
-from reports import console
-from reports.options import Screen
-from reports.settings import LearnSettings
+from poseterior.probmodel.learning.poses import read_all
+from poseterior.probmodel.learning.tolerance import DEFAULT
+from poseterior.reports import console
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import LearnSettings
 
 
 def run(settings: LearnSettings, screen: Screen) -> None:
@@ -20,8 +20,8 @@ def run(settings: LearnSettings, screen: Screen) -> None:
     with console.progress("learning", screen.quiet) as step:
         motions = read_all(settings.mocap, lambda what, done, wanted: step(done, wanted))
         # Only now: a refusal need not wait for them.
-        from probmodel.learning.dictionaries import learn_dictionary
-        from probmodel.learning.learner import learn
+        from poseterior.probmodel.learning.dictionaries import learn_dictionary
+        from poseterior.probmodel.learning.learner import learn
 
         anatomy = learn(
             motions,

@@ -1,10 +1,10 @@
 """`poseterior prior`: poses from the prior, as netCDF."""
 
-from inference.prior import sample_prior
-from inference.results import save_tree
-from reports import console
-from reports.options import Screen
-from reports.settings import PriorSettings
+from poseterior.inference.prior import sample_prior
+from poseterior.inference.results import save_tree
+from poseterior.reports import console
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import PriorSettings
 
 
 def run(settings: PriorSettings, screen: Screen) -> None:

@@ -1,16 +1,16 @@
 """`poseterior sample`: posterior draws of one person by a named sampler, as netCDF and a page."""
 
-from inference.drawers import sampler_under
-from inference.drawsfile import sample_to_file
-from inference.hypothesis import hypotheses
-from inference.results import COMPLETE, FIXED
-from inference.sampler import ROOTED_SAMPLERS
-from probmodel.failures import BadInput, OutOfBudget
-from reports import console, doubts, tables
-from reports.interactive.page import write_page
-from reports.interactive.person import person_page
-from reports.options import ROUTES, Screen
-from reports.settings import SampleSettings
+from poseterior.inference.drawers import sampler_under
+from poseterior.inference.drawsfile import sample_to_file
+from poseterior.inference.hypothesis import hypotheses
+from poseterior.inference.results import COMPLETE, FIXED
+from poseterior.inference.sampler import ROOTED_SAMPLERS
+from poseterior.probmodel.failures import BadInput, OutOfBudget
+from poseterior.reports import console, doubts, tables
+from poseterior.reports.interactive.page import write_page
+from poseterior.reports.interactive.person import person_page
+from poseterior.reports.options import ROUTES, Screen
+from poseterior.reports.settings import SampleSettings
 
 NUM_HYPOTHESES = 5
 """On the page, which stand for the draws."""

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from inference.readings import Judge, Verdict, together
-from probmodel import BadInput, Detection, PoseModel
-from probmodel.skeleton import JOINTS
-from reports import console, doubts, figures, tables
-from reports.interactive.page import write_page
-from reports.options import Estimation, Screen
-from reports.settings import ShowSettings
+from poseterior.inference.readings import Judge, Verdict, together
+from poseterior.probmodel import BadInput, Detection, PoseModel
+from poseterior.probmodel.skeleton import JOINTS
+from poseterior.reports import console, doubts, figures, tables
+from poseterior.reports.interactive.page import write_page
+from poseterior.reports.options import Estimation, Screen
+from poseterior.reports.settings import ShowSettings
 
 
 def run(settings: ShowSettings, screen: Screen) -> None:
@@ -27,7 +27,7 @@ def run(settings: ShowSettings, screen: Screen) -> None:
 
 def _show_result(settings: ShowSettings, screen: Screen) -> Path:
     """Writes the page of a result, and returns its name."""
-    from reports.interactive.saved import page_of
+    from poseterior.reports.interactive.saved import page_of
 
     path, photo = settings.person.file, settings.person.detected.photo
     beside = (path if path.is_dir() else path.parent) / "hypotheses.html"

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from probmodel.failures import BadInput
-from reports.exports.bvh import write_bvh
-from reports.exports.c3d import write_c3d
-from reports.exports.clip import UNITS, Clip
-from reports.exports.gltf import write_gltf
-from reports.exports.tables import write_csv, write_npz
-from reports.exports.trc import write_trc
+from poseterior.probmodel.failures import BadInput
+from poseterior.reports.exports.bvh import write_bvh
+from poseterior.reports.exports.c3d import write_c3d
+from poseterior.reports.exports.clip import UNITS, Clip
+from poseterior.reports.exports.gltf import write_gltf
+from poseterior.reports.exports.tables import write_csv, write_npz
+from poseterior.reports.exports.trc import write_trc
 
 Writer = Callable[[Clip, Path, str], None]
 

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probmodel.files import replacing
-from probmodel.skeleton import JOINT_INDEX
-from reports.exports.clip import UNITS, Clip
+from poseterior.probmodel.files import replacing
+from poseterior.probmodel.skeleton import JOINT_INDEX
+from poseterior.reports.exports.clip import UNITS, Clip
 
 ORDER = "ZXY"
 """Of the rotations, intrinsic: Zrotation Xrotation Yrotation means Rz · Rx · Ry."""

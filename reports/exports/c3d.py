@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.failures import BadInput
-from probmodel.files import replacing
-from probmodel.skeleton import JOINTS, NUM_JOINTS
-from reports.exports.clip import UNITS, Clip
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.files import replacing
+from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS
+from poseterior.reports.exports.clip import UNITS, Clip
 
 MOST_FRAMES = 65_535
 """The header counts frames in sixteen bits."""

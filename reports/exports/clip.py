@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput
 
 UNITS = {"m": 1.0, "mm": 1000.0}
 """How many of each unit make a metre."""

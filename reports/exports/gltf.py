@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probmodel.failures import BadInput
-from probmodel.files import replacing
-from probmodel.skeleton import JOINTS, NUM_JOINTS, PARENTS
-from reports.exports.clip import Clip
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.files import replacing
+from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS, PARENTS
+from poseterior.reports.exports.clip import Clip
 
 MOST_GHOSTS = 1000
 """Poses in one place; each is some thirty nodes."""

@@ -6,15 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.hypothesis import diverse
-from inference.store import SETTINGS
-from inference.stream import frame_and_person, open_stream
-from probmodel.arrays import possible, read_netcdf
-from probmodel.datasets import body_height
-from probmodel.documents import read_json
-from probmodel.failures import BadInput
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, PARENTS
-from reports.exports.clip import Clip, viewed
+from poseterior.inference.hypothesis import diverse
+from poseterior.inference.store import SETTINGS
+from poseterior.inference.stream import frame_and_person, open_stream
+from poseterior.probmodel.arrays import possible, read_netcdf
+from poseterior.probmodel.datasets import body_height
+from poseterior.probmodel.documents import read_json
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, PARENTS
+from poseterior.reports.exports.clip import Clip, viewed
 
 SHORTEST, TALLEST = 0.2, 3.0
 """Metres between which a person's height lies."""

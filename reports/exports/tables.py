@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.arrays import write_tables
-from probmodel.files import replacing
-from probmodel.skeleton import JOINTS
-from reports.exports.clip import UNITS, Clip
+from poseterior.probmodel.arrays import write_tables
+from poseterior.probmodel.files import replacing
+from poseterior.probmodel.skeleton import JOINTS
+from poseterior.reports.exports.clip import UNITS, Clip
 
 ADVICE = "choose another --out"
 _COLUMNS = [f"{joint}_{axis}" for joint in JOINTS for axis in "xyz"]

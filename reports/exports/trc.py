@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.files import replacing
-from probmodel.skeleton import JOINTS
-from reports.exports.clip import UNITS, Clip
+from poseterior.probmodel.files import replacing
+from poseterior.probmodel.skeleton import JOINTS
+from poseterior.reports.exports.clip import UNITS, Clip
 
 _KEYS = (
     *("DataRate", "CameraRate", "NumFrames", "NumMarkers"),

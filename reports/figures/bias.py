@@ -5,10 +5,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from inference.studies.evaluation.bias import ANGLES, Bias
-from reports.figures.colours import PALETTE
-from reports.figures.evaluation import DPI, whiskers
-from reports.figures.style import FAINT, INK, Style, page, tidy
+from poseterior.inference.studies.evaluation.bias import ANGLES, Bias
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.evaluation import DPI, whiskers
+from poseterior.reports.figures.style import FAINT, INK, Style, page, tidy
 
 LIGHT = "#BBBBBB"
 ACTIONS = (*PALETTE, "#000000")

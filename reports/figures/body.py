@@ -5,9 +5,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Circle
 
-from probmodel.skeleton import JOINTS
-from reports.figures.colours import COLOURS, SEGMENTS
-from reports.figures.style import Style
+from poseterior.probmodel.skeleton import JOINTS
+from poseterior.reports.figures.colours import COLOURS, SEGMENTS
+from poseterior.reports.figures.style import Style
 
 
 def draw_detection(

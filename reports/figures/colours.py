@@ -1,7 +1,7 @@
 """The colours of bodies and hypotheses, the same in pictures and on pages that turn, and what of a
 body is drawn. Free of matplotlib, so that a page need not wait for it."""
 
-from probmodel.skeleton import GROUPS, NUM_JOINTS, PARENTS
+from poseterior.probmodel.skeleton import GROUPS, NUM_JOINTS, PARENTS
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#8C6D31")
 """Okabe & Ito's, told apart with any colour vision; a brown in place of its black, which is the

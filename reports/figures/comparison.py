@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
-from reports.figures.colours import PALETTE
-from reports.figures.style import (
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import (
     DASHES,
     DPI,
     FAINT,
@@ -29,7 +29,7 @@ from reports.figures.style import (
     page,
     tidy,
 )
-from reports.tables.words import spoken
+from poseterior.reports.tables.words import spoken
 
 EXACT = "#8A8A8A"
 MODES = 8

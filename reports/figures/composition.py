@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from inference.studies.intervals import Interval
-from reports.figures.colours import PALETTE
-from reports.figures.evaluation import DPI, whiskers
-from reports.figures.style import FAINT, page, tidy
+from poseterior.inference.studies.intervals import Interval
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.evaluation import DPI, whiskers
+from poseterior.reports.figures.style import FAINT, page, tidy
 
 
 def gains_figure(gains: Mapping[str, Sequence[Interval]], ways: Sequence[str], k: int) -> Figure:

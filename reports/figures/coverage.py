@@ -7,8 +7,8 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from inference.studies.calibration.ece import LEVELS, shares
-from inference.studies.calibration.quantities import (
+from poseterior.inference.studies.calibration.ece import LEVELS, shares
+from poseterior.inference.studies.calibration.quantities import (
     ENERGY_BALL,
     HINGES,
     LOG_DENSITY,
@@ -17,11 +17,11 @@ from inference.studies.calibration.quantities import (
     OF_ROOT,
     TARP,
 )
-from inference.studies.calibration.uniformity import LEVELS as POINTS
-from inference.studies.calibration.uniformity import band, difference
-from reports.figures.colours import PALETTE
-from reports.figures.style import INK, page, tidy
-from reports.tables.words import spoken
+from poseterior.inference.studies.calibration.uniformity import LEVELS as POINTS
+from poseterior.inference.studies.calibration.uniformity import band, difference
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import INK, page, tidy
+from poseterior.reports.tables.words import spoken
 
 BAND = "#BBBBBB"
 PROBABILITY = 0.95

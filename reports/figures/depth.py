@@ -8,11 +8,11 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from probmodel.skeleton import JOINTS, TORSO_INDEX
-from reports.figures.colours import COLOURS, LIMB_OF, OTHER_COLOUR
-from reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, TITLE, Style, note, page
-from reports.tables.posterior import heaviest, is_uncertain, values
-from reports.tables.words import spoken
+from poseterior.probmodel.skeleton import JOINTS, TORSO_INDEX
+from poseterior.reports.figures.colours import COLOURS, LIMB_OF, OTHER_COLOUR
+from poseterior.reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, TITLE, Style, note, page
+from poseterior.reports.tables.posterior import heaviest, is_uncertain, values
+from poseterior.reports.tables.words import spoken
 
 
 def depth_figure(tree: xr.DataTree) -> Figure:

@@ -5,11 +5,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from inference.studies.errorlaws import Learned
-from inference.studies.errorlaws.mixture import log_density, quadratic
-from probmodel.skeleton import JOINTS, NUM_JOINTS
-from reports.figures.colours import PALETTE
-from reports.figures.style import FAINT, INK, SMALL, TITLE, note, page, tidy
+from poseterior.inference.studies.errorlaws import Learned
+from poseterior.inference.studies.errorlaws.mixture import log_density, quadratic
+from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, note, page, tidy
 
 LEVELS = (0.5, 0.95)
 """Of the inliers, within the circles."""

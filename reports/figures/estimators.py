@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from inference.studies.evaluation.scores import Interval
-from reports.figures.colours import PALETTE
-from reports.figures.style import FAINT, INK, Style, page, tidy
+from poseterior.inference.studies.evaluation.scores import Interval
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import FAINT, INK, Style, page, tidy
 
 COLOURS = {
     "mean pose": FAINT,

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from inference.studies.evaluation.conditions import Condition, alike
-from inference.studies.evaluation.metrics import pck
-from inference.studies.evaluation.scores import (
+from poseterior.inference.studies.evaluation.conditions import Condition, alike
+from poseterior.inference.studies.evaluation.metrics import pck
+from poseterior.inference.studies.evaluation.scores import (
     Interval,
     Values,
     clustered,
@@ -17,9 +17,9 @@ from inference.studies.evaluation.scores import (
     pose_errors,
     usable,
 )
-from reports.figures.colours import PALETTE
-from reports.figures.style import FAINT, Style, page, tidy
-from reports.tables.evaluation import NAMES, Labels, rows_of
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import FAINT, Style, page, tidy
+from poseterior.reports.tables.evaluation import NAMES, Labels, rows_of
 
 COLOURS = {"zhou": PALETTE[0], "akhter-black": PALETTE[1], "dictionary": PALETTE[2]}
 GREY = "#444444"

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image, ImageOps
 
-from probmodel.failures import BadInput
-from probmodel.files import opened, replacing
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.files import opened, replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,11 +8,11 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from inference.stream import frame_and_person
-from probmodel.skeleton import JOINT_INDEX
-from reports.figures.colours import COLOURS
-from reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, TITLE, page, tidy
-from reports.tables.words import spoken
+from poseterior.inference.stream import frame_and_person
+from poseterior.probmodel.skeleton import JOINT_INDEX
+from poseterior.reports.figures.colours import COLOURS
+from poseterior.reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, TITLE, page, tidy
+from poseterior.reports.tables.words import spoken
 
 ENDS = ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
 WIDTH, HEIGHT = 10.5, 5.2

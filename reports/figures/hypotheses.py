@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
-from reports.figures.body import draw_detection, draw_image
-from reports.figures.colours import (
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
+from poseterior.reports.figures.body import draw_detection, draw_image
+from poseterior.reports.figures.colours import (
     COLOURS,
     DRAW_COLOUR,
     LEFT_LIMBS,
@@ -23,8 +23,13 @@ from reports.figures.colours import (
     SEGMENTS,
     hypothesis_colours,
 )
-from reports.figures.legend import colour_handles, draw_legend, legend_height, style_handles
-from reports.figures.style import (
+from poseterior.reports.figures.legend import (
+    colour_handles,
+    draw_legend,
+    legend_height,
+    style_handles,
+)
+from poseterior.reports.figures.style import (
     DASHES,
     DPI,
     FAINT,
@@ -37,8 +42,8 @@ from reports.figures.style import (
     note,
     page,
 )
-from reports.figures.window import MAX_DRAWS, Window, cropped, window_of
-from reports.tables.posterior import (
+from poseterior.reports.figures.window import MAX_DRAWS, Window, cropped, window_of
+from poseterior.reports.tables.posterior import (
     LIKELY,
     faults_of,
     heaviest,
@@ -46,11 +51,11 @@ from reports.tables.posterior import (
     projected,
     values,
 )
-from reports.tables.sheet import percent
-from reports.tables.words import spoken
+from poseterior.reports.tables.sheet import percent
+from poseterior.reports.tables.words import spoken
 
 if TYPE_CHECKING:
-    from inference.hypothesis import Hypothesis
+    from poseterior.inference.hypothesis import Hypothesis
 
 WIDTH, HIGHEST = 10.5, 4.2
 """Inches: the width of the page, and the most that its panels are high."""

@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from inference.benchmark.catalogue import load, targets
-from inference.benchmark.contestants import GIFT
-from inference.studies.comparison.judge import AGREES, DIFFERS
-from reports.figures.colours import PALETTE
-from reports.figures.style import FAINT, SMALL, TEXT, TITLE, page, tidy
-from reports.tables.leaderboard import SECONDS, Line, contests, pace_of
+from poseterior.inference.benchmark.catalogue import load, targets
+from poseterior.inference.benchmark.contestants import GIFT
+from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import FAINT, SMALL, TEXT, TITLE, page, tidy
+from poseterior.reports.tables.leaderboard import SECONDS, Line, contests, pace_of
 
 COLUMNS = 7
 """Panels in a row."""

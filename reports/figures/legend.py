@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from reports.figures.colours import DRAW_COLOUR, MAX_NAMED, OTHER_COLOUR, PALETTE
-from reports.figures.style import DASHES, FAINT, INK, LEGEND, SMALL, Style
-from reports.tables.words import facing_words, pose_facing
+from poseterior.reports.figures.colours import DRAW_COLOUR, MAX_NAMED, OTHER_COLOUR, PALETTE
+from poseterior.reports.figures.style import DASHES, FAINT, INK, LEGEND, SMALL, Style
+from poseterior.reports.tables.words import facing_words, pose_facing
 
 if TYPE_CHECKING:
-    from inference.hypothesis import Hypothesis
+    from poseterior.inference.hypothesis import Hypothesis
 
 LINE, COLUMNS = 0.19, 5
 """Inches between lines, and columns."""

@@ -7,11 +7,11 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from probmodel.anatomy.limits import GRID, AnatomicalLimits
-from probmodel.learning.sphere import cells_of, fibonacci
-from probmodel.skeleton import BONE_NAMES, UPPER_BONES
-from reports.figures.style import page
-from reports.tables.words import spoken
+from poseterior.probmodel.anatomy.limits import GRID, AnatomicalLimits
+from poseterior.probmodel.learning.sphere import cells_of, fibonacci
+from poseterior.probmodel.skeleton import BONE_NAMES, UPPER_BONES
+from poseterior.reports.figures.style import page
+from poseterior.reports.tables.words import spoken
 
 EXTENT = (-180, 180, -90, 90)
 DIRECTIONS = 2000

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from inference.studies.calibration.exclusions import Reason
-from probmodel.skeleton import BONES, JOINT_INDEX
-from reports.figures.colours import PALETTE, SEGMENTS
-from reports.figures.style import INK, blank, page
+from poseterior.inference.studies.calibration.exclusions import Reason
+from poseterior.probmodel.skeleton import BONES, JOINT_INDEX
+from poseterior.reports.figures.colours import PALETTE, SEGMENTS
+from poseterior.reports.figures.style import INK, blank, page
 
 HUNG, BROKEN = PALETTE[:2]
 RING = "#BBBBBB"

@@ -13,13 +13,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from probmodel.detections import FACE, Detection
-from probmodel.skeleton import JOINTS
-from reports.figures.body import draw_detection, draw_image
-from reports.figures.colours import COLOURS
-from reports.figures.style import DPI, INK, LEGEND, TITLE, Style, blank, note, page
-from reports.figures.window import corners_of
-from reports.tables.words import spoken
+from poseterior.probmodel.detections import FACE, Detection
+from poseterior.probmodel.skeleton import JOINTS
+from poseterior.reports.figures.body import draw_detection, draw_image
+from poseterior.reports.figures.colours import COLOURS
+from poseterior.reports.figures.style import DPI, INK, LEGEND, TITLE, Style, blank, note, page
+from poseterior.reports.figures.window import corners_of
+from poseterior.reports.tables.words import spoken
 
 WIDTH = 8.0
 """Inches, names on both sides included."""

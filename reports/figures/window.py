@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from probmodel.failures import BadInput
-from reports.tables.posterior import heaviest, values
+from poseterior.probmodel.failures import BadInput
+from poseterior.reports.tables.posterior import heaviest, values
 
 MAX_DRAWS = 150
 """Draws shown in the background of a panel; more of them make a grey block."""

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inference.stream import LEVELS, frame_and_person
-from probmodel.failures import BadInput
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
-from reports.figures.colours import hypothesis_colours
-from reports.interactive.page import assemble, packed
-from reports.tables.frames import film_table, people_of_film, stream_lines
+from poseterior.inference.stream import LEVELS, frame_and_person
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.reports.figures.colours import hypothesis_colours
+from poseterior.reports.interactive.page import assemble, packed
+from poseterior.reports.tables.frames import film_table, people_of_film, stream_lines
 
 MOST_BYTES = 4_000_000
 """Of poses and bands on a page; of a longer film it holds frames evenly spread."""

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from probmodel.files import replacing
-from probmodel.skeleton import JOINTS
-from reports.figures.colours import COLOURS, LEFT_LIMBS, SEGMENTS
-from reports.tables.sheet import Sheet
-from reports.tables.words import spoken
+from poseterior.probmodel.files import replacing
+from poseterior.probmodel.skeleton import JOINTS
+from poseterior.reports.figures.colours import COLOURS, LEFT_LIMBS, SEGMENTS
+from poseterior.reports.tables.sheet import Sheet
+from poseterior.reports.tables.words import spoken
 
 PLACES = 6
 """Digits of numbers that are written out."""
@@ -97,7 +97,9 @@ _BODY: dict[str, Any] = {
 
 
 def _asset(name: str) -> str:
-    return (resources.files("reports.interactive") / "assets" / name).read_text(encoding="utf-8")
+    return (resources.files("poseterior.reports.interactive") / "assets" / name).read_text(
+        encoding="utf-8"
+    )
 
 
 def _fingerprint(text: str) -> str:

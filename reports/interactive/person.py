@@ -11,13 +11,13 @@ import numpy as np
 import xarray as xr
 from PIL import Image
 
-from inference.hypothesis import Hypothesis
-from inference.results import COMPLETE, Result
-from probmodel.skeleton import JOINT_INDEX, JOINTS
-from reports.figures.colours import LIMB_OF, hypothesis_colours
-from reports.figures.window import Window, cropped, window_of
-from reports.interactive.page import assemble, packed, rounded
-from reports.tables.posterior import (
+from poseterior.inference.hypothesis import Hypothesis
+from poseterior.inference.results import COMPLETE, Result
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
+from poseterior.reports.figures.colours import LIMB_OF, hypothesis_colours
+from poseterior.reports.figures.window import Window, cropped, window_of
+from poseterior.reports.interactive.page import assemble, packed, rounded
+from poseterior.reports.tables.posterior import (
     MILLIMETRES,
     candidates_table,
     facing_sentences,
@@ -29,8 +29,8 @@ from reports.tables.posterior import (
     summary_lines,
     values,
 )
-from reports.tables.sheet import percent, signed
-from reports.tables.words import facing_words, pose_facing, spoken
+from poseterior.reports.tables.sheet import percent, signed
+from poseterior.reports.tables.words import facing_words, pose_facing, spoken
 
 MAX_DRAWS = 1000
 """Draws that a page holds; marginals are of all that are shown."""

@@ -6,18 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from inference.hypothesis import Hypothesis, hypotheses
-from inference.results import Result
-from inference.saved import read_result
-from inference.store import SETTINGS
-from inference.stream import open_stream
-from probmodel.detections import LARGEST_NUMBER
-from probmodel.documents import read_json
-from probmodel.failures import BadInput
-from probmodel.skeleton import JOINTS
-from reports.interactive.film import film_page
-from reports.interactive.person import person_page
-from reports.tables.posterior import values
+from poseterior.inference.hypothesis import Hypothesis, hypotheses
+from poseterior.inference.results import Result
+from poseterior.inference.saved import read_result
+from poseterior.inference.store import SETTINGS
+from poseterior.inference.stream import open_stream
+from poseterior.probmodel.detections import LARGEST_NUMBER
+from poseterior.probmodel.documents import read_json
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import JOINTS
+from poseterior.reports.interactive.film import film_page
+from poseterior.reports.interactive.person import person_page
+from poseterior.reports.tables.posterior import values
 
 K = 5
 """Hypotheses where none were saved beside the draws."""

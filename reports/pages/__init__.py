@@ -1,6 +1,6 @@
 """What writes the pages in reports/: a module for each page, its template beside it.
 
-    python -m reports.pages.NAME …
+    python -m poseterior.reports.pages.NAME …
 
 `page` is what all of them share.
 """

@@ -2,7 +2,7 @@
 centres come, beside poses composed of limbs, and the centres, which are no possible poses. Writes
 reports/centres.md.
 
-    python -m reports.pages.centres ../shared/data
+    python -m poseterior.reports.pages.centres ../shared/data
 
 Some minutes. Frames and errors are like those of the relations in reports/motion.md, but fewer.
 """
@@ -16,27 +16,27 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from inference.clusters import clusters
-from inference.composition import Drawn, compose
-from inference.drawers import NUM_ROOTS
-from inference.hypothesis import diverse
-from inference.results import FIXED, UNCERTAIN
-from inference.roots import estimate_torsos
-from inference.studies.calibration.real import TRUE, true_candidate
-from inference.studies.errors import best_of, mean_joint_error
-from inference.studies.evaluation.outcome import Protocol
-from inference.studies.evaluation.relations import LEAST_GAIN
-from inference.studies.evaluation.scores import Interval
-from probmodel import Likelihood
-from probmodel.datasets import Case, read_data_set
-from probmodel.likelihood import Gaussian
-from probmodel.posterior import Estimate
-from probmodel.skeleton import NUM_JOINTS
-from reports.figures.composition import gains_figure
-from reports.pages.evaluation import CLASSES, NOISE, gain, protocol_of
-from reports.pages.motion import ESTIMATOR
-from reports.pages.page import Values, in_doubles, write_page
-from reports.tables import Sheet, sheet_of
+from poseterior.inference.clusters import clusters
+from poseterior.inference.composition import Drawn, compose
+from poseterior.inference.drawers import NUM_ROOTS
+from poseterior.inference.estimators import estimate_torsos
+from poseterior.inference.hypothesis import diverse
+from poseterior.inference.results import FIXED, UNCERTAIN
+from poseterior.inference.studies.calibration.real import TRUE, true_candidate
+from poseterior.inference.studies.errors import best_of, mean_joint_error
+from poseterior.inference.studies.evaluation.outcome import Protocol
+from poseterior.inference.studies.evaluation.relations import LEAST_GAIN
+from poseterior.inference.studies.evaluation.scores import Interval
+from poseterior.probmodel import Likelihood
+from poseterior.probmodel.datasets import Case, read_data_set
+from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.skeleton import NUM_JOINTS
+from poseterior.reports.figures.composition import gains_figure
+from poseterior.reports.pages.evaluation import CLASSES, NOISE, gain, protocol_of
+from poseterior.reports.pages.motion import ESTIMATOR
+from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.tables import Sheet, sheet_of
 
 K, FRAMES = 5, 160
 CHOSEN = ("draws", "composed", "centres, which are no poses")

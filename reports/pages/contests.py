@@ -1,6 +1,6 @@
 """The contest of reports/samplers.md: every baseline on every frame of the suite, from each start.
 
-    python -m reports.pages.contests --seconds 60 --work build/samplers
+    python -m poseterior.reports.pages.contests --seconds 60 --work build/samplers
 
 Every line is kept in the folder `--work`, with its run; called again with more seconds, the runs go
 on. `--frames 1,2` and `--samplers` run some only, so that several processes can share the work. The
@@ -15,16 +15,21 @@ from pathlib import Path
 import jax
 import xarray as xr
 
-from inference.baselines.catalogue import BASELINES
-from inference.baselines.run import Allowance
-from inference.baselines.target import Target
-from inference.exact.mixture import draw_mixture
-from inference.results import save_tree
-from inference.studies.comparison import comparison_tree, contest
-from inference.studies.comparison.record import Entry
-from inference.studies.scenes import ALL_BUT_AN_ARM, foreshortened, low_scores, prior_scene
-from probmodel import Estimate, PoseModel
-from reports.pages.page import in_doubles
+from poseterior.inference.baselines.catalogue import BASELINES
+from poseterior.inference.baselines.run import Allowance
+from poseterior.inference.baselines.target import Target
+from poseterior.inference.exact.mixture import draw_mixture
+from poseterior.inference.results import save_tree
+from poseterior.inference.studies.comparison import comparison_tree, contest
+from poseterior.inference.studies.comparison.record import Entry
+from poseterior.inference.studies.scenes import (
+    ALL_BUT_AN_ARM,
+    foreshortened,
+    low_scores,
+    prior_scene,
+)
+from poseterior.probmodel import Estimate, PoseModel
+from poseterior.reports.pages.page import in_doubles
 
 CHECK = "one arm seen"
 """Six dimensions, for every sampler to show that it is right; not of the suite."""

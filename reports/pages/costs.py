@@ -12,12 +12,12 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-import inference
-from inference.results import UNCERTAIN
-from probmodel import Detection, Estimate, Likelihood, PoseModel
-from reports.figures.colours import PALETTE
-from reports.figures.style import FAINT, INK, SMALL, TITLE, page
-from reports.tables import Sheet, sheet_of
+from poseterior import inference
+from poseterior.inference.results import UNCERTAIN
+from poseterior.probmodel import Detection, Estimate, Likelihood, PoseModel
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
+from poseterior.reports.tables import Sheet, sheet_of
 
 NUMBERS = (250, 1000, 4000, 16_000)
 """Of roots, and of draws."""

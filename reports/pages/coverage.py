@@ -1,6 +1,6 @@
 """Does the posterior mean what it says? Writes reports/coverage.md and its pictures.
 
-    python -m reports.pages.coverage ../shared/data WORK [STAGE…]
+    python -m poseterior.reports.pages.coverage ../shared/data WORK [STAGE…]
 
 Every stage leaves its result in the folder WORK and is not done twice; the page is written when all
 are there. With names of stages, only those are done. About half an hour on two cores.
@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from inference.roots import ESTIMATORS
-from inference.studies.calibration import Instance, judge
-from inference.studies.calibration.choices import WAYS
-from inference.studies.calibration.coverage import summary
-from inference.studies.calibration.ece import ece
-from inference.studies.calibration.exclusions import (
+from poseterior.inference.estimators import ESTIMATORS
+from poseterior.inference.studies.calibration import Instance, judge
+from poseterior.inference.studies.calibration.choices import WAYS
+from poseterior.inference.studies.calibration.coverage import summary
+from poseterior.inference.studies.calibration.ece import ece
+from poseterior.inference.studies.calibration.exclusions import (
     Rank,
     Reason,
     exclusions,
@@ -27,13 +27,13 @@ from inference.studies.calibration.exclusions import (
     hung,
     ranking,
 )
-from inference.studies.calibration.quantities import ENERGY_BALL, LOG_DENSITY, TARP
-from inference.studies.calibration.real import TRUE, instances
-from probmodel.datasets import Case
-from reports.figures.coverage import controls_figure, coverage_figure, ranks_figure
-from reports.figures.misses import Exclusion, misses_figure
-from reports.pages.page import Values, in_doubles, write_page
-from reports.pages.real import (
+from poseterior.inference.studies.calibration.quantities import ENERGY_BALL, LOG_DENSITY, TARP
+from poseterior.inference.studies.calibration.real import TRUE, instances
+from poseterior.probmodel.datasets import Case
+from poseterior.reports.figures.coverage import controls_figure, coverage_figure, ranks_figure
+from poseterior.reports.figures.misses import Exclusion, misses_figure
+from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.real import (
     CELLS,
     ESTIMATED,
     KS,
@@ -45,7 +45,7 @@ from reports.pages.real import (
     real,
     sensitivity,
 )
-from reports.pages.simulated import (
+from poseterior.reports.pages.simulated import (
     CONTROLLED,
     EVALUATIONS,
     JUDGED,
@@ -55,8 +55,13 @@ from reports.pages.simulated import (
     exact,
     toy,
 )
-from reports.tables import Column, Sheet, sheet_of
-from reports.tables.coverage import families_table, joints_table, reasons_table, settings_table
+from poseterior.reports.tables import Column, Sheet, sheet_of
+from poseterior.reports.tables.coverage import (
+    families_table,
+    joints_table,
+    reasons_table,
+    settings_table,
+)
 
 STAGES = {
     "exact": exact,

@@ -1,6 +1,6 @@
 """What exact draws cost on a GPU: writes reports/device.md and its picture.
 
-    python -m reports.pages.device [../shared/data]
+    python -m poseterior.reports.pages.device [../shared/data]
 
 For a machine that has one: JAX's first device is measured. Every program is compiled before its
 time is taken; what a user waits for that is a column of its own.
@@ -18,20 +18,20 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
-from inference.exact.device.group import DeviceGroup, device_groups
-from inference.exact.device.tables import device_plan
-from inference.exact.groups import GroupTables, StratifiedGroup, group_tables
-from inference.exact.loops.tables import LimbProblem
-from inference.exact.mixture import RootSampler, root_samplers
-from inference.exact.problem import limb_problems
-from inference.exact.rates import Budget
-from inference.studies.scenes import motion_frames, prior_frames
-from probmodel import Estimate, PoseModel
-from reports.figures.colours import PALETTE
-from reports.figures.style import page as blank_page
-from reports.figures.style import tidy
-from reports.pages.page import Values, in_doubles, write_page
-from reports.tables import Column, Sheet, sheet_of
+from poseterior.inference.exact.device.group import DeviceGroup, device_groups
+from poseterior.inference.exact.device.tables import device_plan
+from poseterior.inference.exact.groups import GroupTables, StratifiedGroup, group_tables
+from poseterior.inference.exact.loops.tables import LimbProblem
+from poseterior.inference.exact.mixture import RootSampler, root_samplers
+from poseterior.inference.exact.problem import limb_problems
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.studies.scenes import motion_frames, prior_frames
+from poseterior.probmodel import Estimate, PoseModel
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import page as blank_page
+from poseterior.reports.figures.style import tidy
+from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.tables import Column, Sheet, sheet_of
 
 DRAWS = 10_000_000
 COUNTS = (10_000, 100_000, 1_000_000, 10_000_000, 100_000_000)

@@ -12,15 +12,15 @@ import jax
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import inference
-from inference.studies.errors import best_of, mean_joint_error
-from probmodel import Anatomy, Detection, Estimate, PoseModel
-from probmodel.datasets import VIEWS, body_height
-from probmodel.learning.dictionaries import PoseDictionary, learn_dictionary
-from probmodel.learning.learner import learn
-from probmodel.motion import Motion
-from probmodel.skeleton import LIMB_JOINTS, NUM_JOINTS
-from reports.pages.people import without
+from poseterior import inference
+from poseterior.inference.studies.errors import best_of, mean_joint_error
+from poseterior.probmodel import Anatomy, Detection, Estimate, PoseModel
+from poseterior.probmodel.datasets import VIEWS, body_height
+from poseterior.probmodel.learning.dictionaries import PoseDictionary, learn_dictionary
+from poseterior.probmodel.learning.learner import learn
+from poseterior.probmodel.motion import Motion
+from poseterior.probmodel.skeleton import LIMB_JOINTS, NUM_JOINTS
+from poseterior.reports.pages.people import without
 
 PER_TRIAL, DRAWN_PER_TRIAL = 3, 2
 NOISE = (0.0, 0.02, 0.05)

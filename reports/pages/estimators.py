@@ -1,7 +1,7 @@
 """How far off single 3D estimates are, and the best of five hypotheses beside them: writes
 reports/estimators.md and its picture.
 
-    python -m reports.pages.estimators ../shared/data
+    python -m poseterior.reports.pages.estimators ../shared/data
 
 Real poses of three people, each judged with dictionaries, limits, lengths and torsos learned
 without that person; the page says what is held out and how. Half an hour.
@@ -17,18 +17,18 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from inference.roots.akhter_black import fit_akhter_black
-from inference.roots.zhou import fit_zhou
-from inference.studies.errors import mean_joint_error
-from inference.studies.evaluation.scores import Interval, clustered
-from probmodel import Anatomy, Candidate, Detection
-from probmodel.camera import WeakPerspective
-from probmodel.datasets import VIEWS
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.learning.poses import read_all
-from probmodel.skeleton import NUM_JOINTS
-from reports.figures.estimators import estimators_figure
-from reports.pages.estimates import (
+from poseterior.inference.estimators.akhter_black import fit_akhter_black
+from poseterior.inference.estimators.zhou import fit_zhou
+from poseterior.inference.studies.errors import mean_joint_error
+from poseterior.inference.studies.evaluation.scores import Interval, clustered
+from poseterior.probmodel import Anatomy, Candidate, Detection
+from poseterior.probmodel.camera import WeakPerspective
+from poseterior.probmodel.datasets import VIEWS
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.learning.poses import read_all
+from poseterior.probmodel.skeleton import NUM_JOINTS
+from poseterior.reports.figures.estimators import estimators_figure
+from poseterior.reports.pages.estimates import (
     METHODS,
     MISSING,
     NOISE,
@@ -46,8 +46,8 @@ from reports.pages.estimates import (
     study_singles,
     turned,
 )
-from reports.pages.page import Values, in_doubles, write_page
-from reports.tables import Column, Sheet, sheet_of
+from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.tables import Column, Sheet, sheet_of
 
 SUBJECTS = ("01", "02", "03")
 NAMES = {

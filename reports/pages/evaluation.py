@@ -1,6 +1,6 @@
 """The paper's evaluation on motion capture of CMU: writes reports/evaluation.md and its pictures.
 
-    python -m reports.pages.evaluation ../shared/data work
+    python -m poseterior.reports.pages.evaluation ../shared/data work
 
 `work` keeps what frames brought; a run that was stopped goes on there. Some forty minutes of
 processor time.
@@ -16,24 +16,30 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from inference.machines import Machines
-from inference.studies.evaluation.bias import bias_study
-from inference.studies.evaluation.conditions import Condition, conditions
-from inference.studies.evaluation.outcome import Protocol
-from inference.studies.evaluation.relations import relations
-from inference.studies.evaluation.run import Results, evaluate
-from inference.studies.evaluation.scores import Interval, clustered, common, pose_errors, usable
-from probmodel.datasets import EXACT, DataSet, Noise, read_data_set
-from probmodel.learning.dictionaries import learn_dictionary
-from probmodel.learning.learner import learn
-from probmodel.learning.poses import read_all
-from probmodel.likelihood import Likelihood
-from reports.figures.bias import bias_figure
-from reports.figures.evaluation import errors_figure, pck_curves, pck_figure
-from reports.pages.page import Values, in_doubles, write_page
-from reports.tables import Sheet, sheet_of
-from reports.tables.bias import actions_table, visits_table
-from reports.tables.evaluation import (
+from poseterior.inference.machines import Machines
+from poseterior.inference.studies.evaluation.bias import bias_study
+from poseterior.inference.studies.evaluation.conditions import Condition, conditions
+from poseterior.inference.studies.evaluation.outcome import Protocol
+from poseterior.inference.studies.evaluation.relations import relations
+from poseterior.inference.studies.evaluation.run import Results, evaluate
+from poseterior.inference.studies.evaluation.scores import (
+    Interval,
+    clustered,
+    common,
+    pose_errors,
+    usable,
+)
+from poseterior.probmodel.datasets import EXACT, DataSet, Noise, read_data_set
+from poseterior.probmodel.learning.dictionaries import learn_dictionary
+from poseterior.probmodel.learning.learner import learn
+from poseterior.probmodel.learning.poses import read_all
+from poseterior.probmodel.likelihood import Likelihood
+from poseterior.reports.figures.bias import bias_figure
+from poseterior.reports.figures.evaluation import errors_figure, pck_curves, pck_figure
+from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables.bias import actions_table, visits_table
+from poseterior.reports.tables.evaluation import (
     PAPERS_FRAMES,
     RELATIONS_CAPTION,
     Labels,
@@ -43,7 +49,7 @@ from reports.tables.evaluation import (
     table_1,
     table_2,
 )
-from reports.tables.words import duration
+from poseterior.reports.tables.words import duration
 
 OTHERS = ("cmu/asfamc/01", "cmu/asfamc/03", "bvh/cmu_131_03.bvh")
 """Recordings of people who are not in the eight classes of action."""

@@ -1,7 +1,7 @@
 """Whether exchanged legs can be told at all, by evidences without faults: writes
 reports/exchanges.md.
 
-    python -m reports.pages.exchanges [PEOPLE]
+    python -m poseterior.reports.pages.exchanges [PEOPLE]
 
 The people of `reports.pages.faults`, whose legs' keypoints are exchanged, read in every way that
 sides may be exchanged. This shares neither patterns nor their proposals with the posterior that has
@@ -21,14 +21,14 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import bootstrap
 
-from inference.studies.scenes import prior_scene
-from inference.uncertain.weighted import weigh_roots
-from probmodel import Detection, Estimate, PoseModel
-from probmodel.faults import EXCHANGE_INDEX, EXCHANGES, MOVES_TORSO, ORDERS, FaultPrior
-from probmodel.skeleton import JOINT_INDEX
-from reports.pages.faults import EXCHANGED, LEGS, SURE, exchanged, with_detection
-from reports.pages.page import Values, in_doubles, write_page
-from reports.tables import Sheet, sheet_of
+from poseterior.inference.importance.weighted import weigh_roots
+from poseterior.inference.studies.scenes import prior_scene
+from poseterior.probmodel import Detection, Estimate, PoseModel
+from poseterior.probmodel.faults import EXCHANGE_INDEX, EXCHANGES, MOVES_TORSO, ORDERS, FaultPrior
+from poseterior.probmodel.skeleton import JOINT_INDEX
+from poseterior.reports.pages.faults import EXCHANGED, LEGS, SURE, exchanged, with_detection
+from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.tables import Sheet, sheet_of
 
 PEOPLE, ROOTS = 200, 250
 BUDGET = 10_000_000

@@ -1,6 +1,6 @@
 """How often the limbs' evidence says which way a person faces: writes reports/facing.md.
 
-    python -m reports.pages.facing ../shared/data
+    python -m poseterior.reports.pages.facing ../shared/data
 
 200 poses of motion capture, cameras all around them, keypoints drawn from the likelihood's discs;
 torso and camera are estimated, both candidates kept. Right means that the candidate nearer to the
@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-import inference
-from inference.results import COMPLETE
-from inference.studies.scenes import motion_scene
-from probmodel import Anatomy, Detection, PoseModel
-from probmodel.motion import read_motion
-from probmodel.skeleton import TORSO_INDEX
-from reports.pages.page import in_doubles, write_page
-from reports.tables import Column, Sheet, sheet_of
+from poseterior import inference
+from poseterior.inference.results import COMPLETE
+from poseterior.inference.studies.scenes import motion_scene
+from poseterior.probmodel import Anatomy, Detection, PoseModel
+from poseterior.probmodel.motion import read_motion
+from poseterior.probmodel.skeleton import TORSO_INDEX
+from poseterior.reports.pages.page import in_doubles, write_page
+from poseterior.reports.tables import Column, Sheet, sheet_of
 
 POSES = 200
 DRAWS, BUDGET = 200, 30_000_000

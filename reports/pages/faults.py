@@ -1,6 +1,6 @@
 """Whether a detector's faults are found, and what they do to the rest: writes reports/faults.md.
 
-    python -m reports.pages.faults [PEOPLE]
+    python -m poseterior.reports.pages.faults [PEOPLE]
 
 People of the prior from random sides, all joints detected; then the same with the left wrist moved
 by the person's height, and with the legs' keypoints exchanged.
@@ -15,17 +15,17 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from inference.results import UNCERTAIN
-from inference.sampler import sample
-from inference.studies.intervals import of_share
-from inference.studies.scenes import prior_scene
-from probmodel import Detection, Estimate, PoseModel
-from probmodel.faults import EXCHANGE_INDEX, EXCHANGES, ORDERS, FaultPrior
-from probmodel.skeleton import JOINT_INDEX, JOINTS
-from reports.figures.colours import PALETTE
-from reports.figures.style import FAINT, INK, SMALL, TITLE, page
-from reports.pages.page import in_doubles, write_page
-from reports.tables import Sheet, sheet_of
+from poseterior.inference.results import UNCERTAIN
+from poseterior.inference.sampler import sample
+from poseterior.inference.studies.intervals import of_share
+from poseterior.inference.studies.scenes import prior_scene
+from poseterior.probmodel import Detection, Estimate, PoseModel
+from poseterior.probmodel.faults import EXCHANGE_INDEX, EXCHANGES, ORDERS, FaultPrior
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
+from poseterior.reports.pages.page import in_doubles, write_page
+from poseterior.reports.tables import Sheet, sheet_of
 
 PEOPLE, ROOTS, DRAWS = 40, 400, 1000
 OUTLIERS, EXCHANGED = 0.05, 0.05

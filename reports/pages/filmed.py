@@ -15,25 +15,25 @@ import jax
 import numpy as np
 import xarray as xr
 
-import inference
-from inference.machines import HERE
-from inference.results import FIXED, UNCERTAIN
-from inference.roots.points import require_camera
-from inference.store import Block, Groups, Store, fill, locked
-from inference.studies.calibration.real import TRUE, true_candidate
-from inference.studies.errorlaws.learn import Learned, learn
-from inference.studies.errorlaws.pairs import pairs_of_session
-from probmodel import Detection, Estimate, Lens, Likelihood, PoseModel
-from probmodel.datasets import Case, from_session
-from probmodel.datasets.cases import skeletal, strays
-from probmodel.datasets.sessions import judged_views
-from probmodel.failures import BadInput
-from probmodel.faults import NO_FAULTS
-from probmodel.layouts import MIDPOINTS, corrected, without_midpoints
-from probmodel.sessions import Session, read_session
-from probmodel.sessions.session import HIPS
-from probmodel.skeleton import NUM_JOINTS
-from reports.pages.page import in_doubles
+from poseterior import inference
+from poseterior.inference.estimators.points import require_camera
+from poseterior.inference.machines import HERE
+from poseterior.inference.results import FIXED, UNCERTAIN
+from poseterior.inference.store import Block, Groups, Store, fill, locked
+from poseterior.inference.studies.calibration.real import TRUE, true_candidate
+from poseterior.inference.studies.errorlaws.learn import Learned, learn
+from poseterior.inference.studies.errorlaws.pairs import pairs_of_session
+from poseterior.probmodel import Detection, Estimate, Lens, Likelihood, PoseModel
+from poseterior.probmodel.datasets import Case, from_session
+from poseterior.probmodel.datasets.cases import skeletal, strays
+from poseterior.probmodel.datasets.sessions import judged_views
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.faults import NO_FAULTS
+from poseterior.probmodel.layouts import MIDPOINTS, corrected, without_midpoints
+from poseterior.probmodel.sessions import Session, read_session
+from poseterior.probmodel.sessions.session import HIPS
+from poseterior.probmodel.skeleton import NUM_JOINTS
+from poseterior.reports.pages.page import in_doubles
 
 DRAWS, ROOTS = 4000, 1000
 BUDGET = 300_000_000

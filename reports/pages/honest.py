@@ -1,6 +1,6 @@
 """What an uncertain root changes on real detections with a real truth: writes reports/honest.md.
 
-    python -m reports.pages.honest ../shared/data work
+    python -m poseterior.reports.pages.honest ../shared/data work
 
 One person filmed by four calibrated cameras. One camera's detection goes to the product, the truth
 is triangulated from the other three. Nothing is aligned. `work` keeps the draws, and a run that was
@@ -17,22 +17,22 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
-from inference.hypothesis import diverse
-from inference.results import UNCERTAIN
-from inference.studies.calibration.assess import STAND_INS
-from inference.studies.calibration.ece import ece
-from inference.studies.calibration.levels import median_levels, stand_in_levels
-from inference.studies.errorlaws.judge import LEVELS, shares_within, standings
-from inference.studies.errorlaws.pairs import pairs_of_session
-from inference.studies.evaluation.samples import ECE_SAMPLES, JUDGED_NAMES
-from inference.studies.intervals import Interval, of_share
-from inference.uncertain.weighted import FEWEST_EFFECTIVE
-from probmodel.sessions import Session
-from probmodel.sessions.session import HIPS
-from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
-from reports.figures.colours import PALETTE
-from reports.figures.style import FAINT, INK, SMALL, TITLE, page
-from reports.pages.filmed import (
+from poseterior.inference.hypothesis import diverse
+from poseterior.inference.importance.weighted import FEWEST_EFFECTIVE
+from poseterior.inference.results import UNCERTAIN
+from poseterior.inference.studies.calibration.assess import STAND_INS
+from poseterior.inference.studies.calibration.ece import ece
+from poseterior.inference.studies.calibration.levels import median_levels, stand_in_levels
+from poseterior.inference.studies.errorlaws.judge import LEVELS, shares_within, standings
+from poseterior.inference.studies.errorlaws.pairs import pairs_of_session
+from poseterior.inference.studies.evaluation.samples import ECE_SAMPLES, JUDGED_NAMES
+from poseterior.inference.studies.intervals import Interval, of_share
+from poseterior.probmodel.sessions import Session
+from poseterior.probmodel.sessions.session import HIPS
+from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
+from poseterior.reports.pages.filmed import (
     DRAWS,
     PARTS,
     ROOTS,
@@ -45,8 +45,8 @@ from reports.pages.filmed import (
     film,
     learn_as,
 )
-from reports.pages.page import write_page
-from reports.tables import Sheet, sheet_of
+from poseterior.reports.pages.page import write_page
+from poseterior.reports.tables import Sheet, sheet_of
 
 BEST = 5
 CURVE = 100

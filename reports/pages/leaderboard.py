@@ -1,7 +1,7 @@
 """Samplers on the frozen targets, held to equal processor time and equal evaluations: writes
 reports/leaderboard.md and its pictures.
 
-    python -m reports.pages.leaderboard --work build/leaderboard --seconds 10
+    python -m poseterior.reports.pages.leaderboard --work build/leaderboard --seconds 10
 
 Every line is kept in the folder `--work`, and what is there is not run again; the page is made of
 the lines that are there. `--samplers`, `--targets` and `--budgets` run some only. Then the judge is
@@ -16,10 +16,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from inference.baselines.catalogue import BASELINES
-from inference.baselines.run import Allowance
-from inference.benchmark import exact_points, load, targets, verdict
-from inference.benchmark.contestants import (
+from poseterior.inference.baselines.catalogue import BASELINES
+from poseterior.inference.baselines.run import Allowance
+from poseterior.inference.benchmark import exact_points, load, targets, verdict
+from poseterior.inference.benchmark.contestants import (
     EXACT,
     GIFT,
     cannot,
@@ -27,21 +27,21 @@ from inference.benchmark.contestants import (
     contestant,
     starts_of,
 )
-from inference.benchmark.guests import GUESTS
-from inference.benchmark.guests.graded import Outcome
-from inference.benchmark.references import sample_at
-from inference.benchmark.root import GivenRoot
-from inference.benchmark.submission import Submission
-from inference.benchmark.target import FrozenTarget
-from inference.benchmark.verdicts import Assessment, exact_sample
-from inference.studies.comparison.cost import course
-from inference.studies.comparison.sample import Sample
-from probmodel.failures import BadInput
-from probmodel.files import replacing
-from reports.figures.leaderboard import growth, paces, times
-from reports.pages.page import Values, in_doubles, write_page
-from reports.tables.benchmark import verdict_record
-from reports.tables.leaderboard import (
+from poseterior.inference.benchmark.guests import GUESTS
+from poseterior.inference.benchmark.guests.graded import Outcome
+from poseterior.inference.benchmark.references import sample_at
+from poseterior.inference.benchmark.root import GivenRoot
+from poseterior.inference.benchmark.submission import Submission
+from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.benchmark.verdicts import Assessment, exact_sample
+from poseterior.inference.studies.comparison.cost import course
+from poseterior.inference.studies.comparison.sample import Sample
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.files import replacing
+from poseterior.reports.figures.leaderboard import growth, paces, times
+from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.tables.benchmark import verdict_record
+from poseterior.reports.tables.leaderboard import (
     EVALUATIONS,
     SECONDS,
     Line,
@@ -52,7 +52,7 @@ from reports.tables.leaderboard import (
     read_alarms,
     sorted_lines,
 )
-from reports.tables.sheet import NOTHING
+from poseterior.reports.tables.sheet import NOTHING
 
 TARGETS = (
     *("single", "arm", "arms", "legs", "four-missing", "one-missing", "settled"),

@@ -1,7 +1,7 @@
 """How the embedded limits compare with the published ones, and how far they hold for people and
 recordings that they were not learned from: writes reports/limits.md and its picture.
 
-    python -m reports.pages.limits ../shared/data
+    python -m poseterior.reports.pages.limits ../shared/data
 
 Ten minutes.
 """
@@ -13,22 +13,22 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.anatomy.limits import GRID, AnatomicalLimits
-from probmodel.anatomy.population import Anatomy
-from probmodel.anatomy.published import read_published
-from probmodel.body import mirror_pose
-from probmodel.kinematics import articulation
-from probmodel.learning.limits import learn_limits
-from probmodel.learning.occupancy import occupancy
-from probmodel.learning.overlap import Overlap, overlap
-from probmodel.learning.poses import Poses, gather
-from probmodel.learning.sphere import cell_areas, cells_of
-from probmodel.learning.tolerance import Tolerance
-from probmodel.motion import Motion, read_motion
-from probmodel.skeleton import BONE_NAMES, UPPER_BONES
-from reports.figures.limits import limits_figure
-from reports.pages.page import in_doubles, write_page
-from reports.tables import Column, Sheet, sheet_of, spoken
+from poseterior.probmodel.anatomy.limits import GRID, AnatomicalLimits
+from poseterior.probmodel.anatomy.population import Anatomy
+from poseterior.probmodel.anatomy.published import read_published
+from poseterior.probmodel.body import mirror_pose
+from poseterior.probmodel.kinematics import articulation
+from poseterior.probmodel.learning.limits import learn_limits
+from poseterior.probmodel.learning.occupancy import occupancy
+from poseterior.probmodel.learning.overlap import Overlap, overlap
+from poseterior.probmodel.learning.poses import Poses, gather
+from poseterior.probmodel.learning.sphere import cell_areas, cells_of
+from poseterior.probmodel.learning.tolerance import Tolerance
+from poseterior.probmodel.motion import Motion, read_motion
+from poseterior.probmodel.skeleton import BONE_NAMES, UPPER_BONES
+from poseterior.reports.figures.limits import limits_figure
+from poseterior.reports.pages.page import in_doubles, write_page
+from poseterior.reports.tables import Column, Sheet, sheet_of, spoken
 
 SOURCES = ("cmu/asfamc", "cmu/actions_train.npz", "bvh")
 SUBJECTS = {

@@ -1,7 +1,7 @@
 """What an uncertain root changes on motion capture of people of whom nothing was learned: writes
 reports/motion.md.
 
-    python -m reports.pages.motion ../shared/data work
+    python -m poseterior.reports.pages.motion ../shared/data work
 
 An hour on two cores; `work` keeps what is done, and a run that was stopped goes on there.
 """
@@ -16,38 +16,38 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from inference.machines import HERE
-from inference.results import FIXED, UNCERTAIN, save_tree
-from inference.studies.calibration.coverage import CoverageSummary, summary
-from inference.studies.calibration.exclusions import Reason, exclusions
-from inference.studies.calibration.posteriors import sampler_of
-from inference.studies.calibration.real import TRUE, instances
-from inference.studies.calibration.record import case_columns, standings_tree
-from inference.studies.calibration.run import stand
-from inference.studies.calibration.simulations import Instance
-from inference.studies.evaluation.conditions import Condition, conditions
-from inference.studies.evaluation.outcome import Protocol
-from inference.studies.evaluation.relations import Relation, relations
-from inference.studies.evaluation.run import evaluate
-from probmodel import Likelihood, PoseModel
-from probmodel.anatomy.population import Anatomy
-from probmodel.body import align_torsos
-from probmodel.camera import WeakPerspective
-from probmodel.datasets import Case, from_motions, read_data_set
-from probmodel.learning.learner import learn
-from probmodel.learning.poses import gather
-from probmodel.learning.tolerance import DEFAULT
-from probmodel.likelihood import Gaussian
-from probmodel.roots import Candidate
-from probmodel.skeleton import TORSO_INDEX
-from reports.figures.coverage import coverage_figure
-from reports.pages.coverage import read
-from reports.pages.evaluation import CLASSES, NOISE, protocol_of
-from reports.pages.page import Values, in_doubles, write_page
-from reports.pages.real import ERRORS, Held, hold_out, others
-from reports.tables import Sheet, sheet_of
-from reports.tables.coverage import reasons_table, settings_table, share
-from reports.tables.evaluation import RELATIONS_CAPTION, relations_table
+from poseterior.inference.machines import HERE
+from poseterior.inference.results import FIXED, UNCERTAIN, save_tree
+from poseterior.inference.studies.calibration.coverage import CoverageSummary, summary
+from poseterior.inference.studies.calibration.exclusions import Reason, exclusions
+from poseterior.inference.studies.calibration.posteriors import sampler_of
+from poseterior.inference.studies.calibration.real import TRUE, instances
+from poseterior.inference.studies.calibration.record import case_columns, standings_tree
+from poseterior.inference.studies.calibration.run import stand
+from poseterior.inference.studies.calibration.simulations import Instance
+from poseterior.inference.studies.evaluation.conditions import Condition, conditions
+from poseterior.inference.studies.evaluation.outcome import Protocol
+from poseterior.inference.studies.evaluation.relations import Relation, relations
+from poseterior.inference.studies.evaluation.run import evaluate
+from poseterior.probmodel import Likelihood, PoseModel
+from poseterior.probmodel.anatomy.population import Anatomy
+from poseterior.probmodel.body import align_torsos
+from poseterior.probmodel.camera import WeakPerspective
+from poseterior.probmodel.datasets import Case, from_motions, read_data_set
+from poseterior.probmodel.learning.learner import learn
+from poseterior.probmodel.learning.poses import gather
+from poseterior.probmodel.learning.tolerance import DEFAULT
+from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.roots import Candidate
+from poseterior.probmodel.skeleton import TORSO_INDEX
+from poseterior.reports.figures.coverage import coverage_figure
+from poseterior.reports.pages.coverage import read
+from poseterior.reports.pages.evaluation import CLASSES, NOISE, protocol_of
+from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.real import ERRORS, Held, hold_out, others
+from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables.coverage import reasons_table, settings_table, share
+from poseterior.reports.tables.evaluation import RELATIONS_CAPTION, relations_table
 
 POSES, ROOTS = 48, 1000
 BUDGET = 100_000_000

@@ -11,9 +11,9 @@ from pathlib import Path
 import jax
 from matplotlib.figure import Figure
 
-from probmodel.files import replacing
-from reports.figures import save_figure
-from reports.tables import Sheet
+from poseterior.probmodel.files import replacing
+from poseterior.reports.figures import save_figure
+from poseterior.reports.tables import Sheet
 
 REPORTS = Path(__file__).parents[1]
 PLACEHOLDER = re.compile(r"\{\{(\w+)\}\}")

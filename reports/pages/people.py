@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Sequence
 
-from probmodel.motion import Motion
+from poseterior.probmodel.motion import Motion
 
 AGAIN = "walking/walking_1"
 """A recording of subject 02 under another name: whoever is left out, it is too."""

@@ -1,7 +1,7 @@
 """How often a wrong reading of a file is noticed, and a right one doubted: writes
 reports/readings.md and its picture.
 
-    python -m reports.pages.readings ../shared/data
+    python -m poseterior.reports.pages.readings ../shared/data
 
 Poses of motion capture with every mistake (`inference.studies.misreadings`), and real detections,
 read rightly and wrongly. Some twenty minutes.
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from inference.readings import (
+from poseterior.inference.readings import (
     ASPECTS,
     FACE_THRESHOLD,
     READINGS,
@@ -25,13 +25,20 @@ from inference.readings import (
     Verdict,
     together,
 )
-from inference.studies.misreadings import RIGHT, Study, evidences, exchanges, study, views
-from probmodel import Anatomy, BadInput, Detection, PoseModel, read_detections
-from reports.figures.colours import PALETTE
-from reports.figures.style import INK
-from reports.figures.style import page as blank_page
-from reports.pages.page import Values, in_doubles, write_page
-from reports.tables import Column, Sheet, sheet_of
+from poseterior.inference.studies.misreadings import (
+    RIGHT,
+    Study,
+    evidences,
+    exchanges,
+    study,
+    views,
+)
+from poseterior.probmodel import Anatomy, BadInput, Detection, PoseModel, read_detections
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import INK
+from poseterior.reports.figures.style import page as blank_page
+from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.tables import Column, Sheet, sheet_of
 
 FRESH = 200
 """Poses of another seed, for the thresholds were chosen on the first."""

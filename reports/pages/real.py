@@ -15,24 +15,30 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.hypothesis import grid_poses
-from inference.results import save_tree
-from inference.roots import ESTIMATORS
-from inference.studies.calibration.choices import CHOOSE, GRID, WAYS, best_error, modes_represented
-from inference.studies.calibration.exclusions import exclusions
-from inference.studies.calibration.posteriors import sampler_of
-from inference.studies.calibration.real import TRUE, by_the_likelihood, instances
-from inference.studies.calibration.record import case_columns, standings_tree
-from inference.studies.calibration.run import stand
-from probmodel import Likelihood, PoseModel
-from probmodel.anatomy.population import Anatomy
-from probmodel.anatomy.published import read_published
-from probmodel.datasets import Case, Noise, from_motions
-from probmodel.learning.dictionaries import PoseDictionary, learn_dictionary
-from probmodel.learning.learner import learn
-from probmodel.learning.poses import read_all
-from probmodel.motion import Motion
-from reports.pages.people import without
+from poseterior.inference.estimators import ESTIMATORS
+from poseterior.inference.hypothesis import grid_poses
+from poseterior.inference.results import save_tree
+from poseterior.inference.studies.calibration.choices import (
+    CHOOSE,
+    GRID,
+    WAYS,
+    best_error,
+    modes_represented,
+)
+from poseterior.inference.studies.calibration.exclusions import exclusions
+from poseterior.inference.studies.calibration.posteriors import sampler_of
+from poseterior.inference.studies.calibration.real import TRUE, by_the_likelihood, instances
+from poseterior.inference.studies.calibration.record import case_columns, standings_tree
+from poseterior.inference.studies.calibration.run import stand
+from poseterior.probmodel import Likelihood, PoseModel
+from poseterior.probmodel.anatomy.population import Anatomy
+from poseterior.probmodel.anatomy.published import read_published
+from poseterior.probmodel.datasets import Case, Noise, from_motions
+from poseterior.probmodel.learning.dictionaries import PoseDictionary, learn_dictionary
+from poseterior.probmodel.learning.learner import learn
+from poseterior.probmodel.learning.poses import read_all
+from poseterior.probmodel.motion import Motion
+from poseterior.reports.pages.people import without
 
 DETECTOR = 0.08 / 4.85
 """As far as MMPose lies from the annotation on the one image that both are of, 0.08 limb lengths,

@@ -1,7 +1,7 @@
 """The fast route to draws with an uncertain root, judged by the exact one on real frames, and what
 both cost: writes reports/routes.md.
 
-    python -m reports.pages.routes ../shared/data
+    python -m poseterior.reports.pages.routes ../shared/data
 
 Controls are the same weighted roots with weights that are wrong.
 """
@@ -18,26 +18,26 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from inference.results import COMPLETE
-from inference.studies.comparison.judge import AGREES, DIFFERS, LEVEL, Judgement, judge
-from inference.studies.comparison.sample import Sample, sample_of
-from inference.uncertain.rejection import RejectedRoots, reject_roots, verdict
-from inference.uncertain.tree import placed
-from inference.uncertain.weighted import APART, WeightedRoots, weigh_roots
-from probmodel import Detection, Estimate, Likelihood, PoseModel
-from probmodel.detections import LIKELIHOOD_JOINTS
-from probmodel.errorlaws import DetectorErrors
-from probmodel.faults import FaultPrior
-from probmodel.layouts import corrected
-from probmodel.likelihood import Gaussian
-from probmodel.skeleton import TORSO_INDEX
-from probmodel.uncertain import UncertainPosterior
-from reports.figures.colours import PALETTE
-from reports.figures.style import FAINT, INK, SMALL, TITLE, page
-from reports.pages.costs import WANTED, costs_of, plot_costs, table_of
-from reports.pages.filmed import film
-from reports.pages.page import write_page
-from reports.tables import Sheet, sheet_of
+from poseterior.inference.importance.rejection import RejectedRoots, reject_roots, verdict
+from poseterior.inference.importance.tree import placed
+from poseterior.inference.importance.weighted import APART, WeightedRoots, weigh_roots
+from poseterior.inference.results import COMPLETE
+from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS, LEVEL, Judgement, judge
+from poseterior.inference.studies.comparison.sample import Sample, sample_of
+from poseterior.probmodel import Detection, Estimate, Likelihood, PoseModel
+from poseterior.probmodel.detections import LIKELIHOOD_JOINTS
+from poseterior.probmodel.errorlaws import DetectorErrors
+from poseterior.probmodel.faults import FaultPrior
+from poseterior.probmodel.layouts import corrected
+from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.skeleton import TORSO_INDEX
+from poseterior.probmodel.uncertain import UncertainPosterior
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
+from poseterior.reports.pages.costs import WANTED, costs_of, plot_costs, table_of
+from poseterior.reports.pages.filmed import film
+from poseterior.reports.pages.page import write_page
+from poseterior.reports.tables import Sheet, sheet_of
 
 FRAMES = (10, 30, 50, 70, 90)
 """Of every camera."""

@@ -1,7 +1,7 @@
 """Baseline samplers on eight frames, each from two starts, judged by exact draws: writes
 reports/samplers.md and its picture from what `reports.pages.contests` has left in a folder.
 
-    python -m reports.pages.samplers [WORK]
+    python -m poseterior.reports.pages.samplers [WORK]
 """
 
 import sys
@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from inference.baselines.catalogue import BASELINES
-from reports.figures.comparison import comparison_figure
-from reports.pages.contests import CHECK, CLOCKED, PATIENCE, SUITE, WORK
-from reports.pages.page import Values, write_page
-from reports.tables import Column, Sheet, sheet_of
-from reports.tables.comparison import comparison_table
+from poseterior.inference.baselines.catalogue import BASELINES
+from poseterior.reports.figures.comparison import comparison_figure
+from poseterior.reports.pages.contests import CHECK, CLOCKED, PATIENCE, SUITE, WORK
+from poseterior.reports.pages.page import Values, write_page
+from poseterior.reports.tables import Column, Sheet, sheet_of
+from poseterior.reports.tables.comparison import comparison_table
 
 PICTURED = "all seen"
 EVIDENCES = ("smc", "nss", "nautilus")

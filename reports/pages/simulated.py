@@ -8,10 +8,10 @@ import json
 import time
 from pathlib import Path
 
-from inference.baselines.catalogue import ONE_FLIP
-from inference.results import save_tree
-from inference.studies.calibration import calibrate, judge
-from inference.studies.calibration.controls import (
+from poseterior.inference.baselines.catalogue import ONE_FLIP
+from poseterior.inference.results import save_tree
+from poseterior.inference.studies.calibration import calibrate, judge
+from poseterior.inference.studies.calibration.controls import (
     DISTORTIONS,
     IGNORING,
     RECIPE,
@@ -19,9 +19,9 @@ from inference.studies.calibration.controls import (
     following_the_recipe,
     ignoring,
 )
-from inference.studies.calibration.posteriors import Sampler, sampler_of
-from inference.studies.calibration.toy import sizes
-from probmodel import PoseModel
+from poseterior.inference.studies.calibration.posteriors import Sampler, sampler_of
+from poseterior.inference.studies.calibration.toy import sizes
+from poseterior.probmodel import PoseModel
 
 SIMULATIONS, DRAWS = 1000, 1000
 MEASURES = (("angle", "area"), ("area", "area"), ("angle", "box"))

@@ -1,6 +1,6 @@
 """What exact draws cost: writes reports/speed.md and its picture (`make bench`).
 
-    python -m reports.pages.speed [../shared/data]
+    python -m poseterior.reports.pages.speed [../shared/data]
 
 Times are of one run on one machine; what carries over are the ratios. Naive rejection per group is
 never run to its end: its cost a draw is the measured cost of a proposal over the measured evidence.
@@ -23,30 +23,30 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from inference.drawsfile import sample_to_file
-from inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
-from inference.exact.loops.attempts import attempt_lengths, attempt_limb, hand_over
-from inference.exact.loops.numbers import compiled, load, store, uniform
-from inference.exact.loops.seeds import seeded
-from inference.exact.loops.tables import CutLimb, blank_bodies, desk_pair
-from inference.exact.mixture import draw_mixture, root_samplers
-from inference.exact.naive import BATCH, propose
-from inference.exact.problem import limb_problems
-from inference.exact.rates import Budget
-from inference.results import FIXED, UNCERTAIN
-from inference.roots import estimate_torso
-from inference.sampler import sample
-from inference.stream import Item, sample_frames
-from inference.studies.scenes import motion_frames, prior_frames, prior_scene
-from probmodel import Anatomy, Estimate, PoseModel, read_detections
-from probmodel.example import example
-from probmodel.skeleton import GROUPS
-from reports.figures.colours import PALETTE
-from reports.figures.style import page as blank_page
-from reports.figures.style import tidy
-from reports.pages.page import Values, in_doubles, write_page
-from reports.tables import Column, Sheet, sheet_of
-from reports.tables.evaluation import PAPERS_FRAMES
+from poseterior.inference.drawsfile import sample_to_file
+from poseterior.inference.estimators import estimate_torso
+from poseterior.inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
+from poseterior.inference.exact.loops.attempts import attempt_lengths, attempt_limb, hand_over
+from poseterior.inference.exact.loops.numbers import compiled, load, store, uniform
+from poseterior.inference.exact.loops.seeds import seeded
+from poseterior.inference.exact.loops.tables import CutLimb, blank_bodies, desk_pair
+from poseterior.inference.exact.mixture import draw_mixture, root_samplers
+from poseterior.inference.exact.naive import BATCH, propose
+from poseterior.inference.exact.problem import limb_problems
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.results import FIXED, UNCERTAIN
+from poseterior.inference.sampler import sample
+from poseterior.inference.stream import Item, sample_frames
+from poseterior.inference.studies.scenes import motion_frames, prior_frames, prior_scene
+from poseterior.probmodel import Anatomy, Estimate, PoseModel, read_detections
+from poseterior.probmodel.example import example
+from poseterior.probmodel.skeleton import GROUPS
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import page as blank_page
+from poseterior.reports.figures.style import tidy
+from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.tables import Column, Sheet, sheet_of
+from poseterior.reports.tables.evaluation import PAPERS_FRAMES
 
 DRAWS = 100_000
 MANY = 2_000_000

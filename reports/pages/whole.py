@@ -1,7 +1,7 @@
 """Whether the posterior of torso, camera and pose together means what it says: writes
 reports/whole.md.
 
-    python -m reports.pages.whole work
+    python -m poseterior.reports.pages.whole work
 
 A thousand simulations from the model itself, about half an hour on one core; `work` keeps what
 is done, and a run that was stopped goes on there.
@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from inference.results import UNCERTAIN
-from inference.studies.calibration import calibrate, judge
-from inference.studies.calibration.quantities import OF_ROOT
-from probmodel import PoseModel
-from reports.figures.coverage import ranks_figure
-from reports.pages.page import Values, in_doubles, write_page
-from reports.tables import Sheet, sheet_of
-from reports.tables.coverage import families_table, p_text
-from reports.tables.words import spoken
+from poseterior.inference.results import UNCERTAIN
+from poseterior.inference.studies.calibration import calibrate, judge
+from poseterior.inference.studies.calibration.quantities import OF_ROOT
+from poseterior.probmodel import PoseModel
+from poseterior.reports.figures.coverage import ranks_figure
+from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables.coverage import families_table, p_text
+from poseterior.reports.tables.words import spoken
 
 SIMULATIONS = 1000
 ROOTS, DRAWS, SEED = 300, 400, 7

@@ -3,10 +3,10 @@
 import math
 from typing import Any
 
-from inference.benchmark.catalogue import targets
-from inference.benchmark.references import reference
-from inference.benchmark.verdicts import Assessment
-from reports.tables.sheet import Column, Sheet, number, plus_minus, significant
+from poseterior.inference.benchmark.catalogue import targets
+from poseterior.inference.benchmark.references import reference
+from poseterior.inference.benchmark.verdicts import Assessment
+from poseterior.reports.tables.sheet import Column, Sheet, number, plus_minus, significant
 
 CLEAR = 0.01
 """Modes of more mass are counted."""

@@ -4,8 +4,8 @@ visited."""
 import math
 from collections.abc import Iterable
 
-from inference.studies.evaluation.bias import ANGLES, Bias
-from reports.tables.sheet import Sheet, sheet_of
+from poseterior.inference.studies.evaluation.bias import ANGLES, Bias
+from poseterior.reports.tables.sheet import Sheet, sheet_of
 
 VISITS_CAPTION = (
     "Share of the prior's draws for which some pose of the data set has all bones of the part"

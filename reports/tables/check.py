@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from probmodel.anatomy.limits import LIMITS, Check
-from probmodel.skeleton import BONE_NAMES
-from reports.tables.sheet import Column, Sheet, fixed, number
-from reports.tables.words import spoken
+from poseterior.probmodel.anatomy.limits import LIMITS, Check
+from poseterior.probmodel.skeleton import BONE_NAMES
+from poseterior.reports.tables.sheet import Column, Sheet, fixed, number
+from poseterior.reports.tables.words import spoken
 
 BREAKS = {
     "occupancy": "points outside its directions",

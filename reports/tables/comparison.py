@@ -10,9 +10,17 @@ deviations.
 
 import xarray as xr
 
-from inference.studies.comparison.distances import MILLIMETRES
-from inference.studies.comparison.judge import AGREES
-from reports.tables.sheet import NOTHING, Column, Record, Sheet, fixed, number, significant
+from poseterior.inference.studies.comparison.distances import MILLIMETRES
+from poseterior.inference.studies.comparison.judge import AGREES
+from poseterior.reports.tables.sheet import (
+    NOTHING,
+    Column,
+    Record,
+    Sheet,
+    fixed,
+    number,
+    significant,
+)
 
 NARROW = ("sampler", "verdict", "ESS", "earned/s", "R-hat", "missed", "depth off")
 """The columns that matter most, for a narrow terminal."""

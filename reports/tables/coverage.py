@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from inference.studies.calibration.coverage import NOMINAL, CoverageSummary
-from inference.studies.calibration.ece import Ece, Interval
-from inference.studies.calibration.exclusions import LENGTH, LIMIT, TAU, Rank
-from inference.studies.calibration.quantities import MOVING_NAMES
-from inference.studies.calibration.verdict import Calibration
-from reports.tables.sheet import NOTHING, Column, Sheet, number, sheet_of
-from reports.tables.words import spoken
+from poseterior.inference.studies.calibration.coverage import NOMINAL, CoverageSummary
+from poseterior.inference.studies.calibration.ece import Ece, Interval
+from poseterior.inference.studies.calibration.exclusions import LENGTH, LIMIT, TAU, Rank
+from poseterior.inference.studies.calibration.quantities import MOVING_NAMES
+from poseterior.inference.studies.calibration.verdict import Calibration
+from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, number, sheet_of
+from poseterior.reports.tables.words import spoken
 
 WORST = 5
 """Quantities that are shown by name, smallest p-values first."""

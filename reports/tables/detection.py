@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from probmodel.detections import FACE, Detection
-from probmodel.skeleton import JOINTS
-from reports.tables.sheet import Column, Sheet, fixed, number, significant
-from reports.tables.words import spoken
+from poseterior.probmodel.detections import FACE, Detection
+from poseterior.probmodel.skeleton import JOINTS
+from poseterior.reports.tables.sheet import Column, Sheet, fixed, number, significant
+from poseterior.reports.tables.words import spoken
 
 
 def reading_table(person: Detection, radius: np.ndarray | None) -> Sheet:

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from inference.studies.errorlaws import Learned
-from probmodel.errorlaws import Exchange
-from probmodel.layouts import MIDPOINTS
-from probmodel.skeleton import JOINT_INDEX, JOINTS
-from reports.tables.sheet import Column, Sheet, sheet_of
+from poseterior.inference.studies.errorlaws import Learned
+from poseterior.probmodel.errorlaws import Exchange
+from poseterior.probmodel.layouts import MIDPOINTS
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
+from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
 
 def errors_table(found: Learned) -> Sheet:

@@ -5,12 +5,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from inference.results import FIXED
-from inference.studies.evaluation.conditions import Condition, alike
-from inference.studies.evaluation.metrics import THRESHOLD
-from inference.studies.evaluation.relations import Relation
-from inference.studies.evaluation.samples import BESTS
-from inference.studies.evaluation.scores import (
+from poseterior.inference.results import FIXED
+from poseterior.inference.studies.evaluation.conditions import Condition, alike
+from poseterior.inference.studies.evaluation.metrics import THRESHOLD
+from poseterior.inference.studies.evaluation.relations import Relation
+from poseterior.inference.studies.evaluation.samples import BESTS
+from poseterior.inference.studies.evaluation.scores import (
     Interval,
     SampleScores,
     Values,
@@ -22,7 +22,7 @@ from inference.studies.evaluation.scores import (
     summary,
     usable,
 )
-from reports.tables.sheet import NOTHING, Column, Sheet, sheet_of
+from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, sheet_of
 
 PAPERS_FRAMES = 26_385
 """Of the paper's evaluation on Human3.6M."""

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inference.stream import frame_and_person
-from probmodel.skeleton import BONES, JOINTS
-from reports.tables.posterior import MILLIMETRES, UNIT_NOTE
-from reports.tables.sheet import NOTHING, Column, Sheet, fixed, number
-from reports.tables.words import spoken
+from poseterior.inference.stream import frame_and_person
+from poseterior.probmodel.skeleton import BONES, JOINTS
+from poseterior.reports.tables.posterior import MILLIMETRES, UNIT_NOTE
+from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, fixed, number
+from poseterior.reports.tables.words import spoken
 
 LIMB_ENDS = tuple(sorted(bone.end for bone in BONES))
 """The joints that move."""

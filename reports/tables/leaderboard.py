@@ -12,11 +12,11 @@ from typing import Any
 
 from scipy import stats
 
-from inference.benchmark.catalogue import load, targets
-from inference.benchmark.contestants import EXACT, GIFT
-from inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
-from reports.tables.comparison import gift_sentence
-from reports.tables.sheet import NOTHING, Column, Sheet, number
+from poseterior.inference.benchmark.catalogue import load, targets
+from poseterior.inference.benchmark.contestants import EXACT, GIFT
+from poseterior.inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
+from poseterior.reports.tables.comparison import gift_sentence
+from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, number
 
 EVALUATIONS, SECONDS = "evaluations", "seconds"
 """What runs are made equal in."""

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from inference.results import UNCERTAIN
-from probmodel.faults import EXCHANGES
-from probmodel.skeleton import JOINT_INDEX, JOINTS, TORSO_INDEX
-from reports.tables.sheet import (
+from poseterior.inference.results import UNCERTAIN
+from poseterior.probmodel.faults import EXCHANGES
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, TORSO_INDEX
+from poseterior.reports.tables.sheet import (
     NOTHING,
     Column,
     Record,
@@ -25,11 +25,11 @@ from reports.tables.sheet import (
     plus_minus,
     signed,
 )
-from reports.tables.words import facing_words, pose_facing, spoken
+from poseterior.reports.tables.words import facing_words, pose_facing, spoken
 
 if TYPE_CHECKING:
-    from inference.hypothesis import Hypothesis
-    from inference.results import Result
+    from poseterior.inference.hypothesis import Hypothesis
+    from poseterior.inference.results import Result
 
 MILLIMETRES = 350.0
 """One body unit, the mean limb length, of a person of 1.7 m: upper arm, forearm, thigh and shank

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from probmodel.skeleton import JOINT_INDEX
+from poseterior.probmodel.skeleton import JOINT_INDEX
 
 STEEP = math.cos(math.radians(30))
 """A chest that points closer than 30° to the vertical faces up or down rather than anywhere

@@ -4,9 +4,9 @@ ms for A&B, 15 ms for the dictionary."""
 import numpy as np
 import pytest
 
-import inference
-from probmodel import Detection
-from probmodel.learning.dictionaries import PoseDictionary
+from poseterior import inference
+from poseterior.probmodel import Detection
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from tests.scenes import camera
 
 PEOPLE = 64

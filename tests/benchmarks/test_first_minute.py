@@ -15,7 +15,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 IMPORTS = "import jax, numba, xarray, matplotlib.figure"
-COMMAND = "from reports.cli import command; command()"
+COMMAND = "from poseterior.reports.cli import command; command()"
 SKIER = str(ROOT / "examples" / "skier.json")
 
 

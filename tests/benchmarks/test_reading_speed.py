@@ -2,8 +2,8 @@
 
 import json
 
-from probmodel import read_frames
-from probmodel.layouts import BODY_25
+from poseterior.probmodel import read_frames
+from poseterior.probmodel.layouts import BODY_25
 from tests.probmodel.test_formats import flat, openpose
 
 

@@ -4,9 +4,9 @@ only."""
 import jax
 import pytest
 
-import inference
-from probmodel import PoseModel
-from probmodel.example import example
+from poseterior import inference
+from poseterior.probmodel import PoseModel
+from poseterior.probmodel.example import example
 from tests.witnesses.limbs import build_groups
 from tests.witnesses.patches import limbs_of, plan_limb, propose_limb
 from tests.witnesses.pruned import BATCH, group_prior

@@ -9,10 +9,10 @@ from pathlib import Path
 import jax
 import pytest
 
-import inference
-from inference.exact import ahead
-from inference.exact.loops import attempts
-from probmodel import PoseModel
+from poseterior import inference
+from poseterior.inference.exact import ahead
+from poseterior.inference.exact.loops import attempts
+from poseterior.probmodel import PoseModel
 from tests.scenes import prior_scene
 
 
@@ -49,7 +49,9 @@ def test_one_process_is_started_where_nothing_is_kept_for_this_root(
     ahead.begin(root)
     ahead.begin(root)
     ahead.wait()
-    assert [command[1:] for command in started] == [["-P", "-m", "inference.exact.ahead", root]]
+    assert [command[1:] for command in started] == [
+        ["-P", "-m", "poseterior.inference.exact.ahead", root]
+    ]
 
 
 @pytest.mark.parametrize("why", ["kept", "no folder", "one core"])
@@ -66,7 +68,7 @@ def test_no_process_is_started_in_vain(
     assert started == []
 
 
-OTHER = [sys.executable, "-P", "-m", "inference.exact.ahead"]
+OTHER = [sys.executable, "-P", "-m", "poseterior.inference.exact.ahead"]
 
 
 def where_nothing_is_kept(folder: Path) -> dict:
@@ -78,8 +80,8 @@ def where_nothing_is_kept(folder: Path) -> dict:
 @pytest.mark.slow
 def test_what_the_other_process_compiles_is_found(tmp_path: Path) -> None:
     code = """
-from inference.exact import ahead
-from inference.exact.loops import attempts
+from poseterior.inference.exact import ahead
+from poseterior.inference.exact.loops import attempts
 for name, types in ahead.signatures().items():
     getattr(attempts, name).compile(types)
     print(sum(getattr(attempts, name).stats.cache_hits.values()))
@@ -96,9 +98,9 @@ for name, types in ahead.signatures().items():
 def test_what_weighs_limbs_is_found_too_and_nothing_else_is_compiled(tmp_path: Path) -> None:
     code = """
 import jax
-import inference
-from inference.exact.loops import pairs, seeds, sights, weighed
-from probmodel import PoseModel
+from poseterior import inference
+from poseterior.inference.exact.loops import pairs, seeds, sights, weighed
+from poseterior.probmodel import PoseModel
 from tests.scenes import prior_scene
 model = PoseModel()
 scene = prior_scene(model, 1)

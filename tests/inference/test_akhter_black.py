@@ -8,14 +8,14 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from inference.roots import akhter_black as ab
-from inference.roots.adjustment import adjust, mirror_twin
-from inference.roots.points import Points
-from inference.studies.errors import mean_joint_error
-from probmodel import AnatomicalLimits, BadInput
-from probmodel.body import bone_vectors
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
+from poseterior.inference.estimators import akhter_black as ab
+from poseterior.inference.estimators.adjustment import adjust, mirror_twin
+from poseterior.inference.estimators.points import Points
+from poseterior.inference.studies.errors import mean_joint_error
+from poseterior.probmodel import AnatomicalLimits, BadInput
+from poseterior.probmodel.body import bone_vectors
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from tests.inference.test_zhou import VIEWS, detection, relative_error, seen
 
 DICTIONARY = PoseDictionary.default()

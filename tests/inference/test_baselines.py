@@ -18,28 +18,28 @@ from numpyro.distributions.util import cholesky_update
 from numpyro.infer import MCMC, NUTS, SA, init_to_value
 from numpyro.infer.util import potential_energy
 
-import inference
-from inference.baselines.catalogue import (
+from poseterior import inference
+from poseterior.inference.baselines.catalogue import (
     BASELINES,
     DISPERSED,
     ONE_FLIP,
     baseline_tree,
     starting_points,
 )
-from inference.baselines.ensemble import snooker
-from inference.baselines.hamiltonian import _log_weights
-from inference.baselines.run import Allowance, Baseline, Drawn, run
-from inference.baselines.target import Target
-from inference.baselines.tempering import next_multiple
-from inference.resampling import systematic
-from inference.results import COMPLETE, OUT_OF_BUDGET
-from inference.studies.comparison import compare, contest
-from inference.studies.comparison.judge import DIFFERS
-from probmodel import BadInput, PoseModel
-from probmodel.likelihood import LAWS, Gaussian, Likelihood
-from probmodel.model import log_joint
-from probmodel.skeleton import JOINT_INDEX
-from probmodel.transport import CUBE_DIM
+from poseterior.inference.baselines.ensemble import snooker
+from poseterior.inference.baselines.hamiltonian import _log_weights
+from poseterior.inference.baselines.run import Allowance, Baseline, Drawn, run
+from poseterior.inference.baselines.target import Target
+from poseterior.inference.baselines.tempering import next_multiple
+from poseterior.inference.resampling import systematic
+from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET
+from poseterior.inference.studies.comparison import compare, contest
+from poseterior.inference.studies.comparison.judge import DIFFERS
+from poseterior.probmodel import BadInput, PoseModel
+from poseterior.probmodel.likelihood import LAWS, Gaussian, Likelihood
+from poseterior.probmodel.model import log_joint
+from poseterior.probmodel.skeleton import JOINT_INDEX
+from poseterior.probmodel.transport import CUBE_DIM
 from tests.scenes import ALL_BUT_AN_ARM, key, prior_scene
 
 QUICK = ("emcee",)
@@ -280,7 +280,7 @@ def test_what_a_short_run_holds_is_what_it_hands_over():
 @pytest.mark.slow
 def test_one_flip_is_one_flip():
     _, _, target, tree, _ = low()
-    from inference.studies.flips import away
+    from poseterior.inference.studies.flips import away
 
     poses = target.poses(key(1), starting_points(target, tree, ONE_FLIP))
     joints = target.model.joints(target.observation.view, *poses)

@@ -24,27 +24,27 @@ from numpyro.infer import AIES
 from numpyro.infer.util import potential_energy
 from scipy import stats
 
-from inference import benchmark
-from inference.baselines.chains import Kernel, Walk
-from inference.baselines.ensemble import NumPyroKernel
-from inference.baselines.metropolis import ADAPTIVE_WALKERS, AdaptiveKernel
-from inference.baselines.run import Allowance
-from inference.baselines.target import Target
-from inference.benchmark import catalogue, contestants, draws, references
-from inference.benchmark.draws import Blocks, blocks_of, exact_block
-from inference.benchmark.guests import GUESTS, ladder
-from inference.benchmark.programs import in_jax
-from inference.benchmark.references import SHIPPED, sample_at, shipped_points
-from inference.benchmark.root import GivenRoot
-from inference.benchmark.target import CUBE_DIM, FrozenTarget
-from inference.benchmark.verdicts import exact_sample
-from inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
-from inference.studies.comparison.sample import NAMES, ROOT_NAMES, Sample
-from probmodel import BadInput, PoseModel
-from probmodel.model import log_joint
-from probmodel.observation import Observation
-from probmodel.skeleton import JOINTS
-from probmodel.transport import from_fractions
+from poseterior.inference import benchmark
+from poseterior.inference.baselines.chains import Kernel, Walk
+from poseterior.inference.baselines.ensemble import NumPyroKernel
+from poseterior.inference.baselines.metropolis import ADAPTIVE_WALKERS, AdaptiveKernel
+from poseterior.inference.baselines.run import Allowance
+from poseterior.inference.baselines.target import Target
+from poseterior.inference.benchmark import catalogue, contestants, draws, references
+from poseterior.inference.benchmark.draws import Blocks, blocks_of, exact_block
+from poseterior.inference.benchmark.guests import GUESTS, ladder
+from poseterior.inference.benchmark.programs import in_jax
+from poseterior.inference.benchmark.references import SHIPPED, sample_at, shipped_points
+from poseterior.inference.benchmark.root import GivenRoot
+from poseterior.inference.benchmark.target import CUBE_DIM, FrozenTarget
+from poseterior.inference.benchmark.verdicts import exact_sample
+from poseterior.inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
+from poseterior.inference.studies.comparison.sample import NAMES, ROOT_NAMES, Sample
+from poseterior.probmodel import BadInput, PoseModel
+from poseterior.probmodel.model import log_joint
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.skeleton import JOINTS
+from poseterior.probmodel.transport import from_fractions
 from tests.wrong_samplers import DenseAdaptiveKernel, HalfUpdatedAIES
 
 ROOT = Path(__file__).parents[2]
@@ -132,7 +132,7 @@ def test_forms_need_neither_jax_nor_a_compiler() -> None:
     code = """
 import sys
 import numpy as np
-from inference.benchmark import load, submit
+from poseterior.inference.benchmark import load, submit
 target = load("whole")
 cube = np.random.default_rng(0).uniform(size=(3, target.dim))
 points = target.prior_transform(cube)
@@ -145,11 +145,11 @@ print([name for name in ("jax", "numba", "numpyro", "xarray", "scipy") if name i
 def test_a_verdict_needs_neither_jax_nor_a_compiler() -> None:
     code = """
 import sys
-from inference import benchmark
+from poseterior.inference import benchmark
 target = benchmark.load("arm")
 draws = benchmark.submit(target, points=benchmark.shipped_points("arm")[:300])
 print(benchmark.verdict(target, draws).judgement.verdict)
-print([name for name in ("jaxlib", "numba", "inference.exact") if name in sys.modules])
+print([name for name in ("jaxlib", "numba", "poseterior.inference.exact") if name in sys.modules])
 """
     assert printed(code) == "agrees\n[]"
 

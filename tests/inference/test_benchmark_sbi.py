@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from inference import benchmark
-from inference.benchmark.root import GivenRoot
-from inference.benchmark.target import LAWS
-from probmodel import BadInput
+from poseterior.inference import benchmark
+from poseterior.inference.benchmark.root import GivenRoot
+from poseterior.inference.benchmark.target import LAWS
+from poseterior.probmodel import BadInput
 
 ODDS = 1e-4
 """How seldom sound simulations fail a test."""

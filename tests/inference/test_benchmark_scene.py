@@ -19,25 +19,25 @@ from numpyro.infer.util import potential_energy
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from inference import benchmark
-from inference.benchmark import draws
-from inference.benchmark.anatomy import FrozenAnatomy
-from inference.benchmark.draws import Blocks, draw_block
-from inference.benchmark.programs import frozen_model, in_jax, model_of
-from inference.benchmark.references import sample_at, shipped_points
-from inference.benchmark.root import BoxedRoot, fractions_of, rotations
-from inference.benchmark.target import FrozenTarget
-from inference.benchmark.uncertain import UncertainTarget
-from inference.studies.comparison.judge import AGREES, DIFFERS
-from inference.studies.comparison.sample import NAMES, ROOT_NAMES
-from inference.uncertain.torsos import torso_problem
-from probmodel.failures import BadInput
-from probmodel.faults import Faults
-from probmodel.model import PoseModel
-from probmodel.roots import RootPoint
-from probmodel.rotations import RotationTransform, rodrigues
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference import benchmark
+from poseterior.inference.benchmark import draws
+from poseterior.inference.benchmark.anatomy import FrozenAnatomy
+from poseterior.inference.benchmark.draws import Blocks, draw_block
+from poseterior.inference.benchmark.programs import frozen_model, in_jax, model_of
+from poseterior.inference.benchmark.references import sample_at, shipped_points
+from poseterior.inference.benchmark.root import BoxedRoot, fractions_of, rotations
+from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.benchmark.uncertain import UncertainTarget
+from poseterior.inference.importance.torsos import torso_problem
+from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
+from poseterior.inference.studies.comparison.sample import NAMES, ROOT_NAMES
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.roots import RootPoint
+from poseterior.probmodel.rotations import RotationTransform, rodrigues
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.uncertain import UncertainPosterior
 
 UNCERTAIN_ROOT = tuple(
     name for name, one in benchmark.targets().items() if isinstance(one.root, BoxedRoot)

@@ -13,25 +13,32 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from inference.exact.mixture import draw_mixture
-from inference.machines import Machines
-from inference.results import pose_columns
-from inference.studies.calibration import assess, band, calibrate, judge, simulate, uniformity
-from inference.studies.calibration.assess import FAILED, Answer, check_draws
-from inference.studies.calibration.controls import (
+from poseterior.inference.exact.mixture import draw_mixture
+from poseterior.inference.machines import Machines
+from poseterior.inference.results import pose_columns
+from poseterior.inference.studies.calibration import (
+    assess,
+    band,
+    calibrate,
+    judge,
+    simulate,
+    uniformity,
+)
+from poseterior.inference.studies.calibration.assess import FAILED, Answer, check_draws
+from poseterior.inference.studies.calibration.controls import (
     DISTORTIONS,
     distorted,
     following_the_recipe,
     ignoring,
 )
-from inference.studies.calibration.levels import (
+from poseterior.inference.studies.calibration.levels import (
     energy_level,
     median_levels,
     rank_level,
     stand_in_levels,
 )
-from inference.studies.calibration.posteriors import independent, sampler_of
-from inference.studies.calibration.quantities import (
+from poseterior.inference.studies.calibration.posteriors import independent, sampler_of
+from poseterior.inference.studies.calibration.quantities import (
     HINGES,
     MISFIT,
     OF_POSE,
@@ -40,12 +47,17 @@ from inference.studies.calibration.quantities import (
     of_both,
     of_pose,
 )
-from inference.studies.calibration.simulations import HIDDEN, Instance
-from inference.studies.calibration.toy import Toy, sizes
-from inference.studies.calibration.uniformity import LEVELS, difference
-from inference.studies.calibration.verdict import CALIBRATED, CANNOT_TELL, MISCALIBRATED, holm
-from probmodel import BadInput, Likelihood, PoseModel
-from probmodel.skeleton import JOINT_INDEX
+from poseterior.inference.studies.calibration.simulations import HIDDEN, Instance
+from poseterior.inference.studies.calibration.toy import Toy, sizes
+from poseterior.inference.studies.calibration.uniformity import LEVELS, difference
+from poseterior.inference.studies.calibration.verdict import (
+    CALIBRATED,
+    CANNOT_TELL,
+    MISCALIBRATED,
+    holm,
+)
+from poseterior.probmodel import BadInput, Likelihood, PoseModel
+from poseterior.probmodel.skeleton import JOINT_INDEX
 
 RNG = np.random.default_rng
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inference.hypothesis import diverse
-from inference.results import OUT_OF_BUDGET
-from inference.studies.calibration import assess, simulate
-from inference.studies.calibration.assess import Answer, failure
-from inference.studies.calibration.choices import (
+from poseterior.inference.hypothesis import diverse
+from poseterior.inference.results import OUT_OF_BUDGET
+from poseterior.inference.studies.calibration import assess, simulate
+from poseterior.inference.studies.calibration.assess import Answer, failure
+from poseterior.inference.studies.calibration.choices import (
     CHOOSE,
     GRID,
     WAYS,
@@ -20,9 +20,15 @@ from inference.studies.calibration.choices import (
     by_distance,
     modes_represented,
 )
-from inference.studies.calibration.coverage import summary
-from inference.studies.calibration.ece import LEVELS, calibration_error, coverage, ece, shares
-from inference.studies.calibration.exclusions import (
+from poseterior.inference.studies.calibration.coverage import summary
+from poseterior.inference.studies.calibration.ece import (
+    LEVELS,
+    calibration_error,
+    coverage,
+    ece,
+    shares,
+)
+from poseterior.inference.studies.calibration.exclusions import (
     CAMERA,
     LENGTH,
     LIMIT,
@@ -35,24 +41,24 @@ from inference.studies.calibration.exclusions import (
     hung,
     ranking,
 )
-from inference.studies.calibration.posteriors import sampler_of
-from inference.studies.calibration.quantities import MOVING, of_both
-from inference.studies.calibration.real import (
+from poseterior.inference.studies.calibration.posteriors import sampler_of
+from poseterior.inference.studies.calibration.quantities import MOVING, of_both
+from poseterior.inference.studies.calibration.real import (
     TRUE,
     by_the_likelihood,
     instances,
     true_candidate,
 )
-from inference.studies.calibration.record import case_columns, standings_tree
-from inference.studies.calibration.run import cover, stand
-from inference.studies.calibration.simulations import Instance
-from inference.studies.intervals import resampled
-from probmodel import BadInput, PoseModel
-from probmodel.camera import Lens, WeakPerspective
-from probmodel.datasets import Case
-from probmodel.likelihood import Likelihood
-from probmodel.roots import Candidate
-from probmodel.skeleton import BONE_NAMES, BONES, JOINT_INDEX, TORSO_INDEX
+from poseterior.inference.studies.calibration.record import case_columns, standings_tree
+from poseterior.inference.studies.calibration.run import cover, stand
+from poseterior.inference.studies.calibration.simulations import Instance
+from poseterior.inference.studies.intervals import resampled
+from poseterior.probmodel import BadInput, PoseModel
+from poseterior.probmodel.camera import Lens, WeakPerspective
+from poseterior.probmodel.datasets import Case
+from poseterior.probmodel.likelihood import Likelihood
+from poseterior.probmodel.roots import Candidate
+from poseterior.probmodel.skeleton import BONE_NAMES, BONES, JOINT_INDEX, TORSO_INDEX
 
 RNG = np.random.default_rng
 UNIT = 350.0
@@ -233,7 +239,7 @@ def test_the_better_candidate_speaks(model: PoseModel, cases: list[Case]) -> Non
 
 
 def test_reasons_survive_a_file_and_are_ranked(model: PoseModel) -> None:
-    from inference.studies.calibration.exclusions import Break
+    from poseterior.inference.studies.calibration.exclusions import Break
 
     tau, camera = (
         Reason(TAU, Break(TAU, "head", 1.5)),
@@ -318,7 +324,7 @@ def test_poses_of_the_model_are_covered(model: PoseModel, cases: list[Case]) -> 
 def test_the_coverage_of_real_poses_is_resumed_to_the_same_bits(
     model: PoseModel, cases: list[Case], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("inference.studies.calibration.run.BLOCK", 10)
+    monkeypatch.setattr("poseterior.inference.studies.calibration.run.BLOCK", 10)
     out, settings = tmp_path / "coverage.nc", {"num_samples": 20, "source": {"data": "made"}}
     whole = cover(model, cases, out=out, **settings)  # type: ignore[arg-type]
     assert summary(whole).size == len(cases)
@@ -516,7 +522,7 @@ def test_modes_represented() -> None:
 
 
 def test_true_candidates_of_real_poses(model: PoseModel, shared_data: object) -> None:
-    from probmodel.datasets import Noise, read_data_set
+    from poseterior.probmodel.datasets import Noise, read_data_set
 
     data = read_data_set(shared_data / "bvh", frames=6, noise=Noise("gaussian", 0.01))  # type: ignore[operator]
     for case in data:

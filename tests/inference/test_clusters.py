@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inference.clusters import clusters
+from poseterior.inference.clusters import clusters
 
 POINTS = np.random.default_rng(0).normal(size=(700, 45)) + 30 * np.arange(700)[:, None] % 3
 

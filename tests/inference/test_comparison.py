@@ -17,20 +17,20 @@ from numpyro.infer import AIES, ESS
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-import inference
-from inference.baselines.chains import Walk
-from inference.baselines.ensemble import EmceeKernel, NumPyroKernel
-from inference.baselines.target import Target
-from inference.studies.comparison import Judgement, comparison_tree, judge
-from inference.studies.comparison.cost import course
-from inference.studies.comparison.distances import (
+from poseterior import inference
+from poseterior.inference.baselines.chains import Walk
+from poseterior.inference.baselines.ensemble import EmceeKernel, NumPyroKernel
+from poseterior.inference.baselines.target import Target
+from poseterior.inference.studies.comparison import Judgement, comparison_tree, judge
+from poseterior.inference.studies.comparison.cost import course
+from poseterior.inference.studies.comparison.distances import (
     energy,
     mmd,
     pairwise,
     sliced_wasserstein,
     wasserstein,
 )
-from inference.studies.comparison.judge import (
+from poseterior.inference.studies.comparison.judge import (
     AGREES,
     CANNOT_TELL,
     DIFFERS,
@@ -38,16 +38,16 @@ from inference.studies.comparison.judge import (
     _evidence,
     _verdict,
 )
-from inference.studies.comparison.judge import Test as OneTest
-from inference.studies.comparison.mixing import mean_ess, mixing
-from inference.studies.comparison.modes import modes, same_shares
-from inference.studies.comparison.pace import autocorrelation_times, pace, uncrossed
-from inference.studies.comparison.permutation import classifier_test, permutation_tests
-from inference.studies.comparison.ranks import all_together, each_coordinate, scores
-from inference.studies.comparison.record import Entry
-from inference.studies.comparison.sample import NAMES, Sample, read_sample, sample_of
-from inference.studies.flips import codes
-from probmodel import BadInput, PoseModel
+from poseterior.inference.studies.comparison.judge import Test as OneTest
+from poseterior.inference.studies.comparison.mixing import mean_ess, mixing
+from poseterior.inference.studies.comparison.modes import modes, same_shares
+from poseterior.inference.studies.comparison.pace import autocorrelation_times, pace, uncrossed
+from poseterior.inference.studies.comparison.permutation import classifier_test, permutation_tests
+from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate, scores
+from poseterior.inference.studies.comparison.record import Entry
+from poseterior.inference.studies.comparison.sample import NAMES, Sample, read_sample, sample_of
+from poseterior.inference.studies.flips import codes
+from poseterior.probmodel import BadInput, PoseModel
 from tests.scenes import ALL_BUT_AN_ARM, key, prior_scene
 from tests.wrong_samplers import HalfUpdatedAIES, HalfUpdatedESS
 

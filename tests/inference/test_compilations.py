@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-import inference
-from inference.drawers import drawer
-from probmodel import Estimate, PoseModel
+from poseterior import inference
+from poseterior.inference.drawers import drawer
+from poseterior.probmodel import Estimate, PoseModel
 from tests.scenes import key
 
 

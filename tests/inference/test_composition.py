@@ -13,21 +13,21 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-import inference
-from inference.clusters import clusters
-from inference.composition import Drawn, compose
-from inference.drawers import drawer
-from inference.hypothesis import Hypothesis
-from probmodel import BadInput, Estimate, FaultPrior, Likelihood, PoseModel
-from probmodel.body import align_torsos
-from probmodel.camera import Lens
-from probmodel.faults import Faults
-from probmodel.likelihood import Gaussian
-from probmodel.model import log_joint
-from probmodel.pose import Pose
-from probmodel.roots import RootPoint
-from probmodel.skeleton import GROUPS, LENGTH_GROUPS, NUM_JOINTS, PARENTS, TORSO_INDEX
-from probmodel.uncertain import UncertainPosterior
+from poseterior import inference
+from poseterior.inference.clusters import clusters
+from poseterior.inference.composition import Drawn, compose
+from poseterior.inference.drawers import drawer
+from poseterior.inference.hypothesis import Hypothesis
+from poseterior.probmodel import BadInput, Estimate, FaultPrior, Likelihood, PoseModel
+from poseterior.probmodel.body import align_torsos
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.model import log_joint
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.roots import RootPoint
+from poseterior.probmodel.skeleton import GROUPS, LENGTH_GROUPS, NUM_JOINTS, PARENTS, TORSO_INDEX
+from poseterior.probmodel.uncertain import UncertainPosterior
 from tests.scenes import key, prior_scene
 from tests.sweeps import sweep
 

@@ -13,11 +13,11 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from PIL import Image, ImageDraw
 
-from inference.detector import PADDING, Network, cut_out
-from probmodel import BadInput, read_detections
-from probmodel.heatmaps import Crop
-from probmodel.layouts import COCO_17, MPII_16
-from probmodel.skeleton import JOINT_INDEX
+from poseterior.inference.detector import PADDING, Network, cut_out
+from poseterior.probmodel import BadInput, read_detections
+from poseterior.probmodel.heatmaps import Crop
+from poseterior.probmodel.layouts import COCO_17, MPII_16
+from poseterior.probmodel.skeleton import JOINT_INDEX
 from tests.conftest import Cli
 from tests.probmodel.test_formats import STANDING
 

@@ -13,22 +13,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import inference
-from inference.exact import groups
-from inference.exact.device import group as device
-from inference.exact.device.attempts import _lower_axes, _rectangle
-from inference.exact.device.group import LEAST, DeviceGroup, Size, device_groups
-from inference.exact.device.tables import padded, real, whole
-from inference.exact.groups import FIRST, StratifiedGroup, group_tables
-from inference.exact.loops.rectangles import rectangle
-from inference.exact.loops.tables import ENTRIES, SUBS
-from inference.exact.mixture import RootSampler
-from inference.exact.problem import limb_problems
-from inference.exact.rates import Budget
-from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
-from probmodel import BadInput, PoseModel, kinematics
-from probmodel.example import example
-from probmodel.skeleton import GROUPS, JOINT_INDEX
+from poseterior import inference
+from poseterior.inference.exact import groups
+from poseterior.inference.exact.device import group as device
+from poseterior.inference.exact.device.attempts import _lower_axes, _rectangle
+from poseterior.inference.exact.device.group import LEAST, DeviceGroup, Size, device_groups
+from poseterior.inference.exact.device.tables import padded, real, whole
+from poseterior.inference.exact.groups import FIRST, StratifiedGroup, group_tables
+from poseterior.inference.exact.loops.rectangles import rectangle
+from poseterior.inference.exact.loops.tables import ENTRIES, SUBS
+from poseterior.inference.exact.mixture import RootSampler
+from poseterior.inference.exact.problem import limb_problems
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
+from poseterior.probmodel import BadInput, PoseModel, kinematics
+from poseterior.probmodel.example import example
+from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX
 from tests.scenes import key, prior_scene
 from tests.sweeps import sweep
 from tests.witnesses.limbs import build_groups

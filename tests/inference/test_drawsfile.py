@@ -14,16 +14,16 @@ import pytest
 import xarray as xr
 from scipy.stats import hypergeom, ks_2samp
 
-import inference
-from inference import Result, drawsfile
-from inference.drawsfile import sample_to_file
-from inference.exact import mixture
-from inference.exact.mixture import RootSampler
-from inference.results import COMPLETE, OUT_OF_BUDGET, SINGLE
-from inference.saved import read_result
-from probmodel import BadInput, PoseModel
-from probmodel.faults import FaultPrior
-from probmodel.likelihood import PAPER
+from poseterior import inference
+from poseterior.inference import Result, drawsfile
+from poseterior.inference.drawsfile import sample_to_file
+from poseterior.inference.exact import mixture
+from poseterior.inference.exact.mixture import RootSampler
+from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET, SINGLE
+from poseterior.inference.saved import read_result
+from poseterior.probmodel import BadInput, PoseModel
+from poseterior.probmodel.faults import FaultPrior
+from poseterior.probmodel.likelihood import PAPER
 from tests.goodness import floor
 from tests.scenes import key
 
@@ -31,7 +31,7 @@ BLOCK, NUMBER = 512, 4000
 ROOTED = {"root": "uncertain", "num_roots": 100, "double": True}
 MAKERS = [("build_tree", {}), ("uncertain_tree", ROOTED)]
 """What makes the blocks of either kind of root, and what such a root is asked for by."""
-sampler = importlib.import_module("inference.sampler")
+sampler = importlib.import_module("poseterior.inference.sampler")
 
 
 @pytest.fixture(scope="module")

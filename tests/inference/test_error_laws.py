@@ -14,11 +14,11 @@ import pytest
 from scipy import integrate, stats
 from scipy.stats import ks_2samp
 
-import inference
-from probmodel import BadInput, Disc, ErrorLaw, PoseModel
-from probmodel.keypoints import DetectedKeypoint
-from probmodel.likelihood import Gaussian, Student
-from probmodel.skeleton import GROUPS
+from poseterior import inference
+from poseterior.probmodel import BadInput, Disc, ErrorLaw, PoseModel
+from poseterior.probmodel.keypoints import DetectedKeypoint
+from poseterior.probmodel.likelihood import Gaussian, Student
+from poseterior.probmodel.skeleton import GROUPS
 from tests.brute_force import brute_force
 from tests.scenes import key, prior_scene
 

@@ -7,7 +7,7 @@ from scipy.linalg import orthogonal_procrustes
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from inference.studies.errors import (
+from poseterior.inference.studies.errors import (
     aligned_errors,
     best_of,
     joint_errors,
@@ -15,9 +15,9 @@ from inference.studies.errors import (
     mean_joint_error,
     similarity_aligned,
 )
-from probmodel import BadInput
-from probmodel.body import bone_vectors
-from probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel import BadInput
+from poseterior.probmodel.body import bone_vectors
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
 
 TRUTH = PoseDictionary.default().mean
 RNG = np.random.default_rng(3)

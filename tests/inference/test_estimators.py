@@ -10,17 +10,17 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-import inference
-from inference.roots import ESTIMATORS, dictionary, external
-from inference.roots.points import Points
-from inference.roots.zhou import fit_zhou
-from inference.studies.errors import mean_joint_error
-from probmodel import Anatomy, BadInput, Detection, Likelihood, PoseModel
-from probmodel.detections import LIMB_JOINTS
-from probmodel.example import example
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX, TORSO_JOINTS
-from reports.options import Estimation
+from poseterior import inference
+from poseterior.inference.estimators import ESTIMATORS, dictionary, external
+from poseterior.inference.estimators.points import Points
+from poseterior.inference.estimators.zhou import fit_zhou
+from poseterior.inference.studies.errors import mean_joint_error
+from poseterior.probmodel import Anatomy, BadInput, Detection, Likelihood, PoseModel
+from poseterior.probmodel.detections import LIMB_JOINTS
+from poseterior.probmodel.example import example
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX, TORSO_JOINTS
+from poseterior.reports.options import Estimation
 from tests.scenes import camera, key
 
 TORSOS = Anatomy.default().torsos

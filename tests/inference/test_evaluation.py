@@ -10,20 +10,32 @@ import pytest
 from scipy.integrate import trapezoid
 from scipy.stats import special_ortho_group
 
-from inference.prior import sample_prior
-from inference.studies.evaluation import bias, metrics
-from inference.studies.evaluation.conditions import Condition, conditions
-from inference.studies.evaluation.outcome import Protocol, judge_block
-from inference.studies.evaluation.relations import FAILS, HOLDS, OPEN, Relation, relations
-from inference.studies.evaluation.scores import clustered, errors_of, lost, summary, unscaled_errors
-from inference.studies.intervals import Interval
-from probmodel import Anatomy, BadInput, PoseModel
-from probmodel.datasets import from_motions
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.motion import Motion
-from probmodel.skeleton import BONE_NAMES
-from reports.commands.evaluate import Predictions, findings
-from reports.tables import Sheet
+from poseterior.inference.prior import sample_prior
+from poseterior.inference.studies.evaluation import bias, metrics
+from poseterior.inference.studies.evaluation.conditions import Condition, conditions
+from poseterior.inference.studies.evaluation.outcome import Protocol, judge_block
+from poseterior.inference.studies.evaluation.relations import (
+    FAILS,
+    HOLDS,
+    OPEN,
+    Relation,
+    relations,
+)
+from poseterior.inference.studies.evaluation.scores import (
+    clustered,
+    errors_of,
+    lost,
+    summary,
+    unscaled_errors,
+)
+from poseterior.inference.studies.intervals import Interval
+from poseterior.probmodel import Anatomy, BadInput, PoseModel
+from poseterior.probmodel.datasets import from_motions
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.motion import Motion
+from poseterior.probmodel.skeleton import BONE_NAMES
+from poseterior.reports.commands.evaluate import Predictions, findings
+from poseterior.reports.tables import Sheet
 
 RNG = np.random.default_rng(0)
 ERRORS = RNG.gamma(2.0, 40.0, size=(50, 6, 15))
@@ -147,9 +159,9 @@ def judged() -> dict[str, np.ndarray]:
 
 def test_a_frame_comes_out_as_it_does_by_hand(judged):
     """Second route: the public functions, one frame, in a row."""
-    import inference
-    from inference.sampler import sample
-    from inference.studies.errors import aligned_errors, joint_errors
+    from poseterior import inference
+    from poseterior.inference.sampler import sample
+    from poseterior.inference.studies.errors import aligned_errors, joint_errors
 
     case = DATA.case(2)
     frames = inference.estimate_torsos([one.detection for one in DATA], "zhou", num_candidates=1)
@@ -171,8 +183,8 @@ def test_a_frame_comes_out_as_it_does_by_hand(judged):
 
 def test_hypotheses_may_be_composed(judged):
     """Of the same draws, and judged by the same errors."""
-    import inference
-    from inference.studies.errors import joint_errors
+    from poseterior import inference
+    from poseterior.inference.studies.errors import joint_errors
 
     protocol = dataclasses.replace(PROTOCOL, composed=True)
     found = judge_block(protocol, Condition("zhou"), DATA.take(np.array([2])), 2)
@@ -190,8 +202,8 @@ def test_hypotheses_may_be_composed(judged):
 @pytest.mark.slow
 def test_upright_is_believed_where_the_root_is_uncertain():
     """And nowhere else, where a torso is held fixed."""
-    import inference
-    from inference.drawers import drawer
+    from poseterior import inference
+    from poseterior.inference.drawers import drawer
 
     protocol = dataclasses.replace(PROTOCOL, upright=8.0, num_roots=60)
     plain = dataclasses.replace(PROTOCOL, num_roots=60)
@@ -422,7 +434,7 @@ def test_the_uniform_prior_is_the_models_own():
     model = PoseModel(upper="area", lower="area")
     tree = sample_prior(model, key=jax.random.key(1), num_samples=50)
     joints = np.asarray(tree["prior"].joints)[0]
-    from probmodel.anatomy.lengths import BoneLength
+    from poseterior.probmodel.anatomy.lengths import BoneLength
 
     lengths = np.asarray(tree["prior"].bone_length)[0]
     own = np.asarray(tree["sample_stats_prior"].lp)[0] - np.asarray(

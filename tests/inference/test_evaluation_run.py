@@ -17,16 +17,22 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inference.machines import Machines
-from inference.studies.evaluation.conditions import Condition
-from inference.studies.evaluation.outcome import Protocol
-from inference.studies.evaluation.run import BLOCK, STORE, Results, evaluate, open_evaluation
-from probmodel import Anatomy, BadInput
-from probmodel.datasets import DataSet, from_motions, write_plain
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.motion import Motion
-from reports import cli
-from reports.commands.evaluate import Predictions
+from poseterior.inference.machines import Machines
+from poseterior.inference.studies.evaluation.conditions import Condition
+from poseterior.inference.studies.evaluation.outcome import Protocol
+from poseterior.inference.studies.evaluation.run import (
+    BLOCK,
+    STORE,
+    Results,
+    evaluate,
+    open_evaluation,
+)
+from poseterior.probmodel import Anatomy, BadInput
+from poseterior.probmodel.datasets import DataSet, from_motions, write_plain
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.motion import Motion
+from poseterior.reports import cli
+from poseterior.reports.commands.evaluate import Predictions
 from tests.sweeps import sweep
 
 POSETERIOR = Path(sys.executable).with_name("poseterior")
@@ -232,7 +238,7 @@ def said(
     """The command in this process: its exit code, and what it said on stdout and stderr."""
     monkeypatch.setattr(sys, "argv", ["poseterior", *command[1:]])
     monkeypatch.setattr(
-        "reports.options.prepare_jax", lambda: None
+        "poseterior.reports.options.prepare_jax", lambda: None
     )  # which tests have done, without a cache
     with pytest.raises(SystemExit) as left:
         cli.main()
@@ -262,7 +268,7 @@ def test_frames_without_draws_are_told(data, undisturbed, tmp_path, monkeypatch,
         words = {name: np.full(len(values["status"]), word) for name, word in lost.items()}
         return results | {first: values | blank | words}
 
-    monkeypatch.setattr("reports.commands.evaluate.evaluate", spoilt)
+    monkeypatch.setattr("poseterior.reports.commands.evaluate.evaluate", spoilt)
     out = Path(shutil.copytree(undisturbed, tmp_path / "out"))
     code, shown, told = said(monkeypatch, capsys, *arguments(data, out, "--missing", "0,1"))
     assert code == 0
@@ -299,7 +305,7 @@ def test_bad_input_is_a_sentence_and_nothing_is_overwritten(
     case, data, undisturbed, monkeypatch, capsys
 ):
     words, *more = REFUSED[case]
-    monkeypatch.setattr("inference.machines.PATIENCE", "1s")
+    monkeypatch.setattr("poseterior.inference.machines.PATIENCE", "1s")
     before = contents(undisturbed)
     code, out, sentence = said(monkeypatch, capsys, *arguments(data, undisturbed, *more))
     assert (code, out) == (2, "")

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import inference
-from inference.studies.evaluation.conditions import Condition, alike, conditions
-from inference.studies.evaluation.outcome import Protocol, judge_block
-from inference.studies.evaluation.samples import (
+from poseterior import inference
+from poseterior.inference.studies.evaluation.conditions import Condition, alike, conditions
+from poseterior.inference.studies.evaluation.outcome import Protocol, judge_block
+from poseterior.inference.studies.evaluation.samples import (
     BESTS,
     JUDGED,
     SHAPES,
@@ -25,13 +25,13 @@ from inference.studies.evaluation.samples import (
     of_predictions,
     of_samples,
 )
-from inference.studies.evaluation.scores import SampleScores, sample_scores
-from probmodel import Anatomy, BadInput
-from probmodel.camera import Lens
-from probmodel.datasets import DataSet, from_motions
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.motion import Motion
-from probmodel.skeleton import LIMB_JOINTS, TORSO_INDEX
+from poseterior.inference.studies.evaluation.scores import SampleScores, sample_scores
+from poseterior.probmodel import Anatomy, BadInput
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.datasets import DataSet, from_motions
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.motion import Motion
+from poseterior.probmodel.skeleton import LIMB_JOINTS, TORSO_INDEX
 
 POSES, SAMPLES = 120, 200
 ERROR = 0.007
@@ -287,7 +287,7 @@ NEAR = Lens(1200.0, np.array([300.0, 250.0]))
 @pytest.mark.parametrize("lens", [None, NEAR])
 def test_an_uncertain_root_is_judged_by_the_same_scores(lens: Lens | None) -> None:
     """Second route: the public functions, one frame, in a row; and a pinhole camera by hand."""
-    from inference.studies.errors import aligned_errors, joint_errors
+    from poseterior.inference.studies.errors import aligned_errors, joint_errors
 
     some = data().take(np.arange(2))
     if lens is not None:
@@ -335,7 +335,7 @@ def test_under_the_true_root_the_torso_is_the_truths() -> None:
 
 
 def test_the_protocol_says_its_roots(tmp_path) -> None:
-    from inference.studies.evaluation.run import settings
+    from poseterior.inference.studies.evaluation.run import settings
 
     other = dataclasses.replace(PROTOCOL, num_roots=31)
     assert settings(data(), PROTOCOL) != settings(data(), other)

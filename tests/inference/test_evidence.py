@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-import inference
-from probmodel import PoseModel
+from poseterior import inference
+from poseterior.probmodel import PoseModel
 from tests.scenes import key, prior_scene
 from tests.witnesses.limbs import build_groups
 from tests.witnesses.pruned import group_prior

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-import inference
-from inference.hypothesis import NUM_ANGLES, diverse
-from probmodel import BadInput, PoseModel
-from probmodel.kinematics import articulation
+from poseterior import inference
+from poseterior.inference.hypothesis import NUM_ANGLES, diverse
+from poseterior.probmodel import BadInput, PoseModel
+from poseterior.probmodel.kinematics import articulation
 from tests.scenes import key, prior_scene
 
 

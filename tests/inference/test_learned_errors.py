@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from inference.studies.errorlaws import (
+from poseterior.inference.studies.errorlaws import (
     Learned,
     Pairs,
     learn,
@@ -16,19 +16,19 @@ from inference.studies.errorlaws import (
     pairs_of_session,
     shares_within,
 )
-from inference.studies.errorlaws.judge import LEVELS, standings
-from inference.studies.errorlaws.learn import in_common, jackknife_groups, still_to_come
-from inference.studies.errorlaws.mixture import Mixture, log_density
-from inference.studies.errorlaws.pairs import PATTERNS
-from inference.studies.intervals import Interval
-from probmodel import BadInput
-from probmodel.datasets import VIEWS, DataSet, from_motions
-from probmodel.errorlaws import OUTLIER_RADIUS, DetectorErrors, ScoreFactor
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.motion import Motion
-from probmodel.sessions import read_session
-from probmodel.sessions.session import HIPS
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.inference.studies.errorlaws.judge import LEVELS, standings
+from poseterior.inference.studies.errorlaws.learn import in_common, jackknife_groups, still_to_come
+from poseterior.inference.studies.errorlaws.mixture import Mixture, log_density
+from poseterior.inference.studies.errorlaws.pairs import PATTERNS
+from poseterior.inference.studies.intervals import Interval
+from poseterior.probmodel import BadInput
+from poseterior.probmodel.datasets import VIEWS, DataSet, from_motions
+from poseterior.probmodel.errorlaws import OUTLIER_RADIUS, DetectorErrors, ScoreFactor
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.motion import Motion
+from poseterior.probmodel.sessions import read_session
+from poseterior.probmodel.sessions.session import HIPS
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from tests.filmed import filmed, moving
 
 RNG = np.random.default_rng(7)

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from inference.machines import HERE, Machines, calm_blas, in_threads
-from probmodel import BadInput
+from poseterior.inference.machines import HERE, Machines, calm_blas, in_threads
+from poseterior.probmodel import BadInput
 
 
 def what_it_is(payload: int) -> tuple[int, int, str]:
@@ -133,14 +133,14 @@ def test_what_workers_refuse_is_refused_here():
 @pytest.mark.slow
 def test_a_block_that_kills_its_workers_is_named(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("inference.machines.DEATHS", 0)
+    monkeypatch.setattr("poseterior.inference.machines.DEATHS", 0)
     with pytest.raises(BadInput, match="workers died over block 0"):
         list(Machines(1).each(lambda payload: os._exit(1), WORK[:1], apart=True))
 
 
 def test_nobody_is_asked_where_there_is_nothing_to_do(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("inference.machines.PATIENCE", "1s")
+    monkeypatch.setattr("poseterior.inference.machines.PATIENCE", "1s")
     nobody = Machines(scheduler="tcp://127.0.0.1:9")
     assert list(nobody.each(what_it_is, [])) == []
     with pytest.raises(BadInput, match=r"no scheduler answers at 'tcp://127.0.0.1:9'"):

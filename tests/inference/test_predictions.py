@@ -13,12 +13,12 @@ import pytest
 import xarray as xr
 from scipy.stats import kstest
 
-import inference
-from inference import Result, joined
-from inference.predictions import KeypointsRead, prediction_groups
-from inference.results import save_tree
-from probmodel import BadInput, Estimate, Likelihood, PoseModel, Posterior
-from probmodel.skeleton import JOINTS
+from poseterior import inference
+from poseterior.inference import Result, joined
+from poseterior.inference.predictions import KeypointsRead, prediction_groups
+from poseterior.inference.results import save_tree
+from poseterior.probmodel import BadInput, Estimate, Likelihood, PoseModel, Posterior
+from poseterior.probmodel.skeleton import JOINTS
 from tests.conftest import Cli
 from tests.inference.test_error_laws import CutGaussian
 from tests.scenes import key
@@ -186,7 +186,7 @@ def test_refusals(example_estimate: Estimate, arguments: dict, match: str) -> No
 
 @pytest.mark.slow
 def test_the_command_has_chains(tmp_path: Path, poseterior: Cli) -> None:
-    from probmodel.example import example
+    from poseterior.probmodel.example import example
 
     out = tmp_path / "chains.nc"
     words = ("sample", example().path, "--root", "fixed", "--out", out, "--quiet")

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import inference
-from inference.face import HEADS, OUTWARD, POINTS, log_face_likelihood
-from inference.readings import (
+from poseterior import inference
+from poseterior.inference.face import HEADS, OUTWARD, POINTS, log_face_likelihood
+from poseterior.inference.readings import (
     BODY,
     NOISE,
     READINGS,
@@ -22,13 +22,13 @@ from inference.readings import (
     stretched,
     together,
 )
-from inference.studies.misreadings import FileView, mirrored, seen_as, views
-from probmodel import Anatomy, Detection, PoseModel, read_detections
-from probmodel.detections import FACE
-from probmodel.layouts import COCO_17, H36M_17, MPII_16
-from probmodel.likelihood import Likelihood
-from probmodel.posterior import Estimate
-from probmodel.skeleton import JOINT_INDEX, JOINTS, MIRROR
+from poseterior.inference.studies.misreadings import FileView, mirrored, seen_as, views
+from poseterior.probmodel import Anatomy, Detection, PoseModel, read_detections
+from poseterior.probmodel.detections import FACE
+from poseterior.probmodel.layouts import COCO_17, H36M_17, MPII_16
+from poseterior.probmodel.likelihood import Likelihood
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, MIRROR
 from tests.probmodel.test_formats import HMR, POSE2SIM, SPIN
 from tests.probmodel.test_formats_fuzz import points
 from tests.probmodel.test_formats_readers import LUNGE

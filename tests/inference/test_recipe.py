@@ -4,11 +4,11 @@ import jax
 import numpy as np
 import pytest
 
-from inference.studies.calibration.recipe import RecipeDirection
-from probmodel.anatomy.limits import AnatomicalLimits
-from probmodel.anatomy.published import read_published
-from probmodel.directions.distributions import HingedDirection
-from probmodel.directions.hinges import Hinge
+from poseterior.inference.studies.calibration.recipe import RecipeDirection
+from poseterior.probmodel.anatomy.limits import AnatomicalLimits
+from poseterior.probmodel.anatomy.published import read_published
+from poseterior.probmodel.directions.distributions import HingedDirection
+from poseterior.probmodel.directions.hinges import Hinge
 from tests.goodness import FALSE_ALARM, chi_square, hinge_masses
 from tests.instances import hinge_table, hinges_of
 

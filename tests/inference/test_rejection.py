@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, ks_2samp
 
-import inference
-from inference.exact import mixture
-from inference.exact.mixture import PROPOSALS
-from inference.exact.problem import limb_problems
-from inference.exact.rates import Budget
-from inference.exact.reach import out_of_reach
-from inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
-from probmodel import Anatomy, PoseModel
-from probmodel.anatomy.limits import NUM_ELEVATION, cell_of
-from probmodel.kinematics import lower_axes
-from probmodel.skeleton import GROUPS, JOINTS, LENGTH_GROUPS, TORSO_INDEX
+from poseterior import inference
+from poseterior.inference.exact import mixture
+from poseterior.inference.exact.mixture import PROPOSALS
+from poseterior.inference.exact.problem import limb_problems
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.exact.reach import out_of_reach
+from poseterior.inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
+from poseterior.probmodel import Anatomy, PoseModel
+from poseterior.probmodel.anatomy.limits import NUM_ELEVATION, cell_of
+from poseterior.probmodel.kinematics import lower_axes
+from poseterior.probmodel.skeleton import GROUPS, JOINTS, LENGTH_GROUPS, TORSO_INDEX
 from tests.brute_force import brute_force
 from tests.scenes import ALL_BUT_AN_ARM, key, moved, prior_scene
 from tests.sweeps import sweep

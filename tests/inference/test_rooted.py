@@ -18,27 +18,27 @@ import pytest
 from numpyro.handlers import substitute
 from numpyro.infer.util import potential_energy
 
-import inference
-from inference.baselines import rooted
-from inference.baselines.catalogue import BASELINES, ROOTED, rooted_tree
-from inference.baselines.hamiltonian import _log_weights
-from inference.baselines.rooted import ROOT_COORDINATES, RootedTarget
-from inference.baselines.run import Allowance, run
-from inference.results import COMPLETE, OUT_OF_BUDGET, Result
-from inference.saved import read_result
-from inference.studies.comparison import compare_routes
-from inference.studies.comparison.contest import ENDLESS
-from inference.studies.comparison.judge import AGREES, DIFFERS
-from inference.uncertain.weighted import weigh_roots
-from probmodel import BadInput, Estimate, PoseModel, RootPoint
-from probmodel.failures import OutOfBudget
-from probmodel.faults import EXCHANGE_INDEX, FaultPrior, Faults
-from probmodel.likelihood import LAWS, ErrorLaw
-from probmodel.pose import Pose
-from probmodel.rotations import RotationTransform, rodrigues
-from probmodel.skeleton import JOINTS, TORSO_INDEX
-from probmodel.summed import States, SummedFaults
-from probmodel.transport import CUBE_DIM
+from poseterior import inference
+from poseterior.inference.baselines import rooted
+from poseterior.inference.baselines.catalogue import BASELINES, ROOTED, rooted_tree
+from poseterior.inference.baselines.hamiltonian import _log_weights
+from poseterior.inference.baselines.rooted import ROOT_COORDINATES, RootedTarget
+from poseterior.inference.baselines.run import Allowance, run
+from poseterior.inference.importance.weighted import weigh_roots
+from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET, Result
+from poseterior.inference.saved import read_result
+from poseterior.inference.studies.comparison import compare_routes
+from poseterior.inference.studies.comparison.contest import ENDLESS
+from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
+from poseterior.probmodel import BadInput, Estimate, PoseModel, RootPoint
+from poseterior.probmodel.failures import OutOfBudget
+from poseterior.probmodel.faults import EXCHANGE_INDEX, FaultPrior, Faults
+from poseterior.probmodel.likelihood import LAWS, ErrorLaw
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.rotations import RotationTransform, rodrigues
+from poseterior.probmodel.skeleton import JOINTS, TORSO_INDEX
+from poseterior.probmodel.summed import States, SummedFaults
+from poseterior.probmodel.transport import CUBE_DIM
 from tests.inference import test_uncertain_faults as faulty
 from tests.inference import test_uncertain_root as sound
 from tests.scenes import key, prior_scene

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inference.machines import HERE, Machines
-from inference.store import Block, Damaged, Groups, Store, fill, locked
-from probmodel import BadInput
+from poseterior.inference.machines import HERE, Machines
+from poseterior.inference.store import Block, Damaged, Groups, Store, fill, locked
+from poseterior.probmodel import BadInput
 
 SETTINGS = {"seed": 0, "k": (2, 5)}
 
@@ -169,7 +169,7 @@ def test_a_full_disk_is_said(tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise RuntimeError("NetCDF: HDF error")
 
-    monkeypatch.setattr("inference.store.save_tree", full)
+    monkeypatch.setattr("poseterior.inference.store.save_tree", full)
     with pytest.raises(BadInput, match="make room, and run again"):
         run(tmp_path, blocks(1))
 
@@ -177,7 +177,7 @@ def test_a_full_disk_is_said(tmp_path, monkeypatch):
 HOLDING = """
 import sys, time
 from pathlib import Path
-from inference.store import locked
+from poseterior.inference.store import locked
 with locked(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)

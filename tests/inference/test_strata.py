@@ -15,18 +15,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import inference
-from inference.exact.device.group import DeviceGroup
-from inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
-from inference.exact.loops import numbers, places
-from inference.exact.loops.attempts import attempt_limb as attempt_loop
-from inference.exact.loops.bins import PER_BIN, alias_table, draw_lengths, length_bins
-from inference.exact.loops.bounds import _bends, bound_regions, part_moves
-from inference.exact.loops.numbers import compiled, load, store, uniform
-from inference.exact.loops.places import SOURCES, digest
-from inference.exact.loops.rectangles import COUNT, ROWS, largest_rectangle, rectangle
-from inference.exact.loops.seeds import seeded, seeded_rows
-from inference.exact.loops.series import (
+from poseterior import inference
+from poseterior.inference.exact.device.group import DeviceGroup
+from poseterior.inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
+from poseterior.inference.exact.loops import numbers, places
+from poseterior.inference.exact.loops.attempts import attempt_limb as attempt_loop
+from poseterior.inference.exact.loops.bins import PER_BIN, alias_table, draw_lengths, length_bins
+from poseterior.inference.exact.loops.bounds import _bends, bound_regions, part_moves
+from poseterior.inference.exact.loops.numbers import compiled, load, store, uniform
+from poseterior.inference.exact.loops.places import SOURCES, digest
+from poseterior.inference.exact.loops.rectangles import COUNT, ROWS, largest_rectangle, rectangle
+from poseterior.inference.exact.loops.seeds import seeded, seeded_rows
+from poseterior.inference.exact.loops.series import (
     arcsine,
     azimuth,
     circle,
@@ -34,16 +34,22 @@ from inference.exact.loops.series import (
     sine,
     small_sine_cosine,
 )
-from inference.exact.loops.strata import Resolution, fill_in, frame_turn, lower_axes, sketch
-from inference.exact.loops.strata import _stratify as stratify_loop
-from inference.exact.loops.tables import ALIAS, REGIONS, CutLimb, LimbProblem, desk
-from inference.exact.problem import limb_problems
-from inference.exact.rates import Budget, Pooled, Rate
-from probmodel import Anatomy, PoseModel, kinematics
-from probmodel.anatomy.limits import CELL, NUM_ELEVATION, cell_of
-from probmodel.pose import Pose
-from probmodel.skeleton import GROUPS
-from probmodel.transport import to_cube
+from poseterior.inference.exact.loops.strata import (
+    Resolution,
+    fill_in,
+    frame_turn,
+    lower_axes,
+    sketch,
+)
+from poseterior.inference.exact.loops.strata import _stratify as stratify_loop
+from poseterior.inference.exact.loops.tables import ALIAS, REGIONS, CutLimb, LimbProblem, desk
+from poseterior.inference.exact.problem import limb_problems
+from poseterior.inference.exact.rates import Budget, Pooled, Rate
+from poseterior.probmodel import Anatomy, PoseModel, kinematics
+from poseterior.probmodel.anatomy.limits import CELL, NUM_ELEVATION, cell_of
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.skeleton import GROUPS
+from poseterior.probmodel.transport import to_cube
 from tests.goodness import energy_p_value
 from tests.scenes import hidden, key, prior_scene
 from tests.sweeps import sweep

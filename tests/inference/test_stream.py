@@ -11,10 +11,18 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import inference
-from inference import Estimating, Item, draws_of, open_stream, sample_frames, store, stream
-from probmodel import Anatomy, BadInput, Likelihood, PoseModel
-from probmodel.learning.dictionaries import PoseDictionary
+from poseterior import inference
+from poseterior.inference import (
+    Estimating,
+    Item,
+    draws_of,
+    open_stream,
+    sample_frames,
+    store,
+    stream,
+)
+from poseterior.probmodel import Anatomy, BadInput, Likelihood, PoseModel
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from tests.scenes import key, prior_scene
 
 SETTINGS = {"num_samples": 40, "k": 3, "keep": 40}

@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from inference.uncertain.tree import placed
-from inference.uncertain.weighted import WeightedRoots, weigh_roots
-from probmodel import Candidate, Estimate, Likelihood, PoseModel, WeakPerspective
-from probmodel.detections import Detection
-from probmodel.likelihood import Gaussian
-from probmodel.rotations import rotation_of
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_JOINTS
+from poseterior.inference.importance.tree import placed
+from poseterior.inference.importance.weighted import WeightedRoots, weigh_roots
+from poseterior.probmodel import Candidate, Estimate, Likelihood, PoseModel, WeakPerspective
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.rotations import rotation_of
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_JOINTS
 from tests.scenes import key
 
 FAMILY = 1e-3

@@ -13,28 +13,28 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from inference.drawers import drawer
-from inference.studies.calibration import calibrate, cover, judge, simulate
-from inference.studies.calibration.assess import Answer, assess
-from inference.studies.calibration.controls import forgetting_scale
-from inference.studies.calibration.exclusions import TAU, from_text
-from inference.studies.calibration.posteriors import independent_roots
-from inference.studies.calibration.quantities import (
+from poseterior.inference.drawers import drawer
+from poseterior.inference.studies.calibration import calibrate, cover, judge, simulate
+from poseterior.inference.studies.calibration.assess import Answer, assess
+from poseterior.inference.studies.calibration.controls import forgetting_scale
+from poseterior.inference.studies.calibration.exclusions import TAU, from_text
+from poseterior.inference.studies.calibration.posteriors import independent_roots
+from poseterior.inference.studies.calibration.quantities import (
     LOG_DENSITY,
     OF_ROOT,
     QUANTITIES,
     of_root,
     of_rooted,
 )
-from inference.studies.calibration.real import by_the_likelihood
-from inference.studies.calibration.simulations import Instance
-from inference.studies.calibration.verdict import MISCALIBRATED
-from probmodel import BadInput, Likelihood, PoseModel
-from probmodel.datasets import Case
-from probmodel.faults import EXCHANGES, LIMB_INDEX, OUTLIER_REACH, FaultPrior, Faults
-from probmodel.pose import Pose
-from probmodel.roots import RootPoint
-from probmodel.skeleton import JOINT_INDEX, MIRROR, NUM_JOINTS, TORSO_INDEX
+from poseterior.inference.studies.calibration.real import by_the_likelihood
+from poseterior.inference.studies.calibration.simulations import Instance
+from poseterior.inference.studies.calibration.verdict import MISCALIBRATED
+from poseterior.probmodel import BadInput, Likelihood, PoseModel
+from poseterior.probmodel.datasets import Case
+from poseterior.probmodel.faults import EXCHANGES, LIMB_INDEX, OUTLIER_REACH, FaultPrior, Faults
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.roots import RootPoint
+from poseterior.probmodel.skeleton import JOINT_INDEX, MIRROR, NUM_JOINTS, TORSO_INDEX
 from tests.scenes import key
 
 ROOTS = 40

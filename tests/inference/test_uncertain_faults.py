@@ -16,11 +16,11 @@ import pytest
 from numpyro.infer.util import log_density
 from scipy.spatial.transform import Rotation
 
-import inference
-from inference.uncertain.weighted import WeightedRoots, log_mean, weigh_roots
-from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel
-from probmodel.errorlaws import DetectorErrors
-from probmodel.faults import (
+from poseterior import inference
+from poseterior.inference.importance.weighted import WeightedRoots, log_mean, weigh_roots
+from poseterior.probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel
+from poseterior.probmodel.errorlaws import DetectorErrors
+from poseterior.probmodel.faults import (
     EXCHANGE_INDEX,
     EXCHANGES,
     LIMB_INDEX,
@@ -29,7 +29,7 @@ from probmodel.faults import (
     FaultPrior,
     Faults,
 )
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 from tests.brute_force import propose_group
 from tests.scenes import key, prior_scene
 

@@ -13,18 +13,23 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from inference.exact.loops import fits
-from inference.exact.loops.fits import FitCells, balance, cut_fits
-from inference.exact.loops.roots import TorsoProblem
-from inference.exact.rates import Budget
-from inference.uncertain import attempts
-from inference.uncertain.attempts import TorsoDraws, draw_posed, draw_roots, quick_proposal_of
-from inference.uncertain.torsos import Posed, torso_problem
-from probmodel import ErrorLaw, Likelihood, PoseModel
-from probmodel.faults import Faults
-from probmodel.likelihood import Gaussian, Student
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference.exact.loops import fits
+from poseterior.inference.exact.loops.fits import FitCells, balance, cut_fits
+from poseterior.inference.exact.loops.roots import TorsoProblem
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.importance import attempts
+from poseterior.inference.importance.attempts import (
+    TorsoDraws,
+    draw_posed,
+    draw_roots,
+    quick_proposal_of,
+)
+from poseterior.inference.importance.torsos import Posed, torso_problem
+from poseterior.probmodel import ErrorLaw, Likelihood, PoseModel
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.likelihood import Gaussian, Student
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.probmodel.uncertain import UncertainPosterior
 from tests.scenes import prior_scene
 
 ALARM = 1e-4

@@ -9,18 +9,25 @@ import functools
 import numpy as np
 import pytest
 
-from inference.exact.groups import attempt_group, group_tables, plan_group
-from inference.exact.loops.pairs import combine_rows
-from inference.exact.loops.seeds import seeded
-from inference.exact.loops.strata import Resolution
-from inference.exact.loops.tables import FOUND, OPTICS, blank_bodies
-from inference.exact.problem import limb_problems, log_ratio_of
-from inference.uncertain.limbs import LIMBS, Sight, outliers_of, sights_of, views_of, weigh_group
-from inference.uncertain.weighted import weigh_roots
-from probmodel import Gaussian, Likelihood, PoseModel
-from probmodel.faults import Faults
-from probmodel.pose import GroupDraws
-from probmodel.skeleton import GROUPS, JOINT_INDEX
+from poseterior.inference.exact.groups import attempt_group, group_tables, plan_group
+from poseterior.inference.exact.loops.pairs import combine_rows
+from poseterior.inference.exact.loops.seeds import seeded
+from poseterior.inference.exact.loops.strata import Resolution
+from poseterior.inference.exact.loops.tables import FOUND, OPTICS, blank_bodies
+from poseterior.inference.exact.problem import limb_problems, log_ratio_of
+from poseterior.inference.importance.limbs import (
+    LIMBS,
+    Sight,
+    outliers_of,
+    sights_of,
+    views_of,
+    weigh_group,
+)
+from poseterior.inference.importance.weighted import weigh_roots
+from poseterior.probmodel import Gaussian, Likelihood, PoseModel
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.pose import GroupDraws
+from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX
 from tests.inference.test_error_laws import CutGaussian
 from tests.scenes import key, prior_scene
 

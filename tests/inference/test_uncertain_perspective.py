@@ -14,13 +14,13 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-import inference
-from inference.drawers import drawer
-from inference.uncertain import limbs, weighted
-from inference.uncertain.torsos import log_nearness, torso_problem
-from inference.uncertain.tree import placed
-from inference.uncertain.weighted import WeightedRoots, weigh_roots
-from probmodel import (
+from poseterior import inference
+from poseterior.inference.drawers import drawer
+from poseterior.inference.importance import limbs, weighted
+from poseterior.inference.importance.torsos import log_nearness, torso_problem
+from poseterior.inference.importance.tree import placed
+from poseterior.inference.importance.weighted import WeightedRoots, weigh_roots
+from poseterior.probmodel import (
     BadInput,
     Detection,
     DetectorErrors,
@@ -30,13 +30,13 @@ from probmodel import (
     RootPoint,
     UncertainPosterior,
 )
-from probmodel.camera import Lens, Perspective, WeakPerspective
-from probmodel.errorlaws import Exchange
-from probmodel.faults import Faults
-from probmodel.likelihood import Gaussian
-from probmodel.pose import Pose
-from probmodel.roots import NEAREST
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.camera import Lens, Perspective, WeakPerspective
+from poseterior.probmodel.errorlaws import Exchange
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.roots import NEAREST
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from tests.brute_force import propose_group
 from tests.inference import test_uncertain_root as sound
 from tests.scenes import key

@@ -11,24 +11,24 @@ import weakref
 import numpy as np
 import pytest
 
-from inference.exact.groups import once_a_model
-from inference.exact.loops import fits
-from inference.exact.loops.promise import LANES
-from inference.exact.rates import Budget
-from inference.uncertain import attempts, proposals
-from inference.uncertain.attempts import TorsoDraws, draw_roots
-from inference.uncertain.limbs import CHAINED, ENDS, LIMBS, POOL, prior_poses
-from inference.uncertain.patterns import pool_of
-from inference.uncertain.proposals import _looks, _promising, _some
-from inference.uncertain.weighted import WeightedRoots, weigh_roots
-from probmodel import Likelihood, PoseModel
-from probmodel.anatomy.limits import EMBEDDED
-from probmodel.anatomy.population import Anatomy
-from probmodel.camera import Lens
-from probmodel.faults import Faults
-from probmodel.kinematics import upper_axes
-from probmodel.likelihood import Gaussian
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference.exact.groups import once_a_model
+from poseterior.inference.exact.loops import fits
+from poseterior.inference.exact.loops.promise import LANES
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.importance import attempts, proposals
+from poseterior.inference.importance.attempts import TorsoDraws, draw_roots
+from poseterior.inference.importance.limbs import CHAINED, ENDS, LIMBS, POOL, prior_poses
+from poseterior.inference.importance.patterns import pool_of
+from poseterior.inference.importance.proposals import _looks, _promising, _some
+from poseterior.inference.importance.weighted import WeightedRoots, weigh_roots
+from poseterior.probmodel import Likelihood, PoseModel
+from poseterior.probmodel.anatomy.limits import EMBEDDED
+from poseterior.probmodel.anatomy.population import Anatomy
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.kinematics import upper_axes
+from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.uncertain import UncertainPosterior
 from tests.inference.test_uncertain_root import scales_apart, small_case
 from tests.scenes import key, prior_scene
 

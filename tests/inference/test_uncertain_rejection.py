@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-import inference
-from inference.results import COMPLETE, OUT_OF_BUDGET
-from inference.studies.comparison import compare_routes
-from inference.studies.comparison.judge import AGREES, DIFFERS
-from inference.studies.comparison.sample import NAMES, ROOT_NAMES
-from inference.uncertain import rejection, weighted
-from inference.uncertain.patterns import prior_share, strata_of
-from inference.uncertain.rejection import RejectedRoots, reject_roots, verdict
-from inference.uncertain.routes import ROUTES
-from inference.uncertain.weighted import log_mean
-from probmodel import BadInput
+from poseterior import inference
+from poseterior.inference.importance import rejection, weighted
+from poseterior.inference.importance.patterns import prior_share, strata_of
+from poseterior.inference.importance.rejection import RejectedRoots, reject_roots, verdict
+from poseterior.inference.importance.routes import ROUTES
+from poseterior.inference.importance.weighted import log_mean
+from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET
+from poseterior.inference.studies.comparison import compare_routes
+from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
+from poseterior.inference.studies.comparison.sample import NAMES, ROOT_NAMES
+from poseterior.probmodel import BadInput
 from tests.inference import test_uncertain_faults as faulty
 from tests.inference import test_uncertain_root as sound
 from tests.scenes import key

@@ -17,8 +17,8 @@ from numpyro.infer.util import log_density
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-import inference
-from inference.exact.loops.roots import (
+from poseterior import inference
+from poseterior.inference.exact.loops.roots import (
     TILTS,
     WIDTH,
     TorsoProblem,
@@ -26,29 +26,29 @@ from inference.exact.loops.roots import (
     cut_roots,
     root_table,
 )
-from inference.exact.loops.seeds import seeded
-from inference.exact.rates import Budget
-from inference.resampling import shares, times
-from inference.results import OUT_OF_BUDGET
-from inference.uncertain import proposals, weighted
-from inference.uncertain.attempts import TorsoDraws, draw_roots
-from inference.uncertain.limbs import log_evidence, picks
-from inference.uncertain.proposals import ProposedRoots
-from inference.uncertain.torsos import lowest_scale, rotations_of, torso_problem
-from inference.uncertain.tree import placed, sides
-from inference.uncertain.weighted import (
+from poseterior.inference.exact.loops.seeds import seeded
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.importance import proposals, weighted
+from poseterior.inference.importance.attempts import TorsoDraws, draw_roots
+from poseterior.inference.importance.limbs import log_evidence, picks
+from poseterior.inference.importance.proposals import ProposedRoots
+from poseterior.inference.importance.torsos import lowest_scale, rotations_of, torso_problem
+from poseterior.inference.importance.tree import placed, sides
+from poseterior.inference.importance.weighted import (
     WeightedRoots,
     log_mean,
     weigh_enough_roots,
     weigh_roots,
 )
-from probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
-from probmodel.camera import Lens
-from probmodel.faults import Faults
-from probmodel.likelihood import Gaussian
-from probmodel.pose import Pose
-from probmodel.rotations import UprightRotation
-from probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
+from poseterior.inference.resampling import shares, times
+from poseterior.inference.results import OUT_OF_BUDGET
+from poseterior.probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.rotations import UprightRotation
+from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 from tests.brute_force import propose_group
 from tests.scenes import key, moved, prior_scene
 

@@ -8,12 +8,12 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from inference.roots import zhou
-from inference.roots.points import Points
-from inference.studies.errors import mean_joint_error, similarity_aligned
-from probmodel import BadInput, Detection
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
+from poseterior.inference.estimators import zhou
+from poseterior.inference.estimators.points import Points
+from poseterior.inference.studies.errors import mean_joint_error, similarity_aligned
+from poseterior.probmodel import BadInput, Detection
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
 from tests.scenes import camera
 from tests.sweeps import sweep
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from probmodel.body import (
+from poseterior.probmodel.body import (
     align_torsos,
     body_unit,
     bone_lengths,
@@ -13,8 +13,8 @@ from probmodel.body import (
     mirror_torso,
     with_lengths,
 )
-from probmodel.failures import BadInput
-from probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 
 LENGTHS = {"upper_arm": 0.75, "forearm": 0.5, "upper_leg": 1.25, "lower_leg": 1.5}
 """Of the limbs: their mean is one."""

@@ -13,9 +13,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest, norm, t
 
-from probmodel import BadInput, Likelihood
-from probmodel.camera import Lens
-from probmodel.datasets import (
+from poseterior.probmodel import BadInput, Likelihood
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.datasets import (
     EXACT,
     VIEWS,
     DataSet,
@@ -26,15 +26,21 @@ from probmodel.datasets import (
     read_data_set,
     write_plain,
 )
-from probmodel.datasets.human36m import SEVENTEEN
-from probmodel.datasets.noise import FREEDOM
-from probmodel.datasets.pickles import follow
-from probmodel.datasets.views import resection
-from probmodel.errorlaws import DetectorErrors
-from probmodel.layouts import H36M_17, MIDPOINTS, corrected, weights_of, without_midpoints
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.motion import Motion
-from probmodel.skeleton import JOINT_INDEX, JOINTS, LIMB_JOINTS, NUM_JOINTS
+from poseterior.probmodel.datasets.human36m import SEVENTEEN
+from poseterior.probmodel.datasets.noise import FREEDOM
+from poseterior.probmodel.datasets.pickles import follow
+from poseterior.probmodel.datasets.views import resection
+from poseterior.probmodel.errorlaws import DetectorErrors
+from poseterior.probmodel.layouts import (
+    H36M_17,
+    MIDPOINTS,
+    corrected,
+    weights_of,
+    without_midpoints,
+)
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.motion import Motion
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, LIMB_JOINTS, NUM_JOINTS
 
 BODY = 330 * PoseDictionary.default().mean
 """A pose in millimetres, y up."""
@@ -501,7 +507,7 @@ def test_numpy_itself_writes_what_is_read(tmp_path):
     }
     path = tmp_path / "any.npz"
     np.savez_compressed(path, positions=tree)
-    from probmodel.datasets.pickles import read_object
+    from poseterior.probmodel.datasets.pickles import read_object
 
     found = read_object(path, "positions")
     assert np.array_equal(found["S1"]["Eating"], tree["S1"]["Eating"])

@@ -5,16 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from probmodel.detections import (
+from poseterior.probmodel.detections import (
     LARGEST_NUMBER,
     LIKELIHOOD_JOINTS,
     LIMB_JOINTS,
     Detection,
     pick_person,
 )
-from probmodel.failures import BadInput
-from probmodel.likelihood import Likelihood
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.likelihood import Likelihood
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 ELBOW, HEAD, WRIST = (JOINT_INDEX[name] for name in ("right_elbow", "head", "left_wrist"))
 SCORES = st.lists(st.just(0.0) | st.floats(1e-6, 10), min_size=NUM_JOINTS, max_size=NUM_JOINTS)

@@ -8,23 +8,23 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sklearn.decomposition import PCA
 
-import inference
-from probmodel import Anatomy, BadInput
-from probmodel.body import aligned, bone_vectors, mirror_pose, with_lengths
-from probmodel.example import example
-from probmodel.learning.dictionaries import (
+from poseterior import inference
+from poseterior.probmodel import Anatomy, BadInput
+from poseterior.probmodel.body import aligned, bone_vectors, mirror_pose, with_lengths
+from poseterior.probmodel.example import example
+from poseterior.probmodel.learning.dictionaries import (
     EXPLAINED,
     MOST,
     PoseDictionary,
     learn_dictionary,
     principal_directions,
 )
-from probmodel.learning.poses import LEARNING_RATE, read_all
-from probmodel.motion import Motion
-from probmodel.skeleton import JOINTS, MIRROR, TORSO_INDEX
-from reports.commands import learn
-from reports.options import Screen
-from reports.settings import LearnSettings
+from poseterior.probmodel.learning.poses import LEARNING_RATE, read_all
+from poseterior.probmodel.motion import Motion
+from poseterior.probmodel.skeleton import JOINTS, MIRROR, TORSO_INDEX
+from poseterior.reports.commands import learn
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import LearnSettings
 
 DICTIONARY = PoseDictionary.default()
 

@@ -11,12 +11,12 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from probmodel.anatomy.lengths import BoneLength
-from probmodel.anatomy.torsos import TorsoDictionary
-from probmodel.directions.distributions import HingedDirection, OccupiedDirection
-from probmodel.directions.hinges import Hinge
-from probmodel.keypoints import DetectedKeypoint
-from probmodel.rotations import UprightRotation
+from poseterior.probmodel.anatomy.lengths import BoneLength
+from poseterior.probmodel.anatomy.torsos import TorsoDictionary
+from poseterior.probmodel.directions.distributions import HingedDirection, OccupiedDirection
+from poseterior.probmodel.directions.hinges import Hinge
+from poseterior.probmodel.keypoints import DetectedKeypoint
+from poseterior.probmodel.rotations import UprightRotation
 from tests.goodness import chi_square, floor, uniform_each
 from tests.instances import LENGTHS, distributions
 

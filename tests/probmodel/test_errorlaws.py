@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from probmodel import BadInput
-from probmodel.errorlaws import ANY_SCORE, FORMAT, NO_EXCHANGE, DetectorErrors, Exchange
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.probmodel import BadInput
+from poseterior.probmodel.errorlaws import ANY_SCORE, FORMAT, NO_EXCHANGE, DetectorErrors, Exchange
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 WRIST, HEAD = JOINT_INDEX["left_wrist"], JOINT_INDEX["head"]
 DOCUMENT: dict[str, Any] = {

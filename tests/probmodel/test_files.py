@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from probmodel import BadInput
-from probmodel.files import replacing
+from poseterior.probmodel import BadInput
+from poseterior.probmodel.files import replacing
 
 
 def write(path, text: str, error: BaseException | None = None, **options) -> None:

@@ -14,12 +14,18 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from probmodel import files, formats
-from probmodel.detections import LONGEST_LABEL, Detection
-from probmodel.failures import BadInput
-from probmodel.formats import FORMATS, Content, read_content, read_detections, write_detections
-from probmodel.layouts import BODY_25, BODY_25B, COCO_17, COCO_18
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
+from poseterior.probmodel import files, formats
+from poseterior.probmodel.detections import LONGEST_LABEL, Detection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats import (
+    FORMATS,
+    Content,
+    read_content,
+    read_detections,
+    write_detections,
+)
+from poseterior.probmodel.layouts import BODY_25, BODY_25B, COCO_17, COCO_18
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 
 OPENPOSE = "detections/openpose/"
 SPIN = OPENPOSE + "body25_spin_im1010_keypoints.json"

@@ -12,10 +12,10 @@ import h5py
 import numpy as np
 import pytest
 
-from probmodel.failures import BadInput
-from probmodel.formats import FORMATS, Content, format_of, read_content
-from probmodel.formats.named_points import VISION
-from probmodel.layouts import (
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats import FORMATS, Content, format_of, read_content
+from poseterior.probmodel.formats.named_points import VISION
+from poseterior.probmodel.layouts import (
     BODY_25,
     BODY_25B,
     COCO_17,

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from scipy.spatial.transform import Rotation
 
-import probmodel
-from probmodel import (
+from poseterior import probmodel
+from poseterior.probmodel import (
     Anatomy,
     BadInput,
     Detection,
@@ -21,11 +21,11 @@ from probmodel import (
     read_frames,
     write_detections,
 )
-from probmodel.detections import FACE
-from probmodel.formats import Content, read_content
-from probmodel.formats.frames import PROBES
-from probmodel.formats.named_points import VISION
-from probmodel.layouts import (
+from poseterior.probmodel.detections import FACE
+from poseterior.probmodel.formats import Content, read_content
+from poseterior.probmodel.formats.frames import PROBES
+from poseterior.probmodel.formats.named_points import VISION
+from poseterior.probmodel.layouts import (
     BEHIND,
     BODY_25,
     COCO_17,
@@ -44,7 +44,7 @@ from probmodel.layouts import (
     spoken_name,
     without_midpoints,
 )
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 from tests.probmodel.test_formats import (
     ALPHAPOSE,
     HMR,

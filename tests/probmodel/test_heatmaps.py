@@ -6,10 +6,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from probmodel.failures import BadInput
-from probmodel.heatmaps import THRESHOLD, Crop, decode, modes, quarter_argmax, soft_argmax
-from probmodel.layouts import COCO_17, MPII_16
-from probmodel.skeleton import JOINT_INDEX, JOINTS
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.heatmaps import (
+    THRESHOLD,
+    Crop,
+    decode,
+    modes,
+    quarter_argmax,
+    soft_argmax,
+)
+from poseterior.probmodel.layouts import COCO_17, MPII_16
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 
 SIDE = 64
 RNG = np.random.default_rng

@@ -20,22 +20,22 @@ import h5py
 import numpy as np
 import pytest
 
-from inference.roots.external import read_poses
-from inference.studies.calibration.posteriors import _read as read_draws
-from probmodel import Anatomy, BadInput, matlab
-from probmodel import arrays as arrays_of_files
-from probmodel.arrays import read_array, read_mat, read_netcdf, read_tables
-from probmodel.datasets import pickles, read_data_set
-from probmodel.datasets.pickles import follow
-from probmodel.documents import FREE as FREE_OBJECTS
-from probmodel.documents import cost, parsed, read_json, require_modest
-from probmodel.files import opened, read_bytes
-from probmodel.formats import Content, read_content, read_detections
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.motion import read_motion
-from reports.commands.check import read_poses as read_checked
-from reports.commands.detect import read_boxes
-from reports.figures import read_image
+from poseterior.inference.estimators.external import read_poses
+from poseterior.inference.studies.calibration.posteriors import _read as read_draws
+from poseterior.probmodel import Anatomy, BadInput, matlab
+from poseterior.probmodel import arrays as arrays_of_files
+from poseterior.probmodel.arrays import read_array, read_mat, read_netcdf, read_tables
+from poseterior.probmodel.datasets import pickles, read_data_set
+from poseterior.probmodel.datasets.pickles import follow
+from poseterior.probmodel.documents import FREE as FREE_OBJECTS
+from poseterior.probmodel.documents import cost, parsed, read_json, require_modest
+from poseterior.probmodel.files import opened, read_bytes
+from poseterior.probmodel.formats import Content, read_content, read_detections
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.motion import read_motion
+from poseterior.reports.commands.check import read_poses as read_checked
+from poseterior.reports.commands.detect import read_boxes
+from poseterior.reports.figures import read_image
 from tests.probmodel.test_formats_fuzz import hdf5, npy, npz
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
@@ -415,7 +415,7 @@ def test_a_name_that_cannot_be_shown_or_written_is_refused(name: str) -> None:
 
 
 def test_a_table_of_commas_is_refused_before_it_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("probmodel.formats.common.MOST_CELLS", 1000)
+    monkeypatch.setattr("poseterior.probmodel.formats.common.MOST_CELLS", 1000)
     with pytest.raises(BadInput, match="more than 1,000 cells"):
         read_content(Content(b"scorer," + b"," * 2000, "a"))
 

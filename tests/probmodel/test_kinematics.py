@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from probmodel.camera import WeakPerspective
-from probmodel.kinematics import (
+from poseterior.probmodel.camera import WeakPerspective
+from poseterior.probmodel.kinematics import (
     articulation,
     azimuth_elevation,
     direction,
@@ -17,7 +17,14 @@ from probmodel.kinematics import (
     unit,
     upper_axes,
 )
-from probmodel.skeleton import BONES, JOINT_INDEX, MIRROR, NUM_JOINTS, TORSO_INDEX, UPPER_BONES
+from poseterior.probmodel.skeleton import (
+    BONES,
+    JOINT_INDEX,
+    MIRROR,
+    NUM_JOINTS,
+    TORSO_INDEX,
+    UPPER_BONES,
+)
 from tests.instances import random_triple
 
 RNG = np.random.default_rng(0)

@@ -13,22 +13,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from probmodel.anatomy.limits import EMBEDDED, GRID, AnatomicalLimits
-from probmodel.anatomy.population import Anatomy
-from probmodel.body import body_unit, bone_lengths, mirror_pose, mirror_torso
-from probmodel.failures import BadInput
-from probmodel.learning.hinges import fit_cell, largest_empty_cap
-from probmodel.learning.learner import learn
-from probmodel.learning.lengths import learn_lengths
-from probmodel.learning.occupancy import occupancy
-from probmodel.learning.overlap import overlap
-from probmodel.learning.poses import LEARNING_RATE, Poses, gather, read_all
-from probmodel.learning.sphere import cell_areas, cell_centres, fibonacci
-from probmodel.learning.tolerance import DEFAULT, Tolerance
-from probmodel.learning.torsos import learn_torsos
-from probmodel.model import PoseModel
-from probmodel.motion import Motion, read_motion
-from probmodel.skeleton import JOINT_INDEX, LENGTH_GROUPS, NUM_JOINTS
+from poseterior.probmodel.anatomy.limits import EMBEDDED, GRID, AnatomicalLimits
+from poseterior.probmodel.anatomy.population import Anatomy
+from poseterior.probmodel.body import body_unit, bone_lengths, mirror_pose, mirror_torso
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.learning.hinges import fit_cell, largest_empty_cap
+from poseterior.probmodel.learning.learner import learn
+from poseterior.probmodel.learning.lengths import learn_lengths
+from poseterior.probmodel.learning.occupancy import occupancy
+from poseterior.probmodel.learning.overlap import overlap
+from poseterior.probmodel.learning.poses import LEARNING_RATE, Poses, gather, read_all
+from poseterior.probmodel.learning.sphere import cell_areas, cell_centres, fibonacci
+from poseterior.probmodel.learning.tolerance import DEFAULT, Tolerance
+from poseterior.probmodel.learning.torsos import learn_torsos
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.motion import Motion, read_motion
+from poseterior.probmodel.skeleton import JOINT_INDEX, LENGTH_GROUPS, NUM_JOINTS
 
 CLIMBING = ("01_04", "01_06", "01_11", "01_12", "01_14")
 seeds = st.integers(0, 2**32 - 1)

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from probmodel.detections import LIMB_JOINTS
-from probmodel.errorlaws import DetectorErrors
-from probmodel.failures import BadInput
-from probmodel.faults import FaultPrior
-from probmodel.likelihood import Gaussian, Likelihood
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.probmodel.detections import LIMB_JOINTS
+from poseterior.probmodel.errorlaws import DetectorErrors
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.faults import FaultPrior
+from poseterior.probmodel.likelihood import Gaussian, Likelihood
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from tests.probmodel.test_detections import (
     ELBOW,
     HEAD,

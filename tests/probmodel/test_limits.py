@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from probmodel.anatomy.limits import GRID, LIMITS, AnatomicalLimits, cell_of
-from probmodel.anatomy.population import Anatomy
-from probmodel.body import mirror_pose
-from probmodel.failures import BadInput
-from probmodel.kinematics import articulation, direction, pose
-from probmodel.skeleton import BONE_NAMES, BONES, NUM_LOWER, NUM_UPPER
+from poseterior.probmodel.anatomy.limits import GRID, LIMITS, AnatomicalLimits, cell_of
+from poseterior.probmodel.anatomy.population import Anatomy
+from poseterior.probmodel.body import mirror_pose
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.kinematics import articulation, direction, pose
+from poseterior.probmodel.skeleton import BONE_NAMES, BONES, NUM_LOWER, NUM_UPPER
 
 TORSO = np.array(
     [[0, 0, 0], [0, 1, 0], [-0.5, 1.1, 0], [0.5, 1.1, 0], [-0.3, -0.1, 0], [0.3, -0.1, 0]], float

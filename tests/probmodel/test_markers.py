@@ -8,13 +8,13 @@ import c3d
 import numpy as np
 import pytest
 
-from probmodel import BadInput
-from probmodel.example import example
-from probmodel.layouts import MIDPOINTS
-from probmodel.motion import markers, read_motion
-from probmodel.skeleton import JOINT_INDEX, JOINTS
-from reports.exports.clip import Clip
-from reports.exports.trc import write_trc
+from poseterior.probmodel import BadInput
+from poseterior.probmodel.example import example
+from poseterior.probmodel.layouts import MIDPOINTS
+from poseterior.probmodel.motion import markers, read_motion
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
+from poseterior.reports.exports.clip import Clip
+from poseterior.reports.exports.trc import write_trc
 
 POSE = 1000.0 * example().joints
 """`(15, 3)`: some pose, in what may be millimetres."""

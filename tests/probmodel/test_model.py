@@ -10,14 +10,14 @@ from numpyro.handlers import condition, seed, substitute, trace, uncondition
 from numpyro.infer import MCMC, NUTS, Predictive, init_to_value, log_likelihood
 from numpyro.infer.util import initialize_model, log_density, potential_energy, unconstrain_fn
 
-from probmodel.anatomy.lengths import BoneLength
-from probmodel.camera import WeakPerspective
-from probmodel.directions.distributions import HingedDirection, OccupiedDirection
-from probmodel.likelihood import Disc
-from probmodel.model import PoseModel, log_joint
-from probmodel.observation import Observation
-from probmodel.roots import Root
-from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
+from poseterior.probmodel.anatomy.lengths import BoneLength
+from poseterior.probmodel.camera import WeakPerspective
+from poseterior.probmodel.directions.distributions import HingedDirection, OccupiedDirection
+from poseterior.probmodel.likelihood import Disc
+from poseterior.probmodel.model import PoseModel, log_joint
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.roots import Root
+from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
 from tests.instances import random_triple
 
 KEY = jax.random.key(2)

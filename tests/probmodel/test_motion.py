@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from probmodel.failures import BadInput
-from probmodel.motion import CMU_UNIT, Motion, read_motion, recording
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.motion import CMU_UNIT, Motion, read_motion, recording
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 ASF_BONES = {
     "lhipjoint": ("root", (1, 0, 0), 1.0),

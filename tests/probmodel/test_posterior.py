@@ -8,10 +8,10 @@ import pytest
 from numpyro.infer import Predictive
 from numpyro.infer.util import log_density
 
-from probmodel import BadInput, Candidate, Estimate, Likelihood, PoseModel
-from probmodel.model import log_joint
-from probmodel.posterior import Posterior
-from probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel import BadInput, Candidate, Estimate, Likelihood, PoseModel
+from poseterior.probmodel.model import log_joint
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 from tests.scenes import prior_scene
 
 SITES = ("bone_length", "upper", "lower")

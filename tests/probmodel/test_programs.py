@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from probmodel import programs
-from probmodel.likelihood import Disc, ErrorLaw, Gaussian
-from probmodel.programs import VARIABLE, kept
-from reports.options import PROGRAMS
+from poseterior.probmodel import programs
+from poseterior.probmodel.likelihood import Disc, ErrorLaw, Gaussian
+from poseterior.probmodel.programs import VARIABLE, kept
+from poseterior.reports.options import PROGRAMS
 
 TRACES: list[str] = []
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import scipy.io
 
-from probmodel.anatomy.limits import AnatomicalLimits
-from probmodel.anatomy.published import read_published
-from probmodel.failures import BadInput
-from probmodel.motion import FROM_SEVENTEEN, read_motion
-from probmodel.skeleton import BONE_NAMES
+from poseterior.probmodel.anatomy.limits import AnatomicalLimits
+from poseterior.probmodel.anatomy.published import read_published
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.motion import FROM_SEVENTEEN, read_motion
+from poseterior.probmodel.skeleton import BONE_NAMES
 from tests.independent_check import valid_bones
 
 COLUMNS = ("head", "R-Uarm", "L-Uarm", "R-Uleg", "L-Uleg", "R-Larm", "L-Larm", "R-Lleg", "L-Lleg")

@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate, special, stats
 
-from probmodel.anatomy.lengths import BoneLength, LengthPrior
-from probmodel.anatomy.limits import CELL, GRID, AnatomicalLimits
-from probmodel.anatomy.published import read_published
-from probmodel.directions.cells import UPPER_MEASURES, Cells, cell_centres, cell_measure
-from probmodel.directions.distributions import HingedDirection, OccupiedDirection
-from probmodel.directions.hinges import LOWER_MEASURES, Hinge
+from poseterior.probmodel.anatomy.lengths import BoneLength, LengthPrior
+from poseterior.probmodel.anatomy.limits import CELL, GRID, AnatomicalLimits
+from poseterior.probmodel.anatomy.published import read_published
+from poseterior.probmodel.directions.cells import UPPER_MEASURES, Cells, cell_centres, cell_measure
+from poseterior.probmodel.directions.distributions import HingedDirection, OccupiedDirection
+from poseterior.probmodel.directions.hinges import LOWER_MEASURES, Hinge
 from tests.goodness import (
     chi_square,
     floor,

@@ -10,15 +10,20 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from probmodel import BadInput, Detection
-from probmodel.body import body_unit
-from probmodel.camera import Perspective, WeakPerspective
-from probmodel.datasets import brings_detections, from_session, read_data_set, write_plain
-from probmodel.datasets.sessions import judged_views
-from probmodel.layouts import corrected, without_midpoints
-from probmodel.sessions import Pinhole, Session, is_session, read_session
-from probmodel.sessions.session import HIPS
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.probmodel import BadInput, Detection
+from poseterior.probmodel.body import body_unit
+from poseterior.probmodel.camera import Perspective, WeakPerspective
+from poseterior.probmodel.datasets import (
+    brings_detections,
+    from_session,
+    read_data_set,
+    write_plain,
+)
+from poseterior.probmodel.datasets.sessions import judged_views
+from poseterior.probmodel.layouts import corrected, without_midpoints
+from poseterior.probmodel.sessions import Pinhole, Session, is_session, read_session
+from poseterior.probmodel.sessions.session import HIPS
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from tests.filmed import cameras, filmed, moving, openpose, write_qualisys, write_session
 
 HEAD = JOINT_INDEX["head"]

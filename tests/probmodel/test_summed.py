@@ -16,15 +16,15 @@ import pytest
 from jax.scipy.special import logsumexp
 from scipy import stats
 
-from inference.uncertain.weighted import weigh_roots
-from probmodel import Lens, Likelihood, PoseModel
-from probmodel.faults import EXCHANGES, LIMB_INDEX, FaultPrior, Faults
-from probmodel.model import log_joint
-from probmodel.pose import Pose
-from probmodel.roots import RootPoint
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
-from probmodel.summed import SummedFaults
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference.importance.weighted import weigh_roots
+from poseterior.probmodel import Lens, Likelihood, PoseModel
+from poseterior.probmodel.faults import EXCHANGES, LIMB_INDEX, FaultPrior, Faults
+from poseterior.probmodel.model import log_joint
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.roots import RootPoint
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.summed import SummedFaults
+from poseterior.probmodel.uncertain import UncertainPosterior
 from tests.inference import test_uncertain_faults as faulty
 from tests.scenes import key, prior_scene
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpyro.infer import Predictive
 
-from probmodel.model import PoseModel
-from probmodel.transport import CUBE_DIM, Pose, from_cube, to_cube
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.transport import CUBE_DIM, Pose, from_cube, to_cube
 from tests.goodness import energy_p_value, floor, uniform_each
 
 RNG = np.random.default_rng(12)

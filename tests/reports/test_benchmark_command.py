@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inference.benchmark import shipped_points, targets
-from reports.tables.benchmark import targets_table
+from poseterior.inference.benchmark import shipped_points, targets
+from poseterior.reports.tables.benchmark import targets_table
 from tests.conftest import Cli
 
 ROOT = Path(__file__).parents[2]
@@ -64,7 +64,7 @@ def test_refusals_come_at_once(
     np.savez(tmp_path / "draws.npz", **arrays)
     code = """
 import sys
-from reports.cli import main
+from poseterior.reports.cli import main
 try:
     main()
 finally:

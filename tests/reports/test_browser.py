@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from inference.hypothesis import hypotheses
-from inference.results import Result
-from reports.interactive.film import film_page
-from reports.interactive.page import write_page
-from reports.interactive.person import person_page
+from poseterior.inference.hypothesis import hypotheses
+from poseterior.inference.results import Result
+from poseterior.reports.interactive.film import film_page
+from poseterior.reports.interactive.page import write_page
+from poseterior.reports.interactive.person import person_page
 from tests.reports.test_interactive import EVIL, film_tree, named
 
 if TYPE_CHECKING:

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inference.studies.errorlaws import learn, pairs_of_session
-from inference.studies.evaluation.run import open_evaluation
-from probmodel import DetectorErrors
-from probmodel.errorlaws import FORMAT
-from probmodel.sessions import read_session
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
-from reports.tables.errorlaws import summary_lines
+from poseterior.inference.studies.errorlaws import learn, pairs_of_session
+from poseterior.inference.studies.evaluation.run import open_evaluation
+from poseterior.probmodel import DetectorErrors
+from poseterior.probmodel.errorlaws import FORMAT
+from poseterior.probmodel.sessions import read_session
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.reports.tables.errorlaws import summary_lines
 from tests.conftest import Cli
 from tests.filmed import filmed, moving, write_session
 
@@ -87,8 +87,8 @@ def test_what_cannot_be_done_is_refused(
 
 
 def test_perspective_needs_cameras(poseterior: Cli, tmp_path: Path) -> None:
-    from probmodel.datasets import from_motions, write_plain
-    from probmodel.motion import Motion
+    from poseterior.probmodel.datasets import from_motions, write_plain
+    from poseterior.probmodel.motion import Motion
 
     motion = Motion(moving(30)[..., [0, 2, 1]] * [1, 1, -1], 30.0, "walking/one", "a")
     write_plain(from_motions([motion], "x", frames=20), tmp_path / "x.npz")
@@ -106,8 +106,8 @@ def test_the_embedded_law_knows_every_joint() -> None:
 
 @pytest.mark.slow
 def test_the_embedded_law_is_rebuilt(shared_data: Path) -> None:
-    from inference.studies.errorlaws.embedded import embedded
-    from probmodel.sessions import read_session
+    from poseterior.inference.studies.errorlaws.embedded import embedded
+    from poseterior.probmodel.sessions import read_session
 
     found = embedded(read_session(shared_data / "multicamera"))
     assert found.sigma == pytest.approx(DetectorErrors.default().sigma, abs=0.0011)

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from probmodel.datasets import from_motions, write_plain
-from reports.commands.check import read_poses
+from poseterior.probmodel.datasets import from_motions, write_plain
+from poseterior.reports.commands.check import read_poses
 from tests.conftest import Cli
 from tests.probmodel.test_datasets import MOTIONS
 from tests.probmodel.test_markers import trc, write_c3d

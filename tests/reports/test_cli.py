@@ -23,16 +23,22 @@ import rich.console
 import typer
 import xarray as xr
 
-from inference.exact.mixture import PROPOSALS
-from probmodel import Anatomy, PoseModel
-from probmodel.anatomy.limits import CELL, LIMITS
-from probmodel.detections import Detection
-from probmodel.example import example
-from probmodel.formats import write_detections
-from probmodel.formats.openpose import BODY_25
-from probmodel.kinematics import direction
-from probmodel.skeleton import JOINT_INDEX, JOINTS, LENGTH_GROUPS, NUM_JOINTS, NUM_LENGTHS
-from reports import cli, console
+from poseterior.inference.exact.mixture import PROPOSALS
+from poseterior.probmodel import Anatomy, PoseModel
+from poseterior.probmodel.anatomy.limits import CELL, LIMITS
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.example import example
+from poseterior.probmodel.formats import write_detections
+from poseterior.probmodel.formats.openpose import BODY_25
+from poseterior.probmodel.kinematics import direction
+from poseterior.probmodel.skeleton import (
+    JOINT_INDEX,
+    JOINTS,
+    LENGTH_GROUPS,
+    NUM_JOINTS,
+    NUM_LENGTHS,
+)
+from poseterior.reports import cli, console
 from tests.conftest import Cli, Run
 from tests.reports.test_interactive import Parsed
 from tests.scenes import camera
@@ -47,7 +53,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 def process(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
     """Runs the command as a process of its own."""
-    code = "from reports.cli import command; command()"
+    code = "from poseterior.reports.cli import command; command()"
     command = [sys.executable, "-c", code, *map(str, arguments)]
     options = {
         "stdout": subprocess.PIPE,
@@ -1249,7 +1255,7 @@ def test_what_was_learned_is_used(shared_data: Path, poseterior: Cli, tmp_path: 
 @pytest.mark.parametrize("command", ["", *cli.COMMANDS])
 def test_help_is_quick_and_has_an_example(command: str) -> None:
     code = (
-        "import sys; from reports.cli import main\n"
+        "import sys; from poseterior.reports.cli import main\n"
         "try: main()\n"
         "finally: assert not {'jax', 'scipy', 'matplotlib'} & set(sys.modules)"
     )
@@ -1427,7 +1433,7 @@ def test_a_signal_in_the_midst_of_compiled_loops(
     command = [
         sys.executable,
         "-c",
-        f"{heed}; from reports.cli import main; main()",
+        f"{heed}; from poseterior.reports.cli import main; main()",
         *map(str, words),
     ]
     with subprocess.Popen(

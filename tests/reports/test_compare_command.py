@@ -13,12 +13,12 @@ import pytest
 import rich.console
 import xarray as xr
 
-from probmodel import BadInput, PoseModel, write_detections
-from reports.commands import compare
-from reports.figures.comparison import comparison_figure
-from reports.options import Person, Screen
-from reports.settings import CompareSettings
-from reports.tables.comparison import COLUMNS, NARROW, comparison_table
+from poseterior.probmodel import BadInput, PoseModel, write_detections
+from poseterior.reports.commands import compare
+from poseterior.reports.figures.comparison import comparison_figure
+from poseterior.reports.options import Person, Screen
+from poseterior.reports.settings import CompareSettings
+from poseterior.reports.tables.comparison import COLUMNS, NARROW, comparison_table
 from tests.scenes import ALL_BUT_AN_ARM, prior_scene
 
 JSON = Screen(quiet=True, json=True)

@@ -18,11 +18,11 @@ import rich.console
 import xarray as xr
 from rich.table import Table
 
-from inference.results import save_tree
-from probmodel import BadInput
-from probmodel.example import example
-from reports import console
-from reports.signals import Signals
+from poseterior.inference.results import save_tree
+from poseterior.probmodel import BadInput
+from poseterior.probmodel.example import example
+from poseterior.reports import console
+from poseterior.reports.signals import Signals
 from tests.conftest import Cli
 from tests.reports.test_cli import failing
 
@@ -123,7 +123,7 @@ def test_a_disk_that_fills_up_under_netcdf(tmp_path: Path) -> None:
 
 
 def test_closed_streams(tmp_path: Path) -> None:
-    code = "from reports.cli import main; main()"
+    code = "from poseterior.reports.cli import main; main()"
     command = f"'{sys.executable}' -c '{code}' --version"
     shut = subprocess.run(
         ["sh", "-c", f"{command} >&-"], cwd=ROOT, capture_output=True, text=True, check=False
@@ -143,8 +143,8 @@ def test_closed_streams(tmp_path: Path) -> None:
 STUBBORN = """
 import sys, time
 from pathlib import Path
-from probmodel.files import replacing
-from reports import console
+from poseterior.probmodel.files import replacing
+from poseterior.reports import console
 
 def app(*_, **__):
     with replacing(sys.argv[1]) as partial:

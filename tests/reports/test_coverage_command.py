@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inference.studies.calibration import judge, simulate
-from inference.studies.calibration.quantities import OF_BOTH, OF_POSE
-from probmodel import BadInput, PoseModel
-from probmodel.datasets import DataSet, write_plain
-from reports.commands import coverage
-from reports.figures.coverage import controls_figure, ranks_figure
-from reports.options import Rooting, RootKind, Sampling, Screen
-from reports.settings import CoverageSettings
-from reports.tables.coverage import WORST, families_table, p_text, uniformity_table
+from poseterior.inference.studies.calibration import judge, simulate
+from poseterior.inference.studies.calibration.quantities import OF_BOTH, OF_POSE
+from poseterior.probmodel import BadInput, PoseModel
+from poseterior.probmodel.datasets import DataSet, write_plain
+from poseterior.reports.commands import coverage
+from poseterior.reports.figures.coverage import controls_figure, ranks_figure
+from poseterior.reports.options import Rooting, RootKind, Sampling, Screen
+from poseterior.reports.settings import CoverageSettings
+from poseterior.reports.tables.coverage import WORST, families_table, p_text, uniformity_table
 from tests.conftest import Cli
 
 JSON, TABLES = Screen(quiet=True, json=True), Screen(quiet=True)

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from inference import ESTIMATORS, SAMPLERS
-from inference.sampler import ROOTED_SAMPLERS
-from inference.uncertain.routes import ROUTES
-from inference.uncertain.weighted import MOST_ROOTS
-from probmodel import Anatomy, read_detections
-from reports import cli, options
+from poseterior.inference import ESTIMATORS, SAMPLERS
+from poseterior.inference.importance.routes import ROUTES
+from poseterior.inference.importance.weighted import MOST_ROOTS
+from poseterior.inference.sampler import ROOTED_SAMPLERS
+from poseterior.probmodel import Anatomy, read_detections
+from poseterior.reports import cli, options
 from tests.conftest import Cli
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, table
 from tests.reports.test_cli import native, openpose

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from reports.pages.exchanges import found
+from poseterior.reports.pages.exchanges import found
 
 
 @pytest.mark.parametrize("alarms", [0.02, 0.1])

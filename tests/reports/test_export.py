@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inference import Item, Result, hypotheses, sample_frames
-from probmodel import Estimate, PoseModel
-from probmodel.datasets import body_height
-from probmodel.motion import CMU_UNIT, read_motion
-from probmodel.skeleton import JOINT_INDEX, JOINTS, PARENTS
-from reports.exports import TARGETS
-from reports.exports.clip import Clip, viewed
-from reports.exports.results import Wanted, read_clip
+from poseterior.inference import Item, Result, hypotheses, sample_frames
+from poseterior.probmodel import Estimate, PoseModel
+from poseterior.probmodel.datasets import body_height
+from poseterior.probmodel.motion import CMU_UNIT, read_motion
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, PARENTS
+from poseterior.reports.exports import TARGETS
+from poseterior.reports.exports.clip import Clip, viewed
+from poseterior.reports.exports.results import Wanted, read_clip
 from tests.conftest import Cli
 from tests.scenes import key
 

@@ -18,18 +18,17 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from PIL import Image
 
-import inference
-import probmodel
-from inference.hypothesis import Hypothesis
-from inference.results import Result
-from probmodel.example import example
-from probmodel.failures import BadInput
-from probmodel.skeleton import BONES, JOINT_INDEX, JOINTS
-from reports import figures
-from reports.figures.colours import LIMB_OF, MAX_NAMED
-from reports.figures.depth import _density
-from reports.figures.window import MAX_DRAWS, Window, cropped
-from reports.tables import heaviest, values
+from poseterior import inference, probmodel
+from poseterior.inference.hypothesis import Hypothesis
+from poseterior.inference.results import Result
+from poseterior.probmodel.example import example
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, JOINTS
+from poseterior.reports import figures
+from poseterior.reports.figures.colours import LIMB_OF, MAX_NAMED
+from poseterior.reports.figures.depth import _density
+from poseterior.reports.figures.window import MAX_DRAWS, Window, cropped
+from poseterior.reports.tables import heaviest, values
 from tests.reports.test_interactive import film_tree
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -470,7 +469,7 @@ def test_the_library_says_nothing_beside_our_sentence(tmp_path: Path) -> None:
     samples = data.index(struct.pack("<HHI", 277, 3, 1))  # the tag "samples per pixel"
     data[samples + 8 : samples + 10] = struct.pack("<H", 25_905)
     path.write_bytes(data)
-    code = f"from reports.figures import read_image; read_image({str(path)!r})"
+    code = f"from poseterior.reports.figures import read_image; read_image({str(path)!r})"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert "is no image that can be read" in run.stderr
     assert "can be decoded" not in run.stderr

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from probmodel import Lens
-from probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
-from reports.pages import filmed as pages
-from reports.pages import honest
+from poseterior.probmodel import Lens
+from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
+from poseterior.reports.pages import filmed as pages
+from poseterior.reports.pages import honest
 from tests.filmed import detected, filmed, moving
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inference import draws_of, open_stream
-from probmodel import Detection, PoseModel, write_detections
+from poseterior.inference import draws_of, open_stream
+from poseterior.probmodel import Detection, PoseModel, write_detections
 from tests.conftest import Cli
 from tests.scenes import prior_scene
 

@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import inference
-from inference.hypothesis import Hypothesis, hypotheses
-from inference.results import Result
-from inference.saved import read_result
-from inference.stream import LEVELS
-from probmodel.failures import BadInput
-from probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
-from reports.interactive import film, saved
-from reports.interactive.film import film_page
-from reports.interactive.page import write_page
-from reports.interactive.person import MAX_DRAWS, _spread_evenly, person_page
-from reports.tables import values
-from reports.tables.posterior import still
+from poseterior import inference
+from poseterior.inference.hypothesis import Hypothesis, hypotheses
+from poseterior.inference.results import Result
+from poseterior.inference.saved import read_result
+from poseterior.inference.stream import LEVELS
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
+from poseterior.reports.interactive import film, saved
+from poseterior.reports.interactive.film import film_page
+from poseterior.reports.interactive.page import write_page
+from poseterior.reports.interactive.person import MAX_DRAWS, _spread_evenly, person_page
+from poseterior.reports.tables import values
+from poseterior.reports.tables.posterior import still
 from tests.conftest import Cli
 
 EVIL = "<script>alert(1)</script><img src=x onerror=alert(2)>&\"'"
@@ -469,7 +469,7 @@ def test_samplers_of_chains_can_be_shown(example_estimate, tmp_path: Path) -> No
     """A result of another sampler has all that a page asks for."""
     import jax
 
-    from probmodel import PoseModel
+    from poseterior.probmodel import PoseModel
 
     result = inference.sample(
         PoseModel(), example_estimate, key=jax.random.key(0), num_samples=40, chains=2

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import inference
-from inference.results import COMPLETE
-from probmodel import Anatomy, PoseModel, read_detections
-from probmodel.motion import read_motion
-from probmodel.skeleton import LENGTH_GROUPS
+from poseterior import inference
+from poseterior.inference.results import COMPLETE
+from poseterior.probmodel import Anatomy, PoseModel, read_detections
+from poseterior.probmodel.motion import read_motion
+from poseterior.probmodel.skeleton import LENGTH_GROUPS
 from tests.independent_check import valid_bones
 from tests.scenes import motion_scene
 

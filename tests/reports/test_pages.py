@@ -11,13 +11,13 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
-from inference.baselines.run import Allowance
-from inference.benchmark import contestants, exact_points, load
-from inference.readings import READINGS, Verdict
-from inference.studies.misreadings import Study
-from probmodel.learning.dictionaries import PoseDictionary
-from reports.figures import leaderboard as pictures
-from reports.pages import (
+from poseterior.inference.baselines.run import Allowance
+from poseterior.inference.benchmark import contestants, exact_points, load
+from poseterior.inference.readings import READINGS, Verdict
+from poseterior.inference.studies.misreadings import Study
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.reports.figures import leaderboard as pictures
+from poseterior.reports.pages import (
     coverage,
     estimators,
     facing,
@@ -26,8 +26,8 @@ from reports.pages import (
     samplers,
     speed,
 )
-from reports.tables import leaderboard as tables
-from reports.tables import sheet_of
+from poseterior.reports.tables import leaderboard as tables
+from poseterior.reports.tables import sheet_of
 
 FOLDER = Path(page.__file__).parent
 PAGES = sorted(path.stem for path in FOLDER.glob("*.md"))
@@ -69,7 +69,7 @@ def test_a_template_is_filled_in(name: str) -> None:
 
 @pytest.mark.parametrize("name", PAGES)
 def test_the_module_of_a_page_names_its_placeholders(name: str) -> None:
-    module = importlib.import_module(f"reports.pages.{name}")
+    module = importlib.import_module(f"poseterior.reports.pages.{name}")
     assert callable(module.main)
     tree = ast.parse((FOLDER / f"{name}.py").read_text(encoding="utf-8"))
     keys = {

@@ -10,16 +10,16 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from inference.readings import BODY, exchanged
-from probmodel import Detection, Likelihood, read_detections, write_detections
-from probmodel.detections import FACE
-from probmodel.layouts import COCO_17
-from probmodel.skeleton import BONES, JOINTS
-from reports.doubts import about_the_image
-from reports.figures import read_image
-from reports.figures.colours import LIMB_COLOURS
-from reports.figures.overlay import _spread, overlay_figure
-from reports.options import Detected
+from poseterior.inference.readings import BODY, exchanged
+from poseterior.probmodel import Detection, Likelihood, read_detections, write_detections
+from poseterior.probmodel.detections import FACE
+from poseterior.probmodel.layouts import COCO_17
+from poseterior.probmodel.skeleton import BONES, JOINTS
+from poseterior.reports.doubts import about_the_image
+from poseterior.reports.figures import read_image
+from poseterior.reports.figures.colours import LIMB_COLOURS
+from poseterior.reports.figures.overlay import _spread, overlay_figure
+from poseterior.reports.options import Detected
 from tests.conftest import Cli
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, landmarks, points, table
 

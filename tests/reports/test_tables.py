@@ -12,15 +12,15 @@ import pytest
 import xarray as xr
 from rich.console import Console
 
-from inference.hypothesis import Hypothesis
-from inference.results import Result
-from inference.studies.evaluation.relations import Relation
-from inference.studies.evaluation.scores import Interval
-from probmodel.anatomy.limits import AnatomicalLimits, Check
-from probmodel.skeleton import BONE_NAMES, JOINT_INDEX, JOINTS
-from reports import tables
-from reports.tables import posterior
-from reports.tables.evaluation import relations_table
+from poseterior.inference.hypothesis import Hypothesis
+from poseterior.inference.results import Result
+from poseterior.inference.studies.evaluation.relations import Relation
+from poseterior.inference.studies.evaluation.scores import Interval
+from poseterior.probmodel.anatomy.limits import AnatomicalLimits, Check
+from poseterior.probmodel.skeleton import BONE_NAMES, JOINT_INDEX, JOINTS
+from poseterior.reports import tables
+from poseterior.reports.tables import posterior
+from poseterior.reports.tables.evaluation import relations_table
 
 UPRIGHT = np.diag(
     [1.0, -1.0, -1.0]

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inference.results import OUT_OF_BUDGET
-from inference.saved import read_result
-from probmodel.example import example
-from reports.cli import COMMANDS, declared
-from reports.options import PROGRAMS, Person, Prior, RootKind, Viewing
-from reports.settings import HypothesesSettings, SampleSettings
+from poseterior.inference.results import OUT_OF_BUDGET
+from poseterior.inference.saved import read_result
+from poseterior.probmodel.example import example
+from poseterior.reports.cli import COMMANDS, declared
+from poseterior.reports.options import PROGRAMS, Person, Prior, RootKind, Viewing
+from poseterior.reports.settings import HypothesesSettings, SampleSettings
 from tests.conftest import Cli
 from tests.reports.test_interactive import Parsed
 

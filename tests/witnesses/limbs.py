@@ -11,13 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from probmodel.anatomy.population import LengthPrior
-from probmodel.directions.cells import Cells
-from probmodel.directions.hinges import Hinge
-from probmodel.kinematics import lower_axes, upper_axes
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.skeleton import GROUPS, TORSO_INDEX
+from poseterior.probmodel.anatomy.population import LengthPrior
+from poseterior.probmodel.directions.cells import Cells
+from poseterior.probmodel.directions.hinges import Hinge
+from poseterior.probmodel.kinematics import lower_axes, upper_axes
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.skeleton import GROUPS, TORSO_INDEX
 
 
 class Draws(NamedTuple):

@@ -18,10 +18,10 @@ import functools
 import jax
 import jax.numpy as jnp
 
-from probmodel.anatomy.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION
-from probmodel.directions.cells import Cells, cell_centres, row_sines
-from probmodel.directions.hinges import Hinge
-from probmodel.kinematics import direction, lower_axes
+from poseterior.probmodel.anatomy.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION
+from poseterior.probmodel.directions.cells import Cells, cell_centres, row_sines
+from poseterior.probmodel.directions.hinges import Hinge
+from poseterior.probmodel.kinematics import direction, lower_axes
 from tests.witnesses.limbs import Group
 
 SLACK = 1e-9

@@ -12,13 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.exact.rates import HOPELESS, Budget, Pile, Rate
-from probmodel.anatomy.lengths import BoneLength
-from probmodel.anatomy.limits import cell_of
-from probmodel.directions.distributions import HingedDirection, OccupiedDirection
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.pose import GroupDraws
+from poseterior.inference.exact.rates import HOPELESS, Budget, Pile, Rate
+from poseterior.probmodel.anatomy.lengths import BoneLength
+from poseterior.probmodel.anatomy.limits import cell_of
+from poseterior.probmodel.directions.distributions import HingedDirection, OccupiedDirection
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import GroupDraws
 from tests.witnesses.limbs import Draws, Group, build_groups
 from tests.witnesses.patches import Limb, Plan, limbs_of, plan_limb, propose_limb
 

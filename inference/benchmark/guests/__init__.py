@@ -11,10 +11,10 @@ its own."""
 
 from typing import NamedTuple
 
-from inference.benchmark.guests.graded import Guest
-from inference.benchmark.guests.ladder import nrpt
-from inference.benchmark.guests.nested import dynesty, ultranest
-from inference.benchmark.guests.tempered import reddemcee
+from poseterior.inference.benchmark.guests.graded import Guest
+from poseterior.inference.benchmark.guests.ladder import nrpt
+from poseterior.inference.benchmark.guests.nested import dynesty, ultranest
+from poseterior.inference.benchmark.guests.tempered import reddemcee
 
 
 class Row(NamedTuple):

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from inference.baselines.run import Allowance
-from inference.benchmark.programs import in_jax
-from inference.benchmark.submission import Submission, submit
-from inference.benchmark.target import FrozenTarget
+from poseterior.inference.baselines.run import Allowance
+from poseterior.inference.benchmark.programs import in_jax
+from poseterior.inference.benchmark.submission import Submission, submit
+from poseterior.inference.benchmark.target import FrozenTarget
 
 HARDNESS = 50.0
 """Of the walls: a joint's area grows by a fiftieth, which leaves most draws inside."""

@@ -16,14 +16,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.baselines.metropolis import ACCEPTANCE, Stride, metropolis, root_of_covariance
-from inference.baselines.run import Allowance
-from inference.baselines.target import Target
-from inference.benchmark.guests.graded import CLOCK, HARDNESS, Outcome
-from inference.benchmark.programs import in_jax
-from inference.benchmark.submission import FEWEST, Submission
-from inference.benchmark.target import FrozenTarget
-from inference.benchmark.uncertain import UncertainTarget
+from poseterior.inference.baselines.metropolis import (
+    ACCEPTANCE,
+    Stride,
+    metropolis,
+    root_of_covariance,
+)
+from poseterior.inference.baselines.run import Allowance
+from poseterior.inference.baselines.target import Target
+from poseterior.inference.benchmark.guests.graded import CLOCK, HARDNESS, Outcome
+from poseterior.inference.benchmark.programs import in_jax
+from poseterior.inference.benchmark.submission import FEWEST, Submission
+from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.benchmark.uncertain import UncertainTarget
 
 LADDERS, LEVELS = 4, 24
 """Ladders apart from each other, each one chain; and levels of a ladder."""

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from inference.baselines.run import Allowance
-from inference.benchmark.guests.graded import CLOCK, HARDNESS, Outcome, graded, inside
-from inference.benchmark.target import FrozenTarget
+from poseterior.inference.baselines.run import Allowance
+from poseterior.inference.benchmark.guests.graded import CLOCK, HARDNESS, Outcome, graded, inside
+from poseterior.inference.benchmark.target import FrozenTarget
 
 
 def dynesty(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome | None:

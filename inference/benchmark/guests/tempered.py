@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from inference.baselines.run import Allowance
-from inference.benchmark.guests.graded import CLOCK, Outcome, graded, inside
-from inference.benchmark.target import FrozenTarget
+from poseterior.inference.baselines.run import Allowance
+from poseterior.inference.benchmark.guests.graded import CLOCK, Outcome, graded, inside
+from poseterior.inference.benchmark.target import FrozenTarget
 
 TEMPERATURES = 10
 WALKERS = 4

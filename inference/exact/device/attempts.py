@@ -10,11 +10,26 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from inference.exact.device.tables import DeviceLengths, DeviceLimb, DevicePlan, real, whole
-from inference.exact.loops.bins import PER_BIN
-from inference.exact.loops.rectangles import COUNT, PICK, ROWS
-from inference.exact.loops.tables import ALIAS, BOX, CELLS, ENTRIES, LIMITS, SLICES, SUBS, TRIPLE
-from probmodel.kinematics import PARALLEL
+from poseterior.inference.exact.device.tables import (
+    DeviceLengths,
+    DeviceLimb,
+    DevicePlan,
+    real,
+    whole,
+)
+from poseterior.inference.exact.loops.bins import PER_BIN
+from poseterior.inference.exact.loops.rectangles import COUNT, PICK, ROWS
+from poseterior.inference.exact.loops.tables import (
+    ALIAS,
+    BOX,
+    CELLS,
+    ENTRIES,
+    LIMITS,
+    SLICES,
+    SUBS,
+    TRIPLE,
+)
+from poseterior.probmodel.kinematics import PARALLEL
 
 A_LENGTH, A_LIMB = 3, 7
 NUMBERS = 1 + 2 * A_LENGTH + 2 * A_LIMB

@@ -12,16 +12,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.exact.device.attempts import NUMBERS, Measures, attempt
-from inference.exact.device.tables import DevicePlan, device_plan
-from inference.exact.groups import FIRST, GroupTables, StratifiedGroup, group_tables
-from inference.exact.loops.tables import LimbProblem
-from inference.exact.problem import limb_problems, log_ratios
-from inference.exact.rates import HOPELESS, Budget, Rate
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.pose import GroupDraws, Pose
-from probmodel.skeleton import GROUPS
+from poseterior.inference.exact.device.attempts import NUMBERS, Measures, attempt
+from poseterior.inference.exact.device.tables import DevicePlan, device_plan
+from poseterior.inference.exact.groups import FIRST, GroupTables, StratifiedGroup, group_tables
+from poseterior.inference.exact.loops.tables import LimbProblem
+from poseterior.inference.exact.problem import limb_problems, log_ratios
+from poseterior.inference.exact.rates import HOPELESS, Budget, Rate
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import GroupDraws, Pose
+from poseterior.probmodel.skeleton import GROUPS
 
 ROUNDS = 1 << 10
 """Rounds of a program at most, after which the budget is asked again."""

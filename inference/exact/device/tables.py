@@ -15,10 +15,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.exact.groups import GroupTables, Plan
-from inference.exact.loops.bins import alias_table
-from inference.exact.loops.tables import ALIAS, LengthBins, LimbProblem, LimbTables, Strata
-from probmodel.anatomy.limits import CELL
+from poseterior.inference.exact.groups import GroupTables, Plan
+from poseterior.inference.exact.loops.bins import alias_table
+from poseterior.inference.exact.loops.tables import (
+    ALIAS,
+    LengthBins,
+    LimbProblem,
+    LimbTables,
+    Strata,
+)
+from poseterior.probmodel.anatomy.limits import CELL
 
 WORD = 8
 """Bytes."""

@@ -11,11 +11,23 @@ computed of them in `blocks`; after each step the attempts that go on are packed
 
 import numpy as np
 
-from inference.exact.loops.bins import draw_lengths
-from inference.exact.loops.blocks import lower_in_box, lower_in_piece, raise_upper, see_disc
-from inference.exact.loops.numbers import compiled, inlined, load, rows_of, store, uniform
-from inference.exact.loops.rectangles import COUNT, PICK, ROWS
-from inference.exact.loops.tables import (
+from poseterior.inference.exact.loops.bins import draw_lengths
+from poseterior.inference.exact.loops.blocks import (
+    lower_in_box,
+    lower_in_piece,
+    raise_upper,
+    see_disc,
+)
+from poseterior.inference.exact.loops.numbers import (
+    compiled,
+    inlined,
+    load,
+    rows_of,
+    store,
+    uniform,
+)
+from poseterior.inference.exact.loops.rectangles import COUNT, PICK, ROWS
+from poseterior.inference.exact.loops.tables import (
     BLOCK,
     Bodies,
     CutLimb,
@@ -25,7 +37,7 @@ from inference.exact.loops.tables import (
     Record,
     Strata,
 )
-from probmodel.anatomy.limits import CELL
+from poseterior.probmodel.anatomy.limits import CELL
 
 
 @compiled

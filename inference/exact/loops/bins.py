@@ -11,8 +11,8 @@ import numpy as np
 from scipy.special import beta as beta_function
 from scipy.special import betainc
 
-from inference.exact.loops.numbers import compiled, load, store, uniform
-from inference.exact.loops.tables import ALIAS, SLICES, LengthBins, LengthLaw
+from poseterior.inference.exact.loops.numbers import compiled, load, store, uniform
+from poseterior.inference.exact.loops.tables import ALIAS, SLICES, LengthBins, LengthLaw
 
 PER_BIN = 64
 """Slices a bin: the more there are, the fewer lengths need the density itself, two powers."""

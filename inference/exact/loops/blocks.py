@@ -8,11 +8,11 @@ the attempt goes on."""
 
 import math
 
-from inference.exact.loops.numbers import Rows, compiled, inlined
-from inference.exact.loops.rectangles import ROWS, rectangle
-from inference.exact.loops.series import cosine, sine, small_sine_cosine, smaller
-from inference.exact.loops.strata import lower_axes
-from inference.exact.loops.tables import Record, Reference
+from poseterior.inference.exact.loops.numbers import Rows, compiled, inlined
+from poseterior.inference.exact.loops.rectangles import ROWS, rectangle
+from poseterior.inference.exact.loops.series import cosine, sine, small_sine_cosine, smaller
+from poseterior.inference.exact.loops.strata import lower_axes
+from poseterior.inference.exact.loops.tables import Record, Reference
 
 
 @compiled

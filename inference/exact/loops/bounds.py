@@ -11,10 +11,10 @@ instructions."""
 
 import math
 
-from inference.exact.loops.numbers import compiled, inlined
-from inference.exact.loops.rectangles import ROWS, SLACK, largest_rectangle, rectangle
-from inference.exact.loops.series import arcsine, cosine, sine, smaller
-from inference.exact.loops.tables import Record
+from poseterior.inference.exact.loops.numbers import compiled, inlined
+from poseterior.inference.exact.loops.rectangles import ROWS, SLACK, largest_rectangle, rectangle
+from poseterior.inference.exact.loops.series import arcsine, cosine, sine, smaller
+from poseterior.inference.exact.loops.tables import Record
 
 
 @compiled

@@ -21,9 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.exact.loops.bins import alias_table
-from inference.exact.loops.numbers import compiled, inlined, load, store, uniform
-from inference.exact.loops.roots import (
+from poseterior.inference.exact.loops.bins import alias_table
+from poseterior.inference.exact.loops.numbers import compiled, inlined, load, store, uniform
+from poseterior.inference.exact.loops.roots import (
     RootTable,
     TorsoProblem,
     cosines_sines,
@@ -32,8 +32,8 @@ from inference.exact.loops.roots import (
     turned,
     write_root,
 )
-from inference.exact.loops.series import circle, sine
-from inference.exact.loops.tables import ALIAS
+from poseterior.inference.exact.loops.series import circle, sine
+from poseterior.inference.exact.loops.tables import ALIAS
 
 TILTS = 6
 """Cells of the tilt that are looked at first, from 0 to π; twice as many of roll and of yaw."""

@@ -15,7 +15,7 @@ import jax
 import numba
 import numpy as np
 
-from inference.exact.loops.places import FOLDER
+from poseterior.inference.exact.loops.places import FOLDER
 
 _settings: Any = numba.config  # its attributes are made at import
 

@@ -4,8 +4,8 @@ is the evidence. Compiled."""
 
 import numpy as np
 
-from inference.exact.loops.numbers import compiled, inlined, load, store, uniform
-from inference.exact.loops.tables import Bodies
+from poseterior.inference.exact.loops.numbers import compiled, inlined, load, store, uniform
+from poseterior.inference.exact.loops.tables import Bodies
 
 
 @compiled

@@ -4,9 +4,9 @@ many more roots than are weighed, and decides no more than which those are."""
 
 import numpy as np
 
-from inference.exact.loops.numbers import compiled, inlined
-from inference.exact.loops.strata import lower_axes
-from inference.exact.loops.tables import Reference
+from poseterior.inference.exact.loops.numbers import compiled, inlined
+from poseterior.inference.exact.loops.strata import lower_axes
+from poseterior.inference.exact.loops.tables import Reference
 
 LANES = 16
 """Sums that are kept side by side; the number of draws is a multiple of it."""

@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from inference.exact.loops.numbers import inlined
-from inference.exact.loops.series import arcsine
+from poseterior.inference.exact.loops.numbers import inlined
+from poseterior.inference.exact.loops.series import arcsine
 
 SLACK = 1e-9
 """Bounds are widened by this much (relative, or body units), so that rounding never makes them less

@@ -19,10 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.exact.loops.bins import alias_table
-from inference.exact.loops.numbers import compiled, inlined, load, store, uniform
-from inference.exact.loops.series import circle
-from inference.exact.loops.tables import ROOT_CELLS
+from poseterior.inference.exact.loops.bins import alias_table
+from poseterior.inference.exact.loops.numbers import compiled, inlined, load, store, uniform
+from poseterior.inference.exact.loops.series import circle
+from poseterior.inference.exact.loops.tables import ROOT_CELLS
 
 TILTS = 12
 """Cells of the tilt, from 0 to π; twice as many of roll and of yaw."""

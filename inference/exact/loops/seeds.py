@@ -4,7 +4,7 @@ to NumPy's bit for bit."""
 
 import numpy as np
 
-from inference.exact.loops.numbers import compiled, inlined, load, store, uniform
+from poseterior.inference.exact.loops.numbers import compiled, inlined, load, store, uniform
 
 _POOL = 4
 """Words that all entropy is mixed into."""

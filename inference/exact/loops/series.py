@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from inference.exact.loops.numbers import inlined
+from poseterior.inference.exact.loops.numbers import inlined
 
 _PARTS = 128
 """Of a turn: within half of one of them, `small_sine_cosine` holds."""

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from inference.exact.loops.numbers import compiled
+from poseterior.inference.exact.loops.numbers import compiled
 
 
 @compiled

@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.exact.loops.bins import alias_table
-from inference.exact.loops.bounds import bound_regions
-from inference.exact.loops.numbers import Rows, compiled, inlined, rows_of
-from inference.exact.loops.rectangles import SLACK
-from inference.exact.loops.tables import (
+from poseterior.inference.exact.loops.bins import alias_table
+from poseterior.inference.exact.loops.bounds import bound_regions
+from poseterior.inference.exact.loops.numbers import Rows, compiled, inlined, rows_of
+from poseterior.inference.exact.loops.rectangles import SLACK
+from poseterior.inference.exact.loops.tables import (
     ALIAS,
     AZIMUTHS,
     ELEVATIONS,
@@ -38,8 +38,8 @@ from inference.exact.loops.tables import (
     Reference,
     Strata,
 )
-from probmodel.anatomy.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION
-from probmodel.kinematics import PARALLEL
+from poseterior.probmodel.anatomy.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION
+from poseterior.probmodel.kinematics import PARALLEL
 
 
 class Resolution(NamedTuple):

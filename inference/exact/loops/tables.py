@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from probmodel.directions.hinges import Hinge
+    from poseterior.probmodel.directions.hinges import Hinge
 
 Record = Any
 """A row, or a block of columns, of one of the structured arrays below."""

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.exact.loops.bins import draw_lengths
-from inference.exact.loops.numbers import (
+from poseterior.inference.exact.loops.bins import draw_lengths
+from poseterior.inference.exact.loops.numbers import (
     Rows,
     Stream,
     compiled,
@@ -29,11 +29,11 @@ from inference.exact.loops.numbers import (
     store,
     uniform,
 )
-from inference.exact.loops.rectangles import rectangle
-from inference.exact.loops.series import arcsine, azimuth, circle, cosine, sine
-from inference.exact.loops.strata import lower_axes
-from inference.exact.loops.tables import LengthBins, LimbTables, Record, Reference
-from probmodel.anatomy.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION
+from poseterior.inference.exact.loops.rectangles import rectangle
+from poseterior.inference.exact.loops.series import arcsine, azimuth, circle, cosine, sine
+from poseterior.inference.exact.loops.strata import lower_axes
+from poseterior.inference.exact.loops.tables import LengthBins, LimbTables, Record, Reference
+from poseterior.probmodel.anatomy.limits import CELL, NUM_AZIMUTH, NUM_ELEVATION
 
 _EDGES = np.sin(np.arange(NUM_ELEVATION + 1) * CELL - np.pi / 2)
 HEIGHT = _EDGES[1:] - _EDGES[:-1]

@@ -11,13 +11,13 @@ reasons of misses.
 Plain arrays first (`levels`, `uniformity`, `ece`, `choices`), poses next (`simulations`, `assess`,
 `real`, `exclusions`), trees last (`record`). `controls` are posteriors that have to fail."""
 
-from inference.studies.calibration.assess import Answer, Standing, assess
-from inference.studies.calibration.coverage import summary
-from inference.studies.calibration.real import read_cases
-from inference.studies.calibration.run import calibrate, cover
-from inference.studies.calibration.simulations import Instance, simulate
-from inference.studies.calibration.uniformity import band, uniformity
-from inference.studies.calibration.verdict import Calibration, judge
+from poseterior.inference.studies.calibration.assess import Answer, Standing, assess
+from poseterior.inference.studies.calibration.coverage import summary
+from poseterior.inference.studies.calibration.real import read_cases
+from poseterior.inference.studies.calibration.run import calibrate, cover
+from poseterior.inference.studies.calibration.simulations import Instance, simulate
+from poseterior.inference.studies.calibration.uniformity import band, uniformity
+from poseterior.inference.studies.calibration.verdict import Calibration, judge
 
 __all__ = [
     "Answer",

@@ -5,15 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.results import COMPLETE
-from inference.studies.calibration.levels import (
+from poseterior.inference.results import COMPLETE
+from poseterior.inference.studies.calibration.levels import (
     distance_level,
     energy_level,
     median_levels,
     rank_level,
     stand_in_levels,
 )
-from inference.studies.calibration.quantities import (
+from poseterior.inference.studies.calibration.quantities import (
     ENERGY_BALL,
     MOVING,
     OF_MODEL,
@@ -26,12 +26,12 @@ from inference.studies.calibration.quantities import (
     of_root,
     of_rooted,
 )
-from inference.studies.calibration.simulations import Instance
-from probmodel.datasets.cases import strays
-from probmodel.failures import BadInput
-from probmodel.model import PoseModel
-from probmodel.roots import Candidate, RootPoint
-from probmodel.skeleton import NUM_JOINTS
+from poseterior.inference.studies.calibration.simulations import Instance
+from poseterior.probmodel.datasets.cases import strays
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.roots import Candidate, RootPoint
+from poseterior.probmodel.skeleton import NUM_JOINTS
 
 FAILED = "failed"
 FEWEST_DRAWS = 9

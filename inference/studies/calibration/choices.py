@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from inference.hypothesis import diverse
-from inference.studies.flips import away, codes
+from poseterior.inference.hypothesis import diverse
+from poseterior.inference.studies.flips import away, codes
 
 KMEANS, GRID, RANDOM, FARTHEST = WAYS = ("k-means++", "grid", "random draws", "farthest point")
 Way = Callable[[np.ndarray, int, int], np.ndarray]

@@ -11,19 +11,19 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from inference.exact.mixture import draw_mixture
-from inference.studies.calibration.assess import Answer
-from inference.studies.calibration.posteriors import Sampler
-from inference.studies.calibration.quantities import MOVING
-from inference.studies.calibration.recipe import RecipeDirection
-from inference.studies.calibration.simulations import Instance
-from inference.uncertain.weighted import WeightedRoots
-from probmodel.chunks import in_chunks
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.posterior import Estimate
-from probmodel.skeleton import GROUPS, LOWER_BONES, UPPER_BONES
-from probmodel.transport import CUBE_DIM, from_cube
+from poseterior.inference.exact.mixture import draw_mixture
+from poseterior.inference.importance.weighted import WeightedRoots
+from poseterior.inference.studies.calibration.assess import Answer
+from poseterior.inference.studies.calibration.posteriors import Sampler
+from poseterior.inference.studies.calibration.quantities import MOVING
+from poseterior.inference.studies.calibration.recipe import RecipeDirection
+from poseterior.inference.studies.calibration.simulations import Instance
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.skeleton import GROUPS, LOWER_BONES, UPPER_BONES
+from poseterior.probmodel.transport import CUBE_DIM, from_cube
 
 Distortion = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 """Draws `(n, 15, 3)` of one instance → spoilt ones."""

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from inference.studies.calibration.ece import Ece, Interval, coverage, ece
-from inference.studies.calibration.exclusions import Rank, from_text, ranking
+from poseterior.inference.studies.calibration.ece import Ece, Interval, coverage, ece
+from poseterior.inference.studies.calibration.exclusions import Rank, from_text, ranking
 
 NOMINAL = (0.5, 0.8, 0.95)
 KINDS = ("lateral", "depth", "whole")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.studies.intervals import Interval, of_mean_size, of_share
+from poseterior.inference.studies.intervals import Interval, of_mean_size, of_share
 
 LEVELS = np.linspace(0, 1, 21)
 

@@ -12,18 +12,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.results import FIXED, UNCERTAIN
-from inference.studies.calibration.quantities import lengths
-from inference.studies.calibration.real import true_candidate
-from inference.studies.calibration.simulations import Instance
-from probmodel.anatomy.limits import LIMITS
-from probmodel.datasets import Case
-from probmodel.faults import Faults
-from probmodel.model import PoseModel
-from probmodel.observation import Observation
-from probmodel.posterior import Estimate
-from probmodel.roots import Candidate, RootPoint
-from probmodel.skeleton import BONE_NAMES, BONES, JOINTS, LENGTH_GROUPS, NUM_JOINTS, TORSO_INDEX
+from poseterior.inference.results import FIXED, UNCERTAIN
+from poseterior.inference.studies.calibration.quantities import lengths
+from poseterior.inference.studies.calibration.real import true_candidate
+from poseterior.inference.studies.calibration.simulations import Instance
+from poseterior.probmodel.anatomy.limits import LIMITS
+from poseterior.probmodel.datasets import Case
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.roots import Candidate, RootPoint
+from poseterior.probmodel.skeleton import (
+    BONE_NAMES,
+    BONES,
+    JOINTS,
+    LENGTH_GROUPS,
+    NUM_JOINTS,
+    TORSO_INDEX,
+)
 
 LIMIT, LENGTH, TAU, TORSO, CAMERA, BOTH = SOURCES = (
     "limit",

@@ -15,31 +15,31 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.baselines.catalogue import (
+from poseterior.inference.baselines.catalogue import (
     BASELINES,
     DISPERSED,
     STARTING,
     baseline_tree,
     starting_points,
 )
-from inference.baselines.run import Allowance, check_packages, run
-from inference.baselines.target import Target
-from inference.drawers import NUM_ROOTS, Drawer, drawer, sampler_under
-from inference.exact.loops.numbers import words_of
-from inference.exact.mixture import MAX_PROPOSALS, PROPOSALS
-from inference.results import COMPLETE, FIXED
-from inference.sampler import SAMPLERS
-from inference.studies.calibration.assess import FAILED, Answer
-from inference.studies.calibration.quantities import of_pose
-from inference.studies.calibration.simulations import Instance
-from inference.studies.comparison.mixing import mean_ess, mixing
-from inference.uncertain.routes import ROUTES
-from inference.uncertain.tree import placed
-from inference.uncertain.weighted import APART, WeightedRoots, verdict, weigh_roots
-from probmodel.arrays import read_array, read_netcdf, read_tables
-from probmodel.failures import BadInput
-from probmodel.model import PoseModel
-from probmodel.skeleton import NUM_JOINTS
+from poseterior.inference.baselines.run import Allowance, check_packages, run
+from poseterior.inference.baselines.target import Target
+from poseterior.inference.drawers import NUM_ROOTS, Drawer, drawer, sampler_under
+from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.exact.mixture import MAX_PROPOSALS, PROPOSALS
+from poseterior.inference.importance.routes import ROUTES
+from poseterior.inference.importance.tree import placed
+from poseterior.inference.importance.weighted import APART, WeightedRoots, verdict, weigh_roots
+from poseterior.inference.results import COMPLETE, FIXED
+from poseterior.inference.sampler import SAMPLERS
+from poseterior.inference.studies.calibration.assess import FAILED, Answer
+from poseterior.inference.studies.calibration.quantities import of_pose
+from poseterior.inference.studies.calibration.simulations import Instance
+from poseterior.inference.studies.comparison.mixing import mean_ess, mixing
+from poseterior.probmodel.arrays import read_array, read_netcdf, read_tables
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.skeleton import NUM_JOINTS
 
 Sampler = Callable[[int, Instance, jax.Array], Answer]
 """The number of the instance, the instance, a key of its own."""
@@ -175,7 +175,7 @@ def _baseline(
 
 
 def _exact_tree(model: PoseModel, instance: Instance, key: jax.Array) -> xr.DataTree:
-    from inference.sampler import sample
+    from poseterior.inference.sampler import sample
 
     return sample(model, instance.frame, key=key, num_samples=STARTING).tree
 

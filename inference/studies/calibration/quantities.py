@@ -9,15 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from inference.studies.flips import FLIPPING, away
-from probmodel.chunks import in_chunks
-from probmodel.faults import Faults
-from probmodel.model import PoseModel, log_joint
-from probmodel.observation import Observation
-from probmodel.pose import Pose
-from probmodel.roots import RootPoint, RootPrior
-from probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS, LOWER_BONES
-from probmodel.uncertain import DetectedJoints, UncertainPosterior
+from poseterior.inference.studies.flips import FLIPPING, away
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.model import PoseModel, log_joint
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS, LOWER_BONES
+from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 MOVING = tuple(bone.end for bone in BONES)
 """The nine joints that move when the torso is given."""

@@ -11,18 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from inference.results import FIXED
-from inference.roots import estimate_torsos
-from inference.studies.calibration.simulations import SPREADS, Instance, detected
-from probmodel.body import align_torsos
-from probmodel.camera import WeakPerspective
-from probmodel.datasets import Case, Noise, read_data_set
-from probmodel.failures import BadInput
-from probmodel.likelihood import PAPER, Likelihood
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
-from probmodel.roots import Candidate
-from probmodel.skeleton import TORSO_INDEX
+from poseterior.inference.estimators import estimate_torsos
+from poseterior.inference.results import FIXED
+from poseterior.inference.studies.calibration.simulations import SPREADS, Instance, detected
+from poseterior.probmodel.body import align_torsos
+from poseterior.probmodel.camera import WeakPerspective
+from poseterior.probmodel.datasets import Case, Noise, read_data_set
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.likelihood import PAPER, Likelihood
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.roots import Candidate
+from poseterior.probmodel.skeleton import TORSO_INDEX
 
 TRUE = "true"
 """In place of an estimator's name: the true torso in front of the true camera."""

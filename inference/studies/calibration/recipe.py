@@ -11,8 +11,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
 
-from probmodel.directions.hinges import Hinge
-from probmodel.directions.supports import directions
+from poseterior.probmodel.directions.hinges import Hinge
+from poseterior.probmodel.directions.supports import directions
 
 _State = tuple[jax.Array, jax.Array, jax.Array]  # attempts made, key, direction
 

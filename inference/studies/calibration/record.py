@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inference.studies.calibration.assess import Standing
-from inference.studies.calibration.exclusions import Reason, as_text
-from inference.studies.calibration.quantities import (
+from poseterior.inference.studies.calibration.assess import Standing
+from poseterior.inference.studies.calibration.exclusions import Reason, as_text
+from poseterior.inference.studies.calibration.quantities import (
     MOVING_NAMES,
     OF_BOTH,
     OF_POSE,
     OF_ROOT,
     QUANTITIES,
 )
-from inference.studies.calibration.simulations import Instance
-from inference.studies.flips import FLIPPING
-from probmodel.datasets import Case
-from probmodel.observation import Observation
-from probmodel.skeleton import JOINTS, LENGTH_GROUPS, TORSO_JOINTS
+from poseterior.inference.studies.calibration.simulations import Instance
+from poseterior.inference.studies.flips import FLIPPING
+from poseterior.probmodel.datasets import Case
+from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS, TORSO_JOINTS
 
 JOINTWISE = ("whole", "lateral", "depth", "spread_lateral", "spread_depth")
 SCALARS = ("status", "sentence", "num_draws", "log_evidence")

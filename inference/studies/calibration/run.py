@@ -22,29 +22,33 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.drawers import NUM_ROOTS, sampler_under
-from inference.machines import HERE, Machines, in_threads
-from inference.results import FIXED, UNCERTAIN, provenance, save_tree
-from inference.roots import estimate_torsos
-from inference.sampler import MAX_PROPOSALS
-from inference.store import Block, Groups, Store, fill, locked
-from inference.studies.calibration import real
-from inference.studies.calibration.assess import Standing, assess
-from inference.studies.calibration.exclusions import exclusions
-from inference.studies.calibration.posteriors import (
+from poseterior.inference.drawers import NUM_ROOTS, sampler_under
+from poseterior.inference.estimators import estimate_torsos
+from poseterior.inference.importance.routes import WEIGHTED
+from poseterior.inference.machines import HERE, Machines, in_threads
+from poseterior.inference.results import FIXED, UNCERTAIN, provenance, save_tree
+from poseterior.inference.sampler import MAX_PROPOSALS
+from poseterior.inference.store import Block, Groups, Store, fill, locked
+from poseterior.inference.studies.calibration import real
+from poseterior.inference.studies.calibration.assess import Standing, assess
+from poseterior.inference.studies.calibration.exclusions import exclusions
+from poseterior.inference.studies.calibration.posteriors import (
     FromFile,
     Sampler,
     independent_roots,
     sampler_of,
 )
-from inference.studies.calibration.quantities import QUANTITIES
-from inference.studies.calibration.record import case_columns, coverage_tree, standings_table
-from inference.studies.calibration.simulations import BLOCK, Instance, simulate
-from inference.uncertain.routes import WEIGHTED
-from probmodel.datasets import Case
-from probmodel.failures import BadInput
-from probmodel.likelihood import PAPER, Likelihood
-from probmodel.model import PoseModel
+from poseterior.inference.studies.calibration.quantities import QUANTITIES
+from poseterior.inference.studies.calibration.record import (
+    case_columns,
+    coverage_tree,
+    standings_table,
+)
+from poseterior.inference.studies.calibration.simulations import BLOCK, Instance, simulate
+from poseterior.probmodel.datasets import Case
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.likelihood import PAPER, Likelihood
+from poseterior.probmodel.model import PoseModel
 
 NUM_SAMPLES = 1000
 REFERENCE = "zhou"

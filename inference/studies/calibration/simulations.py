@@ -19,18 +19,18 @@ import jax
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from inference.results import FIXED, UNCERTAIN
-from probmodel.camera import WeakPerspective
-from probmodel.chunks import in_chunks
-from probmodel.detections import Detection
-from probmodel.faults import ORDERS, FaultPrior
-from probmodel.likelihood import PAPER, Likelihood
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
-from probmodel.roots import Candidate
-from probmodel.rotations import UprightRotation
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
-from probmodel.transport import CUBE_DIM, from_cube
+from poseterior.inference.results import FIXED, UNCERTAIN
+from poseterior.probmodel.camera import WeakPerspective
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.faults import ORDERS, FaultPrior
+from poseterior.probmodel.likelihood import PAPER, Likelihood
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.roots import Candidate
+from poseterior.probmodel.rotations import UprightRotation
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.transport import CUBE_DIM, from_cube
 
 UPRIGHT = np.diag([1.0, -1.0, -1.0])
 """Turns axes (left, up, forward) into the camera's, the person facing the camera."""

@@ -3,8 +3,8 @@ numbers, seen with Gaussian noise."""
 
 import numpy as np
 
-from inference.studies.calibration.levels import distance_level, energy_level, rank_level
-from inference.studies.calibration.uniformity import uniformity
+from poseterior.inference.studies.calibration.levels import distance_level, energy_level, rank_level
+from poseterior.inference.studies.calibration.uniformity import uniformity
 
 TESTS = ("ranks", "highest density", "energy balls", "TARP")
 SEED = 7

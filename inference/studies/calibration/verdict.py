@@ -10,9 +10,14 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from inference.studies.calibration.quantities import ENERGY_BALL, LOG_DENSITY, QUANTITIES, TARP
-from inference.studies.calibration.uniformity import uniformity
-from probmodel.failures import BadInput
+from poseterior.inference.studies.calibration.quantities import (
+    ENERGY_BALL,
+    LOG_DENSITY,
+    QUANTITIES,
+    TARP,
+)
+from poseterior.inference.studies.calibration.uniformity import uniformity
+from poseterior.probmodel.failures import BadInput
 
 FALSE_ALARM = 0.01
 """Chance that a right posterior is said to be miscalibrated, over all tests together."""

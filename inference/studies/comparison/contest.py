@@ -19,21 +19,26 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.baselines.catalogue import BASELINES, STARTS, baseline_tree, starting_points
-from inference.baselines.run import Allowance, Clock, Run, check_law, check_packages, run
-from inference.baselines.target import Density, Target
-from inference.exact.mixture import draw_mixture
-from inference.results import COMPLETE, Result, save_tree
-from inference.sampler import SAMPLERS, sample
-from inference.store import locked
-from inference.studies.comparison.cost import course
-from inference.studies.comparison.judge import judge
-from inference.studies.comparison.pace import pace
-from inference.studies.comparison.record import SHOWN, Entry, comparison_tree
-from inference.studies.comparison.sample import Sample, read_sample
-from probmodel.failures import BadInput, OutOfBudget
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
+from poseterior.inference.baselines.catalogue import (
+    BASELINES,
+    STARTS,
+    baseline_tree,
+    starting_points,
+)
+from poseterior.inference.baselines.run import Allowance, Clock, Run, check_law, check_packages, run
+from poseterior.inference.baselines.target import Density, Target
+from poseterior.inference.exact.mixture import draw_mixture
+from poseterior.inference.results import COMPLETE, Result, save_tree
+from poseterior.inference.sampler import SAMPLERS, sample
+from poseterior.inference.store import locked
+from poseterior.inference.studies.comparison.cost import course
+from poseterior.inference.studies.comparison.judge import judge
+from poseterior.inference.studies.comparison.pace import pace
+from poseterior.inference.studies.comparison.record import SHOWN, Entry, comparison_tree
+from poseterior.inference.studies.comparison.sample import Sample, read_sample
+from poseterior.probmodel.failures import BadInput, OutOfBudget
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate
 
 PILOT = 500
 """Draws by which the candidate is chosen."""

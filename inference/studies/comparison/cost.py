@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.studies.comparison.distances import sliced_wasserstein
-from inference.studies.comparison.sample import Sample
+from poseterior.inference.studies.comparison.distances import sliced_wasserstein
+from poseterior.inference.studies.comparison.sample import Sample
 
 SHARES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
 """Parts of a run at which its distance is measured."""

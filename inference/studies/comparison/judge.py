@@ -12,16 +12,20 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from inference.studies.comparison.distances import MILLIMETRES, sliced_wasserstein, wasserstein
-from inference.studies.comparison.mixing import Mixing, mean_ess, mixing
-from inference.studies.comparison.modes import Modes, modes, same_shares
-from inference.studies.comparison.permutation import (
+from poseterior.inference.studies.comparison.distances import (
+    MILLIMETRES,
+    sliced_wasserstein,
+    wasserstein,
+)
+from poseterior.inference.studies.comparison.mixing import Mixing, mean_ess, mixing
+from poseterior.inference.studies.comparison.modes import Modes, modes, same_shares
+from poseterior.inference.studies.comparison.permutation import (
     PERMUTATIONS,
     classifier_test,
     permutation_tests,
 )
-from inference.studies.comparison.ranks import all_together, each_coordinate
-from inference.studies.comparison.sample import NAMES, Sample
+from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate
+from poseterior.inference.studies.comparison.sample import NAMES, Sample
 
 LEVEL = 0.01
 """Chance that a sampler without fault is said to differ."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from inference.studies.flips import codes
+from poseterior.inference.studies.flips import codes
 
 LEAST = 5.0
 """Expected count below which modes are put together for the chi-square test."""

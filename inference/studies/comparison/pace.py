@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.studies.comparison.mixing import CONSTANT
-from inference.studies.comparison.sample import Sample
+from poseterior.inference.studies.comparison.mixing import CONSTANT
+from poseterior.inference.studies.comparison.sample import Sample
 
 WINDOW = 5.0
 """The sum of autocorrelations ends at this many autocorrelation times (Sokal's rule)."""

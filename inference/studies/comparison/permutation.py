@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
-from inference.studies.comparison.distances import energy, mmd, pairwise, standardised
+from poseterior.inference.studies.comparison.distances import energy, mmd, pairwise, standardised
 
 PERMUTATIONS = 999
 MOST = 2000

@@ -9,7 +9,7 @@ the ESS being measured on the very series."""
 import numpy as np
 from scipy import stats
 
-from inference.studies.comparison.mixing import mean_ess
+from poseterior.inference.studies.comparison.mixing import mean_ess
 
 
 def scores(values: np.ndarray, exact: np.ndarray) -> np.ndarray:

@@ -6,13 +6,13 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from inference.results import versions
-from inference.studies.comparison.cost import EPSILON, SHARES, Course
-from inference.studies.comparison.judge import Judgement
-from inference.studies.comparison.pace import Pace
-from inference.studies.comparison.sample import NAMES, Sample
-from inference.studies.flips import FLIPPING
-from probmodel.skeleton import BONES, JOINTS
+from poseterior.inference.results import versions
+from poseterior.inference.studies.comparison.cost import EPSILON, SHARES, Course
+from poseterior.inference.studies.comparison.judge import Judgement
+from poseterior.inference.studies.comparison.pace import Pace
+from poseterior.inference.studies.comparison.sample import NAMES, Sample
+from poseterior.inference.studies.flips import FLIPPING
+from poseterior.probmodel.skeleton import BONES, JOINTS
 
 SHOWN, EXACT_SHOWN = 1000, 4000
 """Draws that are kept for pictures, of each sampler and exact ones."""

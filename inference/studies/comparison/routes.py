@@ -11,14 +11,16 @@ from pathlib import Path
 
 import jax
 
-from inference.baselines.catalogue import BASELINES, DISPERSED, ROOTED, rooted_tree
-from inference.baselines.rooted import RootedTarget
-from inference.baselines.run import Allowance, check_packages
-from inference.drawers import sampler_under
-from inference.results import UNCERTAIN, Result, save_tree
-from inference.sampler import ROOTED_SAMPLERS, sample
-from inference.store import locked
-from inference.studies.comparison.contest import (
+from poseterior.inference.baselines.catalogue import BASELINES, DISPERSED, ROOTED, rooted_tree
+from poseterior.inference.baselines.rooted import RootedTarget
+from poseterior.inference.baselines.run import Allowance, check_packages
+from poseterior.inference.drawers import sampler_under
+from poseterior.inference.importance.routes import REJECTION, WEIGHTED
+from poseterior.inference.importance.weighted import APART, NUM_ROOTS
+from poseterior.inference.results import UNCERTAIN, Result, save_tree
+from poseterior.inference.sampler import ROOTED_SAMPLERS, sample
+from poseterior.inference.store import locked
+from poseterior.inference.studies.comparison.contest import (
     ENDLESS,
     Comparison,
     Stage,
@@ -29,13 +31,11 @@ from inference.studies.comparison.contest import (
     place_of,
     truth_of,
 )
-from inference.studies.comparison.record import Entry, comparison_tree
-from inference.studies.comparison.sample import read_sample
-from inference.uncertain.routes import REJECTION, WEIGHTED
-from inference.uncertain.weighted import APART, NUM_ROOTS
-from probmodel.failures import BadInput
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
+from poseterior.inference.studies.comparison.record import Entry, comparison_tree
+from poseterior.inference.studies.comparison.sample import read_sample
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate
 
 REFERENCE = 1000
 """Draws by rejection that the judge compares with: some minutes."""

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inference.studies.flips import away
-from probmodel.failures import BadInput
-from probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS, NUM_LENGTHS, TORSO_INDEX
+from poseterior.inference.studies.flips import away
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS, NUM_LENGTHS, TORSO_INDEX
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -5,8 +5,8 @@ found = learn(pairs_of_session(read_session("S01/")))
 found.errors.write("errors.json")
 """
 
-from inference.studies.errorlaws.judge import shares_within
-from inference.studies.errorlaws.learn import Learned, learn
-from inference.studies.errorlaws.pairs import Pairs, pairs_of_data, pairs_of_session
+from poseterior.inference.studies.errorlaws.judge import shares_within
+from poseterior.inference.studies.errorlaws.learn import Learned, learn
+from poseterior.inference.studies.errorlaws.pairs import Pairs, pairs_of_data, pairs_of_session
 
 __all__ = ["Learned", "Pairs", "learn", "pairs_of_data", "pairs_of_session", "shares_within"]

@@ -1,6 +1,6 @@
 """Makes the embedded error law, probmodel/data/errors.json (probmodel/data/PROVENANCE.md).
 
-    python -m inference.studies.errorlaws.embedded ../shared/data/multicamera
+    python -m poseterior.inference.studies.errorlaws.embedded ../shared/data/multicamera
 
 Spreads are those of a real film, learned as `poseterior calibrate` learns them; left and right have
 the same, and the film's bias is a part of them, since another camera would show another. Shares of
@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from inference.studies.errorlaws.learn import learn
-from inference.studies.errorlaws.pairs import pairs_of_session
-from probmodel.errorlaws import DetectorErrors, Exchange
-from probmodel.sessions import Session, read_session
-from probmodel.skeleton import JOINTS, MIRROR
+from poseterior.inference.studies.errorlaws.learn import learn
+from poseterior.inference.studies.errorlaws.pairs import pairs_of_session
+from poseterior.probmodel.errorlaws import DetectorErrors, Exchange
+from poseterior.probmodel.sessions import Session, read_session
+from poseterior.probmodel.skeleton import JOINTS, MIRROR
 
 INLIERS = {
     "hip": 0.99,

@@ -3,11 +3,11 @@
 import numpy as np
 from scipy import stats
 
-from inference.studies.errorlaws.learn import mixture_of
-from inference.studies.errorlaws.mixture import determinant, expect, inverse, quadratic
-from inference.studies.errorlaws.pairs import Pairs
-from inference.studies.intervals import Interval, of_share
-from probmodel.errorlaws import DetectorErrors
+from poseterior.inference.studies.errorlaws.learn import mixture_of
+from poseterior.inference.studies.errorlaws.mixture import determinant, expect, inverse, quadratic
+from poseterior.inference.studies.errorlaws.pairs import Pairs
+from poseterior.inference.studies.intervals import Interval, of_share
+from poseterior.probmodel.errorlaws import DetectorErrors
 
 LEVELS = (0.5, 0.8, 0.95)
 ROUNDS = 20

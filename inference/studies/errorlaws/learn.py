@@ -7,12 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from inference.studies.errorlaws.mixture import FREEDOM, Expected, Fit, Mixture, fit, start
-from inference.studies.errorlaws.pairs import Pairs
-from probmodel.errorlaws import OUTLIER_RADIUS, DetectorErrors, Exchange, ScoreFactor
-from probmodel.failures import BadInput
-from probmodel.layouts import MIDPOINTS
-from probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.inference.studies.errorlaws.mixture import (
+    FREEDOM,
+    Expected,
+    Fit,
+    Mixture,
+    fit,
+    start,
+)
+from poseterior.inference.studies.errorlaws.pairs import Pairs
+from poseterior.probmodel.errorlaws import OUTLIER_RADIUS, DetectorErrors, Exchange, ScoreFactor
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.layouts import MIDPOINTS
+from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 LEAST_PAIRS = 20
 """Of a joint, below which nothing is said of it."""

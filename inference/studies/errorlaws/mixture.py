@@ -15,9 +15,9 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import digamma, gammaln
 
-from inference.studies.errorlaws.pairs import PATTERNS, Pairs
-from probmodel.errorlaws import OUTLIER_RADIUS
-from probmodel.skeleton import NUM_JOINTS
+from poseterior.inference.studies.errorlaws.pairs import PATTERNS, Pairs
+from poseterior.probmodel.errorlaws import OUTLIER_RADIUS
+from poseterior.probmodel.skeleton import NUM_JOINTS
 
 STEPS, TOLERANCE = 400, 1e-4
 """Of the iteration: it ends when no spread or share changes by more than the tolerance."""

@@ -7,15 +7,15 @@ from functools import cached_property
 
 import numpy as np
 
-from probmodel.body import body_unit
-from probmodel.datasets import DataSet
-from probmodel.datasets.sessions import JudgedView, judged_views
-from probmodel.errorlaws import Exchange
-from probmodel.faults import EXCHANGE_INDEX, ORDERS
-from probmodel.layouts import MIDPOINTS
-from probmodel.sessions import Session
-from probmodel.sessions.session import HIPS
-from probmodel.skeleton import JOINT_INDEX
+from poseterior.probmodel.body import body_unit
+from poseterior.probmodel.datasets import DataSet
+from poseterior.probmodel.datasets.sessions import JudgedView, judged_views
+from poseterior.probmodel.errorlaws import Exchange
+from poseterior.probmodel.faults import EXCHANGE_INDEX, ORDERS
+from poseterior.probmodel.layouts import MIDPOINTS
+from poseterior.probmodel.sessions import Session
+from poseterior.probmodel.sessions.session import HIPS
+from poseterior.probmodel.skeleton import JOINT_INDEX
 
 PATTERNS = [ORDERS[EXCHANGE_INDEX[name]] for name in ("none", *Exchange._fields)]
 """Which joint each detection is of: as it says, and with sides exchanged."""

@@ -11,17 +11,17 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from inference.prior import sample_prior
-from inference.studies.evaluation.scores import Interval, clustered
-from probmodel.anatomy.population import Anatomy
-from probmodel.body import aligned
-from probmodel.chunks import in_chunks
-from probmodel.datasets import DataSet
-from probmodel.failures import BadInput
-from probmodel.kinematics import articulation
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.model import PoseModel
-from probmodel.skeleton import BONE_NAMES, BONES
+from poseterior.inference.prior import sample_prior
+from poseterior.inference.studies.evaluation.scores import Interval, clustered
+from poseterior.probmodel.anatomy.population import Anatomy
+from poseterior.probmodel.body import aligned
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.datasets import DataSet
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.kinematics import articulation
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.skeleton import BONE_NAMES, BONES
 
 COMPONENTS = 20
 """Of the mixture; fewer where poses are few."""

@@ -4,12 +4,12 @@ torso and camera are."""
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from inference import drawers
-from inference.results import FIXED
-from inference.roots import ESTIMATORS
-from inference.studies.calibration.real import TRUE
-from probmodel.failures import BadInput
-from probmodel.skeleton import LIMB_JOINTS
+from poseterior.inference import drawers
+from poseterior.inference.estimators import ESTIMATORS
+from poseterior.inference.results import FIXED
+from poseterior.inference.studies.calibration.real import TRUE
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import LIMB_JOINTS
 
 ROOTS = (*drawers.ROOTS, TRUE)
 """What torso and camera may be: the estimator's, drawn with the pose, or the truth's own."""

@@ -7,7 +7,7 @@ joint is missing."""
 import numpy as np
 from numpy.typing import ArrayLike
 
-from inference.studies.flips import away, codes
+from poseterior.inference.studies.flips import away, codes
 
 THRESHOLD = 150.0
 """mm: the usual threshold of PCK, and where the area under its curve ends."""

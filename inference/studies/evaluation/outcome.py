@@ -15,24 +15,24 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.composition import compose
-from inference.drawers import NUM_ROOTS, Drawer, Draws, drawer
-from inference.hypothesis import diverse
-from inference.results import FIXED, UNCERTAIN
-from inference.roots import estimate_torsos
-from inference.studies.calibration.real import TRUE, true_candidate
-from inference.studies.errors import aligned_errors, joint_errors
-from inference.studies.evaluation.conditions import Condition
-from inference.studies.evaluation.metrics import distinct_flips, spread
-from inference.studies.evaluation.samples import SHAPES, of_samples
-from probmodel.anatomy.population import Anatomy
-from probmodel.datasets import Case, DataSet
-from probmodel.failures import BadInput
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.likelihood import PAPER, Likelihood
-from probmodel.model import PoseModel
-from probmodel.posterior import Estimate
-from probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
+from poseterior.inference.composition import compose
+from poseterior.inference.drawers import NUM_ROOTS, Drawer, Draws, drawer
+from poseterior.inference.estimators import estimate_torsos
+from poseterior.inference.hypothesis import diverse
+from poseterior.inference.results import FIXED, UNCERTAIN
+from poseterior.inference.studies.calibration.real import TRUE, true_candidate
+from poseterior.inference.studies.errors import aligned_errors, joint_errors
+from poseterior.inference.studies.evaluation.conditions import Condition
+from poseterior.inference.studies.evaluation.metrics import distinct_flips, spread
+from poseterior.inference.studies.evaluation.samples import SHAPES, of_samples
+from poseterior.probmodel.anatomy.population import Anatomy
+from poseterior.probmodel.datasets import Case, DataSet
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.likelihood import PAPER, Likelihood
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
 
 BAD_INPUT, FAILED = "bad input", "failed"
 LONGEST = 400

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.results import FIXED
-from inference.studies.evaluation.conditions import Condition, alike
-from inference.studies.evaluation.scores import (
+from poseterior.inference.results import FIXED
+from poseterior.inference.studies.evaluation.conditions import Condition, alike
+from poseterior.inference.studies.evaluation.scores import (
     Interval,
     Values,
     clustered,

@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from inference.machines import HERE, Machines
-from inference.results import versions
-from inference.store import Block, Groups, Store, fill, locked
-from inference.studies.evaluation.conditions import Condition
-from inference.studies.evaluation.outcome import Protocol, judge_block
-from probmodel.datasets import DataSet
+from poseterior.inference.machines import HERE, Machines
+from poseterior.inference.results import versions
+from poseterior.inference.store import Block, Groups, Store, fill, locked
+from poseterior.inference.studies.evaluation.conditions import Condition
+from poseterior.inference.studies.evaluation.outcome import Protocol, judge_block
+from poseterior.probmodel.datasets import DataSet
 
 STORE, GROUP = "frames", "frames"
 """The store's folder, with a folder in it for each condition, and what a block of it holds."""

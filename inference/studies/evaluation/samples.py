@@ -11,13 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from inference.studies.calibration.assess import FEWEST_DRAWS, STAND_INS
-from inference.studies.calibration.levels import median_levels, rank_level, stand_in_levels
-from inference.studies.errors import aligned_errors
-from inference.studies.intervals import TAIL
-from probmodel.datasets import DataSet
-from probmodel.datasets.cases import SMALLEST, TALLEST, body_height
-from probmodel.skeleton import JOINTS, NUM_JOINTS
+from poseterior.inference.studies.calibration.assess import FEWEST_DRAWS, STAND_INS
+from poseterior.inference.studies.calibration.levels import (
+    median_levels,
+    rank_level,
+    stand_in_levels,
+)
+from poseterior.inference.studies.errors import aligned_errors
+from poseterior.inference.studies.intervals import TAIL
+from poseterior.probmodel.datasets import DataSet
+from poseterior.probmodel.datasets.cases import SMALLEST, TALLEST, body_height
+from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS
 
 BESTS = (1, 5, 10, 50, 200)
 """How many hypotheses the best is taken of."""

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from inference.studies.calibration.ece import Ece, ece
-from inference.studies.evaluation import metrics
-from inference.studies.evaluation.samples import JUDGED
-from inference.studies.intervals import TAIL, Interval, of_share
-from probmodel.skeleton import LIMB_JOINTS
+from poseterior.inference.studies.calibration.ece import Ece, ece
+from poseterior.inference.studies.evaluation import metrics
+from poseterior.inference.studies.evaluation.samples import JUDGED
+from poseterior.inference.studies.intervals import TAIL, Interval, of_share
+from poseterior.probmodel.skeleton import LIMB_JOINTS
 
 SAMPLES = 2000
 """Bootstrap samples."""

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from probmodel.files import replacing
-from reports import console
-from reports.options import Screen
-from reports.settings import BenchmarkDrawsSettings
+from poseterior.probmodel.files import replacing
+from poseterior.reports import console
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import BenchmarkDrawsSettings
 
 
 def run(settings: BenchmarkDrawsSettings, screen: Screen) -> None:
     """Writes draws, with the evidence of the target. Raises `BadInput` on a target that does not
     exist, or a file that cannot be written."""
-    from inference.benchmark import exact_points, load, reference, same_bits
+    from poseterior.inference.benchmark import exact_points, load, reference, same_bits
 
     target = load(settings.target)
     with console.progress(f"exact draws of {target.name}", screen.quiet) as step:

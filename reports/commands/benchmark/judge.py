@@ -1,14 +1,14 @@
 """`poseterior benchmark judge`: the verdict on draws of a target."""
 
-from reports import console
-from reports.options import Screen
-from reports.settings import BenchmarkJudgeSettings
+from poseterior.reports import console
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import BenchmarkJudgeSettings
 
 
 def run(settings: BenchmarkJudgeSettings, screen: Screen) -> None:
     """Judges draws by exact ones. Raises `BadInput` where they cannot be draws of the target."""
-    from inference.benchmark import load, verdict
-    from reports.tables.benchmark import tests_table, verdict_record, verdict_sentences
+    from poseterior.inference.benchmark import load, verdict
+    from poseterior.reports.tables.benchmark import tests_table, verdict_record, verdict_sentences
 
     with console.progress(f"tests against exact draws of {settings.target}", screen.quiet):
         found = verdict(load(settings.target), settings.submission)

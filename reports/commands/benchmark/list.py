@@ -1,13 +1,13 @@
 """`poseterior benchmark list`: the frozen targets."""
 
-from reports import console
-from reports.options import Screen
-from reports.settings import BenchmarkListSettings
+from poseterior.reports import console
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import BenchmarkListSettings
 
 
 def run(settings: BenchmarkListSettings, screen: Screen) -> None:
     """Says which targets there are, and how hard they are."""
-    from reports.tables.benchmark import targets_table
+    from poseterior.reports.tables.benchmark import targets_table
 
     sheet = targets_table()
     if screen.json:

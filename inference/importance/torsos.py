@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from inference.exact.loops.roots import RootTable, TorsoProblem, turn_rows
-from probmodel.chunks import in_chunks
-from probmodel.failures import BadInput
-from probmodel.faults import ORDERS, Faults
-from probmodel.likelihood import WithOutliers
-from probmodel.model import PoseModel
-from probmodel.roots import NEAREST, RootPoint, RootPrior
-from probmodel.skeleton import TORSO_INDEX
-from probmodel.uncertain import DetectedJoints, UncertainPosterior
+from poseterior.inference.exact.loops.roots import RootTable, TorsoProblem, turn_rows
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.faults import ORDERS, Faults
+from poseterior.probmodel.likelihood import WithOutliers
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.roots import NEAREST, RootPoint, RootPrior
+from poseterior.probmodel.skeleton import TORSO_INDEX
+from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 
 class Posed(NamedTuple):
@@ -122,7 +122,9 @@ def log_mass(posed: Posed, mass: float) -> float:
         return -math.inf
     peak = 0.0
     if posed.upright:
-        from probmodel.rotations import log_upright_peak  # imports NumPyro, which few roots need
+        from poseterior.probmodel.rotations import (
+            log_upright_peak,
+        )  # imports NumPyro, which few roots need
 
         peak = float(log_upright_peak(posed.upright))
     return math.log(mass) - posed.problem.power * math.log(posed.lowest) + peak

@@ -17,14 +17,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from inference.roots.points import require_camera
-from inference.roots.twins import SAME_ANGLE
-from probmodel.body import with_lengths
-from probmodel.camera import WeakPerspective
-from probmodel.detections import Detection
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.roots import Candidate
-from probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
+from poseterior.inference.estimators.points import require_camera
+from poseterior.inference.estimators.twins import SAME_ANGLE
+from poseterior.probmodel.body import with_lengths
+from poseterior.probmodel.camera import WeakPerspective
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.roots import Candidate
+from poseterior.probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
 
 ITERATIONS = 60
 TWIN = np.array([1, -1])

@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from inference.roots.adjustment import Penalty, adjust, centred, mirror_twin
-from inference.roots.points import Points, require_camera
-from inference.roots.twins import Outcome, candidates_both_ways
-from probmodel.anatomy.limits import AnatomicalLimits
-from probmodel.body import bone_vectors
-from probmodel.detections import Detection
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.roots import Candidate
+from poseterior.inference.estimators.adjustment import Penalty, adjust, centred, mirror_twin
+from poseterior.inference.estimators.points import Points, require_camera
+from poseterior.inference.estimators.twins import Outcome, candidates_both_ways
+from poseterior.probmodel.anatomy.limits import AnatomicalLimits
+from poseterior.probmodel.body import bone_vectors
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.roots import Candidate
 
 BONES_WEIGHT = 1.0
 """β of C_l, for image points of size one (`Points`)."""

@@ -16,13 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.roots.adjustment import Adjusted, Penalty, adjust, mirror_twin
-from inference.roots.points import Points
-from inference.roots.twins import Outcome, candidates_both_ways
-from probmodel.detections import Detection
-from probmodel.failures import BadInput
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.roots import Candidate
+from poseterior.inference.estimators.adjustment import Adjusted, Penalty, adjust, mirror_twin
+from poseterior.inference.estimators.points import Points
+from poseterior.inference.estimators.twins import Outcome, candidates_both_ways
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.roots import Candidate
 
 PENALTY = 0.03
 """λ, for image points of size one (`Points`)."""

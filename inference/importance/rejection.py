@@ -23,13 +23,23 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from inference.exact.loops.numbers import words_of
-from inference.exact.mixture import MAX_PROPOSALS, Progress
-from inference.results import COMPLETE, OUT_OF_BUDGET
-from inference.roots.points import require_camera
-from inference.uncertain.attempts import HOPELESS, Proposal, attempted_roots, proposal_of
-from inference.uncertain.limbs import Effort, LimbDraws, attempts_of, free_groups, limb_draws
-from inference.uncertain.patterns import (
+from poseterior.inference.estimators.points import require_camera
+from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.exact.mixture import MAX_PROPOSALS, Progress
+from poseterior.inference.importance.attempts import (
+    HOPELESS,
+    Proposal,
+    attempted_roots,
+    proposal_of,
+)
+from poseterior.inference.importance.limbs import (
+    Effort,
+    LimbDraws,
+    attempts_of,
+    free_groups,
+    limb_draws,
+)
+from poseterior.inference.importance.patterns import (
     Stratum,
     fit_of,
     log_priors,
@@ -38,14 +48,20 @@ from inference.uncertain.patterns import (
     propose,
     strata_of,
 )
-from inference.uncertain.proposals import TRUST, ProposedRoots, log_promise
-from inference.uncertain.torsos import Posed, log_mass, require_distance, torso_problem
-from inference.uncertain.weighted import NUM_ROOTS, WeightedRoots, log_limbs, require_number
-from probmodel.failures import BadInput
-from probmodel.faults import Faults
-from probmodel.pose import GroupDraws, Pose
-from probmodel.roots import RootPoint
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference.importance.proposals import TRUST, ProposedRoots, log_promise
+from poseterior.inference.importance.torsos import Posed, log_mass, require_distance, torso_problem
+from poseterior.inference.importance.weighted import (
+    NUM_ROOTS,
+    WeightedRoots,
+    log_limbs,
+    require_number,
+)
+from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.pose import GroupDraws, Pose
+from poseterior.probmodel.roots import RootPoint
+from poseterior.probmodel.uncertain import UncertainPosterior
 
 EFFORT: Effort = {1: (16, 16), 2: (16, 16)}
 """A root brings one draw, however well its evidence is known. The benchmark's frozen draws were

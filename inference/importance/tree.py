@@ -12,15 +12,15 @@ import jax
 import numpy as np
 import xarray as xr
 
-from inference.results import NAMES, UNCERTAIN, Columns, assemble
-from inference.uncertain.limbs import log_evidence
-from inference.uncertain.weighted import WeightedRoots, log_mean
-from probmodel.chunks import CHUNK, in_chunks
-from probmodel.faults import ORDERS, FaultPrior, Faults
-from probmodel.model import PoseModel
-from probmodel.pose import Pose
-from probmodel.roots import RootPoint, RootPrior
-from probmodel.uncertain import DetectedJoints, UncertainPosterior, log_joints
+from poseterior.inference.importance.limbs import log_evidence
+from poseterior.inference.importance.weighted import WeightedRoots, log_mean
+from poseterior.inference.results import NAMES, UNCERTAIN, Columns, assemble
+from poseterior.probmodel.chunks import CHUNK, in_chunks
+from poseterior.probmodel.faults import ORDERS, FaultPrior, Faults
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior, log_joints
 
 BASE_MEASURE = (
     "counting (torso) x Haar's on SO(3) (1 in all) x log scale x image area (px2, translation) x"

@@ -12,19 +12,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from inference.roots.akhter_black import fit_akhter_black
-from inference.roots.dictionary import fit_dictionary
-from inference.roots.external import SUFFIXES, fit_poses, read_poses
-from inference.roots.points import require_camera, require_pose
-from inference.roots.zhou import fit_zhou
-from probmodel.anatomy.limits import AnatomicalLimits
-from probmodel.anatomy.population import Anatomy
-from probmodel.detections import Detection
-from probmodel.failures import BadInput
-from probmodel.learning.dictionaries import PoseDictionary
-from probmodel.likelihood import PAPER, Likelihood
-from probmodel.posterior import Estimate
-from probmodel.roots import Candidate
+from poseterior.inference.estimators.akhter_black import fit_akhter_black
+from poseterior.inference.estimators.dictionary import fit_dictionary
+from poseterior.inference.estimators.external import SUFFIXES, fit_poses, read_poses
+from poseterior.inference.estimators.points import require_camera, require_pose
+from poseterior.inference.estimators.zhou import fit_zhou
+from poseterior.probmodel.anatomy.limits import AnatomicalLimits
+from poseterior.probmodel.anatomy.population import Anatomy
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.likelihood import PAPER, Likelihood
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.roots import Candidate
 
 
 class Learned(NamedTuple):

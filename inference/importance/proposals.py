@@ -17,21 +17,20 @@ import jax
 import numpy as np
 from scipy.special import logsumexp
 
-from inference.exact.groups import workers
-from inference.exact.loops.fits import FEWER
-from inference.exact.loops.numbers import words_of
-from inference.exact.loops.promise import LANES
-from inference.exact.rates import Budget
-from inference.resampling import effective, inclusion, shares, systematic, times
-from inference.uncertain.attempts import (
+from poseterior.inference.exact.groups import workers
+from poseterior.inference.exact.loops.fits import FEWER
+from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.exact.loops.promise import LANES
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.importance.attempts import (
     PATIENCE,
     Proposal,
     TorsoDraws,
     draw_posed,
     quick_proposal_of,
 )
-from inference.uncertain.limbs import ATTEMPTS, POOL
-from inference.uncertain.patterns import (
+from poseterior.inference.importance.limbs import ATTEMPTS, POOL
+from poseterior.inference.importance.patterns import (
     Fit,
     Stratum,
     fit_of,
@@ -40,12 +39,13 @@ from inference.uncertain.patterns import (
     propose,
     strata_of,
 )
-from inference.uncertain.torsos import Posed, log_nearness, torso_problem
-from probmodel.faults import Faults
-from probmodel.model import PoseModel
-from probmodel.roots import RootPoint
-from probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference.importance.torsos import Posed, log_nearness, torso_problem
+from poseterior.inference.resampling import effective, inclusion, shares, systematic, times
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.roots import RootPoint
+from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
+from poseterior.probmodel.uncertain import UncertainPosterior
 
 PILOT = 48
 """Roots of a stratum in the pilot run."""

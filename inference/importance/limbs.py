@@ -18,24 +18,24 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from inference.exact import ahead
-from inference.exact.groups import GroupTables, group_tables, workers
-from inference.exact.loops.bins import length_bins
-from inference.exact.loops.pairs import combine_rows
-from inference.exact.loops.seeds import seeded_rows
-from inference.exact.loops.sights import see_rows
-from inference.exact.loops.tables import FOUND, OPTICS, blank_bodies
-from inference.exact.loops.weighed import attempt_rows, draw_trials
-from probmodel.chunks import in_chunks
-from probmodel.faults import ORDERS, Faults
-from probmodel.kinematics import upper_axes
-from probmodel.likelihood import ErrorLaw
-from probmodel.model import PoseModel
-from probmodel.pose import GroupDraws, Pose
-from probmodel.programs import kept
-from probmodel.roots import RootPoint, RootPrior
-from probmodel.skeleton import GROUPS, NUM_JOINTS, NUM_UPPER, TORSO_INDEX
-from probmodel.uncertain import DetectedJoints, UncertainPosterior
+from poseterior.inference.exact import ahead
+from poseterior.inference.exact.groups import GroupTables, group_tables, workers
+from poseterior.inference.exact.loops.bins import length_bins
+from poseterior.inference.exact.loops.pairs import combine_rows
+from poseterior.inference.exact.loops.seeds import seeded_rows
+from poseterior.inference.exact.loops.sights import see_rows
+from poseterior.inference.exact.loops.tables import FOUND, OPTICS, blank_bodies
+from poseterior.inference.exact.loops.weighed import attempt_rows, draw_trials
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.faults import ORDERS, Faults
+from poseterior.probmodel.kinematics import upper_axes
+from poseterior.probmodel.likelihood import ErrorLaw
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.pose import GroupDraws, Pose
+from poseterior.probmodel.programs import kept
+from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.skeleton import GROUPS, NUM_JOINTS, NUM_UPPER, TORSO_INDEX
+from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 Effort = dict[int, tuple[int, int]]
 """By the number of limbs in a group: lengths of the bones under each root, and attempts at each

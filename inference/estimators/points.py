@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probmodel.detections import Detection
-from probmodel.failures import BadInput
-from probmodel.skeleton import JOINTS, NUM_JOINTS, TORSO_INDEX, TORSO_JOINTS
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS, TORSO_INDEX, TORSO_JOINTS
 
 FEWEST = 4
 """Seen joints that a whole pose needs."""

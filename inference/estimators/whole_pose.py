@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from probmodel.body import align_torsos
-from probmodel.camera import WeakPerspective
-from probmodel.detections import Detection
-from probmodel.failures import BadInput
-from probmodel.roots import Candidate
-from probmodel.skeleton import TORSO_INDEX
+from poseterior.probmodel.body import align_torsos
+from poseterior.probmodel.camera import WeakPerspective
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.roots import Candidate
+from poseterior.probmodel.skeleton import TORSO_INDEX
 
 
 def candidate_from_pose(

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import logsumexp
 
-from inference.exact.groups import workers
-from inference.exact.loops.fits import (
+from poseterior.inference.exact.groups import workers
+from poseterior.inference.exact.loops.fits import (
     FEWER,
     Balance,
     FitCells,
@@ -29,22 +29,28 @@ from inference.exact.loops.fits import (
     cut_fits,
     guess_fits,
 )
-from inference.exact.loops.roots import (
+from poseterior.inference.exact.loops.roots import (
     RootTable,
     TorsoProblem,
     attempt_roots,
     cut_roots,
     root_table,
 )
-from inference.exact.loops.seeds import seeded
-from inference.exact.rates import Budget
-from inference.resampling import effective, inclusion, shares, systematic
-from inference.uncertain.torsos import Posed, log_mass, points_of, rotations_of, torso_problem
-from probmodel.chunks import in_chunks
-from probmodel.faults import Faults
-from probmodel.likelihood import WithOutliers
-from probmodel.roots import RootPoint
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference.exact.loops.seeds import seeded
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.importance.torsos import (
+    Posed,
+    log_mass,
+    points_of,
+    rotations_of,
+    torso_problem,
+)
+from poseterior.inference.resampling import effective, inclusion, shares, systematic
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.likelihood import WithOutliers
+from poseterior.probmodel.roots import RootPoint
+from poseterior.probmodel.uncertain import UncertainPosterior
 
 BATCH = 1 << 17
 """Most attempts made at a time by one thread: some 10 ms."""

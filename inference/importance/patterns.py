@@ -14,9 +14,9 @@ import jax
 import numpy as np
 from scipy.special import logsumexp
 
-from inference.exact.groups import group_tables, once_a_model, workers
-from inference.exact.loops.promise import limb_ends, near_rows
-from inference.uncertain.limbs import (
+from poseterior.inference.exact.groups import group_tables, once_a_model, workers
+from poseterior.inference.exact.loops.promise import limb_ends, near_rows
+from poseterior.inference.importance.limbs import (
     CHAINED,
     ENDS,
     KEPT,
@@ -29,8 +29,8 @@ from inference.uncertain.limbs import (
     sights_of,
     views_of,
 )
-from probmodel.chunks import in_chunks
-from probmodel.faults import (
+from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.faults import (
     LIMB_INDEX,
     MOVES_TORSO,
     ORDERS,
@@ -38,11 +38,11 @@ from probmodel.faults import (
     Faults,
     faults_of,
 )
-from probmodel.likelihood import PAPER
-from probmodel.model import PoseModel
-from probmodel.roots import RootPoint
-from probmodel.skeleton import TORSO_INDEX
-from probmodel.uncertain import DetectedJoints, UncertainPosterior
+from poseterior.probmodel.likelihood import PAPER
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.roots import RootPoint
+from poseterior.probmodel.skeleton import TORSO_INDEX
+from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 BLUR = 0.06
 """Body units by which errors are widened, so that so few draws come near every detection."""

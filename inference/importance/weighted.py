@@ -19,15 +19,13 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from inference.exact.loops.numbers import words_of
-from inference.exact.mixture import MAX_PROPOSALS, Progress
-from inference.exact.problem import limbs_of
-from inference.exact.rates import Budget
-from inference.exact.reach import out_of_reach
-from inference.resampling import effective, shares, times
-from inference.results import COMPLETE, OUT_OF_BUDGET
-from inference.roots.points import require_camera
-from inference.uncertain.limbs import (
+from poseterior.inference.estimators.points import require_camera
+from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.exact.mixture import MAX_PROPOSALS, Progress
+from poseterior.inference.exact.problem import limbs_of
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.exact.reach import out_of_reach
+from poseterior.inference.importance.limbs import (
     ATTEMPTS,
     LimbDraws,
     limb_draws,
@@ -36,14 +34,16 @@ from inference.uncertain.limbs import (
     picks,
     views_of,
 )
-from inference.uncertain.proposals import ProposedRoots, propose_roots
-from inference.uncertain.torsos import log_nearness, require_distance
-from probmodel.failures import BadInput
-from probmodel.faults import LIMB_INDEX, Faults
-from probmodel.pose import Pose
-from probmodel.roots import RootPoint
-from probmodel.skeleton import GROUPS
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference.importance.proposals import ProposedRoots, propose_roots
+from poseterior.inference.importance.torsos import log_nearness, require_distance
+from poseterior.inference.resampling import effective, shares, times
+from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.faults import LIMB_INDEX, Faults
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.roots import RootPoint
+from poseterior.probmodel.skeleton import GROUPS
+from poseterior.probmodel.uncertain import UncertainPosterior
 
 NUM_ROOTS = 1000
 """Roots, where nothing else is said."""

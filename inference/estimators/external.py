@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from inference.roots.adjustment import adjust
-from inference.roots.points import Points
-from inference.roots.twins import Outcome, candidates_both_ways, mirrored
-from inference.roots.whole_pose import candidate_from_pose
-from probmodel.arrays import doubles, possible, read_array, read_tables
-from probmodel.detections import LARGEST_NUMBER, Detection
-from probmodel.failures import BadInput
-from probmodel.roots import Candidate
-from probmodel.skeleton import JOINTS, NUM_JOINTS
+from poseterior.inference.estimators.adjustment import adjust
+from poseterior.inference.estimators.points import Points
+from poseterior.inference.estimators.twins import Outcome, candidates_both_ways, mirrored
+from poseterior.inference.estimators.whole_pose import candidate_from_pose
+from poseterior.probmodel.arrays import doubles, possible, read_array, read_tables
+from poseterior.probmodel.detections import LARGEST_NUMBER, Detection
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.roots import Candidate
+from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS
 
 SUFFIXES = (".npz", ".npy")
 SHAPES = f"({NUM_JOINTS}, 3), (people, {NUM_JOINTS}, 3) or (people, alternatives, {NUM_JOINTS}, 3)"

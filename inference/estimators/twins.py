@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from inference.roots.adjustment import adjust, angle_between, mirror_twin
-from inference.roots.points import Points
-from inference.roots.whole_pose import candidate_from_pose
-from probmodel.detections import Detection
-from probmodel.roots import Candidate
+from poseterior.inference.estimators.adjustment import adjust, angle_between, mirror_twin
+from poseterior.inference.estimators.points import Points
+from poseterior.inference.estimators.whole_pose import candidate_from_pose
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.roots import Candidate
 
 SAME_ANGLE = np.radians(3)
 """Two cameras closer than this are one candidate: a torso seen head-on is its own mirror twin."""

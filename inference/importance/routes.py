@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 import jax
 
-from inference.exact.mixture import MAX_PROPOSALS, Progress
-from inference.uncertain import rejection, weighted
-from inference.uncertain.weighted import NUM_ROOTS, WeightedRoots
-from probmodel.uncertain import UncertainPosterior
+from poseterior.inference.exact.mixture import MAX_PROPOSALS, Progress
+from poseterior.inference.importance import rejection, weighted
+from poseterior.inference.importance.weighted import NUM_ROOTS, WeightedRoots
+from poseterior.probmodel.uncertain import UncertainPosterior
 
 WEIGHTED, REJECTION = "weighted-roots", "rejection"
 ROUTES = (WEIGHTED, REJECTION)

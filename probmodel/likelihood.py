@@ -4,8 +4,8 @@ An `ErrorLaw` is the isotropic law of one joint's error in units of its spread; 
 `Disc`. A `Likelihood` gives every joint its spread (τ, from the detector's scores) and says which
 joints count. `Observation` is what a detection then says under one root; see docs/model.md § 3.
 
-To add a law, write one subclass of `ErrorLaw`: samplers propose within its `reach` and keep a draw
-with probability exp(`log_ratio`), so nothing else has to know it.
+To add a law, write one subclass of `ErrorLaw`. Samplers propose by its envelope, or uniformly
+within its reach, and correct what they found by `log_over`: nothing else asks which law it is.
 """
 
 import abc
@@ -15,7 +15,7 @@ import hashlib
 import json
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 class ErrorLaw(abc.ABC):
     """The isotropic law of an error e in the plane, in units of a joint's spread.
 
-    Its density falls with the length of e and ends at `reach`.
+    Its density falls with the length of e and ends at `reach`. Formulas take arrays of NumPy or of
+    JAX, and return the like.
 
     Attributes
     ----------
@@ -46,29 +47,49 @@ class ErrorLaw(abc.ABC):
         The largest length of e that has any density.
     log_peak
         Log density at e = 0, per squared spread.
-    flat
-        Whether the density is the same everywhere within the reach, so that the indicator is all
-        there is.
-    deviation
-        The standard deviation either way of a Gaussian that, with the same peak, is nowhere below
-        the law: compiled loops may then propose by it. None where there is none.
-    gaussian
-        Whether within the reach the law is that Gaussian.
+    precision
+        Of the envelope, a Gaussian that has the law's peak and is nowhere below it within the
+        reach: exp(-precision · `|e|²`/2). At 0 it is a disc, which bounds every law.
+    exact
+        Whether within the reach the law is its envelope.
     """
 
     reach: float
     log_peak: float
-    flat: bool = False
-    deviation: float | None = None
-    gaussian: bool = False
+    precision: float = 0.0
+    exact: bool = False
 
     @abc.abstractmethod
-    def log_ratio(self, square: ArrayLike) -> jax.Array:
+    def log_ratio(self, square: ArrayLike) -> Any:
         """`(...)`: log f(e)/f(0) at squared lengths of e `(...)`; -inf beyond the reach."""
 
     @abc.abstractmethod
     def distance(self, uniform: ArrayLike) -> jax.Array:
         """`(...)`: the quantiles of the length of e at numbers `(...)` in [0, 1)."""
+
+    def follows(self, precision: ArrayLike) -> bool:
+        """Whether errors proposed within the reach by Gaussians of this precision (0: uniformly)
+        follow the law as they are."""
+        return self.exact and bool(np.all(np.asarray(precision) == self.precision))
+
+    def log_over(self, square: ArrayLike, precision: ArrayLike) -> Any:
+        """What corrects errors that were proposed by an envelope, for limbs and torsos alike.
+
+        Parameters
+        ----------
+        square : `(...)`
+            Squared lengths of proposed errors, all within the reach but for rounding.
+        precision
+            Of the Gaussians by which they were proposed: the law's, or 0 where uniformly.
+
+        Returns
+        -------
+        Array
+            `(...)`: the log of the law over the envelope, both over their peak; at most 0.
+        """
+        xp = _namespace(square)
+        within = xp.minimum(xp.asarray(square), xp.asarray(self.reach**2))
+        return self.log_ratio(within) + precision * within / 2
 
     def sample(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
         """Errors.
@@ -98,11 +119,12 @@ class Disc(ErrorLaw):
 
     reach = 1.0
     log_peak = float(-np.log(np.pi))
-    flat = True
+    exact = True
 
-    def log_ratio(self, square: ArrayLike) -> jax.Array:
+    def log_ratio(self, square: ArrayLike) -> Any:
         """0 in the disc, -inf outside."""
-        return jnp.where(jnp.asarray(square) <= 1.0, 0.0, -jnp.inf)
+        xp = _namespace(square)
+        return xp.where(xp.asarray(square) <= 1.0, 0.0, -xp.inf)
 
     def distance(self, uniform: ArrayLike) -> jax.Array:
         """The square root."""
@@ -115,20 +137,21 @@ class Gaussian(ErrorLaw):
     """A Gaussian whose standard deviation each way is half a spread, that of the disc, cut at three
     of them: 1.1 % of its mass lies beyond, and is left out."""
 
-    deviation = 0.5
-    gaussian = True
+    precision = 4.0
+    exact = True
     reach = 1.5
     log_peak = float(-np.log(2 * np.pi * 0.5**2 * (1 - np.exp(-(1.5**2) / (2 * 0.5**2)))))
 
-    def log_ratio(self, square: ArrayLike) -> jax.Array:
+    def log_ratio(self, square: ArrayLike) -> Any:
         """`-|e|²/2σ²` within the reach."""
-        square = jnp.asarray(square)
-        return jnp.where(square <= self.reach**2, -square / (2 * self.deviation**2), -jnp.inf)
+        xp = _namespace(square)
+        square = xp.asarray(square)
+        return xp.where(square <= self.reach**2, -square * self.precision / 2, -xp.inf)
 
     def distance(self, uniform: ArrayLike) -> jax.Array:
         """`|e|²/2σ²` is exponential, cut at 4.5."""
-        most = -jnp.expm1(-(self.reach**2) / (2 * self.deviation**2))
-        return self.deviation * jnp.sqrt(-2 * jnp.log1p(-most * jnp.asarray(uniform)))
+        most = -jnp.expm1(-(self.reach**2) * self.precision / 2)
+        return jnp.sqrt(-2 / self.precision * jnp.log1p(-most * jnp.asarray(uniform)))
 
 
 @jax.tree_util.register_static
@@ -166,16 +189,17 @@ class Student(ErrorLaw):
         return 0.5 * math.sqrt(self.df * math.expm1(9 / self.df))
 
     @property
-    def deviation(self) -> float:  # type: ignore[override]
+    def precision(self) -> float:  # type: ignore[override]
         """Log t is convex in `|e|²`, so it lies below its chord from the peak to the reach, where
         it is -(df + 2)/2 · 9/df: a Gaussian."""
-        return self.reach / math.sqrt(9 * (1 + 2 / self.df))
+        return 9 * (1 + 2 / self.df) / self.reach**2
 
-    def log_ratio(self, square: ArrayLike) -> jax.Array:
+    def log_ratio(self, square: ArrayLike) -> Any:
         """`-(df + 2)/2 · log(1 + |e|²/(σ² df))` within the reach."""
-        square = jnp.asarray(square)
-        inside = -(self.df + 2) / 2 * jnp.log1p(4 * square / self.df)
-        return jnp.where(square <= self.reach**2, inside, -jnp.inf)
+        xp = _namespace(square)
+        square = xp.asarray(square)
+        inside = -(self.df + 2) / 2 * xp.log1p(4 * square / self.df)
+        return xp.where(square <= self.reach**2, inside, -xp.inf)
 
     def distance(self, uniform: ArrayLike) -> jax.Array:
         """`(1 + |e|²/(σ² df))^(-df/2)` is uniform, cut at e^-4.5."""
@@ -208,7 +232,7 @@ class WithOutliers(ErrorLaw):
     outlier: np.ndarray | jax.Array
 
     @property
-    def reach(self) -> jax.Array:  # type: ignore[override]
+    def reach(self) -> Any:  # type: ignore[override]
         """`(..., joints)`."""
         return self._each(Disc.reach, self.inlier.reach)
 
@@ -218,11 +242,16 @@ class WithOutliers(ErrorLaw):
         return self._each(Disc.log_peak, self.inlier.log_peak)
 
     @property
-    def flat(self) -> bool:  # type: ignore[override]
-        """Whether the inliers' law is."""
-        return self.inlier.flat
+    def precision(self) -> Any:  # type: ignore[override]
+        """`(..., joints)`."""
+        return self._each(Disc.precision, self.inlier.precision)
 
-    def log_ratio(self, square: ArrayLike) -> jax.Array:
+    @property
+    def exact(self) -> bool:  # type: ignore[override]
+        """Whether the inliers' law is."""
+        return self.inlier.exact
+
+    def log_ratio(self, square: ArrayLike) -> Any:
         """`(..., joints)`."""
         return self._each(Disc().log_ratio(square), self.inlier.log_ratio(square))
 
@@ -230,8 +259,14 @@ class WithOutliers(ErrorLaw):
         """`(..., joints)`."""
         return self._each(Disc().distance(uniform), self.inlier.distance(uniform))
 
-    def _each(self, outliers: ArrayLike, others: ArrayLike) -> jax.Array:
-        return jnp.where(jnp.asarray(self.outlier), outliers, others)
+    def _each(self, outliers: Any, others: Any) -> Any:
+        xp = _namespace(self.outlier, outliers, others)
+        return xp.where(xp.asarray(self.outlier), outliers, others)
+
+
+def _namespace(*arrays: Any) -> Any:
+    """NumPy, or `jax.numpy` where one of the arrays is of JAX."""
+    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
 
 
 @dataclasses.dataclass(frozen=True)

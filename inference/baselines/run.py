@@ -297,7 +297,7 @@ def check_packages(name: str, baseline: Baseline) -> None:
 
 def check_law(name: str, baseline: Baseline, law: ErrorLaw) -> None:
     """Raises `BadInput` where the baseline does not draw under a law of errors."""
-    if baseline.discs and not law.flat:
+    if baseline.discs and not law.follows(0.0):
         raise BadInput(
             f"the sampler {name} shrinks discs, and knows of no other law of errors; take the law"
             " disc (on the command line --errors disc), or another sampler"

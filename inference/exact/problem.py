@@ -66,9 +66,9 @@ def _torso(observation: Observation) -> tuple[jax.Array, jax.Array]:
 def log_ratio_of(
     model: PoseModel, observation: Observation, limbs: tuple[Limb, ...]
 ) -> LogRatio | None:
-    """What draws within reach of all their targets are thinned by; None where the law is flat, so
-    that all of them are kept."""
-    if observation.law.flat:
+    """What draws within reach of all their targets are thinned by; None where they follow the law
+    as they are, so that all of them are kept."""
+    if observation.law.follows(0.0):
         return None
     ends = [bone.end for limb in limbs for bone in limb.bones]
 

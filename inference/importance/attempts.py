@@ -149,7 +149,7 @@ def _by_fits(posed: Posed, known: Balance, fits: FitCells, *, exact: bool) -> Pr
         lambda state, number, table: attempt_fits(
             state, number, problem, known, fits, exact, table
         ),
-        thinned=not posed.law.inlier.gaussian,
+        thinned=not posed.law.follows(posed.law.precision),
         precision=problem.precision,
         exact=exact,
     )
@@ -161,7 +161,7 @@ def _by_discs(posed: Posed) -> Proposal:
     return Proposal(
         mass,
         lambda state, number, table: attempt_roots(state, number, problem, cells, table),
-        thinned=not posed.law.flat,
+        thinned=not posed.law.follows(0.0),
         precision=np.zeros_like(problem.precision),
     )
 
@@ -363,10 +363,9 @@ def _log_ratio(
         image = view[:, :2] - view[:, 2:] * jnp.asarray(problem.ray)
         offset = image + plane[None] + jnp.asarray(problem.bias)
         offset -= jnp.asarray(problem.keypoints) * inverse
-        square = jnp.sum(offset**2, axis=1)
-        proposed = -precision * square / 2
         spread = jnp.asarray(problem.reach) / law.reach
-        return jnp.sum(law.log_ratio(square / spread**2) - proposed)
+        square = jnp.sum(offset**2, axis=1) / spread**2
+        return jnp.sum(law.log_over(square, precision * spread**2))
 
     return jax.vmap(one)(torso, rotation, inverse, plane)
 

@@ -29,7 +29,7 @@ from poseterior.inference.exact.loops.weighed import attempt_rows, draw_trials
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.faults import ORDERS, Faults
 from poseterior.probmodel.kinematics import upper_axes
-from poseterior.probmodel.likelihood import ErrorLaw
+from poseterior.probmodel.likelihood import ErrorLaw, WithOutliers
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.pose import GroupDraws, Pose
 from poseterior.probmodel.programs import kept
@@ -249,14 +249,16 @@ def weigh_group(
     limbs = []
     for sight, build in zip(sights, tables.builds, strict=True):
         found, ends = np.empty(number * trials * each, FOUND), np.zeros(number, np.int64)
-        gaussian = np.where(sight.outlier | ~np.isfinite(sight.reach), 0.0, law.deviation or 0.0)
-        deviation = gaussian * np.where(gaussian > 0, sight.spread, 1.0)
+        own = WithOutliers(law, sight.outlier)
+        precision = np.where(np.isfinite(sight.reach), own.precision, 0.0)
+        deviation = np.zeros_like(sight.reach)
+        np.divide(sight.spread, np.sqrt(precision), out=deviation, where=precision > 0)
         attempt_rows(
             states, *sight[:3], deviation, sight.optics, build, *lengths, each, found, ends
         )
         found = found[: ends[-1]]
-        if not law.flat and law.deviation is None:
-            found["weight"] *= _ratios(law, sight, found, ends)
+        if not law.follows(law.precision):
+            found["weight"] *= _corrections(own, sight, found, ends)
         limbs.append((found, ends))
     first, second = limbs if len(limbs) == 2 else (*limbs, _certain(number, trials, each))
     evidence, bodies = np.zeros(number), blank_bodies(number * KEPT, len(limbs))
@@ -277,13 +279,16 @@ def _certain(number: int, trials: int, each: int) -> tuple[np.ndarray, np.ndarra
     return found, np.arange(1, number + 1) * trials
 
 
-def _ratios(law: ErrorLaw, sight: Sight, found: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """`(m,)`: of each attempt found, the likelihood of a law that compiled loops do not know over
-    the peak."""
+def _corrections(
+    law: WithOutliers, sight: Sight, found: np.ndarray, ends: np.ndarray
+) -> np.ndarray:
+    """`(m,)`: of each attempt found, the likelihood over that of the envelopes by which its joints
+    were proposed."""
     rows = np.repeat(np.arange(len(ends)), np.diff(ends, prepend=0))
-    inlier = np.isfinite(sight.reach) & ~sight.outlier
-    square = found["square"] / np.where(inlier, sight.spread, 1.0)[rows] ** 2
-    return np.exp(np.where(inlier[rows], law.log_ratio(square), 0.0).sum(axis=1))
+    counts = np.isfinite(sight.reach)
+    square = found["square"] / np.where(counts, sight.spread, 1.0)[rows] ** 2
+    law = WithOutliers(law.inlier, law.outlier[rows])
+    return np.exp(np.where(counts[rows], law.log_over(square, law.precision), 0.0).sum(axis=1))
 
 
 def _free(draws: GroupDraws, words: list[int], *path: int) -> LimbDraws:

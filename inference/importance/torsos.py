@@ -57,11 +57,7 @@ def torso_problem(posterior: UncertainPosterior, faults: Faults) -> Posed:
     ray = np.asarray(detected.rays(posterior.model.lens))[joints][order]
     lowest = lowest_scale(points, keypoints, bias, reach, ray)
     # Every seen joint contributes scale⁻², and the translation takes one of them.
-    precision = np.zeros(len(rows))
-    if law.inlier.deviation is not None:
-        precision[~law.outlier] = (
-            law.inlier.reach / law.inlier.deviation / reach[~law.outlier]
-        ) ** 2
+    precision = np.asarray(law.precision * (law.reach / reach) ** 2)
     problem = TorsoProblem(
         points,
         np.ascontiguousarray(keypoints / lowest),

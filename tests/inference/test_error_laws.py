@@ -74,12 +74,13 @@ def test_a_students_law_is_scipys_and_ends_where_a_gaussian_does():
         np.testing.assert_allclose(law.log_peak + log_ratio, exact, rtol=1e-9)
         beyond = integrate.quad(lambda r, t=t: 2 * np.pi * r * t.pdf([r, 0.0]), law.reach, np.inf)
         assert beyond[0] == pytest.approx(np.exp(-4.5), rel=1e-6)
-        above = -(far**2) / (2 * law.deviation**2) - log_ratio
+        above = -(far**2) * law.precision / 2 - log_ratio
+        np.testing.assert_allclose(law.log_over(far**2, law.precision), -above, atol=1e-12)
         assert above.min() > -1e-12
         assert above[-1] == pytest.approx(0, abs=1e-9)
         assert above[250] > 1e-3
     assert Student(1e7).reach == pytest.approx(Gaussian.reach, rel=1e-5)
-    assert Student(1e7).deviation == pytest.approx(Gaussian.deviation, rel=1e-5)
+    assert Student(1e7).precision == pytest.approx(Gaussian.precision, rel=1e-5)
 
 
 def test_tails_that_reach_beyond_a_person_are_refused():

@@ -109,7 +109,7 @@ def test_students_roots_are_those_by_discs(monkeypatch: pytest.MonkeyPatch) -> N
     assert smallest_p(fitted, discs) > ALARM
     error = math.sqrt(fitted.variance + discs.variance)
     assert abs(fitted.log_evidence - discs.log_evidence) < 4 * error < 0.25
-    monkeypatch.setattr(Student, "gaussian", True)
+    monkeypatch.setattr(Student, "exact", True)
     wrong = draw_roots(whole, Faults.none(), [1, 2], 1000, Budget(1 << 30))
     assert wrong.log_evidence > discs.log_evidence + 8 * error
 

@@ -24,7 +24,7 @@ from poseterior.inference.importance.limbs import (
     weigh_group,
 )
 from poseterior.inference.importance.weighted import weigh_roots
-from poseterior.probmodel import Gaussian, Likelihood, PoseModel
+from poseterior.probmodel import Gaussian, Likelihood, PoseModel, Student
 from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.pose import GroupDraws
 from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX
@@ -116,7 +116,7 @@ def test_weighted_attempts_have_the_evidence_and_draws_of_exact_ones():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", [Gaussian(), CutGaussian()])
+@pytest.mark.parametrize("law", [Gaussian(), CutGaussian(), Student(6.0)])
 def test_under_laws_that_are_not_flat(law):
     """The Gaussian by discs of random radii, another law by its density at what was found."""
     worst, relative = off(*scene(), law)

@@ -253,7 +253,7 @@ class DeviceGroup(StratifiedGroup):
 def device_groups(key: jax.Array, model: PoseModel, observation: Observation) -> list[DeviceGroup]:
     """A sampler of each of `skeleton.GROUPS`, with keys of their own."""
     tables, problems = group_tables(model), limb_problems(observation)
-    thinning = None if observation.law.flat else Thinning(model, observation)
+    thinning = None if observation.law.follows(0.0) else Thinning(model, observation)
     return [
         DeviceGroup(jax.random.fold_in(key, index), name, tables[name], problems[name], thinning)
         for index, name in enumerate(GROUPS)

@@ -15,13 +15,12 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from poseterior.inference.drawers import NUM_ROOTS
 
 from poseterior.inference.clusters import clusters
 from poseterior.inference.composition import Drawn, compose
-from poseterior.inference.drawers import NUM_ROOTS
 from poseterior.inference.estimators import estimate_torsos
 from poseterior.inference.hypothesis import diverse
-from poseterior.inference.results import FIXED, UNCERTAIN
 from poseterior.inference.studies.calibration.real import TRUE, true_candidate
 from poseterior.inference.studies.errors import best_of, mean_joint_error
 from poseterior.inference.studies.evaluation.outcome import Protocol
@@ -31,6 +30,7 @@ from poseterior.probmodel import Likelihood
 from poseterior.probmodel.datasets import Case, read_data_set
 from poseterior.probmodel.likelihood import Gaussian
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import NUM_JOINTS
 from poseterior.reports.figures.composition import gains_figure
 from poseterior.reports.pages.evaluation import CLASSES, NOISE, gain, protocol_of
@@ -41,8 +41,8 @@ from poseterior.reports.tables import Sheet, sheet_of
 K, FRAMES = 5, 160
 CHOSEN = ("draws", "composed", "centres, which are no poses")
 LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
-WAYS = ((FIXED, "disc"), (UNCERTAIN, "disc"), (UNCERTAIN, "Gaussian"), (TRUE, "disc"))
-NAMES = {FIXED: ESTIMATOR, UNCERTAIN: "uncertain", TRUE: "true"}
+WAYS = ((CANDIDATES, "disc"), (UNCERTAIN, "disc"), (UNCERTAIN, "Gaussian"), (TRUE, "disc"))
+NAMES = {CANDIDATES: ESTIMATOR, UNCERTAIN: "uncertain", TRUE: "true"}
 
 
 class Errors(NamedTuple):

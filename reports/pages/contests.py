@@ -18,7 +18,7 @@ import xarray as xr
 from poseterior.inference.baselines.catalogue import BASELINES
 from poseterior.inference.baselines.run import Allowance
 from poseterior.inference.baselines.target import Target
-from poseterior.inference.exact.mixture import draw_mixture
+from poseterior.inference.exact.mixture import ExactRejection
 from poseterior.inference.results import save_tree
 from poseterior.inference.studies.comparison import comparison_tree, contest
 from poseterior.inference.studies.comparison.record import Entry
@@ -29,6 +29,7 @@ from poseterior.inference.studies.scenes import (
     prior_scene,
 )
 from poseterior.probmodel import Estimate, PoseModel
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.pages.page import in_doubles
 
 CHECK = "one arm seen"
@@ -70,7 +71,9 @@ def clock(model: PoseModel, frame: Estimate, number: int) -> list[float]:
     found = []
     for draws in CLOCKED:
         started = CLOCK()
-        draw_mixture(frame.posterior(model), key=jax.random.key(number), num_samples=draws)
+        draw_mixture(
+            frame.posterior(model, CANDIDATES), key=jax.random.key(number), num_samples=draws
+        )
         found.append(CLOCK() - started)
     return found
 
@@ -102,7 +105,7 @@ def compare(
     frame = list(SUITE.values())[number](model)
     known = contest.truth(model, frame, key=jax.random.key(1000 + number), number=EXACT_DRAWS)
     attributes: dict[str, object] = {
-        "dim": Target.of(known.frame.posterior(model)).dim,
+        "dim": Target.of(known.frame.posterior(model, CANDIDATES)).dim,
         "exact_log_evidence": known.evidence[0],
         "exact_log_evidence_se": known.evidence[1],
     }

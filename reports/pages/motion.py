@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.machines import HERE
-from poseterior.inference.results import FIXED, UNCERTAIN, save_tree
+from poseterior.inference.results import save_tree
 from poseterior.inference.studies.calibration.coverage import CoverageSummary, summary
 from poseterior.inference.studies.calibration.exclusions import Reason, exclusions
 from poseterior.inference.studies.calibration.posteriors import sampler_of
@@ -38,6 +38,7 @@ from poseterior.probmodel.learning.learner import learn
 from poseterior.probmodel.learning.poses import gather
 from poseterior.probmodel.learning.tolerance import DEFAULT
 from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.roots import Candidate
 from poseterior.probmodel.skeleton import TORSO_INDEX
 from poseterior.reports.figures.coverage import coverage_figure
@@ -56,7 +57,7 @@ NEAREST = 8
 FRAMES = 640
 """Of the paper's relations."""
 ESTIMATOR = "akhter-black"
-ROOTED = (FIXED, UNCERTAIN, TRUE)
+ROOTED = (CANDIDATES, UNCERTAIN, TRUE)
 UPRIGHT = 20
 """Degrees by which backs are tilted, where that is believed."""
 LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
@@ -75,7 +76,7 @@ class Given(NamedTuple):
     @property
     def kind(self) -> str:
         """Whether the root is fixed or uncertain."""
-        return UNCERTAIN if self.root == UNCERTAIN else FIXED
+        return UNCERTAIN if self.root == UNCERTAIN else CANDIDATES
 
     @property
     def path(self) -> str:
@@ -204,7 +205,7 @@ def compared(work: Path, data: Path) -> Values:
     cases = read_data_set(data / CLASSES, frames=FRAMES, noise=NOISE)
 
     def found(name: str, protocol: Protocol, roots: Sequence[str]) -> list[Relation]:
-        estimators = (ESTIMATOR, "zhou") if FIXED in roots else (ESTIMATOR,)
+        estimators = (ESTIMATOR, "zhou") if CANDIDATES in roots else (ESTIMATOR,)
         wanted = conditions(estimators, (0,), (0.0,), roots)
         out = work / name
         out.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,6 @@
 """Several samplers on one frame, each from two starts, judged by exact draws.
 
-found = compare(model, frame, ["rejection", "emcee"], seconds=30)
+found = compare_candidate(model, frame, ["rejection", "emcee"], seconds=30)
 found.tree["summary"].to_dataframe()
 """
 
@@ -22,13 +22,14 @@ import xarray as xr
 from poseterior.inference.baselines.catalogue import (
     BASELINES,
     STARTS,
-    baseline_tree,
+    draws_of,
     starting_points,
 )
 from poseterior.inference.baselines.run import Allowance, Clock, Run, check_law, check_packages, run
 from poseterior.inference.baselines.target import Density, Target
-from poseterior.inference.exact.mixture import draw_mixture
-from poseterior.inference.results import COMPLETE, Result, save_tree
+from poseterior.inference.draws import COMPLETE
+from poseterior.inference.exact.mixture import ExactRejection
+from poseterior.inference.results import Result, save_tree
 from poseterior.inference.sampler import SAMPLERS, sample
 from poseterior.inference.store import locked
 from poseterior.inference.studies.comparison.cost import course
@@ -39,6 +40,7 @@ from poseterior.inference.studies.comparison.sample import Sample, read_sample
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import CANDIDATES
 
 PILOT = 500
 """Draws by which the candidate is chosen."""
@@ -83,7 +85,7 @@ class Comparison(NamedTuple):
     tree: xr.DataTree
 
 
-def compare(
+def compare_candidate(
     model: PoseModel,
     frame: Estimate,
     samplers: Sequence[str],
@@ -200,10 +202,14 @@ def truth(model: PoseModel, frame: Estimate, *, key: jax.Array, number: int = RE
     """Exact draws under the candidate with the largest weight. Raises `OutOfBudget` where there are
     none."""
     if len(frame.candidates) > 1:
-        pilot = sample(model, frame, key=jax.random.fold_in(key, 0), num_samples=PILOT)
+        pilot = sample(
+            model, frame, root=CANDIDATES, key=jax.random.fold_in(key, 0), num_samples=PILOT
+        )
         best = int(np.argmax(pilot.tree["constant_data"].weight.values))
         frame = dataclasses.replace(frame, candidates=(frame.candidates[best],))
-    result = sample(model, frame, key=jax.random.fold_in(key, 1), num_samples=number)
+    result = sample(
+        model, frame, root=CANDIDATES, key=jax.random.fold_in(key, 1), num_samples=number
+    )
     return truth_of(frame, result)
 
 
@@ -238,9 +244,11 @@ def enter_exact(
     """A line of exact rejection, drawn anew with another key. It is drawn twice, the same: the
     first time everything is compiled, the second time the clock runs, as with baselines up to where
     draws are given names."""
-    result = sample(model, known.frame, sampler=name, key=key, num_samples=num_samples)
+    result = sample(
+        model, known.frame, sampler=name, root=CANDIDATES, key=key, num_samples=num_samples
+    )
     started = clock()
-    draw_mixture(known.frame.posterior(model), key=key, sampler=name, num_samples=num_samples)
+    ExactRejection(name).draw(known.frame.posterior(model, CANDIDATES), key, num_samples)
     seconds = clock() - started
     attributes = result.tree.attrs
     evidence = attributes["log_evidence"], attributes["log_evidence_se"]
@@ -263,10 +271,10 @@ def enter_baseline(
     clock: Clock = time.perf_counter,
 ) -> tuple[Entry, xr.DataTree | None]:
     """A line of a baseline, and its draws, or none where its budget brought none."""
-    posterior = known.frame.posterior(model)
+    posterior = known.frame.posterior(model, CANDIDATES)
     return enter_chains(
+        posterior,
         Target.of(posterior),
-        functools.partial(baseline_tree, posterior),
         known,
         name,
         start,
@@ -280,8 +288,8 @@ def enter_baseline(
 
 
 def enter_chains(
+    posterior: Posterior,
     target: Density,
-    tree_of: Callable[[Run, jax.Array], xr.DataTree],
     known: Truth,
     name: str,
     start: str,
@@ -289,8 +297,7 @@ def enter_chains(
     key: jax.Array,
     **settings: Any,
 ) -> tuple[Entry, xr.DataTree | None]:
-    """As `enter_baseline`, which says what `settings` are, on any target; `tree_of(run, key)` makes
-    its draws a tree."""
+    """As `enter_baseline`, which says what `settings` are, on the target of any posterior."""
     done = run(
         BASELINES[name],
         name,
@@ -304,7 +311,7 @@ def enter_chains(
     if not done.num_draws:
         cost = done.cost.num_proposals, done.cost.wall_time
         return Entry(name, start, None, done.sentence, 0, *cost, None, None, *evidence), None
-    tree = tree_of(done, key)
+    tree = tree_of(draws_of(posterior, target, done, key))
     found = read_sample(tree, f"the draws of {name}")
     return (
         entry_of(name, start, found, known, "", _work_of(done, BASELINES[name].starts), evidence),

@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from poseterior.probmodel.errors.faults import Faults
 
 from poseterior.inference.clusters import Clusters, clusters
 from poseterior.inference.draws import Draws
 from poseterior.inference.hypothesis import Hypothesis, require_k
 from poseterior.inference.machines import calm_blas
 from poseterior.inference.results import Result
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import DetectedJoints, Observation
 from poseterior.probmodel.posterior import Posterior

@@ -1,19 +1,24 @@
-"""What a detection says under one root: where each joint was seen on the camera's plane, and how
-far from there it may fall.
+"""What a detection says, before any root and under one: where each joint was seen on the camera's
+plane, and how far from there it may fall.
 
-Here pixels have become body units, once, and a joint that does not count is one thing: it may fall
+Here pixels become body units, once, and a joint that does not count is one thing: it may fall
 infinitely far.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.errors.faults import ORDERS, Faults
+from poseterior.probmodel.errors.laws import ErrorLaw, WithOutliers
+from poseterior.probmodel.skeleton import NUM_JOINTS
+
 if TYPE_CHECKING:
-    from poseterior.probmodel.likelihood import ErrorLaw
+    from poseterior.probmodel.root_priors import RootPrior
     from poseterior.probmodel.roots import Root
 
 
@@ -198,3 +203,75 @@ class Observation(NamedTuple):
         """`(...)` bool: whether poses `(..., 15, 3)` in camera axes put every seen joint within its
         reach."""
         return jnp.all(self.within(joints), axis=-1)
+
+
+class DetectedJoints(NamedTuple):
+    """A detection before any root: what `Observation` is made of once there is one; a pytree.
+
+    Attributes
+    ----------
+    keypoints
+        `(15, 2)` pixels, 0 where a joint does not count.
+    spread
+        `(15,)` of each joint's error in body units, the same under every root; infinite where
+        a joint does not count.
+    bias
+        `(15, 2)` of each keypoint, body units.
+    far
+        How far from its joint an outlier may lie, body units.
+    law
+        The errors' law.
+    """
+
+    keypoints: np.ndarray | jax.Array
+    spread: np.ndarray | jax.Array
+    bias: np.ndarray | jax.Array
+    far: float | jax.Array
+    law: "ErrorLaw"
+
+    @property
+    def counts(self) -> jax.Array:
+        """`(15,)` bool: the keypoints that count."""
+        return jnp.isfinite(jnp.asarray(self.spread))
+
+    def read(self, faults: Faults) -> "DetectedJoints":
+        """The detection as a pattern of faults has it: what is exchanged put back, outliers with
+        their own spread and law; a formula of JAX."""
+        order = jnp.asarray(ORDERS)[faults.exchange]
+        spread = jnp.asarray(self.spread)[order]
+        outlier = jnp.asarray(faults.outlier)[order] & jnp.isfinite(spread)
+        return DetectedJoints(
+            jnp.asarray(self.keypoints)[order],
+            jnp.where(outlier, self.far, spread),
+            jnp.where(outlier[:, None], 0.0, jnp.asarray(self.bias)[order]),
+            self.far,
+            WithOutliers(self.law, outlier),
+        )
+
+    def rays(self, lens: Lens | None) -> np.ndarray | jax.Array:
+        """`(15, 2)`: of each joint's line of sight, how far it runs to the side for one in depth; 0
+        without a lens, and where a joint does not count."""
+        if lens is None:
+            return np.zeros((NUM_JOINTS, 2))
+        slope = (jnp.asarray(self.keypoints) - jnp.asarray(lens.principal)[None]) / lens.focal
+        return jnp.where(self.counts[:, None], slope, 0.0)
+
+    def under(self, prior: "RootPrior", point: Any, faults: Faults | None = None) -> "Observation":
+        """The detection under one root of a prior and a pattern of faults, or none; a formula of
+        JAX."""
+        return self.at(prior.root(point), faults)
+
+    def at(self, root: "Root", faults: Faults | None = None) -> "Observation":
+        """The detection under a torso and camera: numbers where those are, else a formula of
+        JAX."""
+        read = self if faults is None else self.read(faults)
+        target = root.camera.to_plane(read.keypoints) - read.bias
+        xp = jnp if isinstance(target, jax.Array) else np
+        seen = xp.isfinite(read.spread)[:, None]
+        return Observation(root, xp.where(seen, target, 0.0), read.spread, read.law, read.bias)
+
+    def log_peak(self) -> jax.Array:
+        """`()`: log likelihood of a pose that projects onto every target under a root of scale 1;
+        under one of scale s it is lower by 2 log s for every joint that counts."""
+        spread = jnp.where(self.counts, jnp.asarray(self.spread), 1.0)
+        return jnp.sum(jnp.where(self.counts, self.law.log_peak - 2 * jnp.log(spread), 0.0))

@@ -14,11 +14,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from poseterior.probmodel.errors.faults import FaultPrior, Faults
-from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.errors.faults import FaultPrior, Faults
+from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel, log_joint
 from poseterior.probmodel.observation import DetectedJoints, Observation
@@ -224,8 +224,8 @@ class Estimate:
 
     @property
     def _log_torso(self) -> np.ndarray:
-        """`(candidates,)`: log likelihood of the torso's detected joints under each candidate. Where
-        none has all of them within reach, they say nothing and are left out."""
+        """`(candidates,)`: log likelihood of the torso's detected joints under each candidate.
+        Where none has all of them within reach, they say nothing and are left out."""
         if len(self.candidates) == 1:
             return np.zeros(1)
         torso = [self.likelihood.log_torso(self.detection, one.root) for one in self.candidates]

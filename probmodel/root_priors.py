@@ -93,7 +93,7 @@ class Candidates:
         return np.asarray(columns["candidate"])
 
     def error_of(self, candidate: Candidate) -> float:
-        """What results say of the reprojection error of a side's camera, which is the candidate's."""
+        """What results say of the reprojection error of a side's camera: it is the candidate's."""
         return candidate.reprojection_error
 
     def counted(self, joints: Sequence[int]) -> list[int]:

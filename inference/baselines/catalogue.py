@@ -1,4 +1,5 @@
-"""The table of baselines, the two starts, and the sampler that each of them is. Those of `ROOTED` draw torso and camera with the pose, too.
+"""The table of baselines, the two starts, and the sampler that each of them is. Those of `ROOTED`
+draw torso and camera with the pose, too.
 
 A start "dispersed" over the exact posterior flatters, because the walkers are where they should be
 before the first step; a start in "one flip" (the commonest pattern of limbs towards and away from

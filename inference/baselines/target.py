@@ -23,9 +23,9 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
-from poseterior.probmodel.errors.faults import Faults
 
 from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import Observation
@@ -204,8 +204,8 @@ class Target(LimbChart):
         where = posterior.detection.where
         if len(posterior.candidates) != 1:
             raise BadInput(
-                f"{where} has {len(posterior.candidates)} torso-and-camera candidates, but this sampler"
-                " draws under one; estimate with num_candidates=1 (on the command line"
+                f"{where} has {len(posterior.candidates)} torso-and-camera candidates, but this"
+                " sampler draws under one; estimate with num_candidates=1 (on the command line"
                 " --candidates 1)"
             )
         observation = posterior.observations[0]

@@ -109,8 +109,8 @@ def programs() -> None:
     detection."""
     import numpy as np
 
-    from poseterior.inference.estimators import estimate_torso
     from poseterior.inference.draws import Draws, KnownRoots
+    from poseterior.inference.estimators import estimate_torso
     from poseterior.inference.results import tree_of
     from poseterior.probmodel.errors.faults import Faults
     from poseterior.probmodel.example import example

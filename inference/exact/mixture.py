@@ -1,7 +1,7 @@
 """Exact draws from the mixture over a posterior's candidates.
 
-Each candidate's evidence comes out of its own rejection, weighs it against the others, and decides how
-many of the draws are its own.
+Each candidate's evidence comes out of its own rejection, weighs it against the others, and decides
+how many of the draws are its own.
 """
 
 import functools
@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
-from poseterior.probmodel.errors.faults import Faults
 
 from poseterior.inference.draws import (
     COMPLETE,
@@ -30,6 +29,7 @@ from poseterior.inference.exact.problem import limb_problems, log_ratio_of
 from poseterior.inference.exact.rates import Budget, GroupSampler, Pooled, Rate
 from poseterior.inference.exact.reach import nearest_miss, out_of_reach
 from poseterior.inference.resampling import shares
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import Observation

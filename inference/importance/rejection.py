@@ -66,8 +66,8 @@ from poseterior.inference.importance.weighted import (
     log_limbs,
     require_number,
 )
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.pose import GroupDraws, Pose
 from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.roots import RootPoint

@@ -48,8 +48,8 @@ from poseterior.inference.importance.limbs import (
 from poseterior.inference.importance.proposals import ProposedRoots, propose_roots
 from poseterior.inference.importance.torsos import log_nearness, require_distance
 from poseterior.inference.resampling import effective, shares, times
+from poseterior.probmodel.errors.faults import LIMB_INDEX, Faults
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.faults import LIMB_INDEX, Faults
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.roots import RootPoint

@@ -2,7 +2,6 @@
 picture."""
 
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports import console
 from poseterior.reports.options import ROUTES, Screen
 from poseterior.reports.settings import CONTESTANTS, CompareSettings

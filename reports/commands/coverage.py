@@ -4,15 +4,13 @@ not, why?"""
 from pathlib import Path
 from typing import Any
 
-from poseterior.inference.sampler import MAKERS
-
 from poseterior.inference.results import save_tree
+from poseterior.inference.sampler import MAKERS
 from poseterior.inference.studies import calibration
 from poseterior.inference.studies.calibration.coverage import CoverageSummary
 from poseterior.inference.studies.calibration.record import instances_tree
 from poseterior.inference.studies.calibration.verdict import FEWEST
 from poseterior.probmodel import BadInput, Likelihood
-from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure
 from poseterior.reports.figures.coverage import coverage_figure, ranks_figure

@@ -14,7 +14,6 @@ from poseterior.inference.hypothesis import Hypothesis, hypotheses
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
-from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports import console, doubts, tables
 from poseterior.reports.figures import (
     hypotheses_figure,

@@ -1,12 +1,10 @@
 """`poseterior sample`: posterior draws of one person by a named sampler, as netCDF and a page."""
 
-
 from poseterior.inference.draws import COMPLETE
 from poseterior.inference.drawsfile import sample_to_file
 from poseterior.inference.hypothesis import hypotheses
 from poseterior.inference.sampler import sampler_of
 from poseterior.probmodel.failures import BadInput, OutOfBudget
-from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports import console, doubts, tables
 from poseterior.reports.interactive.page import write_page
 from poseterior.reports.interactive.person import person_page

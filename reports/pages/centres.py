@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from poseterior.inference.drawers import NUM_ROOTS
 
 from poseterior.inference.clusters import clusters
 from poseterior.inference.composition import Drawn, compose
 from poseterior.inference.estimators import estimate_torsos
 from poseterior.inference.hypothesis import diverse
+from poseterior.inference.sampler import MANY_ROOTS as NUM_ROOTS
 from poseterior.inference.studies.calibration.real import TRUE, true_candidate
 from poseterior.inference.studies.errors import best_of, mean_joint_error
 from poseterior.inference.studies.evaluation.outcome import Protocol
@@ -28,7 +28,7 @@ from poseterior.inference.studies.evaluation.relations import LEAST_GAIN
 from poseterior.inference.studies.evaluation.scores import Interval
 from poseterior.probmodel import Likelihood
 from poseterior.probmodel.datasets import Case, read_data_set
-from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import NUM_JOINTS

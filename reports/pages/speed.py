@@ -316,10 +316,10 @@ def curves(model: PoseModel, frame: Estimate) -> dict[str, Curve]:
 
     def each(frame: Estimate, number: int) -> float:
         draw = functools.partial(
-            draw_mixture,
+            ExactRejection().draw,
             frame.posterior(model, CANDIDATES),
-            key=jax.random.key(1),
-            num_samples=number,
+            jax.random.key(1),
+            number,
         )
         return timed(draw, 2) / number * 1e6
 
@@ -423,8 +423,8 @@ def main(data: Path) -> None:
     if archive.exists():
         sets["Poses of CMU motion capture"] = motion_frames(archive)
     frames = list(sets.values())[-1]
-    draw_mixture(
-        frames[0].posterior(model, CANDIDATES), key=jax.random.key(0), num_samples=2000
+    ExactRejection().draw(
+        frames[0].posterior(model, CANDIDATES), jax.random.key(0), 2000
     )  # compiles
     floor, naive = floors(), naive_proposal(model, frames[0])
     tables = {

@@ -6,9 +6,8 @@ import jax.numpy as jnp
 import pytest
 
 from poseterior import inference
-from poseterior.inference.drawers import drawer
 from poseterior.probmodel import Estimate, PoseModel
-from tests.scenes import key
+from tests.scenes import drawer, key
 
 
 def compiled(caplog: pytest.LogCaptureFixture) -> list[str]:

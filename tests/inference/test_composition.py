@@ -11,7 +11,6 @@ import itertools
 import jax
 import numpy as np
 import pytest
-from poseterior.inference.drawers import drawer
 from scipy.optimize import least_squares
 
 from poseterior import inference
@@ -21,14 +20,14 @@ from poseterior.inference.hypothesis import Hypothesis
 from poseterior.probmodel import BadInput, Estimate, FaultPrior, Likelihood, PoseModel
 from poseterior.probmodel.body import align_torsos
 from poseterior.probmodel.camera import Lens
-from poseterior.probmodel.faults import Faults
-from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.model import log_joint
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import GROUPS, LENGTH_GROUPS, NUM_JOINTS, PARENTS, TORSO_INDEX
-from tests.scenes import key, prior_scene
+from tests.scenes import drawer, key, prior_scene
 from tests.sweeps import sweep
 
 NUM, K = 600, 4

@@ -203,9 +203,8 @@ def test_hypotheses_may_be_composed(judged):
 @pytest.mark.slow
 def test_upright_is_believed_where_the_root_is_uncertain():
     """And nowhere else, where a torso is held fixed."""
-    from poseterior.inference.drawers import drawer
-
     from poseterior import inference
+    from tests.scenes import drawer
 
     protocol = dataclasses.replace(PROTOCOL, upright=8.0, num_roots=60)
     plain = dataclasses.replace(PROTOCOL, num_roots=60)

@@ -11,7 +11,6 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
-from poseterior.inference.drawers import drawer
 from scipy import stats
 
 from poseterior.inference.studies.calibration import calibrate, cover, judge, simulate
@@ -31,11 +30,17 @@ from poseterior.inference.studies.calibration.simulations import Instance
 from poseterior.inference.studies.calibration.verdict import MISCALIBRATED
 from poseterior.probmodel import BadInput, Likelihood, PoseModel
 from poseterior.probmodel.datasets import Case
-from poseterior.probmodel.faults import EXCHANGES, LIMB_INDEX, OUTLIER_REACH, FaultPrior, Faults
+from poseterior.probmodel.errors.faults import (
+    EXCHANGES,
+    LIMB_INDEX,
+    OUTLIER_REACH,
+    FaultPrior,
+    Faults,
+)
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import JOINT_INDEX, MIRROR, NUM_JOINTS, TORSO_INDEX
-from tests.scenes import key
+from tests.scenes import drawer, key
 
 ROOTS = 40
 

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from poseterior.inference.drawers import drawer
-from poseterior.inference.importance.tree import placed
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
@@ -31,15 +29,15 @@ from poseterior.probmodel import (
     RootPoint,
 )
 from poseterior.probmodel.camera import Lens, Perspective, WeakPerspective
-from poseterior.probmodel.errorlaws import Exchange
-from poseterior.probmodel.faults import Faults
-from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.errors.detector import Exchange
+from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.root_priors import CANDIDATES, NEAREST
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from tests.brute_force import propose_group
 from tests.inference import test_uncertain_root as sound
-from tests.scenes import key
+from tests.scenes import drawer, key, placed
 
 FOCAL, PRINCIPAL = 650.0, np.array([250.0, 420.0])
 """Pixels: some seven body units away, well beside the axis."""
@@ -89,7 +87,7 @@ class Errors:
         for joint, value in self.bias.items():
             bias[JOINT_INDEX[joint]] = value
         sigma = np.full(NUM_JOINTS, sound.FACTOR / 2)
-        certain = DetectorErrors("gaussian", sigma, np.ones(NUM_JOINTS), bias, exchange=Exchange())
+        certain = DetectorErrors(Gaussian(), sigma, np.ones(NUM_JOINTS), bias, exchange=Exchange())
         return Likelihood.of(certain)
 
 

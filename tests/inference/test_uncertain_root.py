@@ -14,7 +14,6 @@ import jax
 import numpy as np
 import pytest
 from numpyro.infer.util import log_density
-from poseterior.inference.importance.tree import placed, sides
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
@@ -44,14 +43,14 @@ from poseterior.inference.importance.weighted import (
 from poseterior.inference.resampling import shares, times
 from poseterior.probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
 from poseterior.probmodel.camera import Lens
-from poseterior.probmodel.faults import Faults
-from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.rotations import UprightRotation
 from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 from tests.brute_force import propose_group
-from tests.scenes import key, moved, prior_scene
+from tests.scenes import key, moved, placed, prior_scene
 
 FACTOR = 0.5
 SEEN = ("right_shoulder", "left_shoulder", "right_hip", "left_hip", "right_elbow", "right_wrist")
@@ -612,7 +611,9 @@ def test_a_root_goes_to_the_side_that_it_faces():
     roots = Rotation.random(50, rng=np.random.default_rng(1))
     points = RootPoint(np.zeros(50, int), roots.as_matrix(), np.zeros(50), np.zeros((50, 2)))
     turns = np.array([(camera * roots.inv()).magnitude() for camera in cameras])
-    np.testing.assert_array_equal(sides(posterior, points), turns.argmin(axis=0))
+    np.testing.assert_array_equal(
+        posterior.root_prior.sides(points, posterior.candidates), turns.argmin(axis=0)
+    )
 
 
 def test_cells_hold_every_root_that_explains_the_torso():

@@ -24,10 +24,9 @@ from poseterior.inference.baselines.catalogue import (
 )
 from poseterior.inference.baselines.run import Allowance, check_packages, run
 from poseterior.inference.baselines.target import Target
-from poseterior.inference.draws import COMPLETE, MAX_PROPOSALS
+from poseterior.inference.draws import COMPLETE, MAX_PROPOSALS, place
 from poseterior.inference.exact.loops.numbers import words_of
 from poseterior.inference.importance.weighted import APART, WeightedRoots, verdict, weigh_roots
-from poseterior.inference.draws import place
 from poseterior.inference.sampler import MANY_ROOTS, DetectionSampler, sample
 from poseterior.inference.sampler import sampler_of as core_sampler_of
 from poseterior.inference.studies.calibration.assess import FAILED, Answer

@@ -21,13 +21,12 @@ from typing import Any
 import jax
 import numpy as np
 import xarray as xr
-from poseterior.inference.sampler import MAKERS, MANY_ROOTS
-from poseterior.inference.importance.routes import WEIGHTED
 
 from poseterior.inference.draws import MAX_PROPOSALS
 from poseterior.inference.estimators import estimate_torsos
 from poseterior.inference.machines import HERE, Machines, in_threads
 from poseterior.inference.results import provenance, save_tree
+from poseterior.inference.sampler import MAKERS, MANY_ROOTS, WEIGHTED
 from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.inference.studies.calibration import real
 from poseterior.inference.studies.calibration.assess import Standing, assess
@@ -46,11 +45,11 @@ from poseterior.inference.studies.calibration.record import (
 )
 from poseterior.inference.studies.calibration.simulations import BLOCK, Instance, simulate
 from poseterior.probmodel.datasets import Case
+from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.likelihood import PAPER, Likelihood
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import require_root_prior
-from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
+from poseterior.probmodel.root_priors import UNCERTAIN
 
 NUM_SAMPLES = 1000
 REFERENCE = "zhou"

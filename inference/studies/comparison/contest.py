@@ -6,7 +6,6 @@ found.tree["summary"].to_dataframe()
 
 import contextlib
 import dataclasses
-import functools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -29,7 +28,7 @@ from poseterior.inference.baselines.run import Allowance, Clock, Run, check_law,
 from poseterior.inference.baselines.target import Density, Target
 from poseterior.inference.draws import COMPLETE
 from poseterior.inference.exact.mixture import ExactRejection
-from poseterior.inference.results import Result, save_tree
+from poseterior.inference.results import Result, save_tree, tree_of
 from poseterior.inference.sampler import SAMPLERS, sample
 from poseterior.inference.store import locked
 from poseterior.inference.studies.comparison.cost import course
@@ -39,7 +38,7 @@ from poseterior.inference.studies.comparison.record import SHOWN, Entry, compari
 from poseterior.inference.studies.comparison.sample import Sample, read_sample
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.model import PoseModel
-from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.posterior import Estimate, Posterior
 from poseterior.probmodel.root_priors import CANDIDATES
 
 PILOT = 500

@@ -14,12 +14,12 @@ from typing import Any
 import jax
 import numpy as np
 import xarray as xr
-from poseterior.inference.draws import Draws
-from poseterior.inference.sampler import MANY_ROOTS, DetectionSampler, sampler_of
 
 from poseterior.inference.composition import compose
+from poseterior.inference.draws import Draws
 from poseterior.inference.estimators import estimate_torsos
 from poseterior.inference.hypothesis import diverse
+from poseterior.inference.sampler import MANY_ROOTS, DetectionSampler, sampler_of
 from poseterior.inference.studies.calibration.real import TRUE, true_candidate
 from poseterior.inference.studies.errors import aligned_errors, joint_errors
 from poseterior.inference.studies.evaluation.conditions import Condition
@@ -27,9 +27,9 @@ from poseterior.inference.studies.evaluation.metrics import distinct_flips, spre
 from poseterior.inference.studies.evaluation.samples import SHAPES, of_samples
 from poseterior.probmodel.anatomy.population import Anatomy
 from poseterior.probmodel.datasets import Case, DataSet
+from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
-from poseterior.probmodel.likelihood import PAPER, Likelihood
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN

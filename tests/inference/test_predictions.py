@@ -49,7 +49,7 @@ def bent_groups(bent: Posterior, example_result: Result) -> dict[str, xr.Dataset
     spreads = np.stack(
         [
             np.asarray(one.spread) * root.camera.scale
-            for one, root in zip(bent.observations, bent.roots, strict=True)
+            for one, root in zip(bent.observations, bent.candidates, strict=True)
         ]
     )
     return prediction_groups(

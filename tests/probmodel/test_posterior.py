@@ -39,7 +39,7 @@ def test_root_weights_by_hand(posterior) -> None:
     torso = list(TORSO_INDEX)
     score, keypoints = posterior.detection.score[torso], posterior.detection.keypoints[torso]
     log_weight = []
-    for root in posterior.roots:
+    for root in posterior.candidates:
         radius = root.camera.scale * score.mean() / score
         far = np.linalg.norm(np.asarray(root.camera.project(root.torso)) - keypoints, axis=1)
         inside = (far <= radius).all()
@@ -47,19 +47,19 @@ def test_root_weights_by_hand(posterior) -> None:
     assert np.isinf(log_weight[2])
     assert np.isfinite(log_weight[:2]).all()
     expected = log_weight - np.logaddexp.reduce(log_weight)
-    np.testing.assert_allclose(posterior.log_root_weights, expected, rtol=1e-12)
+    np.testing.assert_allclose(posterior.root_prior.log_weight, expected, rtol=1e-12)
 
 
 def test_where_no_root_fits_the_torso_says_nothing(posterior) -> None:
-    far = dataclasses.replace(posterior, roots=posterior.roots[2:] * 2)
-    np.testing.assert_allclose(far.log_root_weights, np.log([0.5, 0.5]))
+    far = dataclasses.replace(posterior, roots=posterior.candidates[2:] * 2)
+    np.testing.assert_allclose(far.root_prior.log_weight, np.log([0.5, 0.5]))
 
 
 def test_weights_are_root_weights_times_the_discs(posterior) -> None:
     """A root whose scale is 3 % smaller has smaller discs, in pixels, for every joint seen."""
     ratio = posterior.log_weights[1] - posterior.log_weights[0]
     seen = int(np.sum(posterior.observations[0].seen))
-    torso = posterior.log_root_weights[1] - posterior.log_root_weights[0]
+    torso = posterior.root_prior.log_weight[1] - posterior.root_prior.log_weight[0]
     assert ratio == pytest.approx(torso - 2 * seen * np.log(0.97))
 
 
@@ -73,10 +73,10 @@ def test_the_program_is_the_mixture(posterior) -> None:
         found, _ = log_density(wide.program, (), {}, pose | {"root": index})
         under = log_joint(wide.model, wide.observations[index], *pose.values())
         assert np.isfinite(found)
-        np.testing.assert_allclose(found, wide.log_root_weights[index] + under, rtol=1e-12)
+        np.testing.assert_allclose(found, wide.root_prior.log_weight[index] + under, rtol=1e-12)
     roots = Predictive(posterior.program, num_samples=2000)(jax.random.key(1))["root"]
     share = np.bincount(np.asarray(roots), minlength=3) / 2000
-    weight = np.exp(posterior.log_root_weights)
+    weight = np.exp(posterior.root_prior.log_weight)
     error = np.sqrt(weight * (1 - weight) / 2000)
     assert (np.abs(share - weight) <= 4 * error).all()  # false alarm 6e-5 a root
     assert share[2] == 0
@@ -91,12 +91,12 @@ def test_a_program_that_nobody_asked_before_can_be_traced(posterior) -> None:
         roots, Predictive(posterior.program, num_samples=10)(jax.random.key(1))["root"]
     )
     np.testing.assert_array_equal(fresh.log_weights, posterior.log_weights)
-    for leaf in jax.tree.leaves((fresh.observations, fresh.log_root_weights)):
+    for leaf in jax.tree.leaves((fresh.observations, fresh.root_prior.log_weight)):
         assert not isinstance(leaf, jax.core.Tracer)
 
 
 def test_an_observation_is_in_body_units_on_the_plane(posterior) -> None:
-    observation, root = posterior.observations[0], posterior.roots[0]
+    observation, root = posterior.observations[0], posterior.candidates[0]
     pixels = np.asarray(root.camera.to_pixels(observation.target))
     seen = np.asarray(observation.seen)
     np.testing.assert_allclose(pixels[seen], posterior.detection.keypoints[seen], rtol=1e-12)
@@ -117,7 +117,7 @@ def test_a_likelihood_without_sense_is_refused(posterior) -> None:
 
 
 def test_an_estimate_is_its_posterior_but_for_the_model(posterior) -> None:
-    (one, *_) = posterior.roots
+    (one, *_) = posterior.candidates
     estimate = Estimate(posterior.detection, (one,), Likelihood(), "somebody")
     again = estimate.posterior(posterior.model, CANDIDATES)
     assert isinstance(one, Candidate)

@@ -130,8 +130,8 @@ def compare_routes(
         Names of `ROOTED_SAMPLERS`.
     seed, seconds, max_evaluations, num_samples
         As in `compare_candidate`, but that baselines have one start, dispersed over the exact
-        draws: of few draws with seven coordinates more, too few stand in one flip. Of weighted roots
-        as many draws are judged as are independent.
+        draws: of few draws with seven coordinates more, too few stand in one flip. Of weighted
+        roots as many draws are judged as are independent.
     num_roots
         From how many roots weighted ones draw; of the pilot run of rejection.
     exact_draws

@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from poseterior.probmodel.errors.faults import Faults
 
 from poseterior.inference.exact.loops.numbers import words_of
 from poseterior.probmodel.chunks import CHUNK, in_chunks
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.pose import Pose
@@ -100,6 +100,14 @@ class Draws:
 
     def __len__(self) -> int:
         return len(self.poses.length)
+
+    def take(self, rows: Any) -> "Draws":
+        """Some of them, of one chain."""
+        parts = self.points, self.poses, self.faults, self.root_index
+        points, poses, faults, index = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], parts)
+        return dataclasses.replace(
+            self, points=points, poses=poses, faults=faults, root_index=index, chains=1
+        )
 
     @property
     def prior(self) -> RootPrior:

@@ -4,7 +4,7 @@
 Every sampler stands in one table, by the prior of torso and camera that it draws under."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +29,7 @@ draws go by the places, so that what came later stands at the end. Under an unce
 WEIGHTED, REJECTION = "weighted-roots", "rejection"
 ROOTED_SAMPLERS = (WEIGHTED, REJECTION, *ROOTED)
 """Every sampler of torso, camera and pose together: weighted roots, rejection, then baselines."""
-MAKERS: Mapping[str, Mapping[str, Callable[..., Sampler]]] = {
+MAKERS: Mapping[str, Mapping[str, type[Sampler]]] = {
     UNCERTAIN: {WEIGHTED: WeightedSampler, REJECTION: TorsoRejection}
     | dict.fromkeys(ROOTED, BaselineSampler),
     CANDIDATES: dict.fromkeys(PROPOSALS, ExactRejection)

@@ -112,7 +112,9 @@ def example_result(example_estimate: "Estimate") -> "Result":
     from poseterior.inference import sample
     from poseterior.probmodel import PoseModel
 
-    return sample(PoseModel(), example_estimate, key=jax.random.key(0), num_samples=200)
+    return sample(
+        PoseModel(), example_estimate, key=jax.random.key(0), num_samples=200, root="candidates"
+    )
 
 
 @pytest.fixture(scope="session")

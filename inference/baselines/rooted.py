@@ -107,7 +107,7 @@ class RootedTarget:
         cameras = [np.asarray(one.camera.rotation) for one in posterior.candidates] or [FACING]
         return cls(
             LimbChart(posterior.model, active),
-            posterior.root_prior,
+            TorsoCameraPrior.of(posterior.model),
             detected,
             jnp.asarray(_alike(np.asarray(posterior.model.torsos))),
             jnp.asarray(nearest_rotation(np.mean(cameras, axis=0))),

@@ -69,7 +69,7 @@ def torso_problem(posterior: Posterior, faults: Faults) -> Posed:
         np.ascontiguousarray(ray, float),
         2.0 * len(rows) - 2,
     )
-    highest = math.exp(float(posterior.root_prior.highest_log_scale))
+    highest = math.exp(float(TorsoCameraPrior.of(posterior.model).highest_log_scale))
     return Posed(problem, law, float(posterior.model.upright), origin, lowest, highest)
 
 

@@ -17,7 +17,8 @@ import jax
 import numpy as np
 
 from poseterior.inference.clusters import clusters
-from poseterior.inference.composition import Drawn, compose
+from poseterior.inference.composition import compose
+from poseterior.inference.draws import Draws
 from poseterior.inference.estimators import estimate_torsos
 from poseterior.inference.hypothesis import diverse
 from poseterior.inference.sampler import MANY_ROOTS as NUM_ROOTS
@@ -59,7 +60,7 @@ class Errors(NamedTuple):
     own_centres: float
 
 
-def judged(drawn: Drawn, single: np.ndarray, case: Case) -> Errors:
+def judged(drawn: Draws, single: np.ndarray, case: Case) -> Errors:
     """What draws in random order, and the single estimate `(15, 3)`, are worth."""
     stand_in, rest = drawn.joints[0] * case.unit, drawn.take(slice(1, None))
     some = (
@@ -77,7 +78,7 @@ def found_of(
     protocol: Protocol, cases: list[Case], frames: list[Estimate], root: str, law: str
 ) -> list[Errors | None]:
     """By frame; None where there are too few draws."""
-    draw, found = protocol.drawer(root), []
+    draw, found = protocol.sampler(root), []
     for case, frame in zip(cases, frames, strict=True):
         given = dataclasses.replace(frame, likelihood=LAWS[law])
         if root == TRUE:
@@ -85,7 +86,7 @@ def found_of(
         drawn = draw(given, jax.random.fold_in(jax.random.key(protocol.seed), case.number))
         assert frame.pose is not None  # Akhter & Black's has one
         enough = len(drawn.joints) == protocol.num_samples
-        found.append(judged(drawn.drawn, frame.pose, case) if enough else None)
+        found.append(judged(drawn, frame.pose, case) if enough else None)
     return found
 
 

@@ -47,7 +47,12 @@ def test_estimating_torso_and_camera(benchmark):
 
 def test_ten_thousand_exact_draws(benchmark, problem):
     model, frame, _ = problem
-    run = lambda: inference.sample(model, frame, key=jax.random.key(0), num_samples=10_000)  # noqa: E731
+
+    def run():
+        return inference.sample(
+            model, frame, key=jax.random.key(0), num_samples=10_000, root="candidates"
+        )
+
     result = benchmark.pedantic(run, warmup_rounds=1, rounds=3)
     assert result.num_draws == 10_000
 

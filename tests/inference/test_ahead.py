@@ -18,7 +18,9 @@ from tests.scenes import prior_scene
 
 def test_the_types_are_those_of_the_engine() -> None:
     model = PoseModel()
-    inference.sample(model, prior_scene(model, 1), key=jax.random.key(0), num_samples=50)
+    inference.sample(
+        model, prior_scene(model, 1), key=jax.random.key(0), num_samples=50, root="candidates"
+    )
     for name, types in ahead.signatures().items():
         assert types in getattr(attempts, name).signatures, name
 

@@ -23,7 +23,7 @@ from poseterior.inference.baselines.catalogue import (
     BASELINES,
     DISPERSED,
     ONE_FLIP,
-    baseline_tree,
+    draws_of,
     starting_points,
 )
 from poseterior.inference.baselines.ensemble import snooker
@@ -33,6 +33,7 @@ from poseterior.inference.baselines.target import Target
 from poseterior.inference.baselines.tempering import next_multiple
 from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.resampling import systematic
+from poseterior.inference.results import tree_of
 from poseterior.inference.studies.comparison import compare, contest
 from poseterior.inference.studies.comparison.judge import DIFFERS
 from poseterior.probmodel import BadInput, PoseModel
@@ -82,7 +83,7 @@ def low():
     model = PoseModel()
     frame = prior_scene(model, 1, missing=ALL_BUT_AN_ARM)
     target = Target.of(frame.posterior(model, CANDIDATES))
-    tree = inference.sample(model, frame, key=key(21), num_samples=4000).tree
+    tree = inference.sample(model, frame, key=key(21), num_samples=4000, root="candidates").tree
     return model, frame, target, tree, starting_points(target, tree, DISPERSED)
 
 
@@ -92,7 +93,7 @@ def whole():
     model = PoseModel()
     frame = prior_scene(model, 1)
     target = Target.of(frame.posterior(model, CANDIDATES))
-    tree = inference.sample(model, frame, key=key(22), num_samples=200).tree
+    tree = inference.sample(model, frame, key=key(22), num_samples=200, root="candidates").tree
     return target, starting_points(target, tree, DISPERSED)
 
 
@@ -190,9 +191,17 @@ def test_who_shrinks_discs_is_refused_under_another_law(name):
     frame = dataclasses.replace(frame, likelihood=Likelihood(law=Gaussian()))
     refused = pytest.raises(BadInput, match=f"the sampler {name} shrinks discs, and knows of no")
     with refused:
-        inference.sample(model, frame, key=key(0), sampler=name, num_samples=10, max_proposals=1000)
+        inference.sample(
+            model,
+            frame,
+            key=key(0),
+            sampler=name,
+            num_samples=10,
+            max_proposals=1000,
+            root="candidates",
+        )
     with refused:
-        compare(model, frame, [name])
+        compare(model, frame, [name], root="candidates")
     with refused:
         run(BASELINES[name], name, Target.of(frame.posterior(model, CANDIDATES)), key=key(0))
 
@@ -236,7 +245,8 @@ def test_every_baseline_has_the_same_face(name, tmp_path):
     assert done.num_draws > 0
     assert done.cost.num_proposals >= enough or name == "nss"
     assert done.cost.wall_time > 0
-    tree = baseline_tree(frame.posterior(model, CANDIDATES), done, key(5))
+    posterior = frame.posterior(model, CANDIDATES)
+    tree = tree_of(draws_of(posterior, Target.of(posterior), done, key(5)))
     posterior = tree["posterior"]
     assert posterior.joints.dims == ("chain", "draw", "joint", "axis")
     assert posterior.sizes["chain"] * posterior.sizes["draw"] == done.num_draws
@@ -309,7 +319,9 @@ def test_one_flip_is_one_flip():
         ),
         (lambda: starting_points(low()[2], low()[3], "anywhere"), "no start 'anywhere'"),
         (
-            lambda: inference.sample(*low()[:2], key=key(0), sampler="emcee", num_samples=50_000),
+            lambda: inference.sample(
+                *low()[:2], key=key(0), sampler="emcee", num_samples=50_000, root="candidates"
+            ),
             (
                 "emcee keeps 49,152 draws at most, spread over its whole run, not 50,000; ask for"
                 " fewer"

@@ -364,7 +364,7 @@ def test_detections_fill_their_discs(model: PoseModel) -> None:
 def test_exact_draws_are_calibrated(model: PoseModel) -> None:
     """120 simulations here, 1,000 in every measure in the report (false alarm 0.01 over 44
     tests)."""
-    tree = calibrate(model, "rejection", num_simulations=120, num_samples=100)
+    tree = calibrate(model, "rejection", num_simulations=120, num_samples=100, root="candidates")
     found = judge(tree["simulation"].to_dataset())
     assert found.verdict == CALIBRATED, found.sentence
     assert set(found.families) == {"ranks (SBC)", "highest density", "energy balls", "TARP"}
@@ -383,6 +383,7 @@ def test_every_measure_is_calibrated(upper: str, lower: str) -> None:
         seed=11,
         num_simulations=200,
         num_samples=100,
+        root="candidates",
     )
     found = judge(tree["simulation"].to_dataset())
     assert found.verdict == CALIBRATED, found.sentence
@@ -393,7 +394,7 @@ def test_another_measure_is_noticed(model: PoseModel) -> None:
     """Draws under the box measure are judged under the default: a wrong prior, the negative
     control."""
     wrong = sampler_of("rejection", PoseModel(lower="box"), 100)
-    tree = calibrate(model, wrong, num_simulations=150)
+    tree = calibrate(model, wrong, num_simulations=150, root="candidates")
     assert judge(tree["simulation"].to_dataset()).verdict == MISCALIBRATED
 
 
@@ -404,6 +405,7 @@ def test_distorted_posteriors_fail(model: PoseModel, name: str) -> None:
         model,
         distorted(sampler_of("rejection", model, 100), DISTORTIONS[name]),
         num_simulations=100,
+        root="candidates",
     )
     found = judge(tree["simulation"].to_dataset())
     assert found.verdict == MISCALIBRATED, (name, found.sentence)
@@ -417,7 +419,9 @@ def test_distorted_posteriors_fail(model: PoseModel, name: str) -> None:
 def test_a_posterior_that_ignores_the_image_fails(model: PoseModel) -> None:
     """TARP and the misfit see it."""
     found = judge(
-        calibrate(model, ignoring(model, 100), num_simulations=100)["simulation"].to_dataset()
+        calibrate(model, ignoring(model, 100), num_simulations=100, root="candidates")[
+            "simulation"
+        ].to_dataset()
     )
     assert found.verdict == MISCALIBRATED
     assert found.p_value(TARP) < 1e-4
@@ -432,7 +436,7 @@ def test_a_posterior_that_ignores_the_image_fails(model: PoseModel) -> None:
 @pytest.mark.sweep
 def test_the_literal_recipe_fails_under_equation_8(model: PoseModel) -> None:
     found = judge(
-        calibrate(model, following_the_recipe(model, 60), num_simulations=300)[
+        calibrate(model, following_the_recipe(model, 60), num_simulations=300, root="candidates")[
             "simulation"
         ].to_dataset()
     )
@@ -482,7 +486,7 @@ def test_failures_are_counted_and_said(model: PoseModel) -> None:
             else right(index, instance, key)
         )
 
-    tree = calibrate(model, sometimes, num_simulations=120)
+    tree = calibrate(model, sometimes, num_simulations=120, root="candidates")
     simulation = tree["simulation"].to_dataset()
     assert int((simulation.status == FAILED).sum()) == 12
     assert simulation.sentence.values[10] == "gave up"
@@ -503,14 +507,16 @@ def test_draws_of_a_file(model: PoseModel, tmp_path: Path) -> None:
     )
     joints[4] = np.nan
     np.savez(tmp_path / "draws.npz", joints=joints)
-    by_file = calibrate(model, str(tmp_path / "draws.npz"), num_simulations=6, num_samples=20)
-    by_name = calibrate(model, "rejection", num_simulations=6, num_samples=20)
+    by_file = calibrate(
+        model, str(tmp_path / "draws.npz"), num_simulations=6, num_samples=20, root="candidates"
+    )
+    by_name = calibrate(model, "rejection", num_simulations=6, num_samples=20, root="candidates")
     one, other = (tree["simulation"].to_dataset() for tree in (by_file, by_name))
     np.testing.assert_array_equal(one.level[2], other.level[2])
     assert one.status[4] == FAILED
     assert "20 of 20 draws" in str(one.sentence[4].item())
     with pytest.raises(BadInput, match="draws for 6 simulations; ask for as many"):
-        calibrate(model, str(tmp_path / "draws.npz"), num_simulations=7)
+        calibrate(model, str(tmp_path / "draws.npz"), num_simulations=7, root="candidates")
 
 
 @pytest.mark.parametrize(
@@ -525,19 +531,25 @@ def test_files_of_other_dimensions_are_refused(
 ) -> None:
     np.save(tmp_path / "draws.npy", np.zeros(shape))
     with pytest.raises(BadInput, match=match):
-        calibrate(model, str(tmp_path / "draws.npy"), num_simulations=6)
+        calibrate(model, str(tmp_path / "draws.npy"), num_simulations=6, root="candidates")
 
 
 @pytest.mark.parametrize(
     ("call", "match"),
     [
-        (lambda model: calibrate(model, "magic"), "no sampler 'magic'; choose one of rejection"),
         (
-            lambda model: calibrate(model, "rejection", num_simulations=0),
+            lambda model: calibrate(model, "magic", root="candidates"),
+            "no sampler 'magic'; choose one of rejection",
+        ),
+        (
+            lambda model: calibrate(model, "rejection", num_simulations=0, root="candidates"),
             "simulations must be at least 1",
         ),
-        (lambda model: calibrate(model, "rejection", num_samples=0), "samples must be at least 1"),
-        (lambda model: calibrate(model, "missing.npz"), "missing.npz"),
+        (
+            lambda model: calibrate(model, "rejection", num_samples=0, root="candidates"),
+            "samples must be at least 1",
+        ),
+        (lambda model: calibrate(model, "missing.npz", root="candidates"), "missing.npz"),
         (lambda model: check_draws(np.zeros((5, 17, 3)), "a pose"), r"need \(draws, 15, 3\)"),
         (lambda model: check_draws(np.full((5, 15, 3), np.nan), "a pose"), "not finite"),
     ],
@@ -549,7 +561,7 @@ def test_bad_input(model: PoseModel, call: object, match: str) -> None:
 
 @pytest.mark.slow
 def test_a_run_goes_on_to_the_same_bits(model: PoseModel, tmp_path: Path) -> None:
-    settings = {"num_samples": 12, "seed": 2}
+    settings = {"num_samples": 12, "seed": 2, "root": "candidates"}
     whole = calibrate(model, "rejection", num_simulations=110, **settings)  # type: ignore[arg-type]
     path = tmp_path / "coverage.nc"
     calibrate(model, "rejection", num_simulations=60, out=path, **settings)  # type: ignore[arg-type]
@@ -568,7 +580,15 @@ def test_a_run_goes_on_to_the_same_bits(model: PoseModel, tmp_path: Path) -> Non
     with xr.open_datatree(path) as stored:
         np.testing.assert_array_equal(stored["prior_sbc"].joints, whole["prior_sbc"].joints)
     with pytest.raises(BadInput, match="another run \\(its seed"):
-        calibrate(model, "rejection", num_simulations=110, out=path, num_samples=12, seed=3)
+        calibrate(
+            model,
+            "rejection",
+            num_simulations=110,
+            out=path,
+            num_samples=12,
+            seed=3,
+            root="candidates",
+        )
     kept = {one: one.stat().st_mtime_ns for one in (tmp_path / "coverage.blocks").iterdir()}
     shorter = calibrate(model, "rejection", num_simulations=55, out=path, **settings)  # type: ignore[arg-type]
     first = resumed["simulation"].to_dataset().isel(simulation=slice(55))
@@ -583,15 +603,19 @@ def test_draws_of_another_file_of_that_name_are_another_run(
     for scale in (1.0, 2.0):
         np.save(path, scale * RNG(0).normal(size=(6, 12, 15, 3)))
         if scale == 1.0:
-            calibrate(model, str(path), num_simulations=6, out=tmp_path / "coverage.nc")
+            calibrate(
+                model, str(path), num_simulations=6, out=tmp_path / "coverage.nc", root="candidates"
+            )
     with pytest.raises(BadInput, match="another run \\(its draws"):
-        calibrate(model, str(path), num_simulations=6, out=tmp_path / "coverage.nc")
+        calibrate(
+            model, str(path), num_simulations=6, out=tmp_path / "coverage.nc", root="candidates"
+        )
 
 
 @pytest.mark.slow
 def test_workers_calibrate_to_the_same_bits(model: PoseModel) -> None:
     pytest.importorskip("distributed")
-    settings = {"num_simulations": 55, "num_samples": 12}
+    settings = {"num_simulations": 55, "num_samples": 12, "root": "candidates"}
     here = calibrate(model, "rejection", **settings)  # type: ignore[arg-type]
     there = calibrate(model, "rejection", machines=Machines(2), **settings)  # type: ignore[arg-type]
     assert there.identical(here)

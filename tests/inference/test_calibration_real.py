@@ -325,7 +325,14 @@ def test_the_coverage_of_real_poses_is_resumed_to_the_same_bits(
     model: PoseModel, cases: list[Case], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("poseterior.inference.studies.calibration.run.BLOCK", 10)
-    out, settings = tmp_path / "coverage.nc", {"num_samples": 20, "source": {"data": "made"}}
+    out, settings = (
+        tmp_path / "coverage.nc",
+        {
+            "num_samples": 20,
+            "source": {"data": "made"},
+            "root": "candidates",
+        },
+    )
     whole = cover(model, cases, out=out, **settings)  # type: ignore[arg-type]
     assert summary(whole).size == len(cases)
     (tmp_path / "coverage.blocks" / "block-000001.nc").unlink()
@@ -345,7 +352,7 @@ def test_the_coverage_of_real_poses_is_resumed_to_the_same_bits(
     with pytest.raises(BadInput, match="was made of other poses"):
         cover(model, cases[::-1], out=out, **settings)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="its data is 'made', not None"):
-        cover(model, cases, out=out, num_samples=20)
+        cover(model, cases, out=out, num_samples=20, root="candidates")
 
 
 @pytest.mark.parametrize(

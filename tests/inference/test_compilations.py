@@ -22,10 +22,12 @@ def test_another_key_compiles_nothing(
 ) -> None:
     assert len(example_estimate.candidates) == 2
     model = PoseModel()
-    inference.sample(model, example_estimate, key=key(0), num_samples=100)
+    inference.sample(model, example_estimate, key=key(0), num_samples=100, root="candidates")
     with jax.log_compiles():
         for seed in (1, 2, 3):
-            inference.sample(model, example_estimate, key=key(seed), num_samples=100)
+            inference.sample(
+                model, example_estimate, key=key(seed), num_samples=100, root="candidates"
+            )
         assert compiled(caplog) == []
         jnp.asarray([1.0] * 1237) + 1.0  # the control: a shape that nobody else has
         assert compiled(caplog)

@@ -285,7 +285,7 @@ def test_what_cannot_be_drawn_is_said(model, photo):
 def test_a_command_draws_on_the_device(model, photo):
     """The whole way home: the same face as every sampler."""
     result = inference.sample(
-        model, photo, sampler="rejection-device", key=key(0), num_samples=2000
+        model, photo, sampler="rejection-device", key=key(0), num_samples=2000, root="candidates"
     )
     assert result.status == COMPLETE
     assert result.num_draws == 2000
@@ -297,6 +297,7 @@ def test_a_command_draws_on_the_device(model, photo):
         key=key(0),
         num_samples=10**6,
         max_proposals=300_000,
+        root="candidates",
     )
     assert short.status == OUT_OF_BUDGET
     keypoints = np.array(photo.detection.keypoints)
@@ -304,5 +305,7 @@ def test_a_command_draws_on_the_device(model, photo):
     gone = dataclasses.replace(
         photo, detection=dataclasses.replace(photo.detection, keypoints=keypoints)
     )
-    nobody = inference.sample(model, gone, sampler="rejection-device", key=key(0), num_samples=10)
+    nobody = inference.sample(
+        model, gone, sampler="rejection-device", key=key(0), num_samples=10, root="candidates"
+    )
     assert nobody.status == IMPOSSIBLE

@@ -5,7 +5,6 @@ False alarms: 1e-4 a test, over a fresh seed; seeds are fixed."""
 
 import dataclasses
 import gc
-import importlib
 import weakref
 from collections.abc import Callable
 
@@ -20,7 +19,8 @@ from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.drawsfile import sample_to_file
 from poseterior.inference.exact import mixture
 from poseterior.inference.exact.mixture import RootSampler
-from poseterior.inference.results import SINGLE
+from poseterior.inference.importance.weighted import WeightedRoots
+from poseterior.inference.results import SINGLE, result_of
 from poseterior.inference.saved import read_result
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.errors.faults import FaultPrior
@@ -30,9 +30,7 @@ from tests.scenes import key
 
 BLOCK, NUMBER = 512, 4000
 ROOTED = {"root": "uncertain", "num_roots": 100, "double": True}
-MAKERS = [("build_tree", {}), ("uncertain_tree", ROOTED)]
-"""What makes the blocks of either kind of root, and what such a root is asked for by."""
-sampler = importlib.import_module("poseterior.inference.sampler")
+FIXED = {"root": "candidates"}
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +48,7 @@ def to_file(model, example_estimate, tmp_path) -> Callable[..., Result]:
     """Draws of the example to a file of this name, by this seed."""
 
     def run(name: str, seed: int, number: int = NUMBER, **given) -> Result:
-        path = tmp_path / name
+        path, given = tmp_path / name, FIXED | given
         return sample_to_file(
             path, model, example_estimate, key=key(seed), num_samples=number, **given
         )
@@ -70,7 +68,9 @@ def repeated(joints: np.ndarray) -> int:
 def test_blocks_are_draws_of_the_posterior(to_file, model, example_estimate):
     # In single precision the torso's joints, two points, would be beside those in memory.
     filed = to_file("a.nc", 1, double=True)
-    held = inference.sample(model, example_estimate, key=key(2), num_samples=NUMBER)
+    held = inference.sample(
+        model, example_estimate, key=key(2), num_samples=NUMBER, root="candidates"
+    )
     ours, theirs = joints_of(filed), joints_of(held)
     assert ours.shape == theirs.shape
     assert filed.status == COMPLETE
@@ -118,13 +118,10 @@ def test_every_block_is_a_sample_of_the_mixture(to_file, monkeypatch, shared_out
 
 
 @pytest.mark.parametrize("numbered", [True, False])
-@pytest.mark.parametrize(("made_by", "given"), MAKERS)
-def test_predictions_of_blocks_have_errors_of_their_own(
-    to_file, monkeypatch, made_by, given, numbered
-):
+@pytest.mark.parametrize("given", [FIXED, ROOTED])
+def test_predictions_of_blocks_have_errors_of_their_own(to_file, monkeypatch, given, numbered):
     if not numbered:
-        build = getattr(sampler, made_by)
-        monkeypatch.setattr(sampler, made_by, lambda *given: build(*given[:4]))
+        monkeypatch.setattr(drawsfile, "result_of", lambda draws, block=0: result_of(draws))
     filed = to_file("a.nc", 4, 2 * BLOCK + 1, **given)
     made = filed.tree["posterior_predictive"].keypoints - filed.tree["posterior"].keypoints
     (joint, *_) = np.flatnonzero(np.isfinite(made).all(axis=(0, 1, 3)))
@@ -161,12 +158,12 @@ def test_blocks_of_weighted_roots_are_draws_of_the_posterior(to_file, model, exa
 
 
 def test_blocks_of_weighted_roots_by_one_seed_would_repeat(to_file, monkeypatch):
-    build = sampler.uncertain_tree
-
-    def seeded(roots, _rng, *given):
-        return build(roots, np.random.default_rng(0), *given)
-
-    monkeypatch.setattr(sampler, "uncertain_tree", seeded)
+    draw = WeightedRoots.draw
+    monkeypatch.setattr(
+        WeightedRoots,
+        "draw",
+        lambda self, _rng, number: draw(self, np.random.default_rng(0), number),
+    )
     assert repeated(joints_of(to_file("a.nc", 1, **ROOTED))) > NUMBER / 2
 
 
@@ -239,20 +236,20 @@ def test_nothing_is_written_where_there_is_no_draw(to_file, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("made_by", "given"), MAKERS)
-def test_one_block_is_in_memory_at_a_time(to_file, monkeypatch, made_by, given):
+@pytest.mark.parametrize("given", [FIXED, ROOTED])
+def test_one_block_is_in_memory_at_a_time(to_file, monkeypatch, given):
     """Trees that nobody looks at again are gone at once, without the collector of cycles."""
     alive: list[weakref.ref] = []
-    most, build = 0, getattr(sampler, made_by)
+    most = 0
 
     def counted(*given):
         nonlocal most
-        tree = build(*given)
-        alive.append(weakref.ref(tree["posterior"].to_dataset().joints.variable._data))
+        result = result_of(*given)
+        alive.append(weakref.ref(result.tree["posterior"].to_dataset().joints.variable._data))
         most = max(most, sum(one() is not None for one in alive))
-        return tree
+        return result
 
-    monkeypatch.setattr(sampler, made_by, counted)
+    monkeypatch.setattr(drawsfile, "result_of", counted)
     gc.disable()
     try:
         to_file("a.nc", 8, **given)

@@ -152,7 +152,9 @@ def test_draws_and_evidence_follow_the_law(sampler):
         model.limits, model.lengths, frame, "arms", 400_000, 1, by_the_law
     )
     assert len(size) > 400
-    result = inference.sample(model, frame, sampler=sampler, key=key(2), num_samples=3000)
+    result = inference.sample(
+        model, frame, sampler=sampler, key=key(2), num_samples=3000, root="candidates"
+    )
 
     def smallest(tree):
         drawn = tree["posterior"].joints.values[0]
@@ -169,6 +171,10 @@ def test_draws_and_evidence_follow_the_law(sampler):
     assert abs(result.tree.attrs["log_evidence"] - np.log(rate)) < 3 * error
     wide = dataclasses.replace(frame.likelihood, law=Disc(), factor=3 * 0.5)
     wrong = inference.sample(
-        model, dataclasses.replace(frame, likelihood=wide), key=key(3), num_samples=3000
+        model,
+        dataclasses.replace(frame, likelihood=wide),
+        key=key(3),
+        num_samples=3000,
+        root="candidates",
     )
     assert smallest(wrong.tree) < FAMILY / 100

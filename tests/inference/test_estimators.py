@@ -90,7 +90,9 @@ def test_poses_can_be_drawn_under_every_estimate(method):
     """`sample` draws from the mixture over an estimate's candidates; the draws explain what was
     seen."""
     frame = inference.estimate_torso(EXAMPLE.detection, method)
-    result = inference.sample(MODEL, frame, key=key(0), num_samples=200, max_proposals=20_000_000)
+    result = inference.sample(
+        MODEL, frame, key=key(0), num_samples=200, max_proposals=20_000_000, root="candidates"
+    )
     assert result.status == "complete"
     assert float(result.tree["constant_data"].weight.sum()) == pytest.approx(1.0)
     for index, candidate in enumerate(frame.candidates):

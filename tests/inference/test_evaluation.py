@@ -168,7 +168,11 @@ def test_a_frame_comes_out_as_it_does_by_hand(judged):
     frames = inference.estimate_torsos([one.detection for one in DATA], "zhou", num_candidates=1)
     assert judged["single"][2] == pytest.approx(joint_errors(frames[2].pose, case.pose), abs=1e-3)
     result = sample(
-        PROTOCOL.model, frames[2], key=jax.random.fold_in(jax.random.key(0), 2), num_samples=40
+        PROTOCOL.model,
+        frames[2],
+        key=jax.random.fold_in(jax.random.key(0), 2),
+        num_samples=40,
+        root="candidates",
     )
     draws = np.asarray(result.tree["posterior"].joints)[0]
     errors = joint_errors(draws, case.pose)
@@ -192,7 +196,11 @@ def test_hypotheses_may_be_composed(judged):
     assert np.array_equal(found["all"][0], judged["all"][2])
     (frame,) = inference.estimate_torsos([DATA.case(2).detection], "zhou", num_candidates=1)
     result = inference.sample(
-        PROTOCOL.model, frame, key=jax.random.fold_in(jax.random.key(0), 2), num_samples=40
+        PROTOCOL.model,
+        frame,
+        key=jax.random.fold_in(jax.random.key(0), 2),
+        num_samples=40,
+        root="candidates",
     )
     chosen = inference.composed(result, frame.posterior(PROTOCOL.model, CANDIDATES), 3)
     errors = joint_errors(np.array([one.joints for one in chosen]), DATA.case(2).pose)

@@ -61,7 +61,9 @@ def test_limbs_and_groups_have_the_evidence_of_the_prior(found):
 
 def test_sampling_finds_the_same_evidence(found):
     model, frame, parts = found
-    attrs = inference.sample(model, frame, key=key(5), num_samples=10_000).tree.attrs
+    attrs = inference.sample(
+        model, frame, key=key(5), num_samples=10_000, root="candidates"
+    ).tree.attrs
     error = np.hypot(attrs["log_evidence_se"], parts["body"].standard_error)
     assert abs(attrs["log_evidence"] - parts["body"].log_evidence) < 3 * error
 

@@ -14,7 +14,7 @@ from tests.scenes import key, prior_scene
 def result():
     model = PoseModel()
     return model, inference.sample(
-        model, prior_scene(model, 1, factor=0.5), key=key(0), num_samples=1500
+        model, prior_scene(model, 1, factor=0.5), key=key(0), num_samples=1500, root="candidates"
     )
 
 

@@ -14,7 +14,9 @@ import xarray as xr
 from scipy.stats import kstest
 
 from poseterior import inference
-from poseterior.inference import Result, joined
+from poseterior.inference import Result
+from poseterior.inference.draws import joined, mean_evidence
+from poseterior.inference.exact.mixture import ExactRejection
 from poseterior.inference.predictions import KeypointsRead, prediction_groups
 from poseterior.inference.results import save_tree
 from poseterior.probmodel import BadInput, Estimate, Likelihood, PoseModel, Posterior
@@ -29,7 +31,9 @@ FALSE_ALARM = 1e-3
 
 @pytest.fixture(scope="module")
 def chains(example_estimate: Estimate) -> Result:
-    return inference.sample(PoseModel(), example_estimate, key=key(4), num_samples=200, chains=4)
+    return inference.sample(
+        PoseModel(), example_estimate, key=key(4), num_samples=200, chains=4, root="candidates"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +125,11 @@ def test_chains_are_independent_runs_with_keys_of_their_own(
     assert dict(posterior.sizes)["chain"] == 4
     assert dict(posterior.sizes)["draw"] == 50
     alone = inference.sample(
-        PoseModel(), example_estimate, key=jax.random.split(key(4), 4)[2], num_samples=50
+        PoseModel(),
+        example_estimate,
+        key=jax.random.split(key(4), 4)[2],
+        num_samples=50,
+        root="candidates",
     )
     assert np.array_equal(posterior.joints.values[2], alone.tree["posterior"].joints.values[0])
     assert len(np.unique(posterior.joints.values[:, 0, 8, 0])) == 4
@@ -133,7 +141,9 @@ def test_chains_are_independent_runs_with_keys_of_their_own(
 
 def test_evidences_are_averaged(chains: Result, example_estimate: Estimate) -> None:
     own = [
-        inference.sample(PoseModel(), example_estimate, key=one, num_samples=50).tree.attrs
+        inference.sample(
+            PoseModel(), example_estimate, key=one, num_samples=50, root="candidates"
+        ).tree.attrs
         for one in jax.random.split(key(4), 4)
     ]
     logs = np.array([one["log_evidence"] for one in own])
@@ -145,17 +155,18 @@ def test_evidences_are_averaged(chains: Result, example_estimate: Estimate) -> N
 
 
 def test_evidence_where_a_run_found_nothing() -> None:
-    logs, errors = np.array([[-np.inf, -3.0], [-np.inf, -np.inf]]), np.array([[np.inf, 0.1]] * 2)
-    mean, error = joined._mean_evidence(logs, errors)
-    assert mean.tolist() == [-np.inf, -3.0 - np.log(2)]
-    assert error == pytest.approx([np.inf, 0.1])
+    assert mean_evidence([(-np.inf, np.inf)] * 2) == (-np.inf, np.inf)
+    found = mean_evidence([(-3.0, 0.1), (-np.inf, np.inf)])
+    assert found == pytest.approx((-3.0 - np.log(2), 0.1))
 
 
 def test_the_same_seed_gives_the_same_file(
     chains: Result, example_estimate: Estimate, tmp_path: Path
 ) -> None:
     """All bytes but those of the time that it took."""
-    again = inference.sample(PoseModel(), example_estimate, key=key(4), num_samples=200, chains=4)
+    again = inference.sample(
+        PoseModel(), example_estimate, key=key(4), num_samples=200, chains=4, root="candidates"
+    )
     for name, tree in (("a.nc", chains.tree.copy()), ("b.nc", again.tree)):
         tree.attrs = dict(tree.attrs) | {"wall_time_s": 0.0}
         save_tree(tree, tmp_path / name)
@@ -163,14 +174,13 @@ def test_the_same_seed_gives_the_same_file(
 
 
 def test_a_short_run_shortens_the_others(example_estimate: Estimate) -> None:
-    parts = [
-        inference.sample(PoseModel(), example_estimate, key=key(seed), num_samples=number)
-        for seed, number in ((0, 20), (1, 30))
-    ]
+    posterior = example_estimate.posterior(PoseModel(), CANDIDATES)
+    parts = [ExactRejection().draw(posterior, key(seed), 20 + 10 * seed) for seed in (0, 1)]
     short = dataclasses.replace(parts[0], status="out of budget", sentence="20 of 30 draws")
-    whole = joined.joined([parts[1], short])
+    whole = joined([parts[1], short])
     assert (whole.status, whole.sentence) == ("out of budget", "20 of 30 draws")
-    assert whole.num_draws == 40
+    assert (len(whole), whole.chains) == (40, 2)
+    np.testing.assert_array_equal(whole.joints[20:], short.joints)
 
 
 @pytest.mark.parametrize(
@@ -184,7 +194,14 @@ def test_a_short_run_shortens_the_others(example_estimate: Estimate) -> None:
 )
 def test_refusals(example_estimate: Estimate, arguments: dict, match: str) -> None:
     with pytest.raises(BadInput, match=match):
-        inference.sample(PoseModel(), example_estimate, key=key(0), num_samples=10, **arguments)
+        inference.sample(
+            PoseModel(),
+            example_estimate,
+            key=key(0),
+            num_samples=10,
+            root="candidates",
+            **arguments,
+        )
 
 
 @pytest.mark.slow

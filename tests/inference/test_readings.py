@@ -73,7 +73,7 @@ def test_the_cheap_evidence_is_the_exact_samplers(shared_data: Path) -> None:
         detection = exchanged(frame.detection, *parts)
         wide = Estimate(detection, frame.candidates, Likelihood(factor=2 * NOISE))
         result = inference.sample(
-            MODEL, wide, key=key(0), num_samples=300, max_proposals=30_000_000
+            MODEL, wide, key=key(0), num_samples=300, max_proposals=30_000_000, root="candidates"
         )
         arms, legs = JUDGE._under(detection, frame.candidates[0])[2:]
         pairs.append((float(result.tree.attrs["log_evidence"]) - 8 * np.log(2), arms[0] + legs[0]))

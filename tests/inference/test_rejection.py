@@ -72,7 +72,9 @@ def test_rejection_follows_the_second_implementation(model, sampler, seed, missi
     """Lengths and all joint coordinates of head, arms and legs; evidence per group within 3
     standard errors."""
     frame = prior_scene(model, seed, factor=0.7, missing=missing)
-    result = inference.sample(model, frame, sampler=sampler, key=key(seed), num_samples=4000)
+    result = inference.sample(
+        model, frame, sampler=sampler, key=key(seed), num_samples=4000, root="candidates"
+    )
     pairs, log_evidence, variance = [], 0.0, 0.0
     for name in GROUPS:
         size, joints, proposed = brute_force(
@@ -123,7 +125,7 @@ def test_draws_of_two_roots_are_shared_as_the_mixture_says(model):
     away = [abs(share[0] - other) for other in (0.5, rate[0] / rate.sum())]
     assert min(away) > 0.1
     frame = dataclasses.replace(frame, candidates=both)
-    result = inference.sample(model, frame, key=key(1), num_samples=4000)
+    result = inference.sample(model, frame, key=key(1), num_samples=4000, root="candidates")
     constant, drawn = result.tree["constant_data"], result.tree["posterior"].candidate.values
     errors = constant.log_evidence_se.values
     known = np.sum(share[0] * share[1] * np.array([*errors, *(np.array(hits) ** -0.5)]) ** 2)
@@ -281,13 +283,16 @@ def test_same_key_same_draws_and_a_longer_run_goes_on_with_them(model):
     other = drawn(PrunedGroup(key(8), "arms", arms), 500)
     assert np.array_equal(first.upper, longer.upper[:500])
     assert not np.array_equal(first.upper, other.upper)
-    one, two = (inference.sample(model, frame, key=key(3), num_samples=300) for _ in range(2))
+    one, two = (
+        inference.sample(model, frame, key=key(3), num_samples=300, root="candidates")
+        for _ in range(2)
+    )
     assert np.array_equal(one.tree["posterior"].joints, two.tree["posterior"].joints)
 
 
 def test_every_draw_is_possible_and_explains_the_detection(model):
     frame = prior_scene(model, 6, missing=("left_wrist", "head"))
-    result = inference.sample(model, frame, key=key(0), num_samples=2000)
+    result = inference.sample(model, frame, key=key(0), num_samples=2000, root="candidates")
     posterior, constant = result.tree["posterior"], result.tree["constant_data"]
     assert model.limits.check(posterior.joints.values).valid.all()
     offset = np.linalg.norm(posterior.keypoints - result.tree["observed_data"].keypoints, axis=-1)
@@ -298,7 +303,7 @@ def test_every_draw_is_possible_and_explains_the_detection(model):
 
 def test_a_wrist_out_of_reach_is_named_with_its_distance(model):
     frame = moved(prior_scene(model, 2), "right_wrist", (2000.0, 0.0))
-    result = inference.sample(model, frame, key=key(0), num_samples=100)
+    result = inference.sample(model, frame, key=key(0), num_samples=100, root="candidates")
     assert result.status == IMPOSSIBLE
     assert result.num_draws == 0
     assert "right_wrist" in result.sentence
@@ -322,14 +327,16 @@ def test_where_the_bounds_leave_nothing_no_budget_is_blamed(model, monkeypatch):
     """One group is enough for that, and nobody has to say which joint is out of reach."""
     monkeypatch.setattr(mixture, "out_of_reach", lambda model, problems: [])
     frame = moved(prior_scene(model, 2), "right_wrist", (2000.0, 0.0))
-    result = inference.sample(model, frame, key=key(0), num_samples=100)
+    result = inference.sample(model, frame, key=key(0), num_samples=100, root="candidates")
     assert result.status == IMPOSSIBLE
     assert "the bounds leave no possible arms" in result.sentence
 
 
 def test_an_exhausted_budget_returns_what_there_is(model):
     frame = prior_scene(model, 2)
-    result = inference.sample(model, frame, key=key(0), num_samples=10_000, max_proposals=200_000)
+    result = inference.sample(
+        model, frame, key=key(0), num_samples=10_000, max_proposals=200_000, root="candidates"
+    )
     assert result.status == OUT_OF_BUDGET
     assert 0 < result.num_draws < 10_000
     assert f"{result.num_draws} of 10000" in result.sentence
@@ -346,7 +353,9 @@ def test_every_sampler_has_the_same_face(model, sampler):
         if name.split("_")[-1] in ("elbow", "wrist", "knee", "ankle", "head") and name not in seen
     )
     frame = prior_scene(model, 4, factor=0.8, missing=missing)
-    result = inference.sample(model, frame, sampler=sampler, key=key(0), num_samples=50)
+    result = inference.sample(
+        model, frame, sampler=sampler, key=key(0), num_samples=50, root="candidates"
+    )
     assert result.status == COMPLETE
     assert result.num_draws == 50
     assert result.tree.attrs["sampler"] == sampler
@@ -364,7 +373,9 @@ def test_the_proposals_agree():
         missing = ("head", "right_elbow", "right_knee", "left_ankle", "left_elbow")
         frame = prior_scene(model, 11, factor=1.0, missing=missing)
         results = [
-            inference.sample(model, frame, sampler=name, key=key(index), num_samples=1500)
+            inference.sample(
+                model, frame, sampler=name, key=key(index), num_samples=1500, root="candidates"
+            )
             for index, name in enumerate(PROPOSALS)
         ]
         for other in results[1:]:
@@ -384,7 +395,9 @@ def test_the_standard_error_of_the_evidence_is_one(model):
     %, both tails."""
     frame = prior_scene(model, 2)
     attrs = [
-        inference.sample(model, frame, key=key(100 + run), num_samples=500).tree.attrs
+        inference.sample(
+            model, frame, key=key(100 + run), num_samples=500, root="candidates"
+        ).tree.attrs
         for run in range(40)
     ]
     values, errors = (
@@ -402,9 +415,14 @@ def test_published_limits_in_every_measure_follow_per_group_rejection(shared_dat
         for lower in ("area", "box"):
             model = PoseModel.from_anatomy(anatomy, upper=upper, lower=lower)
             frame = prior_scene(model, 0, factor=0.8)
-            one = inference.sample(model, frame, key=key(1), num_samples=3000)
+            one = inference.sample(model, frame, key=key(1), num_samples=3000, root="candidates")
             two = inference.sample(
-                model, frame, sampler="rejection-group", key=key(2), num_samples=800
+                model,
+                frame,
+                sampler="rejection-group",
+                key=key(2),
+                num_samples=800,
+                root="candidates",
             )
             for name in GROUPS:
                 ours, theirs = columns(one, name), columns(two, name)

@@ -20,13 +20,13 @@ from numpyro.infer.util import potential_energy
 
 from poseterior import inference
 from poseterior.inference.baselines import rooted
-from poseterior.inference.baselines.catalogue import BASELINES, ROOTED, rooted_tree
+from poseterior.inference.baselines.catalogue import BASELINES, ROOTED, draws_of
 from poseterior.inference.baselines.hamiltonian import _log_weights
 from poseterior.inference.baselines.rooted import ROOT_COORDINATES, RootedTarget
 from poseterior.inference.baselines.run import Allowance, run
 from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.importance.weighted import weigh_roots
-from poseterior.inference.results import Result
+from poseterior.inference.results import Result, tree_of
 from poseterior.inference.saved import read_result
 from poseterior.inference.studies.comparison import compare_routes
 from poseterior.inference.studies.comparison.contest import ENDLESS
@@ -82,7 +82,7 @@ def test_the_density_is_the_posterior_s_own() -> None:
     """Of root, pose and detection, whose unseen limbs follow the prior: to 1e-8, and minus infinity
     at the same places."""
     model, frame, target = case()
-    x = target.points_of(*drawn())
+    x = target.points_at(*drawn())
     x = np.concatenate([x, x + np.random.default_rng(1).normal(scale=0.05, size=x.shape)])
     roots, poses = placed(target, x)
     own = np.asarray(frame.posterior(model).log_joint(roots, poses)) - model.log_prior(*poses)
@@ -102,7 +102,7 @@ def test_the_density_is_that_of_the_program() -> None:
     (model, frame, some), (points, poses) = case(), drawn()
     limbs = dataclasses.replace(some.limbs, active=tuple(range(CUBE_DIM)))
     target = dataclasses.replace(some, limbs=limbs)
-    x = target.points_of(points, poses)
+    x = target.points_at(points, poses)
     program = frame.posterior(model).program
 
     @jax.jit
@@ -159,7 +159,7 @@ def test_points_are_roots_and_poses_and_back() -> None:
     target, x = case()[2], anywhere(60)
     where = target.limbs.dim
     assert x.shape[1] == where + len(ROOT_COORDINATES) == where + 7
-    found = target.points_of(*placed(target, x))
+    found = target.points_at(*placed(target, x))
     np.testing.assert_allclose(np.delete(found, where, 1), np.delete(x, where, 1), atol=1e-6)
     again = target.roots(found).torso
     np.testing.assert_array_equal(again, target.roots(x).torso)
@@ -285,7 +285,7 @@ def test_a_detector_s_faults_are_summed_out_of_the_density() -> None:
     target, roots = RootedTarget.of(posterior), faulty.weighed()
     points, poses, _ = roots.draw(np.random.default_rng(1), 400)
     assert target.dim == 2 + 4 * 2 + len(ROOT_COORDINATES)  # lengths and bones of both arms
-    x = target.points_of(points, poses)
+    x = target.points_at(points, poses)
     roots_of, poses_of = placed(target, x)
     log_each = []
     for exchange, hip, shoulder, elbow, wrist in itertools.product(
@@ -322,7 +322,7 @@ def test_a_walk_finds_faults_as_often_as_brute_force(monkeypatch: pytest.MonkeyP
     model, frame = faulty.small_case()
     posterior, brute, roots = frame.posterior(model), faulty.brute_force(), faulty.weighed()
     target = RootedTarget.of(posterior)
-    starts = target.points_of(*roots.draw(np.random.default_rng(1), 1000)[:2])
+    starts = target.points_at(*roots.draw(np.random.default_rng(1), 1000)[:2])
 
     def off(evaluations: int) -> float:
         done = run(
@@ -332,7 +332,7 @@ def test_a_walk_finds_faults_as_often_as_brute_force(monkeypatch: pytest.MonkeyP
             num_samples=ENDLESS,
             allowance=Allowance(evaluations=evaluations),
         )
-        draws = rooted_tree(posterior, target, done, key(6))["posterior"]
+        draws = tree_of(draws_of(posterior, target, done, key(6)))["posterior"]
         values = [
             draws.outlier.values[..., JOINTS.index("right_wrist")],
             draws.outlier.values[..., JOINTS.index("left_hip")],

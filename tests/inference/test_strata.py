@@ -832,7 +832,9 @@ def test_a_frame_that_no_pose_explains_has_no_strata():
         frame, detection=dataclasses.replace(frame.detection, keypoints=keypoints)
     )
     assert stratified(model, frame, "arms", 0).hopeless
-    assert inference.sample(model, frame, key=key(0), num_samples=10).num_draws == 0
+    assert (
+        inference.sample(model, frame, key=key(0), num_samples=10, root="candidates").num_draws == 0
+    )
 
 
 @pytest.mark.slow
@@ -896,10 +898,14 @@ def test_the_loops_do_not_mind_32_bit_floats():
     """The same frame where JAX computes in 32 bits: the same evidence within 3 standard errors, no
     loop made anew."""
     frame = prior_scene(PoseModel(), 2)
-    whole = inference.sample(PoseModel(), frame, key=key(0), num_samples=3000).tree.attrs
+    whole = inference.sample(
+        PoseModel(), frame, key=key(0), num_samples=3000, root="candidates"
+    ).tree.attrs
     compiled_before = len(stratify_loop.signatures)
     with jax.enable_x64(False):
-        half = inference.sample(PoseModel(), frame, key=key(1), num_samples=3000).tree.attrs
+        half = inference.sample(
+            PoseModel(), frame, key=key(1), num_samples=3000, root="candidates"
+        ).tree.attrs
     assert len(stratify_loop.signatures) == compiled_before
     error = np.hypot(whole["log_evidence_se"], half["log_evidence_se"])
     assert abs(whole["log_evidence"] - half["log_evidence"]) < 3 * error

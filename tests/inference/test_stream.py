@@ -26,7 +26,7 @@ from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from poseterior.probmodel.root_priors import CANDIDATES
 from tests.scenes import key, prior_scene
 
-SETTINGS = {"num_samples": 40, "k": 3, "keep": 40}
+SETTINGS = {"num_samples": 40, "k": 3, "keep": 40, "root": "candidates"}
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_draws_are_those_of_sample(model, items, tmp_path):
 
     sample_frames(model, items[:2], key=key(4), out=tmp_path, **SETTINGS)
     result = inference.sample(
-        model, items[1].frame, key=jax.random.fold_in(key(4), 1), num_samples=40
+        model, items[1].frame, key=jax.random.fold_in(key(4), 1), num_samples=40, root="candidates"
     )
     ours = draws_of(tmp_path, items[1].name).joints.values
     assert np.array_equal(ours, result.tree["posterior"].joints.values.astype(np.float32))
@@ -127,6 +127,7 @@ def test_composed_hypotheses_of_a_frame_are_those_of_its_result(model, items, tm
         items[1].frame,
         key=jax.random.fold_in(key(0), 1),
         num_samples=SETTINGS["num_samples"],
+        root="candidates",
     )
     chosen = inference.composed(result, items[1].frame.posterior(model, CANDIDATES), SETTINGS["k"])
     found = open_stream(tmp_path)["hypotheses"].isel(frame=1)

@@ -194,7 +194,7 @@ def test_real_poses_are_covered_without_torso_and_camera() -> None:
     assert tree.attrs["num_roots"] == ROOTS
     assert (found.num_draws.values == 60).all()
     assert np.isfinite(found.whole.values).all()
-    fixed = cover(model(), cases(), num_samples=60)["simulation"].to_dataset()
+    fixed = cover(model(), cases(), num_samples=60, root="candidates")["simulation"].to_dataset()
     assert (found.spread_depth.values.mean() > fixed.spread_depth.values.mean()).all()
 
 

@@ -304,7 +304,7 @@ def test_what_is_no_probability_is_refused(arguments, words):
 def test_faults_need_an_uncertain_root():
     model, frame = small_case()
     with pytest.raises(BadInput, match="outliers and exchanges need"):
-        inference.sample(model, frame, key=key(0))
+        inference.sample(model, frame, key=key(0), root="candidates")
 
 
 def learned(**changes) -> DetectorErrors:

@@ -51,7 +51,9 @@ def stream(example_estimate: Estimate, tmp_path_factory: pytest.TempPathFactory)
     names = ["f0/0", "f0/1", "f2/0", "f2/1"]
     items = [Item(name, example_estimate) for name in names]
     items.insert(2, Item("f1/0", "f1 has no torso; choose another"))
-    sample_frames(PoseModel(), items, key=key(0), out=folder, num_samples=30, k=2)
+    sample_frames(
+        PoseModel(), items, key=key(0), out=folder, num_samples=30, k=2, root="candidates"
+    )
     return folder
 
 

@@ -42,7 +42,11 @@ def model() -> probmodel.PoseModel:
 def sampled(model: probmodel.PoseModel, detection: probmodel.Detection) -> Result:
     with jax.numpy_rank_promotion("allow"):  # strictness is for the tests of the sampler
         return inference.sample(
-            model, inference.estimate_torso(detection), key=jax.random.key(3), num_samples=200
+            model,
+            inference.estimate_torso(detection),
+            key=jax.random.key(3),
+            num_samples=200,
+            root="candidates",
         )
 
 

@@ -472,7 +472,12 @@ def test_samplers_of_chains_can_be_shown(example_estimate, tmp_path: Path) -> No
     from poseterior.probmodel import PoseModel
 
     result = inference.sample(
-        PoseModel(), example_estimate, key=jax.random.key(0), num_samples=40, chains=2
+        PoseModel(),
+        example_estimate,
+        key=jax.random.key(0),
+        num_samples=40,
+        chains=2,
+        root="candidates",
     )
     result.save(tmp_path / "posterior.nc", double=True)
     data = Parsed(saved.page_of(tmp_path / "posterior.nc")).data

@@ -36,7 +36,9 @@ def model(request, shared_data) -> PoseModel:
 def test_real_files_give_exact_draws(model, shared_data, name, person):
     """Every draw possible, every seen joint inside its disc, left and right equally long."""
     frame = inference.estimate_torso(read_detections(shared_data / "detections" / name)[person])
-    result = inference.sample(model, frame, key=jax.random.key(0), num_samples=1000)
+    result = inference.sample(
+        model, frame, key=jax.random.key(0), num_samples=1000, root="candidates"
+    )
     assert result.status == COMPLETE
     check_draws(model, result)
 
@@ -70,7 +72,11 @@ def test_the_walker_faces_left(shared_data):
     anatomy = Anatomy.load(shared_data / "akhter_black" / "jointAngleModel_v2.mat")
     frame = inference.estimate_torso(read_detections(shared_data / "detections" / FILES[0][0])[0])
     result = inference.sample(
-        PoseModel.from_anatomy(anatomy), frame, key=jax.random.key(0), num_samples=4000
+        PoseModel.from_anatomy(anatomy),
+        frame,
+        key=jax.random.key(0),
+        num_samples=4000,
+        root="candidates",
     )
     constant = result.tree["constant_data"]
     left = int(np.argmin([candidate.facing[0] for candidate in frame.candidates]))
@@ -82,7 +88,9 @@ def test_the_walker_faces_left(shared_data):
 
 def test_results_open_in_xarray_and_arviz(model, shared_data, tmp_path):
     frame = inference.estimate_torso(read_detections(shared_data / "detections" / FILES[0][0])[0])
-    result = inference.sample(model, frame, key=jax.random.key(0), num_samples=400)
+    result = inference.sample(
+        model, frame, key=jax.random.key(0), num_samples=400, root="candidates"
+    )
     result.save(tmp_path / "posterior.nc", double=True)
     with xr.open_datatree(tmp_path / "posterior.nc", engine="netcdf4") as tree:
         assert set(tree.children) == {
@@ -115,7 +123,12 @@ def test_fifty_poses_of_motion_capture(model, shared_data):
             pose, rng.uniform(0, 360), rng.uniform(-20, 20), number, missing=missing
         )
         result = inference.sample(
-            model, frame, key=jax.random.key(number), num_samples=150, max_proposals=60_000_000
+            model,
+            frame,
+            key=jax.random.key(number),
+            num_samples=150,
+            max_proposals=60_000_000,
+            root="candidates",
         )
         complete += result.status == COMPLETE
         if result.num_draws:

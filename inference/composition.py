@@ -20,7 +20,7 @@ from poseterior.inference.hypothesis import Hypothesis, require_k
 from poseterior.inference.importance.tree import nearest_rotation
 from poseterior.inference.machines import calm_blas
 from poseterior.inference.results import Result
-from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.posterior import Posterior

@@ -22,8 +22,8 @@ from poseterior.inference.importance.routes import ROUTES, draw_uncertain
 from poseterior.inference.importance.tree import placed
 from poseterior.inference.importance.weighted import require_number
 from poseterior.inference.results import FIXED, UNCERTAIN, joint_columns
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate, Posterior
 from poseterior.probmodel.roots import RootPoint

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from poseterior.probmodel.chunks import in_chunks
-from poseterior.probmodel.likelihood import ErrorLaw, WithOutliers
+from poseterior.probmodel.errors.laws import ErrorLaw, WithOutliers
 from poseterior.probmodel.programs import kept
 from poseterior.probmodel.skeleton import JOINTS
 

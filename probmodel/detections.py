@@ -2,7 +2,7 @@
 or missing.
 
 The usual way in is `read_detections` of `probmodel.formats`; `Detection` is what every reader
-returns. What the scores mean for the likelihood: `probmodel.likelihood`."""
+returns. What the scores mean for the likelihood: `probmodel.errors.likelihood`."""
 
 import re
 from collections.abc import Sequence

@@ -289,7 +289,7 @@ class PoseModel:
         import numpyro
         from numpyro.handlers import mask
 
-        from poseterior.probmodel.keypoints import DetectedKeypoint
+        from poseterior.probmodel.errors.keypoints import DetectedKeypoint
 
         camera, seen = observation.root.camera, observation.seen
         joints = self._pose(observation.view)

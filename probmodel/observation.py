@@ -13,7 +13,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 if TYPE_CHECKING:
-    from poseterior.probmodel.likelihood import ErrorLaw
+    from poseterior.probmodel.errors.laws import ErrorLaw
     from poseterior.probmodel.roots import Root
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.likelihood import PAPER, Likelihood
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.programs import kept

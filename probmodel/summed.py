@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.nn import logsumexp
 
-from poseterior.probmodel.faults import LIMB_INDEX, ORDERS, FaultPrior, Faults, faults_of
+from poseterior.probmodel.errors.faults import LIMB_INDEX, ORDERS, FaultPrior, Faults, faults_of
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.roots import RootPoint, RootPrior
 from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX

@@ -16,8 +16,9 @@ import numpy as np
 
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import Detection
-from poseterior.probmodel.faults import ORDERS, FaultPrior, Faults
-from poseterior.probmodel.likelihood import Likelihood, WithOutliers
+from poseterior.probmodel.errors.faults import ORDERS, FaultPrior, Faults
+from poseterior.probmodel.errors.laws import WithOutliers
+from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.model import PoseModel, log_joint
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.pose import Pose
@@ -26,7 +27,7 @@ from poseterior.probmodel.roots import Candidate, RootPoint, RootPrior
 from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 
 if TYPE_CHECKING:
-    from poseterior.probmodel.likelihood import ErrorLaw
+    from poseterior.probmodel.errors.laws import ErrorLaw
 
 
 class DetectedJoints(NamedTuple):

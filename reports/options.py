@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from typer import Argument, Option
 
+from poseterior.probmodel.errors import LAW_NAMES
 from poseterior.reports import console
 
 if TYPE_CHECKING:
@@ -370,9 +371,9 @@ class Estimation:
         str,
         Option(
             help=(
-                "Law of a detection's error: disc (the paper), gaussian with σ = τ/2, student of"
-                " the same scale, learned (the embedded one of real detections), or FILE.json from"
-                " `poseterior calibrate`. The last two have outliers, and need --root uncertain."
+                f"Law of a detection's error: {', '.join(LAW_NAMES)} (the paper's is disc), learned"
+                " (the embedded one of real detections), or FILE.json from `poseterior calibrate`."
+                " The last two have outliers, and need --root uncertain."
             )
         ),
     ] = "disc"
@@ -392,7 +393,7 @@ class Estimation:
         """How detections err. Raises `BadInput` on a bad factor, law or probability."""
         import dataclasses
 
-        from poseterior.probmodel.faults import FaultPrior
+        from poseterior.probmodel.errors.faults import FaultPrior
 
         likelihood = self._law()
         if self.outliers is None and self.exchanges is None:
@@ -407,8 +408,8 @@ class Estimation:
     def _law(self) -> "Likelihood":
         from poseterior.probmodel import BadInput, Likelihood
         from poseterior.probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
-        from poseterior.probmodel.errorlaws import DetectorErrors
-        from poseterior.probmodel.likelihood import LAWS
+        from poseterior.probmodel.errors.detector import DetectorErrors
+        from poseterior.probmodel.errors.laws import LAWS
 
         if not SMALLEST_FACTOR <= self.factor <= 1 / SMALLEST_FACTOR:  # false for NaN too
             limits = f"{SMALLEST_FACTOR:g} and {1 / SMALLEST_FACTOR:g}"
@@ -416,8 +417,9 @@ class Estimation:
                 f"--factor must lie between {limits}, not {self.factor:g}; the paper has 0.25"
             )
         joints = LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS
-        if self.errors in LAWS:
-            return Likelihood(LAWS[self.errors](), factor=self.factor, joints=joints)
+        law = LAWS.get(self.errors)
+        if law is not None:
+            return Likelihood(law(), factor=self.factor, joints=joints)
         if self.errors == "learned":
             return Likelihood.of(DetectorErrors.default(), joints)
         return Likelihood.of(DetectorErrors.read(self.errors), joints)

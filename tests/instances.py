@@ -12,8 +12,8 @@ from poseterior.probmodel.anatomy.torsos import TorsoDictionary
 from poseterior.probmodel.directions.cells import Cells
 from poseterior.probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from poseterior.probmodel.directions.hinges import Hinge
-from poseterior.probmodel.keypoints import DetectedKeypoint
-from poseterior.probmodel.likelihood import Disc
+from poseterior.probmodel.errors.keypoints import DetectedKeypoint
+from poseterior.probmodel.errors.laws import LAWS, Disc
 from poseterior.probmodel.rotations import UprightRotation
 
 NASTY_HINGES = {
@@ -147,6 +147,8 @@ def distributions() -> dict[str, dist.Distribution]:
     found["disc two by two"] = DetectedKeypoint(
         Disc(), jnp.zeros(2), np.array([[1.0, 2.0], [3.0, 4.0]])
     )
+    for name, law in LAWS.items():
+        found[f"keypoint, {name}"] = DetectedKeypoint(law(), rng.normal(size=(3, 2)), 0.7)
     found["length"] = BoneLength(LENGTHS)
     wide = [jnp.broadcast_to(field, (3, 5)) for field in LENGTHS]
     found["length three"] = BoneLength(LengthPrior(*wide))

@@ -29,8 +29,8 @@ from jax.typing import ArrayLike
 from poseterior.inference.baselines.target import LimbChart, active_coordinates
 from poseterior.inference.importance.tree import nearest_rotation
 from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.errors.faults import ORDERS, FaultPrior, Faults
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.faults import ORDERS, FaultPrior, Faults
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.roots import RootPoint, RootPrior

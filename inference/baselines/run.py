@@ -20,9 +20,9 @@ from poseterior.inference.baselines.target import Density, Target
 from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET, Cost
 from poseterior.probmodel.arrays import read_tables
 from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.errors.laws import ErrorLaw
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.files import replacing
-from poseterior.probmodel.likelihood import ErrorLaw
 from poseterior.probmodel.pose import Pose
 
 Progress = Callable[[int, int], None]

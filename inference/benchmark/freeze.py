@@ -26,8 +26,8 @@ from poseterior.inference.studies.scenes import (
     low_scores,
     prior_scene,
 )
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.files import replacing
-from poseterior.probmodel.likelihood import Gaussian
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.skeleton import GROUPS, JOINTS, TORSO_INDEX

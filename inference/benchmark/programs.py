@@ -20,7 +20,8 @@ from poseterior.inference.benchmark.uncertain import UncertainTarget
 from poseterior.probmodel.anatomy.population import Anatomy
 from poseterior.probmodel.camera import WeakPerspective
 from poseterior.probmodel.detections import Detection
-from poseterior.probmodel.likelihood import LAWS, Likelihood
+from poseterior.probmodel.errors.laws import LAWS
+from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.roots import Candidate

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from poseterior.inference.benchmark.root import BoxedRoot
 from poseterior.inference.benchmark.target import FrozenTarget
-from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.pose import Pose

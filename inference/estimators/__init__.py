@@ -20,9 +20,9 @@ from poseterior.inference.estimators.zhou import fit_zhou
 from poseterior.probmodel.anatomy.limits import AnatomicalLimits
 from poseterior.probmodel.anatomy.population import Anatomy
 from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
-from poseterior.probmodel.likelihood import PAPER, Likelihood
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.roots import Candidate
 

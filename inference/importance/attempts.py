@@ -47,8 +47,8 @@ from poseterior.inference.importance.torsos import (
 )
 from poseterior.inference.resampling import effective, inclusion, shares, systematic
 from poseterior.probmodel.chunks import in_chunks
-from poseterior.probmodel.faults import Faults
-from poseterior.probmodel.likelihood import WithOutliers
+from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.errors.laws import WithOutliers
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.uncertain import UncertainPosterior
 

@@ -27,9 +27,9 @@ from poseterior.inference.exact.loops.sights import see_rows
 from poseterior.inference.exact.loops.tables import FOUND, OPTICS, blank_bodies
 from poseterior.inference.exact.loops.weighed import attempt_rows, draw_trials
 from poseterior.probmodel.chunks import in_chunks
-from poseterior.probmodel.faults import ORDERS, Faults
+from poseterior.probmodel.errors.faults import ORDERS, Faults
+from poseterior.probmodel.errors.laws import ErrorLaw, WithOutliers
 from poseterior.probmodel.kinematics import upper_axes
-from poseterior.probmodel.likelihood import ErrorLaw, WithOutliers
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.pose import GroupDraws, Pose
 from poseterior.probmodel.programs import kept

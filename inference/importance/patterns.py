@@ -30,7 +30,7 @@ from poseterior.inference.importance.limbs import (
     views_of,
 )
 from poseterior.probmodel.chunks import in_chunks
-from poseterior.probmodel.faults import (
+from poseterior.probmodel.errors.faults import (
     LIMB_INDEX,
     MOVES_TORSO,
     ORDERS,
@@ -38,7 +38,7 @@ from poseterior.probmodel.faults import (
     Faults,
     faults_of,
 )
-from poseterior.probmodel.likelihood import PAPER
+from poseterior.probmodel.errors.likelihood import PAPER
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import TORSO_INDEX

@@ -41,7 +41,7 @@ from poseterior.inference.importance.patterns import (
 )
 from poseterior.inference.importance.torsos import Posed, log_nearness, torso_problem
 from poseterior.inference.resampling import effective, inclusion, shares, systematic, times
-from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX

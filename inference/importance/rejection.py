@@ -57,8 +57,8 @@ from poseterior.inference.importance.weighted import (
     require_number,
 )
 from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.pose import GroupDraws, Pose
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.uncertain import UncertainPosterior

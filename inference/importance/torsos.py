@@ -11,9 +11,9 @@ from jax.typing import ArrayLike
 
 from poseterior.inference.exact.loops.roots import RootTable, TorsoProblem, turn_rows
 from poseterior.probmodel.chunks import in_chunks
+from poseterior.probmodel.errors.faults import ORDERS, Faults
+from poseterior.probmodel.errors.laws import WithOutliers
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.faults import ORDERS, Faults
-from poseterior.probmodel.likelihood import WithOutliers
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.roots import NEAREST, RootPoint, RootPrior
 from poseterior.probmodel.skeleton import TORSO_INDEX

@@ -16,7 +16,7 @@ from poseterior.inference.importance.limbs import log_evidence
 from poseterior.inference.importance.weighted import WeightedRoots, log_mean
 from poseterior.inference.results import NAMES, UNCERTAIN, Columns, assemble
 from poseterior.probmodel.chunks import CHUNK, in_chunks
-from poseterior.probmodel.faults import ORDERS, FaultPrior, Faults
+from poseterior.probmodel.errors.faults import ORDERS, FaultPrior, Faults
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.roots import RootPoint, RootPrior

@@ -38,8 +38,8 @@ from poseterior.inference.importance.proposals import ProposedRoots, propose_roo
 from poseterior.inference.importance.torsos import log_nearness, require_distance
 from poseterior.inference.resampling import effective, shares, times
 from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET
+from poseterior.probmodel.errors.faults import LIMB_INDEX, Faults
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.faults import LIMB_INDEX, Faults
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import GROUPS

@@ -16,7 +16,7 @@ from poseterior.probmodel.body import body_unit
 from poseterior.probmodel.camera import WeakPerspective
 from poseterior.probmodel.datasets import View
 from poseterior.probmodel.detections import Detection
-from poseterior.probmodel.likelihood import Likelihood
+from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.motion import read_motion
 from poseterior.probmodel.posterior import Estimate

@@ -30,13 +30,6 @@ def residuals_figure(found: Learned) -> Figure:
     return figure
 
 
-def radius(level: float, df: float) -> float:
-    """Spreads within which a share of a law's errors lies."""
-    if not np.isfinite(df):
-        return float(np.sqrt(-2 * np.log1p(-level)))
-    return float(np.sqrt(df * ((1 - level) ** (-2 / df) - 1)))
-
-
 def sizes(found: Learned) -> np.ndarray:
     """`(n, 15)` of the residuals, in spreads (the truth's own error included), NaN where there is
     none."""
@@ -60,7 +53,7 @@ def _draw_joint(axes: Axes, found: Learned, joint: int) -> None:
     for rows, colour in ((inlier, PALETTE[0]), (~inlier, PALETTE[1])):
         axes.plot(*points[rows].T, ".", ms=1.5, color=colour, alpha=0.5)
     for level in LEVELS:
-        size = radius(level, found.errors.df) * found.errors.sigma[joint]
+        size = 2 * float(found.errors.law.distance(level)) * found.errors.sigma[joint]
         axes.add_patch(Circle((0, 0), size, fill=False, lw=0.9, color=INK))
     axes.set(xlim=(-reach, reach), ylim=(reach, -reach))
     beyond = int((np.abs(points) > reach).any(axis=1).sum())

@@ -29,7 +29,7 @@ from poseterior.inference.studies.evaluation.relations import LEAST_GAIN
 from poseterior.inference.studies.evaluation.scores import Interval
 from poseterior.probmodel import Likelihood
 from poseterior.probmodel.datasets import Case, read_data_set
-from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.skeleton import NUM_JOINTS
 from poseterior.reports.figures.composition import gains_figure

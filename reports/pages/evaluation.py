@@ -30,10 +30,10 @@ from poseterior.inference.studies.evaluation.scores import (
     usable,
 )
 from poseterior.probmodel.datasets import EXACT, DataSet, Noise, read_data_set
+from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.learning.dictionaries import learn_dictionary
 from poseterior.probmodel.learning.learner import learn
 from poseterior.probmodel.learning.poses import read_all
-from poseterior.probmodel.likelihood import Likelihood
 from poseterior.reports.figures.bias import bias_figure
 from poseterior.reports.figures.evaluation import errors_figure, pck_curves, pck_figure
 from poseterior.reports.pages.page import Values, in_doubles, write_page

@@ -24,7 +24,13 @@ from scipy.stats import bootstrap
 from poseterior.inference.importance.weighted import weigh_roots
 from poseterior.inference.studies.scenes import prior_scene
 from poseterior.probmodel import Detection, Estimate, PoseModel
-from poseterior.probmodel.faults import EXCHANGE_INDEX, EXCHANGES, MOVES_TORSO, ORDERS, FaultPrior
+from poseterior.probmodel.errors.faults import (
+    EXCHANGE_INDEX,
+    EXCHANGES,
+    MOVES_TORSO,
+    ORDERS,
+    FaultPrior,
+)
 from poseterior.probmodel.skeleton import JOINT_INDEX
 from poseterior.reports.pages.faults import EXCHANGED, LEGS, SURE, exchanged, with_detection
 from poseterior.reports.pages.page import Values, in_doubles, write_page

@@ -27,8 +27,8 @@ from poseterior.probmodel import Detection, Estimate, Lens, Likelihood, PoseMode
 from poseterior.probmodel.datasets import Case, from_session
 from poseterior.probmodel.datasets.cases import skeletal, strays
 from poseterior.probmodel.datasets.sessions import judged_views
+from poseterior.probmodel.errors.faults import NO_FAULTS
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.faults import NO_FAULTS
 from poseterior.probmodel.layouts import MIDPOINTS, corrected, without_midpoints
 from poseterior.probmodel.sessions import Session, read_session
 from poseterior.probmodel.sessions.session import HIPS

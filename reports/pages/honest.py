@@ -27,6 +27,7 @@ from poseterior.inference.studies.errorlaws.judge import LEVELS, shares_within, 
 from poseterior.inference.studies.errorlaws.pairs import pairs_of_session
 from poseterior.inference.studies.evaluation.samples import ECE_SAMPLES, JUDGED_NAMES
 from poseterior.inference.studies.intervals import Interval, of_share
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.sessions.session import HIPS
 from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
@@ -263,8 +264,7 @@ def law_table(seen: Film) -> Sheet:
         rest = pairs_of_session(seen.part(part))
         fitted = dataclasses.replace(
             found.errors,
-            law="gaussian",
-            df=np.inf,
+            law=Gaussian(),
             sigma=np.where(found.errors.known, found.fit.mixture.sigma, np.nan),
         )
         for name, law in (("as fitted", fitted), ("as written", found.errors)):

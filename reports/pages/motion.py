@@ -34,10 +34,10 @@ from poseterior.probmodel.anatomy.population import Anatomy
 from poseterior.probmodel.body import align_torsos
 from poseterior.probmodel.camera import WeakPerspective
 from poseterior.probmodel.datasets import Case, from_motions, read_data_set
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.learning.learner import learn
 from poseterior.probmodel.learning.poses import gather
 from poseterior.probmodel.learning.tolerance import DEFAULT
-from poseterior.probmodel.likelihood import Gaussian
 from poseterior.probmodel.roots import Candidate
 from poseterior.probmodel.skeleton import TORSO_INDEX
 from poseterior.reports.figures.coverage import coverage_figure

@@ -7,6 +7,7 @@ Controls are the same weighted roots with weights that are wrong.
 """
 
 import dataclasses
+import itertools
 import math
 import sys
 import time
@@ -26,10 +27,10 @@ from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS, LEVEL
 from poseterior.inference.studies.comparison.sample import Sample, sample_of
 from poseterior.probmodel import Detection, Estimate, Likelihood, PoseModel
 from poseterior.probmodel.detections import LIKELIHOOD_JOINTS
-from poseterior.probmodel.errorlaws import DetectorErrors
-from poseterior.probmodel.faults import FaultPrior
+from poseterior.probmodel.errors.detector import DetectorErrors
+from poseterior.probmodel.errors.faults import FaultPrior
+from poseterior.probmodel.errors.laws import LAWS
 from poseterior.probmodel.layouts import corrected
-from poseterior.probmodel.likelihood import Gaussian
 from poseterior.probmodel.skeleton import TORSO_INDEX
 from poseterior.probmodel.uncertain import UncertainPosterior
 from poseterior.reports.figures.colours import PALETTE
@@ -44,12 +45,10 @@ FRAMES = (10, 30, 50, 70, 90)
 EXACT, ROOTS = 120, 1500
 BUDGET = 100_000_000
 """Proposals for the exact draws of a case, which may be fewer then."""
-LAWS = {
-    "disc": Likelihood(),
-    "Gaussian": Likelihood(Gaussian()),
+LIKELIHOODS = {name: Likelihood(law()) for name, law in LAWS.items()} | {
     "disc, faults": Likelihood(faults=FaultPrior.of(0.02, 0.02)),
 }
-TURNS = ("disc", "Gaussian", "disc", "disc, faults", "disc")
+TURNS = tuple(itertools.islice(itertools.cycle(LIKELIHOODS), len(FRAMES)))
 """The error law of each of the frames."""
 FAST = "weighted roots"
 COSTED = (50, 90)
@@ -111,7 +110,7 @@ def whole(roots: WeightedRoots, number: int, seed: int) -> Sample:
 
 
 def _posterior(model: PoseModel, case: JudgedFrame) -> UncertainPosterior:
-    return Estimate(case.detection, (), LAWS[case.law]).uncertain(model)
+    return Estimate(case.detection, (), LIKELIHOODS[case.law]).uncertain(model)
 
 
 def study(model: PoseModel, case: JudgedFrame, seed: int) -> Found:
@@ -218,7 +217,7 @@ def main(data: Path) -> None:
         for number, detection in enumerate(seen[frame], 1)
     ]
     model, found = PoseModel(), []
-    for law in LAWS:  # compiled before times are taken
+    for law in LIKELIHOODS:  # compiled before times are taken
         first = next(case for case in cases if case.law == law)
         reject_roots(_posterior(model, first), key=jax.random.key(0), num_samples=1)
     for seed, case in enumerate(cases):
@@ -227,7 +226,7 @@ def main(data: Path) -> None:
         print(case.name, found[-1].seconds, said, flush=True)
     detections = [detection for frame in COSTED for detection in seen[frame]]
     learned = Likelihood.of(DetectorErrors.default(), LIKELIHOOD_JOINTS)
-    costs = costs_of(model, detections, LAWS | {"learned": learned}, print)
+    costs = costs_of(model, detections, LIKELIHOODS | {"learned": learned}, print)
     rates = [len(one.exact.limbs) / one.seconds[0] for one in found]
     values: dict[str, str | int | Sheet] = {
         "cases": len(cases),

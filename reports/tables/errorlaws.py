@@ -3,7 +3,8 @@
 import numpy as np
 
 from poseterior.inference.studies.errorlaws import Learned
-from poseterior.probmodel.errorlaws import Exchange
+from poseterior.probmodel.errors.detector import Exchange
+from poseterior.probmodel.errors.laws import Student
 from poseterior.probmodel.layouts import MIDPOINTS
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
@@ -19,7 +20,7 @@ def errors_table(found: Learned) -> Sheet:
         rows.append([JOINTS[joint], int(errors.pairs[joint]), *cells])
     head = ["joint", "pairs", "sigma", "inliers", "bias right", "bias down"]
     caption = (
-        f"{errors.law}; lengths in body units (the mean limb bone is 1). In parentheses the"
+        f"{errors.law.name}; lengths in body units (the mean limb bone is 1). In parentheses the"
         " standard errors of the last digits, from leaving recordings out in turn."
     )
     columns = [Column(one) for one in head]
@@ -35,12 +36,12 @@ def summary_lines(found: Learned) -> list[str]:
     """What holds for all joints, in sentences."""
     errors = found.errors
     lines = []
-    if errors.law == "student":
+    if isinstance(errors.law, Student):
         fitted = found.fit.mixture.df
         of_fit = f"{fitted:.1f} ± {found.df_se:.1f}" if np.isfinite(fitted) else "a Gaussian's"
         lines.append(
-            f"Degrees of freedom: {errors.df:.1f}; of the errors learned from {of_fit}, the fewer"
-            " the recordings the less is that known"
+            f"Degrees of freedom: {errors.law.df:.1f}; of the errors learned from {of_fit}, the"
+            " fewer the recordings the less is that known"
         )
     shares = zip(Exchange._fields, errors.exchange, found.exchange_se, strict=True)
     said = ", ".join(f"{name} {100 * p:.1f} ± {100 * se:.1f} %" for name, p, se in shares)

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.results import UNCERTAIN
-from poseterior.probmodel.faults import EXCHANGES
+from poseterior.probmodel.errors.faults import EXCHANGES
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, TORSO_INDEX
 from poseterior.reports.tables.sheet import (
     NOTHING,

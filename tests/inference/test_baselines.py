@@ -36,7 +36,8 @@ from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.studies.comparison import compare, contest
 from poseterior.inference.studies.comparison.judge import DIFFERS
 from poseterior.probmodel import BadInput, PoseModel
-from poseterior.probmodel.likelihood import LAWS, Gaussian, Likelihood
+from poseterior.probmodel.errors.laws import LAWS, Gaussian
+from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.model import log_joint
 from poseterior.probmodel.skeleton import JOINT_INDEX
 from poseterior.probmodel.transport import CUBE_DIM

@@ -31,8 +31,8 @@ from poseterior.inference.benchmark.uncertain import UncertainTarget
 from poseterior.inference.importance.torsos import torso_problem
 from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
 from poseterior.inference.studies.comparison.sample import NAMES, ROOT_NAMES
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.rotations import RotationTransform, rodrigues

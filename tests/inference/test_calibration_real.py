@@ -56,7 +56,7 @@ from poseterior.inference.studies.intervals import resampled
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.camera import Lens, WeakPerspective
 from poseterior.probmodel.datasets import Case
-from poseterior.probmodel.likelihood import Likelihood
+from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.roots import Candidate
 from poseterior.probmodel.skeleton import BONE_NAMES, BONES, JOINT_INDEX, TORSO_INDEX
 

@@ -21,8 +21,8 @@ from poseterior.inference.hypothesis import Hypothesis
 from poseterior.probmodel import BadInput, Estimate, FaultPrior, Likelihood, PoseModel
 from poseterior.probmodel.body import align_torsos
 from poseterior.probmodel.camera import Lens
-from poseterior.probmodel.faults import Faults
-from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.model import log_joint
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.roots import RootPoint

@@ -22,8 +22,8 @@ from poseterior.inference.exact.mixture import RootSampler
 from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET, SINGLE
 from poseterior.inference.saved import read_result
 from poseterior.probmodel import BadInput, PoseModel
-from poseterior.probmodel.faults import FaultPrior
-from poseterior.probmodel.likelihood import PAPER
+from poseterior.probmodel.errors.faults import FaultPrior
+from poseterior.probmodel.errors.likelihood import PAPER
 from tests.goodness import floor
 from tests.scenes import key
 

@@ -6,6 +6,7 @@ standard errors (0.3 % each); seeds are fixed.
 """
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,10 +16,12 @@ from scipy import integrate, stats
 from scipy.stats import ks_2samp
 
 from poseterior import inference
-from poseterior.probmodel import BadInput, Disc, ErrorLaw, PoseModel
-from poseterior.probmodel.keypoints import DetectedKeypoint
-from poseterior.probmodel.likelihood import Gaussian, Student
+from poseterior.inference.studies.errorlaws.learn import LEARNABLE
+from poseterior.probmodel import BadInput, Disc, ErrorLaw, Likelihood, PoseModel
+from poseterior.probmodel.errors.keypoints import DetectedKeypoint
+from poseterior.probmodel.errors.laws import LAWS, Gaussian, Student, law_of
 from poseterior.probmodel.skeleton import GROUPS
+from poseterior.reports.options import LearnedLaw
 from tests.brute_force import brute_force
 from tests.scenes import key, prior_scene
 
@@ -44,7 +47,7 @@ class CutGaussian(ErrorLaw):
         return jnp.sqrt(-2 * jnp.log1p(-(1 - np.exp(-(self.reach**2) / 2)) * jnp.asarray(uniform)))
 
 
-@pytest.mark.parametrize("law", [Disc(), CutGaussian(), Gaussian(), Student(2.0), Student(9.0)])
+@pytest.mark.parametrize("law", [*(law() for law in LAWS.values()), CutGaussian(), Student(2.0)])
 def test_a_law_is_normalised_and_its_draws_follow_it(law):
     """Mass one by quadrature; 10,000 squared distances against the law's distribution function."""
 
@@ -83,10 +86,42 @@ def test_a_students_law_is_scipys_and_ends_where_a_gaussian_does():
     assert Student(1e7).precision == pytest.approx(Gaussian.precision, rel=1e-5)
 
 
+@pytest.mark.parametrize("law", [law() for law in LAWS.values()])
+def test_no_law_lies_above_the_envelopes_by_which_samplers_propose(law):
+    """Nor below them where it says that it is one; a narrower envelope must be noticed."""
+    square = np.linspace(0, law.reach, 500) ** 2
+    for precision in (0.0, law.precision):
+        over = np.asarray(law.log_over(square, precision))
+        assert over[0] == 0
+        assert over.max() < 1e-12
+        assert (over.min() > -1e-12) == law.follows(precision)
+    assert np.max(law.log_over(square, 1.1 * law.precision + 0.1)) > 1e-3
+
+
+@pytest.mark.parametrize("law", [law() for law in LAWS.values()])
+def test_a_law_is_read_as_it_was_written(law):
+    again = law_of(law.name, law.parameters)
+    assert again == law
+    with pytest.raises(BadInput, match=f"the error law {law.name} is given with"):
+        law_of(law.name, law.parameters | {"width": 1.0})
+    with pytest.raises(BadInput, match="choose among disc, gaussian"):
+        law_of(law.name.upper(), law.parameters)
+
+
+def test_laws_that_can_be_learned_have_their_choice_and_all_stand_in_the_documentation():
+    assert list(LearnedLaw) == list(LEARNABLE)
+    assert set(LEARNABLE) < set(LAWS)
+    text = (Path(__file__).parents[2] / "docs" / "commands.md").read_text()
+    assert not [name for name in LAWS if f"`{name}`" not in text]
+
+
 def test_tails_that_reach_beyond_a_person_are_refused():
-    for df in (1.9, 0.0, np.nan):
-        with pytest.raises(BadInput, match="2 degrees of freedom or more"):
+    for df in (0.9, 0.0, np.nan):
+        with pytest.raises(BadInput, match="1 degree of freedom or more"):
             Student(df)
+    with pytest.raises(BadInput, match=r"end within 6.7 spreads, and Student\(df=1.9\) ends at 7"):
+        Likelihood(Student(1.9))
+    assert Likelihood(Student(2.0)).law.reach > 6.6
 
 
 def by_the_law(joints, camera, keypoints, spread):

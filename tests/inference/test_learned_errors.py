@@ -23,7 +23,8 @@ from poseterior.inference.studies.errorlaws.pairs import PATTERNS
 from poseterior.inference.studies.intervals import Interval
 from poseterior.probmodel import BadInput
 from poseterior.probmodel.datasets import VIEWS, DataSet, from_motions
-from poseterior.probmodel.errorlaws import OUTLIER_RADIUS, DetectorErrors, ScoreFactor
+from poseterior.probmodel.errors.detector import OUTLIER_RADIUS, DetectorErrors, ScoreFactor
+from poseterior.probmodel.errors.laws import Gaussian, Student
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from poseterior.probmodel.motion import Motion
 from poseterior.probmodel.sessions import read_session
@@ -85,7 +86,7 @@ def deviations(found: Learned, law: str) -> np.ndarray:
     parts = [((estimate - true) / errors.se).ravel()]
     parts.append((np.array(errors.exchange) - EXCHANGE) / found.exchange_se)
     if law == "student":
-        parts.append(np.array([(errors.df - FREEDOM) / found.df_se]))
+        parts.append(np.array([(errors.law.df - FREEDOM) / found.df_se]))
     return np.concatenate(parts)
 
 
@@ -149,9 +150,9 @@ def test_standings_under_the_true_law_are_uniform(law: str) -> None:
     must fail. Without bias, so that outliers' discs and inliers' regions have one centre."""
 
     def true_law(scale: float) -> DetectorErrors:
-        df = FREEDOM if law == "student" else np.inf
+        own = Student(FREEDOM) if law == "student" else Gaussian()
         score = ScoreFactor((1 / 3, 2 / 3), tuple(FACTOR.tolist()))
-        return DetectorErrors(law, SIGMA * scale, INLIER, np.zeros_like(BIAS), df=df, score=score)
+        return DetectorErrors(own, SIGMA * scale, INLIER, np.zeros_like(BIAS), score=score)
 
     pairs = simulated(2000, law, 3, bias=0.0, exchange=(0.0, 0.0, 0.0))
     right, wrong = (standings(true_law(scale), pairs).ravel() for scale in (1.0, 0.7))
@@ -280,7 +281,7 @@ def misses_of_the_hips_middle(errors: DetectorErrors, pairs: Pairs) -> int:
     """How many of their midpoints' coordinates lie beyond 95 % of a law of independent hips."""
     middle = (pairs.detected - pairs.truth - errors.bias)[:, HIPS].mean(axis=1)
     spread = np.sqrt(np.sum(errors.sigma[HIPS] ** 2)) / 2
-    law = stats.norm if errors.law == "gaussian" else stats.t(errors.df)
+    law = stats.t(errors.law.df) if isinstance(errors.law, Student) else stats.norm
     return int(np.sum(np.abs(middle) > law.ppf(0.975) * spread))
 
 

@@ -25,8 +25,8 @@ from poseterior.inference.readings import (
 from poseterior.inference.studies.misreadings import FileView, mirrored, seen_as, views
 from poseterior.probmodel import Anatomy, Detection, PoseModel, read_detections
 from poseterior.probmodel.detections import FACE
+from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.layouts import COCO_17, H36M_17, MPII_16
-from poseterior.probmodel.likelihood import Likelihood
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, MIRROR
 from tests.probmodel.test_formats import HMR, POSE2SIM, SPIN

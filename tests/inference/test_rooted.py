@@ -31,9 +31,9 @@ from poseterior.inference.studies.comparison import compare_routes
 from poseterior.inference.studies.comparison.contest import ENDLESS
 from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
 from poseterior.probmodel import BadInput, Estimate, PoseModel, RootPoint
+from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, FaultPrior, Faults
+from poseterior.probmodel.errors.laws import LAWS, ErrorLaw
 from poseterior.probmodel.failures import OutOfBudget
-from poseterior.probmodel.faults import EXCHANGE_INDEX, FaultPrior, Faults
-from poseterior.probmodel.likelihood import LAWS, ErrorLaw
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.rotations import RotationTransform, rodrigues
 from poseterior.probmodel.skeleton import JOINTS, TORSO_INDEX

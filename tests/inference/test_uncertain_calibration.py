@@ -22,7 +22,7 @@ from poseterior.inference.importance.tree import placed
 from poseterior.inference.importance.weighted import WeightedRoots, weigh_roots
 from poseterior.probmodel import Candidate, Estimate, Likelihood, PoseModel, WeakPerspective
 from poseterior.probmodel.detections import Detection
-from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.rotations import rotation_of
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_JOINTS
 from tests.scenes import key

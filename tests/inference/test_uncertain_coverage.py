@@ -31,7 +31,13 @@ from poseterior.inference.studies.calibration.simulations import Instance
 from poseterior.inference.studies.calibration.verdict import MISCALIBRATED
 from poseterior.probmodel import BadInput, Likelihood, PoseModel
 from poseterior.probmodel.datasets import Case
-from poseterior.probmodel.faults import EXCHANGES, LIMB_INDEX, OUTLIER_REACH, FaultPrior, Faults
+from poseterior.probmodel.errors.faults import (
+    EXCHANGES,
+    LIMB_INDEX,
+    OUTLIER_REACH,
+    FaultPrior,
+    Faults,
+)
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import JOINT_INDEX, MIRROR, NUM_JOINTS, TORSO_INDEX

@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from poseterior import inference
 from poseterior.inference.importance.weighted import WeightedRoots, log_mean, weigh_roots
 from poseterior.probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel
-from poseterior.probmodel.errorlaws import DetectorErrors
-from poseterior.probmodel.faults import (
+from poseterior.probmodel.errors.detector import DetectorErrors
+from poseterior.probmodel.errors.faults import (
     EXCHANGE_INDEX,
     EXCHANGES,
     LIMB_INDEX,
@@ -29,6 +29,7 @@ from poseterior.probmodel.faults import (
     FaultPrior,
     Faults,
 )
+from poseterior.probmodel.errors.laws import Gaussian, Student
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 from tests.brute_force import propose_group
 from tests.scenes import key, prior_scene
@@ -311,7 +312,7 @@ def learned(**changes) -> DetectorErrors:
     bias = np.linspace(-0.3, 0.4, 2 * NUM_JOINTS).reshape(NUM_JOINTS, 2)
     sigma, inlier = np.linspace(0.15, 0.3, NUM_JOINTS), np.ones(NUM_JOINTS)
     return DetectorErrors(
-        **({"law": "gaussian", "sigma": sigma, "inlier": inlier} | changes), bias=bias
+        **({"law": Gaussian(), "sigma": sigma, "inlier": inlier} | changes), bias=bias
     )
 
 
@@ -343,7 +344,7 @@ def test_a_learned_law_moves_keypoints_back_by_its_bias():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"law": "student", "df": 1.5}, "samplers take a student law of 2"),
+        ({"law": Student(1.9)}, r"end within 6.7 spreads, and Student\(df=1.9\) ends at 7"),
         ({"sigma": np.where(np.arange(15) == 3, np.nan, 0.2)}, "knows no right_elbow"),
     ],
 )

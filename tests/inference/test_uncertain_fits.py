@@ -26,8 +26,8 @@ from poseterior.inference.importance.attempts import (
 )
 from poseterior.inference.importance.torsos import Posed, torso_problem
 from poseterior.probmodel import ErrorLaw, Likelihood, PoseModel
-from poseterior.probmodel.faults import Faults
-from poseterior.probmodel.likelihood import Gaussian, Student
+from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.errors.laws import Gaussian, Student
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from poseterior.probmodel.uncertain import UncertainPosterior
 from tests.scenes import prior_scene

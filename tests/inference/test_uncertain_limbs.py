@@ -24,8 +24,9 @@ from poseterior.inference.importance.limbs import (
     weigh_group,
 )
 from poseterior.inference.importance.weighted import weigh_roots
-from poseterior.probmodel import Gaussian, Likelihood, PoseModel, Student
-from poseterior.probmodel.faults import Faults
+from poseterior.probmodel import Likelihood, PoseModel
+from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.errors.laws import LAWS
 from poseterior.probmodel.pose import GroupDraws
 from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX
 from tests.inference.test_error_laws import CutGaussian
@@ -116,7 +117,7 @@ def test_weighted_attempts_have_the_evidence_and_draws_of_exact_ones():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", [Gaussian(), CutGaussian(), Student(6.0)])
+@pytest.mark.parametrize("law", [*(law() for law in LAWS.values()), CutGaussian()])
 def test_under_laws_that_are_not_flat(law):
     """The Gaussian by discs of random radii, another law by its density at what was found."""
     worst, relative = off(*scene(), law)
@@ -125,7 +126,7 @@ def test_under_laws_that_are_not_flat(law):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", [Likelihood().law, Gaussian()])
+@pytest.mark.parametrize("law", [law() for law in LAWS.values()])
 def test_where_a_keypoint_is_an_outlier(law):
     worst, relative = off(*scene(), law, outlier=True)
     assert (worst < 4.5).all()

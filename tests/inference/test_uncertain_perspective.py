@@ -31,9 +31,9 @@ from poseterior.probmodel import (
     UncertainPosterior,
 )
 from poseterior.probmodel.camera import Lens, Perspective, WeakPerspective
-from poseterior.probmodel.errorlaws import Exchange
-from poseterior.probmodel.faults import Faults
-from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.errors.detector import Exchange
+from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.roots import NEAREST
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
@@ -89,7 +89,7 @@ class Errors:
         for joint, value in self.bias.items():
             bias[JOINT_INDEX[joint]] = value
         sigma = np.full(NUM_JOINTS, sound.FACTOR / 2)
-        certain = DetectorErrors("gaussian", sigma, np.ones(NUM_JOINTS), bias, exchange=Exchange())
+        certain = DetectorErrors(Gaussian(), sigma, np.ones(NUM_JOINTS), bias, exchange=Exchange())
         return Likelihood.of(certain)
 
 

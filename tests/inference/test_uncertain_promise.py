@@ -25,9 +25,9 @@ from poseterior.probmodel import Likelihood, PoseModel
 from poseterior.probmodel.anatomy.limits import EMBEDDED
 from poseterior.probmodel.anatomy.population import Anatomy
 from poseterior.probmodel.camera import Lens
-from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.kinematics import upper_axes
-from poseterior.probmodel.likelihood import Gaussian
 from poseterior.probmodel.uncertain import UncertainPosterior
 from tests.inference.test_uncertain_root import scales_apart, small_case
 from tests.scenes import key, prior_scene

@@ -44,8 +44,8 @@ from poseterior.inference.resampling import shares, times
 from poseterior.inference.results import OUT_OF_BUDGET
 from poseterior.probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
 from poseterior.probmodel.camera import Lens
-from poseterior.probmodel.faults import Faults
-from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.rotations import UprightRotation
 from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX

@@ -30,7 +30,7 @@ from poseterior.probmodel.datasets.human36m import SEVENTEEN
 from poseterior.probmodel.datasets.noise import FREEDOM
 from poseterior.probmodel.datasets.pickles import follow
 from poseterior.probmodel.datasets.views import resection
-from poseterior.probmodel.errorlaws import DetectorErrors
+from poseterior.probmodel.errors.detector import DetectorErrors
 from poseterior.probmodel.layouts import (
     H36M_17,
     MIDPOINTS,

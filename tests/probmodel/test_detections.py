@@ -12,8 +12,8 @@ from poseterior.probmodel.detections import (
     Detection,
     pick_person,
 )
+from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.likelihood import Likelihood
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 ELBOW, HEAD, WRIST = (JOINT_INDEX[name] for name in ("right_elbow", "head", "left_wrist"))

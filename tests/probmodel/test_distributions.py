@@ -15,7 +15,7 @@ from poseterior.probmodel.anatomy.lengths import BoneLength
 from poseterior.probmodel.anatomy.torsos import TorsoDictionary
 from poseterior.probmodel.directions.distributions import HingedDirection, OccupiedDirection
 from poseterior.probmodel.directions.hinges import Hinge
-from poseterior.probmodel.keypoints import DetectedKeypoint
+from poseterior.probmodel.errors.keypoints import DetectedKeypoint
 from poseterior.probmodel.rotations import UprightRotation
 from tests.goodness import chi_square, floor, uniform_each
 from tests.instances import LENGTHS, distributions
@@ -173,11 +173,10 @@ def outside(name: str) -> list[np.ndarray]:
             np.full_like(value, np.nan),
             np.full_like(value, np.inf),
         ]
-    if name.startswith("disc"):
+    if name.startswith(("disc", "keypoint")):
         law = TABLE[name]
-        away = np.asarray(law.centre) + np.asarray(law.spread)[..., None] * np.array([0.8, 0.6]) * (
-            1 + 1e-9
-        )
+        reach = law.law.reach * np.asarray(law.spread)[..., None]
+        away = np.asarray(law.centre) + reach * np.array([0.8, 0.6]) * (1 + 1e-9)
         return [
             np.broadcast_to(away, value.shape),
             np.full_like(value, np.nan),
@@ -241,9 +240,9 @@ def test_single_precision(name: str) -> None:
         assert not np.isnan(log_prob).any()
         reference = unchecked(TABLE[name])
     assert (np.asarray(log_prob) == -np.inf).mean() < 0.01
-    if not name.startswith(("torso", "disc")):
+    if not name.startswith(("torso", "disc", "keypoint")):
         return
-    np.testing.assert_allclose(log_prob, reference.log_prob(np.asarray(value)), rtol=1e-5)
+    np.testing.assert_allclose(log_prob, reference.log_prob(np.asarray(value)), 1e-5, 1e-6)
 
 
 # Laws that are not directions

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from poseterior.probmodel import BadInput
-from poseterior.probmodel.errorlaws import ANY_SCORE, FORMAT, NO_EXCHANGE, DetectorErrors, Exchange
+from poseterior.probmodel.errors.detector import (
+    ANY_SCORE,
+    FORMAT,
+    NO_EXCHANGE,
+    DetectorErrors,
+    Exchange,
+)
+from poseterior.probmodel.errors.laws import Disc, Gaussian, Student
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 WRIST, HEAD = JOINT_INDEX["left_wrist"], JOINT_INDEX["head"]
@@ -42,7 +49,7 @@ def changed(path: tuple[str, ...], value: Any) -> dict[str, Any]:
 
 def test_a_document_becomes_arrays_in_the_skeletons_order():
     errors = DetectorErrors.from_document(DOCUMENT, "x")
-    assert (errors.law, errors.df, errors.exchange) == ("student", 4.0, Exchange(0.01, 0.005, 0.0))
+    assert (errors.law, errors.exchange) == (Student(4.0), Exchange(0.01, 0.005, 0.0))
     assert np.flatnonzero(errors.known).tolist() == [WRIST, HEAD]
     assert errors.sigma[[WRIST, HEAD]].tolist() == [0.06, 0.1]
     assert errors.inlier[[WRIST, HEAD]].tolist() == [0.9, 1.0]
@@ -66,7 +73,7 @@ def test_what_is_written_is_read(tmp_path: Path):
     again = DetectorErrors.read(tmp_path / "errors.json")
     for name in ("sigma", "inlier", "bias", "se", "pairs"):
         assert np.array_equal(getattr(again, name), getattr(errors, name), equal_nan=True)
-    for name in ("law", "df", "exchange", "score", "outlier_radius", "learned"):
+    for name in ("law", "exchange", "score", "outlier_radius", "learned"):
         assert getattr(again, name) == getattr(errors, name)
     assert (again.pairs[HEAD], again.se[HEAD].tolist()) == (17, [0.1, 0.2, 0.3, 0.4])
 
@@ -75,7 +82,7 @@ def test_a_gaussian_needs_nothing_but_joints():
     errors = DetectorErrors.from_document(
         {"format": FORMAT, "law": "gaussian", "joints": {"head": {"sigma": 0.1}}}, "x"
     )
-    assert (errors.df, errors.exchange, errors.score) == (np.inf, NO_EXCHANGE, ANY_SCORE)
+    assert (errors.law, errors.exchange, errors.score) == (Gaussian(), NO_EXCHANGE, ANY_SCORE)
 
 
 def test_a_joint_that_is_seen_must_be_known():
@@ -92,11 +99,11 @@ REFUSALS = [
     (("format",), "poseterior error law 2", 'does not begin with "format"'),
     (("format",), ..., 'does not begin with "format"'),
     (("law",), ..., "lacks 'law'"),
-    (("law",), "cauchy", "there is no error law 'cauchy'; choose among gaussian, student, disc"),
+    (("law",), "cauchy", "there is no error law 'cauchy'; choose among disc, gaussian, student"),
     (("law",), ["disc"], r"there is no error law \['disc'\]"),
-    (("law",), "gaussian", "a positive df where it is student, and only there"),
-    (("df",), ..., "a positive df where it is student"),
-    (("df",), 0, "a positive df where it is student"),
+    (("law",), "gaussian", "the error law gaussian is given with no parameter, not with df"),
+    (("df",), ..., "the error law student is given with df, not with no parameter"),
+    (("df",), 0, "a student law has 1 degree of freedom or more, not 0"),
     (("df",), float("nan"), "df must be a finite number, not nan"),
     (("df",), 10**400, "df must be a finite number"),
     (("units",), "pixels", "units must be .body units"),
@@ -150,4 +157,4 @@ def test_files_that_are_none_are_refused(tmp_path: Path):
 def test_arrays_of_another_shape_are_refused():
     errors = DetectorErrors.from_document(DOCUMENT, "x")
     with pytest.raises(BadInput, match=r"sigma of an error law must have the shape \(15,\)"):
-        DetectorErrors("disc", errors.sigma[:3], errors.inlier, errors.bias)
+        DetectorErrors(Disc(), errors.sigma[:3], errors.inlier, errors.bias)

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from poseterior.probmodel.detections import LIMB_JOINTS
-from poseterior.probmodel.errorlaws import DetectorErrors
+from poseterior.probmodel.errors.detector import DetectorErrors
+from poseterior.probmodel.errors.faults import FaultPrior
+from poseterior.probmodel.errors.laws import Gaussian
+from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.faults import FaultPrior
-from poseterior.probmodel.likelihood import Gaussian, Likelihood
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from tests.probmodel.test_detections import (
     ELBOW,

@@ -13,7 +13,7 @@ from numpyro.infer.util import initialize_model, log_density, potential_energy, 
 from poseterior.probmodel.anatomy.lengths import BoneLength
 from poseterior.probmodel.camera import WeakPerspective
 from poseterior.probmodel.directions.distributions import HingedDirection, OccupiedDirection
-from poseterior.probmodel.likelihood import Disc
+from poseterior.probmodel.errors.laws import Disc
 from poseterior.probmodel.model import PoseModel, log_joint
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.roots import Root

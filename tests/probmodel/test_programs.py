@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from poseterior.probmodel import programs
-from poseterior.probmodel.likelihood import Disc, ErrorLaw, Gaussian
+from poseterior.probmodel.errors.laws import Disc, ErrorLaw, Gaussian
 from poseterior.probmodel.programs import VARIABLE, kept
 from poseterior.reports.options import PROGRAMS
 

@@ -18,7 +18,7 @@ from scipy import stats
 
 from poseterior.inference.importance.weighted import weigh_roots
 from poseterior.probmodel import Lens, Likelihood, PoseModel
-from poseterior.probmodel.faults import EXCHANGES, LIMB_INDEX, FaultPrior, Faults
+from poseterior.probmodel.errors.faults import EXCHANGES, LIMB_INDEX, FaultPrior, Faults
 from poseterior.probmodel.model import log_joint
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.roots import RootPoint

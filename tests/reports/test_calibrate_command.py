@@ -11,7 +11,7 @@ import pytest
 from poseterior.inference.studies.errorlaws import learn, pairs_of_session
 from poseterior.inference.studies.evaluation.run import open_evaluation
 from poseterior.probmodel import DetectorErrors
-from poseterior.probmodel.errorlaws import FORMAT
+from poseterior.probmodel.errors.detector import FORMAT
 from poseterior.probmodel.sessions import read_session
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from poseterior.reports.tables.errorlaws import summary_lines

@@ -18,7 +18,7 @@ from poseterior.inference.studies.calibration.real import true_candidate
 from poseterior.inference.studies.calibration.simulations import Instance
 from poseterior.probmodel.anatomy.limits import LIMITS
 from poseterior.probmodel.datasets import Case
-from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.posterior import Estimate

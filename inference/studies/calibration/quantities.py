@@ -11,7 +11,7 @@ import numpy as np
 
 from poseterior.inference.studies.flips import FLIPPING, away
 from poseterior.probmodel.chunks import in_chunks
-from poseterior.probmodel.faults import Faults
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.model import PoseModel, log_joint
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.pose import Pose

@@ -17,8 +17,8 @@ from poseterior.inference.studies.calibration.simulations import SPREADS, Instan
 from poseterior.probmodel.body import align_torsos
 from poseterior.probmodel.camera import WeakPerspective
 from poseterior.probmodel.datasets import Case, Noise, read_data_set
+from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.likelihood import PAPER, Likelihood
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.roots import Candidate

@@ -46,8 +46,8 @@ from poseterior.inference.studies.calibration.record import (
 )
 from poseterior.inference.studies.calibration.simulations import BLOCK, Instance, simulate
 from poseterior.probmodel.datasets import Case
+from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.likelihood import PAPER, Likelihood
 from poseterior.probmodel.model import PoseModel
 
 NUM_SAMPLES = 1000

@@ -23,8 +23,8 @@ from poseterior.inference.results import FIXED, UNCERTAIN
 from poseterior.probmodel.camera import WeakPerspective
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.detections import Detection
-from poseterior.probmodel.faults import ORDERS, FaultPrior
-from poseterior.probmodel.likelihood import PAPER, Likelihood
+from poseterior.probmodel.errors.faults import ORDERS, FaultPrior
+from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.roots import Candidate

@@ -14,7 +14,8 @@ import numpy as np
 
 from poseterior.inference.studies.errorlaws.learn import learn
 from poseterior.inference.studies.errorlaws.pairs import pairs_of_session
-from poseterior.probmodel.errorlaws import DetectorErrors, Exchange
+from poseterior.probmodel.errors.detector import DetectorErrors, Exchange
+from poseterior.probmodel.errors.laws import Student
 from poseterior.probmodel.sessions import Session, read_session
 from poseterior.probmodel.skeleton import JOINTS, MIRROR
 
@@ -46,11 +47,10 @@ def embedded(session: Session, *, perspective: bool = False) -> DetectorErrors:
     square = mixture.sigma**2 + np.sum(mixture.bias**2, axis=1) / 2
     sigma = np.sqrt((square + square[list(MIRROR)]) / 2)
     return DetectorErrors(
-        found.law,
+        Student(round(found.law.df, 1)) if isinstance(found.law, Student) else found.law,
         sigma.round(3),
         np.array([INLIERS[joint.split("_")[-1]] for joint in JOINTS]),
         np.zeros_like(found.bias),
-        df=round(found.df, 1),
         exchange=EXCHANGES,
         learned={
             **found.learned,

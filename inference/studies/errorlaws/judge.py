@@ -7,7 +7,7 @@ from poseterior.inference.studies.errorlaws.learn import mixture_of
 from poseterior.inference.studies.errorlaws.mixture import determinant, expect, inverse, quadratic
 from poseterior.inference.studies.errorlaws.pairs import Pairs
 from poseterior.inference.studies.intervals import Interval, of_share
-from poseterior.probmodel.errorlaws import DetectorErrors
+from poseterior.probmodel.errors.detector import DetectorErrors
 
 LEVELS = (0.5, 0.8, 0.95)
 ROUNDS = 20

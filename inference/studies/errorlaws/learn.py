@@ -16,7 +16,13 @@ from poseterior.inference.studies.errorlaws.mixture import (
     start,
 )
 from poseterior.inference.studies.errorlaws.pairs import Pairs
-from poseterior.probmodel.errorlaws import OUTLIER_RADIUS, DetectorErrors, Exchange, ScoreFactor
+from poseterior.probmodel.errors.detector import (
+    OUTLIER_RADIUS,
+    DetectorErrors,
+    Exchange,
+    ScoreFactor,
+)
+from poseterior.probmodel.errors.laws import Gaussian, Student
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.layouts import MIDPOINTS
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
@@ -26,7 +32,8 @@ LEAST_PAIRS = 20
 MOST_GROUPS, FEWEST_GROUPS = 20, 4
 """Groups of recordings that are left out in turn; where recordings are fewer, stretches of them."""
 SCORE_CLASSES = 3
-LAWS = ("gaussian", "student")
+LEARNABLE = ("gaussian", "student")
+"""The error laws that the mixture can be fitted with."""
 Progress = Callable[[int, int], None]
 
 
@@ -89,8 +96,10 @@ def learn(
     BadInput
         On another law, or where no joint has `LEAST_PAIRS` pairs.
     """
-    if law not in LAWS:
-        raise BadInput(f"there is no law {law!r} to be learned; choose among {', '.join(LAWS)}")
+    if law not in LEARNABLE:
+        raise BadInput(
+            f"there is no law {law!r} to be learned; choose among {', '.join(LEARNABLE)}"
+        )
     count = pairs.seen.sum(axis=0)
     if count.max(initial=0) < LEAST_PAIRS:
         raise BadInput(
@@ -152,11 +161,10 @@ def _record(
     se = _standard_error([_columns(part) for part in parts])
     sigma, df = still_to_come(mixture, se, known)
     return DetectorErrors(
-        "gaussian" if df == np.inf else "student",
+        Gaussian() if df == np.inf else Student(df),
         np.where(known, sigma * np.sqrt(1 + in_common(fitted.expected)), np.nan),
         np.where(known, mixture.inlier, np.nan),
         np.where(known[:, None], mixture.bias, np.nan),
-        df=df,
         exchange=Exchange(*mixture.pattern[1:].tolist()),
         score=ScoreFactor(edges, tuple(mixture.factor.tolist())),
         outlier_radius=OUTLIER_RADIUS,
@@ -256,7 +264,7 @@ def mixture_of(errors: DetectorErrors) -> Mixture:
         sigma=np.array(errors.sigma),
         inlier=np.array(errors.inlier),
         bias=np.array(errors.bias),
-        df=errors.df,
+        df=errors.law.df if isinstance(errors.law, Student) else np.inf,
         pattern=np.array([1 - exchange.sum(), *exchange]),
         factor=np.array(errors.score.sigma_factor),
     )

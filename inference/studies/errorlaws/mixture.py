@@ -16,12 +16,13 @@ from scipy.optimize import brentq
 from scipy.special import digamma, gammaln
 
 from poseterior.inference.studies.errorlaws.pairs import PATTERNS, Pairs
-from poseterior.probmodel.errorlaws import OUTLIER_RADIUS
+from poseterior.probmodel.errors.detector import OUTLIER_RADIUS
+from poseterior.probmodel.errors.laws import FEWEST_DF
 from poseterior.probmodel.skeleton import NUM_JOINTS
 
 STEPS, TOLERANCE = 400, 1e-4
 """Of the iteration: it ends when no spread or share changes by more than the tolerance."""
-FREEDOM = (1.0, 200.0)
+FREEDOM = (FEWEST_DF, 200.0)
 """Between which degrees of freedom are looked for."""
 SMALLEST = 1e-5
 """Body units: no spread is taken for smaller, so that errors of zero leave a density."""

@@ -10,8 +10,8 @@ import numpy as np
 from poseterior.probmodel.body import body_unit
 from poseterior.probmodel.datasets import DataSet
 from poseterior.probmodel.datasets.sessions import JudgedView, judged_views
-from poseterior.probmodel.errorlaws import Exchange
-from poseterior.probmodel.faults import EXCHANGE_INDEX, ORDERS
+from poseterior.probmodel.errors.detector import Exchange
+from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, ORDERS
 from poseterior.probmodel.layouts import MIDPOINTS
 from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.sessions.session import HIPS

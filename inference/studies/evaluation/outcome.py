@@ -27,9 +27,9 @@ from poseterior.inference.studies.evaluation.metrics import distinct_flips, spre
 from poseterior.inference.studies.evaluation.samples import SHAPES, of_samples
 from poseterior.probmodel.anatomy.population import Anatomy
 from poseterior.probmodel.datasets import Case, DataSet
+from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
-from poseterior.probmodel.likelihood import PAPER, Likelihood
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from poseterior.probmodel.detections import LARGEST_NUMBER
 from poseterior.probmodel.documents import read_json
+from poseterior.probmodel.errors.laws import LAWS, ErrorLaw, law_of
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.files import replacing
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
@@ -29,31 +30,23 @@ from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 FORMAT = "poseterior error law 1"
 UNITS = "body units: the person's mean limb bone is 1"
 AXES = "image: right, down"
-LAW_NAMES = ("gaussian", "student", "disc")
 OUTLIER_RADIUS = 5.0
 """Body units: a person's height, so that an outlier may be anywhere on the person."""
 LARGEST_LENGTH = 100.0
 """Body units; no spread, bias or radius is larger."""
 _WHAT = "error law"
 _ADVICE = "give a file that `poseterior calibrate` wrote, or one like it"
+_PARAMETERS = {field.name for law in LAWS.values() for field in dataclasses.fields(law)}  # type: ignore[arg-type]
 _KEYS = {
-    "format",
-    "units",
-    "axes",
-    "law",
-    "df",
-    "joints",
-    "exchange",
-    "score",
-    "outlier_radius",
-    "learned",
+    *("format", "units", "axes", "law", *_PARAMETERS),
+    *("joints", "exchange", "score", "outlier_radius", "learned"),
 }
 _JOINT_KEYS = {"sigma", "inlier", "bias", "se", "pairs"}
 
 
 class Exchange(NamedTuple):
     """Probabilities that a detector takes right for left: of the legs alone (knees and ankles), of
-    the arms alone (elbows and wrists), of the whole body; see `probmodel.faults.EXCHANGES`."""
+    the arms alone (elbows and wrists), of the whole body; see `faults.EXCHANGES`."""
 
     legs: float = 0.0
     arms: float = 0.0
@@ -84,17 +77,15 @@ class DetectorErrors:
     Attributes
     ----------
     law
-        Of an inlier's error: `gaussian`, `student` or `disc`.
+        Of an inlier's error.
     sigma
-        `(15,)` body units, NaN for joints it does not know. The error's standard deviation each way
-        for `gaussian`, and for `disc`, whose radius is twice that; for `student` the scale each
-        way: error / σ has the bivariate t distribution.
+        `(15,)` body units, NaN for joints it does not know: half a spread of the law. The error's
+        standard deviation each way for `Gaussian`, and for `Disc`, whose radius is twice that; for
+        `Student` the scale each way: error / σ has the bivariate t distribution.
     inlier
         `(15,)` probability that a detection is no outlier, NaN like `sigma`.
     bias
         `(15, 2)` body units, the inliers' mean error to the right and down, NaN like `sigma`.
-    df
-        Degrees of freedom of `student`; infinite for the others.
     exchange
         Probabilities of exchanged sides.
     score
@@ -115,11 +106,10 @@ class DetectorErrors:
         On numbers that are none of an error law, by the joint's name.
     """
 
-    law: str
+    law: ErrorLaw
     sigma: np.ndarray
     inlier: np.ndarray
     bias: np.ndarray
-    df: float = np.inf
     exchange: Exchange = NO_EXCHANGE
     score: ScoreFactor = ANY_SCORE
     outlier_radius: float = OUTLIER_RADIUS
@@ -128,7 +118,7 @@ class DetectorErrors:
     learned: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._check_law()
+        self._check_radius()
         shapes = {"sigma": (), "inlier": (), "bias": (2,), "pairs": (), "se": (4,)}
         for name, row in shapes.items():
             array = np.array(getattr(self, name))
@@ -177,16 +167,7 @@ class DetectorErrors:
         """`(..., 15)` body units: each joint's sigma at scores `(..., 15)`."""
         return self.sigma * self.score.at(score)
 
-    def _check_law(self) -> None:
-        if self.law not in LAW_NAMES:
-            raise BadInput(
-                f"there is no error law {shown(self.law)}; choose among {', '.join(LAW_NAMES)}"
-            )
-        if (self.law == "student") == (self.df == np.inf) or not self.df > 0:  # true for NaN too
-            raise BadInput(
-                "an error law has a positive df where it is student, and only there, not"
-                f" {shown(self.df)}"
-            )
+    def _check_radius(self) -> None:
         if not 0 < self.outlier_radius <= LARGEST_LENGTH:  # false for NaN too
             raise BadInput(
                 f"the outlier_radius must lie between 0 and {LARGEST_LENGTH:g} body units, not"
@@ -276,10 +257,11 @@ class DetectorErrors:
         for name, entry in _object(document["joints"], "joints", source).items():
             joints.take(name, entry, source)
         radius = document.get("outlier_radius", OUTLIER_RADIUS)
-        freedom = _finite(document["df"], "df", source) if "df" in document else np.inf
+        parameters = {
+            name: _finite(document[name], name, source) for name in _PARAMETERS & set(document)
+        }
         read = partial(
             cls,
-            df=freedom,
             exchange=_exchange(document.get("exchange", {}), source),
             score=_score(document.get("score"), source),
             outlier_radius=_finite(radius, "outlier_radius", source),
@@ -288,15 +270,15 @@ class DetectorErrors:
             learned=_object(document.get("learned", {}), "learned", source),
         )
         try:
-            return read(document["law"], joints.sigma, joints.inlier, joints.bias)
+            law = law_of(document["law"], parameters)
+            return read(law, joints.sigma, joints.inlier, joints.bias)
         except BadInput as error:
             raise BadInput(f"{source}: {error}") from None
 
     def document(self) -> dict[str, Any]:
         """What `write` writes."""
-        found: dict[str, Any] = {"format": FORMAT, "units": UNITS, "axes": AXES, "law": self.law}
-        if self.law == "student":
-            found["df"] = float(self.df)
+        found: dict[str, Any] = {"format": FORMAT, "units": UNITS, "axes": AXES}
+        found |= {"law": self.law.name, **self.law.parameters}
         found["joints"] = {JOINTS[j]: self._entry(j) for j in range(NUM_JOINTS) if self.known[j]}
         found["exchange"] = self.exchange._asdict()
         if self.score != ANY_SCORE:

@@ -7,7 +7,7 @@ from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
 
 from poseterior.probmodel.directions.supports import disc, same_rank
-from poseterior.probmodel.likelihood import ErrorLaw
+from poseterior.probmodel.errors.laws import ErrorLaw
 
 
 class DetectedKeypoint(Distribution):

@@ -422,6 +422,11 @@ class Estimation:
             return Likelihood(law(), factor=self.factor, joints=joints)
         if self.errors == "learned":
             return Likelihood.of(DetectorErrors.default(), joints)
+        if not Path(self.errors).exists():
+            raise BadInput(
+                f"there is no error law {self.errors}; --errors takes {', '.join(LAWS)}, learned,"
+                " or a file that `poseterior calibrate` wrote"
+            )
         return Likelihood.of(DetectorErrors.read(self.errors), joints)
 
     def estimating(self, model: "PoseModel") -> "Estimating":

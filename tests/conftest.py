@@ -113,7 +113,11 @@ def example_result(example_estimate: "Estimate") -> "Result":
     from poseterior.probmodel import PoseModel
 
     return sample(
-        PoseModel(), example_estimate, key=jax.random.key(0), num_samples=200, root="candidates"
+        PoseModel.paper(),
+        example_estimate,
+        key=jax.random.key(0),
+        num_samples=200,
+        root="candidates",
     )
 
 

@@ -118,7 +118,7 @@ def programs() -> None:
     from poseterior.probmodel.pose import Pose
     from poseterior.probmodel.root_priors import CANDIDATES
 
-    posterior = estimate_torso(example().detection).posterior(PoseModel(), CANDIDATES)
+    posterior = estimate_torso(example().detection).posterior(PoseModel.paper(), CANDIDATES)
     number = len(posterior.candidates)
     known = KnownRoots(np.arange(number), np.ones(number) / number, lambda rows: (0.0, 0.0))
     points, poses = np.arange(number), Pose.blank(number)
@@ -131,7 +131,7 @@ def weigh() -> None:
     from poseterior.inference.importance.patterns import pool_of
     from poseterior.probmodel.model import PoseModel
 
-    pool_of(PoseModel())
+    pool_of(PoseModel.paper())
 
 
 def main(root: str) -> None:

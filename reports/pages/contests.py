@@ -153,7 +153,7 @@ def main() -> None:
     options = parser.parse_args()
     in_doubles()
     jax.config.update("jax_compilation_cache_dir", str(options.work / "compiled"))
-    model = PoseModel()
+    model = PoseModel.paper()
     for number, name in enumerate(SUITE):
         if str(number) in options.frames.split(","):
             print(name, flush=True)

@@ -181,7 +181,7 @@ def picture(rates: Sequence[float]) -> Figure:
 def main(data: Path) -> None:
     """Measures, writes, and prints the page."""
     in_doubles()
-    model = PoseModel()
+    model = PoseModel.paper()
     sets = {"Poses of the prior, by their seeds": prior_frames(model)[FRAMES]}
     archive = data / "cmu" / "actions_train.npz"
     if archive.exists():

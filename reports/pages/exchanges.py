@@ -160,7 +160,7 @@ def best_tests(people: list[Told]) -> Sheet:
 def main(people: int) -> None:
     """Runs the study and writes the page."""
     in_doubles()
-    model, told = PoseModel(), []
+    model, told = PoseModel.paper(), []
     for seed in range(people):
         told.append(tell(model, prior_scene(model, 500 + seed, missing=()), seed))
         print(seed, told[-1], flush=True)

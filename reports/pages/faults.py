@@ -183,7 +183,7 @@ def probabilities_figure(outcomes: dict[str, list[Judged]]) -> Figure:
 def main(people: int) -> None:
     """Runs the study and writes the page."""
     in_doubles()
-    model = PoseModel()
+    model = PoseModel.paper()
     frames = [prior_scene(model, 500 + seed, missing=()) for seed in range(people)]
     outcomes, without = (
         {

@@ -321,4 +321,4 @@ def _kept(joints: np.ndarray, roots: float, seconds: float) -> Groups:
 
 @functools.cache
 def _model() -> PoseModel:
-    return PoseModel()
+    return PoseModel.paper()

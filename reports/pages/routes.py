@@ -215,7 +215,7 @@ def main(data: Path) -> None:
         for frame, law in zip(FRAMES, TURNS, strict=True)
         for number, detection in enumerate(seen[frame], 1)
     ]
-    model, found = PoseModel(), []
+    model, found = PoseModel.paper(), []
     for law in LIKELIHOODS:  # compiled before times are taken
         first = next(case for case in cases if case.law == law)
         reject_roots(_posterior(model, first), key=jax.random.key(0), num_samples=1)

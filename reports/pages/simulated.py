@@ -39,7 +39,7 @@ def exact(work: Path, data: Path) -> None:
         cost = path.with_suffix(".json")
         if cost.exists():
             continue
-        model = PoseModel(upper=upper, lower=lower)
+        model = PoseModel.paper(upper=upper, lower=lower)
         started, cpu = time.perf_counter(), time.process_time()
         calibrate(model, "rejection", num_simulations=SIMULATIONS, num_samples=DRAWS, out=path)
         cost.write_text(json.dumps([time.process_time() - cpu, time.perf_counter() - started]))
@@ -47,7 +47,7 @@ def exact(work: Path, data: Path) -> None:
 
 def controls(work: Path, data: Path) -> None:
     """Wrong posteriors on the first simulations, by the same tests."""
-    model = PoseModel()
+    model = PoseModel.paper()
     right = sampler_of("rejection", model, DRAWS)
     wrong: dict[str, tuple[Sampler, int]] = {
         name: (distorted(right, spoil), CONTROLLED) for name, spoil in DISTORTIONS.items()
@@ -67,7 +67,7 @@ def controls(work: Path, data: Path) -> None:
 
 def baselines(work: Path, data: Path) -> None:
     """A sampler that is not exact, on the first of the same simulations."""
-    model = PoseModel()
+    model = PoseModel.paper()
     for name, start in BASELINES:
         path = work / f"baseline-{name}-{start}.nc".replace(" ", "-")
         if not path.exists():

@@ -367,7 +367,7 @@ class Million(NamedTuple):
 def million(to_file: bool, double: bool) -> Million:
     """Draws and saves them, in memory first or straight to the file, once a few have been drawn."""
     in_doubles()
-    model, frame, number = PoseModel(), estimate_torso(example().detection), 1_000_000
+    model, frame, number = PoseModel.paper(), estimate_torso(example().detection), 1_000_000
     draw = functools.partial(sample, model, frame, key=jax.random.key(0))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "posterior.nc"
@@ -417,7 +417,7 @@ def main(data: Path) -> None:
     """Measures, writes, and prints the page."""
     in_doubles()
     large = millions()  # first: a process starts with the peak of the one that it comes from
-    model = PoseModel()
+    model = PoseModel.paper()
     sets = {"Poses of the prior, by their seeds": prior_frames(model)}
     archive = data / "cmu" / "actions_train.npz"
     if archive.exists():

@@ -32,7 +32,7 @@ BUDGET = 30_000_000
 def simulated(work: Path) -> xr.Dataset:
     """The simulations by weighted roots."""
     tree = calibrate(
-        PoseModel(),
+        PoseModel.paper(),
         seed=SEED,
         num_simulations=SIMULATIONS,
         num_samples=DRAWS,

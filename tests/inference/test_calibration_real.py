@@ -66,7 +66,7 @@ UNIT = 350.0
 
 @pytest.fixture(scope="module")
 def model() -> PoseModel:
-    return PoseModel()
+    return PoseModel.paper()
 
 
 @pytest.fixture(scope="module")

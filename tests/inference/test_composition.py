@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 from poseterior import inference
 from poseterior.inference.clusters import clusters
 from poseterior.inference.composition import Drawn, compose
+from poseterior.inference.draws import Draws
 from poseterior.inference.hypothesis import Hypothesis
 from poseterior.probmodel import BadInput, Estimate, FaultPrior, Likelihood, PoseModel
 from poseterior.probmodel.body import align_torsos
@@ -46,20 +47,20 @@ CASES = {
 @functools.cache
 def scene(name: str = "disc") -> tuple[PoseModel, Estimate]:
     likelihood, lens = CASES[name]
-    model = PoseModel().seen_by(lens)
-    frame = prior_scene(PoseModel(), 3, factor=SMALL if name == "small discs" else 0.5)
+    model = PoseModel.paper().seen_by(lens)
+    frame = prior_scene(PoseModel.paper(), 3, factor=SMALL if name == "small discs" else 0.5)
     return model, dataclasses.replace(frame, likelihood=likelihood)
 
 
 @functools.cache
-def uncertain(name: str) -> Drawn:
+def uncertain(name: str) -> Draws:
     model, frame = scene(name)
     draw = drawer(model, root="uncertain", num_samples=NUM, num_roots=100)
-    return draw(frame, key(1)).drawn
+    return draw(frame, key(1))
 
 
 @functools.cache
-def fixed() -> Drawn:
+def fixed() -> Draws:
     """Under three candidates: the true root, and two that are turned a little."""
     model, frame = scene()
     one = frame.candidates[0]
@@ -71,7 +72,7 @@ def fixed() -> Drawn:
         camera = one.camera._replace(rotation=np.asarray(one.camera.rotation) @ spin)
         turned.append(dataclasses.replace(one, camera=camera))
     frame = dataclasses.replace(frame, candidates=tuple(turned))
-    return drawer(model, num_samples=NUM)(frame, key(1)).drawn
+    return drawer(model, root="candidates", num_samples=NUM)(frame, key(1))
 
 
 def lengths_of(joints: np.ndarray) -> np.ndarray:
@@ -152,7 +153,7 @@ def test_a_hypothesis_out_of_reach_has_no_density():
 
 def test_composed_hypotheses_are_possible_under_a_fixed_root():
     drawn = fixed()
-    assert len(np.unique(drawn.candidate)) == 3
+    assert len(np.unique(drawn.points)) == 3
     for one in compose(drawn, K):
         assert drawn.posterior.model.limits.check(one.joints).valid.all()
         pose = drawn.posterior.model.pose_of(one.joints, lengths_of(one.joints))
@@ -206,7 +207,7 @@ def test_of_few_draws_it_is_the_best_of_all_combinations(name, rows):
     """Five draws under one root: 5⁵ ways to combine their limbs, under 5 sets of lengths; where
     discs are small, the ways that point most nearly as the centre do not explain the detection."""
     model, frame = scene(name)
-    drawn = drawer(model, num_samples=NUM)(frame, key(1)).drawn.take(rows)
+    drawn = drawer(model, root="candidates", num_samples=NUM)(frame, key(1)).take(rows)
     seen, centre = drawn.posterior.observations[0], drawn.joints.mean(axis=0)
     wanted, every = directions(centre), directions(drawn.joints)
     best, nearest, pose = np.inf, np.inf, np.empty(0)

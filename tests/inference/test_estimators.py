@@ -25,7 +25,7 @@ from tests.scenes import camera, key
 
 TORSOS = Anatomy.default().torsos
 EXAMPLE = example()
-MODEL = PoseModel()
+MODEL = PoseModel.paper()
 METHODS = [*ESTIMATORS, "a file"]
 
 

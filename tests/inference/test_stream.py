@@ -31,7 +31,7 @@ SETTINGS = {"num_samples": 40, "k": 3, "keep": 40, "root": "candidates"}
 
 @pytest.fixture(scope="module")
 def model() -> PoseModel:
-    return PoseModel()
+    return PoseModel.paper()
 
 
 @pytest.fixture(scope="module")

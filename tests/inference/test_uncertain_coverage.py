@@ -47,7 +47,7 @@ ROOTS = 40
 
 @functools.cache
 def model() -> PoseModel:
-    return PoseModel()
+    return PoseModel.paper()
 
 
 @functools.cache

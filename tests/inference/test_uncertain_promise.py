@@ -85,7 +85,7 @@ def test_where_few_are_promising_more_are_looked_at() -> None:
 
 def test_the_more_are_looked_at_the_fewer_draws_judge_them() -> None:
     """As much work in all, within a fifth; in whole vectors, or what is read lies outside."""
-    model = PoseModel()
+    model = PoseModel.paper()
     for looks in range(proposals.LOOKS[0], proposals.LOOKS[1] + 1):
         number = _some(model, looks).shape[-1]
         assert number % LANES == 0
@@ -101,7 +101,7 @@ def test_every_seed_is_guessed_by_the_same_draws_of_the_prior() -> None:
         made.append(id(model))
         return len(made)
 
-    model, other = PoseModel(), PoseModel()
+    model, other = PoseModel.paper(), PoseModel.paper()
     copy = other.seen_by(Lens(1500.0, np.array([320.0, 240.0])))
     assert [count(one) for one in (model, other, model, other, copy)] == [1, 2, 1, 2, 2]
     gone = weakref.ref(other.cells)
@@ -215,7 +215,7 @@ def test_promises_change_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_more_roots_are_effective(monkeypatch: pytest.MonkeyPatch) -> None:
     """All joints seen: three times as many, for a quarter of the roots' own cost."""
-    model = PoseModel()
+    model = PoseModel.paper()
     posterior = prior_scene(model, 3, factor=0.4).posterior(model)
     promised = weigh_roots(posterior, key=key(0), num_roots=200)
     monkeypatch.setattr(proposals, "LOOKS", (1, 1))
@@ -230,7 +230,7 @@ def test_sharp_torsos_have_the_evidence_of_exact_ones(monkeypatch: pytest.Monkey
     than others, against roots by bounds: evidence and mean scale (4 standard errors, 1.3e-4)."""
     monkeypatch.setattr(attempts, "AMPLE", 0.3)
     monkeypatch.setattr(fits, "GUESS", 0.6)
-    model = PoseModel(torsos=np.asarray(PoseModel().torsos)[[0, 17, 40]])
+    model = PoseModel.paper(torsos=np.asarray(PoseModel.paper().torsos)[[0, 17, 40]])
     frame = prior_scene(model, 11, factor=0.3)
     likelihood = Likelihood(Gaussian(), factor=0.3)
     posterior = dataclasses.replace(frame, likelihood=likelihood).posterior(model)

@@ -27,7 +27,7 @@ MISSING = JOINT_INDEX["left_wrist"]
 
 @pytest.fixture(scope="module")
 def model() -> PoseModel:
-    return PoseModel()
+    return PoseModel.paper()
 
 
 @pytest.fixture(scope="module")

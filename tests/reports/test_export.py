@@ -52,7 +52,7 @@ def stream(example_estimate: Estimate, tmp_path_factory: pytest.TempPathFactory)
     items = [Item(name, example_estimate) for name in names]
     items.insert(2, Item("f1/0", "f1 has no torso; choose another"))
     sample_frames(
-        PoseModel(), items, key=key(0), out=folder, num_samples=30, k=2, root="candidates"
+        PoseModel.paper(), items, key=key(0), out=folder, num_samples=30, k=2, root="candidates"
     )
     return folder
 

@@ -22,7 +22,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("walk")
     for index in range(3):
         torso = ("thorax", "right_shoulder", "left_shoulder", "pelvis") if index == 1 else ()
-        detection = prior_scene(PoseModel(), index, factor=0.8, missing=(*FEW, *torso)).detection
+        detection = prior_scene(
+            PoseModel.paper(), index, factor=0.8, missing=(*FEW, *torso)
+        ).detection
         write_detections(path / f"frame_{index}.json", [detection])
     return path
 
@@ -63,7 +65,7 @@ def test_a_fragment_of_a_second_person_is_left_out_in_one_line(
     walk = tmp_path / "walk"
     walk.mkdir()
     for index, seed in enumerate((0, 2, 0)):
-        scene = prior_scene(PoseModel(), seed, factor=0.8, missing=FEW).detection
+        scene = prior_scene(PoseModel.paper(), seed, factor=0.8, missing=FEW).detection
         points, score = np.full((15, 2), np.nan), np.zeros(15)
         points[[2, 3]], score[[2, 3]] = [[1.0, 2.0], [3.0, 4.0]], 0.5
         part = Detection(points, score, scene.layout, scene.source, 1)

@@ -20,7 +20,7 @@ from typing import Any
 
 import jax
 
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, installing
 
 PATIENCE = "15s"
 """How long a scheduler may take to answer."""
@@ -265,4 +265,4 @@ def _certificates() -> Any:
 
 
 def _not_installed(package: str) -> BadInput:
-    return BadInput(f"worker processes need {package}; pip install 'poseterior[evaluate]'")
+    return BadInput(f"worker processes need {package}; {installing('evaluate')}")

@@ -21,6 +21,7 @@ from .failures import BadInput as BadInput
 from .failures import OutOfBudget as OutOfBudget
 from .formats import read_detections as read_detections
 from .formats import write_detections as write_detections
+from .formats.values import detections_of as detections_of
 from .formats.frames import DetectedFrame as DetectedFrame
 from .formats.frames import read_frames as read_frames
 from .model import PoseModel as PoseModel

@@ -7,6 +7,7 @@ returns. What the scores mean for the likelihood: `probmodel.errors.likelihood`.
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 import numpy.typing as npt
@@ -101,6 +102,16 @@ class Detection:
             object.__setattr__(self, "face", face)
             _check_numbers(face[:, :2], face[:, 2], FACE, self.where)
         _check_labels(self.person, self.image_id, self.image_size, self.where)
+
+    def _repr_html_(self) -> str:
+        """A table of what was seen, for notebooks."""
+        rows = "".join(
+            f"<tr><td>{name}</td><td>{x:.1f}</td><td>{y:.1f}</td><td>{score:.2f}</td></tr>"
+            for name, (x, y), score in zip(JOINTS, self.keypoints, self.score, strict=True)
+            if score > 0
+        )
+        head = "<tr><th>joint</th><th>x</th><th>y</th><th>score</th></tr>"
+        return f"<table><caption>{escape(self.where)}</caption>{head}{rows}</table>"
 
     @property
     def where(self) -> str:

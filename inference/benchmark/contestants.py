@@ -23,7 +23,7 @@ from poseterior.inference.benchmark.root import BoxedRoot, GivenRoot
 from poseterior.inference.benchmark.submission import Submission
 from poseterior.inference.benchmark.target import FrozenTarget
 from poseterior.inference.exact.mixture import ExactRejection
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, installing
 from poseterior.probmodel.root_priors import CANDIDATES
 
 EXACT, GIFT, PRIOR = "exact", "exact draws", "prior"
@@ -67,8 +67,7 @@ def check_name(name: str) -> None:
         package, extra = GUESTS[name].package, GUESTS[name].extra
         if package and importlib.util.find_spec(package) is None:
             raise BadInput(
-                f'the sampler {name} is not installed; install "poseterior[{extra}]", or leave it'
-                " out"
+                f"the sampler {name} is not installed; {installing(extra)}; or leave it out"
             )
     elif name != EXACT:
         known = ", ".join((EXACT, *BASELINES, *GUESTS))

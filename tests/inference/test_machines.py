@@ -151,5 +151,5 @@ def test_nobody_is_asked_where_there_is_nothing_to_do(monkeypatch):
 
 def test_without_dask_it_is_said_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(BadInput, match=r"pip install 'poseterior\[evaluate\]'"):
+    with pytest.raises(BadInput, match=r"pip install '\.\[evaluate\]' in a clone"):
         list(Machines(2).each(what_it_is, WORK))

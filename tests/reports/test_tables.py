@@ -149,7 +149,7 @@ def test_posterior_rows_by_hand(tree: xr.DataTree) -> None:
 def test_posterior_table_shows_the_rows(tree: xr.DataTree) -> None:
     words = text(tables.posterior_table(tree))
     assert row(words, "right knee") == "right knee 0.80 7.0 1.000 350 0.354 124"
-    assert row(words, "right wrist").startswith("right wrist missing – ")
+    assert row(words, "right wrist").startswith("right wrist none – ")
 
 
 def test_a_torso_that_is_held_fixed_says_so() -> None:

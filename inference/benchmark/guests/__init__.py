@@ -6,7 +6,7 @@ one.
 
 All of them climb the graded likelihood from the prior, because an indicator gives nested and
 tempered samplers nothing to climb (`graded`). Libraries are an extra
-(`pip install 'poseterior[guests]'`); UltraNest, which is compiled where it is installed, is one of
+(`pip install '.[guests]'`); UltraNest, which is compiled where it is installed, is one of
 its own."""
 
 from typing import NamedTuple

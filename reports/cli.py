@@ -82,7 +82,7 @@ def _about(
         ),
     ] = False,
 ) -> None:
-    """Posteriors over human 3D pose given 2D joint detections."""
+    """Posteriors over human 3D pose given 2D joint detections: weighted draws, and exact ones by rejection."""
 
 
 def declared(group: Any, given: object = None) -> Iterator[inspect.Parameter]:

@@ -6,7 +6,7 @@
 What has the shape of these results is taken for them, whoever made it: their package is not asked
 for."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np

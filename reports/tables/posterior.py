@@ -245,8 +245,8 @@ def sides_table(tree: xr.DataTree) -> Sheet:
     done = "weighed" if "roots" in tree.children else "drawn"
     caption = (
         f"Torso and camera are uncertain: {effective:,.0f} effective of {weighed:,} roots {done},"
-        " each counted to the side it faces; a hypothesis may face another way than its side does on"
-        " average. px: a body unit, in pixels; ± and turn: standard deviations."
+        " each counted to the side it faces; a hypothesis may face another way than its side does"
+        " on average. px: a body unit, in pixels; ± and turn: standard deviations."
     )
     return Sheet(shown, records, "Torso and camera", caption)
 

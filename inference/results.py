@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from poseterior.probmodel.errors.faults import ORDERS
 
 from poseterior.inference.draws import Draws, KnownRoots, over_draws
 from poseterior.inference.predictions import KeypointsRead, prediction_groups
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.errors.faults import ORDERS
 from poseterior.probmodel.files import replacing
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Posterior, log_joints

@@ -82,7 +82,8 @@ def _about(
         ),
     ] = False,
 ) -> None:
-    """Posteriors over human 3D pose given 2D joint detections: weighted draws, and exact ones by rejection."""
+    """Posteriors over human 3D pose given 2D joint detections: weighted draws, and exact ones by
+    rejection."""
 
 
 def declared(group: Any, given: object = None) -> Iterator[inspect.Parameter]:

@@ -313,13 +313,13 @@ def facing_sentences(tree: xr.DataTree) -> list[str]:
     is."""
     counts = Counter(map(facing_words, pose_facing(values(tree, "posterior", "joints"))))
     ways = [f"{words} {percent(n / counts.total())}" for words, n in counts.most_common()]
-    number = len(values(tree, "constant_data", "weight"))
+    single = len(values(tree, "constant_data", "weight")) == 1
     open_way = (
         "Torso and camera are drawn with the pose"
         if is_uncertain(tree)
         else (
             "Torso and camera are held fixed at an estimator's"
-            f" {'candidate' if number == 1 else 'candidates'}"
+            f" {'candidate' if single else 'candidates'}"
         )
     )
     facing = f" Where the chest faces, by share of the draws: {'; '.join(ways)}." if ways else ""

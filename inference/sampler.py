@@ -87,12 +87,28 @@ class DetectionSampler:
         Who draws.
     num_samples
         Draws of each detection.
+
+    Raises
+    ------
+    BadInput
+        On a number below one, and on a baseline: its chains start in the draws of another sampler,
+        which are better.
     """
 
     model: PoseModel
     root: str
     sampler: Sampler
     num_samples: int
+
+    def __post_init__(self) -> None:
+        if self.num_samples < 1:
+            raise BadInput(f"the number of samples must be at least 1, not {self.num_samples}")
+        if isinstance(self.sampler, BaselineSampler):
+            own = [name for name, kind in MAKERS[self.root].items() if kind is not BaselineSampler]
+            raise BadInput(
+                f"there is no exact sampler {self.sampler.name!r} of many detections; choose one of"
+                f" {', '.join(own)}"
+            )
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -110,18 +126,18 @@ def _require_known(root: str, name: str) -> None:
     """Raises `BadInput` where no sampler of that name draws under such a root."""
     if name in MAKERS[root]:
         return
-    if name not in {*SAMPLERS, *ROOTED_SAMPLERS}:
-        raise BadInput(f"there is no sampler {name!r}; choose one of {', '.join(MAKERS[root])}")
     if root == UNCERTAIN:
         *most, last = MAKERS[root]
         raise BadInput(
             f"no sampler {name!r} draws torso and camera; choose {', '.join(most)} or {last}, or"
-            f" the root {CANDIDATES!r}"
+            f" the root {CANDIDATES!r} (on the command line --root fixed)"
         )
-    raise BadInput(
-        f"the sampler {name} needs torso and camera uncertain; choose another, or the root"
-        f" {UNCERTAIN!r}"
-    )
+    if name in MAKERS[UNCERTAIN]:
+        raise BadInput(
+            f"the sampler {name} needs torso and camera uncertain; choose another, or the root"
+            f" {UNCERTAIN!r}"
+        )
+    raise BadInput(f"there is no sampler {name!r}; choose one of {', '.join(MAKERS[root])}")
 
 
 def sample(

@@ -599,7 +599,7 @@ class CoverageSettings:
         from poseterior.probmodel import BadInput
 
         real = ["frames", "estimator", "noise", "missing", "perspective"]
-        draws = ["sampler", "num_samples", "max_proposals", "root", "roots", "upright"]
+        draws = ["sampler", "num_samples", "max_proposals", "roots", "upright"]
         if self.dataset is not None:
             way, unknown = "with --dataset", ["simulate_only", "num_simulations"]
         elif self.simulate_only:

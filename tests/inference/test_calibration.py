@@ -13,9 +13,9 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from poseterior.inference.exact.mixture import draw_mixture
+from poseterior.inference.exact.mixture import ExactRejection
 from poseterior.inference.machines import Machines
-from poseterior.inference.results import pose_columns
+from poseterior.inference.results import log_density
 from poseterior.inference.studies.calibration import (
     assess,
     band,
@@ -316,16 +316,15 @@ def test_quantities_of_draws_are_the_samplers_own(model: PoseModel) -> None:
     columns."""
     for instance in simulate(model, 3, 0, 4):
         posterior = instance.frame.posterior(model, CANDIDATES)
-        mixture = draw_mixture(posterior, key=jax.random.key(1), num_samples=300)
-        columns = pose_columns(posterior, mixture.parts, mixture.rng)
-        *_, density, misfit = of_both(model, instance.frame.observation, columns["joints"]).T
-        np.testing.assert_allclose(density, columns["lp"], atol=1e-6)
+        draws = ExactRejection().draw(posterior, jax.random.key(1), 300)
+        *_, density, misfit = of_both(model, instance.frame.observation, draws.joints).T
+        np.testing.assert_allclose(density, log_density(draws), atol=1e-6)
         assert (misfit <= 1).all()
-        values = of_pose(columns["joints"])
-        np.testing.assert_allclose(values[:, 27:32], columns["bone_length"], atol=1e-12)
+        values = of_pose(draws.joints)
+        np.testing.assert_allclose(values[:, 27:32], draws.bone_length, atol=1e-12)
         elbow = JOINT_INDEX["left_elbow"]
         np.testing.assert_allclose(
-            values[:, OF_POSE.index("left_elbow z")], columns["joints"][:, elbow, 2]
+            values[:, OF_POSE.index("left_elbow z")], draws.joints[:, elbow, 2]
         )
 
 

@@ -306,7 +306,7 @@ def test_a_root_needs_enough_of_the_torso():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"root": "maybe"}, "there is no root 'maybe'; choose one of fixed, uncertain"),
+        ({"root": "maybe"}, "there is no root 'maybe'; choose one of uncertain, candidates"),
         ({"root": "uncertain", "num_roots": 0}, "number of roots must lie between 1 and 100,000"),
         ({"root": "uncertain", "num_samples": 0}, "number of samples must be at least 1"),
         ({"root": "uncertain", "sampler": "smc"}, "no sampler 'smc' draws torso and camera"),

@@ -22,11 +22,13 @@ from poseterior.reports.tables.coverage import WORST, families_table, p_text, un
 from tests.conftest import Cli
 
 JSON, TABLES = Screen(quiet=True, json=True), Screen(quiet=True)
+FIXED = Rooting(root=RootKind.fixed, roots=200)
 
 
 def asked(out: Path, num_samples: int = 20, **others: Any) -> CoverageSettings:
     sampling = Sampling(num_samples=num_samples, max_proposals=1_000_000)
-    return CoverageSettings(out=out, sampling=sampling, **({"num_simulations": 100} | others))
+    given = {"num_simulations": 100, "rooting": FIXED} | others
+    return CoverageSettings(out=out, sampling=sampling, **given)
 
 
 def read(path: Path) -> xr.DataTree:

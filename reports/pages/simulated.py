@@ -22,6 +22,7 @@ from poseterior.inference.studies.calibration.controls import (
 from poseterior.inference.studies.calibration.posteriors import Sampler, sampler_of
 from poseterior.inference.studies.calibration.toy import sizes
 from poseterior.probmodel import PoseModel
+from poseterior.probmodel.root_priors import CANDIDATES
 
 SIMULATIONS, DRAWS = 1000, 1000
 MEASURES = (("angle", "area"), ("area", "area"), ("angle", "box"))

@@ -392,7 +392,7 @@ def test_every_measure_is_calibrated(upper: str, lower: str) -> None:
 def test_another_measure_is_noticed(model: PoseModel) -> None:
     """Draws under the box measure are judged under the default: a wrong prior, the negative
     control."""
-    wrong = sampler_of("rejection", PoseModel.paper(lower="box"), 100)
+    wrong = sampler_of("rejection", PoseModel.paper(lower="box"), 100, root="candidates")
     tree = calibrate(model, wrong, num_simulations=150, root="candidates")
     assert judge(tree["simulation"].to_dataset()).verdict == MISCALIBRATED
 
@@ -402,7 +402,7 @@ def test_another_measure_is_noticed(model: PoseModel) -> None:
 def test_distorted_posteriors_fail(model: PoseModel, name: str) -> None:
     tree = calibrate(
         model,
-        distorted(sampler_of("rejection", model, 100), DISTORTIONS[name]),
+        distorted(sampler_of("rejection", model, 100, root="candidates"), DISTORTIONS[name]),
         num_simulations=100,
         root="candidates",
     )
@@ -476,7 +476,7 @@ def test_chains_are_thinned_to_their_effective_number() -> None:
 
 @pytest.mark.slow
 def test_failures_are_counted_and_said(model: PoseModel) -> None:
-    right = sampler_of("rejection", model, 20)
+    right = sampler_of("rejection", model, 20, root="candidates")
 
     def sometimes(index: int, instance: Instance, key: jax.Array) -> Answer:
         return (
@@ -496,7 +496,7 @@ def test_failures_are_counted_and_said(model: PoseModel) -> None:
 
 def test_draws_of_a_file(model: PoseModel, tmp_path: Path) -> None:
     """The same draws by name and by file; a simulation without draws is a failure."""
-    right = sampler_of("rejection", model, 20)
+    right = sampler_of("rejection", model, 20, root="candidates")
     some = simulate(model, 0, 0, 6)
     joints = np.stack(
         [

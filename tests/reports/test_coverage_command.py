@@ -180,7 +180,7 @@ def test_bad_real_poses(data: Path, tmp_path: Path, change: dict, match: str) ->
         ("--missing 1", "--missing means nothing without --dataset"),
         ("--frames 100", "--frames means nothing without --dataset"),
         ("--simulate-only --sampler rejection", "--sampler means nothing with --simulate-only"),
-        ("--simulate-only --root uncertain", "--root means nothing with --simulate-only"),
+        ("--simulate-only --roots 30", "--roots means nothing with --simulate-only"),
         ("--simulate-only --noise none", "--noise means nothing with --simulate-only"),
         ("--dataset x.npz --num-simulations 9", "--num-simulations means nothing with --dataset"),
         ("--poses x.npz --simulate-only", "--simulate-only means nothing with --dataset"),

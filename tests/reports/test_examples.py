@@ -84,8 +84,8 @@ def test_what_the_pages_say_is_what_the_commands_take(parsed: Callable[[str], An
 
 def test_values_arrive_where_they_belong(parsed: Callable[[str], Any]) -> None:
     wanted = parsed(
-        "compare f.json --root fixed --person 2 --names n.json --image-size 9x9 --correct --poses p.npz"
-        " --no-head --upper area --seed 5"
+        "compare f.json --root fixed --person 2 --names n.json --image-size 9x9 --correct"
+        " --poses p.npz --no-head --upper area --seed 5"
     )
     assert wanted.person.person == 2
     assert wanted.person.detected == options.Detected(

@@ -539,8 +539,8 @@ class CoverageSettings:
         "coverage --sampler rejection --num-simulations 1000 --out coverage",
         "coverage --simulate-only --num-simulations 200",
         "coverage --sampler draws.npz --num-simulations 200",
-        "coverage --dataset recordings.npz --root fixed --estimator zhou --noise gaussian:0.02 --missing 1"
-        " --out real",
+        "coverage --dataset recordings.npz --root fixed --estimator zhou --noise gaussian:0.02"
+        " --missing 1 --out real",
         "coverage --root uncertain --num-simulations 1000 --out whole",
         "coverage --dataset session/ --root uncertain --perspective --noise none --out filmed",
     )

@@ -16,7 +16,7 @@ import xarray as xr
 from poseterior.probmodel import BadInput, PoseModel, write_detections
 from poseterior.reports.commands import compare
 from poseterior.reports.figures.comparison import comparison_figure
-from poseterior.reports.options import Person, Screen, RootKind, Viewing
+from poseterior.reports.options import Person, RootKind, Screen, Viewing
 from poseterior.reports.settings import CompareSettings
 from poseterior.reports.tables.comparison import COLUMNS, NARROW, comparison_table
 from tests.scenes import ALL_BUT_AN_ARM, prior_scene

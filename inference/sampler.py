@@ -16,7 +16,7 @@ from poseterior.inference.baselines.catalogue import (
     sample_rooted,
 )
 from poseterior.inference.drawers import sampler_under
-from poseterior.inference.exact import ahead
+from poseterior.inference.exact import warm_up
 from poseterior.inference.exact.mixture import (
     MAX_PROPOSALS,
     ON_DEVICE,
@@ -190,7 +190,7 @@ def exact_blocks(
             "wall_time_s": time.perf_counter() - started,
             "status": mixture.status,
         }
-        ahead.finish()
+        warm_up.finish()
         tree = build_tree(posterior, mixture.parts, attributes, mixture.rng, number)
         yield Result(tree, mixture.status, mixture.sentence)
 

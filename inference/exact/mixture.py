@@ -1,7 +1,7 @@
 """Exact draws from the mixture over a posterior's roots.
 
-Each root's evidence comes out of its own rejection, weighs it against the others, and decides how
-many of the draws are its own.
+Each root's evidence comes out of its own rejection, weighs it against the others, and
+decides how many of the draws are its own.
 """
 
 import math
@@ -28,10 +28,11 @@ from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.skeleton import GROUPS
 
 PILOTS = (64, 2000)
-"""Draws of each root from which the roots are weighed, in two rounds, before the rest is shared
-out."""
+"""Draws of each root from which the roots are weighed, in two rounds, before the rest
+is shared out."""
 NEGLIGIBLE = 0.01
-"""A root whose share is below this after the first round (known to an eighth) needs no second."""
+"""A root whose share is below this after the first round (known to an eighth) needs no
+second."""
 PILOT_PROPOSALS = 20_000_000
 """Proposals (some seconds) in which a root must make its first pilot draws."""
 EVEN = 16
@@ -43,7 +44,8 @@ Progress = Callable[[int, int], None]
 
 
 def _strata(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
-    tables, problems = group_tables(model), limb_problems(observation)
+    tables = group_tables(model)
+    problems = limb_problems(observation)
     return [
         StratifiedGroup(
             jax.random.fold_in(key, index),
@@ -72,8 +74,8 @@ PROPOSALS: dict[str, Proposal] = {
     "rejection-prior": _whole_body,
     ON_DEVICE: device_groups,
 }
-"""How exact rejection proposes, by the sampler's name: by strata; each group, or the whole body,
-from the prior; by strata on the device that JAX computes on."""
+"""How exact rejection proposes, by the sampler's name: by strata; each group, or the
+whole body, from the prior; by strata on the device that JAX computes on."""
 
 
 @dataclass
@@ -86,8 +88,9 @@ class RootSampler:
 
     def more(self, number: int, budget: Budget) -> bool:
         """Goes on until every group holds `number` draws; False where it cannot."""
-        # Every group goes on, also when another one cannot, and none to the end before all have
-        # some: where the budget ends first, there shall be as many whole bodies as there can be.
+        # Every group goes on, also when another one cannot, and none to the end before
+        # all have some: where the budget ends first, there shall be as many whole
+        # bodies as there can be.
         done = [
             sampler.more(target, budget)
             for target in (-(-number // EVEN), number)
@@ -101,7 +104,8 @@ class RootSampler:
         return min(sampler.held for sampler in self.samplers)
 
     def progress(self, number: int) -> float:
-        """How much of `number` draws there is, from 0 to 1, all groups taken together."""
+        """How much of `number` draws there is, from 0 to 1, all groups taken
+        together."""
         held = sum(min(sampler.held, number) for sampler in self.samplers)
         return held / max(1, number * len(self.samplers))
 
@@ -111,8 +115,8 @@ class RootSampler:
 
     @property
     def log_evidence(self) -> float:
-        """Log of the prior's mean of the likelihood over its peak; -inf where no draw was
-        accepted."""
+        """Log of the prior's mean of the likelihood over its peak; -inf where no draw
+        was accepted."""
         return sum(rate.log_probability for rate in self.rates)
 
     @property
@@ -136,7 +140,8 @@ class RootSampler:
 
 
 class Mixture(NamedTuple):
-    """Draws from the mixture over a posterior's roots, before they are named and put in order.
+    """Draws from the mixture over a posterior's roots, before they are named and put in
+    order.
 
     Attributes
     ----------
@@ -186,10 +191,10 @@ def mixture_blocks(
     progress: Progress | None,
     block: int,
 ) -> Iterator[Mixture]:
-    """Draws from a posterior, `block` of them at a time: each block is a sample of the mixture, and
-    forgotten once it has been given. What the attributes say is of all draws until then; the last
-    block is the one that is not complete, or has the last of `num_samples`. Otherwise as
-    `draw_mixture`."""
+    """Draws from a posterior, `block` of them at a time: each block is a sample of the
+    mixture, and forgotten once it has been given. What the attributes say is of all
+    draws until then; the last block is the one that is not complete, or has the last of
+    `num_samples`. Otherwise as `draw_mixture`."""
     if sampler not in PROPOSALS:
         raise BadInput(f"there is no exact sampler {sampler!r}; choose from {', '.join(PROPOSALS)}")
     if num_samples < 1:
@@ -218,7 +223,8 @@ def mixture_blocks(
             "log_evidence": evidence,
             "log_evidence_se": error,
         }
-        status, sentence = COMPLETE, ""
+        status = COMPLETE
+        sentence = ""
         if not enough:
             status, sentence = _explain(samplers, posterior, budget, given, num_samples)
         yield Mixture(parts, attributes, status, sentence, rng)
@@ -229,7 +235,8 @@ def mixture_blocks(
 
 
 def _parts(samplers: list[RootSampler], held: list[int], prior: np.ndarray) -> list[RootDraws]:
-    """The first draws of each root, so many as are `held`, and what is known of it by now."""
+    """The first draws of each root, so many as are `held`, and what is known of it by
+    now."""
     shares = _shares(_log_weights(samplers, prior))
     return [
         RootDraws(one.poses(number), one.log_evidence, one.log_evidence_se, float(share))
@@ -238,7 +245,8 @@ def _parts(samplers: list[RootSampler], held: list[int], prior: np.ndarray) -> l
 
 
 def _shared_out(counts: np.ndarray, block: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """How many draws of each root are in each block: as if all draws stood in random order."""
+    """How many draws of each root are in each block: as if all draws stood in random
+    order."""
     while counts.sum() > block:
         own = rng.multivariate_hypergeometric(counts, block)
         yield own
@@ -248,7 +256,8 @@ def _shared_out(counts: np.ndarray, block: int, rng: np.random.Generator) -> Ite
 
 def root_samplers(posterior: Posterior, key: jax.Array, sampler: str) -> list[RootSampler]:
     """A sampler for each of the posterior's roots, with keys of their own."""
-    propose, model = PROPOSALS[sampler], posterior.model
+    propose = PROPOSALS[sampler]
+    model = posterior.model
     return [
         RootSampler(model, one, propose(jax.random.fold_in(key, index), model, one))
         for index, one in enumerate(posterior.observations)
@@ -258,11 +267,12 @@ def root_samplers(posterior: Posterior, key: jax.Array, sampler: str) -> list[Ro
 def _weigh(
     samplers: list[RootSampler], prior: np.ndarray, number: int, budget: Budget
 ) -> np.ndarray:
-    """Log weights of the roots from pilot draws: few of each, more of those that turn out to
-    matter.
+    """Log weights of the roots from pilot draws: few of each, more of those that turn
+    out to matter.
 
-    A root under which draws are very rare is not waited for: what its allowance brought is its
-    evidence. Only where no root brings any draw do the allowances grow, to the end of the budget.
+    A root under which draws are very rare is not waited for: what its allowance brought
+    is its evidence. Only where no root brings any draw do the allowances grow, to the
+    end of the budget.
     """
     if len(samplers) == 1:
         return prior
@@ -287,8 +297,8 @@ def _log_weights(samplers: list[RootSampler], prior: np.ndarray) -> np.ndarray:
 
 
 def _shares(log_weight: np.ndarray) -> np.ndarray:
-    """Weights that sum to one; where nothing has any, the first root (best reprojection) has
-    all."""
+    """Weights that sum to one; where nothing has any, the first root (best
+    reprojection) has all."""
     if not np.isfinite(log_weight).any():
         return np.eye(len(log_weight))[0]
     return shares(log_weight)
@@ -326,7 +336,8 @@ def _reporter(
 
 
 def _mixture_evidence(prior: np.ndarray, parts: list[RootDraws]) -> tuple[float, float]:
-    """Log evidence of the mixture and its standard error, the roots' errors being independent."""
+    """Log evidence of the mixture and its standard error, the roots' errors being
+    independent."""
     log_terms = prior + np.array([part.log_evidence for part in parts])
     if not np.isfinite(log_terms).any():
         return -math.inf, math.inf
@@ -339,8 +350,10 @@ def _mixture_evidence(prior: np.ndarray, parts: list[RootDraws]) -> tuple[float,
 def _explain(
     samplers: list[RootSampler], posterior: Posterior, budget: Budget, held: int, wanted: int
 ) -> tuple[str, str]:
-    """Why there are fewer draws than wanted, in a sentence that names the joint or the group."""
-    model, where = posterior.model, posterior.detection.where
+    """Why there are fewer draws than wanted, in a sentence that names the joint or the
+    group."""
+    model = posterior.model
+    where = posterior.detection.where
     unreachable = [
         out_of_reach(model, limb_problems(observation)) for observation in posterior.observations
     ]
@@ -359,7 +372,7 @@ def _explain(
             f" ({miss}); mend or drop one"
         )
     counts = f"{held} of {wanted} draws after {budget.spent:,} proposals for {where}"
-    if slowest.hopeless:
+    if slowest.given_up:
         return OUT_OF_BUDGET, (
             f"{counts}: no possible {name} explain their detections ({miss}); mend or drop one"
         )

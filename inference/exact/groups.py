@@ -170,7 +170,7 @@ def workers() -> ThreadPoolExecutor:
 
 
 class Plan(NamedTuple):
-    """Strata of a group at one resolution; `share` `(bins,)` of the attempts, and the
+    """Strata of a group at one resolution; `share` `(bins,)` of the proposals, and the
     proposal's whole `mass`."""
 
     sub: int

@@ -109,8 +109,8 @@ def _fill(
         each = jax.vmap(lambda own: propose(own, plan, kind.measures), 1, (1, 0))
         columns, passed = each(uniform)
         if thinning is not None:
-            kept = jnp.log1p(-jax.random.uniform(test, passed.shape))
-            passed &= kept <= _log_ratios(columns, thinning, kind.group)
+            level = jnp.log1p(-jax.random.uniform(test, passed.shape))
+            passed &= level <= _log_ratios(columns, thinning, kind.group)
         count = jnp.cumsum(passed)
         most = room.shape[1]
         # What has failed would go to a place of its own outside: all places are

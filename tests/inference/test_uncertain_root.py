@@ -28,7 +28,7 @@ from poseterior.inference.exact.loops.roots import (
 from poseterior.inference.exact.loops.seeds import seeded
 from poseterior.inference.exact.loops.tables import ROOTS
 from poseterior.inference.exact.rates import Budget
-from poseterior.inference.importance import proposals, weighted
+from poseterior.inference.importance import two_stage, weighted
 from poseterior.inference.importance.limbs import log_evidence, picks
 from poseterior.inference.importance.torso_proposals import TorsoDraws, draw_roots
 from poseterior.inference.importance.torsos import lowest_scale, rotations_of, torso_problem
@@ -193,7 +193,7 @@ def as_they_come() -> WeightedRoots:
     """Roots that no promise chose: those that promises choose have even weights under the right
     posterior, and few effective ones under a wrong one."""
     model, frame = small_case()
-    with mock.patch.object(proposals, "OVERSAMPLING", (1, 1)):
+    with mock.patch.object(two_stage, "OVERSAMPLING", (1, 1)):
         return weigh_roots(frame.uncertain(model), key=key(3), num_roots=3000)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from poseterior import inference
 from poseterior.inference.exact import warm_up
-from poseterior.inference.exact.loops import attempts
+from poseterior.inference.exact.loops import proposals
 from poseterior.probmodel import PoseModel
 from tests.scenes import prior_scene
 
@@ -20,7 +20,7 @@ def test_the_types_are_those_of_the_engine() -> None:
     model = PoseModel()
     inference.sample(model, prior_scene(model, 1), key=jax.random.key(0), num_samples=50)
     for name, types in warm_up.signatures().items():
-        assert types in getattr(attempts, name).signatures, name
+        assert types in getattr(proposals, name).signatures, name
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def test_no_process_is_started_in_vain(
 ) -> None:
     monkeypatch.setattr(warm_up, "FOLDER", None if why == "no folder" else tmp_path)
     if why == "kept":
-        (tmp_path / "attempts.propose_limb-94.py312.nbi").touch()
+        (tmp_path / "proposals.propose_limb-94.py312.nbi").touch()
     if why == "one core":
         monkeypatch.setattr(os, "cpu_count", lambda: 1)
     warm_up.begin("fixed")
@@ -73,7 +73,7 @@ OTHER = [sys.executable, "-P", "-m", "poseterior.inference.exact.warm_up"]
 
 def where_nothing_is_kept(folder: Path) -> dict:
     """How a process is run that keeps its loops in a folder of its own."""
-    own = {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(Path(attempts.__file__).parents[3])}
+    own = {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(Path(proposals.__file__).parents[3])}
     return {"env": {**os.environ, **own, "JAX_ENABLE_X64": "1"}}
 
 
@@ -81,10 +81,10 @@ def where_nothing_is_kept(folder: Path) -> dict:
 def test_what_the_other_process_compiles_is_found(tmp_path: Path) -> None:
     code = """
 from poseterior.inference.exact import warm_up
-from poseterior.inference.exact.loops import attempts
+from poseterior.inference.exact.loops import proposals
 for name, types in warm_up.signatures().items():
-    getattr(attempts, name).compile(types)
-    print(sum(getattr(attempts, name).stats.cache_hits.values()))
+    getattr(proposals, name).compile(types)
+    print(sum(getattr(proposals, name).stats.cache_hits.values()))
 """
     options = where_nothing_is_kept(tmp_path)
     subprocess.run([*OTHER, "fixed"], check=True, **options)

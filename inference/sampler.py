@@ -4,7 +4,6 @@
 Every sampler stands in one table, by the prior of torso and camera that it draws under."""
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +11,7 @@ import jax
 
 from poseterior.inference.baselines.catalogue import BASELINES, ROOTED, BaselineSampler
 from poseterior.inference.draws import MAX_PROPOSALS, Draws, Progress, Sampler
-from poseterior.inference.exact import ahead
+from poseterior.inference.exact import warm_up
 from poseterior.inference.exact.mixture import ON_DEVICE, PROPOSALS, ExactRejection
 from poseterior.inference.importance.rejection import TorsoRejection
 from poseterior.inference.importance.weighted import NUM_ROOTS, WeightedSampler
@@ -29,12 +28,16 @@ draws go by the places, so that what came later stands at the end. Under an unce
 WEIGHTED, REJECTION = "weighted-roots", "rejection"
 ROOTED_SAMPLERS = (WEIGHTED, REJECTION, *ROOTED)
 """Every sampler of torso, camera and pose together: weighted roots, rejection, then baselines."""
-MAKERS: Mapping[str, Mapping[str, type[Sampler]]] = {
-    UNCERTAIN: {WEIGHTED: WeightedSampler, REJECTION: TorsoRejection}
-    | dict.fromkeys(ROOTED, BaselineSampler),
-    CANDIDATES: dict.fromkeys(PROPOSALS, ExactRejection)
-    | dict.fromkeys(BASELINES, BaselineSampler),
+_OF_POINTS: dict[str, type[Sampler]] = {
+    WEIGHTED: WeightedSampler,
+    REJECTION: TorsoRejection,
+    **dict.fromkeys(ROOTED, BaselineSampler),
 }
+_OF_CANDIDATES: dict[str, type[Sampler]] = {
+    **dict.fromkeys(PROPOSALS, ExactRejection),
+    **dict.fromkeys(BASELINES, BaselineSampler),
+}
+MAKERS = {UNCERTAIN: _OF_POINTS, CANDIDATES: _OF_CANDIDATES}
 """What makes a sampler, by the root's prior and the sampler's name; the first is the one that is
 meant where none is named."""
 MANY_ROOTS = 200
@@ -212,7 +215,7 @@ def sample(
         chains=require_chains(root, sampler, chains),
     )
     draws = chosen.draw(frame.posterior(model, root), key, num_samples, progress)
-    ahead.finish()
+    warm_up.finish()
     return result_of(draws)
 
 

@@ -688,7 +688,7 @@ def _cache() -> Path | None:
             return cache
     except (OSError, RuntimeError):  # RuntimeError: a user without a home
         pass
-    from poseterior.inference.exact.loops.places import temporary
+    from poseterior.inference.exact.loops.cache_folder import temporary
 
     own = temporary()
     if own is not None:  # matplotlib looks for fonts once, too

@@ -16,7 +16,7 @@ import pytest
 from poseterior import inference
 from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.importance import rejection, weighted
-from poseterior.inference.importance.patterns import prior_share, strata_of
+from poseterior.inference.importance.fault_patterns import fault_patterns, prior_share
 from poseterior.inference.importance.rejection import RejectedRoots, reject_roots, verdict
 from poseterior.inference.importance.weighted import log_mean
 from poseterior.inference.sampler import REJECTION, WEIGHTED
@@ -122,7 +122,7 @@ def test_the_same_key_the_same_draws() -> None:
 def test_the_shares_of_all_strata_are_one() -> None:
     model, frame = faulty.small_case()
     posterior = frame.posterior(model)
-    total = sum(prior_share(posterior, stratum) for stratum in strata_of(posterior))
+    total = sum(prior_share(posterior, stratum) for stratum in fault_patterns(posterior))
     assert total == pytest.approx(1, abs=1e-9)
 
 

@@ -72,6 +72,8 @@ class Detection:
     moved
         Which of thorax and pelvis `probmodel.layouts.corrected` has moved from a midpoint to where
         the skeleton has them.
+    midpoints
+        Which of the two the detector lacks, or defines as midpoints of shoulders and hips.
 
     Raises
     ------
@@ -89,6 +91,7 @@ class Detection:
     image_size: tuple[int, int] | None = None
     face: FloatArray | None = None
     moved: tuple[str, ...] = ()
+    midpoints: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         keypoints = _owned(self.keypoints, (NUM_JOINTS, 2), f"the keypoints of {self.where}")

@@ -6,9 +6,12 @@
 Nothing is read before it is asked for, and nothing kept after: a frame is (its name, its people),
 and may have nobody."""
 
+import itertools
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +20,7 @@ from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats import content_of, format_of, openpose, people_of
 from poseterior.probmodel.formats.common import Content
+from poseterior.probmodel.formats.units import Unit, unit_of
 
 PROBES = 25
 """Files of a folder, evenly spread, that say in which format it is."""
@@ -77,12 +81,10 @@ def read_frames(
         raise BadInput(
             f"{path} holds no files; give a folder with one file of 2D joints for each frame."
         )
-    chosen = (
-        folder_format(files, image_size, names, layout)
-        if format in ("auto", "openpose")
-        else format
-    )
-    return _frames_of_folder(files, chosen, threshold, image_size, names, layout)
+    chosen, unit = _probed(files, format, threshold, image_size, names, layout)
+    contents = (content_of(file, image_size, names, layout) for file in files)
+    frames = (_frames_of_file(replace(one, unit=unit), chosen, threshold) for one in contents)
+    return itertools.chain.from_iterable(frames)
 
 
 def sorted_files(folder: Path) -> list[Path]:
@@ -107,44 +109,49 @@ def natural_order(name: str) -> tuple[list[str], list[int], str]:
     return re.split(r"\d+", name), [int(digits) for digits in re.findall(r"\d{1,18}", name)], name
 
 
-def folder_format(
-    files: Sequence[Path],
-    image_size: tuple[int, int] | None = None,
-    names: Mapping[str, str] | Sequence[str] | None = None,
-    layout: str | None = None,
-) -> str:
-    """The format of a folder's files, by name, from `PROBES` of them; OpenPose's with the order of
-    its 25 points.
-
-    Raises `BadInput` where the files are not of one format.
-    """
-    step = max(1, len(files) // PROBES)
-    contents = [content_of(file, image_size, names, layout) for file in files[::step][:PROBES]]
-    found = {format_of(content).name: content.source for content in contents}
-    if len(found) > 1:
-        said = ", ".join(f"{source} is {name}" for name, source in found.items())
-        raise BadInput(
-            f"the files of this folder differ in format ({said}); keep one format in a folder."
-        )
-    if set(found) != {"openpose"}:
-        return next(iter(found))
-    people = [points for content in contents for points in openpose.bodies(content)]
-    if not people:
-        return "openpose"
-    body = openpose.body_order(people, str(files[0].parent))
-    return {openpose.BODY_25: "openpose-body25", openpose.BODY_25B: "openpose-body25b"}[body]
-
-
-def _frames_of_folder(
+def _probed(
     files: Sequence[Path],
     format: str,
     threshold: float | None,
     image_size: tuple[int, int] | None,
     names: Mapping[str, str] | Sequence[str] | None,
     layout: str | None,
-) -> Iterator[DetectedFrame]:
-    for file in files:
-        yield from _frames_of_file(content_of(file, image_size, names, layout), format, threshold)
+) -> tuple[str, Unit | None]:
+    """The format of a folder's files, by name, and what their coordinates are counted in, from
+    `PROBES` of them, since one frame may show too little.
+
+    Raises `BadInput` where the files are not of one format.
+    """
+    probes = files[:: max(1, len(files) // PROBES)][:PROBES]
+    contents = [content_of(file, image_size, names, layout) for file in probes]
+    if format in ("auto", "openpose"):
+        format = _format_of_all(contents)
+    row = format_of(contents[0], format)
+    people: list[Detection] = []
+    for content in contents:
+        with suppress(BadInput):  # a file that is refused once it is reached
+            people += row.read(content, row.threshold if threshold is None else threshold)
+    seen = [person for person in people if person.seen.any()]
+    return format, unit_of(seen, centred=row.centred) if seen and row.unit is None else None
+
+
+def _format_of_all(contents: Sequence[Content]) -> str:
+    """The format of a few of a folder's files; OpenPose's with the order of its 25 points."""
+    found = {format_of(content).name: content.source for content in contents}
+    if len(found) > 1:
+        said = ", ".join(f"{source} is {name}" for name, source in found.items())
+        raise BadInput(
+            f"the files of this folder differ in format ({said}); keep one format in a folder."
+        )
+    people = (
+        [points for content in contents for points in openpose.bodies(content)]
+        if set(found) == {"openpose"} and contents[0].layout is None
+        else []
+    )
+    if not people:
+        return next(iter(found))
+    body = openpose.body_order(people, str(Path(contents[0].source).parent))
+    return {openpose.BODY_25: "openpose-body25", openpose.BODY_25B: "openpose-body25b"}[body]
 
 
 def _frames_of_file(
@@ -155,6 +162,7 @@ def _frames_of_file(
     nobody = True
     for image, group in groupby(people, key=lambda person: person.image_id):
         nobody = False
-        yield DetectedFrame(stem if image is None else image, list(group))
+        seen = [person for person in group if person.seen.any()]
+        yield DetectedFrame(stem if image is None else image, seen)
     if nobody:
         yield DetectedFrame(stem, [])

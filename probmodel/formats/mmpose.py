@@ -18,6 +18,7 @@ import numpy as np
 from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.formats.common import (
+    BY_COUNT,
     Content,
     chosen_layout,
     image_name,
@@ -50,9 +51,6 @@ DATASETS = {
     "aic": AIC_14,
 }
 """Layouts by the data set's name in `meta_info`; any other is read by the names of its points."""
-BY_COUNT = (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)
-"""Layouts of files without `meta_info`. 17 points are COCO's, which the models of 2D joints
-have."""
 
 
 def recognises(content: Content) -> bool:
@@ -119,7 +117,7 @@ def _points(
     xy = sequence(record.get("keypoints"), f"'keypoints' of {where}")
     scores = sequence(record.get("keypoint_scores"), f"'keypoint_scores' of {where}")
     layout = chosen_layout(
-        len(xy), BY_COUNT if layout is None else [layout], content, f"'keypoints' of {where}"
+        len(xy), content, f"'keypoints' of {where}", BY_COUNT if layout is None else [layout]
     )
     if len(scores) != len(xy):
         raise BadInput(

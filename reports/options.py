@@ -101,6 +101,15 @@ Composed = Annotated[
     ),
 ]
 
+RigNames = Annotated[
+    Path | None,
+    Option(
+        "--names",
+        help="JSON object of the names of joints or markers in motion capture (.bvh, .trc, .c3d)"
+        " → ours.",
+        show_default="those of most programs are known",
+    ),
+]
 Open = Annotated[bool, Option("--open", help="Open the page in a browser.")]
 Double = Annotated[
     bool,
@@ -225,10 +234,7 @@ class Detected:
     ] = None
     layout: Annotated[
         str | None,
-        Option(
-            help="Order of the joints, for arrays and lists that do not say it: coco_17, halpe_26,"
-            " …."
-        ),
+        Option(help="Order of the joints, where the file does not say it: coco_17, halpe_26, …."),
     ] = None
     correct: Annotated[
         bool,
@@ -278,18 +284,30 @@ class Detected:
         return None if self.photo is None else (self.photo.shape[1], self.photo.shape[0])
 
     def _names(self) -> dict[str, str] | list[str] | None:
-        from poseterior.probmodel import BadInput
-        from poseterior.probmodel.documents import read_json
+        return None if self.names is None else read_names(self.names)
 
-        if self.names is None:
-            return None
-        names = read_json(self.names, "map of names", "give a JSON object of names")
-        texts = [*names, *names.values()] if isinstance(names, dict) else names
-        if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
-            raise BadInput(
-                f"{self.names} must hold an object of names, or a list of them; write texts only"
-            )
-        return names
+
+def read_names(path: Path) -> dict[str, str] | list[str]:
+    """A map of names, or a list of them. Raises `BadInput` where the file holds neither."""
+    from poseterior.probmodel import BadInput
+    from poseterior.probmodel.documents import read_json
+
+    names = read_json(path, "map of names", "give a JSON object of names")
+    texts = [*names, *names.values()] if isinstance(names, dict) else names
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
+        raise BadInput(f"{path} must hold an object of names, or a list of them; write texts only")
+    return names
+
+
+def map_of_names(path: Path | None) -> dict[str, str] | None:
+    """A map of names, if there is a file of them. Raises `BadInput` where it holds something
+    else."""
+    from poseterior.probmodel import BadInput
+
+    names = None if path is None else read_names(path)
+    if isinstance(names, list):
+        raise BadInput(f"{path} must hold an object of a file's names of joints → ours, not a list")
+    return names
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,6 +30,7 @@ from poseterior.reports.options import (
     Person,
     PersonOrResult,
     Prior,
+    RigNames,
     Rooting,
     RootKind,
     Roots,
@@ -38,6 +39,7 @@ from poseterior.reports.options import (
     Upright,
     Viewing,
     Workforce,
+    map_of_names,
 )
 
 if TYPE_CHECKING:
@@ -291,6 +293,7 @@ class CheckSettings:
         ),
     ]
     limits: Limits = None
+    names: RigNames = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -495,6 +498,7 @@ class EvaluateSettings:
         ),
     ] = "none"
     detections: Annotated[str, Option(help="Human3.6M's 2D file, data_2d_h36m_NAME.npz.")] = "gt"
+    names: RigNames = None
     predictions: Annotated[
         list[Path] | None,
         Option(help="Poses of another method, a row of Table 1; may be given again."),
@@ -519,6 +523,7 @@ class EvaluateSettings:
             seed=self.sampling.seed,
             detections=self.detections,
             perspective=self.perspective,
+            names=map_of_names(self.names),
         )
 
     def check(self) -> None:
@@ -710,3 +715,4 @@ class LearnSettings:
         float,
         Option(help="Factor by which the usual margins around what was seen are widened."),
     ] = 1.0
+    names: RigNames = None

@@ -123,9 +123,7 @@ _ROWS = (
     ),
     Format("csv", "a table of named columns", named_table.recognises, named_table.read),
     Format("trc", "Sports2D TRC in pixels", planar_trc.recognises, planar_trc.read),
-    Format(
-        "openpose-opencv", "OpenPose YAML, JSON or XML of OpenCV", opencv.recognises, opencv.read
-    ),
+    Format("opencv", "OpenPose YAML, JSON or XML of OpenCV", opencv.recognises, opencv.read),
     Format(
         "ultralytics-text",
         "Ultralytics YOLO-pose text",

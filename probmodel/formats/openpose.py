@@ -30,7 +30,7 @@ from poseterior.probmodel.formats.common import (
     said_layout,
     sequence,
 )
-from poseterior.probmodel.layouts import BODY_25, BODY_25B, Layout
+from poseterior.probmodel.layouts import BODY_25, BODY_25B, Layout, is_nowhere
 
 LISTS = ("people", "bodies")
 """Where a frame's people stand."""
@@ -148,7 +148,8 @@ def _evidence(points: FloatArray) -> float:
 
 def _relative_lengths(points: FloatArray, layout: Layout) -> FloatArray:
     """Length in pixels over usual length, of every bone whose two ends are seen."""
-    index = {name: i for i, name in enumerate(layout.points) if points[i, 2] > 0}
+    seen = (points[:, 2] > 0) & ~is_nowhere(points[:, :2])
+    index = {name: i for i, name in enumerate(layout.points) if seen[i]}
     bones = [(index[a], index[b], cm) for a, b, cm in BONES_CM if a in index and b in index]
     return np.array([np.linalg.norm(points[a, :2] - points[b, :2]) / cm for a, b, cm in bones])
 

@@ -103,9 +103,7 @@ def read_data_set(
         motions = read_motion(path, names=names)
         return from_motions(motions, path.name, frames=frames, noise=noise, seed=seed)
     if names is not None:
-        raise BadInput(
-            f"{path} is no motion capture, whose joints alone have names; leave them out"
-        )
+        raise BadInput(f"{path} is no motion capture, whose joints have names; leave them out")
     if noise != EXACT:
         raise BadInput(
             f"{path} brings its own 2D joints, to which no noise is added; leave the noise out"

@@ -2,12 +2,12 @@
 
 Known are the names of the CMU conversions, of Mixamo, Rokoko, Xsens, Noitom, OptiTrack, Poser,
 Unity's humanoid, VRM, Unreal's mannequin, 3ds Max' Biped, Blender's Rigify, Bandai-Namco, SMPL, and
-those that `poseterior export` writes. A prefix that all share is stripped (`mixamorig:`, a
+those that `poseterior export` writes. A prefix that most share is stripped (`mixamorig:`, a
 subject's name). Each part of the body is looked for by itself, in the first naming of it that is
 there: a rig's LeftShoulder is the shoulder only where there is no LeftArm beyond it."""
 
-import itertools
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -46,6 +46,7 @@ _LIMBS = {
 }
 """Our joints of a limb, and what rigs call them."""
 _PREFIX = re.compile(r"(?:.*:|mixamorig\d*[:_]?|bip\d*[ _]|def-|.*\|)", re.IGNORECASE)
+_FIRST_WORD = re.compile(r"[^_ .-]+[_ .-]+")
 
 
 def joints_of_rig(
@@ -106,18 +107,19 @@ def _given(names: Sequence[str], path: Path, given: Mapping[str, str]) -> dict[s
 def _plain(names: Sequence[str]) -> dict[str, int]:
     """By name without prefix, in lower-case letters and digits, the first joint of that name."""
     stripped = [_PREFIX.sub("", name, count=1) for name in names]
-    shared = _shared_prefix(stripped)
+    while shared := _shared_prefix(stripped):
+        stripped = [name.removeprefix(shared) for name in stripped]
     plain: dict[str, int] = {}
     for index, name in enumerate(stripped):
-        plain.setdefault(re.sub(r"[^a-z0-9]", "", name[len(shared) :].lower()), index)
+        plain.setdefault(re.sub(r"[^a-z0-9]", "", name.lower()), index)
     return plain
 
 
 def _shared_prefix(names: Sequence[str]) -> str:
-    """What all names begin with, up to a mark that sets words apart."""
-    first, last = min(names), max(names)
-    same = itertools.takewhile(lambda pair: pair[0] == pair[1], zip(first, last, strict=False))
-    return re.sub(r"[^_ .-]*$", "", "".join(letter for letter, _ in same))
+    """What more than half of the names begin with, up to a mark that sets words apart."""
+    firsts = Counter(match[0] for name in names if (match := _FIRST_WORD.match(name)))
+    prefix, count = max(firsts.items(), key=lambda item: item[1], default=("", 0))
+    return prefix if 2 * count > len(names) else ""
 
 
 def _centres(plain: Mapping[str, int]) -> dict[str, int]:

@@ -70,9 +70,7 @@ def read_poses(path: Path, names: Mapping[str, str] | None = None) -> PosesToChe
     if not is_plain(path) and (path.is_dir() or suffix in READERS):
         return _from_motion(path, names)
     if names is not None:
-        raise BadInput(
-            f"{path} is no motion capture, whose joints alone have names; leave them out"
-        )
+        raise BadInput(f"{path} is no motion capture, whose joints have names; leave them out")
     if is_plain(path):
         return _from_data_set(path)
     readers = {".nc": _from_tree, ".json": _from_json, ".npy": _from_array}

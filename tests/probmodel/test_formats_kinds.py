@@ -105,6 +105,15 @@ def test_our_own_files_are_looked_at_unless_we_wrote_them(tmp_path: Path, name: 
     np.testing.assert_array_equal(again.keypoints, tiny.keypoints)
 
 
+def test_fractions_of_an_array() -> None:
+    rows = points(COCO_17)[None, :, :2]
+    (pixels,) = read(npy(rows), layout="coco_17")
+    with pytest.raises(BadInput, match="fractions of an image"):
+        read(npy(rows / SIZE), layout="coco_17")
+    (person,) = read(npy(rows / SIZE), layout="coco_17", image_size=SIZE)
+    np.testing.assert_allclose(person.keypoints, pixels.keypoints)
+
+
 def test_a_canvas_that_the_file_names_is_the_image() -> None:
     rows = points(COCO_18) / [*SIZE, 1]
     document = openpose(rows.ravel().tolist()) | {"canvas_width": 800, "canvas_height": 600}

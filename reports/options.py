@@ -101,6 +101,13 @@ Composed = Annotated[
     ),
 ]
 
+JointOrder = Annotated[
+    str | None,
+    Option(
+        "--layout",
+        help="Order of a detector's joints, where files do not say it: coco_17, halpe_26, ….",
+    ),
+]
 RigNames = Annotated[
     Path | None,
     Option(
@@ -232,10 +239,7 @@ class Detected:
             help="JSON object of a detector's own joint names → ours, or list in the file's order."
         ),
     ] = None
-    layout: Annotated[
-        str | None,
-        Option(help="Order of the joints, where the file does not say it: coco_17, halpe_26, …."),
-    ] = None
+    layout: JointOrder = None
     correct: Annotated[
         bool,
         Option(

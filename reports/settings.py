@@ -21,6 +21,7 @@ from poseterior.reports.options import (
     ExportFormat,
     Factor,
     Hypotheses,
+    JointOrder,
     KnownLenses,
     LearnedLaw,
     LengthUnit,
@@ -499,6 +500,7 @@ class EvaluateSettings:
     ] = "none"
     detections: Annotated[str, Option(help="Human3.6M's 2D file, data_2d_h36m_NAME.npz.")] = "gt"
     names: RigNames = None
+    layout: JointOrder = None
     predictions: Annotated[
         list[Path] | None,
         Option(help="Poses of another method, a row of Table 1; may be given again."),
@@ -524,6 +526,7 @@ class EvaluateSettings:
             detections=self.detections,
             perspective=self.perspective,
             names=map_of_names(self.names),
+            layout=self.layout,
         )
 
     def check(self) -> None:
@@ -658,6 +661,7 @@ class CalibrateSettings:
         ),
     ] = "none"
     detections: Annotated[str, Option(help="Human3.6M's 2D file, data_2d_h36m_NAME.npz.")] = "gt"
+    layout: JointOrder = None
     seed: Seed = 0
 
     @functools.cached_property
@@ -667,9 +671,15 @@ class CalibrateSettings:
         from poseterior.probmodel.sessions import is_session, read_session
 
         if is_session(self.dataset):
-            return read_session(self.dataset)
+            return read_session(self.dataset, layout=self.layout)
         noise = Noise.parse(self.noise)
-        return read_data_set(self.dataset, noise=noise, seed=self.seed, detections=self.detections)
+        return read_data_set(
+            self.dataset,
+            noise=noise,
+            seed=self.seed,
+            detections=self.detections,
+            layout=self.layout,
+        )
 
     def described(self) -> dict[str, str]:
         """What the law's file says of how it was learned."""

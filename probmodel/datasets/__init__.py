@@ -54,6 +54,7 @@ def read_data_set(
     detections: str = "gt",
     perspective: bool = False,
     names: Mapping[str, str] | None = None,
+    layout: str | None = None,
 ) -> DataSet:
     """The data set at a path, whatever its kind.
 
@@ -73,6 +74,8 @@ def read_data_set(
         Whether the lenses of calibrated cameras are known, and poses in their axes.
     names
         Motion capture's names of joints → ours, as `read_motion` takes them.
+    layout
+        The order of the joints in a session's detections, as `read_session` takes it.
 
     Returns
     -------
@@ -94,6 +97,8 @@ def read_data_set(
             f"perspective needs calibrated cameras, which {path} has not; leave it out, or give a"
             " folder in Pose2Sim's layout"
         )
+    if layout is not None and not is_session(path):
+        raise BadInput(f"{path} is no session of detections, which have a layout; leave it out")
     if not brings_detections(path):
         if path.is_dir() and not holds_motion(path):
             raise BadInput(
@@ -111,7 +116,7 @@ def read_data_set(
     if is_human36m(path):
         return read_human36m(path, detections, frames)
     if is_session(path):
-        data = from_session(read_session(path), perspective=perspective)
+        data = from_session(read_session(path, layout=layout), perspective=perspective)
     else:
         data = read_plain(path)
     return data if frames is None else data.spread(frames)

@@ -119,11 +119,22 @@ class Layout:
         person: int,
         image_id: str | None = None,
         image_size: tuple[int, int] | None = None,
+        track: str | None = None,
     ) -> Detection:
         """One person from `(count, 3)` rows of x, y, score."""
         keypoints, score = self.to_skeleton(points, threshold)
         face = self.face(points, threshold)
-        return Detection(keypoints, score, self.name, source, person, image_id, image_size, face)
+        return Detection(
+            keypoints,
+            score,
+            self.name,
+            source,
+            person,
+            image_id,
+            image_size,
+            face,
+            track=track,
+        )
 
 
 _RIGHT_ARM = ("right_shoulder", "right_elbow", "right_wrist")

@@ -5,7 +5,7 @@ import functools
 from collections.abc import Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
 
 from typer import Argument, Option
 
@@ -43,6 +43,7 @@ from poseterior.reports.options import (
 if TYPE_CHECKING:
     from poseterior.inference.benchmark import Submission
     from poseterior.probmodel.datasets import DataSet
+    from poseterior.probmodel.people import Cast
     from poseterior.probmodel.sessions import Session
 
 CONTESTANTS = "rejection,emcee,aies,random-walk"
@@ -141,6 +142,15 @@ class SampleSettings:
         return self.rooting.root if strata or self.rooting.root == RootKind.uncertain else None
 
 
+class _Film(NamedTuple):
+    """The names of all frames, the sizes of their people's images, and whether they are records of
+    a file that names none."""
+
+    names: list[str]
+    sizes: set[tuple[int, int] | None]
+    unnamed: bool
+
+
 @dataclass(frozen=True, kw_only=True)
 class FramesSettings:
     """Posterior draws and hypotheses of everyone in many frames, written as they come; goes on
@@ -149,6 +159,7 @@ class FramesSettings:
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "frames walk/ --out walk-posterior",
         "frames video.json --out result --num-samples 1000 --keep 100",
+        "frames street.json --person 1 --out one-of-them",
         "frames walk/ --out walk-uncertain --roots 400 --upright 20",
         "frames walk/ --focal 1650 --principal 960,540",
         "frames walk/ --root fixed --out walk-of-the-paper",
@@ -165,6 +176,14 @@ class FramesSettings:
         ),
     ] = Path("out")
     open: Open = False
+    person: Annotated[
+        int | None,
+        Option(
+            min=0,
+            help="Whose film: one person alone, counted from 0 as they are first seen.",
+            show_default="everyone",
+        ),
+    ] = None
     k: Hypotheses = 5
     composed: Composed = False
     keep: Annotated[
@@ -183,23 +202,43 @@ class FramesSettings:
         return self.rooting.root
 
     @functools.cached_property
-    def people(self) -> int:
-        """How many people there are in all frames: what cannot be read is better found now than
-        after hours."""
-        return sum(len(frame.people) for frame in self.detected.frames(self.path))
+    def _film(self) -> "_Film":
+        """All frames, looked through: what cannot be read is better found now than after hours."""
+        names, sizes, unnamed = [], set(), False
+        for frame in self.detected.frames(self.path):
+            names.append(frame.name)
+            sizes |= {person.image_size for person in frame.people}
+            unnamed |= any(person.image_id is None for person in frame.people)
+        return _Film(names, sizes, unnamed and not self.path.is_dir())
 
     @property
     def size(self) -> tuple[int, int] | None:
         """Width and height of the images, where anything says them and they are all the same."""
-        frames = self.detected.frames(self.path)
-        sizes = {person.image_size for frame in frames for person in frame.people}
-        return self.detected.size or (sizes.pop() if len(sizes) == 1 else None)
+        sizes = self._film.sizes
+        return self.detected.size or (next(iter(sizes)) if len(sizes) == 1 else None)
+
+    def doubts(self, cast: "Cast") -> list[str]:
+        """What is not certain of who is who, and of which frame is when."""
+        from poseterior.probmodel.formats.frames import frame_numbers
+
+        names, said = self._film.names, list(cast.doubts)
+        if self._film.unnamed and len(names) > 1:
+            said.append(
+                f"the records of {self.path} name no frames; each lies where the one before does,"
+                f" and they are read as {len(names)} frames of one person"
+            )
+        if len(names) > 1 and frame_numbers(names) is None:
+            said.append(
+                f"the names of the frames ({names[0]}, {names[1]}, …) do not count them: they are"
+                " taken in this order, without gaps"
+            )
+        return said
 
     def check(self) -> None:
         """Reads all frames. Raises `BadInput` on a bad one, or where there is nobody."""
         from poseterior.probmodel import BadInput
 
-        if not self.people:
+        if not self._film.sizes:
             raise BadInput(
                 f"{self.path} has no person in it; choose one in which the detector found some"
             )

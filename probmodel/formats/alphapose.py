@@ -12,7 +12,7 @@ from typing import Any
 
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput, shown
-from poseterior.probmodel.formats.common import Content, mapping, scored_points, sequence
+from poseterior.probmodel.formats.common import Content, mapping, scored_points, sequence, track_of
 from poseterior.probmodel.layouts import COCO_18
 
 KEYS = {"people": "pose_keypoints_2d", "bodies": "joints"}
@@ -41,7 +41,8 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
                     f" {3 * COCO_18.count}; have AlphaPose write its default form."
                 )
             points = scored_points(flat, COCO_18.points, person)
-            yield COCO_18.detection(points, threshold, content.source, number, image)
+            track = track_of(record)
+            yield COCO_18.detection(points, threshold, content.source, number, image, track=track)
             number += 1
 
 

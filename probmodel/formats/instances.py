@@ -25,6 +25,7 @@ from poseterior.probmodel.formats.common import (
     said_layout,
     scored_point,
     sequence,
+    track_of,
 )
 from poseterior.probmodel.layouts import (
     COCO_17,
@@ -54,13 +55,13 @@ def recognises(content: Content) -> bool:
 
 def read(content: Content, threshold: float) -> Iterator[Detection]:
     """Every person of every image, in the order of the file."""
-    for person, (image, where, rows, scores, labels) in enumerate(_people(content)):
+    for person, (image, where, rows, scores, labels, track) in enumerate(_people(content)):
         points, layout = _points(rows, scores, labels, content, where)
-        yield layout.detection(points, threshold, content.source, person, image)
+        yield layout.detection(points, threshold, content.source, person, image, track=track)
 
 
-Person = tuple[str | None, str, Any, Any, Any]
-"""Image, the person in words, points, scores and labels."""
+Person = tuple[str | None, str, Any, Any, Any, str | None]
+"""Image, the person in words, points, scores, labels and track."""
 
 
 def _people(content: Content) -> Iterator[Person]:
@@ -89,12 +90,13 @@ def _columns(document: dict[str, Any], source: str) -> Iterator[Person]:
         )
     each = [None] * len(people) if scores is None else scores
     for index, (rows, row) in enumerate(zip(people, each, strict=True)):
-        yield None, f"person {index} of {source}", rows, row, None
+        yield None, f"person {index} of {source}", rows, row, None, None
 
 
 def _record(value: object, image: str | None, where: str) -> Person:
     record = mapping(value, where)
-    return image, where, record.get("keypoints"), record.get("scores"), record.get("labels")
+    points, scores, labels = (record.get(key) for key in ("keypoints", "scores", "labels"))
+    return image, where, points, scores, labels, track_of(record)
 
 
 def _points(

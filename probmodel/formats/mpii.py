@@ -15,6 +15,7 @@ from poseterior.probmodel.formats.common import (
     number,
     scored_point,
     sequence,
+    track_of,
 )
 from poseterior.probmodel.layouts import MPII_16
 
@@ -45,7 +46,9 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
             ]
         )
         image = image_name(record.get("image"), f"'image' of {where}")
-        yield MPII_16.detection(points, threshold, content.source, person, image)
+        yield MPII_16.detection(
+            points, threshold, content.source, person, image, track=track_of(record)
+        )
 
 
 def _point(xy: object, visible: object, where: str) -> np.ndarray:

@@ -25,6 +25,7 @@ from poseterior.probmodel.formats.common import (
     pixels,
     scored_point,
     sequence,
+    track_of,
 )
 
 _PARTS = {
@@ -78,7 +79,8 @@ def read_listed(content: Content, threshold: float) -> Iterator[Detection]:
         names = [point.get("name") for point in points]
         if not all(isinstance(name, str) for name in names):
             raise BadInput(f"a point of {where} has no name; keep the names of all points.")
-        yield _detection([str(name) for name in names], points, content, threshold, person)
+        found = _detection([str(name) for name in names], points, content, threshold, person)
+        yield replace(found, track=track_of(value))
 
 
 def read_vision(content: Content, threshold: float) -> Iterator[Detection]:

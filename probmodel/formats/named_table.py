@@ -6,14 +6,21 @@ people write them (`layouts.spoken_name`); others need a map of names. Coordinat
 cell that is empty, or "nan", is a missing point; a point without a column for its score has one."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
 
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput, shown
-from poseterior.probmodel.formats.common import Content, named_layout, scored_points, table_rows
+from poseterior.probmodel.formats.common import (
+    TRACKS,
+    Content,
+    named_layout,
+    scored_points,
+    table_rows,
+    track_of,
+)
 from poseterior.probmodel.layouts import spoken_name
 from poseterior.probmodel.skeleton import JOINTS
 
@@ -23,8 +30,10 @@ LONGEST_HEADER = 100_000
 """Bytes of a first line that are looked at to recognise it."""
 _SCORES = ("score", "confidence", "conf", "likelihood", "visibility", "p")
 _COLUMN = re.compile(rf"(?P<name>.+?)[ _.](?P<part>x|y|{'|'.join(_SCORES)})", re.IGNORECASE)
-_FRAMES = ("frame", "image", "image_id", "file", "")
+_FRAMES = ("frame", "frame_id", "frame_number", "image", "image_id", "file", "")
 """Columns that name the rows, as people call them; an index of pandas has no name."""
+_PEOPLE = (*TRACKS, "person", "individual", "id")
+"""Columns that say whose row it is."""
 Columns = dict[str, dict[str, int]]
 
 
@@ -53,7 +62,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
             " header."
         )
     layout = named_layout(list(columns), content)
-    frame = next((at for at, cell in enumerate(header) if cell.strip().lower() in _FRAMES), None)
+    frame, who = (_column(header, known) for known in (_FRAMES, _PEOPLE))
     for person, row in enumerate(rows):
         where = f"row {person + 2} of {content.source}"
         if len(row) != len(header):
@@ -62,9 +71,15 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
                 " complete."
             )
         flat = [value for places in columns.values() for value in _point(row, places, where)]
-        name = None if frame is None else row[frame] or None
+        name = str(person) if frame is None else row[frame].strip() or None
+        track = None if who is None else track_of({"track": row[who]})
         points = scored_points(flat, layout.points, where)
-        yield layout.detection(points, threshold, content.source, person, name)
+        yield layout.detection(points, threshold, content.source, person, name, track=track)
+
+
+def _column(header: list[str], known: Sequence[str]) -> int | None:
+    """The place of the first column of a known name."""
+    return next((at for at, cell in enumerate(header) if cell.strip().lower() in known), None)
 
 
 def _columns(header: list[str]) -> Columns:

@@ -2,7 +2,7 @@
 
     {"format": "poseterior-detections", "version": 1,
      "people": [{"keypoints": {"right_knee": [x, y, score], …}, "image_id": "785",
-                 "image_size": [640, 425], "face": {"nose": [x, y, score], …}}]}
+                 "image_size": [640, 425], "face": {"nose": [x, y, score], …}, "track": "1"}]}
 
 A joint that is not there was not seen; without a "face", the detector has no points of it. Other
 keys (a `truth`, say) are left alone."""
@@ -23,6 +23,7 @@ from poseterior.probmodel.formats.common import (
     scored_point,
     sequence,
     skeleton_arrays,
+    track_of,
 )
 from poseterior.probmodel.skeleton import JOINTS
 
@@ -70,6 +71,7 @@ def _record(detection: Detection) -> dict[str, Any]:
         "keypoints": _rows_by_name(JOINTS, detection.keypoints, detection.score),
         **({} if detection.image_id is None else {"image_id": detection.image_id}),
         **({} if size is None else {"image_size": list(size)}),
+        **({} if detection.track is None else {"track": detection.track}),
         **({} if face is None else {"face": _rows_by_name(FACE, face[:, :2], face[:, 2])}),
     }
 
@@ -90,7 +92,17 @@ def _person(value: object, person: int, source: str, threshold: float) -> Detect
     )
     image = image_name(record.get("image_id"), f"'image_id' of {where}")
     size, face = _size(record.get("image_size"), where), _face(record.get("face"), where, threshold)
-    return Detection(keypoints, score, LAYOUT, source, person, image, size, face)
+    return Detection(
+        keypoints,
+        score,
+        LAYOUT,
+        source,
+        person,
+        image,
+        size,
+        face,
+        track=track_of(record),
+    )
 
 
 def _face(value: object, where: str, threshold: float) -> FloatArray | None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.formats.common import Content, mapping, scored_points, sequence
+from poseterior.probmodel.formats.common import Content, mapping, scored_points, sequence, track_of
 from poseterior.probmodel.layouts import BODY_25, BODY_25B, COCO_18, Layout
 
 KEYS = ("pose_keypoints_2d", "pose_keypoints")
@@ -166,7 +166,10 @@ def _points(flat: list[Any], layout: Layout, where: str) -> FloatArray:
 
 
 def _detections(content: Content, layouts: list[Layout], threshold: float) -> Iterator[Detection]:
-    for person, ((where, flat), layout) in enumerate(
-        zip(_flat_lists(content), layouts, strict=True)
+    records = sequence(mapping(content.json, content.source).get("people"), content.source)
+    lists = _flat_lists(content)
+    for person, (record, (where, flat), layout) in enumerate(
+        zip(records, lists, layouts, strict=True)
     ):
-        yield layout.detection(_points(flat, layout, where), threshold, content.source, person)
+        points = _points(flat, layout, where)
+        yield layout.detection(points, threshold, content.source, person, track=track_of(record))

@@ -20,6 +20,7 @@ from poseterior.reports.options import (
     Estimation,
     ExportFormat,
     Factor,
+    FilmPose,
     Hypotheses,
     KnownLenses,
     LearnedLaw,
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from poseterior.probmodel.datasets import DataSet
     from poseterior.probmodel.people import Cast
     from poseterior.probmodel.sessions import Session
+    from poseterior.reports.exports.smoothing import Smoother
 
 CONTESTANTS = "rejection,emcee,aies,random-walk"
 """Of `compare`, where nobody says whom."""
@@ -338,7 +340,9 @@ class ExportSettings:
     a stream.
 
     All have x to the right of the image, y up and z towards the camera, with the pelvis at the
-    origin. Standard deviations of the draws are columns in CSV, markers JOINT_sd in TRC, residuals
+    origin, or, of a stream with a known focal length, the camera. Of a stream it takes the mean of
+    each frame's draws, made a body with bones of one length. Frames that are not there are gaps.
+    Standard deviations of the draws are columns in CSV, markers JOINT_sd in TRC, residuals
     in C3D (root mean square distance); hypotheses.json alone knows none. C3D and glTF need
     poseterior's extra `export`."""
 
@@ -346,6 +350,7 @@ class ExportSettings:
         "export result/hypotheses.json --to bvh",
         "export result/posterior.nc --to c3d --draws 100 --height 1.82",
         "export walk-posterior --to trc --person 0 --rate 25 --out walk.trc",
+        "export walk-posterior --to bvh --rate 25 --smooth butterworth:6",
         "export result --to gltf --out ghosts.glb",
     )
     result: Annotated[
@@ -377,7 +382,38 @@ class ExportSettings:
         None
     )
     person: Annotated[int | None, Option(help="Whose film, in a stream of several people.")] = None
-    rate: Annotated[float, Option(help="Poses a second.")] = 30.0
+    what: Annotated[
+        FilmPose | None,
+        Option(
+            help="Of each frame of a stream: the mean of the draws, made a body again, or the"
+            " heaviest hypothesis.",
+            show_default="mean",
+        ),
+    ] = None
+    smooth: Annotated[
+        str | None,
+        Option(
+            metavar="FILTER",
+            help="Of a stream (with --rate): butterworth:6 (Hz, no lag), savgol:15 (frames) or"
+            " one-euro:1 (Hz, looks back only).",
+            show_default="no filter",
+        ),
+    ] = None
+    rate: Annotated[
+        float | None,
+        Option(help="Frames a second of the film.", show_default="30, which is then said"),
+    ] = None
+
+    def check(self) -> None:
+        """Raises `BadInput` on a filter that is none."""
+        self.smoother  # noqa: B018
+
+    @functools.cached_property
+    def smoother(self) -> "Smoother | None":
+        """The filter. Raises `BadInput` where there is none of that name."""
+        from poseterior.reports.exports.smoothing import smoother_of
+
+        return None if self.smooth is None else smoother_of(self.smooth)
 
 
 @dataclass(frozen=True, kw_only=True)

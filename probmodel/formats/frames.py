@@ -31,6 +31,8 @@ MOST_NUMBERED = 1_000_000
 images or clocks."""
 OF_ONE_IMAGE = ("openpose", "ultralytics-text")
 """How the formats begin that write a file an image, and so the people of one."""
+LARGEST_FRAME = 10**30
+"""Times in nanoseconds have nineteen digits."""
 FEWEST_RECORDS, NEAR = 3, 0.3
 """Records of a file that names no frames are frames, and not people of one, where there are so many
 and each lies within this, in sizes of a body, of where the one before does."""
@@ -153,7 +155,7 @@ def frame_numbers(names: Sequence[str]) -> list[int] | None:
         by_all = sorted(range(len(names)), key=lambda one: parts[one][1])
         if by_all != sorted(range(len(names)), key=lambda one: found[one]):
             return None
-    if found is None or len(set(found)) < len(found):
+    if found is None or len(set(found)) < len(found) or max(found) > LARGEST_FRAME:
         return None
     step = math.gcd(*(number - found[0] for number in found)) or 1
     return found if (max(found) - min(found)) // step < MOST_NUMBERED else None

@@ -196,12 +196,11 @@ class _Followed:
         self._doubt(frame, found)
         for place, seen in enumerate(frame.people):
             number = found.setdefault(place, len(self.known))
-            track = seen.track
-            if number < len(self.known):
-                track = track or self.known[number].track
+            if number == len(self.known):
+                self.known.append(_Known(seen.keypoints, seen.track, self._count))
+            elif np.isfinite(seen.keypoints).any():
+                track = seen.track or self.known[number].track
                 self.known[number] = _Known(seen.keypoints, track, self._count)
-            else:
-                self.known.append(_Known(seen.keypoints, track, self._count))
         self._count += 1
         return [found[place] for place in range(len(frame.people))]
 
@@ -240,7 +239,8 @@ class _Followed:
                 _note(self.exchanged, frame.name)
             if not (tracked[a] and tracked[b]) and 2 * kept >= exchanged:
                 _note(self.near, frame.name)
-        if (np.diag(away) > FARTHEST).any():
+        leaps = np.diag(away)
+        if ((leaps > FARTHEST) & np.isfinite(leaps)).any():
             _note(self.far, frame.name)
 
 

@@ -120,6 +120,7 @@ class Layout:
         person: int,
         image_id: str | None = None,
         image_size: tuple[int, int] | None = None,
+        track: str | None = None,
     ) -> Detection:
         """One person from `(count, 3)` rows of x, y, score; points at one of `NOWHERE` are
         missing, whatever their score."""
@@ -135,6 +136,7 @@ class Layout:
             image_size,
             self.face(points, threshold),
             midpoints=self.midpoints,
+            track=track,
         )
 
 

@@ -8,8 +8,9 @@ import enum
 import functools
 import math
 import os
+import re
 import sys
-from collections.abc import Iterator, Set
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -150,6 +151,13 @@ class ExportFormat(enum.StrEnum):
     gltf = "gltf"
     csv = "csv"
     npz = "npz"
+
+
+class FilmPose(enum.StrEnum):
+    """What of each frame a film is made of."""
+
+    mean = "mean"
+    hypothesis = "hypothesis"
 
 
 class LengthUnit(enum.StrEnum):
@@ -662,6 +670,33 @@ def check(settings: object) -> None:
     for one in (*vars(settings).values(), settings):
         if hasattr(one, "check"):
             one.check()
+
+
+OUTPUTS = ("out", "poses")
+"""Options that name what is written; of `learn`, poses are too."""
+_OF_A_RESULT = re.compile(r"(hypotheses|run)\.json|.*\.nc")
+"""Files in a folder of results that are read."""
+
+
+def require_other_files(values: Mapping[str, Any]) -> None:
+    """Raises `BadInput` where what is to be written is something that is read, or, where that is a
+    folder of results, a part of it."""
+    from poseterior.probmodel import BadInput
+
+    outputs = {name: values.get(name) for name in OUTPUTS}
+    given = [one for name, one in values.items() if name not in OUTPUTS]
+    flat = [one for each in given for one in (each if isinstance(each, list) else [each])]
+    read = [Path(one) for one in flat if isinstance(one, str | Path)]
+    for name, out in outputs.items():
+        if not isinstance(out, Path) or not out.exists():
+            continue
+        for path in read:
+            inside = path.is_dir() and out.parent.samefile(path)
+            part = inside and _OF_A_RESULT.fullmatch(out.name)
+            if path.exists() and (part or out.samefile(path)):
+                raise BadInput(
+                    f"--{name} {out} would replace what is read from {path}; choose another name"
+                )
 
 
 def require_meaning(settings: object, given: Set[str]) -> None:

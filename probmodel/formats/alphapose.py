@@ -13,7 +13,7 @@ from typing import Any
 
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput, shown
-from poseterior.probmodel.formats.common import Content, flat_points, mapping, sequence
+from poseterior.probmodel.formats.common import Content, flat_points, mapping, sequence, track_of
 
 KEYS = {"people": "pose_keypoints_2d", "bodies": "joints"}
 """Where an image's people stand, and where a person's points."""
@@ -35,9 +35,10 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
         people, key = _people(value, f"image {shown(image)} of {content.source}")
         for record in people:
             person = f"person {number} of {content.source}"
-            flat = mapping(record, person).get(key)
-            points, layout = flat_points(flat, key, person, content)
-            yield layout.detection(points, threshold, content.source, number, image)
+            fields = mapping(record, person)
+            points, layout = flat_points(fields.get(key), key, person, content)
+            track = track_of(fields)
+            yield layout.detection(points, threshold, content.source, number, image, track=track)
             number += 1
 
 

@@ -22,6 +22,7 @@ from poseterior.probmodel.formats.common import (
     mapping,
     named_layout,
     sequence,
+    track_of,
 )
 from poseterior.probmodel.layouts import COCO_17, Layout
 
@@ -64,7 +65,15 @@ def read_annotations(content: Content, threshold: float) -> Iterator[Detection]:
         points[:, 2] = _scores_of_visibility(points[:, 2], layout, where)
         if points[:, 2].any():
             image = image_name(record.get("image_id"), f"image_id of {where}")
-            yield layout.detection(points, threshold, source, people, image, sizes.get(image))
+            yield layout.detection(
+                points,
+                threshold,
+                source,
+                people,
+                image,
+                sizes.get(image),
+                track=track_of(record),
+            )
             people += 1
     if annotations and not people:
         raise BadInput(
@@ -79,7 +88,9 @@ def read_results(content: Content, threshold: float) -> Iterator[Detection]:
         _check_category(record, {PERSON}, where)
         image = image_name(record.get("image_id"), f"image_id of {where}")
         points, layout = _points(record, content, where)
-        yield layout.detection(points, threshold, content.source, person, image)
+        yield layout.detection(
+            points, threshold, content.source, person, image, track=track_of(record)
+        )
 
 
 def _records(values: Iterable[Any], kind: str, source: str) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from poseterior.probmodel.arrays import ArrayFile
-from poseterior.probmodel.detections import FACE, LARGEST_NUMBER, Detection, FloatArray
+from poseterior.probmodel.detections import FACE, LARGEST_NUMBER, Detection, FloatArray, is_label
 from poseterior.probmodel.documents import decoded, json_failures, parsed, require_modest
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.formats.units import Unit
@@ -36,6 +36,8 @@ from poseterior.probmodel.layouts import (
 )
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 
+LARGEST_LABEL = 10**100
+"""Beyond every number of an image or a person: times in nanoseconds have nineteen digits."""
 _SPACE = re.compile(r"[ \t\n\r]*")
 
 
@@ -284,9 +286,36 @@ def image_name(value: object, where: str) -> str | None:
     """An image's id as text; files number their images or name them."""
     if value is None or isinstance(value, str):
         return value
-    if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 10**18:
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) < LARGEST_LABEL:
         return str(value)
     raise BadInput(f"{where} is {shown(value)} where a whole number or a name is needed.")
+
+
+TRACKS = ("track", "track_id", "person_id", "personID", "instance_id", "idx", "pid")
+"""What detectors and trackers call the number by which they follow a person through a film."""
+
+
+def track_of(record: Mapping[str, Any]) -> str | None:
+    """Whom a record says that it is of; None where it says nothing, or that nobody was followed
+    (numbers below zero)."""
+    return next(filter(None, (_track(record.get(key)) for key in TRACKS)), None)
+
+
+def _track(value: object) -> str | None:
+    """A number, also as a text, a float or in a list of its own, as AlphaPose and OpenPose write
+    it; or a name."""
+    while isinstance(value, list) and len(value) == 1:
+        (value,) = value
+    if isinstance(value, str):
+        text = value.strip()
+        with suppress(ValueError):
+            return _track(int(text) if text.isdecimal() else float(text))
+        return text if text and is_label(text) else None
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    if isinstance(value, float) and not value.is_integer():
+        return None
+    return str(int(value)) if 0 <= value < LARGEST_LABEL else None
 
 
 def image_side(value: object, where: str) -> int:

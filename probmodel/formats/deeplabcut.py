@@ -245,5 +245,7 @@ def _people(table: Table, content: Content, threshold: float) -> Iterator[Detect
                     f"a likelihood in frame {shown(frame)} of {content.source} is negative; give 0"
                     " or more."
                 )
-            yield layouts[name].detection(points, threshold, content.source, person, frame)
+            yield layouts[name].detection(
+                points, threshold, content.source, person, frame, track=name or None
+            )
             person += 1

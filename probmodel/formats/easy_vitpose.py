@@ -34,7 +34,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
     document = mapping(content.json, source)
     person, names = 0, document.get("skeleton")
     for frame, people in enumerate(sequence(document.get("keypoints"), f"'keypoints' of {source}")):
-        for rows in mapping(people, f"frame {frame} of {source}").values():
+        for track, rows in mapping(people, f"frame {frame} of {source}").items():
             where = f"person {person} of {source}"
             points = np.array(
                 [
@@ -43,7 +43,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
                 ]
             ).reshape(-1, 3)
             layout = _layout(names, len(points), content)
-            yield layout.detection(points, threshold, source, person, str(frame))
+            yield layout.detection(points, threshold, source, person, str(frame), track=track)
             person += 1
 
 

@@ -30,6 +30,7 @@ from poseterior.probmodel.formats.common import (
     said_layout,
     scored_point,
     sequence,
+    track_of,
 )
 from poseterior.probmodel.layouts import BODY_25, COCO_17, Layout
 
@@ -56,18 +57,21 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
     """Every person of every image, in the order of the file."""
     for person, one in enumerate(_people(content)):
         points, layout = _points(one, content)
-        yield layout.detection(points, threshold, content.source, person, one.image, one.size)
+        yield layout.detection(
+            points, threshold, content.source, person, one.image, one.size, track=one.track
+        )
 
 
 class Person(NamedTuple):
-    """Image, the person in words, points, scores and labels, unchecked; and what the file says of
-    the image's size, and which layouts it may have."""
+    """Image, the person in words, points, scores, labels and track, unchecked; and what the file
+    says of the image's size, and which layouts it may have."""
 
     image: str | None
     where: str
     rows: Any
     scores: Any
     labels: Any = None
+    track: str | None = None
     size: tuple[int, int] | None = None
     known: tuple[Layout, ...] = BY_COUNT
 
@@ -138,7 +142,7 @@ def _record(value: object, image: str | None, where: str) -> Person:
     record = mapping(value, where)
     image = image if image is not None else _image(record, where)
     rows, scores, labels = (record.get(key) for key in ("keypoints", "scores", "labels"))
-    return Person(image, where, rows, scores, labels)
+    return Person(image, where, rows, scores, labels, track_of(record))
 
 
 def _points(person: Person, content: Content) -> tuple[FloatArray, Layout]:

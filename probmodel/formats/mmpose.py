@@ -26,6 +26,7 @@ from poseterior.probmodel.formats.common import (
     number,
     scored_point,
     sequence,
+    track_of,
 )
 from poseterior.probmodel.layouts import (
     AIC_14,
@@ -74,8 +75,10 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
         )
     for person, (frame, instance) in enumerate(_instances(records, content.source)):
         where = f"person {person} of {content.source}"
-        points, fitting = _points(mapping(instance, where), layout, content, where)
-        yield fitting.detection(points, threshold, content.source, person, frame)
+        record = mapping(instance, where)
+        points, fitting = _points(record, layout, content, where)
+        track = track_of(record)
+        yield fitting.detection(points, threshold, content.source, person, frame, track=track)
 
 
 def _instances(records: Iterator[Any], source: str) -> Iterator[tuple[str | None, Any]]:

@@ -16,6 +16,7 @@ from poseterior.probmodel.formats.common import (
     number,
     scored_point,
     sequence,
+    track_of,
 )
 from poseterior.probmodel.layouts import MPII_16
 
@@ -47,7 +48,9 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
             ]
         )
         image = image_name(record.get("image"), f"'image' of {where}")
-        yield layout.detection(points, threshold, content.source, person, image)
+        yield layout.detection(
+            points, threshold, content.source, person, image, track=track_of(record)
+        )
 
 
 def _point(xy: object, visible: object, where: str) -> np.ndarray:

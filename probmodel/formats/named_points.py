@@ -27,6 +27,7 @@ from poseterior.probmodel.formats.common import (
     named_layout,
     scored_point,
     sequence,
+    track_of,
 )
 from poseterior.probmodel.layouts import is_nowhere, spoken_name
 from poseterior.probmodel.skeleton import JOINTS
@@ -63,10 +64,11 @@ _CAMEL = {
 
 
 class Pose(NamedTuple):
-    """A person's points, unchecked, and the image, if the file says it."""
+    """A person's points, unchecked, and image and track, if the file says them."""
 
     points: Any
     image: str | None
+    track: str | None = None
 
 
 def recognises_listed(content: Content) -> bool:
@@ -101,7 +103,7 @@ def _poses(value: object, image: str | None, depth: int = 0) -> Iterator[Pose]:
         key = next((key for key in _LISTS if key in value), None)
         inner = next((key for key in _PEOPLE if isinstance(value.get(key), list | dict)), None)
         if key is not None or inner is None:
-            yield Pose(None if key is None else value[key], image)
+            yield Pose(None if key is None else value[key], image, track_of(value))
         elif depth < 4:
             yield from _poses(value[inner], image, depth + 1)
     elif isinstance(value, list | Iterator) and depth < 4:
@@ -217,9 +219,9 @@ def _detection(
     if upwards:
         found = ~is_nowhere(rows[:, :2])
         rows[found, 1] = 1 - rows[found, 1]
-    image = None if pose is None else pose.image
+    image, track = (None, None) if pose is None else (pose.image, pose.track)
     layout = named_layout(names, content)
-    return layout.detection(rows, threshold, content.source, person, image)
+    return layout.detection(rows, threshold, content.source, person, image, track=track)
 
 
 def _row(point: dict[str, Any], where: str) -> FloatArray:

@@ -8,19 +8,21 @@ column for its score has one. A NAME_z beside a score is a depth, and not used; 
 table is of positions in space."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.common import (
+    TRACKS,
     Content,
     named_layout,
     scored_points,
     table_header,
     table_number,
     table_rows,
+    track_of,
 )
 from poseterior.probmodel.layouts import spoken_name
 from poseterior.probmodel.skeleton import JOINTS
@@ -29,8 +31,10 @@ FEWEST = 3
 """Joints that a header must name to be recognised; a camera needs as many."""
 _SCORES = ("score", "confidence", "conf", "likelihood", "visibility", "p")
 _COLUMN = re.compile(rf"(?P<name>.+?)[ _.](?P<part>x|y|z|{'|'.join(_SCORES)})", re.IGNORECASE)
-_FRAMES = ("frame", "image", "image_id", "file", "")
+_FRAMES = ("frame", "frame_id", "frame_number", "image", "image_id", "file", "")
 """Columns that name the rows, as people call them; an index of pandas has no name."""
+_PEOPLE = (*TRACKS, "person", "individual", "id")
+"""Columns that say whose row it is."""
 Columns = dict[str, dict[str, int]]
 
 
@@ -61,7 +65,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
             " which are for check, learn and evaluate; leave z out where x and y are of an image."
         )
     layout = named_layout(list(columns), content)
-    frame = next((at for at, cell in enumerate(header) if cell.strip().lower() in _FRAMES), None)
+    frame, who = (_column(header, known) for known in (_FRAMES, _PEOPLE))
     for person, row in enumerate(rows):
         where = f"row {person + 2} of {content.source}"
         if len(row) != len(header):
@@ -70,9 +74,15 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
                 " complete."
             )
         flat = [value for places in columns.values() for value in _point(row, places, where)]
-        name = None if frame is None else row[frame] or None
+        name = str(person) if frame is None else row[frame].strip() or None
+        track = None if who is None else track_of({"track": row[who]})
         points = scored_points(flat, layout.points, where)
-        yield layout.detection(points, threshold, content.source, person, name)
+        yield layout.detection(points, threshold, content.source, person, name, track=track)
+
+
+def _column(header: list[str], known: Sequence[str]) -> int | None:
+    """The place of the first column of a known name."""
+    return next((at for at, cell in enumerate(header) if cell.strip().lower() in known), None)
 
 
 def _columns(header: list[str]) -> Columns:

@@ -2,7 +2,7 @@
 
     {"format": "poseterior-detections", "version": 1,
      "people": [{"keypoints": {"right_knee": [x, y, score], …}, "image_id": "785",
-                 "image_size": [640, 425], "face": {"nose": [x, y, score], …}}]}
+                 "image_size": [640, 425], "face": {"nose": [x, y, score], …}, "track": "1"}]}
 
 A joint that is not there was not seen; without a "face", the detector has no points of it.
 "midpoints" says which of thorax and pelvis are those of shoulders and hips. Where there is no
@@ -25,6 +25,7 @@ from poseterior.probmodel.formats.common import (
     scored_point,
     sequence,
     skeleton_arrays,
+    track_of,
 )
 from poseterior.probmodel.formats.units import Unit, in_pixels
 from poseterior.probmodel.layouts import MIDPOINTS, midpoints_of
@@ -81,6 +82,7 @@ def _record(detection: Detection) -> dict[str, Any]:
         "keypoints": _rows_by_name(JOINTS, detection.keypoints, detection.score),
         **({} if detection.image_id is None else {"image_id": detection.image_id}),
         **({} if size is None else {"image_size": list(size)}),
+        **({} if detection.track is None else {"track": detection.track}),
         **({"midpoints": list(midpoints)} if midpoints else {}),
         **({} if face is None else {"face": _rows_by_name(FACE, face[:, :2], face[:, 2])}),
     }
@@ -104,7 +106,16 @@ def _person(value: object, person: int, source: str, threshold: float) -> Detect
     size, face = _size(record.get("image_size"), where), _face(record.get("face"), where, threshold)
     midpoints = _midpoints(record.get("midpoints", []), where)
     return Detection(
-        keypoints, score, LAYOUT, source, person, image, size, face, midpoints=midpoints
+        keypoints,
+        score,
+        LAYOUT,
+        source,
+        person,
+        image,
+        size,
+        face,
+        midpoints=midpoints,
+        track=track_of(record),
     )
 
 

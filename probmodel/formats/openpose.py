@@ -29,6 +29,7 @@ from poseterior.probmodel.formats.common import (
     mapping,
     said_layout,
     sequence,
+    track_of,
 )
 from poseterior.probmodel.layouts import BODY_25, BODY_25B, Layout, is_nowhere
 
@@ -78,14 +79,15 @@ The people of real files have 1.3 and more. """
 
 
 class Body(NamedTuple):
-    """A person's numbers, unchecked; their key; words that name the person; image and its size, if
-    known."""
+    """A person's numbers, unchecked; their key; words that name the person; image, its size, and
+    the person's track, if known."""
 
     flat: list[Any]
     key: str
     where: str
     image: str | None
     size: tuple[int, int] | None
+    track: str | None
 
 
 def recognises(content: Content) -> bool:
@@ -163,8 +165,10 @@ def _bodies(content: Content) -> Iterator[Body]:
         people = next((key for key in LISTS if key in document), LISTS[0])
         for record in sequence(document.get(people), f"'{people}' of {source}"):
             where = f"person {person} of {source}"
-            flat, key = _flat_list(mapping(record, where), where)
-            yield Body(flat, key, where, str(frame) if listed else None, _canvas(document, source))
+            fields = mapping(record, where)
+            flat, key = _flat_list(fields, where)
+            image, size = str(frame) if listed else None, _canvas(document, source)
+            yield Body(flat, key, where, image, size, track_of(fields))
             person += 1
 
 
@@ -193,4 +197,12 @@ def _detections(
 ) -> Iterator[Detection]:
     for person, body in enumerate(_bodies(content)):
         points, layout = flat_points(body.flat, body.key, body.where, content, known)
-        yield layout.detection(points, threshold, content.source, person, body.image, body.size)
+        yield layout.detection(
+            points,
+            threshold,
+            content.source,
+            person,
+            body.image,
+            body.size,
+            track=body.track,
+        )

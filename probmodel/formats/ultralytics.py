@@ -8,6 +8,7 @@ their score: such points are missing."""
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from poseterior.probmodel.formats.common import (
     number,
     scored_points,
     sequence,
+    track_of,
 )
 from poseterior.probmodel.layouts import COCO_17
 
@@ -64,7 +66,8 @@ def read_text(content: Content, threshold: float) -> Iterator[Detection]:
         values = [cell_number(word, where) for word in words[_BOX : _BOX + width * COCO_17.count]]
         rows = np.array(values).reshape(COCO_17.count, width)
         score = rows[:, 2] if width == 3 else np.ones(COCO_17.count)
-        yield _detection(content, rows[:, :2], score, threshold, person, where)
+        found = _detection(content, rows[:, :2], score, threshold, person, where)
+        yield replace(found, track=_track(words[_BOX + width * COCO_17.count :]))
 
 
 def read_json(content: Content, threshold: float) -> Iterator[Detection]:
@@ -75,7 +78,14 @@ def read_json(content: Content, threshold: float) -> Iterator[Detection]:
         x, y = (_column(columns.get(name), f"'{name}' of {where}") for name in "xy")
         seen = columns.get("visible")
         score = np.ones(COCO_17.count) if seen is None else _column(seen, f"'visible' of {where}")
-        yield _detection(content, np.stack([x, y], axis=-1), score, threshold, person, where)
+        found = _detection(content, np.stack([x, y], axis=-1), score, threshold, person, where)
+        yield replace(found, track=track_of(value))
+
+
+def _track(words: list[str]) -> str | None:
+    """What stands behind the points of a line: a box's score, a number of the track, or both."""
+    track = words[-1] if len(words) == 2 or (words and words[-1].isdecimal()) else None
+    return track_of({"track": track})
 
 
 def _column(values: object, where: str) -> FloatArray:

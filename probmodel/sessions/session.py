@@ -316,7 +316,7 @@ def _view_folders(path: Path) -> list[Path]:
 def _by_number(folder: Path, layout: str | None) -> dict[int, DetectedFrame]:
     found: dict[int, DetectedFrame] = {}
     for frame in read_frames(folder, layout=layout):
-        digits = re.findall(r"\d{1,18}", frame.name)
+        digits = re.findall(r"\d+", frame.name)
         if not digits:
             raise BadInput(f"{folder}: the frame {shown(frame.name)} has no number in its name")
         if int(digits[-1]) in found:

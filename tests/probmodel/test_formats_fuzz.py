@@ -416,15 +416,6 @@ def files() -> dict[str, list[bytes]]:
         ],
         "mpii": [json.dumps([mpii(), mpii()]).encode()],
         "instances": [
-            json.dumps({"image": "a.jpg", "keypoints": points(COCO_17)[:, :2].tolist()}).encode(),
-            json.dumps(
-                {
-                    "filename": "a.jpg",
-                    "width": SIZE[0],
-                    "height": SIZE[1],
-                    "annots": [{"personID": 0, "keypoints": points(BODY_25).tolist()}],
-                }
-            ).encode(),
             json.dumps(
                 [{"bbox": [0, 0, 9, 9, 1], "keypoints": points(COCO_17).tolist()}] * 2
             ).encode(),
@@ -438,12 +429,21 @@ def files() -> dict[str, list[bytes]]:
             json.dumps(
                 {"scores": [0.99], "pred_keypoints": [points(COCO_17, 0.2).tolist()]}
             ).encode(),
+            json.dumps({"image": "a.jpg", "keypoints": points(COCO_17)[:, :2].tolist()}).encode(),
+            json.dumps(
+                {
+                    "filename": "a.jpg",
+                    "width": SIZE[0],
+                    "height": SIZE[1],
+                    "annots": [{"personID": 0, "keypoints": points(BODY_25).tolist()}],
+                }
+            ).encode(),
         ],
         "tensorflow.js": [
-            json.dumps([mlkit()] * 2).encode(),
-            json.dumps(posenet()).encode(),
             json.dumps([listed_points(COCO_17)] * 2).encode(),
             json.dumps([listed_points(MEDIAPIPE_33, SIZE)]).encode(),
+            json.dumps([mlkit()] * 2).encode(),
+            json.dumps(posenet()).encode(),
         ],
         "vision": [
             json.dumps(vision(VISION)).encode(),
@@ -468,23 +468,22 @@ def files() -> dict[str, list[bytes]]:
             )
         ],
         "coco-annotations": [
+            json.dumps(annotations({"keypoints": flat(COCO_17.points, 2)})).encode(),
             json.dumps(
                 annotations(
                     {"keypoints": points(HALPE_136, 2).ravel().tolist()},
                     categories=[{"id": 1, "name": "person", "keypoints": []}],
                 )
             ).encode(),
-            json.dumps(annotations({"keypoints": flat(COCO_17.points, 2)})).encode(),
         ],
         "coco-results": [
-            json.dumps([flat_record(COCO_17)] * 2).encode(),
             *(
                 json.dumps(results(*[points(layout).ravel().tolist()] * 2)).encode()
                 for layout in (COCO_17, HALPE_26, MPII_16)
             ),
+            json.dumps([flat_record(COCO_17)] * 2).encode(),
         ],
         "alphapose": [
-            json.dumps({"0.jpg": [flat_record(HALPE_26)], "1.jpg": []}).encode(),
             json.dumps(
                 {
                     "1.jpg": {
@@ -496,6 +495,7 @@ def files() -> dict[str, list[bytes]]:
             json.dumps(
                 {"1.jpg": {"version": "0.3", "bodies": [{"joints": flat(COCO_18.points)}] * 2}}
             ).encode(),
+            json.dumps({"0.jpg": [flat_record(HALPE_26)], "1.jpg": []}).encode(),
         ],
         "mmpose": [
             json.dumps([mmpose_instance(COCO_17)]).encode(),
@@ -514,16 +514,16 @@ def files() -> dict[str, list[bytes]]:
         ],
         "mediapipe-text": [landmark_text().encode()],
         "mediapipe-csv": [
-            semicolons(wide_landmarks()).encode(),
-            tabs(long_landmarks()).encode(),
             long_landmarks().encode(),
             wide_landmarks().encode(),
+            semicolons(wide_landmarks()).encode(),
+            tabs(long_landmarks()).encode(),
         ],
         "csv": [
-            semicolons(named_columns()).encode(),
-            tabs(named_columns()).encode(),
             named_columns().encode(),
             named_columns(score="").encode(),
+            semicolons(named_columns()).encode(),
+            tabs(named_columns()).encode(),
         ],
         "ultralytics-text": [
             yolo_text(3).encode(),
@@ -535,10 +535,10 @@ def files() -> dict[str, list[bytes]]:
             json.dumps([yolo(SIZE)]).encode(),
         ],
         "deeplabcut-csv": [
-            semicolons(table(deeplabcut_rows())).encode(),
-            tabs(table(deeplabcut_rows())).encode(),
             table(deeplabcut_rows()).encode(),
             table(deeplabcut_rows(("ann", "bob"))).encode(),
+            semicolons(table(deeplabcut_rows())).encode(),
+            tabs(table(deeplabcut_rows())).encode(),
         ],
         "deeplabcut-hdf5": [hdf5(deeplabcut_fixed), hdf5(deeplabcut_table)],
         "videopose3d": [npz(**{"S1/Walking/0": points(H36M_17)[None, :, :2].repeat(2, 0)})],

@@ -46,7 +46,7 @@ from tests.probmodel.test_formats_readers import named_annotations
 
 FORMS = [(name, number) for name, several in FILES.items() for number in range(len(several))]
 """Every form of file that is read."""
-WRITTEN_AS_FRACTIONS = {("st-gcn", 0), ("tensorflow.js", 3), ("ultralytics", 1)}
+WRITTEN_AS_FRACTIONS = {("st-gcn", 0), ("tensorflow.js", 1), ("ultralytics", 1)}
 """Those of `FILES` that are fractions already."""
 LOOKED_AT = [
     (name, number)

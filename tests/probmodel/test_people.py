@@ -179,6 +179,22 @@ CSV_HEAD = [name + end for name in PARTS for end in ("_x", "_y", "_score")]
 _IMAGES = [f"{number}.jpg" for number in NUMBERED]
 _PAIRS = list(zip(NUMBERED, ALONE, strict=True))
 
+
+def _opencv(move: Moved) -> bytes:
+    data = flat_of(COCO_18, move)
+    return dumped({"pose_0": {"type_id": "opencv-nd-matrix", "sizes": [1, 18, 3], "data": data}})
+
+
+def _trc() -> bytes:
+    head = ["PathFileType\t4", "DataRate\tUnits", "30\tpx"]
+    head += ["Frame#\tTime\t" + "\t\t\t".join(COCO_17.points), "", ""]
+    rows = [
+        [n, 0.0, *(value for x, y, _ in rows_of(COCO_17, move) for value in (x, -y, 0.0))]
+        for n, move in _PAIRS
+    ]
+    return "\n".join([*head, *("\t".join(map(str, row)) for row in rows)]).encode()
+
+
 FILMS: dict[str, bytes | list[bytes]] = {
     "movenet": npy(np.stack([_movenet(move)[None, None] for move in ALONE])),
     "freemocap": npy(_stack(MEDIAPIPE_33)[None]),
@@ -215,12 +231,22 @@ FILMS: dict[str, bytes | list[bytes]] = {
     "instances": dumped([{"keypoints": rows_of(COCO_17, move).tolist()} for move in ALONE]),
     "alphapose": dumped({f"{n}.jpg": {"version": 1, "people": [
         {"pose_keypoints_2d": flat_of(COCO_18, move)}]} for n, move in _PAIRS}),
+    "st-gcn": dumped({"data": [{"frame_index": n, "skeleton": [{
+        "pose": (rows_of(COCO_18, move)[:, :2] / SIZE).ravel().tolist(),
+        "score": rows_of(COCO_18, move)[:, 2].tolist()}]} for n, move in _PAIRS]}),
+    "easy-vitpose": dumped({"skeleton": {}, "keypoints": [
+        {"7": rows_of(COCO_17, move)[:, [1, 0, 2]].tolist()} for move in ALONE]}),
+    "named-points": dumped({f"{n}.jpg": dict(zip(COCO_17.points,
+        rows_of(COCO_17, move).tolist(), strict=True)) for n, move in _PAIRS}),
+    "opencv": [_opencv(move) for move in ALONE],
+    "trc": _trc(),
 }  # fmt: skip
 """Six frames of one person as each format has them: a file, or a folder where it has a file for
 each frame."""
 GAPS = {
     *("deeplabcut-hdf5", "deeplabcut-csv", "ultralytics-text", "poseterior", "openpose"),
     *("coco-annotations", "mpii", "mmpose", "coco-results", "alphapose"),
+    *("st-gcn", "named-points", "opencv", "trc"),
 }
 """Formats whose frames have numbers of their own."""
 
@@ -624,7 +650,7 @@ def test_reported_films_of_two(shared_data: Path, name: str) -> None:
 def test_reported_individuals(shared_data: Path) -> None:
     frames = list(read_frames(shared_data / CASES / "madlc.csv"))
     found = cast(frames)
-    assert (found.tracks, found.frames, found.doubts) == (["ind1", "ind2"], [4, 4], [])
+    assert (found.tracks, found.frames, found.doubts) == (["ind1", "ind2"], [3, 4], [])
 
 
 def test_reported_films_with_somebody_missing_and_with_a_gap(shared_data: Path) -> None:

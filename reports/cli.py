@@ -134,6 +134,7 @@ def _register(name: str, kind: Any) -> None:
         options.prepare_jax()
         wanted: Any = built(kind, values)
         options.require_meaning(wanted, {word for word in values if _typed(context, word)})
+        options.require_other_files(values)
         screen = built(Screen, values)
         with console.progress("reading", screen.quiet):
             options.check(wanted)

@@ -245,8 +245,8 @@ def _frames_of_file(
     found: dict[str | None, list[Detection]] = {image: [] for image in ordered}
     for person in people():
         found[person.image_id].append(person)
-    for image, group in found.items():
-        yield DetectedFrame(_stem(content) if image is None else image, group)
+    for image, everyone in found.items():
+        yield DetectedFrame(_stem(content) if image is None else image, everyone)
 
 
 def _in_order(names: list[str]) -> list[str | None]:

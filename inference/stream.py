@@ -435,7 +435,7 @@ class _Drawing:
         if number == 0:
             return drawn
         k = min(self.k, number)
-        places = _places(draws, self.lens)
+        places = _places(draws, self.lens if frame.lens is None else frame.lens)
         chosen = compose(draws, k) if self.composed else diverse(joints.astype(np.float32), k)
         for row, one in enumerate(chosen):
             drawn.hypotheses[row], drawn.weight[row] = one.joints, one.weight

@@ -264,8 +264,8 @@ def _all_frames(content: Content, format: str, threshold: float | None) -> Itera
     found: dict[str | None, list[Detection]] = {image: [] for image in ordered}
     for person in people():
         found[person.image_id].append(person)
-    for image, group in found.items():
-        yield DetectedFrame(_stem(content) if image is None else image, group)
+    for image, everyone in found.items():
+        yield DetectedFrame(_stem(content) if image is None else image, everyone)
 
 
 def _in_order(names: list[str]) -> list[str | None]:

@@ -89,18 +89,19 @@ def read_clip(path: Path, wanted: Wanted) -> Clip:
         found.numbers,
         placed=found.placed,
     ).at_rate(RATE if wanted.rate is None else wanted.rate)
-    joints = _smoothed(clip, wanted) if wanted.smoother else clip.joints
+    joints = clip.joints
+    if wanted.smoother is not None:
+        joints = _smoothed(clip, wanted.smoother, wanted.rate)
     if found.body is not None:
         joints = found.body.grown(metres).posed(joints)
     return dataclasses.replace(clip, joints=viewed(joints))
 
 
-def _smoothed(clip: Clip, wanted: Wanted) -> np.ndarray:
+def _smoothed(clip: Clip, smoother: Smoother, rate: float | None) -> np.ndarray:
     """The joints of a film, filtered. Raises `BadInput` where the filter cannot be."""
-    smoother = wanted.smoother
     if not clip.film:
         raise BadInput("--smooth is for films, and these poses do not follow each other; leave it")
-    if wanted.rate is None:
+    if rate is None:
         raise BadInput(
             f"--smooth {smoother} needs to know how many frames a second there are; give --rate as"
             " in the film"

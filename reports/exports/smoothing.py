@@ -11,10 +11,10 @@ import numpy as np
 from poseterior.probmodel.failures import BadInput
 
 _TWICE = (math.sqrt(2) - 1) ** 0.25
-"""By how much a Butterworth filter of second order that runs there and back lowers the frequency at
-which half of the power is left."""
+"""By how much a Butterworth filter of second order that runs there and back lowers the (analogue)
+frequency at which half of the power is left."""
 _ORDER = 2
-"""Of the polynomials of Savitzky and Golay."""
+"""Of the Butterworth filter, and of the polynomials of Savitzky and Golay."""
 _SPEEDS = 1.0
 """Hz: the cutoff of speeds in the one-euro filter."""
 _GROWTH = 2.0
@@ -25,7 +25,8 @@ def butterworth(values: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
     """Second order, there and back: no lag, and half of the power is left at `cutoff` Hz."""
     from scipy.signal import butter, sosfiltfilt
 
-    sections = butter(_ORDER, cutoff / _TWICE, fs=rate, output="sos")
+    once = rate / math.pi * math.atan(math.tan(math.pi * cutoff / rate) / _TWICE)
+    sections = butter(_ORDER, once, fs=rate, output="sos")
     padding = min(3 * (2 * len(sections) + 1), len(values) - 1)
     return sosfiltfilt(sections, values, axis=0, padlen=padding)
 
@@ -85,10 +86,10 @@ class Smoother:
 
     def check(self, rate: float) -> None:
         """Raises `BadInput` where it cannot run at so many frames a second."""
-        if self.name == "butterworth" and self.parameter / _TWICE >= rate / 2:
+        if self.name == "butterworth" and self.parameter >= rate / 2:
             raise BadInput(
                 f"--smooth {self} cuts off beyond what {rate:g} frames a second can hold; choose"
-                f" less than {_TWICE * rate / 2:.3g} Hz"
+                f" less than {rate / 2:.3g} Hz"
             )
 
     def __call__(self, values: np.ndarray, places: np.ndarray, rate: float) -> np.ndarray:

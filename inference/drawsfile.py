@@ -20,7 +20,7 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.draws import MAX_PROPOSALS, Draws, Progress, key_of
-from poseterior.inference.exact import ahead
+from poseterior.inference.exact import warm_up
 from poseterior.inference.importance.weighted import NUM_ROOTS
 from poseterior.inference.results import BLOCK, Result, result_of, single
 from poseterior.inference.sampler import estimated, require_chains, sampler_of
@@ -93,7 +93,7 @@ def sample_to_file(
     if num_samples > BLOCK:
         return _written(path, blocks, double)
     (draws,) = blocks
-    ahead.finish()
+    warm_up.finish()
     result = result_of(draws)
     if result.num_draws:
         result.save(path, double=double)

@@ -4,7 +4,6 @@
 Every sampler stands in one table, by the prior of torso and camera that it draws under."""
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +12,7 @@ import jax
 from poseterior.inference.baselines.catalogue import BASELINES, ROOTED, BaselineSampler
 from poseterior.inference.draws import MAX_PROPOSALS, Draws, Progress, Sampler, key_of
 from poseterior.inference.estimators import estimate_torso
-from poseterior.inference.exact import ahead
+from poseterior.inference.exact import warm_up
 from poseterior.inference.exact.mixture import ON_DEVICE, PROPOSALS, ExactRejection
 from poseterior.inference.importance.rejection import TorsoRejection
 from poseterior.inference.importance.weighted import NUM_ROOTS, WeightedSampler
@@ -31,12 +30,16 @@ draws go by the places, so that what came later stands at the end. Under an unce
 WEIGHTED, REJECTION = "weighted-roots", "rejection"
 ROOTED_SAMPLERS = (WEIGHTED, REJECTION, *ROOTED)
 """Every sampler of torso, camera and pose together: weighted roots, rejection, then baselines."""
-MAKERS: Mapping[str, Mapping[str, type[Sampler]]] = {
-    UNCERTAIN: {WEIGHTED: WeightedSampler, REJECTION: TorsoRejection}
-    | dict.fromkeys(ROOTED, BaselineSampler),
-    CANDIDATES: dict.fromkeys(PROPOSALS, ExactRejection)
-    | dict.fromkeys(BASELINES, BaselineSampler),
+_OF_POINTS: dict[str, type[Sampler]] = {
+    WEIGHTED: WeightedSampler,
+    REJECTION: TorsoRejection,
+    **dict.fromkeys(ROOTED, BaselineSampler),
 }
+_OF_CANDIDATES: dict[str, type[Sampler]] = {
+    **dict.fromkeys(PROPOSALS, ExactRejection),
+    **dict.fromkeys(BASELINES, BaselineSampler),
+}
+MAKERS = {UNCERTAIN: _OF_POINTS, CANDIDATES: _OF_CANDIDATES}
 """What makes a sampler, by the root's prior and the sampler's name; the first is the one that is
 meant where none is named."""
 MANY_ROOTS = 200
@@ -89,12 +92,28 @@ class DetectionSampler:
         Who draws.
     num_samples
         Draws of each detection.
+
+    Raises
+    ------
+    BadInput
+        On a number below one, and on a baseline: its chains start in the draws of another sampler,
+        which are better.
     """
 
     model: PoseModel
     root: str
     sampler: Sampler
     num_samples: int
+
+    def __post_init__(self) -> None:
+        if self.num_samples < 1:
+            raise BadInput(f"the number of samples must be at least 1, not {self.num_samples}")
+        if isinstance(self.sampler, BaselineSampler):
+            own = [name for name, kind in MAKERS[self.root].items() if kind is not BaselineSampler]
+            raise BadInput(
+                f"there is no exact sampler {self.sampler.name!r} of many detections; choose one of"
+                f" {', '.join(own)}"
+            )
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -112,18 +131,18 @@ def _require_known(root: str, name: str) -> None:
     """Raises `BadInput` where no sampler of that name draws under such a root."""
     if name in MAKERS[root]:
         return
-    if name not in {*SAMPLERS, *ROOTED_SAMPLERS}:
-        raise BadInput(f"there is no sampler {name!r}; choose one of {', '.join(MAKERS[root])}")
     if root == UNCERTAIN:
         *most, last = MAKERS[root]
         raise BadInput(
             f"no sampler {name!r} draws torso and camera; choose {', '.join(most)} or {last}, or"
-            f" the root {CANDIDATES!r}"
+            f" the root {CANDIDATES!r} (on the command line --root fixed)"
         )
-    raise BadInput(
-        f"the sampler {name} needs torso and camera uncertain; choose another, or the root"
-        f" {UNCERTAIN!r}"
-    )
+    if name in MAKERS[UNCERTAIN]:
+        raise BadInput(
+            f"the sampler {name} needs torso and camera uncertain; choose another, or the root"
+            f" {UNCERTAIN!r}"
+        )
+    raise BadInput(f"there is no sampler {name!r}; choose one of {', '.join(MAKERS[root])}")
 
 
 def sample(
@@ -199,7 +218,7 @@ def sample(
     )
     posterior = estimated(frame).posterior(model, root)
     draws = chosen.draw(posterior, key_of(key), num_samples, progress)
-    ahead.finish()
+    warm_up.finish()
     return result_of(draws)
 
 

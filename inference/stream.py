@@ -15,7 +15,7 @@ import hashlib
 import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,20 +25,28 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.composition import compose
-from poseterior.inference.draws import MAX_PROPOSALS, key_of, key_words
+from poseterior.inference.draws import MAX_PROPOSALS, Draws, key_of, key_words
 from poseterior.inference.estimators import Estimating
 from poseterior.inference.hypothesis import diverse
 from poseterior.inference.machines import HERE, Machines, in_threads
 from poseterior.inference.results import provenance
 from poseterior.inference.sampler import MANY_ROOTS, DetectionSampler, sampler_of
 from poseterior.inference.store import Block, Groups, Store, fill, locked
+from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.frames import DetectedFrame
 from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.people import cast_of
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.root_priors import UNCERTAIN
-from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS, NUM_JOINTS, NUM_LENGTHS
+from poseterior.probmodel.skeleton import (
+    JOINT_INDEX,
+    JOINTS,
+    LENGTH_GROUPS,
+    NUM_JOINTS,
+    NUM_LENGTHS,
+)
 
 DRAW_BYTES = 4 * (3 * NUM_JOINTS + NUM_LENGTHS)
 """Of a draw that is kept, in single precision."""
@@ -49,6 +57,8 @@ MOST_FRAMES = 64
 BAD_INPUT = "bad input"
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Of the quantiles of depth that are kept of every frame."""
+MOST_NAMED = 12
+"""People of a film that are described one by one."""
 _STREAM = "a stream of frames"
 Progress = Callable[[int], None]
 
@@ -81,8 +91,11 @@ class FrameDraws(NamedTuple):
     effective_roots: float
     mean: np.ndarray
     sd: np.ndarray
+    place: np.ndarray
+    place_sd: np.ndarray
     depth: np.ndarray
     hypotheses: np.ndarray
+    standing: np.ndarray
     weight: np.ndarray
     chosen: np.ndarray
     joints: np.ndarray
@@ -168,7 +181,7 @@ def sample_frames(
         root, sampler, num_roots=num_roots, most_roots=most_roots, max_proposals=max_proposals
     )
     draw = DetectionSampler(model, root, chosen, num_samples)
-    task = _Drawing(draw, estimating, words, k, composed, keep)
+    task = _Drawing(draw, estimating, words, k, composed, keep, model.lens)
     settings = {
         "study": "stream of frames",
         "seed": key_words(key),
@@ -208,9 +221,11 @@ def open_stream(folder: str | os.PathLike) -> xr.DataTree:
     DataTree
         `/summary` by frame: status, sentence, num_draws, log_evidence with its standard error,
         effective_roots (NaN where torso and camera are fixed), `mean` and `sd` of the joints
-        `(frame, joint, axis)`, quantiles of their `depth` `(frame, joint, level)`; `/hypotheses`:
-        `joints` `(frame, hypothesis, joint, axis)`, `weight`, `draw`. The settings of the run are
-        attributes.
+        `(frame, joint, axis)` about the pelvis, quantiles of their `depth` `(frame, joint, level)`,
+        and `place` and `place_sd` `(frame, axis)` of the pelvis before the camera, body units (NaN
+        where no focal length is known); `/hypotheses`: `joints`
+        `(frame, hypothesis, joint, axis)`, `place` `(frame, hypothesis, axis)`, `weight`, `draw`.
+        The settings of the run are attributes.
 
     Raises
     ------
@@ -269,9 +284,9 @@ def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
     )
 
 
-@dataclass
 class People:
-    """Everyone in frames of detections as items of a stream, named `frame/person`.
+    """Everyone in frames of detections as items of a stream, named `frame/person`, where a person
+    has the same number in all frames (`probmodel.people`).
 
     A person of whom too little is seen is left out where enough is seen of somebody else in the
     frame: detectors find fragments of people at the edges and behind others. Where there is nobody
@@ -281,37 +296,90 @@ class People:
     Parameters
     ----------
     frames
-        Read as they are needed.
+        Gives the frames from the first; called once to tell who is who, and whenever the items are
+        read, one frame after another.
     require
         Raises `BadInput` where too little is seen of a person.
+    person
+        The number of the one whose items these are; None for everyone.
 
     Attributes
     ----------
-    fragments : the names of those who were left out, up to where the items were read.
+    cast : who is who.
+    fragments : how many people were left out, and the first of them in words.
+
+    Raises
+    ------
+    BadInput
+        Where there is no such person, and as `frames` does.
     """
 
-    frames: Iterable[DetectedFrame]
-    require: Callable[[Detection], None]
-    fragments: list[str] = field(default_factory=list)
+    def __init__(
+        self,
+        frames: Callable[[], Iterable[DetectedFrame]],
+        require: Callable[[Detection], None],
+        person: int | None = None,
+    ) -> None:
+        self._frames, self._require, self._person = frames, require, person
+        self.fragments: list[str] = []
+        self.cast = cast_of((frame.name, self._kept(frame)) for frame in frames())
+        if person is not None and not 0 <= person < self.cast.size:
+            raise BadInput(
+                f"there is no person {person} in these frames, but {self.described()}; choose one"
+                " of them"
+            )
+
+    def __len__(self) -> int:
+        """How many items there are."""
+        counts = self.cast.frames
+        return sum(counts) if self._person is None else counts[self._person]
 
     def __iter__(self) -> Iterator[Item]:
-        for frame in self.frames:
-            items = [self._item(frame, detection) for detection in frame.people]
-            kept = [item for item in items if not isinstance(item.frame, str)]
-            if items and not kept:
-                most = int(np.argmax([detection.seen.sum() for detection in frame.people]))
-                kept = [items[most]]
-            names = {item.name for item in kept}
-            self.fragments += [item.name for item in items if item.name not in names]
-            yield from kept
+        for frame, numbers in zip(self._frames(), self.cast.numbers, strict=True):
+            places = self._places(frame)
+            for place, number in zip(places, numbers, strict=True):
+                if self._person in (None, number):
+                    detection = frame.people[place]
+                    reason = self._reason(detection)
+                    name = f"{frame.name}/{number}"
+                    yield Item(name, detection if reason is None else reason)
 
-    def _item(self, frame: DetectedFrame, detection: Detection) -> Item:
-        name = f"{frame.name}/{detection.person}"
+    def described(self) -> str:
+        """How many people there are, the first of them with their tracks and in how many frames
+        each is."""
+        people = zip(self.cast.tracks, self.cast.frames, strict=True)
+        each = [
+            f"{number} ({'' if track is None else f'track {track}, '}{count} frames)"
+            for number, (track, count) in enumerate(people)
+        ]
+        more = f" and {len(each) - MOST_NAMED} more" if len(each) > MOST_NAMED else ""
+        plural = "1 person" if len(each) == 1 else f"{len(each)} people"
+        return f"{plural}: {', '.join(each[:MOST_NAMED])}{more}"
+
+    def _kept(self, frame: DetectedFrame) -> list[Detection]:
+        places = self._places(frame)
+        self.fragments += [
+            f"{frame.name}, number {place} there"
+            for place in range(len(frame.people))
+            if place not in places
+        ]
+        return [frame.people[place] for place in places]
+
+    def _places(self, frame: DetectedFrame) -> list[int]:
+        """Which of a frame's people are no fragments."""
+        everyone = frame.people
+        places = [at for at, one in enumerate(everyone) if self._reason(one) is None]
+        if everyone and not places:
+            places = [int(np.argmax([one.seen.sum() for one in everyone]))]
+        return places
+
+    def _reason(self, detection: Detection) -> str | None:
+        """Why too little is seen; None where it is enough."""
         try:
-            self.require(detection)
+            self._require(detection)
         except BadInput as error:
-            return Item(name, str(error))
-        return Item(name, detection)
+            return str(error)
+        return None
 
 
 def frame_and_person(name: str) -> tuple[str, str]:
@@ -331,6 +399,7 @@ class _Drawing:
     k: int
     composed: bool
     keep: int
+    lens: Lens | None
 
     def __call__(self, block: tuple[int, list[Item]]) -> Groups:
         first, items = block
@@ -367,9 +436,11 @@ class _Drawing:
         if number == 0:
             return drawn
         k = min(self.k, number)
+        places = _places(draws, self.lens if frame.lens is None else frame.lens)
         chosen = compose(draws, k) if self.composed else diverse(joints.astype(np.float32), k)
         for row, one in enumerate(chosen):
             drawn.hypotheses[row], drawn.weight[row] = one.joints, one.weight
+            drawn.standing[row] = places[one.draw]
             drawn.chosen[row] = one.draw
         kept = min(self.keep, number)
         drawn.joints[:kept], drawn.bone_length[:kept] = joints[:kept], draws.bone_length[:kept]
@@ -377,6 +448,8 @@ class _Drawing:
             num_draws=number,
             mean=joints.mean(axis=0),
             sd=joints.std(axis=0),
+            place=places.mean(axis=0),
+            place_sd=places.std(axis=0),
             depth=np.quantile(joints[:, :, 2], LEVELS, axis=0).T,
         )
 
@@ -392,13 +465,26 @@ class _Drawing:
             effective_roots=np.nan,
             mean=blank,
             sd=blank,
+            place=blank[0],
+            place_sd=blank[0],
             depth=np.full((NUM_JOINTS, len(LEVELS)), np.nan),
             hypotheses=np.full((self.k, NUM_JOINTS, 3), np.nan),
+            standing=np.full((self.k, 3), np.nan),
             weight=np.zeros(self.k),
             chosen=np.full(self.k, -1),
             joints=np.full((self.keep, NUM_JOINTS, 3), np.nan, np.float32),
             bone_length=np.full((self.keep, NUM_LENGTHS), np.nan, np.float32),
         )
+
+
+def _places(draws: Draws, lens: Lens | None) -> np.ndarray:
+    """`(n, 3)`: where the pelvis of every draw stands in the camera's axes, body units; NaN where
+    the focal length is not known. A lens sees a body unit there as `scale` pixels."""
+    if lens is None:
+        return np.full((len(draws.joints), 3), np.nan)
+    scale = np.asarray(draws.scale)[:, None]
+    aside = (draws.keypoints[:, JOINT_INDEX["pelvis"]] - np.asarray(lens.principal)) / scale
+    return np.concatenate([aside, np.asarray(lens.focal) / scale], axis=1)
 
 
 def _alone(estimating: Estimating, person: Detection) -> Estimate | str:
@@ -421,9 +507,11 @@ def _groups(rows: list[FrameDraws], k: int) -> Groups:
     summary = {name: column(name) for name in by_frame} | {
         name: column(name, "joint", "axis") for name in ("mean", "sd")
     }
+    summary |= {name: column(name, "axis", **units) for name in ("place", "place_sd")}
     summary["depth"] = column("depth", "joint", "level", **units)
     hypotheses = {
         "joints": column("hypotheses", "hypothesis", "joint", "axis"),
+        "place": column("standing", "hypothesis", "axis", **units),
         "weight": column("weight", "hypothesis"),
         "draw": column("chosen", "hypothesis"),
     }

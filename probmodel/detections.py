@@ -39,6 +39,7 @@ LONGEST_LABEL = 400
 _NOT_IN_LABELS = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 """Control characters, with which a terminal can be told things, and surrogates, which no file can
 hold."""
+_LABEL = f"a text of at most {LONGEST_LABEL} characters without control characters, or None"
 
 
 def is_label(value: object) -> bool:
@@ -73,6 +74,11 @@ class Detection:
     moved
         Which of thorax and pelvis `probmodel.layouts.corrected` has moved from a midpoint to where
         the skeleton has them.
+    midpoints
+        Which of the two the detector lacks, or defines as midpoints of shoulders and hips.
+    track
+        Whom the source says that this is: the same in all frames in which it found the same person,
+        None where it says nothing. Who is who without it: `probmodel.people`.
 
     Raises
     ------
@@ -90,6 +96,8 @@ class Detection:
     image_size: tuple[int, int] | None = None
     face: FloatArray | None = None
     moved: tuple[str, ...] = ()
+    midpoints: tuple[str, ...] = ()
+    track: str | None = None
 
     def __post_init__(self) -> None:
         keypoints = _owned(self.keypoints, (NUM_JOINTS, 2), f"the keypoints of {self.where}")
@@ -102,6 +110,8 @@ class Detection:
             object.__setattr__(self, "face", face)
             _check_numbers(face[:, :2], face[:, 2], FACE, self.where)
         _check_labels(self.person, self.image_id, self.image_size, self.where)
+        if self.track is not None and not is_label(self.track):
+            raise BadInput(f"the track of {self.where} must be {_LABEL}, not {shown(self.track)}.")
 
     def _repr_html_(self) -> str:
         """A table of what was seen, for notebooks."""
@@ -135,6 +145,15 @@ class Detection:
         return alpha
 
 
+def people_said(detections: Sequence[Detection]) -> str:
+    """How many people there are, in words: of a film, a person is detected once a frame."""
+    count = len(detections)
+    images = len({detection.image_id for detection in detections})
+    if images > 1:
+        return f"{count} detections of people in {images} frames"
+    return "1 person" if count == 1 else f"{count} people"
+
+
 def pick_person(detections: Sequence[Detection], person: int) -> Detection:
     """The detection numbered `person` in its file; raises `BadInput` that names the numbers there
     are."""
@@ -143,11 +162,11 @@ def pick_person(detections: Sequence[Detection], person: int) -> Detection:
     for detection in detections:
         if detection.person == person:
             return detection
-    count, numbers = len(detections), [detection.person for detection in detections]
-    people = "1 person, numbered" if count == 1 else f"{count} people, numbered {min(numbers)} to"
+    numbers = [detection.person for detection in detections]
+    last = f"{max(numbers)}" if len(numbers) == 1 else f"{min(numbers)} to {max(numbers)}"
     raise BadInput(
-        f"{detections[0].source} has {people} {max(numbers)}; person {person} is not among them,"
-        " choose one that is."
+        f"{detections[0].source} has {people_said(detections)}, numbered {last}; person {person} is"
+        " not among them, choose one that is."
     )
 
 
@@ -196,10 +215,7 @@ def _check_labels(
             f"the number of a person must be 0 or a positive whole number, not {person!r}."
         )
     if image_id is not None and not is_label(image_id):
-        raise BadInput(
-            f"the image_id of {where} must be a text of at most {LONGEST_LABEL} characters without"
-            f" control characters, or None, not {shown(image_id)}."
-        )
+        raise BadInput(f"the image_id of {where} must be {_LABEL}, not {shown(image_id)}.")
     if image_size is not None and not (
         isinstance(image_size, tuple)
         and len(image_size) == 2

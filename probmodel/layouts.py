@@ -13,6 +13,7 @@ from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
+import numpy.typing as npt
 
 from poseterior.probmodel.detections import FACE, Detection, FloatArray
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
@@ -119,11 +120,33 @@ class Layout:
         person: int,
         image_id: str | None = None,
         image_size: tuple[int, int] | None = None,
+        track: str | None = None,
     ) -> Detection:
-        """One person from `(count, 3)` rows of x, y, score."""
+        """One person from `(count, 3)` rows of x, y, score; points at one of `NOWHERE` are
+        missing, whatever their score."""
+        points = np.where(is_nowhere(points[:, :2])[:, None], 0.0, points)
         keypoints, score = self.to_skeleton(points, threshold)
-        face = self.face(points, threshold)
-        return Detection(keypoints, score, self.name, source, person, image_id, image_size, face)
+        return Detection(
+            keypoints,
+            score,
+            self.name,
+            source,
+            person,
+            image_id,
+            image_size,
+            self.face(points, threshold),
+            midpoints=self.midpoints,
+            track=track,
+        )
+
+
+NOWHERE = (0.0, -1.0)
+"""Where detectors and annotators put both coordinates of a point that they did not find."""
+
+
+def is_nowhere(xy: FloatArray) -> npt.NDArray[np.bool_]:
+    """`(...)`: which of points `(..., 2)` mean that there is none."""
+    return np.any([(xy == place).all(axis=-1) for place in NOWHERE], axis=0)
 
 
 _RIGHT_ARM = ("right_shoulder", "right_elbow", "right_wrist")
@@ -359,13 +382,12 @@ def corrected(detection: Detection, midpoints: tuple[str, ...] | None = None) ->
 def midpoints_of(detection: Detection) -> tuple[str, ...]:
     """Which of thorax and pelvis are midpoints: where the layout says so, and where they lie
     exactly midway because they were missed."""
-    layout = LAYOUTS.get(detection.layout)
-    defined = () if layout is None else layout.midpoints
     halfway = _halfway(detection.keypoints)
     return tuple(
         name
         for name in MIDPOINTS
-        if name in defined or _same(detection.keypoints[JOINT_INDEX[name]], halfway[name])
+        if name in detection.midpoints
+        or _same(detection.keypoints[JOINT_INDEX[name]], halfway[name])
     )
 
 
@@ -456,14 +478,17 @@ def spoken_name(name: str) -> str:
     LeftShoulder, left-shoulder, shoulder_l and l_shoulder are all left_shoulder. Numbered names
     (hip1) are not guessed."""
     words = _words(name)
-    whole = "_".join(words)
-    if whole in _WHOLE:
-        return _WHOLE[whole]
+    if whole := _WHOLE.get("_".join(words)):
+        return whole
+    side, part = _sided(words)
+    return f"{side}_{_PARTS[part]}" if side and part in _PARTS else name
+
+
+def _sided(words: list[str]) -> tuple[str, str]:
+    """The side and the part of a name of two words; empty where it has no side."""
     sides = [_SIDES[word] for word in words if word in _SIDES]
     parts = [word for word in words if word not in _SIDES]
-    if len(sides) == 1 and len(parts) == 1 and parts[0] in _PARTS:
-        return f"{sides[0]}_{_PARTS[parts[0]]}"
-    return name
+    return (sides[0], parts[0]) if len(sides) == len(parts) == 1 else ("", "")
 
 
 def _words(name: str) -> list[str]:
@@ -476,8 +501,22 @@ def _words(name: str) -> list[str]:
 
 
 def layout_of_names(names: list[str], mapping: "dict[str, str] | None" = None) -> Layout:
-    """A layout of freely named points: `mapping` (their name → ours) first, then `spoken_name`."""
+    """A layout of freely named points: `mapping` (their name → ours) first, then `spoken_name`.
+
+    Feet are ankles where no ankle, toe or heel has a name, as in Human3.6M's names. A pelvis that
+    detectors name is the hips' midpoint, and a thorax is the shoulders' beside MPII's upper neck;
+    names that are a known layout's are as in that."""
     mapping = mapping or {}
     points = tuple(mapping[name] if name in mapping else spoken_name(name) for name in names)
-    absent = tuple(name for name in _BOTH if name not in points)
-    return Layout("named", points, absent)
+    if not any({"ankle", "toe", "heel"} & set(_words(point)) for point in points):
+        points = tuple(_ankle_of(point) for point in points)
+    known = [layout.midpoints for layout in LAYOUTS.values() if set(layout.points) == set(points)]
+    if known:
+        return Layout("named", points, known[0])
+    own = "thorax" in points and not any("".join(_words(name)) == "upperneck" for name in names)
+    return Layout("named", points, ("pelvis",) if own else _BOTH)
+
+
+def _ankle_of(foot: str) -> str:
+    side, part = _sided(_words(foot))
+    return f"{side}_ankle" if part == "foot" else foot

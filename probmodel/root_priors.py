@@ -53,7 +53,20 @@ class Candidates:
 
     @classmethod
     def of(cls, candidates: Sequence[Candidate], log_weight: np.ndarray) -> "Candidates":
-        """What an estimator found, with weights `(n,)` that need not be normalised."""
+        """What an estimator found.
+
+        Parameters
+        ----------
+        candidates
+            Its roots.
+        log_weight : `(n,)`
+            Log of their probabilities, which need not be normalised.
+
+        Returns
+        -------
+        Candidates
+            The prior.
+        """
         roots = [jax.tree.map(np.asarray, one.root) for one in candidates]
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *roots)
         torso = np.array([one.torso_index for one in candidates])
@@ -63,15 +76,17 @@ class Candidates:
         """The prior, written once: `step(site, law)` says what becomes of its only law."""
         from numpyro.distributions import CategoricalLogits
 
-        return step("root", CategoricalLogits(jnp.asarray(self.log_weight)))
+        # Not validated: a candidate may be impossible.
+        return step("root", CategoricalLogits(jnp.asarray(self.log_weight), validate_args=False))
 
     def log_density(self, point: Any) -> jax.Array:
         """`()`: log probability of one candidate."""
         return jnp.asarray(self.log_weight)[point]
 
     def root(self, point: Any) -> Root:
-        """The torso and camera of one candidate."""
-        return jax.tree.map(lambda leaf: leaf[point], self.roots)
+        """The torso and camera of one candidate: a formula of JAX where its number is one."""
+        xp = jnp if isinstance(point, jax.Array) else np
+        return jax.tree.map(lambda leaf: xp.asarray(leaf)[point], self.roots)
 
     def points(self, point: Any) -> RootPoint:
         """Candidates `(n,)` as a point each."""
@@ -81,7 +96,20 @@ class Candidates:
         return whole.take(point)
 
     def sides(self, point: Any, candidates: Sequence[Candidate]) -> np.ndarray:
-        """`(n,)`: the candidate that each root is."""
+        """The candidate that each root is.
+
+        Parameters
+        ----------
+        point : `(n,)`
+            Roots.
+        candidates
+            The candidates themselves.
+
+        Returns
+        -------
+        ndarray
+            `(n,)`.
+        """
         return np.asarray(point)
 
     def columns(self, point: Any) -> dict[str, np.ndarray]:
@@ -179,8 +207,20 @@ class TorsoCameraPrior:
         return RootPoint(*map(np.asarray, point))
 
     def sides(self, point: RootPoint, candidates: Sequence[Candidate]) -> np.ndarray:
-        """`(n,)`: for each root, the candidate whose camera is turned least against its own; 0
-        where there is none."""
+        """For each root, the candidate whose camera is turned least against its own.
+
+        Parameters
+        ----------
+        point
+            Roots, leaves start with n.
+        candidates
+            An estimator's, which name the sides.
+
+        Returns
+        -------
+        ndarray
+            `(n,)`; 0 where there is no candidate.
+        """
         cameras = [np.asarray(one.camera.rotation) for one in candidates] or [np.eye(3)]
         # The trace of a rotation falls with its angle.
         trace = np.einsum("nij,cij->nc", np.asarray(point.rotation), np.stack(cameras))

@@ -136,6 +136,7 @@ def _register(name: str, kind: Any) -> None:
         options.prepare_jax()
         wanted: Any = built(kind, values)
         options.require_meaning(wanted, {word for word in values if _typed(context, word)})
+        options.require_other_files(values)
         screen = built(Screen, values)
         with console.progress("reading", screen.quiet):
             options.check(wanted)
@@ -159,14 +160,14 @@ def _register(name: str, kind: Any) -> None:
 def _compile_ahead(root: str, screen: Screen) -> None:
     """Begins to compile what draws under this kind of root need and this machine has never
     compiled, and says so."""
-    from poseterior.inference.exact import ahead
+    from poseterior.inference.exact import warm_up
 
-    if ahead.missing(root) and not screen.quiet:
+    if warm_up.missing(root) and not screen.quiet:
         console.warn(
             "compiling the sampling loops, once: this call takes some fifteen seconds longer than"
             " the next one"
         )
-    ahead.begin(root)
+    warm_up.begin(root)
 
 
 def _typed(context: typer.Context, name: str) -> bool:

@@ -8,8 +8,9 @@ import enum
 import functools
 import math
 import os
+import re
 import sys
-from collections.abc import Iterator, Set
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -102,6 +103,22 @@ Composed = Annotated[
     ),
 ]
 
+JointOrder = Annotated[
+    str | None,
+    Option(
+        "--layout",
+        help="Order of a detector's joints, where files do not say it: coco_17, halpe_26, ….",
+    ),
+]
+RigNames = Annotated[
+    Path | None,
+    Option(
+        "--names",
+        help="JSON object of the names of joints or markers in motion capture (.bvh, .trc, .c3d)"
+        " → ours.",
+        show_default="those of most programs are known",
+    ),
+]
 Open = Annotated[bool, Option("--open", help="Open the page in a browser.")]
 Double = Annotated[
     bool,
@@ -135,6 +152,13 @@ class ExportFormat(enum.StrEnum):
     gltf = "gltf"
     csv = "csv"
     npz = "npz"
+
+
+class FilmPose(enum.StrEnum):
+    """What of each frame a film is made of."""
+
+    mean = "mean"
+    hypothesis = "hypothesis"
 
 
 class LengthUnit(enum.StrEnum):
@@ -233,13 +257,7 @@ class Detected:
             help="JSON object of a detector's own joint names → ours, or list in the file's order."
         ),
     ] = None
-    layout: Annotated[
-        str | None,
-        Option(
-            help="Order of the joints, for arrays and lists that do not say it: coco_17, halpe_26,"
-            " …."
-        ),
-    ] = None
+    layout: JointOrder = None
     correct: Annotated[
         bool,
         Option(
@@ -288,18 +306,30 @@ class Detected:
         return None if self.photo is None else (self.photo.shape[1], self.photo.shape[0])
 
     def _names(self) -> dict[str, str] | list[str] | None:
-        from poseterior.probmodel import BadInput
-        from poseterior.probmodel.documents import read_json
+        return None if self.names is None else read_names(self.names)
 
-        if self.names is None:
-            return None
-        names = read_json(self.names, "map of names", "give a JSON object of names")
-        texts = [*names, *names.values()] if isinstance(names, dict) else names
-        if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
-            raise BadInput(
-                f"{self.names} must hold an object of names, or a list of them; write texts only"
-            )
-        return names
+
+def read_names(path: Path) -> dict[str, str] | list[str]:
+    """A map of names, or a list of them. Raises `BadInput` where the file holds neither."""
+    from poseterior.probmodel import BadInput
+    from poseterior.probmodel.documents import read_json
+
+    names = read_json(path, "map of names", "give a JSON object of names")
+    texts = [*names, *names.values()] if isinstance(names, dict) else names
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
+        raise BadInput(f"{path} must hold an object of names, or a list of them; write texts only")
+    return names
+
+
+def map_of_names(path: Path | None) -> dict[str, str] | None:
+    """A map of names, if there is a file of them. Raises `BadInput` where it holds something
+    else."""
+    from poseterior.probmodel import BadInput
+
+    names = None if path is None else read_names(path)
+    if isinstance(names, list):
+        raise BadInput(f"{path} must hold an object of a file's names of joints → ours, not a list")
+    return names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -663,6 +693,33 @@ def check(settings: object) -> None:
             one.check()
 
 
+OUTPUTS = ("out", "poses")
+"""Options that name what is written; of `learn`, poses are too."""
+_OF_A_RESULT = re.compile(r"(hypotheses|run)\.json|.*\.nc")
+"""Files in a folder of results that are read."""
+
+
+def require_other_files(values: Mapping[str, Any]) -> None:
+    """Raises `BadInput` where what is to be written is something that is read, or, where that is a
+    folder of results, a part of it."""
+    from poseterior.probmodel import BadInput
+
+    outputs = {name: values.get(name) for name in OUTPUTS}
+    given = [one for name, one in values.items() if name not in OUTPUTS]
+    flat = [one for each in given for one in (each if isinstance(each, list) else [each])]
+    read = [Path(one) for one in flat if isinstance(one, str | Path)]
+    for name, out in outputs.items():
+        if not isinstance(out, Path) or not out.exists():
+            continue
+        for path in read:
+            inside = path.is_dir() and out.parent.samefile(path)
+            part = inside and _OF_A_RESULT.fullmatch(out.name)
+            if path.exists() and (part or out.samefile(path)):
+                raise BadInput(
+                    f"--{name} {out} would replace what is read from {path}; choose another name"
+                )
+
+
 def require_meaning(settings: object, given: Set[str]) -> None:
     """Raises `BadInput` where an option was given that settings, or a group of theirs, know to mean
     nothing beside the others."""
@@ -697,7 +754,7 @@ def _cache() -> Path | None:
             return cache
     except (OSError, RuntimeError):  # RuntimeError: a user without a home
         pass
-    from poseterior.inference.exact.loops.places import temporary
+    from poseterior.inference.exact.loops.cache_folder import temporary
 
     own = temporary()
     if own is not None:  # matplotlib looks for fonts once, too

@@ -5,7 +5,7 @@ import functools
 from collections.abc import Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
 
 from typer import Argument, Option
 
@@ -20,7 +20,9 @@ from poseterior.reports.options import (
     Estimation,
     ExportFormat,
     Factor,
+    FilmPose,
     Hypotheses,
+    JointOrder,
     KnownLenses,
     LearnedLaw,
     LengthUnit,
@@ -30,6 +32,7 @@ from poseterior.reports.options import (
     Person,
     PersonOrResult,
     Prior,
+    RigNames,
     Rooting,
     RootKind,
     Roots,
@@ -38,12 +41,15 @@ from poseterior.reports.options import (
     Upright,
     Viewing,
     Workforce,
+    map_of_names,
 )
 
 if TYPE_CHECKING:
     from poseterior.inference.benchmark import Submission
     from poseterior.probmodel.datasets import DataSet
+    from poseterior.probmodel.people import Cast
     from poseterior.probmodel.sessions import Session
+    from poseterior.reports.exports.smoothing import Smoother
 
 CONTESTANTS = "rejection,emcee,aies,random-walk"
 """Of `compare`, where nobody says whom."""
@@ -141,6 +147,15 @@ class SampleSettings:
         return self.rooting.root if strata or self.rooting.root == RootKind.uncertain else None
 
 
+class _Film(NamedTuple):
+    """The names of all frames, the sizes of their people's images, and whether they are records of
+    a file that names none."""
+
+    names: list[str]
+    sizes: set[tuple[int, int] | None]
+    unnamed: bool
+
+
 @dataclass(frozen=True, kw_only=True)
 class FramesSettings:
     """Posterior draws and hypotheses of everyone in many frames, written as they come; goes on
@@ -149,6 +164,7 @@ class FramesSettings:
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "frames walk/ --out walk-posterior",
         "frames video.json --out result --num-samples 1000 --keep 100",
+        "frames street.json --person 1 --out one-of-them",
         "frames walk/ --out walk-uncertain --roots 400 --upright 20",
         "frames walk/ --focal 1650 --principal 960,540",
         "frames walk/ --root fixed --out walk-of-the-paper",
@@ -165,6 +181,14 @@ class FramesSettings:
         ),
     ] = Path("out")
     open: Open = False
+    person: Annotated[
+        int | None,
+        Option(
+            min=0,
+            help="Whose film: one person alone, counted from 0 as they are first seen.",
+            show_default="everyone",
+        ),
+    ] = None
     k: Hypotheses = 5
     composed: Composed = False
     keep: Annotated[
@@ -183,23 +207,43 @@ class FramesSettings:
         return self.rooting.root
 
     @functools.cached_property
-    def people(self) -> int:
-        """How many people there are in all frames: what cannot be read is better found now than
-        after hours."""
-        return sum(len(frame.people) for frame in self.detected.frames(self.path))
+    def _film(self) -> "_Film":
+        """All frames, looked through: what cannot be read is better found now than after hours."""
+        names, sizes, unnamed = [], set(), False
+        for frame in self.detected.frames(self.path):
+            names.append(frame.name)
+            sizes |= {person.image_size for person in frame.people}
+            unnamed |= any(person.image_id is None for person in frame.people)
+        return _Film(names, sizes, unnamed and not self.path.is_dir())
 
     @property
     def size(self) -> tuple[int, int] | None:
         """Width and height of the images, where anything says them and they are all the same."""
-        frames = self.detected.frames(self.path)
-        sizes = {person.image_size for frame in frames for person in frame.people}
-        return self.detected.size or (sizes.pop() if len(sizes) == 1 else None)
+        sizes = self._film.sizes
+        return self.detected.size or (next(iter(sizes)) if len(sizes) == 1 else None)
+
+    def doubts(self, cast: "Cast") -> list[str]:
+        """What is not certain of who is who, and of which frame is when."""
+        from poseterior.probmodel.formats.frames import frame_numbers
+
+        names, said = self._film.names, list(cast.doubts)
+        if self._film.unnamed and len(names) > 1:
+            said.append(
+                f"the records of {self.path} name no frames; each lies where the one before does,"
+                f" and they are read as {len(names)} frames of one person"
+            )
+        if len(names) > 1 and frame_numbers(names) is None:
+            said.append(
+                f"the names of the frames ({names[0]}, {names[1]}, …) do not count them: they are"
+                " taken in this order, without gaps"
+            )
+        return said
 
     def check(self) -> None:
         """Reads all frames. Raises `BadInput` on a bad one, or where there is nobody."""
         from poseterior.probmodel import BadInput
 
-        if not self.people:
+        if not self._film.sizes:
             raise BadInput(
                 f"{self.path} has no person in it; choose one in which the detector found some"
             )
@@ -291,6 +335,7 @@ class CheckSettings:
         ),
     ]
     limits: Limits = None
+    names: RigNames = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -299,7 +344,9 @@ class ExportSettings:
     a stream.
 
     All have x to the right of the image, y up and z towards the camera, with the pelvis at the
-    origin. Standard deviations of the draws are columns in CSV, markers JOINT_sd in TRC, residuals
+    origin, or, of a stream with a known focal length, the camera. Of a stream it takes the mean of
+    each frame's draws, made a body with bones of one length. Frames that are not there are gaps.
+    Standard deviations of the draws are columns in CSV, markers JOINT_sd in TRC, residuals
     in C3D (root mean square distance); hypotheses.json alone knows none. C3D and glTF need
     poseterior's extra `export`."""
 
@@ -307,6 +354,7 @@ class ExportSettings:
         "export result/hypotheses.json --to bvh",
         "export result/posterior.nc --to c3d --draws 100 --height 1.82",
         "export walk-posterior --to trc --person 0 --rate 25 --out walk.trc",
+        "export walk-posterior --to bvh --rate 25 --smooth butterworth:6",
         "export result --to gltf --out ghosts.glb",
     )
     result: Annotated[
@@ -338,7 +386,38 @@ class ExportSettings:
         None
     )
     person: Annotated[int | None, Option(help="Whose film, in a stream of several people.")] = None
-    rate: Annotated[float, Option(help="Poses a second.")] = 30.0
+    what: Annotated[
+        FilmPose | None,
+        Option(
+            help="Of each frame of a stream: the mean of the draws, made a body again, or the"
+            " heaviest hypothesis.",
+            show_default="mean",
+        ),
+    ] = None
+    smooth: Annotated[
+        str | None,
+        Option(
+            metavar="FILTER",
+            help="Of a stream (with --rate): butterworth:6 (Hz, no lag), savgol:15 (frames) or"
+            " one-euro:1 (Hz, looks back only).",
+            show_default="no filter",
+        ),
+    ] = None
+    rate: Annotated[
+        float | None,
+        Option(help="Frames a second of the film.", show_default="30, which is then said"),
+    ] = None
+
+    def check(self) -> None:
+        """Raises `BadInput` on a filter that is none."""
+        self.smoother  # noqa: B018
+
+    @functools.cached_property
+    def smoother(self) -> "Smoother | None":
+        """The filter. Raises `BadInput` where there is none of that name."""
+        from poseterior.reports.exports.smoothing import smoother_of
+
+        return None if self.smooth is None else smoother_of(self.smooth)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -495,6 +574,8 @@ class EvaluateSettings:
         ),
     ] = "none"
     detections: Annotated[str, Option(help="Human3.6M's 2D file, data_2d_h36m_NAME.npz.")] = "gt"
+    names: RigNames = None
+    layout: JointOrder = None
     predictions: Annotated[
         list[Path] | None,
         Option(help="Poses of another method, a row of Table 1; may be given again."),
@@ -519,6 +600,8 @@ class EvaluateSettings:
             seed=self.sampling.seed,
             detections=self.detections,
             perspective=self.perspective,
+            names=map_of_names(self.names),
+            layout=self.layout,
         )
 
     def check(self) -> None:
@@ -539,8 +622,8 @@ class CoverageSettings:
         "coverage --sampler rejection --num-simulations 1000 --out coverage",
         "coverage --simulate-only --num-simulations 200",
         "coverage --sampler draws.npz --num-simulations 200",
-        "coverage --dataset recordings.npz --estimator zhou --noise gaussian:0.02 --missing 1"
-        " --out real",
+        "coverage --dataset recordings.npz --root fixed --estimator zhou --noise gaussian:0.02"
+        " --missing 1 --out real",
         "coverage --root uncertain --num-simulations 1000 --out whole",
         "coverage --dataset session/ --root uncertain --perspective --noise none --out filmed",
     )
@@ -599,7 +682,7 @@ class CoverageSettings:
         from poseterior.probmodel import BadInput
 
         real = ["frames", "estimator", "noise", "missing", "perspective"]
-        draws = ["sampler", "num_samples", "max_proposals", "root", "roots", "upright"]
+        draws = ["sampler", "num_samples", "max_proposals", "roots", "upright"]
         if self.dataset is not None:
             way, unknown = "with --dataset", ["simulate_only", "num_simulations"]
         elif self.simulate_only:
@@ -653,6 +736,7 @@ class CalibrateSettings:
         ),
     ] = "none"
     detections: Annotated[str, Option(help="Human3.6M's 2D file, data_2d_h36m_NAME.npz.")] = "gt"
+    layout: JointOrder = None
     seed: Seed = 0
 
     @functools.cached_property
@@ -662,9 +746,15 @@ class CalibrateSettings:
         from poseterior.probmodel.sessions import is_session, read_session
 
         if is_session(self.dataset):
-            return read_session(self.dataset)
+            return read_session(self.dataset, layout=self.layout)
         noise = Noise.parse(self.noise)
-        return read_data_set(self.dataset, noise=noise, seed=self.seed, detections=self.detections)
+        return read_data_set(
+            self.dataset,
+            noise=noise,
+            seed=self.seed,
+            detections=self.detections,
+            layout=self.layout,
+        )
 
     def described(self) -> dict[str, str]:
         """What the law's file says of how it was learned."""
@@ -710,3 +800,4 @@ class LearnSettings:
         float,
         Option(help="Factor by which the usual margins around what was seen are widened."),
     ] = 1.0
+    names: RigNames = None

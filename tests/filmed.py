@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from poseterior.probmodel import Detection
-from poseterior.probmodel.layouts import BODY_25B
+from poseterior.probmodel.layouts import BODY_25B, Layout
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from poseterior.probmodel.sessions import Pinhole, Session
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
@@ -69,24 +69,30 @@ def filmed(joints: np.ndarray, errors: np.ndarray, views: list[Pinhole] | None =
     return Session("simulated", tuple(views), labels, tuple(range(len(joints))), tuple(people))
 
 
-def write_session(session: Session, folder: Path, calibration: str = "calibration.qca.txt") -> None:
-    """Writes a session in Pose2Sim's layout: OpenPose's BODY_25B, one of the two calibrations."""
+def write_session(
+    session: Session,
+    folder: Path,
+    calibration: str = "calibration.qca.txt",
+    layout: Layout = BODY_25B,
+) -> None:
+    """Writes a session in Pose2Sim's layout: one of the two calibrations, and detections in
+    OpenPose's envelope."""
     for label, people in zip(session.labels, session.people, strict=True):
         (folder / "pose" / f"{label}_json").mkdir(parents=True)
         for number, person in zip(session.numbers, people, strict=True):
             path = folder / "pose" / f"{label}_json" / f"{label}_{number:06}.json"
-            path.write_text(json.dumps(openpose([person.keypoints])))
+            path.write_text(json.dumps(openpose([person.keypoints], layout)))
     write = write_toml if calibration.endswith(".toml") else write_qualisys
     (folder / "calibration").mkdir()
     write(session.cameras, folder / "calibration" / calibration)
 
 
-def openpose(people: list[np.ndarray]) -> dict:
-    """OpenPose's document of people `(15, 2)`."""
+def openpose(people: list[np.ndarray], layout: Layout = BODY_25B) -> dict:
+    """OpenPose's document of people `(15, 2)`, whose order is any."""
     flat = []
     for keypoints in people:
-        rows = np.zeros((BODY_25B.count, 3))
-        for row, name in enumerate(BODY_25B.points):
+        rows = np.zeros((layout.count, 3))
+        for row, name in enumerate(layout.points):
             if name in JOINT_INDEX:
                 rows[row] = [*keypoints[JOINT_INDEX[name]], 0.5]
         flat.append({"pose_keypoints_2d": rows.ravel().tolist()})

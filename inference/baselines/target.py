@@ -289,11 +289,37 @@ class Target(LimbChart):
         return np.zeros(len(np.asarray(points)), int)
 
     def faults(self, key: jax.Array, points: ArrayLike) -> Faults:
-        """As of a `Density`: none."""
+        """As of a `Density`: none.
+
+        Parameters
+        ----------
+        key
+            Of draws that there are not.
+        points : `(n, d)`
+            Points of R^d.
+
+        Returns
+        -------
+        Faults
+            Leaves start with n.
+        """
         return Faults.none(len(np.asarray(points)))
 
     def points_at(self, roots: Any, poses: Pose) -> np.ndarray:
-        """As of a `Density`."""
+        """As of a `Density`.
+
+        Parameters
+        ----------
+        roots
+            The only candidate, over and over.
+        poses
+            Inside the prior's support, leaves start with n.
+
+        Returns
+        -------
+        ndarray
+            `(n, d)`.
+        """
         return self.points_of(poses)
 
     def points_in(self, draws: xr.Dataset) -> np.ndarray:

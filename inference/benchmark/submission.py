@@ -3,7 +3,8 @@ cannot be draws of the target.
 
 An .npz holds one of `points`, `box`, `cube` (the charts of `target`), `(n, d)`, or `(chain, draw,
 d)` for Markov chains; and where there are any, `weights` or `log_weights` of as many draws,
-`log_evidence` with `log_evidence_se`, `evaluations`, and `seconds`. An .npy holds points."""
+`log_evidence` with `log_evidence_se`, `evaluations`, and `seconds`. An .npy holds points. The
+group posterior of ArviZ's netCDF may hold the same, `(chain, draw, d)`."""
 
 import math
 import os
@@ -13,9 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from poseterior.inference.benchmark.target import FrozenTarget
-from poseterior.probmodel.arrays import read_array, read_tables
+from poseterior.probmodel.arrays import HDF5, ArrayFile, read_array, read_tables
 from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.files import opened
 
+NETCDF = (".nc", ".nc4", ".h5", ".hdf5")
 CHARTS = ("points", "box", "cube")
 WEIGHTS = ("weights", "log_weights")
 NUMBERS = ("log_evidence", "log_evidence_se", "evaluations", "seconds")
@@ -51,12 +54,31 @@ def read_submission(path: str | os.PathLike, target: FrozenTarget) -> Submission
     """The draws in a file. Raises `BadInput` as `submit`, and where it is no such file."""
     if Path(path).suffix.lower() == ".npy":
         return submit(target, points=read_array(path, WHAT, ADVICE), where=str(path))
+    if Path(path).suffix.lower() in NETCDF:
+        return submit(target, **_posterior(Path(path)), where=str(path))
     arrays = read_tables(path, WHAT, ADVICE)
     unknown = sorted(set(arrays) - {*CHARTS, *WEIGHTS, *NUMBERS})
     if unknown:
         known = ", ".join((*CHARTS, *WEIGHTS, *NUMBERS))
         raise BadInput(f"{path} has an array {shown(unknown[0])}; it may have {known}")
     return submit(target, **arrays, where=str(path))
+
+
+def _posterior(path: Path) -> dict[str, np.ndarray]:
+    """What the posterior of ArviZ's netCDF holds of the arrays that an .npz may have."""
+    group = "posterior/"
+    with opened(path, WHAT, ADVICE) as file:
+        found = ArrayFile(file, str(path), WHAT, ADVICE)
+        found.require(HDF5)
+        names = [name.removeprefix(group) for name in found.names() if name.startswith(group)]
+        wanted = [name for name in (*CHARTS, *WEIGHTS, *NUMBERS) if name in names]
+        arrays = found.read([group + name for name in wanted])
+    if not set(CHARTS) & set(wanted):
+        raise BadInput(
+            f"the group posterior of {path} has {shown(names)}, but none of {', '.join(CHARTS)};"
+            " give one of these as a variable (chain, draw, coordinate of the target)"
+        )
+    return {name.removeprefix(group): values for name, values in arrays.items()}
 
 
 def submit(target: FrozenTarget, *, where: str = "the draws", **arrays: np.ndarray) -> Submission:

@@ -1,8 +1,10 @@
-"""Exact rejection by strata: the fast way on a processor. `StratifiedGroup` is a `GroupSampler`.
+"""Exact rejection by strata: the fast way on a processor. `StratifiedGroup` is a
+`GroupSampler`.
 
-A group starts with few strata, and is cut finer as soon as the attempts still to be made cost more
-than the cutting (docs/model.md § 4: set-up and acceptance trade against each other). Draws of
-every resolution are draws of the same posterior, so all are kept, and their rates are pooled."""
+A group starts with few strata, and is cut finer as soon as the proposals still to be
+made cost more than the cutting (docs/model.md § 4: set-up and acceptance trade against
+each other). Draws of every resolution are draws of the same posterior, so all are kept,
+and their rates are pooled."""
 
 import contextlib
 import functools
@@ -16,26 +18,26 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from poseterior.inference.exact import ahead
-from poseterior.inference.exact.loops.attempts import attempt_lengths, attempt_limb, hand_over
+from poseterior.inference.exact import warm_up
 from poseterior.inference.exact.loops.bins import length_bins
 from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.exact.loops.proposals import add_bodies, propose_lengths, propose_limb
 from poseterior.inference.exact.loops.seeds import seeded
-from poseterior.inference.exact.loops.strata import Resolution, Sketch, fill_in, sketch
+from poseterior.inference.exact.loops.strata import Resolution, StrataBuffer, fill_in, strata_buffer
 from poseterior.inference.exact.loops.tables import (
     Bodies,
     CutLimb,
-    Desk,
     LengthBins,
     LimbProblem,
     LimbTables,
     Strata,
+    Workspace,
     blank_bodies,
     cell_table,
-    desk_pair,
+    workspace_pair,
 )
 from poseterior.inference.exact.problem import LogRatio
-from poseterior.inference.exact.rates import HOPELESS, Budget, Pile, Pooled, Rate
+from poseterior.inference.exact.rates import ZERO_ACCEPTANCE_LIMIT, Budget, Pooled, Rate, RowBuffer
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.pose import GroupDraws
 from poseterior.probmodel.skeleton import GROUPS
@@ -51,47 +53,47 @@ GAIN = (1.0, 1.7, 2.9, 3.8)
 """How many times the acceptance of the first resolution each of them has, roughly."""
 WORTH_A_THREAD = 1 << 15
 """Strata that a thread of their own is worth waking for."""
-ATTEMPTS = 1 << 14
-"""Attempts of a batch at least, but for the last one."""
-LARGEST = 1 << 18
-"""Attempts of a batch at most: many, since a bin's strata are at hand only while it is visited."""
+SMALLEST_BATCH = 1 << 14
+"""Proposals of a batch at least, but for the last one."""
+LARGEST_BATCH = 1 << 18
+"""Proposals of a batch at most: many, since a bin's strata are at hand only while it is
+visited."""
 BATCHES = 8
 """Batches of one size that are made side by side."""
-AT_A_TIME = 1 << 13
-"""Attempts on a desk."""
-FIRST = 1 << 11
-"""Attempts of the first batch, which shows how a group fares."""
+WORKSPACE_SIZE = 1 << 13
+"""Proposals in a workspace."""
+PILOT_BATCH = 1 << 11
+"""Proposals of the first batch, which shows how a group fares."""
 
 
 class GroupTables(NamedTuple):
-    """What the model says of a group of limbs: `LimbTables` each, and the parameters `(bones, 4)`
-    of their lengths."""
+    """What the model says of a group of limbs: `LimbTables` each, and the parameters
+    `(bones, 4)` of their lengths."""
 
     builds: tuple[LimbTables, ...]
     lengths: np.ndarray
 
 
-def once_a_model[Made](make: Callable[[PoseModel], Made]) -> Callable[[PoseModel], Made]:
-    """`make`, whose results depend on limits and lengths, remembered by the identity of the model's
-    cells: a model is no key itself, and those that `seen_by` makes of it share them. An entry goes
-    when they go."""
+def memoised_by_model[Made](make: Callable[[PoseModel], Made]) -> Callable[[PoseModel], Made]:
+    """`make`, whose results depend on limits and lengths, memoised by the identity of
+    the model's cells: a model is no key itself, and those that `seen_by` makes of it
+    share them. An entry goes when they go."""
     known: dict[int, tuple[weakref.ref, Made]] = {}
 
     @functools.wraps(make)
     def made(model: PoseModel) -> Made:
         identity = id(model.cells)
         if identity not in known or known[identity][0]() is not model.cells:
-            found = make(model)
             gone = weakref.ref(model.cells, lambda _: known.pop(identity, None))
-            known[identity] = gone, found
+            known[identity] = gone, make(model)
         return known[identity][1]
 
     return made
 
 
-@once_a_model
+@memoised_by_model
 def group_tables(model: PoseModel) -> dict[str, GroupTables]:
-    """The model's tables as the compiled loops read them, by group; made once a model."""
+    """The model's tables as the compiled loops read them, by group; memoised."""
     return {name: _group(model, limbs) for name, limbs in GROUPS.items()}
 
 
@@ -107,7 +109,8 @@ def _group(model: PoseModel, limbs: Sequence) -> GroupTables:
 def _build(model: PoseModel, upper: int, lower: int | None) -> LimbTables:
     rows = np.asarray(model.cells.rows)[upper]
     mass = np.diff(rows, axis=-1) / np.asarray(model.cells.columns)[upper, -1]
-    hinge, axes = None, np.zeros(6)
+    hinge = None
+    axes = np.zeros(6)
     if lower is not None:
         hinge = jax.tree.map(lambda leaf: np.asarray(leaf)[lower], model.hinges)
         axes = np.concatenate([model.limits.reference, np.asarray(model.limits.fallback)[lower]])
@@ -124,50 +127,51 @@ def _build(model: PoseModel, upper: int, lower: int | None) -> LimbTables:
 _own = threading.local()
 
 
-def _desks() -> tuple[Desk, Desk]:
+def _workspaces() -> tuple[Workspace, Workspace]:
     """This thread's own."""
-    if not hasattr(_own, "desks"):
-        _own.desks = desk_pair(AT_A_TIME)
-    return _own.desks
+    if not hasattr(_own, "workspaces"):
+        _own.workspaces = workspace_pair(WORKSPACE_SIZE)
+    return _own.workspaces
 
 
-class Rooms:
-    """Where batches write their draws, handed on from batch to batch and from frame to frame:
-    memory that is new to a process is as slow as the draws themselves."""
+class BodyBuffers:
+    """What batches write their draws to, handed on from batch to batch and from frame
+    to frame: memory that is new to a process is as slow as the draws themselves."""
 
     LARGEST = 1 << 17
-    """Attempts of the largest that is kept."""
+    """Proposals of the largest buffer that is not given back to the system."""
 
     def __init__(self, limbs: int) -> None:
-        self._limbs, self._kept = limbs, list[Bodies]()
+        self._limbs = limbs
+        self._free = list[Bodies]()
 
-    def take(self, attempts: int) -> Bodies:
-        """Room for so many attempts."""
+    def take(self, proposals: int) -> Bodies:
+        """A buffer for so many proposals."""
         with contextlib.suppress(IndexError):
-            room = self._kept.pop()
-            if len(room.length) >= attempts:
-                return room
-        return blank_bodies(max(attempts, self.LARGEST), self._limbs)
+            buffer = self._free.pop()
+            if len(buffer.length) >= proposals:
+                return buffer
+        return blank_bodies(max(proposals, self.LARGEST), self._limbs)
 
-    def give(self, room: Bodies) -> None:
+    def give(self, buffer: Bodies) -> None:
         """Takes back what nobody reads any more."""
-        if len(room.length) <= self.LARGEST and len(self._kept) < BATCHES:
-            self._kept.append(room)
+        if len(buffer.length) <= self.LARGEST and len(self._free) < BATCHES:
+            self._free.append(buffer)
 
 
-_rooms = {limbs: Rooms(limbs) for limbs in (1, 2)}
+_body_buffers = {limbs: BodyBuffers(limbs) for limbs in (1, 2)}
 
 
 @functools.cache
 def workers() -> ThreadPoolExecutor:
-    """One thread a core; the compiled loops are free of Python's lock. Only tasks that wait for
-    nothing go here."""
+    """One thread a core; the compiled loops are free of Python's lock. Only tasks that
+    wait for nothing go here."""
     return ThreadPoolExecutor(os.cpu_count())
 
 
 class Plan(NamedTuple):
-    """Strata of a group at one resolution; `share` `(bins,)` of the attempts, and the proposal's
-    whole `mass`."""
+    """Strata of a group at one resolution; `share` `(bins,)` of the proposals, and the
+    proposal's whole `mass`."""
 
     sub: int
     bins: tuple[LengthBins, LengthBins]
@@ -192,14 +196,13 @@ def plan_group(
     *,
     alone: bool = False,
 ) -> Plan:
-    """Cuts a group at a resolution. Attempts × `mass` × acceptance rate = the prior probability of
-    what is accepted. `alone` keeps all work in the calling thread, which may be one of
-    `workers`."""
+    """Cuts a group at a resolution. Proposals × `mass` × acceptance rate = the prior
+    probability of what is accepted. `alone` keeps all work in the calling thread, which
+    may be one of `workers`."""
     two = tables.builds[0].bones == 2
     first = _bins(*tables.lengths[0].tolist(), resolution.first)
     second = _bins(*tables.lengths[-1].tolist(), resolution.second if two else 1)
-
-    strata = _cut(tables, limbs, first.edges, second.edges, resolution.sub, alone)
+    strata = _cut(tables, limbs, (first.edges, second.edges), resolution.sub, alone)
     prior = np.outer(first.mass, second.mass).ravel() if two else first.mass
     weight = prior * np.prod([limb.totals for limb in strata], axis=0)
     mass = float(weight.sum())
@@ -209,67 +212,72 @@ def plan_group(
 def _cut(
     tables: GroupTables,
     limbs: tuple[LimbProblem, ...],
-    edges1: np.ndarray,
-    edges2: np.ndarray,
+    edges: tuple[np.ndarray, np.ndarray],
     sub: int,
     alone: bool,
 ) -> tuple[Strata, ...]:
     """The strata of every limb, by threads where there is enough to do."""
 
-    def begun(limb: LimbProblem, build: LimbTables) -> Sketch:
-        return sketch(limb, build, edges1, edges2, sub)
+    def begun(limb: LimbProblem, build: LimbTables) -> StrataBuffer:
+        return strata_buffer(limb, build, edges, sub)
 
     few = alone or len(limbs) == 1 or sub == 1
-    sketches = list((map if few else workers().map)(begun, limbs, tables.builds))
-    most = sum(len(found.strata.entries) for found in sketches)
+    buffers = list((map if few else workers().map)(begun, limbs, tables.builds))
+    most = sum(len(buffer.strata.entries) for buffer in buffers)
     parts = 1 if alone else min(os.cpu_count() or 1, 1 + most // WORTH_A_THREAD)
-    spans = [found.spans(parts) for found in sketches]
+    spans = [buffer.spans(parts) for buffer in buffers]
 
     def fill_part(part: int) -> None:
-        for found, own in zip(sketches, spans, strict=True):
-            fill_in(found, own[part])
+        for buffer, own in zip(buffers, spans, strict=True):
+            fill_in(buffer, *own[part])
 
-    # All of it by the workers, while this thread sleeps: one that it wakes shares its core first.
+    # All of it by the workers, while this thread sleeps: one that it wakes shares its
+    # core first.
     list((map if parts == 1 else workers().map)(fill_part, range(parts)))
-    return tuple(found.strata for found in sketches)
+    return tuple(buffer.strata for buffer in buffers)
 
 
-def attempt_group(
+def draw_group(
     plan: Plan,
     tables: GroupTables,
     limbs: tuple[LimbProblem, ...],
     order: list[int],
     rng: np.random.Generator,
     state: np.ndarray,
-    attempts: int,
-    room: Bodies | None = None,
+    *,
+    proposals: int,
+    buffer: Bodies | None = None,
 ) -> tuple[Bodies, int]:
-    """Attempts at a group by a plan that has mass: the draws within reach, in random order, their
-    limbs in the group's order; and how many attempts passed the limb that is first in `order`.
-    `rng` shares the attempts out, `state` is that of the loops' random numbers; draws are written
-    to `room`, if there is one."""
-    ahead.wait()
-    ends, desks = np.cumsum(rng.multinomial(attempts, plan.share)), _desks()
+    """Proposals of a group by a plan that has mass: the draws within reach, in random
+    order, their limbs in the group's order; and how many proposals passed the limb that
+    is first in `order`. `rng` shares the proposals out, `state` is that of the loops'
+    random numbers; draws are written to the `buffer`, if there is one."""
+    warm_up.wait()
+    ends = np.cumsum(rng.multinomial(proposals, plan.share))
+    workspaces = _workspaces()
     cut = [CutLimb(limbs[row], tables.builds[row], plan.strata[row]) for row in order]
-    room = room or blank_bodies(attempts, len(limbs))
-    two, columns, passed, found = tables.builds[0].bones == 2, np.array(order), 0, 0
-    for start in range(0, attempts, AT_A_TIME):
-        left = attempt_lengths(state, ends, start, *plan.bins, two, desks[0])
+    buffer = buffer or blank_bodies(proposals, len(limbs))
+    two = tables.builds[0].bones == 2
+    columns = np.array(order)
+    passed = held = 0
+    for start in range(0, proposals, WORKSPACE_SIZE):
+        left = propose_lengths(state, ends, start, plan.bins, two, workspaces[0])
         for row, limb in enumerate(cut):
-            left = attempt_limb(state, limb, plan.sub, left, desks[row])
+            left = propose_limb(state, limb, plan.sub, left, workspaces[row])
             passed += left if row == 0 else 0
-        found = hand_over(state, left, *desks, columns, room, found)
-    return Bodies(*(part[:found] for part in room)), passed
+        held = add_bodies(state, left, workspaces, columns, buffer, held)
+    return Bodies(*(part[:held] for part in buffer)), passed
 
 
 class StratifiedGroup:
-    """Exact draws of one group, cut as finely as the number of draws asked for makes worth while;
-    see the module."""
+    """Exact draws of one group, cut as finely as the number of draws asked for makes
+    worth while; see the module."""
 
-    STRATUM, ATTEMPT = 1.0, 1.0
-    """What a stratum costs to set up, and an attempt: only their ratio counts, and only for speed.
-    From 0.5 to 1.4 the time of 100,000 draws changes by 1 % and is least here, while the set-up, of
-    which fewer draws have most, takes a third less."""
+    STRATUM_COST = 1.0
+    PROPOSAL_COST = 1.0
+    """What a stratum costs to set up, and a proposal: only their ratio counts, and only
+    for speed. From 0.5 to 1.4 the time of 100,000 draws changes by 1 % and is least
+    here, while the set-up, of which fewer draws have most, takes a third less."""
 
     def __init__(
         self,
@@ -280,9 +288,11 @@ class StratifiedGroup:
         log_ratio: LogRatio | None = None,
     ) -> None:
         self._log_ratio = log_ratio
-        self.name, self._tables, self._limbs = name, tables, limbs
+        self.name = name
+        self._tables = tables
+        self._limbs = limbs
         self._words = words_of(key)
-        self._pile = Pile()
+        self._buffer = RowBuffer()
         self.level = self._batches = 0
         self._order = list(range(len(limbs)))
         self._plan = self.plan_at(0)
@@ -290,17 +300,17 @@ class StratifiedGroup:
 
     @property
     def held(self) -> int:
-        return self._pile.size
+        return self._buffer.size
 
     @property
     def impossible(self) -> bool:
         return self._plan.mass == 0
 
     @property
-    def hopeless(self) -> bool:
-        tried = sum(rate.proposed for rate in self._rates)
-        found = any(rate.accepted for rate in self._rates)
-        return self.impossible or (not found and tried >= HOPELESS)
+    def given_up(self) -> bool:
+        proposed = sum(rate.proposed for rate in self._rates)
+        accepted = any(rate.accepted for rate in self._rates)
+        return self.impossible or (not accepted and proposed >= ZERO_ACCEPTANCE_LIMIT)
 
     @property
     def slowest(self) -> str:
@@ -311,8 +321,8 @@ class StratifiedGroup:
         return [Pooled(tuple(self._rates))]
 
     def more(self, number: int, budget: Budget) -> bool:
-        self._pile.reserve(number + number // 16 + FIRST)
-        while self.held < number and not self.hopeless:
+        self._buffer.reserve(number + number // 16 + PILOT_BATCH)
+        while self.held < number and not self.given_up:
             self._refine(number)
             if self.impossible:  # a finer cut may leave nothing where a coarser one left something
                 break
@@ -327,17 +337,17 @@ class StratifiedGroup:
         return self.held >= number
 
     def _sizes(self, number: int, affordable: int) -> list[int]:
-        """Attempts of the batches that are expected to bring what is missing, or as much of it as
-        is affordable."""
+        """Proposals of the batches that are expected to bring what is missing, or as
+        much of it as is affordable."""
         rate = self._rates[-1]
         if not rate.accepted:
-            return [FIRST if rate.proposed == 0 else ATTEMPTS]
+            return [SMALLEST_BATCH if rate.proposed else PILOT_BATCH]
         missing = int((number - self.held) * rate.proposed / rate.accepted)
         missing = min(missing, affordable, 1024 * rate.proposed)
-        if missing < ATTEMPTS:
-            return [FIRST * (missing // FIRST + 1)]
-        rounds = -(-missing // (BATCHES * LARGEST))
-        batches = min(rounds * BATCHES, missing // ATTEMPTS)
+        if missing < SMALLEST_BATCH:
+            return [PILOT_BATCH * (missing // PILOT_BATCH + 1)]
+        rounds = -(-missing // (BATCHES * LARGEST_BATCH))
+        batches = min(rounds * BATCHES, missing // SMALLEST_BATCH)
         return [missing // batches] * batches
 
     def _refine(self, number: int) -> None:
@@ -345,18 +355,20 @@ class StratifiedGroup:
         rate = self._rates[-1]
         if not rate.proposed:
             return
-        missing, acceptance = number - self.held, max(rate.accepted, 0.5) / rate.proposed
+        missing = number - self.held
+        acceptance = max(rate.accepted, 0.5) / rate.proposed
 
         def cost(level: int) -> float:
             gain = GAIN[level] / GAIN[self.level]
-            attempts = missing / max(acceptance, min(1.0, gain * acceptance))
+            proposals = missing / max(acceptance, min(1.0, gain * acceptance))
             growth = RESOLUTIONS[level].pieces / RESOLUTIONS[self.level].pieces
             strata = growth * self._plan.size if level > self.level else 0
-            return strata * self.STRATUM + attempts * self.ATTEMPT
+            return strata * self.STRATUM_COST + proposals * self.PROPOSAL_COST
 
         level = min(range(self.level, len(RESOLUTIONS)), key=cost)
         if level > self.level:
-            self.level, self._plan = level, self.plan_at(level)
+            self.level = level
+            self._plan = self.plan_at(level)
             self._rates.append(Rate(0, 0, self._plan.mass))
 
     def plan_at(self, level: int) -> Plan:
@@ -365,30 +377,41 @@ class StratifiedGroup:
 
     def _run(self, sizes: list[int]) -> None:
         numbers = range(self._batches, self._batches + len(sizes))
-        tried = through = found = 0
-        rooms = _rooms[len(self._limbs)]
-        space = [rooms.take(size) for size in sizes]
-        for size, own, (bodies, passed) in zip(
-            sizes, space, workers().map(self._batch, numbers, sizes, space), strict=True
-        ):
-            rate, tried, through = self._rates[-1], tried + size, through + passed
-            self._rates[-1] = Rate(
-                rate.proposed + size, rate.accepted + len(bodies.length), rate.mass
-            )
-            self._pile.add(*bodies)
-            rooms.give(own)
-            found += len(bodies.length)
+        proposed = through = accepted = 0
+        body_buffers = _body_buffers[len(self._limbs)]
+        buffers = [body_buffers.take(size) for size in sizes]
+        batches = workers().map(self._batch, numbers, sizes, buffers)
+        for size, buffer, (bodies, passed) in zip(sizes, buffers, batches, strict=True):
+            number = len(bodies.length)
+            rate = self._rates[-1]
+            self._rates[-1] = Rate(rate.proposed + size, rate.accepted + number, rate.mass)
+            self._buffer.add(*bodies)
+            body_buffers.give(buffer)
+            proposed += size
+            through += passed
+            accepted += number
         self._batches += len(sizes)
-        # The limb that fails more often goes first: then the other is seldom tried in vain.
-        if len(self._limbs) == 2 and through**2 > found * tried:
+        # The limb that fails more often goes first: then the other is seldom tried in
+        # vain.
+        if len(self._limbs) == 2 and through**2 > accepted * proposed:
             self._order = self._order[::-1]
 
-    def _batch(self, number: int, attempts: int, room: Bodies | None = None) -> tuple[Bodies, int]:
-        """The draws of batch `number`, in random order, and how many passed their first limb."""
+    def _batch(
+        self, number: int, proposals: int, buffer: Bodies | None = None
+    ) -> tuple[Bodies, int]:
+        """The draws of batch `number`, in random order, and how many passed their first
+        limb."""
         rng = np.random.default_rng(np.random.SeedSequence(self._words, spawn_key=(number, 0)))
         state = seeded(self._words, number, 1)
-        bodies, passed = attempt_group(
-            self._plan, self._tables, self._limbs, self._order, rng, state, attempts, room
+        bodies, passed = draw_group(
+            self._plan,
+            self._tables,
+            self._limbs,
+            self._order,
+            rng,
+            state,
+            proposals=proposals,
+            buffer=buffer,
         )
         if self._log_ratio is not None and len(bodies.length):
             test = np.log1p(-rng.uniform(size=len(bodies.length)))
@@ -397,10 +420,10 @@ class StratifiedGroup:
         return bodies, passed
 
     def draws(self) -> dict[str, GroupDraws]:
-        return {self.name: self._named(Bodies(*self._pile.all()))}
+        return {self.name: self._named(Bodies(*self._buffer.all()))}
 
     def forget(self, number: int) -> None:
-        self._pile.take(number)
+        self._buffer.take(number)
 
     def _named(self, bodies: Bodies) -> GroupDraws:
         length, upper, lower = bodies

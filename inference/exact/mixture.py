@@ -38,10 +38,11 @@ from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.skeleton import GROUPS
 
 PILOTS = (64, 2000)
-"""Draws of each root from which the roots are weighed, in two rounds, before the rest is shared
-out."""
+"""Draws of each root from which the roots are weighed, in two rounds, before the rest
+is shared out."""
 NEGLIGIBLE = 0.01
-"""A root whose share is below this after the first round (known to an eighth) needs no second."""
+"""A root whose share is below this after the first round (known to an eighth) needs no
+second."""
 PILOT_PROPOSALS = 20_000_000
 """Proposals (some seconds) in which a root must make its first pilot draws."""
 EVEN = 16
@@ -49,7 +50,8 @@ EVEN = 16
 
 
 def _strata(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
-    tables, problems = group_tables(model), limb_problems(observation)
+    tables = group_tables(model)
+    problems = limb_problems(observation)
     return [
         StratifiedGroup(
             jax.random.fold_in(key, index),
@@ -78,8 +80,8 @@ PROPOSALS: dict[str, Proposal] = {
     "rejection-prior": _whole_body,
     ON_DEVICE: device_groups,
 }
-"""How exact rejection proposes, by the sampler's name: by strata; each group, or the whole body,
-from the prior; by strata on the device that JAX computes on."""
+"""How exact rejection proposes, by the sampler's name: by strata; each group, or the
+whole body, from the prior; by strata on the device that JAX computes on."""
 
 
 @dataclass
@@ -92,8 +94,9 @@ class RootSampler:
 
     def more(self, number: int, budget: Budget) -> bool:
         """Goes on until every group holds `number` draws; False where it cannot."""
-        # Every group goes on, also when another one cannot, and none to the end before all have
-        # some: where the budget ends first, there shall be as many whole bodies as there can be.
+        # Every group goes on, also when another one cannot, and none to the end before
+        # all have some: where the budget ends first, there shall be as many whole
+        # bodies as there can be.
         done = [
             sampler.more(target, budget)
             for target in (-(-number // EVEN), number)
@@ -107,7 +110,8 @@ class RootSampler:
         return min(sampler.held for sampler in self.samplers)
 
     def progress(self, number: int) -> float:
-        """How much of `number` draws there is, from 0 to 1, all groups taken together."""
+        """How much of `number` draws there is, from 0 to 1, all groups taken
+        together."""
         held = sum(min(sampler.held, number) for sampler in self.samplers)
         return held / max(1, number * len(self.samplers))
 
@@ -117,8 +121,8 @@ class RootSampler:
 
     @property
     def log_evidence(self) -> float:
-        """Log of the prior's mean of the likelihood over its peak; -inf where no draw was
-        accepted."""
+        """Log of the prior's mean of the likelihood over its peak; -inf where no draw
+        was accepted."""
         return sum(rate.log_probability for rate in self.rates)
 
     @property
@@ -260,7 +264,8 @@ def _one_evidence(evidences: np.ndarray, rows: np.ndarray) -> tuple[float, float
 
 
 def _shared_out(counts: np.ndarray, block: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """How many draws of each root are in each block: as if all draws stood in random order."""
+    """How many draws of each root are in each block: as if all draws stood in random
+    order."""
     while counts.sum() > block:
         own = rng.multivariate_hypergeometric(counts, block)
         yield own
@@ -270,7 +275,8 @@ def _shared_out(counts: np.ndarray, block: int, rng: np.random.Generator) -> Ite
 
 def root_samplers(posterior: Posterior, key: jax.Array, sampler: str) -> list[RootSampler]:
     """A sampler for each of the posterior's roots, with keys of their own."""
-    propose, model = PROPOSALS[sampler], posterior.model
+    propose = PROPOSALS[sampler]
+    model = posterior.model
     return [
         RootSampler(model, one, propose(jax.random.fold_in(key, index), model, one))
         for index, one in enumerate(posterior.observations)
@@ -280,11 +286,12 @@ def root_samplers(posterior: Posterior, key: jax.Array, sampler: str) -> list[Ro
 def _weigh(
     samplers: list[RootSampler], prior: np.ndarray, number: int, budget: Budget
 ) -> np.ndarray:
-    """Log weights of the roots from pilot draws: few of each, more of those that turn out to
-    matter.
+    """Log weights of the roots from pilot draws: few of each, more of those that turn
+    out to matter.
 
-    A root under which draws are very rare is not waited for: what its allowance brought is its
-    evidence. Only where no root brings any draw do the allowances grow, to the end of the budget.
+    A root under which draws are very rare is not waited for: what its allowance brought
+    is its evidence. Only where no root brings any draw do the allowances grow, to the
+    end of the budget.
     """
     if len(samplers) == 1:
         return prior
@@ -309,8 +316,8 @@ def _log_weights(samplers: list[RootSampler], prior: np.ndarray) -> np.ndarray:
 
 
 def _shares(log_weight: np.ndarray) -> np.ndarray:
-    """Weights that sum to one; where nothing has any, the first root (best reprojection) has
-    all."""
+    """Weights that sum to one; where nothing has any, the first root (best
+    reprojection) has all."""
     if not np.isfinite(log_weight).any():
         return np.eye(len(log_weight))[0]
     return shares(log_weight)
@@ -363,8 +370,10 @@ def _mixture_evidence(
 def _explain(
     samplers: list[RootSampler], posterior: Posterior, budget: Budget, held: int, wanted: int
 ) -> tuple[str, str]:
-    """Why there are fewer draws than wanted, in a sentence that names the joint or the group."""
-    model, where = posterior.model, posterior.detection.where
+    """Why there are fewer draws than wanted, in a sentence that names the joint or the
+    group."""
+    model = posterior.model
+    where = posterior.detection.where
     unreachable = [
         out_of_reach(model, limb_problems(observation)) for observation in posterior.observations
     ]
@@ -383,7 +392,7 @@ def _explain(
             f" ({miss}); mend or drop one"
         )
     counts = f"{held} of {wanted} draws after {budget.spent:,} proposals for {where}"
-    if slowest.hopeless:
+    if slowest.given_up:
         return OUT_OF_BUDGET, (
             f"{counts}: no possible {name} explain their detections ({miss}); mend or drop one"
         )

@@ -1,5 +1,6 @@
-"""Exact rejection as the textbook has it: bodies from the prior, kept where they explain the
-detection, whole or group by group. Slow; it needs nothing but the program's own pieces.
+"""Exact rejection as the textbook has it: bodies from the prior, kept where they
+explain the detection, whole or group by group. Slow; it needs nothing but the program's
+own pieces.
 """
 
 import functools
@@ -8,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from poseterior.inference.exact.rates import Budget, Pile, Rate
+from poseterior.inference.exact.rates import Budget, Rate, RowBuffer
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.pose import GroupDraws, Pose
@@ -19,17 +20,18 @@ BATCH = 1 << 15
 
 
 class PriorBodies:
-    """Bodies from the prior. Each of `wholes`, a tuple of groups, is accepted as one, and all of
-    them independently of each other, since the prior's groups are.
+    """Bodies from the prior. Each of `wholes`, a tuple of groups, is accepted as one,
+    and all of them independently of each other, since the prior's groups are.
 
     Parameters
     ----------
     key : of all draws.
     model, observation : what is believed, under one root.
-    wholes : the groups that are accepted together, e.g. `(("head",), ("arms",), ("legs",))`.
+    wholes : the groups that are accepted together, e.g. `(("head",), ("arms",),
+        ("legs",))`.
     """
 
-    impossible = hopeless = False  # draws from the prior go on to the end of the budget
+    impossible = given_up = False  # draws from the prior go on to the end of the budget
 
     def __init__(
         self,
@@ -38,14 +40,17 @@ class PriorBodies:
         observation: Observation,
         wholes: tuple[tuple[str, ...], ...],
     ) -> None:
-        self._key, self._model, self._observation, self.wholes = key, model, observation, wholes
-        self._piles = [Pile() for _ in wholes]
+        self._key = key
+        self._model = model
+        self._observation = observation
+        self.wholes = wholes
+        self._buffers = [RowBuffer() for _ in wholes]
         self._accepted = np.zeros(len(wholes), int)
         self._batches = 0
 
     @property
     def held(self) -> int:
-        return min(pile.size for pile in self._piles)
+        return min(buffer.size for buffer in self._buffers)
 
     def more(self, number: int, budget: Budget) -> bool:
         while self.held < number:
@@ -54,23 +59,23 @@ class PriorBodies:
             key = jax.random.fold_in(self._key, self._batches)
             poses, kept = propose(key, self._model, self._observation, self.wholes)
             self._batches += 1
-            for index, pile in enumerate(self._piles):
+            for index, buffer in enumerate(self._buffers):
                 chosen = np.flatnonzero(np.asarray(kept[index]))
                 self._accepted[index] += len(chosen)
-                if pile.size < number:  # the others' surplus would only fill the memory
-                    pile.add(*(np.asarray(part)[chosen] for part in poses))
+                if buffer.size < number:  # the others' surplus would only fill the memory
+                    buffer.add(*(np.asarray(part)[chosen] for part in poses))
         return True
 
     def draws(self) -> dict[str, GroupDraws]:
         return {
-            name: GroupDraws.of(Pose(*pile.all()), GROUPS[name])
-            for whole, pile in zip(self.wholes, self._piles, strict=True)
+            name: GroupDraws.of(Pose(*buffer.all()), GROUPS[name])
+            for whole, buffer in zip(self.wholes, self._buffers, strict=True)
             for name in whole
         }
 
     def forget(self, number: int) -> None:
-        for pile in self._piles:
-            pile.take(number)
+        for buffer in self._buffers:
+            buffer.take(number)
 
     @property
     def slowest(self) -> str:

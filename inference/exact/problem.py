@@ -1,8 +1,9 @@
-"""What one root leaves of each limb: where its joints have to fall, seen from where the limb
-starts.
+"""What one root leaves of each limb: where its joints have to fall, seen from where the
+limb starts.
 
-Given the root, head, arms and legs are independent of each other, and the limbs of a group share
-nothing but bone lengths. Everything here is in body units and 64 bits, whatever JAX computes in.
+Given the root, head, arms and legs are independent of each other, and the limbs of a
+group share nothing but bone lengths. Everything here is in body units and 64 bits,
+whatever JAX computes in.
 """
 
 from collections.abc import Callable
@@ -20,7 +21,8 @@ from poseterior.probmodel.programs import kept
 from poseterior.probmodel.skeleton import GROUPS, TORSO_INDEX, Limb
 
 LogRatio = Callable[[GroupDraws], np.ndarray]
-"""`(n,)`: for draws of a group, the log of the likelihood of its joints over its peak."""
+"""`(n,)`: for draws of a group, the log of the likelihood of its joints over its
+peak."""
 
 
 def limb_problems(observation: Observation) -> dict[str, tuple[LimbProblem, ...]]:
@@ -39,14 +41,16 @@ def limbs_of(
     axes : `(5, 3, 3)`, local axes of the upper bones in camera axes.
     plane : `(6, 2)`, where the torso's joints fall.
     target : `(15, 2)`, where joints were detected.
-    reach : `(15,)`, how far from there they may fall; infinite where a joint does not count.
+    reach : `(15,)`, how far from there they may fall; infinite where a joint does not
+        count.
     """
     start = dict(zip(TORSO_INDEX, plane, strict=True))
     found = {}
     for name, limbs in GROUPS.items():
         rows = []
         for limb in limbs:
-            offset, radius = np.zeros((2, 2)), np.full(2, np.inf)
+            offset = np.zeros((2, 2))
+            radius = np.full(2, np.inf)
             for row, bone in enumerate(limb.bones):
                 if np.isfinite(reach[bone.end]):
                     offset[row] = target[bone.end] - start[limb.bones[0].start]
@@ -58,7 +62,8 @@ def limbs_of(
 
 @kept
 def _torso(observation: Observation) -> tuple[jax.Array, jax.Array]:
-    """Local axes of the upper bones in camera axes, and the torso's joints on the plane."""
+    """Local axes of the upper bones in camera axes, and the torso's joints on the
+    plane."""
     view = observation.view
     return upper_axes(view), observation.root.camera.flatten(view)
 
@@ -66,8 +71,8 @@ def _torso(observation: Observation) -> tuple[jax.Array, jax.Array]:
 def log_ratio_of(
     model: PoseModel, observation: Observation, limbs: tuple[Limb, ...]
 ) -> LogRatio | None:
-    """What draws within reach of all their targets are thinned by; None where they follow the law
-    as they are, so that all of them are kept."""
+    """What draws within reach of all their targets are thinned by; None where they
+    follow the law as they are, so that all of them are kept."""
     if observation.law.follows(0.0):
         return None
     ends = [bone.end for limb in limbs for bone in limb.bones]

@@ -1,5 +1,5 @@
-"""What exact rejection keeps count of: rates, which are evidence, the budget, and the draws
-held."""
+"""What exact rejection keeps count of: rates, which are evidence, the budget, and the
+draws held."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -10,14 +10,15 @@ import numpy as np
 
 from poseterior.probmodel.pose import GroupDraws
 
-HOPELESS = 1 << 24
-"""Pruned proposals without one success after which a group is given up: its rate is below 3e-7 with
-99 % confidence."""
+ZERO_ACCEPTANCE_LIMIT = 1 << 24
+"""Pruned proposals without one success after which a group is given up: its rate is
+below 3e-7 with 99 % confidence."""
 
 
 class Rate(NamedTuple):
-    """Accepted out of proposed, and the mass of the proposal: probability = mass · accepted /
-    proposed. A success may count in part, with its likelihood over the peak."""
+    """Accepted out of proposed, and the mass of the proposal: probability = mass ·
+    accepted / proposed. A success may count in part, with its likelihood over the
+    peak."""
 
     proposed: int
     accepted: float
@@ -34,14 +35,14 @@ class Rate(NamedTuple):
 
     @property
     def variance(self) -> float:
-        """Variance of `log_probability` (binomial, delta method); infinite where nothing was
-        accepted."""
+        """Variance of `log_probability` (binomial, delta method); infinite where
+        nothing was accepted."""
         return (1 - self.accepted / self.proposed) / self.accepted if self.accepted else math.inf
 
 
 class Pooled(NamedTuple):
-    """Rates of several proposals for one probability, each as good as its number of proposals over
-    its mass."""
+    """Rates of several proposals for one probability, each as good as its number of
+    proposals over its mass."""
 
     rates: tuple[Rate, ...]
 
@@ -58,8 +59,8 @@ class Pooled(NamedTuple):
 
     @property
     def variance(self) -> float:
-        """Variance of `log_probability` (binomials, delta method); infinite where nothing was
-        accepted."""
+        """Variance of `log_probability` (binomials, delta method); infinite where
+        nothing was accepted."""
         if not self.accepted:
             return math.inf
         return (
@@ -70,9 +71,9 @@ class Pooled(NamedTuple):
 
 @dataclass
 class Budget:
-    """How many proposals may still be made; shared by everything that draws for one frame. One with
-    a `whole` is an allowance out of that larger one. `watch` is called whenever proposals are about
-    to be made."""
+    """How many proposals may still be made; shared by everything that draws for one
+    frame. One with a `whole` is an allowance out of that larger one. `watch` is called
+    whenever proposals are about to be made."""
 
     proposals: int
     spent: int = 0
@@ -98,11 +99,12 @@ class Budget:
 
 
 class GroupSampler(Protocol):
-    """Exact draws of one or more groups. `more` asks for draws, `draws` holds them, `forget` lets
-    go of them, `rates` say what all of them cost."""
+    """Exact draws of one or more groups. `more` asks for draws, `draws` holds them,
+    `forget` lets go of them, `rates` say what all of them cost."""
 
     def more(self, number: int, budget: Budget) -> bool:
-        """Goes on until `number` draws are held in all; False where the budget ends first."""
+        """Goes on until `number` draws are held in all; False where the budget ends
+        first."""
 
     @property
     def held(self) -> int:
@@ -127,12 +129,12 @@ class GroupSampler(Protocol):
         """Whether there is proof that no draw exists: the bounds leave nothing."""
 
     @property
-    def hopeless(self) -> bool:
-        """Whether it has been given up: the bounds leave nothing, or a great many proposals brought
-        nothing at all."""
+    def given_up(self) -> bool:
+        """Whether it has been given up: the bounds leave nothing, or a great many
+        proposals brought nothing at all."""
 
 
-class Pile:
+class RowBuffer:
     """Rows that arrive in batches, are copied, and leave from the front."""
 
     def __init__(self) -> None:

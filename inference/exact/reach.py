@@ -1,7 +1,7 @@
 """Why a detection has no explanation: which joint is out of reach, and by how much.
 
-Bounds, not estimates: a joint reported here as out of reach is so for every pose that the limits
-and lengths allow."""
+Bounds, not estimates: a joint reported here as out of reach is so for every pose that
+the limits and lengths allow."""
 
 from typing import NamedTuple
 
@@ -20,8 +20,8 @@ TRIALS = 1 << 15
 
 
 class OutOfReach(NamedTuple):
-    """A detected joint that no possible pose brings within its reach: `excess` is the missing
-    distance, body units."""
+    """A detected joint that no possible pose brings within its reach: `excess` is the
+    missing distance, body units."""
 
     joint: str
     limb: str
@@ -39,8 +39,8 @@ class OutOfReach(NamedTuple):
 def out_of_reach(
     model: PoseModel, problems: dict[str, tuple[LimbProblem, ...]]
 ) -> list[OutOfReach]:
-    """The seen joints that are out of reach under one root, given the problem of every limb, for
-    every occupied direction and every length in range."""
+    """The seen joints that are out of reach under one root, given the problem of every
+    limb, for every occupied direction and every length in range."""
     found = []
     for name, limbs in GROUPS.items():
         for limb, problem in zip(limbs, problems[name], strict=True):
@@ -52,8 +52,8 @@ def out_of_reach(
 
 
 def _excess(model: PoseModel, limb: Limb, row: int, problem: LimbProblem) -> float:
-    """At least how far the limb's joint `row` stays from its disc, body units; negative where it
-    may reach it."""
+    """At least how far the limb's joint `row` stays from its disc, body units; negative
+    where it may reach it."""
     axes, target, reach = problem
     low, high = (
         np.asarray(ends)[[bone.length_group for bone in limb.bones]]
@@ -70,8 +70,9 @@ def _excess(model: PoseModel, limb: Limb, row: int, problem: LimbProblem) -> flo
 
 
 class Miss(NamedTuple):
-    """The nearest that draws of the prior came to explaining a group: `excess` is how far `joint`
-    still was beyond its reach, body units (negative: some draws do explain the group)."""
+    """The nearest that draws of the prior came to explaining a group: `excess` is how
+    far `joint` still was beyond its reach, body units (negative: some draws do explain
+    the group)."""
 
     joint: str
     excess: float
@@ -87,7 +88,8 @@ class Miss(NamedTuple):
 
 
 def nearest_miss(model: PoseModel, observation: Observation, name: str) -> Miss:
-    """How near draws of the prior come to explaining a group that rejection could not fill."""
+    """How near draws of the prior come to explaining a group that rejection could not
+    fill."""
     ends = [bone.end for limb in GROUPS[name] for bone in limb.bones]
     beyond = np.asarray(_beyond(model, observation))[:, ends]
     worst = beyond.max(axis=1)
@@ -97,6 +99,7 @@ def nearest_miss(model: PoseModel, observation: Observation, name: str) -> Miss:
 
 @jax.jit
 def _beyond(model: PoseModel, observation: Observation) -> jax.Array:
-    """`(TRIALS, 15)`: how far joints of draws of the prior lie beyond their reaches, body units."""
+    """`(TRIALS, 15)`: how far joints of draws of the prior lie beyond their reaches,
+    body units."""
     joints = model.joints(observation.view, *model.draw(jax.random.key(0), TRIALS))
     return observation.distances(joints) - observation.law.reach * observation.spread[None]

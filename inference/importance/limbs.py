@@ -1,14 +1,13 @@
-"""What the limbs say of many roots: each root's evidence without bias from a fixed number of
-attempts, and the draws that these attempts bring.
+"""What the limbs say of many roots: each root's evidence without bias from a fixed
+number of proposals, and the draws that these bring.
 
-Every group of limbs makes the same number of attempts under every root, each with a weight
-(`loops.weighed`). "Until one is accepted" would not do: the mean of such a rate is not the rate.
-Groups share nothing, so a product of their estimates is unbiased too; the two limbs of a group are
-attempted under the same lengths.
+Every group of limbs gets the same number of proposals under every root, each with a
+weight (`loops.weighted_limbs`). "Until one is accepted" would not do: the mean of such
+a rate is not the rate. Groups share nothing, so a product of their estimates is
+unbiased too; the two limbs of a group are proposed under the same lengths.
 """
 
 import functools
-import itertools
 import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -18,14 +17,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from poseterior.inference.exact import ahead
+from poseterior.inference.exact import warm_up
 from poseterior.inference.exact.groups import GroupTables, group_tables, workers
 from poseterior.inference.exact.loops.bins import length_bins
+from poseterior.inference.exact.loops.line_of_sight import line_of_sight_frames
 from poseterior.inference.exact.loops.pairs import combine_rows
 from poseterior.inference.exact.loops.seeds import seeded_rows
-from poseterior.inference.exact.loops.sights import see_rows
-from poseterior.inference.exact.loops.tables import FOUND, OPTICS, blank_bodies
-from poseterior.inference.exact.loops.weighed import attempt_rows, draw_trials
+from poseterior.inference.exact.loops.tables import (
+    ACCEPTED,
+    SIGHT_FRAMES,
+    AcceptedRows,
+    LimbTables,
+    blank_bodies,
+)
+from poseterior.inference.exact.loops.weighted_limbs import draw_length_rows, propose_rows
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.errors.faults import ORDERS, Faults
 from poseterior.probmodel.errors.laws import ErrorLaw, WithOutliers
@@ -40,49 +45,63 @@ from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import GROUPS, NUM_JOINTS, NUM_UPPER, TORSO_INDEX
 
 Effort = dict[int, tuple[int, int]]
-"""By the number of limbs in a group: lengths of the bones under each root, and attempts at each
-limb under each of them."""
+"""By the number of limbs in a group: draws of the bones' lengths under each root, and
+proposals for each limb under each of them."""
 EFFORT: Effort = {1: (128, 4), 2: (16, 16)}
-"""Under roots that matter a group's evidence is then known to 10 to 30 %, which costs few effective
-roots. Two limbs explain their detections in pairs, the more the more attempts they share a length
-with; the head hangs on its length alone."""
+"""Under roots that matter a group's evidence is then known to 10 to 30 %, which costs
+few effective roots. Two limbs explain their detections in pairs, and of these there are
+the more, the more proposals share a length; the head hangs on its length alone."""
 LIMBS = tuple(limb for members in GROUPS.values() for limb in members)
 ENDS = np.array([[bone.end for bone in (*limb.bones, *limb.bones)[:2]] for limb in LIMBS])
 """`(5, 2)`: the joints of each limb, from the torso outwards; the head's twice."""
 CHAINED = np.array([limb.lower is not None for limb in LIMBS])
-KEPT = 64
-"""Draws that are kept of a group under one root: any of them are as good as all."""
-POOL = 4096
-"""Draws of the prior that stand for it: for groups of which nothing was seen, which are the same
-under every root, and for what limbs promise."""
-BLOCK = 1024
+DRAWS_PER_ROOT = 64
+"""Draws of a group under one root: any of them are as good as all."""
+POOL_SIZE = 4096
+"""Draws of the prior that stand for it: for groups of which nothing was seen, which are
+the same under every root, and for first-stage weights."""
+ROOTS_PER_BLOCK = 1024
 """Roots that are worked on at a time, which bounds the memory."""
-TASK = 64
+ROOTS_PER_TASK = 64
 """Roots that a thread works on at a time."""
 
 
-def attempts_of(effort: Effort) -> int:
-    """Attempts at the limbs of one root."""
+def proposals_of(effort: Effort) -> int:
+    """Proposals for the limbs of one root."""
     return sum(math.prod(effort[len(limbs)]) * len(limbs) for limbs in GROUPS.values())
 
 
-ATTEMPTS = attempts_of(EFFORT)
+LIMB_PROPOSALS = proposals_of(EFFORT)
 
 
 class LimbDraws(NamedTuple):
-    """What attempts at one group brought under one root: the log of its estimated evidence, -inf
-    where nothing explained the detections, and `draws`, all of one weight."""
+    """What the proposals for one group bring under one root: the log of its estimated
+    evidence, -inf where nothing explained the detections, and `draws`, all of one
+    weight."""
 
     log_evidence: float
     draws: GroupDraws
 
 
+class LimbSampling(NamedTuple):
+    """What limbs are sampled by, the same under every root: the model's `tables`, draws
+    of the prior for the groups that are `free`, the `words` of the key, the `law` of
+    errors, and the `effort`."""
+
+    tables: dict[str, GroupTables]
+    free: dict[str, GroupDraws]
+    words: list[int]
+    law: ErrorLaw
+    effort: Effort
+
+
 class Views(NamedTuple):
-    """What limbs see of roots, body units: local `axes` `(n, 5, 3, 3)` of the upper bones in camera
-    axes, the torso's joints, `start` `(n, 6, 3)`, the detections, `target` `(n, 15, 2)`, how far
-    from there joints may fall, `reach` `(n, 15)`, the `spread` `(n, 15)` of their errors; the lines
-    of sight, `ray` `(n, 15, 2)`, and one over the pelvis' distance, `nearness` `(n,)`, which are 0
-    where no focal length is known."""
+    """What limbs see of roots, body units: local `axes` `(n, 5, 3, 3)` of the upper
+    bones in camera axes, the torso's joints, `start` `(n, 6, 3)`, the detections,
+    `target` `(n, 15, 2)`, how far from there joints may fall, `reach` `(n, 15)`, the
+    `spread` `(n, 15)` of their errors; the lines of sight, `ray` `(n, 15, 2)`, and one
+    over the pelvis' distance, `nearness` `(n,)`, which are 0 where no focal length is
+    known."""
 
     axes: Any
     start: Any
@@ -100,28 +119,32 @@ def limb_draws(
     words: list[int],
     effort: Effort = EFFORT,
 ) -> Iterator[dict[str, LimbDraws]]:
-    """For each of the roots and patterns of faults `(n, ...)`, the attempts at its limbs by group;
-    root `i` has random numbers of its own, whatever comes before it."""
-    tables, free = group_tables(posterior.model), free_groups(posterior, words)
-    law = posterior.detected.law
-    for start in range(0, len(points.torso), BLOCK):
-        part = slice(start, start + BLOCK)
-        some = points.take(part), faults.take(part)
-        views, outlier = views_of(posterior, *some), outliers_of(posterior, some[1])
-        rows = [slice(first, first + TASK) for first in range(0, len(outlier), TASK)]
+    """For each of the roots and fault patterns `(n, ...)`, what the proposals for its
+    limbs bring, by group; root `i` has random numbers of its own, whatever comes before
+    it."""
+    tables = group_tables(posterior.model)
+    free = free_groups(posterior, words)
+    sampling = LimbSampling(tables, free, words, posterior.detected.law, effort)
+    for start in range(0, len(points.torso), ROOTS_PER_BLOCK):
+        part = slice(start, start + ROOTS_PER_BLOCK)
+        views = views_of(posterior, points.take(part), faults.take(part))
+        outlier = outliers_of(posterior, faults.take(part))
+        rows = [
+            slice(first, first + ROOTS_PER_TASK) for first in range(0, len(outlier), ROOTS_PER_TASK)
+        ]
         tasks = [
             (Views(*(column[row] for column in views)), outlier[row], start + row.start)
             for row in rows
         ]
-        attempt = functools.partial(attempt_limbs, tables, free, words, law, effort)
-        for found in workers().map(attempt, *zip(*tasks, strict=True)):
-            yield from found
+        weigh = functools.partial(weigh_limbs, sampling)
+        for block in workers().map(weigh, *zip(*tasks, strict=True)):
+            yield from block
 
 
 def views_of(posterior: Posterior, points: RootPoint, faults: Faults) -> Views:
-    """The views of roots and patterns `(n, ...)`, compiled once."""
-    look = functools.partial(_look, posterior.model, posterior.detected)
-    return Views(*in_chunks(look, *map(np.asarray, points), *faults, size=BLOCK))
+    """The views of roots and fault patterns `(n, ...)`, compiled once."""
+    view = functools.partial(_views, posterior.model, posterior.detected)
+    return Views(*in_chunks(view, *map(np.asarray, points), *faults, size=ROOTS_PER_BLOCK))
 
 
 def blind(number: int) -> Views:
@@ -139,16 +162,18 @@ def blind(number: int) -> Views:
 
 
 def outliers_of(posterior: Posterior, faults: Faults) -> np.ndarray:
-    """`(n, 15)`: the joints whose keypoints are outliers in patterns of faults `(n, ...)`."""
+    """`(n, 15)`: the joints whose keypoints are outliers in patterns of faults `(n,
+    ...)`."""
     counts = np.isfinite(np.asarray(posterior.detected.spread))
     order = ORDERS[faults.exchange]
     return np.take_along_axis(faults.outlier, order, axis=1) & counts[order]
 
 
 @kept
-def _look(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> tuple[jax.Array, ...]:
+def _views(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> tuple[jax.Array, ...]:
     """The columns of `Views`."""
-    prior, lens = TorsoCameraPrior.of(model), model.lens
+    prior = TorsoCameraPrior.of(model)
+    lens = model.lens
 
     def one(point: RootPoint, faults: Faults) -> tuple[jax.Array, ...]:
         observation = detected.under(prior, point, faults)
@@ -166,129 +191,125 @@ def _look(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> tup
     return jax.vmap(one)(RootPoint(*fields[:4]), Faults(*fields[4:]))
 
 
-class Sight(NamedTuple):
-    """What one limb sees of roots, as `attempt_rows` takes it. Each of its two joints is seen in
-    axes of its own, whose third runs along the line of sight to where it was detected.
-
-    Attributes
-    ----------
-    axes : `(n, 2, 3, 3)` the upper bone's local frame in these axes
-    target : `(n, 2, 2)` the detections minus the limb's start, across the line of sight
-    reach, spread : `(n, 2)` of the joints' errors
-    optics : `(n, 2)` `OPTICS`
-    outlier : `(n, 2)` whether they are outliers
-    """
-
-    axes: np.ndarray
-    target: np.ndarray
-    reach: np.ndarray
-    spread: np.ndarray
-    optics: np.ndarray
-    outlier: np.ndarray
-
-
-def sights_of(views: Views, outlier: np.ndarray) -> list[Sight]:
-    """That of every limb; a joint that was not seen, or is not there, may fall anywhere."""
+def frames_of(views: Views, outlier: np.ndarray) -> list[np.ndarray]:
+    """Of every limb the line-of-sight frames `(n, 2)` `SIGHT_FRAMES` of its joints; a
+    joint that was not seen, or is not there, may fall anywhere."""
     starts = [TORSO_INDEX.index(limb.bones[0].start) for limb in LIMBS]
     # One layout in memory and one precision, or numba would compile for each of them.
     plain = functools.partial(np.array, dtype=float, order="C")
-    nearness, sights = plain(views.nearness), []
+    nearness = plain(views.nearness)
+    limbs = []
     for limb, ends, row, chained in zip(LIMBS, ENDS, starts, CHAINED, strict=True):
-        reach, spread = plain(views.reach[:, ends]), plain(views.spread[:, ends])
-        reach[:, 1] = reach[:, 1] if chained else np.inf
-        axes, start = plain(views.axes[:, limb.upper]), plain(views.start[:, row])
-        target, ray = plain(views.target[:, ends]), plain(views.ray[:, ends])
-        own, across = np.empty((*reach.shape, 3, 3)), np.empty((*reach.shape, 2))
-        optics, counts = np.empty(reach.shape, OPTICS), np.isfinite(reach)
-        see_rows(axes, start, target, ray, nearness, counts, own, across, optics)
-        wrong = np.ascontiguousarray(outlier[:, ends])
-        sights.append(Sight(own, across, reach, spread, optics, wrong))
-    return sights
+        frames = np.zeros((len(nearness), 2), SIGHT_FRAMES)
+        frames["reach"] = views.reach[:, ends]
+        if not chained:
+            frames["reach"][:, 1] = np.inf
+        frames["spread"] = views.spread[:, ends]
+        frames["outlier"] = outlier[:, ends]
+        line_of_sight_frames(
+            plain(views.axes[:, limb.upper]),
+            plain(views.start[:, row]),
+            plain(views.target[:, ends]),
+            plain(views.ray[:, ends]),
+            nearness,
+            frames,
+        )
+        limbs.append(frames)
+    return limbs
 
 
-def attempt_limbs(
-    tables: dict[str, GroupTables],
-    free: dict[str, GroupDraws],
-    words: list[int],
-    law: ErrorLaw,
-    effort: Effort,
-    views: Views,
-    outlier: np.ndarray,
-    first: int,
+def weigh_limbs(
+    sampling: LimbSampling, views: Views, outlier: np.ndarray, first: int
 ) -> list[dict[str, LimbDraws]]:
-    """All groups under some roots, of which the first has this number; those that are `free` from
-    draws of the prior."""
-    ahead.wait()
-    number, sights = len(outlier), sights_of(views, outlier)
+    """All groups under some roots, of which the first has this number; those that are
+    free from draws of the prior."""
+    warm_up.wait()
+    number = len(outlier)
+    limbs = frames_of(views, outlier)
     results: list[dict[str, LimbDraws]] = [{} for _ in range(number)]
     for index, name in enumerate(GROUPS):
-        own = [sight for sight, limb in zip(sights, LIMBS, strict=True) if limb in GROUPS[name]]
+        own = [frames for frames, limb in zip(limbs, LIMBS, strict=True) if limb in GROUPS[name]]
         paths = np.column_stack([first + np.arange(number), np.full(number, index)])
-        if name in free:
-            found = [_free(free[name], words, *path) for path in paths.tolist()]
+        if name in sampling.free:
+            free = sampling.free[name]
+            draws = [_free(free, sampling.words, *path) for path in paths.tolist()]
         else:
-            states = seeded_rows(words, paths)
-            found = weigh_group(tables[name], own, law, states, *effort[len(own)])
-        for result, one in zip(results, found, strict=True):
+            states = seeded_rows(sampling.words, paths)
+            effort = sampling.effort[len(own)]
+            draws = weigh_group(sampling.tables[name], own, sampling.law, states, effort)
+        for result, one in zip(results, draws, strict=True):
             result[name] = one
     return results
 
 
 def weigh_group(
     tables: GroupTables,
-    sights: list[Sight],
+    limbs: list[np.ndarray],
     law: ErrorLaw,
     states: np.ndarray,
-    trials: int,
-    each: int,
+    effort: tuple[int, int],
 ) -> list[LimbDraws]:
-    """One group under roots `(n, ...)` whose random numbers have these `states` `(n, 4)`: `each`
-    attempts at each limb under each of so many lengths."""
-    number, bones = len(states), len(tables.lengths)
-    lengths = np.ones((2, number, trials))
+    """One group, given the `SIGHT_FRAMES` `(n, 2)` of its limbs under roots whose
+    random numbers have these `states` `(n, 4)`; the `effort` as in `Effort`."""
+    num_lengths, per_length = effort
+    number = len(states)
+    lengths = np.ones((2, number, num_lengths))
     for column, parameters in enumerate(tables.lengths.tolist()):
-        draw_trials(states, length_bins(*parameters, 1), lengths[column])
-    limbs = []
-    for sight, build in zip(sights, tables.builds, strict=True):
-        found, ends = np.empty(number * trials * each, FOUND), np.zeros(number, np.int64)
-        own = WithOutliers(law, sight.outlier)
-        precision = np.where(np.isfinite(sight.reach), own.precision, 0.0)
-        deviation = np.zeros_like(sight.reach)
-        np.divide(sight.spread, np.sqrt(precision), out=deviation, where=precision > 0)
-        attempt_rows(
-            states, *sight[:3], deviation, sight.optics, build, *lengths, each, found, ends
-        )
-        found = found[: ends[-1]]
-        if not law.follows(law.precision):
-            found["weight"] *= _corrections(own, sight, found, ends)
-        limbs.append((found, ends))
-    first, second = limbs if len(limbs) == 2 else (*limbs, _certain(number, trials, each))
-    evidence, bodies = np.zeros(number), blank_bodies(number * KEPT, len(limbs))
-    combine_rows(states, *first, *second, lengths, each, evidence, bodies)
-    draws = bodies.length[:, :bones], bodies.upper, bodies.lower
-    return [
-        LimbDraws(math.log(found), GroupDraws(*(part[row * KEPT :][:KEPT] for part in draws)))
-        if found
-        else LimbDraws(-math.inf, GroupDraws(*(part[:0] for part in draws)))
-        for row, found in enumerate(evidence.tolist())
+        draw_length_rows(states, length_bins(*parameters, 1), lengths[column])
+    accepted = [
+        _weigh_limb(states, frames, build, law, lengths, per_length)
+        for frames, build in zip(limbs, tables.builds, strict=True)
     ]
+    if len(limbs) == 1:
+        accepted.append(_certain(number, num_lengths, per_length))
+    bodies = blank_bodies(number * DRAWS_PER_ROOT, len(limbs))
+    evidence = combine_rows(states, *accepted, lengths, per_length, bodies)
+    columns = bodies.length[:, : len(tables.lengths)], bodies.upper, bodies.lower
+    draws = []
+    for row, own in enumerate(evidence.tolist()):
+        first = row * DRAWS_PER_ROOT
+        rows = slice(first, first + DRAWS_PER_ROOT) if own else slice(0)
+        part = GroupDraws(*(column[rows] for column in columns))
+        draws.append(LimbDraws(math.log(own) if own else -math.inf, part))
+    return draws
 
 
-def _certain(number: int, trials: int, each: int) -> tuple[np.ndarray, np.ndarray]:
-    """As `attempt_rows` leaves them, attempts at a limb that is not there, and explains all."""
-    found = np.zeros(number * trials, FOUND)
-    found["trial"], found["weight"] = np.tile(np.arange(trials), number), each
-    return found, np.arange(1, number + 1) * trials
+def _weigh_limb(
+    states: np.ndarray,
+    frames: np.ndarray,
+    build: LimbTables,
+    law: ErrorLaw,
+    lengths: np.ndarray,
+    per_length: int,
+) -> AcceptedRows:
+    """The weighted proposals for one limb that explain its detections."""
+    own = WithOutliers(law, np.ascontiguousarray(frames["outlier"]))
+    precision = np.where(np.isfinite(frames["reach"]), own.precision, 0.0)
+    deviation = np.zeros(frames.shape)
+    np.divide(frames["spread"], np.sqrt(precision), out=deviation, where=precision > 0)
+    frames["deviation"] = deviation
+    rows = np.empty(len(states) * lengths.shape[2] * per_length, ACCEPTED)
+    ends = propose_rows(states, frames, build, lengths, per_length, rows)
+    accepted = AcceptedRows(rows[: ends[-1]], ends)
+    if not law.follows(law.precision):
+        accepted.rows["weight"] *= _corrections(own, frames, accepted)
+    return accepted
 
 
-def _corrections(
-    law: WithOutliers, sight: Sight, found: np.ndarray, ends: np.ndarray
-) -> np.ndarray:
-    """`(m,)`: of each attempt found, the likelihood over that of the envelopes by which its joints
-    were proposed."""
-    rows = np.repeat(np.arange(len(ends)), np.diff(ends, prepend=0))
-    counts = np.isfinite(sight.reach)
-    square = found["square"] / np.where(counts, sight.spread, 1.0)[rows] ** 2
+def _certain(number: int, num_lengths: int, per_length: int) -> AcceptedRows:
+    """The proposals for a limb that is not there, and so explains everything."""
+    rows = np.zeros(number * num_lengths, ACCEPTED)
+    rows["draw"] = np.tile(np.arange(num_lengths), number)
+    rows["weight"] = per_length
+    return AcceptedRows(rows, np.arange(1, number + 1) * num_lengths)
+
+
+def _corrections(law: WithOutliers, frames: np.ndarray, accepted: AcceptedRows) -> np.ndarray:
+    """`(m,)`: of each proposal, the likelihood over that of the envelopes by which its
+    joints were proposed."""
+    rows = np.repeat(np.arange(len(accepted.ends)), np.diff(accepted.ends, prepend=0))
+    counts = np.isfinite(frames["reach"])
+    square = accepted.rows["square"] / np.where(counts, frames["spread"], 1.0)[rows] ** 2
     law = WithOutliers(law.inlier, law.outlier[rows])
     return np.exp(np.where(counts[rows], law.log_over(square, law.precision), 0.0).sum(axis=1))
 
@@ -296,7 +317,7 @@ def _corrections(
 def _free(draws: GroupDraws, words: list[int], *path: int) -> LimbDraws:
     """Some draws of the prior, for a group of which nothing was seen."""
     rng = np.random.default_rng(np.random.SeedSequence(words, spawn_key=(*path, 0)))
-    some = rng.choice(POOL, KEPT, replace=False)
+    some = rng.choice(POOL_SIZE, DRAWS_PER_ROOT, replace=False)
     return LimbDraws(0.0, GroupDraws(*(part[some] for part in draws)))
 
 
@@ -315,14 +336,15 @@ def free_groups(posterior: Posterior, words: list[int]) -> dict[str, GroupDraws]
 
 
 def prior_poses(model: PoseModel, words: list[int]) -> Pose:
-    """`POOL` draws of the prior."""
+    """`POOL_SIZE` draws of the prior."""
     return Pose(*map(np.asarray, _prior(model, np.array(words, np.uint32))))
 
 
 @kept
 def _prior(model: PoseModel, words: ArrayLike) -> tuple[jax.Array, ...]:
-    """As a tuple, whose program can be kept: tracing it takes longer than all that it draws."""
-    return tuple(model.draw(jax.random.wrap_key_data(jnp.asarray(words)), POOL))
+    """As a tuple, whose program can be kept: tracing it takes longer than all that it
+    draws."""
+    return tuple(model.draw(jax.random.wrap_key_data(jnp.asarray(words)), POOL_SIZE))
 
 
 def log_evidence(found: dict[str, LimbDraws]) -> float:
@@ -331,8 +353,7 @@ def log_evidence(found: dict[str, LimbDraws]) -> float:
 
 
 def picks(rng: np.random.Generator, held: int, number: int) -> np.ndarray:
-    """`(number,)`: which of so many draws held are taken, each as often as the others, in random
-    order."""
-    rounds = -(-number // held)
-    orders = itertools.repeat(None, rounds)
-    return np.concatenate([rng.permutation(held) for _ in orders])[:number]
+    """`(number,)`: which of so many draws held are taken, each as often as the others,
+    in random order."""
+    rounds = range(-(-number // held))
+    return np.concatenate([rng.permutation(held) for _ in rounds])[:number]

@@ -35,30 +35,39 @@ from poseterior.inference.draws import (
 )
 from poseterior.inference.estimators.points import require_camera
 from poseterior.inference.exact.loops.numbers import words_of
-from poseterior.inference.importance.attempts import (
-    HOPELESS,
-    Proposal,
-    attempted_roots,
-    proposal_of,
+from poseterior.inference.importance.fault_patterns import (
+    FaultPattern,
+    fault_patterns,
+    fit_score,
+    log_priors,
+    pool_of,
+    prior_share,
+    propose_faults,
 )
 from poseterior.inference.importance.limbs import (
     Effort,
     LimbDraws,
-    attempts_of,
     free_groups,
     limb_draws,
+    proposals_of,
 )
-from poseterior.inference.importance.patterns import (
-    Stratum,
-    fit_of,
-    log_priors,
-    pool_of,
-    prior_share,
-    propose,
-    strata_of,
+from poseterior.inference.importance.torso_proposals import (
+    ZERO_ACCEPTANCE_LIMIT,
+    TorsoProposal,
+    exact_proposal,
+    proposed_roots,
 )
-from poseterior.inference.importance.proposals import TRUST, ProposedRoots, log_promise
-from poseterior.inference.importance.torsos import Posed, log_mass, require_distance, torso_problem
+from poseterior.inference.importance.torsos import (
+    TorsoProblem,
+    log_mass,
+    require_distance,
+    torso_problem,
+)
+from poseterior.inference.importance.two_stage import (
+    FIRST_STAGE_POWER,
+    ProposedRoots,
+    log_first_stage,
+)
 from poseterior.inference.importance.weighted import (
     NUM_ROOTS,
     WeightedRoots,
@@ -75,7 +84,7 @@ from poseterior.probmodel.roots import RootPoint
 EFFORT: Effort = {1: (16, 16), 2: (16, 16)}
 """A root brings one draw, however well its evidence is known. The benchmark's frozen draws were
 made with these."""
-ATTEMPTS = attempts_of(EFFORT)
+ATTEMPTS = proposals_of(EFFORT)
 ROOM = 3.0
 """The bound over the largest weight of the pilot run."""
 TOLERATED = 0.01
@@ -171,18 +180,18 @@ class _Stratum(NamedTuple):
     """A pattern of the torso's faults, its `share` of the prior, and how its roots are
     attempted."""
 
-    stratum: Stratum
+    stratum: FaultPattern
     share: float
-    posed: Posed
-    proposal: Proposal
+    posed: TorsoProblem
+    proposal: TorsoProposal
 
 
 def _strata(posterior: Posterior) -> list[_Stratum]:
     found = []
-    for stratum in strata_of(posterior):
+    for stratum in fault_patterns(posterior):
         posed = torso_problem(posterior, stratum.faults)
         share = prior_share(posterior, stratum)
-        found.append(_Stratum(stratum, share, posed, proposal_of(posed)))
+        found.append(_Stratum(stratum, share, posed, exact_proposal(posed)))
     return found
 
 
@@ -224,7 +233,7 @@ class _Rounds:
         for index, (one, number) in enumerate(zip(self.strata, counts, strict=True)):
             if number and one.proposal.mass:
                 words = words_of(jax.random.fold_in(torso_key, index))
-                points = attempted_roots(one.posed, one.proposal, words, number)
+                points = proposed_roots(one.posed, one.proposal, words, number)
                 parts.append(self._asked(rng, one, points))
         parts = [part for part in parts if len(part[2])]
         if not parts:
@@ -245,15 +254,15 @@ class _Rounds:
         """The roots whose limbs are asked, with patterns, and the log of what each counts."""
         if not len(points.torso):
             return NOWHERE, Faults.none(0), np.zeros(0)
-        fit = fit_of(self.posterior, pool_of(self.posterior.model), one.stratum, points)
-        promise = log_promise(self.posterior, fit, one.stratum, points)
+        fit = fit_score(self.posterior, pool_of(self.posterior.model), one.stratum, points)
+        promise = log_first_stage(self.posterior, fit, one.stratum, points)
         if math.isinf(self.promising):
             self.promising = float(np.quantile(promise, LIKELY))
-        chance = np.clip(np.exp(TRUST * (promise - self.promising)), CHANCE, 1.0)
+        chance = np.clip(np.exp(FIRST_STAGE_POWER * (promise - self.promising)), CHANCE, 1.0)
         rows = np.flatnonzero(rng.uniform(size=len(chance)) < chance)
         if not len(rows):
             return NOWHERE, Faults.none(0), np.zeros(0)
-        faults, log_proposal = propose(fit.take(rows), one.stratum, rng)
+        faults, log_proposal = propose_faults(fit.take(rows), one.stratum, rng)
         weight = log_priors(self.posterior, faults) - log_proposal - np.log(chance[rows])
         mass = log_mass(one.posed, one.proposal.mass) - math.log(one.share)
         return points.take(rows), faults, weight + mass
@@ -367,7 +376,7 @@ def _bound(rounds: _Rounds, num_roots: int) -> float:
         largest = max(largest, float(found.log_weight.max(initial=-math.inf)))
         if weighed >= num_roots and math.isfinite(largest):
             break
-        if (attempts >= HOPELESS and not weighed) or weighed >= PATIENCE * num_roots:
+        if (attempts >= ZERO_ACCEPTANCE_LIMIT and not weighed) or weighed >= PATIENCE * num_roots:
             break
     return largest + math.log(ROOM)
 

@@ -37,7 +37,7 @@ from poseterior.inference.exact.problem import limbs_of
 from poseterior.inference.exact.rates import Budget
 from poseterior.inference.exact.reach import out_of_reach
 from poseterior.inference.importance.limbs import (
-    ATTEMPTS,
+    LIMB_PROPOSALS,
     LimbDraws,
     limb_draws,
     log_evidence,
@@ -45,8 +45,8 @@ from poseterior.inference.importance.limbs import (
     picks,
     views_of,
 )
-from poseterior.inference.importance.proposals import ProposedRoots, propose_roots
 from poseterior.inference.importance.torsos import log_nearness, require_distance
+from poseterior.inference.importance.two_stage import ProposedRoots, propose_roots
 from poseterior.inference.resampling import effective, shares, times
 from poseterior.probmodel.errors.faults import LIMB_INDEX, Faults
 from poseterior.probmodel.failures import BadInput
@@ -282,7 +282,7 @@ def weigh_roots(
     torso_key, limb_key = jax.random.split(key)
     budget = Budget(max_proposals)
     proposed = propose_roots(posterior, torso_key, num_roots, budget)
-    afforded = max(max_proposals - proposed.attempts, 0) // ATTEMPTS
+    afforded = max(max_proposals - proposed.proposals, 0) // LIMB_PROPOSALS
     proposed = proposed.at(slice(0, afforded))
     limbs: list[dict[str, LimbDraws]] = []
     for found in limb_draws(posterior, proposed.points, proposed.faults, words_of(limb_key)):
@@ -294,7 +294,7 @@ def weigh_roots(
         proposed,
         limbs,
         proposed.log_weight + log_limbs(posterior, proposed.points, proposed.faults, limbs),
-        proposed.attempts + ATTEMPTS * len(limbs),
+        proposed.proposals + LIMB_PROPOSALS * len(limbs),
     )
 
 
@@ -390,7 +390,7 @@ def verdict(roots: WeightedRoots) -> tuple[str, str]:
     if not len(roots.points.torso):
         return OUT_OF_BUDGET, (
             f"no torso brings all its seen joints within reach of their detections in"
-            f" {roots.proposed.attempts:,} attempts for {where}; mend or drop one of"
+            f" {roots.proposed.proposals:,} attempts for {where}; mend or drop one of"
             " shoulders, hips, thorax and pelvis, or raise the factor of the radii"
         )
     if not roots.effective:

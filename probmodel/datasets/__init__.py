@@ -9,6 +9,7 @@ calibrated cameras, each judged by the others; a plain .npz holds anything else.
 """
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 from poseterior.probmodel.datasets.capture import from_motions
@@ -52,6 +53,8 @@ def read_data_set(
     seed: int = 0,
     detections: str = "gt",
     perspective: bool = False,
+    names: Mapping[str, str] | None = None,
+    layout: str | None = None,
 ) -> DataSet:
     """The data set at a path, whatever its kind.
 
@@ -69,6 +72,10 @@ def read_data_set(
         Which of Human3.6M's 2D files: `data_2d_h36m_<detections>.npz`.
     perspective
         Whether the lenses of calibrated cameras are known, and poses in their axes.
+    names
+        Motion capture's names of joints → ours, as `read_motion` takes them.
+    layout
+        The order of the joints in a session's detections, as `read_session` takes it.
 
     Returns
     -------
@@ -90,13 +97,18 @@ def read_data_set(
             f"perspective needs calibrated cameras, which {path} has not; leave it out, or give a"
             " folder in Pose2Sim's layout"
         )
+    if layout is not None and not is_session(path):
+        raise BadInput(f"{path} is no session of detections, which have a layout; leave it out")
     if not brings_detections(path):
         if path.is_dir() and not holds_motion(path):
             raise BadInput(
                 f"{path} is no data set: it holds neither a file of motion capture ({KINDS}) nor"
                 " the calibration of cameras (.qca.txt or .toml); give a folder with one of these"
             )
-        return from_motions(read_motion(path), path.name, frames=frames, noise=noise, seed=seed)
+        motions = read_motion(path, names=names)
+        return from_motions(motions, path.name, frames=frames, noise=noise, seed=seed)
+    if names is not None:
+        raise BadInput(f"{path} is no motion capture, whose joints have names; leave them out")
     if noise != EXACT:
         raise BadInput(
             f"{path} brings its own 2D joints, to which no noise is added; leave the noise out"
@@ -104,7 +116,7 @@ def read_data_set(
     if is_human36m(path):
         return read_human36m(path, detections, frames)
     if is_session(path):
-        data = from_session(read_session(path), perspective=perspective)
+        data = from_session(read_session(path, layout=layout), perspective=perspective)
     else:
         data = read_plain(path)
     return data if frames is None else data.spread(frames)

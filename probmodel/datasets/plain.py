@@ -18,6 +18,7 @@ from poseterior.probmodel.datasets.views import resection
 from poseterior.probmodel.detections import LARGEST_NUMBER, is_label
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.files import opened
+from poseterior.probmodel.motion.recording import require_depth
 from poseterior.probmodel.skeleton import NUM_JOINTS
 
 NEEDED = ("poses", "keypoints", "action", "subject")
@@ -64,6 +65,7 @@ def read_plain(path: Path) -> DataSet:
         raise BadInput(
             f"{path}: score has shape {score.shape}, which must be {seen.shape}; one for each joint"
         )
+    require_depth(poses, path)
     poses, doubt = poses - poses[:, :1], arrays.get("doubt")
     if doubt is not None:
         doubt = _numbers(doubt, "doubt", (NUM_JOINTS, 3, 3), path)

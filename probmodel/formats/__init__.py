@@ -9,7 +9,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput
@@ -18,6 +18,7 @@ from poseterior.probmodel.formats import (
     alphapose,
     coco,
     deeplabcut,
+    easy_vitpose,
     hourglass,
     instances,
     mediapipe,
@@ -26,15 +27,20 @@ from poseterior.probmodel.formats import (
     named_points,
     named_table,
     native,
+    opencv,
     openpose,
+    planar_trc,
     point_arrays,
     sleap,
+    st_gcn,
     ultralytics,
     videopose3d,
 )
 from poseterior.probmodel.formats.common import Content, at_least_one_joint
 from poseterior.probmodel.formats.kinds import seeming
+from poseterior.probmodel.formats.units import Unit, in_pixels
 from poseterior.probmodel.heatmaps import THRESHOLD as HEATMAP_THRESHOLD
+from poseterior.probmodel.layouts import BODY_25, BODY_25B, COCO_18
 
 __all__ = [
     "FORMATS",
@@ -52,19 +58,27 @@ __all__ = [
 class Format(NamedTuple):
     """A row of `FORMATS`: `recognises` is None for a format that is read only where it is asked for
     by name. A joint with a score up to `threshold` is missing, where no other threshold is given.
-    Where `ordered` is false the user may name the order of the joints; other files have their own,
-    or names."""
+    Coordinates are counted in `unit`, or in what they look like (`units`): from the image's middle
+    too, where the detector can be asked for that (`centred`)."""
 
     name: str
     about: str
     recognises: Callable[[Content], bool] | None
     read: Callable[[Content, float], Iterator[Detection]]
     threshold: float = 0.0
-    ordered: bool = True
+    unit: Unit | None = None
+    centred: bool = False
 
 
+_LANDMARKS: Any = {"threshold": mediapipe.THRESHOLD, "unit": Unit.FRACTIONS}
 _ROWS = (
-    Format("movenet", "MoveNet .npy", point_arrays.recognises_movenet, point_arrays.read_movenet),
+    Format(
+        "movenet",
+        "MoveNet .npy",
+        point_arrays.recognises_movenet,
+        point_arrays.read_movenet,
+        unit=Unit.FRACTIONS,
+    ),
     Format(
         "freemocap",
         "FreeMoCap .npy",
@@ -72,11 +86,7 @@ _ROWS = (
         point_arrays.read_freemocap,
     ),
     Format(
-        "points",
-        "a .npy of points (with a layout)",
-        point_arrays.recognises,
-        point_arrays.read,
-        ordered=False,
+        "points", "a .npy of points (with a layout)", point_arrays.recognises, point_arrays.read
     ),
     Format(
         "heatmaps",
@@ -84,68 +94,54 @@ _ROWS = (
         hourglass.recognises_heatmaps,
         hourglass.read_heatmaps,
         HEATMAP_THRESHOLD,
-        ordered=False,
+        unit=Unit.PIXELS,
     ),
     Format(
         "hourglass",
         "Stacked Hourglass preds",
         hourglass.recognises_points,
         hourglass.read_points,
-        ordered=False,
     ),
     Format("sleap", "SLEAP analysis HDF5", sleap.recognises, sleap.read),
     Format("deeplabcut-hdf5", "DeepLabCut HDF5", deeplabcut.recognises_hdf5, deeplabcut.read_hdf5),
-    Format(
-        "rtmlib",
-        "RTMLib .npz",
-        point_arrays.recognises_rtmlib,
-        point_arrays.read_rtmlib,
-        ordered=False,
-    ),
-    Format(
-        "videopose3d", "VideoPose3D .npz", videopose3d.recognises, videopose3d.read, ordered=False
-    ),
+    Format("rtmlib", "RTMLib .npz", point_arrays.recognises_rtmlib, point_arrays.read_rtmlib),
+    Format("videopose3d", "VideoPose3D .npz", videopose3d.recognises, videopose3d.read),
     Format("deeplabcut-csv", "DeepLabCut CSV", deeplabcut.recognises_csv, deeplabcut.read_csv),
     Format(
         "mediapipe-text",
         "MediaPipe text",
         mediapipe.recognises_text,
         mediapipe.read_text,
-        mediapipe.THRESHOLD,
+        **_LANDMARKS,
     ),
     Format(
         "mediapipe-csv",
         "MediaPipe CSV",
         mediapipe.recognises_table,
         mediapipe.read_table,
-        mediapipe.THRESHOLD,
+        **_LANDMARKS,
     ),
-    Format("csv", "a CSV of named columns", named_table.recognises, named_table.read),
+    Format("csv", "a table of named columns", named_table.recognises, named_table.read),
+    Format("trc", "Sports2D TRC in pixels", planar_trc.recognises, planar_trc.read),
+    Format("opencv", "OpenPose YAML, JSON or XML of OpenCV", opencv.recognises, opencv.read),
     Format(
         "ultralytics-text",
         "Ultralytics YOLO-pose text",
         ultralytics.recognises_text,
         ultralytics.read_text,
+        unit=Unit.FRACTIONS,
     ),
-    Format("poseterior", "poseterior JSON", native.recognises, native.read),
-    Format("openpose", "OpenPose JSON", openpose.recognises, openpose.read),
-    Format(
-        "openpose-body25",
-        "OpenPose JSON, BODY_25 for certain",
-        None,
-        openpose.reader(openpose.BODY_25),
-    ),
-    Format(
-        "openpose-body25b",
-        "OpenPose JSON, BODY_25B for certain",
-        None,
-        openpose.reader(openpose.BODY_25B),
-    ),
-    Format(
-        "openpose-coco18",
-        "OpenPose JSON, COCO-18 for certain",
-        None,
-        openpose.reader(openpose.COCO_18),
+    Format("poseterior", "poseterior JSON", native.recognises, native.read, unit=Unit.PIXELS),
+    Format("openpose", "OpenPose JSON", openpose.recognises, openpose.read, centred=True),
+    *(
+        Format(
+            f"openpose-{layout.name.replace('_', '')}",
+            f"OpenPose JSON, {layout.name} for certain",
+            None,
+            openpose.reader(layout),
+            centred=True,
+        )
+        for layout in (BODY_25, BODY_25B, COCO_18)
     ),
     Format(
         "coco-annotations", "COCO annotations", coco.recognises_annotations, coco.read_annotations
@@ -156,9 +152,11 @@ _ROWS = (
         ultralytics.recognises_json,
         ultralytics.read_json,
     ),
+    Format("easy-vitpose", "easy_ViTPose JSON", easy_vitpose.recognises, easy_vitpose.read),
+    Format("st-gcn", "ST-GCN Kinetics JSON", st_gcn.recognises, st_gcn.read),
     Format(
         "tensorflow.js",
-        "TensorFlow.js pose-detection JSON",
+        "TensorFlow.js, PoseNet or ML Kit JSON",
         named_points.recognises_listed,
         named_points.read_listed,
     ),
@@ -167,29 +165,34 @@ _ROWS = (
         "Apple Vision JSON",
         named_points.recognises_vision,
         named_points.read_vision,
+        unit=Unit.FRACTIONS,
+    ),
+    Format(
+        "named-points",
+        "JSON of points by name",
+        named_points.recognises_named,
+        named_points.read_named,
     ),
     Format("mpii", "MPII annotations", mpii.recognises, mpii.read),
-    Format("mmpose", "MMPose or RTMPose JSON", mmpose.recognises, mmpose.read, ordered=False),
+    Format("mmpose", "MMPose or RTMPose JSON", mmpose.recognises, mmpose.read),
     Format(
         "mediapipe",
         "MediaPipe JSON",
         mediapipe.recognises_json,
         mediapipe.read_json,
-        mediapipe.THRESHOLD,
+        **_LANDMARKS,
     ),
     Format(
         "coco-results",
-        "COCO results, AlphaPose or Detectron2",
+        "COCO results, AlphaPose, OpenPifPaf or Detectron2",
         coco.recognises_results,
         coco.read_results,
-        ordered=False,
     ),
     Format(
         "instances",
-        "MMPose 0.x, ViTPose, RTMLib or Detectron2 instances",
+        "MMPose 0.x, ViTPose, RTMLib, EasyMocap or Detectron2 instances",
         instances.recognises,
         instances.read,
-        ordered=False,
     ),
     Format("alphapose", "AlphaPose by image", alphapose.recognises, alphapose.read),
 )
@@ -225,8 +228,7 @@ def read_detections(
     names
         A detector's names of points → ours, where it names them freely; or ours in its order.
     layout
-        The order of the joints, a name of `layouts.LAYOUTS`, for arrays and lists of points that do
-        not say it.
+        The order of the joints, a name of `layouts.LAYOUTS`, for files that do not say it.
 
     Returns
     -------
@@ -253,14 +255,9 @@ def read_content(
 
 
 def people_of(content: Content, row: Format, threshold: float | None) -> Iterator[Detection]:
-    """The people of a file one by one; there may be none. Raises `BadInput` where the user names a
-    layout and the format has its own."""
-    if content.layout is not None and row.ordered:
-        raise BadInput(
-            f"{content.source} is {row.about}, whose points have an order or names of their own;"
-            " leave out layout (on the command line --layout)."
-        )
-    return row.read(content, _threshold(row, threshold))
+    """The people of a file one by one, in pixels; there may be none."""
+    people = row.read(content, _threshold(row, threshold))
+    return in_pixels(people, row.unit or content.unit, content.image_size, centred=row.centred)
 
 
 def _threshold(row: Format, threshold: float | None) -> float:
@@ -313,8 +310,8 @@ def format_of(content: Content, name: str = "auto") -> Format:
         raise BadInput(f"there is no format {name!r}; choose auto or one of {', '.join(FORMATS)}.")
     if not content.data.strip():
         raise BadInput(f"{content.source} is empty; check what wrote it.")
-    kind = seeming(content.data)
-    if kind is not None:
+    kind = seeming(content)
+    if kind is not None and not any(one.recognises(content) for one in (planar_trc, opencv)):
         raise BadInput(f"{content.source} looks like {kind}.")
     for row in FORMATS.values():
         if row.recognises is not None and row.recognises(content):

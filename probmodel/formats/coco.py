@@ -5,37 +5,29 @@ Annotations say how visible each point is (0, 1, 2), which becomes a score of 0,
 COCO's seventeen points, or those that their category names (as MMPose's files of other data sets
 do), where the user's own names come first. Results carry a score for each point (AlphaPose's run to
 6 in some models; only their proportions matter), and how many numbers a record has tells which
-layout it is."""
+layout it is, as it does in annotations whose category names no points (Halpe's). OpenPifPaf's lists
+leave out the image."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.formats.common import (
+    BY_COUNT,
     Content,
+    flat_points,
     image_name,
     image_side,
     mapping,
     named_layout,
-    said_layout,
-    scored_points,
     sequence,
+    track_of,
 )
-from poseterior.probmodel.layouts import (
-    COCO_17,
-    HALPE_26,
-    HALPE_136,
-    MPII_16,
-    WHOLEBODY_133,
-    Layout,
-)
+from poseterior.probmodel.layouts import COCO_17, Layout
 
 PERSON = 1
 """COCO's category of persons."""
-
-RESULT_LAYOUTS = (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)
-"""Those that are told by how many numbers a record of results has."""
 
 
 def recognises_annotations(content: Content) -> bool:
@@ -44,10 +36,14 @@ def recognises_annotations(content: Content) -> bool:
 
 
 def recognises_results(content: Content) -> bool:
-    """A list, empty or of objects that name an image."""
+    """A list, empty or of objects that name an image or have a flat list of keypoints."""
     records = content.first
-    return isinstance(records, list) and (
-        not records or (isinstance(records[0], dict) and "image_id" in records[0])
+    if not isinstance(records, list) or not records:
+        return records == []
+    head = records[0] if isinstance(records[0], dict) else {}
+    flat = head.get("keypoints")
+    return "image_id" in head or (
+        isinstance(flat, list) and bool(flat) and isinstance(flat[0], int | float)
     )
 
 
@@ -64,12 +60,20 @@ def read_annotations(content: Content, threshold: float) -> Iterator[Detection]:
         _check_category(record, set(layouts), where)
         if record.get("keypoints") is None:  # a person who was boxed only
             continue
-        layout = layouts[record.get("category_id", PERSON)]
-        points = _points(record, {3 * layout.count: layout}, where)[0]
+        known = layouts[record.get("category_id", PERSON)]
+        points, layout = _points(record, content, where, known)
         points[:, 2] = _scores_of_visibility(points[:, 2], layout, where)
         if points[:, 2].any():
             image = image_name(record.get("image_id"), f"image_id of {where}")
-            yield layout.detection(points, threshold, source, people, image, sizes.get(image))
+            yield layout.detection(
+                points,
+                threshold,
+                source,
+                people,
+                image,
+                sizes.get(image),
+                track=track_of(record),
+            )
             people += 1
     if annotations and not people:
         raise BadInput(
@@ -80,13 +84,13 @@ def read_annotations(content: Content, threshold: float) -> Iterator[Detection]:
 
 def read_results(content: Content, threshold: float) -> Iterator[Detection]:
     """One detection for each record of the list, numbered in the order of the file."""
-    said = said_layout(content)
-    layouts = {3 * one.count: one for one in (RESULT_LAYOUTS if said is None else [said])}
     for person, (where, record) in enumerate(_records(content.records(), "record", content.source)):
         _check_category(record, {PERSON}, where)
         image = image_name(record.get("image_id"), f"image_id of {where}")
-        points, layout = _points(record, layouts, where)
-        yield layout.detection(points, threshold, content.source, person, image)
+        points, layout = _points(record, content, where)
+        yield layout.detection(
+            points, threshold, content.source, person, image, track=track_of(record)
+        )
 
 
 def _records(values: Iterable[Any], kind: str, source: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -96,21 +100,11 @@ def _records(values: Iterable[Any], kind: str, source: str) -> Iterator[tuple[st
 
 
 def _points(
-    record: dict[str, Any], layouts: dict[int, Layout], where: str
+    record: dict[str, Any], content: Content, where: str, known: Sequence[Layout] = BY_COUNT
 ) -> tuple[FloatArray, Layout]:
     if "keypoints" not in record:
         raise BadInput(f"{where} has no 'keypoints'; give a file of keypoints, not one of boxes.")
-    flat = sequence(record["keypoints"], f"'keypoints' of {where}")
-    layout = layouts.get(len(flat))
-    if layout is None:
-        known = ", ".join(
-            f"{numbers} ({layout.name})" for numbers, layout in sorted(layouts.items())
-        )
-        raise BadInput(
-            f"'keypoints' of {where} holds {len(flat)} numbers, but x, y, score of the points of a"
-            f" person are {known}; have the detector write one of these layouts."
-        )
-    return scored_points(flat, layout.points, where), layout
+    return flat_points(record["keypoints"], "keypoints", where, content, known)
 
 
 def _scores_of_visibility(visibility: FloatArray, layout: Layout, where: str) -> FloatArray:
@@ -123,12 +117,14 @@ def _scores_of_visibility(visibility: FloatArray, layout: Layout, where: str) ->
     return visibility / 2
 
 
-def _person_categories(document: dict[str, Any], content: Content) -> dict[object, Layout]:
-    """The ids of the categories that are persons, and the points that each has."""
+def _person_categories(
+    document: dict[str, Any], content: Content
+) -> dict[object, Sequence[Layout]]:
+    """The ids of the categories that are persons, and the layouts that each may have."""
     source = content.source
     if document.get("categories") is None:
         return {PERSON: _unnamed(content)}
-    layouts: dict[object, Layout] = {}
+    layouts: dict[object, Sequence[Layout]] = {}
     for where, category in _records(
         sequence(document["categories"], f"'categories' of {source}"), "category", source
     ):
@@ -137,21 +133,23 @@ def _person_categories(document: dict[str, Any], content: Content) -> dict[objec
     return layouts
 
 
-def _unnamed(content: Content) -> Layout:
-    """COCO's points; or, where the user gives a list of names in the file's order, those."""
+def _unnamed(content: Content) -> Sequence[Layout]:
+    """The list of names in the file's order that the user gives, or what the count tells."""
     if isinstance(content.names, Mapping) or not content.names:
-        return COCO_17
-    return named_layout(list(content.names), content)
+        return BY_COUNT
+    return [named_layout(list(content.names), content)]
 
 
-def _named(names: object, content: Content, where: str) -> Layout:
+def _named(names: object, content: Content, where: str) -> Sequence[Layout]:
     """The points of a category by its names of them."""
-    if names is None or (names == list(COCO_17.points) and not content.names):
+    if not names:
         return _unnamed(content)
+    if names == list(COCO_17.points) and not content.names and content.layout is None:
+        return [COCO_17]
     listed = sequence(names, f"'keypoints' of {where}")
     if not all(isinstance(name, str) for name in listed):
         raise BadInput(f"'keypoints' of {where} are {shown(names)} where names are needed.")
-    return named_layout(listed, content)
+    return [named_layout(listed, content)]
 
 
 def _check_category(record: dict[str, Any], persons: set[object], where: str) -> None:

@@ -17,14 +17,27 @@ from typing import Any
 import numpy as np
 
 from poseterior.probmodel.arrays import ArrayFile
-from poseterior.probmodel.detections import FACE, LARGEST_NUMBER, Detection, FloatArray
+from poseterior.probmodel.detections import FACE, LARGEST_NUMBER, Detection, FloatArray, is_label
 from poseterior.probmodel.documents import decoded, json_failures, parsed, require_modest
 from poseterior.probmodel.failures import BadInput, shown
-from poseterior.probmodel.layouts import LAYOUTS, Layout, layout_of_names
+from poseterior.probmodel.formats.units import Unit
+from poseterior.probmodel.layouts import (
+    COCO_17,
+    COCO_18,
+    HALPE_26,
+    HALPE_136,
+    LAYOUTS,
+    MEDIAPIPE_33,
+    MPII_16,
+    WHOLEBODY_133,
+    Layout,
+    layout_of_names,
+    spoken_name,
+)
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 
-OUTSIDE = 0.5
-"""How far outside of the image, in images, a fraction may still lie."""
+LARGEST_LABEL = 10**100
+"""Beyond every number of an image or a person: times in nanoseconds have nineteen digits."""
 _SPACE = re.compile(r"[ \t\n\r]*")
 
 
@@ -34,13 +47,15 @@ class Content:
 
     What the file does not say, the user may: `image_size` (width, height) in pixels, for
     coordinates that are fractions of it; `names`, their names of joints → ours (or, in the order of
-    the file, a list); and `layout`, the order of joints, a name of `layouts.LAYOUTS`."""
+    the file, a list); `layout`, the order of joints, a name of `layouts.LAYOUTS`; and what the
+    folder says of its files, their `unit`."""
 
     data: bytes
     source: str
     image_size: tuple[int, int] | None = None
     names: Mapping[str, str] | Sequence[str] = field(default_factory=dict)
     layout: str | None = None
+    unit: Unit | None = None
 
     @cached_property
     def arrays(self) -> ArrayFile:
@@ -126,17 +141,57 @@ MOST_CELLS = 30_000_000
 """Cells of a table: five hours of video at 30 frames a second, of eighteen points each."""
 
 
+SEPARATORS = (",", ";", "\t")
+"""Of the cells of a table; where it is no comma, that may stand before decimals."""
+LONGEST_HEADER = 100_000
+"""Bytes of a first line that are looked at to recognise a table."""
+_DECIMAL = re.compile(r"\s*[-+]?\d*,\d*(?:[eE][-+]?\d+)?\s*")
+
+
+def table_header(content: Content) -> list[str]:
+    """The cells of the first line of what may be a table; none of a file of arrays."""
+    if content.arrays.magic:
+        return []
+    line = content.data[:LONGEST_HEADER].decode("utf-8-sig", "replace").lstrip().split("\n", 1)[0]
+    return [cell.strip().strip('"') for cell in line.split(_separator(line))]
+
+
+def _separator(line: str) -> str:
+    return max(SEPARATORS, key=line.count)
+
+
 def table_rows(content: Content) -> Iterator[list[str]]:
-    """The rows of a CSV that are not empty, one by one. Raises `BadInput` where it is no table, or
-    has more cells than can be."""
-    if content.text.count(",") + content.text.count("\n") > MOST_CELLS:
+    """The rows of a table that are not empty, one by one, decimal commas as points. Raises
+    `BadInput` where it is no table, or has more cells than can be."""
+    separator = _separator(content.text.lstrip().split("\n", 1)[0])
+    if content.text.count(separator) + content.text.count("\n") > MOST_CELLS:
         raise BadInput(
             f"{content.source} has more than {MOST_CELLS:,} cells; split it into smaller files."
         )
+    rows = csv.reader(io.StringIO(content.text, newline=""), delimiter=separator)
     try:
-        yield from filter(None, csv.reader(io.StringIO(content.text, newline="")))
+        for row in filter(None, rows):
+            yield row if separator == "," else [_with_point(cell) for cell in row]
     except csv.Error as error:
         raise BadInput(f"{content.source} is no table ({error}); check what wrote it.") from None
+
+
+def _with_point(cell: str) -> str:
+    return cell.replace(",", ".") if _DECIMAL.fullmatch(cell) else cell
+
+
+def table_number(cell: str, where: str) -> float:
+    """The number in a cell, NaN where it is empty. Raises `BadInput` where it is something else."""
+    if not cell.strip():
+        return np.nan
+    with suppress(ValueError):
+        return float(cell)
+    raise BadInput(f"{where} holds {shown(cell)} where a number is needed.")
+
+
+def cell_number(cell: str, where: str) -> float:
+    """The number in a cell, which must not be empty. Raises `BadInput` as `number` does."""
+    return number(table_number(cell, where), f"a number in {where}")
 
 
 def skeleton_arrays(rows: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -159,7 +214,7 @@ def at_least_one_joint(
     if not any(detection.seen.any() for detection in detections):
         raise BadInput(
             f"no joint of any person in {source} has a score above the threshold {threshold:g};"
-            " lower the threshold or choose another frame."
+            f" {'lower the threshold or ' if threshold else ''}choose another frame."
         )
     return detections
 
@@ -195,11 +250,13 @@ def scored_point(values: Sequence[object], where: str) -> FloatArray:
 
 
 def scored_points(values: object, names: Sequence[str], where: str) -> FloatArray:
-    """`(len(names), 3)` from a flat list of x, y, score whose length is known to fit."""
+    """`(len(names), 3)` from a flat list of x, y, score whose length is known to fit; a point of
+    three NaN is missing."""
     flat = sequence(values, where)
     if set(map(type, flat)) <= {int, float}:
         with suppress(OverflowError):  # a whole number too large for a float
             points = np.array(flat, dtype=float).reshape(-1, 3)
+            points[np.isnan(points).all(axis=1)] = 0.0  # how Pose2Sim says that it has none
             if (np.abs(points) <= LARGEST_NUMBER).all() and (points[:, 2] >= 0).all():
                 return points
     # Something is wrong: one by one, to name it.
@@ -229,9 +286,36 @@ def image_name(value: object, where: str) -> str | None:
     """An image's id as text; files number their images or name them."""
     if value is None or isinstance(value, str):
         return value
-    if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 10**18:
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) < LARGEST_LABEL:
         return str(value)
     raise BadInput(f"{where} is {shown(value)} where a whole number or a name is needed.")
+
+
+TRACKS = ("track", "track_id", "person_id", "personID", "instance_id", "idx", "pid")
+"""What detectors and trackers call the number by which they follow a person through a film."""
+
+
+def track_of(record: Mapping[str, Any]) -> str | None:
+    """Whom a record says that it is of; None where it says nothing, or that nobody was followed
+    (numbers below zero)."""
+    return next(filter(None, (_track(record.get(key)) for key in TRACKS)), None)
+
+
+def _track(value: object) -> str | None:
+    """A number, also as a text, a float or in a list of its own, as AlphaPose and OpenPose write
+    it; or a name."""
+    while isinstance(value, list) and len(value) == 1:
+        (value,) = value
+    if isinstance(value, str):
+        text = value.strip()
+        with suppress(ValueError):
+            return _track(int(text) if text.isdecimal() else float(text))
+        return text if text and is_label(text) else None
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    if isinstance(value, float) and not value.is_integer():
+        return None
+    return str(int(value)) if 0 <= value < LARGEST_LABEL else None
 
 
 def image_side(value: object, where: str) -> int:
@@ -242,24 +326,6 @@ def image_side(value: object, where: str) -> int:
             f"{where} is {shown(value)} where a positive whole number of pixels is needed."
         )
     return int(side)
-
-
-def pixels(content: Content) -> FloatArray:
-    """`(2,)`: width and height of the image. Raises `BadInput` where nobody says them, for
-    coordinates that are fractions of it."""
-    if content.image_size is None:
-        raise BadInput(
-            f"the coordinates of {content.source} are fractions of an image whose size the file"
-            " does not say; give image_size=(640, 480), or on the command line the image (--image)"
-            " or --image-size 640x480."
-        )
-    return np.array(content.image_size, float)
-
-
-def are_fractions(xy: FloatArray) -> bool:
-    """Whether points `(..., 2)` are fractions of their image: nobody is a pixel tall."""
-    seen = xy[np.isfinite(xy).all(axis=-1)]
-    return bool((np.abs(seen) <= 1 + OUTSIDE).all() and seen.any())
 
 
 def said_layout(content: Content) -> Layout | None:
@@ -273,13 +339,30 @@ def said_layout(content: Content) -> Layout | None:
     return LAYOUTS[content.layout]
 
 
-def chosen_layout(count: int, known: Iterable[Layout], content: Content, where: str) -> Layout:
+BY_COUNT = (
+    COCO_17,
+    COCO_18,
+    HALPE_26,
+    HALPE_136,
+    MPII_16,
+    MEDIAPIPE_33,
+    WHOLEBODY_133,
+)
+"""Layouts that are told by their number of points; 17 are COCO's, which the models of 2D joints
+have."""
+
+
+def chosen_layout(
+    count: int, content: Content, where: str, known: Iterable[Layout] = BY_COUNT
+) -> Layout:
     """The layout that the user names, or the one among `known` of so many points. Raises `BadInput`
     where there is none, or it has another number of them."""
-    layout = said_layout(content) or next((one for one in known if one.count == count), None)
+    known = tuple(known)
+    said = said_layout(content) or (known[0] if len(known) == 1 else None)
+    layout = said or next((one for one in known if one.count == count), None)
     if layout is not None and layout.count == count:
         return layout
-    other = f", but {layout.name} has {layout.count}" if layout else ""
+    other = f", but {said.name} has {said.count}" if said else ""
     fitting = ", ".join(one.name for one in LAYOUTS.values() if one.count == count)
     advice = f"name their order (layout; on the command line --layout), such as {fitting}"
     raise BadInput(
@@ -288,10 +371,28 @@ def chosen_layout(count: int, known: Iterable[Layout], content: Content, where: 
     )
 
 
+def flat_points(
+    values: object, key: str, where: str, content: Content, known: Iterable[Layout] = BY_COUNT
+) -> tuple[FloatArray, Layout]:
+    """`(count, 3)` points, and their layout, from a flat list of x, y, score that stands at `key`.
+    Raises `BadInput` where it is none, or as `chosen_layout` does."""
+    flat = sequence(values, f"'{key}' of {where}")
+    if len(flat) % 3 or not flat:
+        raise BadInput(
+            f"'{key}' of {where} holds {len(flat)} numbers, where x, y and score of each point are"
+            " needed; write all three."
+        )
+    layout = chosen_layout(len(flat) // 3, content, f"'{key}' of {where}", known)
+    return scored_points(flat, layout.points, where), layout
+
+
 def named_layout(parts: list[str], content: Content) -> Layout:
-    """The layout of points that a file names freely, with the user's names for them. Raises
-    `BadInput` where two are the same joint, or none is any."""
+    """The layout of points that a file names freely: in the order that the user names, by the
+    user's names for them, or by their own. Raises `BadInput` where two are the same joint, or none
+    is any, or the user's order contradicts them."""
     names = content.names
+    if content.layout is not None:
+        return _ordered(parts, content)
     if isinstance(names, Mapping):
         layout = layout_of_names(parts, dict(names))
     elif len(names) == len(parts):
@@ -312,4 +413,16 @@ def named_layout(parts: list[str], content: Content) -> Layout:
             f"none of the body parts of {content.source} ({shown(parts)}) is a joint known here;"
             f" give a map of names (names; on the command line --names names.json) to {known}."
         )
+    return layout
+
+
+def _ordered(parts: list[str], content: Content) -> Layout:
+    """The user's layout for points that have names too."""
+    layout = chosen_layout(len(parts), content, content.source)
+    for part, point in zip(parts, layout.points, strict=True):
+        if spoken_name(part) in (*JOINTS, *FACE) and spoken_name(part) != point:
+            raise BadInput(
+                f"{content.source} names a point {shown(part)} where {layout.name} has {point};"
+                " leave out layout (on the command line --layout)."
+            )
     return layout

@@ -15,7 +15,13 @@ import numpy as np
 from poseterior.probmodel import arrays
 from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.failures import BadInput, shown
-from poseterior.probmodel.formats.common import Content, named_layout, table_rows
+from poseterior.probmodel.formats.common import (
+    Content,
+    named_layout,
+    table_header,
+    table_number,
+    table_rows,
+)
 
 HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 COORDS = ("x", "y", "likelihood")
@@ -36,7 +42,8 @@ class Table(NamedTuple):
 
 def recognises_csv(content: Content) -> bool:
     """A first row that begins with "scorer"."""
-    return content.data[:16].lstrip(b"\xef\xbb\xbf").startswith(b"scorer,")
+    header = table_header(content)
+    return len(header) > 1 and header[0] == HEADERS[0]
 
 
 def recognises_hdf5(content: Content) -> bool:
@@ -67,7 +74,7 @@ def read_csv(content: Content, threshold: float) -> Iterator[Detection]:
         if row is not header.get(row[0]):
             name = next((cell for cell in reversed(row[:skip]) if cell), str(len(body)))
             where = f"row {number} of {source}"
-            body.append((name, np.array([_cell(cell, where) for cell in row[skip:]])))
+            body.append((name, np.array([table_number(cell, where) for cell in row[skip:]])))
     skip = _checked_header(header, source)
     labels = {name: row[skip:] for name, row in header.items()}
     values = np.array([numbers for _, numbers in body]).reshape(len(body), width - skip)
@@ -94,13 +101,6 @@ def _first_value_column(coords: list[str], source: str) -> int:
         if name in COORDS:
             return column
     raise BadInput(f"the row 'coords' of {source} has no x; give DeepLabCut's own CSV.")
-
-
-def _cell(text: str, where: str) -> float:
-    try:
-        return float(text) if text.strip() else np.nan
-    except ValueError:
-        raise BadInput(f"{where} holds {shown(text)} where a number is needed.") from None
 
 
 def read_hdf5(content: Content, threshold: float) -> Iterator[Detection]:
@@ -245,5 +245,7 @@ def _people(table: Table, content: Content, threshold: float) -> Iterator[Detect
                     f"a likelihood in frame {shown(frame)} of {content.source} is negative; give 0"
                     " or more."
                 )
-            yield layouts[name].detection(points, threshold, content.source, person, frame)
+            yield layouts[name].detection(
+                points, threshold, content.source, person, frame, track=name or None
+            )
             person += 1

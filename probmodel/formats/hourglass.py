@@ -18,17 +18,10 @@ from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.common import Content, chosen_layout
 from poseterior.probmodel.heatmaps import Crop, Decoded, decode
-from poseterior.probmodel.layouts import (
-    COCO_17,
-    HALPE_26,
-    HALPE_136,
-    MPII_16,
-    WHOLEBODY_133,
-    Layout,
-)
+from poseterior.probmodel.layouts import Layout
 
-KNOWN = (MPII_16, COCO_17, HALPE_26, WHOLEBODY_133, HALPE_136)
-"""Layouts that are told by their number of channels."""
+LARGEST_SCORE = 100.0
+"""Detectors' scores are probabilities, per cents, or a few times 1."""
 _BESIDE = ["center", "scale", "box", "layout"]
 
 
@@ -96,6 +89,12 @@ def scored(rows: FloatArray, where: str) -> FloatArray:
     points[np.isnan(points).any(axis=1)] = 0.0
     if (points[:, 2] < 0).any():
         raise BadInput(f"a score of {where} is negative; give 0 for a joint that was not detected.")
+    if points[:, 2].max(initial=0.0) > LARGEST_SCORE:
+        raise BadInput(
+            f"the third numbers of {where} run to {points[:, 2].max():g}, which are no scores, but"
+            " perhaps depths; give x, y and, if there is one, a score (3D poses are for check,"
+            " learn and evaluate)."
+        )
     return points
 
 
@@ -103,7 +102,7 @@ def _layout(found: Mapping[str, np.ndarray], count: int, content: Content) -> La
     """The layout that the user names, or else the file, or that of so many channels."""
     if content.layout is None and "layout" in found:
         content = replace(content, layout=arrays.first_text(found["layout"]))
-    return chosen_layout(count, KNOWN, content, content.source)
+    return chosen_layout(count, content, content.source)
 
 
 def _crops(found: Mapping[str, np.ndarray], count: int, source: str) -> list[Crop | None]:

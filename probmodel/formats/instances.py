@@ -5,39 +5,38 @@ return, written as JSON.
     [[{"keypoints": [[x, y], …], "scores": […], "labels": […]}, …], …]  Hugging Face ViTPose
     {"keypoints": [[[x, y], …], …], "scores": [[…], …]}                 RTMLib
     {"pred_keypoints": [[[x, y, score], …], …]}                         Detectron2's Instances
+    {"image": …, "keypoints": [[x, y], …]}                              one person, as people write
+    {"filename": …, "annots": [{"keypoints": [[x, y, score], …]}, …]}   EasyMocap, BODY_25
 
 ViTPose has a list an image. Its labels number the points that it kept, where it was asked to leave
-out those of a low score. Coordinates are pixels. How many points there are tells whose they are,
-unless the user says it."""
+out those of a low score. EasyMocap says the size of its image. How many points there are tells
+whose they are, unless the user says it."""
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.formats.common import (
+    BY_COUNT,
     Content,
     chosen_layout,
+    image_name,
+    image_side,
     mapping,
     number,
     said_layout,
     scored_point,
     sequence,
+    track_of,
 )
-from poseterior.probmodel.layouts import (
-    COCO_17,
-    HALPE_26,
-    HALPE_136,
-    MPII_16,
-    WHOLEBODY_133,
-    Layout,
-)
+from poseterior.probmodel.layouts import BODY_25, COCO_17, Layout
 
-KNOWN = (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)
-"""Layouts that are told by their number of points."""
 _KEYS = ("pred_keypoints", "keypoints")
+_IMAGES = ("image_id", "image", "filename", "file_name", "img_name")
+_SIDES = ("width", "height")
 
 
 def recognises(content: Content) -> bool:
@@ -48,33 +47,80 @@ def recognises(content: Content) -> bool:
             document = document[0]
     if not isinstance(document, dict):
         return False
+    if isinstance(document.get("annots"), list):
+        return True
     rows = next((document[key] for key in _KEYS if key in document), None)
     return isinstance(rows, list) and bool(rows) and isinstance(rows[0], list)
 
 
 def read(content: Content, threshold: float) -> Iterator[Detection]:
     """Every person of every image, in the order of the file."""
-    for person, (image, where, rows, scores, labels) in enumerate(_people(content)):
-        points, layout = _points(rows, scores, labels, content, where)
-        yield layout.detection(points, threshold, content.source, person, image)
+    for person, one in enumerate(_people(content)):
+        points, layout = _points(one, content)
+        yield layout.detection(
+            points, threshold, content.source, person, one.image, one.size, track=one.track
+        )
 
 
-Person = tuple[str | None, str, Any, Any, Any]
-"""Image, the person in words, points, scores and labels."""
+class Person(NamedTuple):
+    """Image, the person in words, points, scores, labels and track, unchecked; and what the file
+    says of the image's size, and which layouts it may have."""
+
+    image: str | None
+    where: str
+    rows: Any
+    scores: Any
+    labels: Any = None
+    track: str | None = None
+    size: tuple[int, int] | None = None
+    known: tuple[Layout, ...] = BY_COUNT
 
 
 def _people(content: Content) -> Iterator[Person]:
     source = content.source
     if isinstance(content.first, dict):
-        yield from _columns(mapping(content.json, source), source)
+        yield from _document(mapping(content.json, source), source)
         return
     for index, value in enumerate(content.records()):
         where = f"record {index} of {source}"
         if isinstance(value, list):
             for place, record in enumerate(value):
                 yield _record(record, str(index), f"person {place} of {where}")
+        elif isinstance(value, dict) and "annots" in value:
+            yield from _document(value, where)
         else:
             yield _record(value, None, where)
+
+
+def _document(document: dict[str, Any], source: str) -> Iterator[Person]:
+    """The people of one object: EasyMocap's, of all people, or of one alone."""
+    rows = document.get("keypoints")
+    if "annots" in document:
+        image, size = _image(document, source), _size(document, source)
+        people = sequence(document["annots"], f"'annots' of {source}")
+        for index, value in enumerate(people):
+            person = _record(value, image, f"person {index} of {source}")
+            yield person._replace(size=size, known=(BODY_25, *BY_COUNT))
+    elif isinstance(rows, list) and rows and _is_row(rows[0]):
+        yield _record(document, None, f"the person of {source}")
+    else:
+        yield from _columns(document, source)
+
+
+def _is_row(value: object) -> bool:
+    return isinstance(value, list) and bool(value) and not isinstance(value[0], list)
+
+
+def _image(record: dict[str, Any], where: str) -> str | None:
+    key = next((key for key in _IMAGES if record.get(key) is not None), None)
+    return None if key is None else image_name(record[key], f"'{key}' of {where}")
+
+
+def _size(record: dict[str, Any], where: str) -> tuple[int, int] | None:
+    if any(record.get(side) is None for side in _SIDES):
+        return None
+    width, height = (image_side(record[side], f"'{side}' of {where}") for side in _SIDES)
+    return width, height
 
 
 def _columns(document: dict[str, Any], source: str) -> Iterator[Person]:
@@ -89,36 +135,39 @@ def _columns(document: dict[str, Any], source: str) -> Iterator[Person]:
         )
     each = [None] * len(people) if scores is None else scores
     for index, (rows, row) in enumerate(zip(people, each, strict=True)):
-        yield None, f"person {index} of {source}", rows, row, None
+        yield Person(None, f"person {index} of {source}", rows, row)
 
 
 def _record(value: object, image: str | None, where: str) -> Person:
     record = mapping(value, where)
-    return image, where, record.get("keypoints"), record.get("scores"), record.get("labels")
+    image = image if image is not None else _image(record, where)
+    rows, scores, labels = (record.get(key) for key in ("keypoints", "scores", "labels"))
+    return Person(image, where, rows, scores, labels, track_of(record))
 
 
-def _points(
-    rows: object, scores: object, labels: object, content: Content, where: str
-) -> tuple[FloatArray, Layout]:
+def _points(person: Person, content: Content) -> tuple[FloatArray, Layout]:
     """`(count, 3)` points in the layout's order."""
-    listed = sequence(rows, f"'keypoints' of {where}")
-    if scores is not None:
-        scores = sequence(scores, f"'scores' of {where}")
-        if len(scores) != len(listed):
-            raise BadInput(
-                f"{where} has {len(listed)} keypoints but {len(scores)} scores; check what wrote"
-                " it."
-            )
+    where, scores, labels = person.where, person.scores, person.labels
+    listed = sequence(person.rows, f"'keypoints' of {where}")
+    if isinstance(scores, list) and len(scores) != len(listed):
+        raise BadInput(
+            f"{where} has {len(listed)} keypoints but {len(scores)} scores; check what wrote it."
+        )
     found = np.array(
         [
-            _row(row, None if scores is None else scores[index], f"point {index} of {where}")
+            _row(
+                row,
+                scores[index] if isinstance(scores, list) else None,
+                f"point {index} of {where}",
+            )
             for index, row in enumerate(listed)
         ]
     ).reshape(-1, 3)
     if labels is None:
-        return found, chosen_layout(len(found), KNOWN, content, f"'keypoints' of {where}")
+        layout = chosen_layout(len(found), content, f"'keypoints' of {where}", person.known)
+        return found, layout
     places = [_place(label, where) for label in sequence(labels, f"'labels' of {where}")]
-    whole = (one for one in KNOWN if places == [*range(one.count)])
+    whole = (one for one in person.known if places == [*range(one.count)])
     layout = said_layout(content) or next(whole, COCO_17)
     if len(places) != len(found) or len(set(places)) < len(places):
         raise BadInput(

@@ -3,6 +3,8 @@
 Told from the beginnings that the formats' own descriptions require, so that whoever gives a photo,
 a video or markers reads what it was taken for, and what to do."""
 
+from poseterior.probmodel.formats.common import Content
+
 _POSES = "3D poses are for check, learn, evaluate and coverage; give 2D joints here"
 _DETECT = "run a detector on it, and give its file of 2D joints"
 _PICKLE = "pickles, which could run any code, are not read; save it as JSON or plain arrays"
@@ -45,12 +47,26 @@ _C3D = 0x50
 """The second byte of every C3D file; the first says in which block the parameters begin."""
 
 
-def seeming(data: bytes) -> str | None:
+_TRAINING = "it does not say the order of its points; save them by their names, as a table"
+ARRAYS: tuple[tuple[set[str], str, str], ...] = (
+    ({"imgname", "center", "scale"}, "a data set for training, such as SPIN's", _TRAINING),
+    ({"positions_3d"}, "VideoPose3D's 3D poses", _POSES),
+    ({"posterior/joints"}, "a result of poseterior", "give it to check, show or export"),
+)
+"""Arrays that a kind's files hold, the kind in words, and what to do."""
+
+
+def seeming(content: Content) -> str | None:
     """The kind that a file seems to be, and what to do, for a sentence; None where it is none of
     those known."""
+    data = content.data
     for place, mark, kind, advice in BEGINNINGS:
         if data.startswith(mark, place):
             return f"{kind}; {advice}"
     if len(data) >= 512 and data[1] == _C3D and 0 < data[0] < 128 and b"\x00" in data[:512]:
         return f"a C3D file of markers; {_POSES}"
+    found = set(content.arrays.names())
+    for names, kind, advice in ARRAYS:
+        if names <= found and "preds" not in found:
+            return f"{kind}; {advice}"
     return None

@@ -23,10 +23,12 @@ from poseterior.probmodel.documents import require_modest
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.formats.common import (
     Content,
+    cell_number,
+    chosen_layout,
     mapping,
     number,
-    pixels,
     sequence,
+    table_header,
     table_rows,
 )
 from poseterior.probmodel.layouts import MEDIAPIPE_33
@@ -35,9 +37,6 @@ THRESHOLD = 0.5
 """The visibility up to which a landmark is missing."""
 WRAPPINGS = ("landmarks", "pose_landmarks", "poseLandmarks")
 _FIELDS = ("x", "y", "visibility")
-_FARTHEST = 10.0
-"""Fractions beyond this are pixels that someone converted already: joints do not lie ten images
-away."""
 _BLOCK = re.compile(r"\b(?P<name>\w+)\s*\{|(?P<close>\})|(?P<field>\w+)\s*:\s*(?P<value>[^\s{}]+)")
 
 
@@ -108,7 +107,7 @@ def read_text(content: Content, threshold: float) -> Iterator[Detection]:
                 )
             path.pop()
         elif path and path[-1] == "landmark" and people:
-            people[-1][-1][match["field"]] = _float(
+            people[-1][-1][match["field"]] = cell_number(
                 match["value"], f"{shown(match['field'])} of {content.source}"
             )
     if path:
@@ -157,8 +156,7 @@ def read_table(content: Content, threshold: float) -> Iterator[Detection]:
 
 
 def _header(content: Content) -> list[str]:
-    line = content.data[:20_000].split(b"\n", 1)[0].decode("utf-8-sig", errors="replace")
-    return [cell.strip().lower() for cell in line.split(",")]
+    return [cell.lower() for cell in table_header(content)]
 
 
 def _wide_columns(header: list[str]) -> list[list[int]]:
@@ -182,16 +180,7 @@ def _cells(line: list[str], columns: list[list[int]], where: str) -> FloatArray:
             f"{where} has {len(line)} cells, fewer than its header; check that the file is"
             " complete."
         )
-    return np.array([[_float(line[column], where) for column in group] for group in columns])
-
-
-def _float(text: str, where: str) -> float:
-    try:
-        return number(float(text), where)
-    except ValueError as error:
-        if isinstance(error, BadInput):
-            raise
-        raise BadInput(f"{where} holds {shown(text)} where a number is needed.") from None
+    return np.array([[cell_number(line[column], where) for column in group] for group in columns])
 
 
 def _landmarks(value: object, where: str) -> FloatArray:
@@ -222,20 +211,12 @@ def _detections(
 ) -> Iterator[Detection]:
     if not people:
         return
-    size = pixels(content)
     from scipy.special import expit  # takes a while, and few files need it
 
+    layout = chosen_layout(MEDIAPIPE_33.count, content, content.source)
     visibility = np.stack([rows[:, 2] for _, rows in people])
     logits = bool(((visibility < 0) | (visibility > 1)).any())
     for person, (frame, rows) in enumerate(people):
-        if (np.abs(rows[:, :2]) > _FARTHEST).any():
-            raise BadInput(
-                f"person {person} of {content.source} has a landmark at"
-                f" {np.abs(rows[:, :2]).max():g} images from the corner; MediaPipe's coordinates"
-                " are fractions of the image, so leave them as they are."
-            )
         score = expit(rows[:, 2]) if logits else rows[:, 2]
-        points = np.column_stack([rows[:, :2] * size, score])
-        yield MEDIAPIPE_33.detection(
-            points, threshold, content.source, person, frame, content.image_size
-        )
+        points = np.column_stack([rows[:, :2], score])
+        yield layout.detection(points, threshold, content.source, person, frame)

@@ -18,6 +18,7 @@ import numpy as np
 from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.formats.common import (
+    BY_COUNT,
     Content,
     chosen_layout,
     image_name,
@@ -25,6 +26,7 @@ from poseterior.probmodel.formats.common import (
     number,
     scored_point,
     sequence,
+    track_of,
 )
 from poseterior.probmodel.layouts import (
     AIC_14,
@@ -50,9 +52,6 @@ DATASETS = {
     "aic": AIC_14,
 }
 """Layouts by the data set's name in `meta_info`; any other is read by the names of its points."""
-BY_COUNT = (COCO_17, HALPE_26, HALPE_136, MPII_16, WHOLEBODY_133)
-"""Layouts of files without `meta_info`. 17 points are COCO's, which the models of 2D joints
-have."""
 
 
 def recognises(content: Content) -> bool:
@@ -76,8 +75,10 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
         )
     for person, (frame, instance) in enumerate(_instances(records, content.source)):
         where = f"person {person} of {content.source}"
-        points, fitting = _points(mapping(instance, where), layout, content, where)
-        yield fitting.detection(points, threshold, content.source, person, frame)
+        record = mapping(instance, where)
+        points, fitting = _points(record, layout, content, where)
+        track = track_of(record)
+        yield fitting.detection(points, threshold, content.source, person, frame, track=track)
 
 
 def _instances(records: Iterator[Any], source: str) -> Iterator[tuple[str | None, Any]]:
@@ -119,7 +120,7 @@ def _points(
     xy = sequence(record.get("keypoints"), f"'keypoints' of {where}")
     scores = sequence(record.get("keypoint_scores"), f"'keypoint_scores' of {where}")
     layout = chosen_layout(
-        len(xy), BY_COUNT if layout is None else [layout], content, f"'keypoints' of {where}"
+        len(xy), content, f"'keypoints' of {where}", BY_COUNT if layout is None else [layout]
     )
     if len(scores) != len(xy):
         raise BadInput(

@@ -10,11 +10,13 @@ from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.formats.common import (
     Content,
+    chosen_layout,
     image_name,
     mapping,
     number,
     scored_point,
     sequence,
+    track_of,
 )
 from poseterior.probmodel.layouts import MPII_16
 
@@ -38,6 +40,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
                 f"{where} has {len(joints)} joints and joints_vis of {len(seen)} where MPII's"
                 f" {MPII_16.count} are needed of both."
             )
+        layout = chosen_layout(MPII_16.count, content, where)
         points = np.array(
             [
                 _point(xy, visible, f"{name} in {where}")
@@ -45,7 +48,9 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
             ]
         )
         image = image_name(record.get("image"), f"'image' of {where}")
-        yield MPII_16.detection(points, threshold, content.source, person, image)
+        yield layout.detection(
+            points, threshold, content.source, person, image, track=track_of(record)
+        )
 
 
 def _point(xy: object, visible: object, where: str) -> np.ndarray:
@@ -56,6 +61,4 @@ def _point(xy: object, visible: object, where: str) -> np.ndarray:
             f"joints_vis of {where} is {shown(visible)} where 0 or 1 is needed; write detections"
             " with scores as COCO results."
         )
-    point = scored_point([*xy, number(visible, where)], where)  # type: ignore[misc]
-    labelled = not ((point[:2] == 0).all() or (point[:2] == -1).all())
-    return point * [1, 1, labelled]
+    return scored_point([*xy, number(visible, where)], where)  # type: ignore[misc]

@@ -1,45 +1,52 @@
-"""A CSV with named columns: a row a frame, NAME_x, NAME_y and, where there is one, NAME_score (or
-confidence, conf, likelihood, visibility, p) for every point, in any order.
+"""A table (CSV) with named columns: a row a frame, NAME_x, NAME_y and, where there is one,
+NAME_score (or confidence, conf, likelihood, visibility, p) for every point, in any order.
 
 This is nobody's own format, but what people make of tables of their own. Names are matched as
-people write them (`layouts.spoken_name`); others need a map of names. Coordinates are pixels. A
-cell that is empty, or "nan", is a missing point; a point without a column for its score has one."""
+people write them (`layouts.spoken_name`); others need a map of names. Cells are separated by
+commas, semicolons or tabs. A cell that is empty, or "nan", is a missing point; a point without a
+column for its score has one. A NAME_z beside a score is a depth, and not used; without one, the
+table is of positions in space."""
 
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from poseterior.probmodel.detections import Detection
-from poseterior.probmodel.failures import BadInput, shown
-from poseterior.probmodel.formats.common import Content, named_layout, scored_points, table_rows
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats.common import (
+    TRACKS,
+    Content,
+    named_layout,
+    scored_points,
+    table_header,
+    table_number,
+    table_rows,
+    track_of,
+)
 from poseterior.probmodel.layouts import spoken_name
 from poseterior.probmodel.skeleton import JOINTS
 
 FEWEST = 3
 """Joints that a header must name to be recognised; a camera needs as many."""
-LONGEST_HEADER = 100_000
-"""Bytes of a first line that are looked at to recognise it."""
 _SCORES = ("score", "confidence", "conf", "likelihood", "visibility", "p")
-_COLUMN = re.compile(rf"(?P<name>.+?)[ _.](?P<part>x|y|{'|'.join(_SCORES)})", re.IGNORECASE)
-_FRAMES = ("frame", "image", "image_id", "file", "")
+_COLUMN = re.compile(rf"(?P<name>.+?)[ _.](?P<part>x|y|z|{'|'.join(_SCORES)})", re.IGNORECASE)
+_FRAMES = ("frame", "frame_id", "frame_number", "image", "image_id", "file", "")
 """Columns that name the rows, as people call them; an index of pandas has no name."""
+_PEOPLE = (*TRACKS, "person", "individual", "id")
+"""Columns that say whose row it is."""
 Columns = dict[str, dict[str, int]]
 
 
 def recognises(content: Content) -> bool:
     """A first line that names x and y of some joints."""
-    start = content.data[:LONGEST_HEADER].decode("utf-8-sig", "replace")
-    if content.arrays.magic or start.lstrip().startswith(("{", "[")):
-        return False
-    header = start.splitlines()[0].split(",") if start else []
-    columns = _columns([cell.strip('"') for cell in header])
+    columns = _columns(table_header(content))
     if isinstance(content.names, Mapping):
         names = [content.names.get(name, spoken_name(name)) for name in columns]
     else:
         names = list(content.names) or [spoken_name(name) for name in columns]
-    return bool(columns) and len(set(names) & set(JOINTS)) >= FEWEST
+    joints = len(set(names) & set(JOINTS))
+    return bool(columns) and (joints >= FEWEST or content.layout is not None)
 
 
 def read(content: Content, threshold: float) -> Iterator[Detection]:
@@ -52,8 +59,13 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
             f"the first line of {content.source} names no column NAME_x with its NAME_y; write a"
             " header."
         )
+    if any("z" in places and "score" not in places for places in columns.values()):
+        raise BadInput(
+            f"{content.source} has columns NAME_z and no scores, as a table of 3D positions has,"
+            " which are for check, learn and evaluate; leave z out where x and y are of an image."
+        )
     layout = named_layout(list(columns), content)
-    frame = next((at for at, cell in enumerate(header) if cell.strip().lower() in _FRAMES), None)
+    frame, who = (_column(header, known) for known in (_FRAMES, _PEOPLE))
     for person, row in enumerate(rows):
         where = f"row {person + 2} of {content.source}"
         if len(row) != len(header):
@@ -62,9 +74,15 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
                 " complete."
             )
         flat = [value for places in columns.values() for value in _point(row, places, where)]
-        name = None if frame is None else row[frame] or None
+        name = str(person) if frame is None else row[frame].strip() or None
+        track = None if who is None else track_of({"track": row[who]})
         points = scored_points(flat, layout.points, where)
-        yield layout.detection(points, threshold, content.source, person, name)
+        yield layout.detection(points, threshold, content.source, person, name, track=track)
+
+
+def _column(header: list[str], known: Sequence[str]) -> int | None:
+    """The place of the first column of a known name."""
+    return next((at for at, cell in enumerate(header) if cell.strip().lower() in known), None)
 
 
 def _columns(header: list[str]) -> Columns:
@@ -80,14 +98,6 @@ def _columns(header: list[str]) -> Columns:
 
 def _point(row: list[str], places: dict[str, int], where: str) -> tuple[float, float, float]:
     """x, y and score; all 0 where any is missing."""
-    x, y = (_cell(row[places[part]], where) for part in "xy")
-    score = _cell(row[places["score"]], where) if "score" in places else 1.0
+    x, y = (table_number(row[places[part]], where) for part in "xy")
+    score = table_number(row[places["score"]], where) if "score" in places else 1.0
     return (0.0, 0.0, 0.0) if np.isnan([x, y, score]).any() else (x, y, score)
-
-
-def _cell(text: str, where: str) -> float:
-    if not text.strip():
-        return np.nan
-    with suppress(ValueError):
-        return float(text)
-    raise BadInput(f"{where} holds {shown(text)} where a number is needed.")

@@ -2,10 +2,12 @@
 
     {"format": "poseterior-detections", "version": 1,
      "people": [{"keypoints": {"right_knee": [x, y, score], …}, "image_id": "785",
-                 "image_size": [640, 425], "face": {"nose": [x, y, score], …}}]}
+                 "image_size": [640, 425], "face": {"nose": [x, y, score], …}, "track": "1"}]}
 
-A joint that is not there was not seen; without a "face", the detector has no points of it. Other
-keys (a `truth`, say) are left alone."""
+A joint that is not there was not seen; without a "face", the detector has no points of it.
+"midpoints" says which of thorax and pelvis are those of shoulders and hips. Where there is no
+"unit": "pixels", as files that were written here have it, coordinates are looked at. Other keys (a
+`truth`, say) are left alone."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -23,7 +25,10 @@ from poseterior.probmodel.formats.common import (
     scored_point,
     sequence,
     skeleton_arrays,
+    track_of,
 )
+from poseterior.probmodel.formats.units import Unit, in_pixels
+from poseterior.probmodel.layouts import MIDPOINTS, midpoints_of
 from poseterior.probmodel.skeleton import JOINTS
 
 FORMAT, VERSION, LAYOUT = "poseterior-detections", 1, "poseterior"
@@ -48,9 +53,14 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
         raise BadInput(
             f"'version' of {source} is {shown(version)}, but version {VERSION} is what can be read."
         )
-    people = sequence(document.get("people"), f"'people' of {source}")
-    for person, value in enumerate(people):
-        yield _person(value, person, source, threshold)
+    if content.layout is not None:
+        raise BadInput(
+            f"{source} names its joints; leave out layout (on the command line --layout)."
+        )
+    listed = enumerate(sequence(document.get("people"), f"'people' of {source}"))
+    people = (_person(value, person, source, threshold) for person, value in listed)
+    written = document.get("unit") == Unit.PIXELS.value
+    return people if written else in_pixels(people, None, content.image_size)
 
 
 def write(detections: Sequence[Detection]) -> str:
@@ -61,15 +71,19 @@ def write(detections: Sequence[Detection]) -> str:
     if not any(detection.seen.any() for detection in detections):
         raise BadInput("there is no joint in these detections, so there is nothing to write.")
     people = ",\n".join(json.dumps(_record(detection), allow_nan=False) for detection in detections)
-    return f'{{"format": "{FORMAT}", "version": {VERSION}, "people": [\n{people}\n]}}\n'
+    head = f'{{"format": "{FORMAT}", "version": {VERSION}, "unit": "{Unit.PIXELS.value}",'
+    return f'{head} "people": [\n{people}\n]}}\n'
 
 
 def _record(detection: Detection) -> dict[str, Any]:
     size, face = detection.image_size, detection.face
+    midpoints = () if detection.moved else midpoints_of(detection)
     return {
         "keypoints": _rows_by_name(JOINTS, detection.keypoints, detection.score),
         **({} if detection.image_id is None else {"image_id": detection.image_id}),
         **({} if size is None else {"image_size": list(size)}),
+        **({} if detection.track is None else {"track": detection.track}),
+        **({"midpoints": list(midpoints)} if midpoints else {}),
         **({} if face is None else {"face": _rows_by_name(FACE, face[:, :2], face[:, 2])}),
     }
 
@@ -90,7 +104,28 @@ def _person(value: object, person: int, source: str, threshold: float) -> Detect
     )
     image = image_name(record.get("image_id"), f"'image_id' of {where}")
     size, face = _size(record.get("image_size"), where), _face(record.get("face"), where, threshold)
-    return Detection(keypoints, score, LAYOUT, source, person, image, size, face)
+    midpoints = _midpoints(record.get("midpoints", []), where)
+    return Detection(
+        keypoints,
+        score,
+        LAYOUT,
+        source,
+        person,
+        image,
+        size,
+        face,
+        midpoints=midpoints,
+        track=track_of(record),
+    )
+
+
+def _midpoints(value: object, where: str) -> tuple[str, ...]:
+    names = sequence(value, f"'midpoints' of {where}")
+    if any(name not in MIDPOINTS for name in names):
+        raise BadInput(
+            f"'midpoints' of {where} are {shown(names)}, which may be {' and '.join(MIDPOINTS)}."
+        )
+    return tuple(name for name in MIDPOINTS if name in names)
 
 
 def _face(value: object, where: str, threshold: float) -> FloatArray | None:

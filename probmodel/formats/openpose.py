@@ -1,23 +1,43 @@
-"""OpenPose: one JSON file a frame, each person a flat list of x, y, score; a point that was not
-found is 0, 0, 0.
+"""OpenPose's JSON, and what others write in its envelope: each person a flat list of x, y, score; a
+point that was not found is 0, 0, 0.
 
-The file does not say which model wrote it. Eighteen points are COCO-18; twenty-five are BODY_25,
-the usual model, or BODY_25B, whose order differs: `body_order` tells them apart by the lengths of
-the bones, and refuses where it cannot."""
+    {"people": [{"pose_keypoints_2d": [x, y, score, …]}, …]}      a frame, also a list of frames
+    {"bodies": [{"joints": [x, y, score, …]}, …]}                 its predecessor, caffe_rtpose
+    {"people": …, "canvas_width": …, "canvas_height": …}          ControlNet's and ComfyUI's
+    {"people": [{"pose_keypoints_2d": [[y, x, y, x, …]]}]}        PoseNet's, y first, no scores
+
+The file does not say which model wrote it. How many points there are tells it: eighteen are
+COCO-18, seventeen and twenty-six (Pose2Sim's and Sports2D's) COCO-17 and Halpe-26. Twenty-five are
+BODY_25, the usual model, or BODY_25B, whose order differs: `body_order` tells them apart by the
+lengths of the bones, and refuses where it cannot. Coordinates are pixels, fractions of the image,
+or, where OpenPose was told so, −1 to 1. Somebody of NaN alone, as Pose2Sim writes who was not
+found, has no joints."""
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.formats.common import Content, mapping, scored_points, sequence
-from poseterior.probmodel.layouts import BODY_25, BODY_25B, COCO_18, Layout
+from poseterior.probmodel.formats.common import (
+    BY_COUNT,
+    Content,
+    flat_points,
+    image_side,
+    mapping,
+    said_layout,
+    sequence,
+    track_of,
+)
+from poseterior.probmodel.layouts import BODY_25, BODY_25B, Layout, is_nowhere
 
-KEYS = ("pose_keypoints_2d", "pose_keypoints")
-"""Where a person's points stand; the second is OpenPose 1.0's."""
+LISTS = ("people", "bodies")
+"""Where a frame's people stand."""
+KEYS = ("pose_keypoints_2d", "pose_keypoints", "joints")
+"""Where a person's points stand; the second is OpenPose 1.0's, the third that of `bodies`."""
+CANVAS = ("canvas_width", "canvas_height")
 
 _SIDED = (
     ("nose", "*_eye", 4.5),
@@ -58,32 +78,37 @@ dropped at random: none was read in the wrong order, and 3 of 100 with enough bo
 The people of real files have 1.3 and more. """
 
 
+class Body(NamedTuple):
+    """A person's numbers, unchecked; their key; words that name the person; image, its size, and
+    the person's track, if known."""
+
+    flat: list[Any]
+    key: str
+    where: str
+    image: str | None
+    size: tuple[int, int] | None
+    track: str | None
+
+
 def recognises(content: Content) -> bool:
-    """An object with `people` and no `format` of another's."""
-    return (
-        isinstance(content.first, dict)
-        and "people" in content.first
-        and "format" not in content.first
-    )
+    """An object with `people` or `bodies` and no `format` of another's, or a list of such."""
+    head = content.first
+    head = head[0] if isinstance(head, list) and head else head
+    return isinstance(head, dict) and "format" not in head and any(key in head for key in LISTS)
 
 
 def read(content: Content, threshold: float) -> Iterator[Detection]:
     """Every person; the layout follows from the number of points and, for 25, from `body_order`."""
-    people = _flat_lists(content)
-    found = bodies(content)
-    body = body_order(found, content.source) if found else BODY_25
-    return _detections(
-        content, [body if len(flat) == 3 * body.count else COCO_18 for _, flat in people], threshold
-    )
+    if said_layout(content) is not None:
+        return _detections(content, threshold, ())
+    people = bodies(content)
+    body = body_order(people, content.source) if people else BODY_25
+    return _detections(content, threshold, (body, *BY_COUNT))
 
 
 def reader(layout: Layout) -> Callable[[Content, float], Iterator[Detection]]:
     """`read` for a file that is known to be in `layout`."""
-
-    def read_layout(content: Content, threshold: float) -> Iterator[Detection]:
-        return _detections(content, [layout] * len(_flat_lists(content)), threshold)
-
-    return read_layout
+    return lambda content, threshold: _detections(content, threshold, (layout,))
 
 
 def body_order(people: list[FloatArray], source: str) -> Layout:
@@ -108,12 +133,10 @@ def order_evidence(people: list[FloatArray]) -> float:
 
 
 def bodies(content: Content) -> list[FloatArray]:
-    """The people of 25 points, `(25, 3)` each."""
-    return [
-        _points(flat, BODY_25, where)
-        for where, flat in _flat_lists(content)
-        if len(flat) == 3 * BODY_25.count
-    ]
+    """The people of 25 points of whom something is seen, `(25, 3)` each."""
+    flat = [body for body in _bodies(content) if len(body.flat) == 3 * BODY_25.count]
+    people = [flat_points(body.flat, body.key, body.where, content, (BODY_25,))[0] for body in flat]
+    return [points for points in people if points[:, 2].any()]
 
 
 def _evidence(points: FloatArray) -> float:
@@ -127,46 +150,59 @@ def _evidence(points: FloatArray) -> float:
 
 def _relative_lengths(points: FloatArray, layout: Layout) -> FloatArray:
     """Length in pixels over usual length, of every bone whose two ends are seen."""
-    index = {name: i for i, name in enumerate(layout.points) if points[i, 2] > 0}
+    seen = (points[:, 2] > 0) & ~is_nowhere(points[:, :2])
+    index = {name: i for i, name in enumerate(layout.points) if seen[i]}
     bones = [(index[a], index[b], cm) for a, b, cm in BONES_CM if a in index and b in index]
     return np.array([np.linalg.norm(points[a, :2] - points[b, :2]) / cm for a, b, cm in bones])
 
 
-def _flat_lists(content: Content) -> list[tuple[str, list[Any]]]:
-    """For each person, words that name it, and its list of numbers, unchecked."""
-    source = content.source
-    people = sequence(mapping(content.json, source).get("people"), f"'people' of {source}")
-    return [_flat_list(value, f"person {index} of {source}") for index, value in enumerate(people)]
+def _bodies(content: Content) -> Iterator[Body]:
+    """Everyone in the file, frame after frame."""
+    source, person = content.source, 0
+    listed = isinstance(content.first, list)
+    for frame, value in enumerate(content.records() if listed else [content.json]):
+        document = mapping(value, f"frame {frame} of {source}" if listed else source)
+        people = next((key for key in LISTS if key in document), LISTS[0])
+        for record in sequence(document.get(people), f"'{people}' of {source}"):
+            where = f"person {person} of {source}"
+            fields = mapping(record, where)
+            flat, key = _flat_list(fields, where)
+            image, size = str(frame) if listed else None, _canvas(document, source)
+            yield Body(flat, key, where, image, size, track_of(fields))
+            person += 1
 
 
-def _flat_list(value: object, where: str) -> tuple[str, list[Any]]:
-    person = mapping(value, where)
-    for key in KEYS:
-        if key in person:
-            return where, sequence(person[key], f"'{key}' of {where}")
-    raise BadInput(
-        f"{where} has neither '{KEYS[0]}' nor '{KEYS[1]}'; give OpenPose's JSON of the body."
-    )
+def _canvas(document: dict[str, Any], source: str) -> tuple[int, int] | None:
+    if any(document.get(key) is None for key in CANVAS):
+        return None
+    width, height = (image_side(document[key], f"'{key}' of {source}") for key in CANVAS)
+    return width, height
 
 
-def _points(flat: list[Any], layout: Layout, where: str) -> FloatArray:
-    if len(flat) != 3 * layout.count:
-        known = {name: 3 * count for name, count in (("BODY_25", 25), ("COCO-18", 18))}
-        if len(flat) in known.values():
-            raise BadInput(
-                f"{where} has {len(flat)} numbers of the body where {3 * layout.count} are"
-                f" expected, as in {layout.name}; read files of different layouts apart, or choose"
-                " the format."
-            )
-        said = " or ".join(f"{numbers} ({name})" for name, numbers in known.items())
+def _flat_list(person: dict[str, Any], where: str) -> tuple[list[Any], str]:
+    key = next((key for key in KEYS if key in person), None)
+    if key is None:
         raise BadInput(
-            f"{where} has {len(flat)} numbers of the body where {said} are needed; run OpenPose so."
+            f"{where} has neither '{KEYS[0]}' nor '{KEYS[1]}'; give OpenPose's JSON of the body."
         )
-    return scored_points(flat, layout.points, where)
+    flat = sequence(person[key], f"'{key}' of {where}")
+    if len(flat) == 1 and isinstance(flat[0], list) and len(flat[0]) % 2 == 0:
+        pairs = zip(flat[0][1::2], flat[0][::2], strict=True)
+        return [number for x, y in pairs for number in (x, y, 1.0)], key
+    return flat, key
 
 
-def _detections(content: Content, layouts: list[Layout], threshold: float) -> Iterator[Detection]:
-    for person, ((where, flat), layout) in enumerate(
-        zip(_flat_lists(content), layouts, strict=True)
-    ):
-        yield layout.detection(_points(flat, layout, where), threshold, content.source, person)
+def _detections(
+    content: Content, threshold: float, known: tuple[Layout, ...]
+) -> Iterator[Detection]:
+    for person, body in enumerate(_bodies(content)):
+        points, layout = flat_points(body.flat, body.key, body.where, content, known)
+        yield layout.detection(
+            points,
+            threshold,
+            content.source,
+            person,
+            body.image,
+            body.size,
+            track=body.track,
+        )

@@ -1,7 +1,7 @@
 """Arrays of points in a .npy: of any detector, where the user names the order of the joints; of
 MoveNet; of FreeMoCap.
 
-    (frames, joints, 2 or 3)           x, y and perhaps a score, pixels; one frame has two axes
+    (frames, joints, 2 or 3)           x, y and perhaps a score; one frame has two axes
     (…, 1, 17, 3) or (…, 6, 56)        MoveNet's output: y, x, score, fractions of the image; 56 are
                                        17 points, then a box and its score
     (cameras, frames, points, 2 or 3)  FreeMoCap's mediapipe_2dData…pixelXY.npy: pixels; MediaPipe's
@@ -18,9 +18,9 @@ import numpy as np
 from poseterior.probmodel import arrays
 from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.formats.common import Content, are_fractions, chosen_layout, pixels
+from poseterior.probmodel.formats.common import Content, chosen_layout
 from poseterior.probmodel.formats.hourglass import scored
-from poseterior.probmodel.formats.instances import KNOWN
+from poseterior.probmodel.formats.units import OUTSIDE
 from poseterior.probmodel.layouts import COCO_17, MEDIAPIPE_33
 
 PEOPLE, NUMBERS = 6, 56
@@ -61,8 +61,9 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
         raise BadInput(
             f"{content.source} has the shape {points.shape}, not (frames, joints, 2 or 3)."
         )
-    layout = chosen_layout(points.shape[1], (), content, content.source)
-    if are_fractions(points[..., :2]):
+    layout = chosen_layout(points.shape[1], content, content.source, ())
+    small = (np.abs(np.nan_to_num(points[..., :2])) <= 1 + OUTSIDE).all()
+    if small and points.shape[1:] == (COCO_17.count, 3):
         raise BadInput(
             f"all coordinates of {content.source} lie between 0 and 1; give pixels or, where they"
             " are y, x and score of MoveNet, the format movenet."
@@ -76,7 +77,7 @@ def read_movenet(content: Content, threshold: float) -> Iterator[Detection]:
     """One detection for each of the people, image after image; those of the model for several
     people whom it did not find are left out."""
     values = _numbers(content)
-    size = pixels(content)
+    layout = chosen_layout(COCO_17.count, content, content.source)
     if values.shape[-1:] == (NUMBERS,):
         found = values.reshape(-1, NUMBERS)
         frames = np.arange(len(found)) // PEOPLE
@@ -90,16 +91,9 @@ def read_movenet(content: Content, threshold: float) -> Iterator[Detection]:
             f"{content.source} has the shape {values.shape}, not MoveNet's (…, 17, 3) or (…, 6,"
             " 56)."
         )
-    if not are_fractions(people[..., :2]):
-        raise BadInput(
-            f"{content.source} has coordinates beyond 1; MoveNet's are fractions of the image, so"
-            " leave them as they are."
-        )
     for person, (frame, rows) in enumerate(zip(frames, people, strict=True)):
-        points = scored(rows[:, [1, 0, 2]] * [*size, 1], f"person {person} of {content.source}")
-        yield COCO_17.detection(
-            points, threshold, content.source, person, str(frame), content.image_size
-        )
+        points = scored(rows[:, [1, 0, 2]], f"person {person} of {content.source}")
+        yield layout.detection(points, threshold, content.source, person, str(frame))
 
 
 def read_freemocap(content: Content, threshold: float) -> Iterator[Detection]:
@@ -110,12 +104,13 @@ def read_freemocap(content: Content, threshold: float) -> Iterator[Detection]:
             f"{content.source} has the shape {values.shape}, not FreeMoCap's (cameras, frames,"
             " points, 2 or 3)."
         )
+    layout = chosen_layout(MEDIAPIPE_33.count, content, content.source)
     person = 0
     for camera, frames in enumerate(values):
         for frame, rows in enumerate(frames):
             name = f"{camera}/{frame}"
             points = scored(rows[: MEDIAPIPE_33.count, :2], f"frame {name} of {content.source}")
-            yield MEDIAPIPE_33.detection(points, threshold, content.source, person, name)
+            yield layout.detection(points, threshold, content.source, person, name)
             person += 1
 
 
@@ -133,7 +128,7 @@ def read_rtmlib(content: Content, threshold: float) -> Iterator[Detection]:
             f"{content.source} has keypoints {places.shape} and scores {scores.shape}, not (people,"
             " joints, 2) and (people, joints)."
         )
-    layout = chosen_layout(places.shape[1], KNOWN, content, f"'keypoints' of {content.source}")
+    layout = chosen_layout(places.shape[1], content, f"'keypoints' of {content.source}")
     points = np.concatenate([places, scores[..., None]], axis=-1)
     for person, rows in enumerate(points):
         where = f"person {person} of {content.source}"

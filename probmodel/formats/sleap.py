@@ -50,7 +50,9 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
     points = np.concatenate([places, scores[..., None]], axis=-1)
     points[~there] = 0.0
     for person, (frame, track) in enumerate(np.argwhere(there.any(axis=-1))):
-        yield layout.detection(points[frame, track], threshold, source, person, str(frame))
+        yield layout.detection(
+            points[frame, track], threshold, source, person, str(frame), track=str(track)
+        )
 
 
 def _ordered(

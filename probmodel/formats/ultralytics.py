@@ -8,20 +8,21 @@ their score: such points are missing."""
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from poseterior.probmodel.detections import Detection, FloatArray
-from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.common import (
-    OUTSIDE,
     Content,
-    are_fractions,
+    cell_number,
+    chosen_layout,
     mapping,
     number,
-    pixels,
     scored_points,
     sequence,
+    track_of,
 )
 from poseterior.probmodel.layouts import COCO_17
 
@@ -62,10 +63,11 @@ def read_text(content: Content, threshold: float) -> Iterator[Detection]:
                 f"{where} has {len(words)} numbers, but a person of {COCO_17.count} points has"
                 f" {', '.join(map(str, sorted(_WIDTHS)))}; give the file of a YOLO-pose model."
             )
-        values = [_float(word, where) for word in words[_BOX : _BOX + width * COCO_17.count]]
+        values = [cell_number(word, where) for word in words[_BOX : _BOX + width * COCO_17.count]]
         rows = np.array(values).reshape(COCO_17.count, width)
         score = rows[:, 2] if width == 3 else np.ones(COCO_17.count)
-        yield _detection(content, rows[:, :2], score, threshold, person, where, fractions=True)
+        found = _detection(content, rows[:, :2], score, threshold, person, where)
+        yield replace(found, track=_track(words[_BOX + width * COCO_17.count :]))
 
 
 def read_json(content: Content, threshold: float) -> Iterator[Detection]:
@@ -76,17 +78,14 @@ def read_json(content: Content, threshold: float) -> Iterator[Detection]:
         x, y = (_column(columns.get(name), f"'{name}' of {where}") for name in "xy")
         seen = columns.get("visible")
         score = np.ones(COCO_17.count) if seen is None else _column(seen, f"'visible' of {where}")
-        xy = np.stack([x, y], axis=-1)
-        fractions = are_fractions(xy)
-        yield _detection(content, xy, score, threshold, person, where, fractions=fractions)
+        found = _detection(content, np.stack([x, y], axis=-1), score, threshold, person, where)
+        yield replace(found, track=track_of(value))
 
 
-def _float(word: str, where: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        raise BadInput(f"{where} holds {shown(word)} where a number is needed.") from None
-    return number(value, f"a number in {where}")
+def _track(words: list[str]) -> str | None:
+    """What stands behind the points of a line: a box's score, a number of the track, or both."""
+    track = words[-1] if len(words) == 2 or (words and words[-1].isdecimal()) else None
+    return track_of({"track": track})
 
 
 def _column(values: object, where: str) -> FloatArray:
@@ -107,24 +106,9 @@ def _detection(
     threshold: float,
     person: int,
     where: str,
-    *,
-    fractions: bool,
 ) -> Detection:
     """A person from points `(17, 2)` and scores `(17,)`."""
-    score = np.where((xy == 0).all(axis=1), 0.0, score)
-    size = None
-    if fractions:
-        xy, size = xy * _size(content, xy, where), content.image_size
+    layout = chosen_layout(COCO_17.count, content, content.source)
     flat = np.column_stack([xy, score]).ravel().tolist()
-    points = scored_points(flat, COCO_17.points, where)
-    return COCO_17.detection(points, threshold, content.source, person, image_size=size)
-
-
-def _size(content: Content, xy: FloatArray, where: str) -> FloatArray:
-    """`(2,)`: width and height of the image, of which the points are fractions."""
-    if (np.abs(xy) > 1 + OUTSIDE).any():
-        raise BadInput(
-            f"{where} has a point at {np.abs(xy).max():g} images from the corner; YOLO's text files"
-            " have fractions of the image, so leave them as they are."
-        )
-    return pixels(content)
+    points = scored_points(flat, layout.points, where)
+    return layout.detection(points, threshold, content.source, person)

@@ -3,7 +3,7 @@
 The usual way in: `read_all(paths)`, then `gather(motions)`."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,13 +26,19 @@ class Poses(NamedTuple):
     subject: np.ndarray
 
 
-def read_all(paths: Sequence[str | os.PathLike], progress: Progress | None = None) -> list[Motion]:
-    """All recordings of several files and folders of motion capture (`motion.read_motion`)."""
+def read_all(
+    paths: Sequence[str | os.PathLike],
+    progress: Progress | None = None,
+    *,
+    names: Mapping[str, str] | None = None,
+) -> list[Motion]:
+    """All recordings of several files and folders of motion capture, and names of their joints, as
+    `motion.read_motion` takes them."""
     motions: list[Motion] = []
     for done, path in enumerate(paths):
         if progress is not None:
             progress(f"reading {path}", done, len(paths))
-        motions += read_motion(path)
+        motions += read_motion(path, names=names)
     return motions
 
 

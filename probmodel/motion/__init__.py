@@ -7,7 +7,7 @@ Glitches are dropped by a stated rule (`Motion.without_jumps`). The usual way in
 `read_motion(path)`."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NoReturn
 
@@ -20,20 +20,16 @@ from poseterior.probmodel.motion.recording import CMU_UNIT, FROM_SEVENTEEN, Moti
 
 MOST_ENTRIES = 100_000
 """Files and folders that are looked through."""
-READERS = {
-    ".amc": read_amc_alone,
-    ".bvh": read_bvh,
-    ".trc": read_trc,
-    ".c3d": read_c3d,
-    ".npz": read_archive,
-}
-"""By the end of a file's name."""
+NAMED = {".bvh": read_bvh, ".trc": read_trc, ".c3d": read_c3d}
+"""By the end of a file's name, those whose joints have names that the user may give."""
+READERS = {".amc": read_amc_alone, **NAMED, ".npz": read_archive}
+"""All, by the end of a file's name."""
 KINDS = ".amc, .bvh, .trc, .c3d or .npz"
 
 __all__ = ["CMU_UNIT", "FROM_SEVENTEEN", "Motion", "read_motion"]
 
 
-def read_motion(path: str | os.PathLike) -> list[Motion]:
+def read_motion(path: str | os.PathLike, *, names: Mapping[str, str] | None = None) -> list[Motion]:
     """Recordings at a path, glitches included (see `Motion.without_jumps`), in a fixed order.
 
     Parameters
@@ -42,6 +38,9 @@ def read_motion(path: str | os.PathLike) -> list[Motion]:
         An .amc file with its subject's .asf beside it; a .bvh file; a .trc or .c3d with markers at
         the joints; an .npz of one subject, whose keys (`<action>/<sequence>`) hold `(T, 15, 3)` or
         `(T, 17, 3)` millimetres at 30 Hz; or a folder of any of these, with its folders.
+    names
+        A file's names of joints or markers → ours, where they are not known (`rigs`); of BVH, TRC
+        and C3D.
 
     Returns
     -------
@@ -55,7 +54,7 @@ def read_motion(path: str | os.PathLike) -> list[Motion]:
     """
     path = Path(path)
     if path.is_dir():
-        return _read_folder(path)
+        return _read_folder(path, names)
     if not path.exists():
         raise BadInput(
             f"there is no motion capture at {path}; give an {KINDS} file, or a folder of them"
@@ -65,7 +64,11 @@ def read_motion(path: str | os.PathLike) -> list[Motion]:
         raise BadInput(
             f"{path} is no motion capture that can be read; give an {KINDS} file, or a folder"
         )
-    return reader(path)
+    if names is None:
+        return reader(path)
+    if path.suffix.lower() not in NAMED:
+        raise BadInput(f"{path} has joints in an order, which names do not change; leave them out")
+    return NAMED[path.suffix.lower()](path, names)
 
 
 def holds_motion(folder: Path) -> bool:
@@ -88,7 +91,7 @@ def _files_in(folder: Path) -> Iterator[Path]:
                 yield Path(place, name)
 
 
-def _read_folder(folder: Path) -> list[Motion]:
+def _read_folder(folder: Path, names: Mapping[str, str] | None) -> list[Motion]:
     files = sorted(_files_in(folder))
     if not files:
         raise BadInput(f"{folder} holds no {KINDS} file; give a folder of motion capture")
@@ -101,7 +104,7 @@ def _read_folder(folder: Path) -> list[Motion]:
                 skeletons[asf] = parse_asf(asf)
             motions.append(read_amc(file, skeletons[asf]))
         else:
-            motions += read_motion(file)
+            motions += read_motion(file, names=names if file.suffix.lower() in NAMED else None)
     return motions
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from poseterior.probmodel.arrays import doubles, possible, read_tables
 from poseterior.probmodel.detections import LARGEST_NUMBER
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.motion.recording import FROM_SEVENTEEN, NPZ_RATE, Motion
+from poseterior.probmodel.motion.recording import FROM_SEVENTEEN, NPZ_RATE, Motion, require_depth
 from poseterior.probmodel.skeleton import NUM_JOINTS
 
 
@@ -43,6 +43,7 @@ def _npz_motion(path: Path, key: str, value: np.ndarray) -> Motion:
         )
     if len(joints) == 0:
         raise BadInput(f"{path}: '{key}' has no frames; leave it out")
+    require_depth(joints, path)
     return Motion(
         joints if joints.shape[1] == NUM_JOINTS else joints[:, FROM_SEVENTEEN],
         NPZ_RATE,

@@ -1,6 +1,8 @@
-"""BVH: hierarchy and channels in one file; the two naming schemes of the CMU conversions."""
+"""BVH: hierarchy and channels in one file; the CMU conversions lack the ASF's thorax bone, so that
+their trunks are some 117 mm short. Which joints are ours: `rigs`."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,48 +23,8 @@ from poseterior.probmodel.motion.recording import (
     read_text,
     require_frames,
 )
-from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
-
-_BVH_NAMES: tuple[dict[str, str], ...] = (
-    {
-        "pelvis": "Hips",
-        "thorax": "Neck",
-        "right_shoulder": "RightArm",
-        "right_elbow": "RightForeArm",
-        "right_wrist": "RightHand",
-        "left_shoulder": "LeftArm",
-        "left_elbow": "LeftForeArm",
-        "left_wrist": "LeftHand",
-        "head": "Head end",
-        "right_hip": "RightUpLeg",
-        "right_knee": "RightLeg",
-        "right_ankle": "RightFoot",
-        "left_hip": "LeftUpLeg",
-        "left_knee": "LeftLeg",
-        "left_ankle": "LeftFoot",
-    },
-    {
-        "pelvis": "Hips",
-        "thorax": "lowerneck",
-        "right_shoulder": "RightShoulder",
-        "right_elbow": "RightElbow",
-        "right_wrist": "RightWrist",
-        "left_shoulder": "LeftShoulder",
-        "left_elbow": "LeftElbow",
-        "left_wrist": "LeftWrist",
-        "head": "Head end",
-        "right_hip": "RightHip",
-        "right_knee": "RightKnee",
-        "right_ankle": "RightAnkle",
-        "left_hip": "LeftHip",
-        "left_knee": "LeftKnee",
-        "left_ankle": "LeftAnkle",
-    },
-)
-_BVH_NAMES += ({**_BVH_NAMES[0], "head": "HeadTop"},)
-"""The BVH joints that are ours, in the two naming schemes of the CMU conversions, and in that of
-`poseterior export`. "Head end" is the head's End Site; "thorax" is where the neck starts. The
-conversions lack the ASF's thorax bone: their trunks are some 117 mm short."""
+from poseterior.probmodel.motion.rigs import END, SIDES, joints_of_rig
+from poseterior.probmodel.skeleton import JOINT_INDEX
 
 
 class _BvhJoint(NamedTuple):
@@ -72,13 +34,19 @@ class _BvhJoint(NamedTuple):
     channels: list[str]
 
 
+UNITS = (CMU_UNIT, 1.0, 10.0, 1000.0)
+"""Millimetres in the CMU conversions' unit, and in millimetres, centimetres and metres."""
+LEG, LEG_PARTS = 800.0, ("hip", "knee", "ankle")
+"""Millimetres from a grown person's hip by the knee to the ankle; units are five times apart or
+more, so that children's legs do as well."""
 SHORTEST_FRAME, LONGEST_FRAME = 1e-5, 100.0
 """Seconds from one frame to the next."""
 _CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
 
 
-def read_bvh(path: Path) -> list[Motion]:
-    """The recording of a .bvh file. Raises `BadInput` where it is damaged or lacks a joint."""
+def read_bvh(path: Path, names: Mapping[str, str] | None = None) -> list[Motion]:
+    """The recording of a .bvh file, whose joints the user may name (theirs → ours). Raises
+    `BadInput` where it is damaged or lacks a joint."""
     text = read_text(path)
     hierarchy, found, motion = text.partition("MOTION")
     if not found or not hierarchy.lstrip().startswith("HIERARCHY"):
@@ -86,8 +54,8 @@ def read_bvh(path: Path) -> list[Motion]:
             f"{path} is not a BVH file, or is truncated: it needs a HIERARCHY and a MOTION section"
         )
     joints = _parse_bvh_hierarchy(hierarchy, path)
-    names = [joint.name for joint in joints]
-    wanted = _bvh_wanted(names, path)
+    rig_names = [joint.name for joint in joints]
+    wanted = joints_of_rig(rig_names, path, names)
     rate, values = _parse_bvh_motion(motion, sum(len(joint.channels) for joint in joints), path)
     require_frames(len(values), len(joints), path)
     rotations: list[Rotation | None] = []
@@ -112,9 +80,18 @@ def read_bvh(path: Path) -> list[Motion]:
             offsets[i][:, axes] = block[:, places]
     # A BVH joint's rotation turns what hangs from it, not its own offset: as segments, offsets
     # belong to the parent.
-    rig = Rig(names, [joint.parent for joint in joints], np.zeros((len(joints), 3)))
+    rig = Rig(rig_names, [joint.parent for joint in joints], np.zeros((len(joints), 3)))
     ends = _bvh_forward(rig, offsets, wanted, position, rotations)
-    return [Motion(positions(ends * CMU_UNIT, path), rate, path.stem, path.stem)]
+    return [Motion(positions(ends * _unit(ends), path), rate, path.stem, path.stem)]
+
+
+def _unit(joints: np.ndarray) -> float:
+    """Millimetres in one unit of the file, which does not say it: the one of `UNITS` by which legs
+    come nearest to `LEG`."""
+    chain = [[JOINT_INDEX[f"{side}_{part}"] for part in LEG_PARTS] for side in SIDES]
+    bones = np.linalg.norm(np.diff(joints[:, chain], axis=2), axis=-1).sum(axis=-1)
+    leg = float(np.median(bones))
+    return min(UNITS, key=lambda unit: abs(np.log(unit * leg / LEG))) if leg > 0 else CMU_UNIT
 
 
 def _bvh_forward(
@@ -145,10 +122,10 @@ def _parse_bvh_hierarchy(text: str, path: Path) -> list[_BvhJoint]:
         match line.split():
             case [] | ["HIERARCHY"]:
                 continue
-            case ["ROOT" | "JOINT", name]:
-                pending = name
+            case ["ROOT" | "JOINT", *words] if words:
+                pending = " ".join(words)
             case ["End", "Site"] if stack:
-                pending = f"{joints[stack[-1]].name} end"
+                pending = joints[stack[-1]].name + END
             case ["{"] if pending is not None:
                 if len(joints) == MOST_JOINTS:
                     raise BadInput(
@@ -193,18 +170,6 @@ def _are_channels(channels: list[str]) -> bool:
     return set(channels) <= set(_CHANNELS) and len(channels) == len(set(channels))
 
 
-def _bvh_wanted(names: list[str], path: Path) -> list[int]:
-    """Indices of our fifteen joints, in the naming scheme that fits best."""
-    table = min(_BVH_NAMES, key=lambda table: len(set(table.values()) - set(names)))
-    missing = [name for name in table.values() if name not in names]
-    if missing:
-        raise BadInput(
-            f"{path}: the skeleton lacks the joints {', '.join(missing)}; fifteen joints cannot be"
-            " found in it"
-        )
-    return [names.index(table[joint]) for joint in JOINTS]
-
-
 def _parse_bvh_motion(text: str, num_channels: int, path: Path) -> tuple[float, np.ndarray]:
     """Frame rate and channel values `(T, num_channels)`."""
     header = re.match(rf"\s*Frames:\s*(\d{{1,9}})\s+Frame Time:\s*({NUMBER})\s", text)
@@ -223,6 +188,3 @@ def _parse_bvh_motion(text: str, num_channels: int, path: Path) -> tuple[float, 
             " numbers follow; the file is truncated or damaged"
         )
     return round(rate, 2), values.reshape(count, num_channels)
-
-
-assert set(JOINT_INDEX) == set(_BVH_NAMES[0]) == set(_BVH_NAMES[1])

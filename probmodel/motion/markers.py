@@ -25,6 +25,7 @@ from poseterior.probmodel.motion.recording import (
     floats,
     positions,
     read_text,
+    require_depth,
 )
 from poseterior.probmodel.skeleton import JOINTS
 
@@ -33,26 +34,30 @@ UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _KEYS = ("DataRate", "NumMarkers", "Units")
 
 
-def joint_of(marker: str) -> str | None:
-    """The joint at which a marker of that name lies, if any."""
-    name = spoken_name(marker.rsplit(":", 1)[-1].strip())
+def joint_of(marker: str, names: Mapping[str, str] | None = None) -> str | None:
+    """The joint at which a marker of that name lies, if any, by the user's names first."""
+    spoken = spoken_name(marker.rsplit(":", 1)[-1].strip())
+    name = (names or {}).get(marker.strip(), spoken)
     return name if name in JOINTS else None
 
 
-def read_trc(path: Path) -> list[Motion]:
-    """The one recording of a .trc. Raises `BadInput` where it is damaged, or joints are missing."""
+def read_trc(path: Path, names: Mapping[str, str] | None = None) -> list[Motion]:
+    """The one recording of a .trc, whose cells tabs or commas separate. Raises `BadInput` where it
+    is damaged, or joints are missing."""
     lines = read_text(path).splitlines()
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
         raise BadInput(f"{path} is no TRC file, or is cut short; give the whole file")
-    header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    cut = "\t" if "\t" in lines[3] else ","
+    keys, said = ([cell.strip() for cell in line.split(cut)] for line in lines[1:3])
+    header = dict(zip(keys, said, strict=False))
     missing = [key for key in _KEYS if not header.get(key, "").strip()]
     if missing:
         raise BadInput(f"the header of {path} says nothing of {', '.join(missing)}; add it")
-    names = {
-        column: cell for column, cell in enumerate(lines[3].split("\t")[2:], 2) if cell.strip()
+    markers = {
+        column: cell for column, cell in enumerate(lines[3].split(cut)[2:], 2) if cell.strip()
     }
-    columns = _columns(names, path)
-    rows = [line.split("\t") for line in lines[5:] if line.strip()]
+    columns = _columns(markers, path, names)
+    rows = [line.split(cut) for line in lines[5:] if line.strip(f" \t{cut}")]
     _require_frames(len(rows), path)
     values = {name: np.empty((len(rows), 3)) for name in columns}
     for number, row in enumerate(rows):
@@ -68,7 +73,7 @@ def read_trc(path: Path) -> list[Motion]:
     return [_motion(values, _rate(header["DataRate"], path), header["Units"], path)]
 
 
-def read_c3d(path: Path) -> list[Motion]:
+def read_c3d(path: Path, names: Mapping[str, str] | None = None) -> list[Motion]:
     """The one recording of a .c3d. Raises `BadInput` where it is damaged, joints are missing, or so
     is the package `c3d`."""
     try:
@@ -83,9 +88,9 @@ def read_c3d(path: Path) -> list[Motion]:
             warnings.simplefilter("error")  # of files that are cut short
             warnings.filterwarnings("ignore", message="No analog data", category=UserWarning)
             reader = c3d.Reader(io.BytesIO(data))
-            names = dict(enumerate(reader.point_labels[: reader.point_used]))
+            labels = dict(enumerate(reader.point_labels[: reader.point_used]))
             _require_frames(reader.last_frame - reader.first_frame + 1, path)
-            columns = _columns(names, path)
+            columns = _columns(labels, path, names)
             chosen = list(columns.values())
             places = np.array([points[chosen, :4] for _, points, _ in reader.read_frames()], float)
             rate, unit = float(reader.point_rate), reader.get("POINT:UNITS").string_value
@@ -103,11 +108,13 @@ def read_c3d(path: Path) -> list[Motion]:
     return [_motion(markers, _rate(str(rate), path), unit, path)]
 
 
-def _columns(names: Mapping[int, str], path: Path) -> dict[str, int]:
+def _columns(
+    markers: Mapping[int, str], path: Path, names: Mapping[str, str] | None
+) -> dict[str, int]:
     """By joint, the place of its marker. Raises `BadInput` where joints have none, or several."""
     found: dict[str, int] = {}
-    for place, marker in names.items():
-        joint = joint_of(marker)
+    for place, marker in markers.items():
+        joint = joint_of(marker, names)
         if joint in found:
             raise BadInput(f"{path} has several markers at {joint}; rename all but one")
         if joint is not None:
@@ -119,14 +126,18 @@ def _columns(names: Mapping[int, str], path: Path) -> dict[str, int]:
     ]
     if missing:
         raise BadInput(
-            f"{path} has no marker at {', '.join(missing)}, but at {shown(list(names.values()))};"
-            " give joint centres, named as joints"
+            f"{path} has no marker at {', '.join(missing)}, but at {shown(list(markers.values()))};"
+            " give joint centres, named as joints, or a map of names (on the command line --names)"
         )
     return found
 
 
 def _motion(markers: Mapping[str, np.ndarray], rate: float, unit: str, path: Path) -> Motion:
     """The recording of markers `(T, 3)` by joint."""
+    if unit.strip() == "px":
+        raise BadInput(
+            f"{path} has places in pixels of an image, not in space; give it to show or frames"
+        )
     if unit.strip() not in UNITS:
         raise BadInput(f"lengths of {path} are in {shown(unit)}; give one of {', '.join(UNITS)}")
     middles = {
@@ -138,6 +149,7 @@ def _motion(markers: Mapping[str, np.ndarray], rate: float, unit: str, path: Pat
     joints = joints[np.isfinite(joints).all(axis=(1, 2))]
     if not len(joints):
         raise BadInput(f"{path} has no frame with all joints; give one that has")
+    require_depth(joints, path)
     return Motion(positions(UNITS[unit.strip()] * joints, path), rate, path.stem, path.stem)
 
 

@@ -156,6 +156,17 @@ def floats(text: str) -> np.ndarray | None:
         return None
 
 
+def require_depth(joints: np.ndarray, path: Path) -> None:
+    """Raises `BadInput` where all joints of poses `(..., 15, 3)` have one coordinate in common, but
+    not all of them: what a single camera saw. (A rig's pose of rest may lie in a plane.)"""
+    sizes = np.ptp(joints, axis=-2).reshape(-1, 3).max(axis=0, initial=0.0)
+    if (sizes == 0).any() and (sizes > 0).any():
+        raise BadInput(
+            f"{path}: all joints lie in one plane (one coordinate is the same for all), as those of"
+            " a single camera do; give poses in space"
+        )
+
+
 def positions(joints: np.ndarray, path: Path) -> np.ndarray:
     """Joints of a recording as they are. Raises `BadInput` where one is not finite, or so far away
     that its square loses its meaning."""

@@ -250,7 +250,7 @@ def is_session(path: Path) -> bool:
     return path.is_dir() and bool(_calibrations(path))
 
 
-def read_session(path: Path, frames: int | None = None) -> Session:
+def read_session(path: Path, frames: int | None = None, *, layout: str | None = None) -> Session:
     """The session in a folder.
 
     Parameters
@@ -259,6 +259,8 @@ def read_session(path: Path, frames: int | None = None) -> Session:
         The folder.
     frames
         How many, evenly over the film; by default all.
+    layout
+        The order of the joints in the detections, as `read_frames` takes it.
 
     Returns
     -------
@@ -279,7 +281,7 @@ def read_session(path: Path, frames: int | None = None) -> Session:
             f"{path} has {len(folders)} folders of detections, but {calibration.name} calibrates"
             f" {len(cameras)} cameras; one folder must belong to each"
         )
-    views = [_by_number(folder) for folder in folders]
+    views = [_by_number(folder, layout) for folder in folders]
     _require_same_frames(views, folders)
     numbers = sorted(views[0])
     if frames is not None and frames < len(numbers):
@@ -311,10 +313,10 @@ def _view_folders(path: Path) -> list[Path]:
     return sorted(found, key=lambda folder: natural_order(folder.name))
 
 
-def _by_number(folder: Path) -> dict[int, DetectedFrame]:
+def _by_number(folder: Path, layout: str | None) -> dict[int, DetectedFrame]:
     found: dict[int, DetectedFrame] = {}
-    for frame in read_frames(folder):
-        digits = re.findall(r"\d{1,18}", frame.name)
+    for frame in read_frames(folder, layout=layout):
+        digits = re.findall(r"\d+", frame.name)
         if not digits:
             raise BadInput(f"{folder}: the frame {shown(frame.name)} has no number in its name")
         if int(digits[-1]) in found:

@@ -1,5 +1,6 @@
 """`poseterior check`: which bones of 3D poses break which limit, and by how many degrees."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,9 +11,10 @@ from poseterior.probmodel.documents import read_json
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.files import opened
 from poseterior.probmodel.motion import KINDS, READERS, read_motion
+from poseterior.probmodel.motion.recording import require_depth
 from poseterior.probmodel.skeleton import BONE_NAMES, BONES, JOINTS, NUM_JOINTS
 from poseterior.reports import console, tables
-from poseterior.reports.options import Screen, anatomy_of
+from poseterior.reports.options import Screen, anatomy_of, map_of_names
 from poseterior.reports.settings import CheckSettings
 
 FEW = 20
@@ -35,7 +37,7 @@ def run(settings: CheckSettings, screen: Screen) -> None:
     """Checks every pose of a file: results of ours, motion capture, or arrays of joints."""
     path = settings.file
     with console.progress("reading and checking", screen.quiet):
-        poses = read_poses(path)
+        poses = read_poses(path, map_of_names(settings.names))
         _require_poses(poses, path)
         limits = anatomy_of(settings.limits or poses.limits).limits
         check = limits.check(poses.joints)
@@ -56,19 +58,21 @@ def run(settings: CheckSettings, screen: Screen) -> None:
     )
 
 
-def read_poses(path: Path) -> PosesToCheck:
+def read_poses(path: Path, names: Mapping[str, str] | None = None) -> PosesToCheck:
     """The poses of a file: posterior.nc, prior.nc, hypotheses.json, motion capture, a plain data
-    set, or an array `(…, 15, 3)` in .npy or .npz (motion capture's `(…, 17, 3)` too). Raises
-    `BadInput` on anything else."""
+    set, or an array `(…, 15, 3)` in .npy or .npz (motion capture's `(…, 17, 3)` too); `names` are
+    of motion capture. Raises `BadInput` on anything else."""
     suffix = path.suffix.lower()
     if not path.exists():
         raise BadInput(f"there is no file {path}; give one with 3D poses")
     from poseterior.probmodel.datasets.plain import is_plain  # takes a while
 
+    if not is_plain(path) and (path.is_dir() or suffix in READERS):
+        return _from_motion(path, names)
+    if names is not None:
+        raise BadInput(f"{path} is no motion capture, whose joints have names; leave them out")
     if is_plain(path):
         return _from_data_set(path)
-    if path.is_dir() or suffix in READERS:
-        return _from_motion(path)
     readers = {".nc": _from_tree, ".json": _from_json, ".npy": _from_array}
     if suffix not in readers:
         raise BadInput(
@@ -88,12 +92,12 @@ def _from_data_set(path: Path) -> PosesToCheck:
     )
 
 
-def _from_motion(path: Path) -> PosesToCheck:
-    motions = read_motion(path)
-    names = [
+def _from_motion(path: Path, names: Mapping[str, str] | None) -> PosesToCheck:
+    motions = read_motion(path, names=names)
+    frames = [
         f"{motion.name}, frame {frame}" for motion in motions for frame in range(len(motion.joints))
     ]
-    return PosesToCheck(np.concatenate([motion.joints for motion in motions]), names)
+    return PosesToCheck(np.concatenate([motion.joints for motion in motions]), frames)
 
 
 def _from_tree(path: Path) -> PosesToCheck:
@@ -142,6 +146,7 @@ def _numbered(joints: np.ndarray, kind: str, path: Path, *, first: int = 0) -> P
             f"{path} has shape {joints.shape} and type {joints.dtype}; it needs numbers (…, 15, 3)"
         )
     joints = joints.reshape(-1, NUM_JOINTS, 3).astype(float)
+    require_depth(joints, path)
     return PosesToCheck(joints, [f"{kind} {first + number}" for number in range(len(joints))])
 
 

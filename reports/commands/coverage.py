@@ -73,7 +73,14 @@ def write_simulations(settings: CoverageSettings, screen: Screen) -> None:
     with console.progress("simulations", screen.quiet):
         model, seed = settings.rooting.model(settings.prior), settings.sampling.seed
         likelihood = Likelihood(factor=settings.factor)
-        some = calibration.simulate(model, seed, 0, num_simulations, likelihood=likelihood)
+        some = calibration.simulate(
+            model,
+            seed,
+            0,
+            num_simulations,
+            likelihood=likelihood,
+            root=settings.rooting.root.prior,
+        )
         tree = instances_tree(some)
     save_tree(tree, out / "simulations.nc")
     if screen.json:

@@ -25,11 +25,17 @@ def run(settings: FramesSettings, screen: Screen) -> None:
         model = settings.rooting.model(settings.prior, settings.size)
         warnings = doubts.about_the_size(_first_people(settings), settings.detected, model)
     estimating = estimation.estimating(model)
+    with console.progress("who is who", screen.quiet):
+        items = People(
+            lambda: settings.detected.frames(settings.path), estimating.require, settings.person
+        )
+    warnings += settings.doubts(items.cast)
+    if items.cast.size > 1 and settings.person is None and not screen.json:
+        console.say(f"{items.described()}; --person draws one of them alone")
     kept = min(settings.keep, sampling.num_samples)
     if kept > 0 and not screen.json:
-        size = decimal(settings.people * kept * DRAW_BYTES)
+        size = decimal(len(items) * kept * DRAW_BYTES)
         console.say(f"{kept:,} draws are kept of each person: at most {size} in {out}")
-    items = People(settings.detected.frames(settings.path), estimating.require)
     with console.progress("people", screen.quiet) as step:
         sample_frames(
             model,
@@ -46,7 +52,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
             keep=settings.keep,
             max_proposals=sampling.max_proposals,
             machines=settings.workforce.machines(),
-            progress=lambda done: step(done, settings.people - len(items.fragments)),
+            progress=lambda done: step(done, len(items)),
         )
     with console.progress("the film", screen.quiet):
         tree = open_stream(out)

@@ -6,7 +6,7 @@ import numpy as np
 from poseterior.probmodel.learning.poses import read_all
 from poseterior.probmodel.learning.tolerance import DEFAULT
 from poseterior.reports import console
-from poseterior.reports.options import Screen
+from poseterior.reports.options import Screen, map_of_names
 from poseterior.reports.settings import LearnSettings
 
 
@@ -18,7 +18,11 @@ def run(settings: LearnSettings, screen: Screen) -> None:
     if poses is not None:
         console.output_file(poses)
     with console.progress("learning", screen.quiet) as step:
-        motions = read_all(settings.mocap, lambda what, done, wanted: step(done, wanted))
+        motions = read_all(
+            settings.mocap,
+            lambda what, done, wanted: step(done, wanted),
+            names=map_of_names(settings.names),
+        )
         # Only now: a refusal need not wait for them.
         from poseterior.probmodel.learning.dictionaries import learn_dictionary
         from poseterior.probmodel.learning.learner import learn

@@ -7,6 +7,7 @@ import numpy as np
 
 from poseterior.inference.readings import Judge, Verdict, together
 from poseterior.probmodel import BadInput, Detection, PoseModel
+from poseterior.probmodel.detections import people_said
 from poseterior.probmodel.skeleton import JOINTS
 from poseterior.reports import console, doubts, figures, tables
 from poseterior.reports.interactive.page import write_page
@@ -66,7 +67,8 @@ def _show_reading(settings: ShowSettings, screen: Screen) -> Path:
         console.OUT.print(tables.reading_table(person, radius))
         judged = len(verdict.gains)
         console.say(
-            f"{person.layout}, {len(people)} in {person.source}, reading judged by {judged}."
+            f"{person.layout}, {people_said(people)} in {person.source}, reading judged by"
+            f" {judged}."
             f" Written to {out}"
         )
     for sentence in warnings:

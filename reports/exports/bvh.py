@@ -77,9 +77,10 @@ class _Channels(NamedTuple):
 def write_bvh(clip: Clip, path: Path, unit: str) -> None:
     """A skeleton with an End Site at head, hands and feet, and a frame for every pose; frames
     without a pose repeat the one before."""
+    clip = clip.regular()
     channels = _channels(clip.held().joints, UNITS[unit])
     lines = ["HIERARCHY", *_hierarchy(channels), "MOTION"]
-    lines += [f"Frames: {len(clip.joints)}", f"Frame Time: {1 / clip.rate:.8f}"]
+    lines += [f"Frames: {len(clip.joints)}", f"Frame Time: {1 / clip.pace:.8f}"]
     columns = [
         block
         for one in channels.values()

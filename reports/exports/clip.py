@@ -1,6 +1,7 @@
 """Poses on their way to other software: in metres, y up, each with a name; see `Clip`."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +10,10 @@ from poseterior.probmodel.failures import BadInput
 
 UNITS = {"m": 1.0, "mm": 1000.0}
 """How many of each unit make a metre."""
-MOST_RATE = 1e5
-"""Frames a second; no camera takes more."""
+RATE = 30.0
+"""Frames a second where nobody says: to be said whenever it is used."""
+LEAST_RATE, MOST_RATE = 1e-3, 1e5
+"""Frames a second; no film has fewer, no camera takes more."""
 
 
 @dataclass(frozen=True)
@@ -19,13 +22,16 @@ class Clip:
 
     Attributes
     ----------
-    joints : `(n, 15, 3)` metres; x right, y up, z towards the camera, the pelvis at the origin. NaN
-        where a frame of a film has no pose.
+    joints : `(n, 15, 3)` metres; x right, y up, z towards the camera, which is at the origin where
+        the pelvis is `placed`, and else the pelvis is. NaN where a frame of a film has no pose.
     names : what each is called.
     weights : `(n,)` share of the draws that each stands for; None where that means nothing.
     spread : `(n, 15, 3)` metres, standard deviations of the draws; None where there are none.
     film : whether they follow each other in time.
-    rate : poses a second.
+    numbers : when each is taken, in frames; they grow. None where nobody says: one follows the
+        other.
+    rate : frames a second.
+    placed : whether the pelvis is where it stands before the camera.
     """
 
     joints: np.ndarray
@@ -33,7 +39,9 @@ class Clip:
     weights: np.ndarray | None = None
     spread: np.ndarray | None = None
     film: bool = False
-    rate: float = 30.0
+    numbers: list[int] | None = None
+    rate: float = RATE
+    placed: bool = False
 
     @property
     def there(self) -> np.ndarray:
@@ -41,9 +49,30 @@ class Clip:
         return np.isfinite(self.joints).all(axis=(1, 2))
 
     @property
+    def frames(self) -> list[int]:
+        """The numbers, from 1 where nobody says them."""
+        return self.numbers or list(range(1, len(self.joints) + 1))
+
+    @property
     def times(self) -> np.ndarray:
         """`(n,)` seconds from the first."""
-        return np.arange(len(self.joints)) / self.rate
+        return np.array([after / self.rate for after in self._after])
+
+    @property
+    def step(self) -> int:
+        """The largest number of frames of which all poses are whole multiples apart."""
+        return math.gcd(*self._after) or 1
+
+    @property
+    def places(self) -> np.ndarray:
+        """`(n,)`: how many steps each is from the first."""
+        return np.array([after // self.step for after in self._after])
+
+    @property
+    def _after(self) -> list[int]:
+        """How many frames each is after the first."""
+        frames = self.frames
+        return [number - frames[0] for number in frames]
 
     @property
     def radius(self) -> np.ndarray | None:
@@ -52,9 +81,33 @@ class Clip:
 
     def at_rate(self, rate: float) -> "Clip":
         """The same at so many poses a second. Raises `BadInput` where there is no such rate."""
-        if not 0 < rate <= MOST_RATE:
-            raise BadInput(f"{rate:g} frames a second is no rate; give --rate as in the film, 30")
+        if not LEAST_RATE <= rate <= MOST_RATE:
+            raise BadInput(
+                f"{rate:g} frames a second is no rate, from {LEAST_RATE:g} to {MOST_RATE:g}; give"
+                " --rate as in the film, 25"
+            )
         return dataclasses.replace(self, rate=rate)
+
+    def regular(self) -> "Clip":
+        """A pose every `step` frames, NaN where there is none: for formats that know a rate, and no
+        times."""
+        places = self.places
+        count = int(places[-1]) + 1
+        if count == len(places):
+            return self
+        names = dict(zip(places.tolist(), self.names, strict=True))
+        return dataclasses.replace(
+            self,
+            joints=_spread_out(self.joints, places, count),
+            names=[names.get(place, "") for place in range(count)],
+            spread=None if self.spread is None else _spread_out(self.spread, places, count),
+            numbers=[self.frames[0] + self.step * place for place in range(count)],
+        )
+
+    @property
+    def pace(self) -> float:
+        """Poses a second of a clip that is `regular`."""
+        return self.rate / self.step
 
     def held(self) -> "Clip":
         """With the pose before it, or else the first, where a frame has none: for formats in which
@@ -62,6 +115,13 @@ class Clip:
         there = np.flatnonzero(self.there)
         before = np.searchsorted(there, np.arange(len(self.joints)), side="right") - 1
         return dataclasses.replace(self, joints=self.joints[there[np.maximum(before, 0)]])
+
+
+def _spread_out(values: np.ndarray, places: np.ndarray, count: int) -> np.ndarray:
+    """`(count, ...)`: values in their places, NaN elsewhere."""
+    blank = np.full((count, *values.shape[1:]), np.nan)
+    blank[places] = values
+    return blank
 
 
 def viewed(joints: np.ndarray) -> np.ndarray:

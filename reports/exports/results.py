@@ -1,6 +1,7 @@
 """A result of ours as a `Clip` for a person of given height: hypotheses.json, posterior.nc, the
 folder of both, or the folder of a stream."""
 
+import dataclasses
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,9 +14,15 @@ from poseterior.probmodel.arrays import possible, read_netcdf
 from poseterior.probmodel.datasets import body_height
 from poseterior.probmodel.documents import read_json
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats.frames import frame_numbers
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, PARENTS
-from poseterior.reports.exports.clip import Clip, viewed
+from poseterior.reports.exports.bodies import Body
+from poseterior.reports.exports.clip import RATE, Clip, viewed
+from poseterior.reports.exports.smoothing import Smoother
 
+MEAN, HYPOTHESIS = "mean", "hypothesis"
+"""What a film is made of: the mean of each frame's draws, made a body again, or the heaviest
+hypothesis."""
 SHORTEST, TALLEST = 0.2, 3.0
 """Metres between which a person's height lies."""
 K = 5
@@ -29,17 +36,21 @@ _ADVICE = (
 
 class Wanted(NamedTuple):
     """What is wanted of a result: a `height` in metres; `k` hypotheses, or so many `draws`; of a
-    stream, which `person`. None: whatever is usual."""
+    stream, which `person`, `what` of each frame (`MEAN`, `HYPOTHESIS`), and how it is smoothed. At
+    so many frames a second (`rate`). None: whatever is usual."""
 
     height: float
     k: int | None = None
     draws: int | None = None
     person: int | None = None
+    what: str | None = None
+    smoother: Smoother | None = None
+    rate: float | None = None
 
 
 class _Poses(NamedTuple):
     """As in `Clip`, but in camera axes and body units; `measured` are the poses from which the body
-    unit is told."""
+    unit is told, `body` what a film's poses are to be made of."""
 
     joints: np.ndarray
     names: list[str]
@@ -47,6 +58,9 @@ class _Poses(NamedTuple):
     weights: np.ndarray | None = None
     spread: np.ndarray | None = None
     film: bool = False
+    numbers: list[int] | None = None
+    placed: bool = False
+    body: Body | None = None
 
 
 def read_clip(path: Path, wanted: Wanted) -> Clip:
@@ -64,15 +78,36 @@ def read_clip(path: Path, wanted: Wanted) -> Clip:
             f" {SHORTEST:g} to {TALLEST:g}; give another"
         )
     found = _read(path, wanted)
-    _require_bodies(found, path)
+    _require_bodies(found.measured, path)
     metres = wanted.height / float(np.median(body_height(found.measured)))
-    return Clip(
-        metres * viewed(found.joints),
+    clip = Clip(
+        metres * found.joints,
         found.names,
         found.weights,
         None if found.spread is None else metres * found.spread,
         found.film,
-    )
+        found.numbers,
+        placed=found.placed,
+    ).at_rate(RATE if wanted.rate is None else wanted.rate)
+    joints = clip.joints
+    if wanted.smoother is not None:
+        joints = _smoothed(clip, wanted.smoother, wanted.rate)
+    if found.body is not None:
+        joints = found.body.grown(metres).posed(joints)
+    return dataclasses.replace(clip, joints=viewed(joints))
+
+
+def _smoothed(clip: Clip, smoother: Smoother, rate: float | None) -> np.ndarray:
+    """The joints of a film, filtered. Raises `BadInput` where the filter cannot be."""
+    if not clip.film:
+        raise BadInput("--smooth is for films, and these poses do not follow each other; leave it")
+    if rate is None:
+        raise BadInput(
+            f"--smooth {smoother} needs to know how many frames a second there are; give --rate as"
+            " in the film"
+        )
+    smoother.check(clip.pace)
+    return smoother(clip.joints, clip.places, clip.pace)
 
 
 def _read(path: Path, wanted: Wanted) -> _Poses:
@@ -80,6 +115,8 @@ def _read(path: Path, wanted: Wanted) -> _Poses:
         return _film(path, wanted)
     if wanted.person is not None:
         raise BadInput(f"{path} is of one person; leave --person out")
+    if wanted.what is not None:
+        raise BadInput(f"{path} is no film of frames; leave --what out")
     if path.is_dir():
         return _of_folder(path, wanted)
     if not path.exists():
@@ -178,21 +215,51 @@ def _draws(path: Path) -> np.ndarray:
 
 
 def _film(path: Path, wanted: Wanted) -> _Poses:
-    """The heaviest hypothesis of a person in every frame, with the spread of that frame's draws."""
+    """A pose of a person for every frame, with the spread of that frame's draws."""
     if wanted.draws is not None or wanted.k is not None:
         raise BadInput(
-            f"{path} is a stream: a film of the heaviest hypothesis of each frame, whose draws do"
-            " not follow each other in time; leave --draws and --k out"
+            f"{path} is a stream: a film of one pose for each frame, whose draws do not follow each"
+            " other in time; leave --draws and --k out"
         )
     tree = open_stream(path)
     names = [str(name) for name in tree["summary"].frame.values]
     frames, rows = _rows(names, wanted.person, path)
-    joints = _spread_out(tree["hypotheses"].joints.values[:, 0], rows)
-    spread = _spread_out(tree["summary"].sd.values, rows)
-    there = joints[np.isfinite(joints).all(axis=(1, 2))]
+    of_draws, of_hypotheses = tree["summary"].to_dataset(), tree["hypotheses"].to_dataset()
+    heaviest = _spread_out(of_hypotheses.joints.values[:, 0], rows)
+    there = heaviest[np.isfinite(heaviest).all(axis=(1, 2))]
     if not len(there):
         raise BadInput(f"{path} has no frame with a pose of that person; look at its summary")
-    return _Poses(joints, frames, there, spread=spread, film=True)
+    _require_bodies(there, path)
+    body, source = Body.of(there), of_draws["mean"].values
+    joints = heaviest if wanted.what == HYPOTHESIS else _spread_out(source, rows)
+    spread = _spread_out(of_draws.sd.values, rows)
+    placed = "place" in of_draws and bool(np.isfinite(of_draws.place.values).any())
+    if placed:
+        standing = of_hypotheses.place[:, 0] if wanted.what == HYPOTHESIS else of_draws.place
+        joints = joints + _spread_out(standing.values, rows)[:, None]
+        spread[:, JOINT_INDEX["pelvis"]] = _spread_out(of_draws.place_sd.values, rows)
+    exact = wanted.what == HYPOTHESIS and wanted.smoother is None
+    order, numbers = _in_time(frames)
+    return _Poses(
+        joints[order],
+        [frames[at] for at in order],
+        there,
+        spread=spread[order],
+        film=True,
+        numbers=numbers,
+        placed=placed,
+        body=None if exact else body,
+    )
+
+
+def _in_time(frames: list[str]) -> tuple[list[int], list[int] | None]:
+    """The order of frames by their numbers, and these; their own order, and None, where their names
+    have none."""
+    numbers = frame_numbers(frames)
+    if numbers is None:
+        return list(range(len(frames))), None
+    order = sorted(range(len(frames)), key=lambda at: numbers[at])
+    return order, [numbers[at] for at in order]
 
 
 def _rows(names: list[str], person: int | None, path: Path) -> tuple[list[str], list[int | None]]:
@@ -231,10 +298,9 @@ def _require_places(joints: np.ndarray, path: Path) -> None:
         raise BadInput(f"{path} has a joint that is not at a finite place; {_ADVICE}")
 
 
-def _require_bodies(found: _Poses, path: Path) -> None:
+def _require_bodies(kept: np.ndarray, path: Path) -> None:
     """Raises `BadInput` where a pose is not one of a body: a joint nowhere, a bone of no length, or
-    a torso without a plane. Frames of a film that are missing are left out."""
-    kept = found.measured
+    a torso without a plane."""
     _require_places(kept, path)
     bones = np.linalg.norm(kept[:, 1:] - kept[:, list(PARENTS[1:])], axis=-1)
     up, side = _torso_axes(kept)

@@ -16,8 +16,9 @@ _COLUMNS = [f"{joint}_{axis}" for joint in JOINTS for axis in "xyz"]
 
 
 def write_csv(clip: Clip, path: Path, unit: str) -> None:
-    """A table with the columns index, time_s, name, weight (hypotheses only), JOINT_x_UNIT … and,
-    where there are any, the standard deviations JOINT_x_sd_UNIT …; a missing pose is empty."""
+    """A table with the columns index, of a film frame, time_s, name, weight (hypotheses only),
+    JOINT_x_UNIT … and, where there are any, the standard deviations JOINT_x_sd_UNIT …; a missing
+    pose is empty, and a frame that is not there has no row."""
     columns = [f"{name}_{unit}" for name in _COLUMNS]
     if clip.spread is not None:
         columns += [f"{name}_sd_{unit}" for name in _COLUMNS]
@@ -26,10 +27,12 @@ def write_csv(clip: Clip, path: Path, unit: str) -> None:
         replacing(path, ADVICE) as partial,
         partial.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file,
     ):
-        rows = csv.writer(file)
-        rows.writerow(["index", "time_s", "name", *weight, *columns])
+        rows, times, frames = csv.writer(file), clip.times, clip.frames
+        frame = ["frame"] if clip.film else []
+        rows.writerow(["index", *frame, "time_s", "name", *weight, *columns])
         for index, name in enumerate(clip.names):
-            head = [index, f"{clip.times[index]:.6f}", name]
+            number = [frames[index]] if clip.film else []
+            head = [index, *number, f"{times[index]:.6f}", name]
             if clip.weights is not None:
                 head.append(f"{clip.weights[index]:.6f}")
             rows.writerow([*head, *_texts(clip, index, UNITS[unit])])
@@ -45,7 +48,8 @@ def _texts(clip: Clip, index: int, scale: float) -> list[str]:
 
 def write_npz(clip: Clip, path: Path, unit: str) -> None:
     """Arrays for NumPy: `joints` `(n, 15, 3)`, `spread` and `weights` where there are any, `times`
-    in seconds, and the names of poses, joints and axes; `unit` is that of lengths."""
+    in seconds, of a film `frames` (as texts, since numbers may be long), and the names of poses,
+    joints and axes; `unit` is that of lengths."""
     arrays = {
         "joints": UNITS[unit] * clip.joints,
         "times": clip.times,
@@ -54,6 +58,8 @@ def write_npz(clip: Clip, path: Path, unit: str) -> None:
         "axes": np.array(["right", "up", "towards the camera"]),
         "unit": np.array(unit),
     }
+    if clip.film:
+        arrays["frames"] = np.array([str(number) for number in clip.frames])
     if clip.spread is not None:
         arrays["spread"] = UNITS[unit] * clip.spread
     if clip.weights is not None:

@@ -18,23 +18,25 @@ _KEYS = (
 def write_trc(clip: Clip, path: Path, unit: str) -> None:
     """The joints as markers of their names; where there are standard deviations, a marker
     JOINT_sd after each joint has them as its X, Y and Z, which no model matches. A missing pose is
-    NaN."""
+    NaN. Frames have the numbers of the film."""
+    clip = clip.regular()
     blocks = [clip.joints] if clip.spread is None else [clip.joints, clip.spread]
     markers = [name + end for name in JOINTS for end in ("", "_sd")[: len(blocks)]]
     values = UNITS[unit] * np.stack(blocks, axis=2)  # (n, 15, blocks, 3): a joint, then its sd
-    rate, count = f"{clip.rate:.10g}", len(clip.joints)
+    rate, count, first = f"{clip.pace:.10g}", len(clip.joints), str(clip.frames[0])
     lines = [
         ["PathFileType", "4", "(X/Y/Z)", _word(path.name)],
         [*_KEYS],
-        [rate, rate, str(count), str(len(markers)), unit, rate, "1", str(count)],
+        [rate, rate, str(count), str(len(markers)), unit, rate, first, str(count)],
         ["Frame#", "Time", *(word for name in markers for word in (name, "", ""))][:-2],
         ["", "", *(f"{axis}{number + 1}" for number in range(len(markers)) for axis in "XYZ")],
         [],
     ]
     digits = 6 if unit == "m" else 3
+    times, frames = clip.times, clip.frames
     for index, row in enumerate(values.reshape(count, -1)):
         numbers = [f"{number:.{digits}f}" if np.isfinite(number) else "NaN" for number in row]
-        lines.append([str(index + 1), f"{clip.times[index]:.6f}", *numbers])
+        lines.append([str(frames[index]), f"{times[index]:.6f}", *numbers])
     text = "\n".join("\t".join(line) for line in lines) + "\n"
     with replacing(path, "choose another --out") as partial:
         partial.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")

@@ -3,12 +3,15 @@
 save_figure(film_figure(tree["summary"].to_dataset()), path)
 """
 
+import math
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from poseterior.inference.stream import frame_and_person
+from poseterior.probmodel.formats.frames import frame_numbers
 from poseterior.probmodel.skeleton import JOINT_INDEX
 from poseterior.reports.figures.colours import COLOURS
 from poseterior.reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, TITLE, page, tidy
@@ -31,12 +34,16 @@ def film_figure(summary: xr.Dataset) -> Figure:
         Of a stream, as `inference.open_stream` gives it.
     """
     names = [frame_and_person(str(name)) for name in summary.frame.values]
-    place = {frame: index for index, frame in enumerate(dict.fromkeys(one for one, _ in names))}
+    frames = list(dict.fromkeys(frame for frame, _ in names))
+    numbers = frame_numbers(frames) or list(range(len(frames)))
+    step = math.gcd(*(number - numbers[0] for number in numbers)) or 1
+    places = [(number - min(numbers)) // step for number in numbers]
+    place = dict(zip(frames, places, strict=True))
     people = _people(summary, [person for _, person in names])
     figure = page(WIDTH, HEIGHT, dpi=DPI)
     axes = figure.subplots(len(ENDS), len(people), sharex=True, sharey=True, squeeze=False)
     for column, person in enumerate(people):
-        bands = np.full((len(place), *summary.depth.shape[1:]), np.nan)
+        bands = np.full((max(places) + 1, *summary.depth.shape[1:]), np.nan)
         for row, (frame, one) in enumerate(names):
             if one == person:
                 bands[place[frame]] = summary.depth.values[row]

@@ -19,6 +19,7 @@ from poseterior.probmodel.datasets import VIEWS, body_height
 from poseterior.probmodel.learning.dictionaries import PoseDictionary, learn_dictionary
 from poseterior.probmodel.learning.learner import learn
 from poseterior.probmodel.motion import Motion
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import LIMB_JOINTS, NUM_JOINTS
 from poseterior.reports.pages.people import without
 
@@ -138,7 +139,12 @@ def sampled_errors(held: HeldOut, some: Sequence[NoisyPose], method: str) -> lis
     found: list[Sampled | None] = []
     for number, (case, frame) in enumerate(zip(some, estimates(held, some, method), strict=True)):
         result = inference.sample(
-            model, frame, key=jax.random.key(number), num_samples=DRAWS, max_proposals=BUDGET
+            model,
+            frame,
+            root=CANDIDATES,
+            key=jax.random.key(number),
+            num_samples=DRAWS,
+            max_proposals=BUDGET,
         )
         if result.num_draws < HYPOTHESES:
             found.append(None)

@@ -34,6 +34,7 @@ from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.learning.dictionaries import learn_dictionary
 from poseterior.probmodel.learning.learner import learn
 from poseterior.probmodel.learning.poses import read_all
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.figures.bias import bias_figure
 from poseterior.reports.figures.evaluation import errors_figure, pck_curves, pck_figure
 from poseterior.reports.pages.page import Values, in_doubles, write_page
@@ -91,9 +92,11 @@ def run(data: Path, protocol: Protocol, work: Path) -> Runs:
     true = read_data_set(data / CLASSES, frames=TRUE_FRAMES, noise=EXACT)
     return Runs(
         noisy,
-        judged("noisy", noisy, conditions(ESTIMATORS, (0,), (0.0,))),
+        judged("noisy", noisy, conditions(ESTIMATORS, (0,), (0.0,), (CANDIDATES,))),
         true,
-        judged("true", true, conditions(ESTIMATORS[:2], (0, 1, 2), (0.0, 30.0, 60.0))),
+        judged(
+            "true", true, conditions(ESTIMATORS[:2], (0, 1, 2), (0.0, 30.0, 60.0), (CANDIDATES,))
+        ),
     )
 
 

@@ -21,6 +21,7 @@ from poseterior.inference.draws import COMPLETE
 from poseterior.inference.studies.scenes import motion_scene
 from poseterior.probmodel import Anatomy, Detection, PoseModel
 from poseterior.probmodel.motion import read_motion
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import TORSO_INDEX
 from poseterior.reports.pages.page import in_doubles, write_page
 from poseterior.reports.tables import Column, Sheet, sheet_of
@@ -88,7 +89,12 @@ def study(model: PoseModel, poses: np.ndarray, seed: int) -> list[Row]:
         detection = disturbed(truth.detection, rng)
         frame = inference.estimate_torso(detection, torsos=np.asarray(model.torsos))
         result = inference.sample(
-            model, frame, key=jax.random.key(number), num_samples=DRAWS, max_proposals=BUDGET
+            model,
+            frame,
+            root=CANDIDATES,
+            key=jax.random.key(number),
+            num_samples=DRAWS,
+            max_proposals=BUDGET,
         )
         nearest = int(np.argmax([candidate.facing @ true for candidate in frame.candidates]))
         rows.append(

@@ -38,6 +38,7 @@ from poseterior.probmodel.learning.dictionaries import PoseDictionary, learn_dic
 from poseterior.probmodel.learning.learner import learn
 from poseterior.probmodel.learning.poses import read_all
 from poseterior.probmodel.motion import Motion
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.pages.people import without
 
 DETECTOR = 0.08 / 4.85
@@ -126,7 +127,7 @@ def _stand(
     settings = {} if estimator == TRUE else {"poses": dictionary}
     likelihood = Likelihood(factor=factor)
     known = instances(some, model, estimator, likelihood=likelihood, **settings)
-    draw = sampler_of("rejection", model, REAL_DRAWS, max_proposals=BUDGET)
+    draw = sampler_of("rejection", model, REAL_DRAWS, root=CANDIDATES, max_proposals=BUDGET)
     columns = case_columns(some, exclusions(model, some, known))
     return standings_tree(stand(draw, known, seed=0), {}, columns)
 
@@ -140,7 +141,9 @@ def choices(work: Path, data: Path) -> None:
     rows: dict[str, list] = {"error": [], "floor": [], "modes": [], "recording": []}
     held = hold_out(work, data)
     some = cases(held, "detector")
-    draw = sampler_of("rejection", held.model, CHOSEN_DRAWS + STAND_INS, max_proposals=BUDGET)
+    draw = sampler_of(
+        "rejection", held.model, CHOSEN_DRAWS + STAND_INS, root=CANDIDATES, max_proposals=BUDGET
+    )
     for number, instance in enumerate(instances(some, held.model)):
         drawn = draw(number, instance, jax.random.key(number)).joints
         if len(drawn) < CHOSEN_DRAWS + STAND_INS:

@@ -22,6 +22,7 @@ from poseterior.inference.studies.calibration.controls import (
 from poseterior.inference.studies.calibration.posteriors import Sampler, sampler_of
 from poseterior.inference.studies.calibration.toy import sizes
 from poseterior.probmodel import PoseModel
+from poseterior.probmodel.root_priors import CANDIDATES
 
 SIMULATIONS, DRAWS = 1000, 1000
 MEASURES = (("angle", "area"), ("area", "area"), ("angle", "box"))
@@ -41,14 +42,21 @@ def exact(work: Path, data: Path) -> None:
             continue
         model = PoseModel.paper(upper=upper, lower=lower)
         started, cpu = time.perf_counter(), time.process_time()
-        calibrate(model, "rejection", num_simulations=SIMULATIONS, num_samples=DRAWS, out=path)
+        calibrate(
+            model,
+            "rejection",
+            root=CANDIDATES,
+            num_simulations=SIMULATIONS,
+            num_samples=DRAWS,
+            out=path,
+        )
         cost.write_text(json.dumps([time.process_time() - cpu, time.perf_counter() - started]))
 
 
 def controls(work: Path, data: Path) -> None:
     """Wrong posteriors on the first simulations, by the same tests."""
     model = PoseModel.paper()
-    right = sampler_of("rejection", model, DRAWS)
+    right = sampler_of("rejection", model, DRAWS, root=CANDIDATES)
     wrong: dict[str, tuple[Sampler, int]] = {
         name: (distorted(right, spoil), CONTROLLED) for name, spoil in DISTORTIONS.items()
     }
@@ -58,7 +66,11 @@ def controls(work: Path, data: Path) -> None:
         path = work / f"control-{number}.nc"
         if not path.exists():
             tree = calibrate(
-                model, sampler, num_simulations=count, out=work / f"partial-{number}.nc"
+                model,
+                sampler,
+                root=CANDIDATES,
+                num_simulations=count,
+                out=work / f"partial-{number}.nc",
             )
             tree.attrs["sampler"] = name
             save_tree(tree, path)
@@ -71,8 +83,10 @@ def baselines(work: Path, data: Path) -> None:
     for name, start in BASELINES:
         path = work / f"baseline-{name}-{start}.nc".replace(" ", "-")
         if not path.exists():
-            draw = sampler_of(name, model, EVALUATIONS, max_proposals=EVALUATIONS, start=start)
-            tree = calibrate(model, draw, num_simulations=JUDGED)
+            draw = sampler_of(
+                name, model, EVALUATIONS, root=CANDIDATES, max_proposals=EVALUATIONS, start=start
+            )
+            tree = calibrate(model, draw, root=CANDIDATES, num_simulations=JUDGED)
             tree.attrs["sampler"] = f"{name}, started {start}"
             save_tree(tree, path)
 

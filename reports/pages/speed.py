@@ -26,10 +26,10 @@ from matplotlib.figure import Figure
 from poseterior.inference.drawsfile import sample_to_file
 from poseterior.inference.estimators import estimate_torso
 from poseterior.inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
-from poseterior.inference.exact.loops.attempts import attempt_lengths, attempt_limb, hand_over
 from poseterior.inference.exact.loops.numbers import compiled, load, store, uniform
+from poseterior.inference.exact.loops.proposals import add_bodies, propose_lengths, propose_limb
 from poseterior.inference.exact.loops.seeds import seeded
-from poseterior.inference.exact.loops.tables import CutLimb, blank_bodies, desk_pair
+from poseterior.inference.exact.loops.tables import CutLimb, blank_bodies, workspace_pair
 from poseterior.inference.exact.mixture import ExactRejection, root_samplers
 from poseterior.inference.exact.naive import BATCH, propose
 from poseterior.inference.exact.problem import limb_problems
@@ -218,7 +218,7 @@ def stages(model: PoseModel, frame: Estimate, name: str) -> StageCost:
     plan_group(tables, limbs, RESOLUTIONS[STAGE_LEVEL], alone=True)
     started = clock()
     plan = plan_group(tables, limbs, RESOLUTIONS[STAGE_LEVEL], alone=True)
-    set_up, desks = clock() - started, desk_pair(number)
+    set_up, workspaces = clock() - started, workspace_pair(number)
     cut = [CutLimb(*parts) for parts in zip(limbs, tables.builds, plan.strata, strict=True)]
     counts = np.random.default_rng(0).multinomial(number, plan.share)
     state, room, times = seeded([0], 0), blank_bodies(number, len(limbs)), []
@@ -231,10 +231,10 @@ def stages(model: PoseModel, frame: Estimate, name: str) -> StageCost:
 
     for _ in range(2):  # the first time memory is new
         times.clear()
-        stage(attempt_lengths, state, np.cumsum(counts), 0, *plan.bins, True, desks[0])
-        first = stage(attempt_limb, state, cut[0], plan.sub, number, desks[0])
-        both = stage(attempt_limb, state, cut[1], plan.sub, first, desks[1])
-        stage(hand_over, state, both, *desks, np.arange(2), room, 0)
+        stage(propose_lengths, state, np.cumsum(counts), 0, plan.bins, True, workspaces[0])
+        first = stage(propose_limb, state, cut[0], plan.sub, number, workspaces[0])
+        both = stage(propose_limb, state, cut[1], plan.sub, first, workspaces[1])
+        stage(add_bodies, state, both, workspaces, np.arange(2), room, 0)
     length, one, two, draw = times
     return StageCost(
         1e9 * set_up / plan.size,

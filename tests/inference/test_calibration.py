@@ -13,9 +13,9 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from poseterior.inference.exact.mixture import draw_mixture
+from poseterior.inference.exact.mixture import ExactRejection
 from poseterior.inference.machines import Machines
-from poseterior.inference.results import pose_columns
+from poseterior.inference.results import log_density
 from poseterior.inference.studies.calibration import (
     assess,
     band,
@@ -316,16 +316,15 @@ def test_quantities_of_draws_are_the_samplers_own(model: PoseModel) -> None:
     columns."""
     for instance in simulate(model, 3, 0, 4):
         posterior = instance.frame.posterior(model, CANDIDATES)
-        mixture = draw_mixture(posterior, key=jax.random.key(1), num_samples=300)
-        columns = pose_columns(posterior, mixture.parts, mixture.rng)
-        *_, density, misfit = of_both(model, instance.frame.observation, columns["joints"]).T
-        np.testing.assert_allclose(density, columns["lp"], atol=1e-6)
+        draws = ExactRejection().draw(posterior, jax.random.key(1), 300)
+        *_, density, misfit = of_both(model, instance.frame.observation, draws.joints).T
+        np.testing.assert_allclose(density, log_density(draws), atol=1e-6)
         assert (misfit <= 1).all()
-        values = of_pose(columns["joints"])
-        np.testing.assert_allclose(values[:, 27:32], columns["bone_length"], atol=1e-12)
+        values = of_pose(draws.joints)
+        np.testing.assert_allclose(values[:, 27:32], draws.bone_length, atol=1e-12)
         elbow = JOINT_INDEX["left_elbow"]
         np.testing.assert_allclose(
-            values[:, OF_POSE.index("left_elbow z")], columns["joints"][:, elbow, 2]
+            values[:, OF_POSE.index("left_elbow z")], draws.joints[:, elbow, 2]
         )
 
 
@@ -393,7 +392,7 @@ def test_every_measure_is_calibrated(upper: str, lower: str) -> None:
 def test_another_measure_is_noticed(model: PoseModel) -> None:
     """Draws under the box measure are judged under the default: a wrong prior, the negative
     control."""
-    wrong = sampler_of("rejection", PoseModel.paper(lower="box"), 100)
+    wrong = sampler_of("rejection", PoseModel.paper(lower="box"), 100, root="candidates")
     tree = calibrate(model, wrong, num_simulations=150, root="candidates")
     assert judge(tree["simulation"].to_dataset()).verdict == MISCALIBRATED
 
@@ -403,7 +402,7 @@ def test_another_measure_is_noticed(model: PoseModel) -> None:
 def test_distorted_posteriors_fail(model: PoseModel, name: str) -> None:
     tree = calibrate(
         model,
-        distorted(sampler_of("rejection", model, 100), DISTORTIONS[name]),
+        distorted(sampler_of("rejection", model, 100, root="candidates"), DISTORTIONS[name]),
         num_simulations=100,
         root="candidates",
     )
@@ -477,7 +476,7 @@ def test_chains_are_thinned_to_their_effective_number() -> None:
 
 @pytest.mark.slow
 def test_failures_are_counted_and_said(model: PoseModel) -> None:
-    right = sampler_of("rejection", model, 20)
+    right = sampler_of("rejection", model, 20, root="candidates")
 
     def sometimes(index: int, instance: Instance, key: jax.Array) -> Answer:
         return (
@@ -497,7 +496,7 @@ def test_failures_are_counted_and_said(model: PoseModel) -> None:
 
 def test_draws_of_a_file(model: PoseModel, tmp_path: Path) -> None:
     """The same draws by name and by file; a simulation without draws is a failure."""
-    right = sampler_of("rejection", model, 20)
+    right = sampler_of("rejection", model, 20, root="candidates")
     some = simulate(model, 0, 0, 6)
     joints = np.stack(
         [

@@ -309,7 +309,7 @@ def test_poses_of_the_model_are_covered(model: PoseModel, cases: list[Case]) -> 
     some = possible(model, [by_the_likelihood(case) for case in cases])
     assert len(some) > 8
     known = instances(some, model, TRUE)
-    standings = stand(sampler_of("rejection", model, 100), known, seed=0)
+    standings = stand(sampler_of("rejection", model, 100, root="candidates"), known, seed=0)
     columns = case_columns(some, exclusions(model, some, known))
     found = summary(standings_tree(standings, {}, columns))
     assert found.size == len(some)

@@ -17,10 +17,10 @@ from poseterior import inference
 from poseterior.inference.draws import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
 from poseterior.inference.exact import groups
 from poseterior.inference.exact.device import group as device
-from poseterior.inference.exact.device.attempts import _lower_axes, _rectangle
 from poseterior.inference.exact.device.group import LEAST, DeviceGroup, Size, device_groups
+from poseterior.inference.exact.device.proposals import _lower_axes, _rectangle
 from poseterior.inference.exact.device.tables import padded, real, whole
-from poseterior.inference.exact.groups import FIRST, StratifiedGroup, group_tables
+from poseterior.inference.exact.groups import PILOT_BATCH, StratifiedGroup, group_tables
 from poseterior.inference.exact.loops.rectangles import rectangle
 from poseterior.inference.exact.loops.tables import ENTRIES, SUBS
 from poseterior.inference.exact.mixture import RootSampler
@@ -142,12 +142,12 @@ def test_draws_that_have_no_room_count(model, easy):
 
 def test_no_more_is_attempted_than_the_budget_allows(model, frame):
     ours, _ = both(model, frame, "legs", 3)
-    whole_rounds = Budget(FIRST + 2 * ours._kind.size.attempts + 5)
+    whole_rounds = Budget(PILOT_BATCH + 2 * ours._kind.size.proposals + 5)
     assert not ours.more(10**6, whole_rounds)
-    assert whole_rounds.spent == FIRST + 2 * ours._kind.size.attempts
+    assert whole_rounds.spent == PILOT_BATCH + 2 * ours._kind.size.proposals
     assert 0 < ours.held < 10**6
     none, _ = both(model, frame, "legs", 3)
-    assert not none.more(10, Budget(FIRST - 1))
+    assert not none.more(10, Budget(PILOT_BATCH - 1))
     assert none.held == 0
 
 
@@ -191,7 +191,7 @@ def test_where_nothing_fits_there_comes_an_end(model, frame, monkeypatch):
     assert nobody.impossible
     assert not nobody.more(10, PLENTY)
     for module in (device, groups):
-        monkeypatch.setattr(module, "HOPELESS", 1 << 16)
+        monkeypatch.setattr(module, "ZERO_ACCEPTANCE_LIMIT", 1 << 16)
     some = both(model, frame, "legs", 1)[1]
     assert some.more(1, PLENTY)
     places = build_groups(model, frame.observation)["legs"].reach(some.draws()["legs"])[0]
@@ -202,8 +202,8 @@ def test_where_nothing_fits_there_comes_an_end(model, frame, monkeypatch):
     budget, rare = Budget(10**9), DeviceGroup(key(0), "legs", tables, dots)
     assert not rare.more(10, budget)
     assert not rare.impossible
-    assert rare.hopeless
-    assert 1 << 16 <= budget.spent <= (1 << 16) + FIRST
+    assert rare.given_up
+    assert 1 << 16 <= budget.spent <= (1 << 16) + PILOT_BATCH
 
 
 def test_numbers_are_read_from_the_words_of_a_row(model):

@@ -116,7 +116,7 @@ def test_depth_flips_are_counted():
 
 
 def test_missing_joints_and_turns_are_not_crossed():
-    found = conditions(("zhou",), (0, 1, 2), (0.0, 30.0, 60.0))
+    found = conditions(("zhou",), (0, 1, 2), (0.0, 30.0, 60.0), ("candidates",))
     assert [(c.missing, c.rotate) for c in found] == [(0, 0), (1, 0), (2, 0), (0, 30), (0, 60)]
     assert found[3].name == "zhou-missing-0-rotate-30"
 

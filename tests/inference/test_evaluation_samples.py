@@ -266,7 +266,7 @@ def judged(root: str) -> dict[str, np.ndarray]:
 
 
 def test_roots_that_no_estimator_gives_stand_beside_the_first() -> None:
-    found = conditions(("zhou", "dictionary"), (0, 1), (0.0,), ("fixed", "uncertain", "true"))
+    found = conditions(("zhou", "dictionary"), (0, 1), (0.0,), ("candidates", "uncertain", "true"))
     assert [(one.way, one.missing) for one in found] == [
         *(("zhou", 0), ("zhou", 1), ("dictionary", 0), ("dictionary", 1)),
         *(("uncertain root", 0), ("uncertain root", 1), ("true root", 0), ("true root", 1)),

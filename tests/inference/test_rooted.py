@@ -28,7 +28,7 @@ from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.importance.weighted import weigh_roots
 from poseterior.inference.results import Result, tree_of
 from poseterior.inference.saved import read_result
-from poseterior.inference.studies.comparison import compare_routes
+from poseterior.inference.studies.comparison import compare
 from poseterior.inference.studies.comparison.contest import ENDLESS
 from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
 from poseterior.probmodel import BadInput, Estimate, PoseModel, RootPoint
@@ -264,7 +264,7 @@ def judged(
 ) -> list[str]:
     """Verdicts by 1,200 draws of rejection, by default on the small case."""
     model, frame = case or sound.small_case()
-    found = compare_routes(
+    found = compare(
         model,
         frame,
         samplers,

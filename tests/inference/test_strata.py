@@ -18,12 +18,12 @@ from scipy import stats
 from poseterior import inference
 from poseterior.inference.exact.device.group import DeviceGroup
 from poseterior.inference.exact.groups import RESOLUTIONS, StratifiedGroup, group_tables, plan_group
-from poseterior.inference.exact.loops import numbers, places
-from poseterior.inference.exact.loops.attempts import attempt_limb as attempt_loop
+from poseterior.inference.exact.loops import cache_folder, numbers
 from poseterior.inference.exact.loops.bins import PER_BIN, alias_table, draw_lengths, length_bins
-from poseterior.inference.exact.loops.bounds import _bends, bound_regions, part_moves
+from poseterior.inference.exact.loops.bounds import Chart, _bends, bound_regions, part_moves
+from poseterior.inference.exact.loops.cache_folder import SOURCES, digest
 from poseterior.inference.exact.loops.numbers import compiled, load, store, uniform
-from poseterior.inference.exact.loops.places import SOURCES, digest
+from poseterior.inference.exact.loops.proposals import propose_limb as attempt_loop
 from poseterior.inference.exact.loops.rectangles import COUNT, ROWS, largest_rectangle, rectangle
 from poseterior.inference.exact.loops.seeds import seeded, seeded_rows
 from poseterior.inference.exact.loops.series import (
@@ -38,11 +38,11 @@ from poseterior.inference.exact.loops.strata import (
     Resolution,
     fill_in,
     frame_turn,
-    lower_axes,
-    sketch,
+    strata_buffer,
 )
-from poseterior.inference.exact.loops.strata import _stratify as stratify_loop
-from poseterior.inference.exact.loops.tables import ALIAS, REGIONS, CutLimb, LimbProblem, desk
+from poseterior.inference.exact.loops.strata import fill_in as stratify_loop
+from poseterior.inference.exact.loops.tables import ALIAS, REGIONS, CutLimb, LimbProblem, workspace
+from poseterior.inference.exact.loops.vectors import lower_axes
 from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget, Pooled, Rate
 from poseterior.probmodel import Anatomy, PoseModel, kinematics
@@ -116,28 +116,30 @@ def test_without_a_place_to_keep_them_loops_are_kept_among_temporary_files(monke
     (sealed / "loops-0" / "deeper" / "kept.nbi").write_text("compiled")
     (sealed / "loops-0" / "deeper").chmod(0o555)
     temporary.mkdir()
-    usable = places._usable
-    monkeypatch.setattr(places, "_places", lambda: [sealed, tmp_path / "home"])
-    monkeypatch.setattr(places, "_usable", lambda path: temporary in path.parents and usable(path))
+    usable = cache_folder._usable
+    monkeypatch.setattr(cache_folder, "_places", lambda: [sealed, tmp_path / "home"])
+    monkeypatch.setattr(
+        cache_folder, "_usable", lambda path: temporary in path.parents and usable(path)
+    )
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     with pytest.warns(UserWarning, match="NUMBA_CACHE_DIR") as warned:
-        folder = places._kept_in("loops-0")
+        folder = cache_folder._kept_in("loops-0")
     assert len(warned) == 1
     assert folder.parents[1] == temporary
     assert (folder / "deeper" / "kept.nbi").read_text() == "compiled"
     assert (folder / "deeper").stat().st_mode & 0o200  # what is compiled next is kept there too
     folder.parent.chmod(0o777)  # somebody else could put code there
     with pytest.warns(UserWarning, match="anew"):
-        assert places._kept_in("loops-0") is None
+        assert cache_folder._kept_in("loops-0") is None
 
 
 def test_without_any_place_loops_are_compiled_and_not_kept(monkeypatch, tmp_path):
     """The folder is a file: nobody can make a folder of it, not even root."""
     (tmp_path / "file").touch()
-    monkeypatch.setattr(places, "_places", lambda: [tmp_path / "file"])
-    monkeypatch.setattr(places, "temporary", lambda: None)
+    monkeypatch.setattr(cache_folder, "_places", lambda: [tmp_path / "file"])
+    monkeypatch.setattr(cache_folder, "temporary", lambda: None)
     with pytest.warns(UserWarning, match="anew"):
-        monkeypatch.setattr(numbers, "FOLDER", places._kept_in("loops-0"))
+        monkeypatch.setattr(numbers, "FOLDER", cache_folder._kept_in("loops-0"))
     assert compiled(lambda number: number + 1)(1) == 2
 
 
@@ -249,8 +251,8 @@ def parents_near(reference, sine, rng) -> np.ndarray:
 
 
 def compiled_frame(parent, reference, fallback) -> np.ndarray:
-    v0, v1, v2, w0, w1, w2, _ = lower_axes(*parent, (*reference, *fallback))
-    return np.stack([parent, (v0, v1, v2), (w0, w1, w2)], axis=-1)
+    v, w, _ = lower_axes(tuple(parent), (*reference, *fallback))
+    return np.stack([parent, v, w], axis=-1)
 
 
 def test_the_compiled_lower_frame_is_the_one_of_the_program():
@@ -265,7 +267,7 @@ def test_the_compiled_lower_frame_is_the_one_of_the_program():
                 ours, kinematics.lower_axes(parent, reference, fallback), atol=1e-8
             )
             np.testing.assert_allclose(
-                lower_axes(*parent, (*reference, *fallback))[-1], sine_, atol=1e-9
+                lower_axes(tuple(parent), (*reference, *fallback))[-1], sine_, atol=1e-9
             )
 
 
@@ -291,7 +293,7 @@ def test_the_lower_frame_turns_as_far_as_its_bound_and_hardly_less():
 
 @compiled
 def _bound_one(blocks, target, radius, length1, length2):
-    bound_regions(1, target, 0.0, radius, length1, length1, length2, length2, blocks[0])
+    bound_regions(1, (target, 0.0), radius, (length1, length1), (length2, length2), blocks[0])
 
 
 def test_regions_are_as_large_as_the_rectangle_and_no_larger_where_nothing_can_move():
@@ -331,20 +333,10 @@ def test_a_part_of_a_direction_moves_as_far_as_its_bound_and_hardly_less():
 def _keeps(blocks, first, last, towards0, towards1, width, sides):
     middle, half = (first + last) / 2, (last - first) / 2
     drop = 1 - np.sqrt(1 - width * width)
+    chart = Chart((towards0, towards1), width, drop, 0.5 * half * half + 1e-9)
     for row in range(2):
-        sides[row] = _bends(
-            blocks[0],
-            0,
-            np.sin(middle),
-            np.cos(middle),
-            1.0 - 2.0 * row,
-            towards0,
-            towards1,
-            width,
-            half,
-            drop,
-            0.5 * half * half + 1e-9,
-        )
+        angle = np.sin(middle), np.cos(middle) * (1.0 - 2.0 * row)
+        sides[row] = _bends(blocks[0], 0, angle, half, chart)
 
 
 LIMITS = {"offset": -0.3, "low2": 0.2, "high2": 0.9, "low3": -0.1, "high3": 0.6}
@@ -557,7 +549,7 @@ def test_strata_are_the_same_however_many_threads_find_them():
     (whole, _) = plan_group(tables, limbs, RESOLUTIONS[2], alone=True).strata
     edges = [bins.edges for bins in plan.bins]
     for parts in (1, 2, 3, 40):
-        found = sketch(limbs[0], tables.builds[0], *edges, RESOLUTIONS[2].sub)
+        found = strata_buffer(limbs[0], tables.builds[0], *edges, RESOLUTIONS[2].sub)
         spans = found.spans(parts)
         assert len(spans) == parts
         for span in spans:
@@ -682,7 +674,7 @@ def test_no_random_number_is_used_twice(name, lower, each):
     """The generator counts them: a stratum, two for the upper bone, one for the area, two for the
     lower bone, and one where its measure is "box"."""
     model = PoseModel.from_anatomy(Anatomy.default(), lower=lower)
-    sampler, own, number = unseen(model, name, 0, RESOLUTIONS[0], False), desk(1000), 1000
+    sampler, own, number = unseen(model, name, 0, RESOLUTIONS[0], False), workspace(1000), 1000
     own.rows[:] = np.arange(number)
     strata = sampler._plan.strata[0]
     spans = zip(strata.starts, strata.ends, strict=True)
@@ -820,7 +812,7 @@ def test_a_finer_cut_that_leaves_nothing_is_the_end(monkeypatch):
     monkeypatch.setattr(group, "plan_at", lambda level: empty)
     assert not group.more(10**8, Budget(10**6))
     assert group.impossible
-    assert group.hopeless
+    assert group.given_up
 
 
 def test_a_frame_that_no_pose_explains_has_no_strata():
@@ -831,7 +823,7 @@ def test_a_frame_that_no_pose_explains_has_no_strata():
     frame = dataclasses.replace(
         frame, detection=dataclasses.replace(frame.detection, keypoints=keypoints)
     )
-    assert stratified(model, frame, "arms", 0).hopeless
+    assert stratified(model, frame, "arms", 0).given_up
     assert (
         inference.sample(model, frame, key=key(0), num_samples=10, root="candidates").num_draws == 0
     )

@@ -10,6 +10,7 @@ import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
+from poseterior.inference.drawers import drawer
 
 from poseterior import inference
 from poseterior.inference import (
@@ -21,7 +22,7 @@ from poseterior.inference import (
     store,
     stream,
 )
-from poseterior.probmodel import Anatomy, BadInput, Likelihood, PoseModel
+from poseterior.probmodel import Anatomy, BadInput, Lens, Likelihood, PoseModel
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from poseterior.probmodel.root_priors import CANDIDATES
 from tests.scenes import key, prior_scene
@@ -135,6 +136,41 @@ def test_composed_hypotheses_of_a_frame_are_those_of_its_result(model, items, tm
     assert found.draw.values.tolist() == [one.draw for one in chosen]
     with pytest.raises(BadInput, match="composed"):
         sample_frames(model, items[:2], key=key(0), out=tmp_path, **SETTINGS)
+
+
+# --- where people stand
+
+
+@pytest.mark.slow
+def test_who_stands_in_place_is_seen_where_the_draws_are(items, tmp_path):
+    """Through a pinhole, from its definition: x and y over depth, times the focal length."""
+    import jax
+
+    centre = np.array([300.0, 200.0])
+    model = PoseModel.from_anatomy(Anatomy.embedded("wide"), lens=Lens(900.0, centre))
+    options = SETTINGS | {"root": "uncertain", "num_roots": 60}
+    sample_frames(model, items[:1], key=key(0), out=tmp_path, **options)
+    draw = drawer(model, root="uncertain", num_samples=SETTINGS["num_samples"], num_roots=60)
+    draws = draw(items[0].frame, jax.random.fold_in(key(0), 0))
+    tree = open_stream(tmp_path)
+    chosen = tree["hypotheses"].isel(frame=0)
+    standing = chosen.joints.values + chosen.place.values[:, None]
+    seen = centre + 900.0 * standing[..., :2] / standing[..., 2:]
+    own = draws.keypoints[chosen.draw.values]
+    assert seen == pytest.approx(own, abs=1e-6 * np.ptp(own))
+    scale = np.asarray(draws.scale)
+    assert tree["summary"].place.values[0, 2] == pytest.approx((900.0 / scale).mean())
+    assert tree["summary"].place_sd.values[0, 2] == pytest.approx((900.0 / scale).std())
+    half = chosen.joints.values + 0.5 * chosen.place.values[:, None]
+    wrong = centre + 900.0 * half[..., :2] / half[..., 2:]
+    assert np.abs(wrong - own).max() > 0.01 * np.ptp(own)
+
+
+def test_without_a_focal_length_nobody_stands_anywhere(model, items, tmp_path):
+    sample_frames(model, items[:1], key=key(0), out=tmp_path, **SETTINGS)
+    tree = open_stream(tmp_path)
+    assert np.isnan(tree["summary"].place.values).all()
+    assert np.isnan(tree["hypotheses"].place.values).all()
 
 
 # --- an uncertain root

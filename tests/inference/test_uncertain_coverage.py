@@ -158,7 +158,10 @@ def test_draws_are_as_many_as_are_independent() -> None:
 
 
 def test_a_sampler_under_fixed_roots_is_refused() -> None:
-    with pytest.raises(BadInput, match="no sampler 'emcee' draws torso and camera; choose"):
+    with pytest.raises(
+        BadInput,
+        match="there is no exact sampler 'emcee' of many detections; choose one of weighted-roots",
+    ):
         calibrate(model(), "emcee", root="uncertain", num_simulations=1)
     with pytest.raises(BadInput, match="there is no root 'free'"):
         cover(model(), [cases()[0]], root="free")
@@ -215,7 +218,7 @@ def test_a_torso_that_is_detected_elsewhere_excludes_the_truth() -> None:
         found = cover(model(), [moved], sampler=nobody, root=root)["simulation"].reasons
         return [one for one in from_text(found.values[0]) if one.broken.part == "left_hip"]
 
-    assert reasons("fixed") == []
+    assert reasons("candidates") == []
     assert [one.source for one in reasons("uncertain")] == [TAU]
 
 

@@ -1,4 +1,4 @@
-"""Weighted attempts at the limbs of many roots against exact attempts by strata, which share no
+"""Weighted proposals of the limbs of many roots against exact ones by strata, which share no
 proposal with them: evidences, and draws. False alarms: 4.5 standard errors, 7e-6 a number; seeds
 are fixed.
 """
@@ -9,17 +9,21 @@ import functools
 import numpy as np
 import pytest
 
-from poseterior.inference.exact.groups import attempt_group, group_tables, plan_group
+from poseterior.inference.exact.groups import draw_group, group_tables, plan_group
 from poseterior.inference.exact.loops.pairs import combine_rows
 from poseterior.inference.exact.loops.seeds import seeded
 from poseterior.inference.exact.loops.strata import Resolution
-from poseterior.inference.exact.loops.tables import FOUND, OPTICS, blank_bodies
+from poseterior.inference.exact.loops.tables import (
+    ACCEPTED,
+    SIGHT_FRAMES,
+    AcceptedRows,
+    blank_bodies,
+)
 from poseterior.inference.exact.problem import limb_problems, log_ratio_of
 from poseterior.inference.importance.limbs import (
     LIMBS,
-    Sight,
+    frames_of,
     outliers_of,
-    sights_of,
     views_of,
     weigh_group,
 )
@@ -63,7 +67,7 @@ def by_strata(model, observation, name):
     tables, limbs = group_tables(model)[name], limb_problems(observation)[name]
     plan = plan_group(tables, limbs, Resolution(4, 3, 1))
     rng, order = np.random.default_rng(5), list(range(len(limbs)))
-    bodies, _ = attempt_group(plan, tables, limbs, order, rng, seeded([6], 0), ATTEMPTS)
+    bodies, _ = draw_group(plan, tables, limbs, order, rng, seeded([6], 0), proposals=ATTEMPTS)
     draws = GroupDraws(bodies.length[:, : len(tables.lengths)], bodies.upper, bodies.lower)
     log_ratio = log_ratio_of(model, observation, GROUPS[name])
     ratio = np.ones(len(draws.length)) if log_ratio is None else np.exp(log_ratio(draws))
@@ -72,11 +76,11 @@ def by_strata(model, observation, name):
     return mean, np.sqrt(((values**2).sum(axis=0) / ATTEMPTS - mean**2) / ATTEMPTS)
 
 
-def by_weights(tables, sights, law, size):
+def by_weights(tables, limbs, law, size):
     """The same `(size,)` by weighted attempts, over and over again under one root."""
-    repeated = [Sight(*(np.repeat(part, REPEATED, axis=0) for part in one)) for one in sights]
+    repeated = [np.repeat(frames, REPEATED, axis=0) for frames in limbs]
     states = np.array([seeded([7], row) for row in range(REPEATED)])
-    found = weigh_group(tables, repeated, law, states, 16, 16)
+    found = weigh_group(tables, repeated, law, states, (16, 16))
     values = np.zeros((REPEATED, size))
     for row, one in enumerate(found):
         if len(one.draws.length):
@@ -91,7 +95,7 @@ def off(model, frame, law, outlier=False):
     posterior, faults = frame.posterior(model), Faults.none(ROOTS)
     faults.outlier[:, WRIST] = outlier
     points = likely_roots(model, frame)
-    sights = sights_of(views_of(posterior, points, faults), outliers_of(posterior, faults))
+    limbs = frames_of(views_of(posterior, points, faults), outliers_of(posterior, faults))
     worst, relative = np.zeros(2), []
     for row in range(ROOTS):
         observation = posterior.detected.under(
@@ -99,8 +103,8 @@ def off(model, frame, law, outlier=False):
         )
         for name, tables in group_tables(model).items():
             own = [
-                Sight(*(part[row : row + 1] for part in sight))
-                for sight, limb in zip(sights, LIMBS, strict=True)
+                frames[row : row + 1]
+                for frames, limb in zip(limbs, LIMBS, strict=True)
                 if limb in GROUPS[name]
             ]
             known, error = by_strata(model, observation, name)
@@ -112,7 +116,7 @@ def off(model, frame, law, outlier=False):
     return worst, np.array(relative)
 
 
-def test_weighted_attempts_have_the_evidence_and_draws_of_exact_ones():
+def test_weighted_proposals_have_the_evidence_and_draws_of_exact_ones():
     worst, relative = off(*scene(), Likelihood().law)
     assert (worst < 4.5).all()
     assert np.median(relative) < 0.05
@@ -152,12 +156,11 @@ def test_where_everything_is_within_reach_the_prior_comes_back(upper):
         reach = np.full((REPEATED, 2), 20.0)
         reach[:, 1] = 20.0 if two == 2 else np.inf
         turn = np.linalg.qr(np.arange(9).reshape(3, 3) ** 2 + 1.0)[0]
-        frame, optics = np.tile(turn, (REPEATED, 2, 1, 1)), np.zeros((REPEATED, 2), OPTICS)
-        optics["start"], optics["stretch"] = 1.0, [1.0, 0.0, 1.0]
-        none = np.zeros((REPEATED, 2, 2))
-        sight = Sight(frame, none, reach, reach, optics, np.zeros((REPEATED, 2), bool))
+        frames = np.zeros((REPEATED, 2), SIGHT_FRAMES)
+        frames["axes"], frames["start"], frames["stretch"] = turn, 1.0, [1.0, 0.0, 1.0]
+        frames["reach"] = frames["spread"] = reach
         states = np.array([seeded([8, limbs], row) for row in range(REPEATED)])
-        found = weigh_group(tables, [sight] * limbs, Likelihood().law, states, 16, 16)
+        found = weigh_group(tables, [frames] * limbs, Likelihood().law, states, (16, 16))
         evidence = np.exp([one.log_evidence for one in found])
         error = evidence.std(ddof=1) / np.sqrt(REPEATED)
         cells = tables.builds[0].cells["mass"].reshape(120, 60)
@@ -170,17 +173,18 @@ def test_where_everything_is_within_reach_the_prior_comes_back(upper):
         assert abs(share.mean() - known) < 4.5 * max(error, 1e-4)
 
 
-def test_pairs_of_attempts_share_their_lengths():
+def test_pairs_of_proposals_share_their_lengths():
     """Evidence and pairs by hand: the mean over lengths of products, not the product of means."""
-    first, second = np.zeros(3, FOUND), np.zeros(3, FOUND)
-    first["trial"], first["weight"] = [0, 0, 1], [1.0, 3.0, 2.0]
-    second["trial"], second["weight"] = [1, 1, 2], [5.0, 1.0, 7.0]
+    first, second = np.zeros(3, ACCEPTED), np.zeros(3, ACCEPTED)
+    first["draw"], first["weight"] = [0, 0, 1], [1.0, 3.0, 2.0]
+    second["draw"], second["weight"] = [1, 1, 2], [5.0, 1.0, 7.0]
     for found in (first, second):
-        found["upper"] = np.arange(3)[:, None]  # the attempt's number
+        found["upper"] = np.arange(3)[:, None]  # the proposal's number
         found["lower"] = -found["upper"]
-    evidence, ends, lengths = np.zeros(1), np.array([3]), np.arange(6.0).reshape(2, 1, 3)
+    ends, lengths = np.array([3]), np.arange(6.0).reshape(2, 1, 3)
+    one, two = AcceptedRows(first, ends), AcceptedRows(second, ends)
     draws = blank_bodies(600, 2)
-    combine_rows(seeded([9], 0)[None], first, ends, second, ends, lengths, 4, evidence, draws)
+    evidence = combine_rows(seeded([9], 0)[None], one, two, lengths, 4, draws)
     assert evidence[0] == pytest.approx(2.0 * 6.0 / (3 * 4**2))
     length, upper, lower = draws
     assert (length == [1, 4]).all()

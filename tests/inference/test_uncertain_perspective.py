@@ -172,13 +172,13 @@ def test_what_perspective_does_is_missed(monkeypatch: pytest.MonkeyPatch) -> Non
         return apart(weigh_roots(frame.posterior(seen_by), key=key(3), num_roots=1500), brute)
 
     assert off(model.seen_by(None))[1] > 12
-    right = limbs.see_rows
+    right = limbs.line_of_sight_frames
 
     def without(place: int) -> None:
         def wrong(*given: np.ndarray) -> None:
             right(*given[:place], given[place] * 0, *given[place + 1 :])
 
-        monkeypatch.setattr(limbs, "see_rows", wrong)
+        monkeypatch.setattr(limbs, "line_of_sight_frames", wrong)
 
     without(3)  # rays
     assert off()[1] > 12

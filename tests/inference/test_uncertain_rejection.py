@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from poseterior.inference.importance.routes import ROUTES
 
 from poseterior import inference
 from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.importance import rejection, weighted
-from poseterior.inference.importance.patterns import prior_share, strata_of
+from poseterior.inference.importance.fault_patterns import fault_patterns, prior_share
 from poseterior.inference.importance.rejection import RejectedRoots, reject_roots, verdict
 from poseterior.inference.importance.weighted import log_mean
-from poseterior.inference.studies.comparison import compare_routes
+from poseterior.inference.sampler import REJECTION, WEIGHTED
+from poseterior.inference.studies.comparison import compare
 from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
 from poseterior.inference.studies.comparison.sample import NAMES, ROOT_NAMES
 from poseterior.probmodel import BadInput
@@ -122,7 +122,7 @@ def test_the_same_key_the_same_draws() -> None:
 def test_the_shares_of_all_strata_are_one() -> None:
     model, frame = faulty.small_case()
     posterior = frame.posterior(model)
-    total = sum(prior_share(posterior, stratum) for stratum in strata_of(posterior))
+    total = sum(prior_share(posterior, stratum) for stratum in fault_patterns(posterior))
     assert total == pytest.approx(1, abs=1e-9)
 
 
@@ -176,7 +176,7 @@ def test_what_makes_no_sense_is_refused(settings: dict[str, int], words: str) ->
             "smc",
             "draws torso and camera; choose weighted-roots, rejection, emcee",
         ),
-        ("fixed", "weighted-roots", "weighted-roots needs torso and camera uncertain"),
+        ("candidates", "weighted-roots", "weighted-roots needs torso and camera uncertain"),
     ],
 )
 def test_samplers_and_roots_that_do_not_go_together(root: str, sampler: str, words: str) -> None:
@@ -192,7 +192,7 @@ def test_the_judge_holds_both_routes_against_rejection(
     """Both agree, whose chance is 0.99 each; weights without the scale's factors are caught."""
     model, frame = sound.small_case()
     settings = {"num_samples": 600, "exact_draws": 600, "num_roots": 3000}
-    found = compare_routes(model, frame, ROUTES, seed=1, out=tmp_path, **settings)
+    found = compare(model, frame, (WEIGHTED, REJECTION), seed=1, out=tmp_path, **settings)
     assert [entry.verdict for entry in found.entries] == [AGREES, AGREES]
     assert list(found.tree["draws"].coordinate.values) == [*NAMES, *ROOT_NAMES]
     assert (tmp_path / "comparison.nc").exists()
@@ -202,11 +202,11 @@ def test_the_judge_holds_both_routes_against_rejection(
         return right(posterior, points, faults, limbs) + 2 * len(sound.SEEN) * points.log_scale
 
     monkeypatch.setattr(weighted, "log_limbs", wrong)
-    caught = compare_routes(model, frame, seed=2, **settings)
+    caught = compare(model, frame, seed=2, **settings)
     assert caught.entries[0].verdict == DIFFERS
 
 
 def test_there_is_no_contest_without_a_route() -> None:
     model, frame = sound.small_case()
     with pytest.raises(BadInput, match="there is no sampler; choose from weighted-roots"):
-        compare_routes(model, frame, [])
+        compare(model, frame, [])

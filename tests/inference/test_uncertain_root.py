@@ -22,18 +22,18 @@ from poseterior.inference.draws import OUT_OF_BUDGET
 from poseterior.inference.exact.loops.roots import (
     TILTS,
     WIDTH,
-    TorsoProblem,
-    attempt_roots,
-    cut_roots,
-    root_table,
+    TorsoJoints,
+    disc_cells,
+    propose_by_discs,
 )
 from poseterior.inference.exact.loops.seeds import seeded
+from poseterior.inference.exact.loops.tables import ROOTS
 from poseterior.inference.exact.rates import Budget
-from poseterior.inference.importance import proposals, weighted
-from poseterior.inference.importance.attempts import TorsoDraws, draw_roots
+from poseterior.inference.importance import two_stage, weighted
 from poseterior.inference.importance.limbs import log_evidence, picks
-from poseterior.inference.importance.proposals import ProposedRoots
+from poseterior.inference.importance.torso_proposals import TorsoDraws, draw_roots
 from poseterior.inference.importance.torsos import lowest_scale, rotations_of, torso_problem
+from poseterior.inference.importance.two_stage import ProposedRoots
 from poseterior.inference.importance.weighted import (
     WeightedRoots,
     log_mean,
@@ -193,7 +193,7 @@ def as_they_come() -> WeightedRoots:
     """Roots that no promise chose: those that promises choose have even weights under the right
     posterior, and few effective ones under a wrong one."""
     model, frame = small_case()
-    with mock.patch.object(proposals, "LOOKS", (1, 1)):
+    with mock.patch.object(two_stage, "OVERSAMPLING", (1, 1)):
         return weigh_roots(frame.posterior(model), key=key(3), num_roots=3000)
 
 
@@ -306,7 +306,7 @@ def test_a_root_needs_enough_of_the_torso():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"root": "maybe"}, "there is no root 'maybe'; choose one of fixed, uncertain"),
+        ({"root": "maybe"}, "there is no root 'maybe'; choose one of uncertain, candidates"),
         ({"root": "uncertain", "num_roots": 0}, "number of roots must lie between 1 and 100,000"),
         ({"root": "uncertain", "num_samples": 0}, "number of samples must be at least 1"),
         ({"root": "uncertain", "sampler": "smc"}, "no sampler 'smc' draws torso and camera"),
@@ -459,7 +459,7 @@ def test_the_program_is_the_log_joint():
 def plain_roots(posterior, number: int, seed: int) -> tuple[np.ndarray, ...]:
     """Roots that explain the torso, by SciPy's rotations and a translation anywhere in the first
     joint's disc: torsos, rotations, inverse scales in units of the problem's."""
-    problem, rng = torso_problem(posterior, Faults.none()).problem, np.random.default_rng(seed)
+    problem, rng = torso_problem(posterior, Faults.none()).joints, np.random.default_rng(seed)
     torso = rng.integers(len(problem.torsos), size=number)
     rotation = Rotation.random(number, rng=rng).as_matrix()
     inverse = rng.uniform(0.4, 1.0, number)
@@ -474,7 +474,7 @@ def plain_roots(posterior, number: int, seed: int) -> tuple[np.ndarray, ...]:
 
 def left_out(problem, torso, rotation, inverse) -> float:
     """The share of roots that the cells do not hold."""
-    cells, _ = cut_roots(problem)
+    cells, _ = disc_cells(problem)
     roll, tilt, yaw = np.moveaxis(Rotation.from_matrix(rotation).as_euler("ZYZ"), -1, 0)
     turn = 2 * TILTS
     roll, yaw = ((angle % (2 * np.pi) // WIDTH).astype(int) % turn for angle in (roll, yaw))
@@ -485,43 +485,44 @@ def left_out(problem, torso, rotation, inverse) -> float:
 
 
 def test_rotations_of_roots_are_those_of_their_angles():
-    table = root_table(1000)
-    table.angles[:] = np.random.default_rng(0).uniform(size=(1000, 3)) * [
+    roots = np.zeros(1000, ROOTS)
+    roots["angles"] = np.random.default_rng(0).uniform(size=(1000, 3)) * [
         2 * np.pi,
         np.pi,
         2 * np.pi,
     ]
-    known = Rotation.from_euler("ZYZ", table.angles).as_matrix()
-    assert np.allclose(rotations_of(table), known, rtol=0, atol=1e-14)
-    assert rotations_of(root_table(0)).shape == (0, 3, 3)
+    known = Rotation.from_euler("ZYZ", roots["angles"]).as_matrix()
+    assert np.allclose(rotations_of(roots), known, rtol=0, atol=1e-14)
+    assert rotations_of(np.zeros(0, ROOTS)).shape == (0, 3, 3)
 
 
-def test_attempts_at_a_root_are_draws_of_its_prior():
-    """Discs so wide that every attempt passes: roll, cosine of the tilt (inside its cell too), yaw,
-    the inverse scale to its power and the place in the first disc are uniform (Kolmogorov–Smirnov),
-    torsos equally often; all cells together have the prior's mass; an attempt takes seven random
-    numbers: the cell, three angles, the scale and two for the place. False alarm 1e-3 over all."""
+def test_proposals_of_a_root_are_draws_of_its_prior():
+    """Discs so wide that every proposal passes: roll, cosine of the tilt (inside its cell too),
+    yaw, the inverse scale to its power and the place in the first disc are uniform
+    (Kolmogorov–Smirnov), torsos equally often; all cells together have the prior's
+    mass; a proposal takes seven random numbers: the cell, three angles, the scale and two for
+    the place. False alarm 1e-3 over all."""
     rng, number, power = np.random.default_rng(0), 20_000, 6.0
     torsos, reach = rng.normal(size=(2, 3, 3)), np.array([2.0, 50.0, 50.0])
     keypoints = rng.normal(size=(3, 2))
     none = np.zeros((3, 2))
-    problem = TorsoProblem(torsos, keypoints, none, reach, np.zeros(3), none, power)
-    (cells, mass), table, state = cut_roots(problem), root_table(number), seeded([1], 1)
+    problem = TorsoJoints(torsos, keypoints, none, reach, np.zeros(3), none, power)
+    (cells, mass), roots, state = disc_cells(problem), np.zeros(number, ROOTS), seeded([1], 1)
     assert mass == pytest.approx(math.pi * reach[0] ** 2 / power)
     before = int(state[3])
-    assert attempt_roots(state, number, problem, cells, table) == (number, number)
+    assert propose_by_discs(state, number, problem, cells, roots) == (number, number)
     assert int(state[3]) - before == 7 * number
-    first = np.einsum("nij,nj->ni", rotations_of(table)[:, :2], torsos[table.torso, 0])
-    offset = first + table.plane - keypoints[0] * table.inverse[:, None]
-    roll, tilt, yaw = table.angles.T
+    first = np.einsum("nij,nj->ni", rotations_of(roots)[:, :2], torsos[roots["torso"], 0])
+    offset = first + roots["plane"] - keypoints[0] * roots["inverse"][:, None]
+    roll, tilt, yaw = roots["angles"].T
     uniform = [roll / (2 * np.pi), (1 - np.cos(tilt)) / 2, yaw / (2 * np.pi)]
-    uniform += [table.inverse**power, np.sum(offset**2, axis=1) / reach[0] ** 2]
+    uniform += [roots["inverse"] ** power, np.sum(offset**2, axis=1) / reach[0] ** 2]
     uniform += [np.arctan2(*offset.T) / (2 * np.pi) + 0.5]
     half = tilt[tilt < np.pi / 2]  # beyond, the cosine bends the other way
     above = np.cos(half // WIDTH * WIDTH)
     uniform += [(above - np.cos(half)) / (above - np.cos((half // WIDTH + 1) * WIDTH))]
     p_values = [stats.kstest(column, "uniform").pvalue for column in uniform]
-    p_values.append(stats.binomtest(int(table.torso.sum()), number).pvalue)
+    p_values.append(stats.binomtest(int(roots["torso"].sum()), number).pvalue)
     assert min(p_values) * len(p_values) > 1e-3
 
 
@@ -549,9 +550,10 @@ def test_no_root_goes_below_the_lowest_scale():
     torsos = np.array([[[0.0, 0.0, 0.0], [0.6, 0.0, 0.8], [0.0, 5.0, 0.0]]])
     keypoints, reach = np.array([[0.0, 0.0], [34.0, 0.0], [0.0, 1.0]]), np.array([0.2, 0.5, 0.2])
     none = np.zeros((3, 2))
-    assert lowest_scale(torsos, keypoints, none, reach, none) == pytest.approx(20.0)
+    joints = TorsoJoints(torsos, keypoints, none, reach, np.zeros(3), none, 4.0)
+    assert lowest_scale(joints) == pytest.approx(20.0)
     aside = np.array([[0.0, 0.3], [0.0, 0.0], [0.0, 0.0]])
-    assert lowest_scale(torsos, keypoints, aside, reach, none) == pytest.approx(17.0)
+    assert lowest_scale(joints._replace(bias=aside)) == pytest.approx(17.0)
 
 
 def test_draws_of_a_root_are_taken_evenly():
@@ -622,7 +624,7 @@ def test_cells_hold_every_root_that_explains_the_torso():
     posterior = frame.posterior(PoseModel.paper())
     torso, rotation, inverse = plain_roots(posterior, 1_000_000, 2)
     assert len(torso) > 500
-    problem = torso_problem(posterior, Faults.none()).problem
+    problem = torso_problem(posterior, Faults.none()).joints
     assert left_out(problem, torso, rotation, inverse) == 0
     smaller = problem._replace(reach=problem.reach / 1.5)
     assert left_out(smaller, torso, rotation, inverse) > 0

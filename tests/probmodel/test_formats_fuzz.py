@@ -5,8 +5,10 @@ import csv
 import io
 import json
 import pickle
+import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import h5py
 import numpy as np
@@ -22,6 +24,7 @@ from poseterior.probmodel.layouts import (
     COCO_18,
     H36M_17,
     HALPE_26,
+    HALPE_136,
     MEDIAPIPE_33,
     MPII_16,
     Layout,
@@ -290,100 +293,283 @@ def vision(names: dict[str, str]) -> dict[str, object]:
     }
 
 
-FILES: dict[str, list[bytes]] = {
-    "movenet": [npy(movenet(1)), npy(movenet(2)), npy(np.stack([movenet(1)] * 2))],
-    "freemocap": [npy(freemocap()), npy(freemocap()[..., :2].astype("f4"))],
-    "sleap": [hdf5(sleap), hdf5(lambda file: sleap(file, dims=False))],
-    "rtmlib": [
-        npz(keypoints=points(layout)[None, :, :2], scores=points(layout)[None, :, 2])
-        for layout in (COCO_17, HALPE_26)
-    ],
-    "mpii": [json.dumps([mpii(), mpii()]).encode()],
-    "instances": [
-        json.dumps([{"bbox": [0, 0, 9, 9, 1], "keypoints": points(COCO_17).tolist()}] * 2).encode(),
-        json.dumps(vitpose()).encode(),
-        json.dumps(
+def semicolons(text: str) -> str:
+    """A table as a European spreadsheet writes it."""
+    return text.replace(",", ";").replace(".", ",")
+
+
+def tabs(text: str) -> str:
+    return text.replace(",", "\t")
+
+
+def envelope(layout: Layout, **more: object) -> dict[str, object]:
+    """OpenPose's, of two people in any order."""
+    return {**openpose(*[points(layout).ravel().tolist()] * 2), **more}
+
+
+CANVAS = {"canvas_width": SIZE[0], "canvas_height": SIZE[1]}
+
+
+def flat_record(layout: Layout) -> dict[str, object]:
+    return {"keypoints": points(layout).ravel().tolist(), "score": 2.9, "category_id": 1}
+
+
+def mlkit() -> dict[str, object]:
+    rows = zip(COCO_17.points, points(COCO_17), strict=True)
+    return {
+        "landmarks": [
             {
-                "keypoints": [points(HALPE_26)[:, :2].tolist()] * 2,
-                "scores": [points(HALPE_26)[:, 2].tolist()] * 2,
+                "type": name.upper(),
+                "position": {"x": x, "y": y, "z": 0.0},
+                "inFrameLikelihood": score,
             }
-        ).encode(),
-        json.dumps({"scores": [0.99], "pred_keypoints": [points(COCO_17, 0.2).tolist()]}).encode(),
-    ],
-    "tensorflow.js": [
-        json.dumps([listed_points(COCO_17)] * 2).encode(),
-        json.dumps([listed_points(MEDIAPIPE_33, SIZE)]).encode(),
-    ],
-    "vision": [
-        json.dumps(vision(VISION)).encode(),
-        json.dumps([{"joints": vision(SWIFT)}, {"joints": vision(SWIFT)}]).encode(),
-    ],
-    "poseterior": [
-        json.dumps(native_with(image_id="a", image_size=[9, 9], face={"nose": [1, 2, 1]})).encode()
-    ],
-    "openpose": [
-        json.dumps(openpose(*[flat(layout.points)] * 2)).encode()
-        for layout in (BODY_25, BODY_25B, COCO_18)
-    ],
-    "coco-annotations": [json.dumps(annotations({"keypoints": flat(COCO_17.points, 2)})).encode()],
-    "coco-results": [
-        json.dumps(results(*[points(layout).ravel().tolist()] * 2)).encode()
-        for layout in (COCO_17, HALPE_26, MPII_16)
-    ],
-    "alphapose": [
-        json.dumps(
-            {"1.jpg": {"version": "0.3", "people": [{"pose_keypoints_2d": flat(COCO_18.points)}]}}
-        ).encode(),
-        json.dumps(
-            {"1.jpg": {"version": "0.3", "bodies": [{"joints": flat(COCO_18.points)}] * 2}}
-        ).encode(),
-    ],
-    "mmpose": [
-        json.dumps([mmpose_instance(COCO_17)]).encode(),
-        json.dumps(mmpose(H36M_17, dataset_name="h36m")).encode(),
-        json.dumps(
-            mmpose(
-                COCO_18, keypoint_id2name={str(i): name for i, name in enumerate(COCO_18.points)}
+            for name, (x, y, score) in rows
+        ]
+    }
+
+
+def posenet() -> dict[str, object]:
+    """One pose of the older TensorFlow.js."""
+    rows = zip(COCO_17.points, points(COCO_17), strict=True)
+    camel = {name: re.sub("_(.)", lambda m: m[1].upper(), name) for name in COCO_17.points}
+    listed = [
+        {"part": camel[name], "position": {"x": x, "y": y}, "score": score}
+        for name, (x, y, score) in rows
+    ]
+    return {"score": 0.9, "keypoints": listed}
+
+
+def easy_vitpose() -> dict[str, object]:
+    rows = points(COCO_17)[:, [1, 0, 2]].tolist()
+    return {
+        "keypoints": [{"0": rows}, {"0": rows, "3": rows}],
+        "skeleton": {str(i): name for i, name in enumerate(COCO_17.points)},
+    }
+
+
+def st_gcn() -> dict[str, object]:
+    rows = points(COCO_18)
+    person = {"pose": (rows[:, :2] / SIZE).ravel().tolist(), "score": rows[:, 2].tolist()}
+    return {"data": [{"frame_index": 1, "skeleton": [person, person]}], "label": "walking"}
+
+
+def opencv(layout: Layout = BODY_25) -> str:
+    numbers = ", ".join(f"{number:e}" for number in points(layout).ravel())
+    return (
+        f"%YAML:1.0\n---\npose_0:\n   sizes: [ 1, {layout.count}, 3 ]\n"
+        f"   type_id: opencv-nd-matrix\n   dt: f\n   data: [ {numbers} ]\n"
+    )
+
+
+def opencv_json(layout: Layout = COCO_18) -> str:
+    data = points(layout).ravel().tolist()
+    array = {"type_id": "opencv-nd-matrix", "sizes": [1, layout.count, 3], "dt": "f", "data": data}
+    return json.dumps({"pose_0": array})
+
+
+def opencv_xml(layout: Layout = BODY_25) -> str:
+    numbers = " ".join(f"{number:g}" for number in points(layout).ravel())
+    return (
+        '<?xml version="1.0"?>\n<opencv_storage>\n<pose_0 type_id="opencv-nd-matrix">\n'
+        f"  <sizes>\n    1 {layout.count} 3</sizes>\n  <dt>f</dt>\n  <data>\n"
+        f"    {numbers}</data></pose_0>\n</opencv_storage>\n"
+    )
+
+
+def pixel_trc(layout: Layout = HALPE_26) -> str:
+    """Sports2D's, whose y counts upwards."""
+    lines = [
+        "PathFileType\t4\t(X/Y/Z)\ta.trc",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
+    ]
+    lines += [f"30\t30\t2\t{layout.count}\tpx", "Frame#\tTime\t" + "\t\t\t".join(layout.points)]
+    lines += ["\t\tX1\tY1\tZ1", ""]
+    cells = "\t".join(f"{x:g}\t{-y:g}\t0.0" for x, y, _ in points(layout))
+    return "\n".join([*lines, f"1\t0.0\t{cells}", f"2\t0.033\t{cells}"]) + "\n"
+
+
+def by_name(*, scored: bool) -> dict[str, object]:
+    rows = zip(COCO_17.points, points(COCO_17), strict=True)
+    return {name: row[: 2 + scored].tolist() for name, row in rows}
+
+
+def files() -> dict[str, list[bytes]]:
+    """Undamaged files of `STANDING` as it is, by the name of their format."""
+    return {
+        "trc": [pixel_trc().encode()],
+        "opencv": [
+            text.encode() for text in (opencv(), opencv(COCO_18), opencv_json(), opencv_xml())
+        ],
+        "easy-vitpose": [json.dumps(easy_vitpose()).encode()],
+        "st-gcn": [json.dumps(st_gcn()).encode()],
+        "named-points": [
+            json.dumps(by_name(scored=False)).encode(),
+            json.dumps([by_name(scored=True)] * 2).encode(),
+            json.dumps({"a.jpg": by_name(scored=True)}).encode(),
+        ],
+        "movenet": [npy(movenet(1)), npy(movenet(2)), npy(np.stack([movenet(1)] * 2))],
+        "freemocap": [npy(freemocap()), npy(freemocap()[..., :2].astype("f4"))],
+        "sleap": [hdf5(sleap), hdf5(lambda file: sleap(file, dims=False))],
+        "rtmlib": [
+            npz(keypoints=points(layout)[None, :, :2], scores=points(layout)[None, :, 2])
+            for layout in (COCO_17, HALPE_26)
+        ],
+        "mpii": [json.dumps([mpii(), mpii()]).encode()],
+        "instances": [
+            json.dumps(
+                [{"bbox": [0, 0, 9, 9, 1], "keypoints": points(COCO_17).tolist()}] * 2
+            ).encode(),
+            json.dumps(vitpose()).encode(),
+            json.dumps(
+                {
+                    "keypoints": [points(HALPE_26)[:, :2].tolist()] * 2,
+                    "scores": [points(HALPE_26)[:, 2].tolist()] * 2,
+                }
+            ).encode(),
+            json.dumps(
+                {"scores": [0.99], "pred_keypoints": [points(COCO_17, 0.2).tolist()]}
+            ).encode(),
+            json.dumps({"image": "a.jpg", "keypoints": points(COCO_17)[:, :2].tolist()}).encode(),
+            json.dumps(
+                {
+                    "filename": "a.jpg",
+                    "width": SIZE[0],
+                    "height": SIZE[1],
+                    "annots": [{"personID": 0, "keypoints": points(BODY_25).tolist()}],
+                }
+            ).encode(),
+        ],
+        "tensorflow.js": [
+            json.dumps([listed_points(COCO_17)] * 2).encode(),
+            json.dumps([listed_points(MEDIAPIPE_33, SIZE)]).encode(),
+            json.dumps([mlkit()] * 2).encode(),
+            json.dumps(posenet()).encode(),
+        ],
+        "vision": [
+            json.dumps(vision(VISION)).encode(),
+            json.dumps([{"joints": vision(SWIFT)}, {"joints": vision(SWIFT)}]).encode(),
+        ],
+        "poseterior": [
+            json.dumps(
+                native_with(image_id="a", image_size=[9, 9], face={"nose": [1, 2, 1]})
+            ).encode()
+        ],
+        "openpose": [
+            json.dumps(one).encode()
+            for one in (
+                envelope(BODY_25),
+                envelope(BODY_25B),
+                envelope(COCO_18),
+                envelope(COCO_17),
+                envelope(HALPE_26),
+                [envelope(COCO_18, **CANVAS)] * 2,
+                {"bodies": [{"joints": flat(COCO_18.points)}]},
+                openpose([points(COCO_18)[:, 1::-1].ravel().tolist()]),
             )
-        ).encode(),
-    ],
-    "mediapipe": [
-        json.dumps(landmarks()).encode(),
-        json.dumps([landmarks(), landmarks(visibility=4.0)]).encode(),
-        json.dumps({"pose_landmarks": [landmarks()]}).encode(),
-    ],
-    "mediapipe-text": [landmark_text().encode()],
-    "mediapipe-csv": [long_landmarks().encode(), wide_landmarks().encode()],
-    "csv": [named_columns().encode(), named_columns(score="").encode()],
-    "ultralytics-text": [
-        yolo_text(3).encode(),
-        (yolo_text(3, 0.9) + yolo_text(3, 0.8)).encode(),
-        yolo_text(2, 0.9, 4).encode(),
-    ],
-    "ultralytics": [
-        json.dumps([yolo(), yolo(track_id=4)]).encode(),
-        json.dumps([yolo(SIZE)]).encode(),
-    ],
-    "deeplabcut-csv": [
-        table(deeplabcut_rows()).encode(),
-        table(deeplabcut_rows(("ann", "bob"))).encode(),
-    ],
-    "deeplabcut-hdf5": [hdf5(deeplabcut_fixed), hdf5(deeplabcut_table)],
-    "videopose3d": [npz(**{"S1/Walking/0": points(H36M_17)[None, :, :2].repeat(2, 0)})],
-    "heatmaps": [
-        npy(blobs().astype("f4")),
-        npz(heatmaps=blobs(COCO_17)[None].astype("f4"), box=BOX),
-        hdf5(
-            lambda file: file.create_dataset(
-                "heatmaps", data=blobs()[None].astype("f4"), compression="gzip"
-            )
-        ),
-    ],
-    "hourglass": [
-        hdf5(lambda file: file.create_dataset("preds", data=points(MPII_16)[None, :, :2]))
-    ],
-}
+        ],
+        "coco-annotations": [
+            json.dumps(annotations({"keypoints": flat(COCO_17.points, 2)})).encode(),
+            json.dumps(
+                annotations(
+                    {"keypoints": points(HALPE_136, 2).ravel().tolist()},
+                    categories=[{"id": 1, "name": "person", "keypoints": []}],
+                )
+            ).encode(),
+        ],
+        "coco-results": [
+            *(
+                json.dumps(results(*[points(layout).ravel().tolist()] * 2)).encode()
+                for layout in (COCO_17, HALPE_26, MPII_16)
+            ),
+            json.dumps([flat_record(COCO_17)] * 2).encode(),
+        ],
+        "alphapose": [
+            json.dumps(
+                {
+                    "1.jpg": {
+                        "version": "0.3",
+                        "people": [{"pose_keypoints_2d": flat(COCO_18.points)}],
+                    }
+                }
+            ).encode(),
+            json.dumps(
+                {"1.jpg": {"version": "0.3", "bodies": [{"joints": flat(COCO_18.points)}] * 2}}
+            ).encode(),
+            json.dumps({"0.jpg": [flat_record(HALPE_26)], "1.jpg": []}).encode(),
+        ],
+        "mmpose": [
+            json.dumps([mmpose_instance(COCO_17)]).encode(),
+            json.dumps(mmpose(H36M_17, dataset_name="h36m")).encode(),
+            json.dumps(
+                mmpose(
+                    COCO_18,
+                    keypoint_id2name={str(i): name for i, name in enumerate(COCO_18.points)},
+                )
+            ).encode(),
+        ],
+        "mediapipe": [
+            json.dumps(landmarks()).encode(),
+            json.dumps([landmarks(), landmarks(visibility=4.0)]).encode(),
+            json.dumps({"pose_landmarks": [landmarks()]}).encode(),
+        ],
+        "mediapipe-text": [landmark_text().encode()],
+        "mediapipe-csv": [
+            long_landmarks().encode(),
+            wide_landmarks().encode(),
+            semicolons(wide_landmarks()).encode(),
+            tabs(long_landmarks()).encode(),
+        ],
+        "csv": [
+            named_columns().encode(),
+            named_columns(score="").encode(),
+            semicolons(named_columns()).encode(),
+            tabs(named_columns()).encode(),
+        ],
+        "ultralytics-text": [
+            yolo_text(3).encode(),
+            (yolo_text(3, 0.9) + yolo_text(3, 0.8)).encode(),
+            yolo_text(2, 0.9, 4).encode(),
+        ],
+        "ultralytics": [
+            json.dumps([yolo(), yolo(track_id=4)]).encode(),
+            json.dumps([yolo(SIZE)]).encode(),
+        ],
+        "deeplabcut-csv": [
+            table(deeplabcut_rows()).encode(),
+            table(deeplabcut_rows(("ann", "bob"))).encode(),
+            semicolons(table(deeplabcut_rows())).encode(),
+            tabs(table(deeplabcut_rows())).encode(),
+        ],
+        "deeplabcut-hdf5": [hdf5(deeplabcut_fixed), hdf5(deeplabcut_table)],
+        "videopose3d": [npz(**{"S1/Walking/0": points(H36M_17)[None, :, :2].repeat(2, 0)})],
+        "heatmaps": [
+            npy(blobs().astype("f4")),
+            npz(heatmaps=blobs(COCO_17)[None].astype("f4"), box=BOX),
+            hdf5(
+                lambda file: file.create_dataset(
+                    "heatmaps", data=blobs()[None].astype("f4"), compression="gzip"
+                )
+            ),
+        ],
+        "hourglass": [
+            hdf5(lambda file: file.create_dataset("preds", data=points(MPII_16)[None, :, :2]))
+        ],
+    }
+
+
+FILES = files()
 """Undamaged files, by the name of their format."""
+
+
+@contextmanager
+def standing(**places: tuple[float, float]) -> Iterator[None]:
+    """Meanwhile `STANDING` has some of its points elsewhere."""
+    before = dict(STANDING)
+    STANDING.update(places)
+    try:
+        yield
+    finally:
+        STANDING.update(before)
 
 
 class Bomb:

@@ -343,7 +343,7 @@ def test_amc_without_its_asf(tmp_path: Path) -> None:
     [
         (edit("HIERARCHY", "TREE"), "HIERARCHY"),
         (edit("MOTION", "MOVIE"), "MOTION section"),
-        (edit("JOINT LeftLeg", "JOINT LeftShank"), "lacks the joints LeftLeg;"),
+        (edit("JOINT LeftLeg", "JOINT LeftShank"), "no joint that is known as left_knee, but"),
         (edit("OFFSET 0 -4 0", "OFFSET 0 -4"), r"line \d+: 'OFFSET 0 -4'"),
         (edit("CHANNELS 3", "CHANNELS 4"), r"line \d+: 'CHANNELS 4"),
         (edit("Frames: 2", "Frames: 3"), "3 frames of 51 channels are announced, but 102 numbers"),

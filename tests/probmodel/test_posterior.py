@@ -51,8 +51,9 @@ def test_root_weights_by_hand(posterior) -> None:
 
 
 def test_where_no_root_fits_the_torso_says_nothing(posterior) -> None:
-    far = dataclasses.replace(posterior, roots=posterior.candidates[2:] * 2)
-    np.testing.assert_allclose(far.root_prior.log_weight, np.log([0.5, 0.5]))
+    far = Estimate(posterior.detection, posterior.candidates[2:] * 2)
+    weight = far.posterior(posterior.model, CANDIDATES).root_prior.log_weight
+    np.testing.assert_allclose(weight, np.log([0.5, 0.5]))
 
 
 def test_weights_are_root_weights_times_the_discs(posterior) -> None:
@@ -68,7 +69,8 @@ def test_the_program_is_the_mixture(posterior) -> None:
     NumPyro draws roots by their weights."""
     drawn = Predictive(posterior.model.prior, num_samples=1)(jax.random.key(0))
     pose = {name: drawn[name][0] for name in SITES}
-    wide = dataclasses.replace(posterior, likelihood=Likelihood(factor=30.0))
+    estimate = Estimate(posterior.detection, posterior.candidates, Likelihood(factor=30.0))
+    wide = estimate.posterior(posterior.model, CANDIDATES)
     for index in range(2):
         found, _ = log_density(wide.program, (), {}, pose | {"root": index})
         under = log_joint(wide.model, wide.observations[index], *pose.values())
@@ -121,5 +123,5 @@ def test_an_estimate_is_its_posterior_but_for_the_model(posterior) -> None:
     estimate = Estimate(posterior.detection, (one,), Likelihood(), "somebody")
     again = estimate.posterior(posterior.model, CANDIDATES)
     assert isinstance(one, Candidate)
-    assert (again.roots, again.estimator) == ((one,), "somebody")
+    assert (again.candidates, again.estimator) == ((one,), "somebody")
     np.testing.assert_array_equal(again.observations[0].spread, estimate.observation.spread)

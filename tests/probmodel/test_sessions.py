@@ -20,7 +20,16 @@ from poseterior.probmodel.datasets import (
     write_plain,
 )
 from poseterior.probmodel.datasets.sessions import judged_views
-from poseterior.probmodel.layouts import corrected, without_midpoints
+from poseterior.probmodel.detections import LIMB_JOINTS
+from poseterior.probmodel.layouts import (
+    BODY_25,
+    COCO_17,
+    CROWDPOSE_14,
+    HALPE_26,
+    Layout,
+    corrected,
+    without_midpoints,
+)
 from poseterior.probmodel.sessions import Pinhole, Session, is_session, read_session
 from poseterior.probmodel.sessions.session import HIPS
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
@@ -91,6 +100,42 @@ def test_the_slope_is_the_projections_derivative():
         axis=-1,
     )
     assert camera.slope(points) == pytest.approx(by_differences, abs=1e-6)
+
+
+# --- orders of joints
+
+
+@pytest.mark.parametrize("layout", [HALPE_26, COCO_17, BODY_25], ids=lambda one: one.name)
+def test_sessions_in_the_orders_that_pose2sim_writes(
+    exact: Session, tmp_path: Path, layout: Layout
+) -> None:
+    """Told by the number of points; the joints are those of the cameras' truth."""
+    write_session(exact.take(range(3)), tmp_path, layout=layout)
+    session = read_session(tmp_path)
+    assert {person.layout for view in session.people for person in view} == {layout.name}
+    limbs = list(LIMB_JOINTS)
+    assert session.world.points[:, limbs] == pytest.approx(JOINTS_3D[:3, limbs], abs=MIDWAY)
+
+
+def test_sessions_take_a_layout(exact: Session, tmp_path: Path) -> None:
+    write_session(exact.take(range(3)), tmp_path, layout=CROWDPOSE_14)
+    with pytest.raises(BadInput, match=r"holds 14 points of a person; name their order"):
+        read_session(tmp_path)
+    session = read_session(tmp_path, layout="crowdpose_14")
+    limbs = list(LIMB_JOINTS)
+    assert session.world.points[:, limbs] == pytest.approx(JOINTS_3D[:3, limbs], abs=MIDWAY)
+    assert len(read_data_set(tmp_path, layout="crowdpose_14"))
+    with pytest.raises(BadInput, match="is no session of detections, which have a layout"):
+        read_data_set(tmp_path / "pose", layout="crowdpose_14")
+
+
+def test_a_frame_of_nobody_but_nan_is_left_out(exact: Session, tmp_path: Path) -> None:
+    """As Pose2Sim writes it where it did not find the person."""
+    write_session(exact.take(range(4)), tmp_path, layout=HALPE_26)
+    file = next((tmp_path / "pose" / "cam1_json").glob("*_000002.json"))
+    file.write_text(json.dumps({"people": [{"pose_keypoints_2d": [float("nan")] * 78}]}))
+    session = read_session(tmp_path)
+    assert (session.numbers, session.left_out) == ((0, 1, 3), 1)
 
 
 # --- triangulation

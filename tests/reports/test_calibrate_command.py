@@ -120,9 +120,9 @@ def test_the_embedded_law_is_rebuilt(shared_data: Path) -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        "evaluate FILM --perspective --estimator akhter-black",
+        "evaluate FILM --perspective --root fixed --estimator akhter-black",
         "evaluate FILM --perspective --root fixed,uncertain --estimator akhter-black",
-        "coverage --dataset FILM --perspective --noise none",
+        "coverage --dataset FILM --perspective --root fixed --noise none",
     ],
 )
 def test_known_lenses_need_an_uncertain_root(

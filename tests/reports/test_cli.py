@@ -419,7 +419,8 @@ REFUSALS = [
         "unknown sampler",
         "sample @f.json --sampler gibbs --out @p.nc",
         GOOD,
-        "no sampler 'gibbs' draws torso and camera; choose weighted-roots, .* or the root 'fixed'",
+        "no sampler 'gibbs' draws torso and camera; choose weighted-roots, .* or the root"
+        " 'candidates' .on the command line --root fixed",
     ),
     Refusal(
         "unknown sampler of fixed roots",

@@ -16,7 +16,7 @@ import xarray as xr
 from poseterior.probmodel import BadInput, PoseModel, write_detections
 from poseterior.reports.commands import compare
 from poseterior.reports.figures.comparison import comparison_figure
-from poseterior.reports.options import Person, Screen
+from poseterior.reports.options import Person, RootKind, Screen, Viewing
 from poseterior.reports.settings import CompareSettings
 from poseterior.reports.tables.comparison import COLUMNS, NARROW, comparison_table
 from tests.scenes import ALL_BUT_AN_ARM, prior_scene
@@ -41,6 +41,7 @@ def asked(
         seconds=seconds,
         max_evaluations=evaluations,
         num_samples=500,
+        rooting=Viewing(root=RootKind.fixed),
     )
 
 

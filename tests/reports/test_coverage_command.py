@@ -22,11 +22,13 @@ from poseterior.reports.tables.coverage import WORST, families_table, p_text, un
 from tests.conftest import Cli
 
 JSON, TABLES = Screen(quiet=True, json=True), Screen(quiet=True)
+FIXED = Rooting(root=RootKind.fixed, roots=200)
 
 
 def asked(out: Path, num_samples: int = 20, **others: Any) -> CoverageSettings:
     sampling = Sampling(num_samples=num_samples, max_proposals=1_000_000)
-    return CoverageSettings(out=out, sampling=sampling, **({"num_simulations": 100} | others))
+    given = {"num_simulations": 100, "rooting": FIXED} | others
+    return CoverageSettings(out=out, sampling=sampling, **given)
 
 
 def read(path: Path) -> xr.DataTree:
@@ -178,7 +180,7 @@ def test_bad_real_poses(data: Path, tmp_path: Path, change: dict, match: str) ->
         ("--missing 1", "--missing means nothing without --dataset"),
         ("--frames 100", "--frames means nothing without --dataset"),
         ("--simulate-only --sampler rejection", "--sampler means nothing with --simulate-only"),
-        ("--simulate-only --root uncertain", "--root means nothing with --simulate-only"),
+        ("--simulate-only --roots 30", "--roots means nothing with --simulate-only"),
         ("--simulate-only --noise none", "--noise means nothing with --simulate-only"),
         ("--dataset x.npz --num-simulations 9", "--num-simulations means nothing with --dataset"),
         ("--poses x.npz --simulate-only", "--simulate-only means nothing with --dataset"),

@@ -15,10 +15,10 @@ import pytest
 from PIL import Image
 
 from poseterior.inference import ESTIMATORS, SAMPLERS
-from poseterior.inference.importance.routes import ROUTES
 from poseterior.inference.importance.weighted import MOST_ROOTS
 from poseterior.inference.sampler import ROOTED_SAMPLERS
 from poseterior.probmodel import Anatomy, read_detections
+from poseterior.probmodel.root_priors import ROOT_PRIORS
 from poseterior.reports import cli, options
 from tests.conftest import Cli
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, table
@@ -84,8 +84,8 @@ def test_what_the_pages_say_is_what_the_commands_take(parsed: Callable[[str], An
 
 def test_values_arrive_where_they_belong(parsed: Callable[[str], Any]) -> None:
     wanted = parsed(
-        "compare f.json --person 2 --names n.json --image-size 9x9 --correct --poses p.npz"
-        " --no-head --upper area --seed 5"
+        "compare f.json --root fixed --person 2 --names n.json --image-size 9x9 --correct"
+        " --poses p.npz --no-head --upper area --seed 5"
     )
     assert wanted.person.person == 2
     assert wanted.person.detected == options.Detected(
@@ -147,7 +147,8 @@ def test_one_option_means_one_thing() -> None:
 def test_help_names_what_is_accepted() -> None:
     assert tuple(SAMPLERS) == options.SAMPLERS
     assert MOST_ROOTS == options.MOST_ROOTS
-    assert ROUTES == options.ROUTES
+    assert ROOTED_SAMPLERS[:2] == options.ROUTES
+    assert {kind.prior for kind in options.RootKind} == {*ROOT_PRIORS}
     assert ROOTED_SAMPLERS == options.ROOTED
     assert all(
         name in cli.COMMANDS["sample"].__annotations__["sampler"].__metadata__[0].help

@@ -1,6 +1,7 @@
 """`poseterior frames`: a folder of detections as one stream; refusals, and that a second call goes
 on."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -75,10 +76,79 @@ def test_a_fragment_of_a_second_person_is_left_out_in_one_line(
     assert run.code == 0, run
     assert run.out.count("2 fragments of people left out: ") == run.out.count("left out") == 1
     assert "3 frames of 1 person: 1 bad input, 2 complete" in run.out
-    assert "(the first: frame_0/1)" in run.out
+    assert "(the first: frame_0, number 1 there)" in run.out
     frames = open_stream(tmp_path / "out")["summary"].frame.values.tolist()
     assert frames[:2] == ["frame_0/0", "frame_1/0"]
     assert len(frames) == 3, "where nobody else is, the fragment says why there is no pose"
+
+
+def film(path: Path, names: list[str], *, tracked: bool = True) -> Path:
+    """One file, sorted by tracks: somebody in all frames, and a bystander, two metres to the right,
+    in all but the last, who comes first in the file."""
+    model = PoseModel()
+    one, other = (prior_scene(model, seed, factor=0.8, missing=FEW).detection for seed in (0, 2))
+    people = []
+    for track, person, seen in (("9", other, names[:-1]), ("4", one, names)):
+        aside = 1500.0 * (track == "9")
+        for at, name in enumerate(seen):
+            keypoints = person.keypoints + [aside + 2.0 * at, 0.0]  # noqa: RUF005
+            carried = track if tracked else None
+            moved = dataclasses.replace(person, keypoints=keypoints, face=None, image_id=name)
+            people.append(dataclasses.replace(moved, track=carried))
+    write_detections(path, people)
+    return path
+
+
+NAMES = ["walk_08.png", "walk_09.png", "walk_12.png"]
+
+
+def test_a_film_in_one_file_is_as_long_as_it_is_and_a_bystander_costs_nothing(
+    poseterior: Cli, tmp_path: Path
+) -> None:
+    path, out = film(tmp_path / "film.json", NAMES), tmp_path / "out"
+    options = ("--root", "fixed", *OPTIONS)
+    run = poseterior("frames", path, "--out", out, "--person", 1, *options)
+    assert (run.code, run.err) == (0, ""), run
+    assert "3 frames of 1 person: 3 complete" in run.out
+    assert open_stream(out)["summary"].frame.values.tolist() == [f"{name}/1" for name in NAMES]
+    assert "people" not in run.out.replace("People", "")
+    exported = poseterior("export", out, "--to", "npz", "--rate", 10, "--out", tmp_path / "x.npz")
+    assert "3 of 5 frames, 3 with a pose" in exported.out
+    with np.load(tmp_path / "x.npz") as found:
+        assert found["times"] == pytest.approx([0, 0.1, 0.4])
+
+
+@pytest.mark.parametrize("tracked", [True, False])
+def test_everyone_is_described_and_who_is_not_there_named(
+    poseterior: Cli, tmp_path: Path, tracked: bool
+) -> None:
+    path = film(tmp_path / "film.json", NAMES, tracked=tracked)
+    run = poseterior("frames", path, "--person", 2, "--out", tmp_path / "no", *OPTIONS)
+    assert run.code == 2
+    ways = ("track 9, ", "track 4, ") if tracked else ("", "")
+    described = f"2 people: 0 ({ways[0]}2 frames), 1 ({ways[1]}3 frames)"
+    assert f"there is no person 2 in these frames, but {described}; choose one of them" in run.err
+    run = poseterior("frames", path, "--out", tmp_path / "out", "--root", "fixed", *OPTIONS)
+    assert f"{described}; --person draws one of them alone" in run.out
+    assert "3 frames of 2 people, 5 times somebody: 5 complete" in run.out
+    assert ("who is who is told by where people are" in run.err) != tracked
+
+
+def test_records_without_frames_and_names_without_numbers_are_said(
+    poseterior: Cli, tmp_path: Path
+) -> None:
+    path = film(tmp_path / "film.json", ["left", "right"])
+    few = ("--root", "fixed", "--person", 1, *OPTIONS)
+    run = poseterior("frames", path, "--out", tmp_path / "out", *few)
+    assert "the names of the frames (left, right, …) do not count them" in run.err
+    document = json.loads(film(tmp_path / "film.json", NAMES).read_text())
+    document["people"] = document["people"][2:]
+    for person in document["people"]:
+        del person["image_id"], person["track"]
+    path.write_text(json.dumps(document))
+    run = poseterior("frames", path, "--out", tmp_path / "2", "--root", "fixed", *OPTIONS)
+    assert "3 frames of 1 person: 3 complete" in run.out
+    assert "name no frames; each lies where the one before does, and they are read as 3" in run.err
 
 
 def test_a_film_in_which_nobody_can_be_estimated_has_no_page(

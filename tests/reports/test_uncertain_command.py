@@ -27,9 +27,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("command", ["hypotheses", "sample", "frames", "compare", "coverage"])
 def test_who_asks_about_a_person_gets_all_that_is_uncertain(command: str) -> None:
-    """What is compared with the paper, or with samplers of poses, holds torso and camera fixed."""
+    """The paper's way is asked for by its name."""
     (root,) = (one.default for one in declared(COMMANDS[command]) if one.name == "root")
-    assert root == ("fixed" if command in ("compare", "coverage") else "uncertain")
+    assert root == "uncertain"
 
 
 def test_what_nobody_says_is_uncertain(poseterior: Cli, folder: Path) -> None:

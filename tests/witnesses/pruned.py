@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from poseterior.inference.exact.rates import HOPELESS, Budget, Pile, Rate
+from poseterior.inference.exact.rates import ZERO_ACCEPTANCE_LIMIT, Budget, Rate, RowBuffer
 from poseterior.probmodel.anatomy.lengths import BoneLength
 from poseterior.probmodel.anatomy.limits import cell_of
 from poseterior.probmodel.directions.distributions import HingedDirection, OccupiedDirection
@@ -40,7 +40,7 @@ class LimbStream:
     plan: Plan
     batches: int = 0
     accepted: int = 0
-    pile: Pile = field(default_factory=Pile)
+    buffer: RowBuffer = field(default_factory=RowBuffer)
 
     def run(self, budget: Budget) -> bool:
         """One more batch of proposals; False where the budget does not allow it."""
@@ -52,7 +52,7 @@ class LimbStream:
         chosen = np.flatnonzero(np.asarray(kept))
         self.batches += 1
         self.accepted += len(chosen)
-        self.pile.add(np.asarray(upper)[chosen], np.asarray(lower)[chosen])
+        self.buffer.add(np.asarray(upper)[chosen], np.asarray(lower)[chosen])
         return True
 
     @property
@@ -72,36 +72,37 @@ class PrunedGroup:
             LimbStream(jax.random.fold_in(key, index + 1), limb, plan_limb(limb))
             for index, limb in enumerate(limbs_of(group))
         ]
-        self._pile, self._gone = Pile(), 0
+        self._buffer, self._gone = RowBuffer(), 0
         self._chunks = self._tried = 0
 
     @property
-    def hopeless(self) -> bool:
+    def given_up(self) -> bool:
         empty = any(stream.rate.mass == 0 for stream in self.streams)
         barren = any(
-            stream.accepted == 0 and stream.rate.proposed >= HOPELESS for stream in self.streams
+            stream.accepted == 0 and stream.rate.proposed >= ZERO_ACCEPTANCE_LIMIT
+            for stream in self.streams
         )
         return empty or barren or (self.held + self._gone == 0 and self._tried >= HOPELESS_PAIRS)
 
     @property
     def held(self) -> int:
-        return self._pile.size
+        return self._buffer.size
 
     def more(self, number: int, budget: Budget) -> bool:
         while self.held < number:
-            going_on = not self.hopeless and min(
-                self.streams, key=lambda stream: stream.pile.size
+            going_on = not self.given_up and min(
+                self.streams, key=lambda stream: stream.buffer.size
             ).run(budget)
             # Few are put together as soon as few are wanted, or when nothing more will come.
             enough = min(PAIRS, number - self.held) if going_on else 1
-            while (ready := min(stream.pile.size for stream in self.streams)) >= enough:
+            while (ready := min(stream.buffer.size for stream in self.streams)) >= enough:
                 self._put_together(min(ready, PAIRS))
             if not going_on:
                 break
         return self.held >= number
 
     def _put_together(self, number: int) -> None:
-        limbs = [stream.pile.take(number) for stream in self.streams]
+        limbs = [stream.buffer.take(number) for stream in self.streams]
         upper, lower = (np.zeros((PAIRS, len(limbs), 3)) for _ in range(2))
         for index, (first, second) in enumerate(limbs):
             upper[:number, index], lower[:number, index] = first, second
@@ -110,13 +111,13 @@ class PrunedGroup:
         chosen = np.flatnonzero(np.asarray(accepted)[:number])
         self._chunks += 1
         self._tried += number
-        self._pile.add(length[chosen], upper[chosen], lower[chosen])
+        self._buffer.add(length[chosen], upper[chosen], lower[chosen])
 
     def draws(self) -> dict[str, GroupDraws]:
-        return {self.name: GroupDraws(*self._pile.all())}
+        return {self.name: GroupDraws(*self._buffer.all())}
 
     def forget(self, number: int) -> None:
-        self._pile.take(number)
+        self._buffer.take(number)
         self._gone += number
 
     @property
@@ -150,12 +151,12 @@ class PriorGroups:
 
     def __init__(self, key: jax.Array, groups: dict[str, Group]) -> None:
         self._key, self.groups = key, groups
-        self._pile, self._gone = Pile(), 0
+        self._buffer, self._gone = RowBuffer(), 0
         self._batches = 0
 
     @property
     def held(self) -> int:
-        return self._pile.size
+        return self._buffer.size
 
     def more(self, number: int, budget: Budget) -> bool:
         while self.held < number:
@@ -166,22 +167,22 @@ class PriorGroups:
             )
             chosen = np.flatnonzero(np.asarray(accepted))
             self._batches += 1
-            self._pile.add(*(np.asarray(leaf)[chosen] for leaf in jax.tree.leaves(proposals)))
+            self._buffer.add(*(np.asarray(leaf)[chosen] for leaf in jax.tree.leaves(proposals)))
         return True
 
     def draws(self) -> dict[str, GroupDraws]:
-        leaves = self._pile.all()
+        leaves = self._buffer.all()
         return {
             name: GroupDraws(*leaves[3 * index : 3 * index + 3])
             for index, name in enumerate(self.groups)
         }
 
     def forget(self, number: int) -> None:
-        self._pile.take(number)
+        self._buffer.take(number)
         self._gone += number
 
     @property
-    def hopeless(self) -> bool:
+    def given_up(self) -> bool:
         return False  # draws from the prior go on to the end of the budget
 
     @property

@@ -1,9 +1,11 @@
-"""Exact rejection by strata on JAX's device, a GPU above all. `DeviceGroup` is a `GroupSampler`.
+"""Exact rejection by strata on JAX's device, a GPU above all. `DeviceGroup` is a
+`GroupSampler`.
 
-The strata are those of `exact.groups`, cut by the processor, whose compiled loops make the first
-batch, from which it is decided how finely to cut. All other attempts, from the random numbers to
-the draws in their places, are one program on the device, which goes on until there are enough;
-nothing comes back but how many there are. A processor runs it too, more slowly than its loops."""
+The strata are those of `exact.groups`, cut by the processor, whose compiled loops make
+the first batch, from which it is decided how finely to cut. All other proposals, from
+the random numbers to the draws in their places, are one program on the device, which
+goes on until there are enough; nothing comes back but how many there are. A processor
+runs it too, more slowly than its loops."""
 
 import functools
 from typing import NamedTuple
@@ -12,12 +14,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from poseterior.inference.exact.device.attempts import NUMBERS, Measures, attempt
+from poseterior.inference.exact.device.proposals import NUMBERS, Measures, propose
 from poseterior.inference.exact.device.tables import DevicePlan, device_plan
-from poseterior.inference.exact.groups import FIRST, GroupTables, StratifiedGroup, group_tables
+from poseterior.inference.exact.groups import (
+    PILOT_BATCH,
+    GroupTables,
+    StratifiedGroup,
+    group_tables,
+)
 from poseterior.inference.exact.loops.tables import LimbProblem
 from poseterior.inference.exact.problem import limb_problems, log_ratios
-from poseterior.inference.exact.rates import HOPELESS, Budget, Rate
+from poseterior.inference.exact.rates import ZERO_ACCEPTANCE_LIMIT, Budget, Rate
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.pose import GroupDraws, Pose
@@ -30,14 +37,14 @@ LEAST = 1 << 11
 
 
 class Size(NamedTuple):
-    """Attempts side by side, and how often in a round: that many are made without asking whether
-    there are enough draws."""
+    """Proposals side by side, and how often in a round: that many are made without
+    asking whether there are enough draws."""
 
     batch: int
     repeats: int
 
     @property
-    def attempts(self) -> int:
+    def proposals(self) -> int:
         """Of a round."""
         return self.batch * self.repeats
 
@@ -45,7 +52,8 @@ class Size(NamedTuple):
 SIZES = {"cpu": Size(1 << 14, 1)}
 """By the kind of device."""
 SIZE = Size(1 << 18, 8)
-"""Of every other kind: what a GPU's cache holds, as often as it takes to hide the asking."""
+"""Of every other kind: what a GPU's cache holds, as often as it takes to hide the
+asking."""
 
 
 class Thinning(NamedTuple):
@@ -64,8 +72,8 @@ class Kind(NamedTuple):
 
 
 class _State(NamedTuple):
-    """Of a program: the draws, how many there are, how many rounds have been made, and how many
-    attempts were accepted."""
+    """Of a program: the draws, how many there are, how many rounds have been made, and
+    how many proposals were accepted."""
 
     room: jax.Array
     held: jax.Array
@@ -78,17 +86,17 @@ def _fill(
     key: jax.Array,
     plan: DevicePlan,
     thinning: Thinning | None,
+    *,
     room: jax.Array,
     held: int,
     number: int,
     begin: int,
     rounds: int,
-    *,
     kind: Kind,
 ) -> _State:
-    """Rounds of attempts, from round number `begin` on, until `room` holds `number` draws, or so
-    many `rounds` have been made. Draws stand in the order of their attempts; those for which there
-    is no room any more count, and are gone."""
+    """Rounds of proposals, from round number `begin` on, until `room` holds `number`
+    draws, or so many `rounds` have been made. Draws stand in the order of their
+    proposals; those for which there is no room any more count, and are gone."""
     size = kind.size
 
     def go_on(state: _State) -> jax.Array:
@@ -98,13 +106,15 @@ def _fill(
         own = jax.random.fold_in(key, (begin + state.made) * size.repeats + repeat)
         words, test = jax.random.split(own)
         uniform = jax.random.uniform(words, (NUMBERS, size.batch))
-        each = jax.vmap(lambda own: attempt(own, plan, kind.measures), 1, (1, 0))
+        each = jax.vmap(lambda own: propose(own, plan, kind.measures), 1, (1, 0))
         columns, passed = each(uniform)
         if thinning is not None:
-            kept = jnp.log1p(-jax.random.uniform(test, passed.shape))
-            passed &= kept <= _log_ratios(columns, thinning, kind.group)
-        count, most = jnp.cumsum(passed), room.shape[1]
-        # What has failed would go to a place of its own outside: all places are different.
+            level = jnp.log1p(-jax.random.uniform(test, passed.shape))
+            passed &= level <= _log_ratios(columns, thinning, kind.group)
+        count = jnp.cumsum(passed)
+        most = room.shape[1]
+        # What has failed would go to a place of its own outside: all places are
+        # different.
         nowhere = most + jnp.arange(size.batch)
         place = jnp.where(passed, state.held + count - 1, nowhere)
         return _State(
@@ -122,15 +132,17 @@ def _fill(
 
 
 def _log_ratios(columns: jax.Array, thinning: Thinning, group: str) -> jax.Array:
-    """`problem.log_ratio_of` for attempts at a group."""
-    limbs, blank = GROUPS[group], Pose.blank(columns.shape[1])
+    """`problem.log_ratio_of` for proposals of a group."""
+    limbs = GROUPS[group]
+    blank = Pose.blank(columns.shape[1])
     poses = place_group(Pose(*map(jnp.asarray, blank)), columns, group)
     ratios = log_ratios(thinning.model, thinning.observation, poses)
     return ratios[:, np.array([bone.end for limb in limbs for bone in limb.bones])].sum(axis=1)
 
 
 def place_group(poses: Pose, columns: jax.Array, group: str) -> Pose:
-    """Poses `(n, ...)` on the device with a group's part, from `n` of a program's draws."""
+    """Poses `(n, ...)` on the device with a group's part, from `n` of a program's
+    draws."""
     limbs = GROUPS[group]
     length, upper, lower = parts_of(columns, len(limbs))
     used = np.array([bone.length_group for bone in limbs[0].bones])
@@ -143,8 +155,11 @@ def place_group(poses: Pose, columns: jax.Array, group: str) -> Pose:
 
 
 def parts_of[A: (jax.Array, np.ndarray)](columns: A, limbs: int) -> tuple[A, A, A]:
-    """Lengths `(n, 2)`, upper and lower directions `(n, limbs, 3)` of a program's draws."""
-    length, upper, lower = columns[:2], columns[2 : 2 + 3 * limbs], columns[2 + 3 * limbs :]
+    """Lengths `(n, 2)`, upper and lower directions `(n, limbs, 3)` of a program's
+    draws."""
+    length = columns[:2]
+    upper = columns[2 : 2 + 3 * limbs]
+    lower = columns[2 + 3 * limbs :]
     return length.T, upper.T.reshape(-1, limbs, 3), lower.T.reshape(-1, limbs, 3)
 
 
@@ -161,9 +176,10 @@ def _without(room: jax.Array, number: int) -> jax.Array:
 
 
 class DeviceGroup(StratifiedGroup):
-    """Exact draws of one group, attempted on JAX's device; see the module."""
+    """Exact draws of one group, proposed on JAX's device; see the module."""
 
-    STRATUM, ATTEMPT = 0.7, 0.01
+    STRATUM_COST = 0.7
+    PROPOSAL_COST = 0.01
 
     def __init__(
         self,
@@ -174,8 +190,10 @@ class DeviceGroup(StratifiedGroup):
         thinning: Thinning | None = None,
     ) -> None:
         super().__init__(key, name, tables, limbs)
-        build, size = tables.builds[0], SIZES.get(jax.default_backend(), SIZE)
-        self._key, self._thinning = key, thinning
+        build = tables.builds[0]
+        size = SIZES.get(jax.default_backend(), SIZE)
+        self._key = key
+        self._thinning = thinning
         self._kind = Kind(name, Measures(build.by_area, build.flat), size)
         self._held = self._rounds_made = 0
         self._ready = dict[int, DevicePlan]()
@@ -188,56 +206,66 @@ class DeviceGroup(StratifiedGroup):
 
     @property
     def room(self) -> jax.Array:
-        """`(2 + 6 · limbs, room)` on the device, a column as `attempts.attempt` returns it; the
-        first `held` are draws."""
+        """`(2 + 6 · limbs, room)` on the device, a column as `proposals.propose`
+        returns it; the first `held` are draws."""
         return self._room
 
     def more(self, number: int, budget: Budget) -> bool:
         with jax.enable_x64(True):
             if self._held < number and not (self._ready or self.impossible):
-                if not budget.spend(FIRST):
+                if not budget.spend(PILOT_BATCH):
                     return False
-                self._run([FIRST])
-            while self._held < number and not self.hopeless:
+                self._run([PILOT_BATCH])
+            while self._held < number and not self.given_up:
                 self._refine(number)
-                rounds = min(budget.left // self._kind.size.attempts, self._rounds())
+                rounds = min(budget.left // self._kind.size.proposals, self._rounds())
                 if self.impossible or rounds == 0:
                     break
                 budget.spend(self._go_on(number, rounds))
         return self._held >= number
 
     def _rounds(self) -> int:
-        """Rounds after which it is time to look: where nothing is found there comes an end."""
-        return ROUNDS if self._rates[-1].accepted else -(-HOPELESS // self._kind.size.attempts)
+        """Rounds after which it is time to look: where nothing is found there comes an
+        end."""
+        return (
+            ROUNDS
+            if self._rates[-1].accepted
+            else -(-ZERO_ACCEPTANCE_LIMIT // self._kind.size.proposals)
+        )
 
     def _go_on(self, number: int, rounds: int) -> int:
-        """Goes on until there are `number` draws, for so many rounds at most; returns the number
-        of attempts."""
+        """Goes on until there are `number` draws, for so many rounds at most; returns
+        the number of proposals."""
         if self._room.shape[1] < number:
             room = 1 << (max(number, LEAST) - 1).bit_length()
             self._room = _moved(jnp.zeros((len(self._room), room)), self._room)
         if self.level not in self._ready:
             plan, mass = device_plan(self._plan, self._tables, self._limbs)
-            # The processor's first batch has shown how finely to cut, and counts no longer.
+            # The processor's first batch has shown how finely to cut, and counts no
+            # longer.
             before = self._rates[:-1] if self._ready else []
-            self._ready, self._rates = {self.level: plan}, [*before, Rate(0, 0, mass)]
+            self._ready = {self.level: plan}
+            self._rates = [*before, Rate(0, 0, mass)]
         state = _fill(
             self._key,
             self._ready[self.level],
             self._thinning,
-            self._room,
-            self._held,
-            number,
-            self._rounds_made,
-            rounds,
+            room=self._room,
+            held=self._held,
+            number=number,
+            begin=self._rounds_made,
+            rounds=rounds,
             kind=self._kind,
         )
-        self._room, self._held, made = state.room, int(state.held), int(state.made)
+        self._room = state.room
+        self._held = int(state.held)
+        made = int(state.made)
         self._rounds_made += made
-        rate, attempts = self._rates[-1], made * self._kind.size.attempts
+        rate = self._rates[-1]
+        proposals = made * self._kind.size.proposals
         accepted = rate.accepted + int(state.accepted)
-        self._rates[-1] = Rate(rate.proposed + attempts, accepted, rate.mass)
-        return attempts
+        self._rates[-1] = Rate(rate.proposed + proposals, accepted, rate.mass)
+        return proposals
 
     def draws(self) -> dict[str, GroupDraws]:
         columns = np.asarray(self._room)[:, : self._held]
@@ -252,7 +280,8 @@ class DeviceGroup(StratifiedGroup):
 
 def device_groups(key: jax.Array, model: PoseModel, observation: Observation) -> list[DeviceGroup]:
     """A sampler of each of `skeleton.GROUPS`, with keys of their own."""
-    tables, problems = group_tables(model), limb_problems(observation)
+    tables = group_tables(model)
+    problems = limb_problems(observation)
     thinning = None if observation.law.follows(0.0) else Thinning(model, observation)
     return [
         DeviceGroup(jax.random.fold_in(key, index), name, tables[name], problems[name], thinning)

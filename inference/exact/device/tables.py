@@ -1,8 +1,8 @@
 """Strata and bins of lengths on JAX's device, and how its program reads them.
 
-The tables of the compiled loops are handed over as they are, word by word: every row is some 64-bit
-words, whose names and places are those of the structured arrays in `loops.tables`. A number is read
-by its name:
+The tables of the compiled loops are handed over as they are, word by word: every row is
+some 64-bit words, whose names and places are those of the structured arrays in
+`loops.tables`. A number is read by its name:
 
     row = plan.limbs[0].entries[17]
     real(row, ENTRIES, "region")
@@ -33,7 +33,8 @@ Array = Any
 
 
 class DeviceLengths(NamedTuple):
-    """`LengthBins` on the device: `law` `(4,)`, and words of `SLICES` and `ALIAS`, a row each."""
+    """`LengthBins` on the device: `law` `(4,)`, and words of `SLICES` and `ALIAS`, a
+    row each."""
 
     law: Array
     slices: Array
@@ -94,8 +95,9 @@ def words(table: np.ndarray) -> np.ndarray:
 
 
 def padded(table: np.ndarray, least: int) -> np.ndarray:
-    """The same with rows of zeros up to a power of two, and so many at `least`: programs are made
-    for shapes, and these tables are of another length for every frame."""
+    """The same with rows of zeros up to a power of two, and so many at `least`:
+    programs are made for shapes, and these tables are of another length for every
+    frame."""
     room = np.zeros(1 << (max(len(table), least, 1) - 1).bit_length(), table.dtype)
     room[: len(table)] = table
     return words(room)
@@ -127,13 +129,13 @@ def _limbs(
     for problem, tables, own in zip(problems, builds, strata, strict=True):
         yield DeviceLimb(
             *problem,
-            np.array(tables.reference),
-            words(tables.cells),
-            padded(own.subs, subs),
-            padded(own.alias, entries),
-            padded(own.entries, entries),
-            own.starts,
-            own.ends - own.starts,
+            reference=np.array(tables.reference),
+            cells=words(tables.cells),
+            subs=padded(own.subs, subs),
+            alias=padded(own.alias, entries),
+            entries=padded(own.entries, entries),
+            starts=own.starts,
+            sizes=own.ends - own.starts,
         )
 
 
@@ -142,9 +144,9 @@ def device_plan(
 ) -> tuple[DevicePlan, float]:
     """Hands a plan over to the device.
 
-    The loops of the processor draw a length until one is kept. Here an attempt whose length is not
-    kept has failed: bins are chosen in proportion to their envelopes instead of their masses, and
-    the proposal's mass is larger by as much.
+    The loops of the processor draw a length until one is kept. Here a proposal whose
+    length is not kept has failed: bins are chosen in proportion to their envelopes
+    instead of their masses, and the proposal's mass is larger by as much.
 
     Returns
     -------

@@ -1,5 +1,5 @@
-"""What the compiled loops have in common: how they are compiled, matrices as numbers, and uniform
-random numbers, NumPy's SFC64, run on in four registers.
+"""What the compiled loops have in common: how they are compiled, and uniform random
+numbers, NumPy's SFC64, run on in four registers.
 
     stream = load(state)
     value, stream = uniform(stream)
@@ -15,7 +15,7 @@ import jax
 import numba
 import numpy as np
 
-from poseterior.inference.exact.loops.places import FOLDER
+from poseterior.inference.exact.loops.cache_folder import FOLDER
 
 _settings: Any = numba.config  # its attributes are made at import
 
@@ -33,16 +33,17 @@ def _njit(function: Callable, **options: Any) -> Callable:
 
 
 def compiled(function: Callable) -> Callable:
-    """How every function of the compiled loops is compiled: once a machine, free of Python's lock.
-    Of fast-math, products and sums in one step, rounded once, are all that is allowed: what a
-    processor without them computes may differ in its last digits. Arrays are handed over once a
-    loop, never once an attempt: numba counts references at every call."""
+    """How every function of the compiled loops is compiled: once a machine, free of
+    Python's lock. Of fast-math, products and sums in one step, rounded once, are all
+    that is allowed: what a processor without them computes may differ in its last
+    digits. Arrays are handed over once a loop, never once an attempt: numba counts
+    references at every call."""
     return _njit(function)
 
 
 def inlined(function: Callable) -> Callable:
-    """The same for formulas in the innermost loops: a call there would keep the loop from becoming
-    vector instructions."""
+    """The same for formulas in the innermost loops: a call there would keep the loop
+    from becoming vector instructions."""
     return _njit(function, forceinline=True)
 
 
@@ -79,23 +80,3 @@ def uniform(stream: Stream) -> tuple[np.float64, Stream]:
         count + np.uint64(1),
     )
     return (value >> np.uint64(11)) * 1.1102230246251565e-16, after
-
-
-Rows = tuple[float, float, float, float, float, float, float, float, float]
-"""A matrix (3, 3), row by row, as numbers: arrays would be read anew at every step."""
-
-
-@compiled
-def rows_of(matrix: np.ndarray) -> Rows:
-    """A matrix `(3, 3)` as numbers."""
-    return (
-        matrix[0, 0],
-        matrix[0, 1],
-        matrix[0, 2],
-        matrix[1, 0],
-        matrix[1, 1],
-        matrix[1, 2],
-        matrix[2, 0],
-        matrix[2, 1],
-        matrix[2, 2],
-    )

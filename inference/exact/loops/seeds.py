@@ -1,6 +1,6 @@
-"""States of generators for many uses of one key: those that NumPy's SeedSequence (O'Neill 2015)
-gives its SFC64, thousands at once, where NumPy makes them one by one. Compiled; a test holds them
-to NumPy's bit for bit."""
+"""States of generators for many uses of one key: those that NumPy's SeedSequence
+(O'Neill 2015) gives its SFC64, thousands at once, where NumPy makes them one by one.
+Compiled; a test holds them to NumPy's bit for bit."""
 
 import numpy as np
 
@@ -12,20 +12,23 @@ _WARM = 12
 """Numbers that SFC64 is run on by before the first."""
 _LOW = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(16)
-_IN, _IN_STEP = np.uint64(0x43B0D7E5), np.uint64(0x931E8875)
-_OUT, _OUT_STEP = np.uint64(0x8B51F9DD), np.uint64(0x58F38DED)
-_LEFT, _RIGHT = np.uint64(0xCA01F9DD), np.uint64(0x4973F715)
+_IN = np.uint64(0x43B0D7E5)
+_IN_STEP = np.uint64(0x931E8875)
+_OUT = np.uint64(0x8B51F9DD)
+_OUT_STEP = np.uint64(0x58F38DED)
+_LEFT = np.uint64(0xCA01F9DD)
+_RIGHT = np.uint64(0x4973F715)
 
 
 def seeded(words: list[int], *path: int) -> np.ndarray:
-    """`(4,)` uint64: a generator's state, for the words of a key and whole numbers that say what it
-    is used for."""
+    """`(4,)` uint64: a generator's state, for the words of a key and whole numbers that
+    say what it is used for."""
     return seeded_rows(words, np.array([path]))[0]
 
 
 def seeded_rows(words: list[int], paths: np.ndarray) -> np.ndarray:
-    """`(n, 4)` uint64: the states for the words of a key and each of the `paths` `(n, k)`. Words
-    and paths are of 32 bits."""
+    """`(n, 4)` uint64: the states for the words of a key and each of the `paths` `(n,
+    k)`. Words and paths are of 32 bits."""
     entropy = np.zeros(max(len(words), _POOL) + paths.shape[1], np.uint64)
     entropy[: len(words)] = np.array(words, np.uint32)  # refuses what is longer
     states = np.empty((len(paths), 4), np.uint64)
@@ -51,7 +54,9 @@ def _mixed(one: np.uint64, other: np.uint64) -> np.uint64:
 @compiled
 def _seed_rows(entropy: np.ndarray, paths: np.ndarray, states: np.ndarray) -> None:
     """Writes the states; `entropy` has room for a path at its end."""
-    pool, drawn, shared = np.empty(_POOL, np.uint64), np.empty(6, np.uint64), entropy.size
+    pool = np.empty(_POOL, np.uint64)
+    drawn = np.empty(6, np.uint64)
+    shared = entropy.size
     shared -= paths.shape[1]
     for row in range(len(paths)):
         for place in range(paths.shape[1]):

@@ -1,6 +1,6 @@
-"""Sine, arcsine and azimuth as polynomials, sine and cosine by a table, and the smaller of two, for
-the compiled loops: no calls and no branches, so that loops over them become vector instructions.
-Angles and sines are within 8e-16 of the true values."""
+"""Sine, arcsine and azimuth as polynomials, sine and cosine by a table, and the smaller
+of two, for the compiled loops: no calls and no branches, so that loops over them become
+vector instructions. Angles and sines are within 8e-16 of the true values."""
 
 import math
 
@@ -41,20 +41,21 @@ def small_sine_cosine(angle: float) -> tuple[float, float]:
 
 @inlined
 def circle(turns: float) -> tuple[float, float]:
-    """Sine and cosine of an angle in turns, from those of the nearest of 128 angles: a look-up, and
-    a third of the time that the library's take."""
+    """Sine and cosine of an angle in turns, from those of the nearest of 128 angles: a
+    look-up, and a third of the time that the library's take."""
     at = turns * _PARTS
     below = math.floor(at)
     turned, kept = small_sine_cosine((at - below - 0.5) * (2 * math.pi / _PARTS))
     part = int(below) & (_PARTS - 1)
-    rise, run = _CIRCLE[part, 0], _CIRCLE[part, 1]
+    rise = _CIRCLE[part, 0]
+    run = _CIRCLE[part, 1]
     return rise * kept + run * turned, run * kept - rise * turned
 
 
 @inlined
 def arcsine(value: float) -> float:
-    """Arcsine of a number, taken as ±1 where it is beyond: up to ½ a polynomial in its square
-    (interpolated in Chebyshev nodes), beyond by π/2 - 2 arcsin √((1-v)/2)."""
+    """Arcsine of a number, taken as ±1 where it is beyond: up to ½ a polynomial in its
+    square (interpolated in Chebyshev nodes), beyond by π/2 - 2 arcsin √((1-v)/2)."""
     size = math.fabs(value)
     size = size if size < 1 else 1.0
     z = 0.5 * (1 - size) if size > 0.5 else size * size
@@ -78,7 +79,9 @@ def arcsine(value: float) -> float:
 @inlined
 def azimuth(x: float, y: float) -> float:
     """The angle of a direction in the plane, -π to π; 0 where there is none."""
-    length, across, up = math.sqrt(x * x + y * y), math.fabs(x), math.fabs(y)
+    length = math.sqrt(x * x + y * y)
+    across = math.fabs(x)
+    up = math.fabs(y)
     # Near ±1 an arcsine knows its angle badly.
     least = arcsine((up if up < across else across) / (length if length > 1e-300 else 1e-300))
     acute = least if up <= across else math.pi / 2 - least

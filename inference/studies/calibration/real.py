@@ -20,7 +20,7 @@ from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
-from poseterior.probmodel.root_priors import CANDIDATES
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.roots import Candidate
 from poseterior.probmodel.skeleton import TORSO_INDEX
 
@@ -41,7 +41,7 @@ def read_cases(
     noise: str = LIKELIHOOD,
     missing: int = 0,
     likelihood: Likelihood = PAPER,
-    root: str = CANDIDATES,
+    root: str = UNCERTAIN,
     seed: int = 0,
     perspective: bool = False,
 ) -> tuple[list[Case], dict[str, Any]]:

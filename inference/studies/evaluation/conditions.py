@@ -21,7 +21,7 @@ class Condition(NamedTuple):
     estimator: str
     missing: int = 0
     rotate: float = 0.0
-    root: str = UNCERTAIN
+    root: str = CANDIDATES
 
     @property
     def way(self) -> str:

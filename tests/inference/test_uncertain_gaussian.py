@@ -1,6 +1,6 @@
 """Roots by least squares, where the torso's joints err by Gaussians, against roots by discs that
-are thinned; the bounds that they rest on; and roots with weights, by guesses, against those by
-bounds.
+are thinned; the bounds that they rest on; and roots with weights, by approximations, against those
+by bounds.
 
 False alarms: 1e-4 for each law that is compared, 6e-5 for the evidence; seeds are fixed."""
 
@@ -13,18 +13,19 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from poseterior.inference.exact.loops import fits
-from poseterior.inference.exact.loops.fits import FitCells, balance, cut_fits
-from poseterior.inference.exact.loops.roots import TorsoProblem
+from poseterior.inference.exact.loops import gaussian
+from poseterior.inference.exact.loops.gaussian import GaussianTorso, bounded_cells, centre_joints
+from poseterior.inference.exact.loops.roots import TorsoJoints
 from poseterior.inference.exact.rates import Budget
-from poseterior.inference.importance import attempts
-from poseterior.inference.importance.attempts import (
+from poseterior.inference.importance import torso_proposals
+from poseterior.inference.importance.torso_proposals import (
+    Batches,
     TorsoDraws,
-    draw_posed,
     draw_roots,
-    quick_proposal_of,
+    draw_torso,
+    weighted_proposal,
 )
-from poseterior.inference.importance.torsos import Posed, torso_problem
+from poseterior.inference.importance.torsos import TorsoProblem, torso_problem
 from poseterior.probmodel import ErrorLaw, Likelihood, PoseModel
 from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.errors.laws import Gaussian, Student
@@ -55,13 +56,13 @@ def posterior(
 def by_discs(whole: Posterior, number: int, monkeypatch: pytest.MonkeyPatch) -> TorsoDraws:
     """As if nothing were known of the law but its ratio and its reach."""
 
-    def plain(posterior: Posterior, faults: Faults) -> Posed:
-        posed = torso_problem(posterior, faults)
-        none = np.zeros_like(posed.problem.precision)
-        return posed._replace(problem=posed.problem._replace(precision=none))
+    def plain(posterior: Posterior, faults: Faults) -> TorsoProblem:
+        problem = torso_problem(posterior, faults)
+        none = np.zeros_like(problem.joints.precision)
+        return problem._replace(joints=problem.joints._replace(precision=none))
 
     with monkeypatch.context() as patch:
-        patch.setattr(attempts, "torso_problem", plain)
+        patch.setattr(torso_proposals, "torso_problem", plain)
         return draw_roots(whole, Faults.none(), [3, 4], number, Budget(1 << 30))
 
 
@@ -92,7 +93,7 @@ def test_roots_by_least_squares_are_those_by_discs(monkeypatch: pytest.MonkeyPat
     whole = posterior()
     fitted = draw_roots(whole, Faults.none(), [1, 2], 2500, Budget(1 << 30))
     discs = by_discs(whole, 2500, monkeypatch)
-    assert discs.attempts > 100 * fitted.attempts
+    assert discs.proposals > 100 * fitted.proposals
     assert smallest_p(fitted, discs) > ALARM
     error = math.sqrt(fitted.variance + discs.variance)
     assert abs(fitted.log_evidence - discs.log_evidence) < 4 * error < 0.2
@@ -105,7 +106,7 @@ def test_students_roots_are_those_by_discs(monkeypatch: pytest.MonkeyPatch) -> N
     whole = posterior(law=Student(6.0), without=("thorax", "pelvis"))
     discs = by_discs(whole, 1000, monkeypatch)
     fitted = draw_roots(whole, Faults.none(), [1, 2], 1000, Budget(1 << 30))
-    assert discs.attempts > 10 * fitted.attempts
+    assert discs.proposals > 10 * fitted.proposals
     assert smallest_p(fitted, discs) > ALARM
     error = math.sqrt(fitted.variance + discs.variance)
     assert abs(fitted.log_evidence - discs.log_evidence) < 4 * error < 0.25
@@ -120,33 +121,35 @@ def test_a_factor_of_the_scale_that_is_lost_is_found_out(monkeypatch: pytest.Mon
     whole = posterior()
     discs = by_discs(whole, 2500, monkeypatch)
 
-    def flatter(posterior: Posterior, faults: Faults) -> Posed:
-        posed = torso_problem(posterior, faults)
-        return posed._replace(problem=posed.problem._replace(power=posed.problem.power - 2))
+    def flatter(posterior: Posterior, faults: Faults) -> TorsoProblem:
+        problem = torso_problem(posterior, faults)
+        power = problem.joints.power - 2
+        return problem._replace(joints=problem.joints._replace(power=power))
 
-    monkeypatch.setattr(attempts, "torso_problem", flatter)
+    monkeypatch.setattr(torso_proposals, "torso_problem", flatter)
     fitted = draw_roots(whole, Faults.none(), [1, 2], 2500, Budget(1 << 30))
     assert smallest_p(fitted, discs) < ALARM / 100
 
 
-def broken_bounds(problem: TorsoProblem, cells: FitCells, shrunk: float) -> int:
+def broken_bounds(joints: TorsoJoints, cells: np.ndarray, shrunk: float) -> int:
     """In how many of 3,000 places, in cells made `1 / shrunk` times as wide, χ² or the best inverse
     scale is beyond its bound. Least squares are NumPy's."""
     rng = np.random.default_rng(5)
-    root = np.sqrt(problem.precision)
+    root = np.sqrt(joints.precision)
     broken = 0
-    for row in rng.integers(len(cells.torso), size=3000):
-        middle = cells.corner[row] + cells.width[row] / 2
-        angles = middle + (rng.choice([-0.5, 0.5], 3) / shrunk) * cells.width[row]
-        view = problem.torsos[cells.torso[row]] @ Rotation.from_euler("ZYZ", angles).as_matrix().T
-        image = view[:, :2] - view[:, 2:] * problem.ray + problem.bias
+    for row in rng.integers(len(cells), size=3000):
+        cell = cells[row]
+        middle = cell["corner"] + cell["width"] / 2
+        angles = middle + (rng.choice([-0.5, 0.5], 3) / shrunk) * cell["width"]
+        view = joints.torsos[cell["torso"]] @ Rotation.from_euler("ZYZ", angles).as_matrix().T
+        image = view[:, :2] - view[:, 2:] * joints.ray + joints.bias
         design = np.zeros((2 * len(image), 3))
         design[::2, 0] = design[1::2, 1] = root
-        design[:, 2] = -(root[:, None] * problem.keypoints).ravel()
+        design[:, 2] = -(root[:, None] * joints.keypoints).ravel()
         target = -(root[:, None] * image).ravel()
         found, *_ = np.linalg.lstsq(design, target, rcond=None)
         chi = np.sum((design @ found - target) ** 2)
-        broken += chi < cells.least[row] - 1e-6 or found[2] > cells.top[row] + 1e-6
+        broken += chi < cell["least"] - 1e-6 or found[2] > cell["top"] + 1e-6
     return broken
 
 
@@ -155,12 +158,12 @@ def broken_bounds(problem: TorsoProblem, cells: FitCells, shrunk: float) -> int:
 def test_bounds_are_bounds(aside: float) -> None:
     """At the corners of cells, where joints move most; corners one and a half cells away break
     them, or they would be too wide to be of use. Lines of sight that run `aside` differ too."""
-    problem = torso_problem(posterior(0.25), Faults.none()).problem
-    rays = np.random.default_rng(4).uniform(0.5, 1.0, problem.ray.shape)
-    problem = problem._replace(ray=aside * rays)
-    cells = cut_fits(problem, balance(problem))
-    assert broken_bounds(problem, cells, 1.0) == 0
-    assert broken_bounds(problem, cells, 1 / 3) > 30
+    joints = torso_problem(posterior(0.25), Faults.none()).joints
+    rays = np.random.default_rng(4).uniform(0.5, 1.0, joints.ray.shape)
+    joints = joints._replace(ray=aside * rays)
+    cells = bounded_cells(GaussianTorso(joints, centre_joints(joints))).table
+    assert broken_bounds(joints, cells, 1.0) == 0
+    assert broken_bounds(joints, cells, 1 / 3) > 30
 
 
 @pytest.mark.slow
@@ -169,20 +172,21 @@ def test_cells_that_are_cut_finer_have_less_mass_and_the_same_evidence(
 ) -> None:
     whole = posterior(0.25)
     fine = draw_roots(whole, Faults.none(), [1, 2], 3000, Budget(1 << 30))
-    monkeypatch.setattr(fits, "LEVELS", 2)
+    monkeypatch.setattr(gaussian, "LEVELS", 2)
     coarse = draw_roots(whole, Faults.none(), [1, 2], 3000, Budget(1 << 30))
-    assert coarse.attempts > 2 * fine.attempts
+    assert coarse.proposals > 2 * fine.proposals
     error = math.sqrt(fine.variance + coarse.variance)
     assert abs(fine.log_evidence - coarse.log_evidence) < 4 * error < 0.2
 
 
 def test_a_torso_that_hardly_fits_has_hardly_any_mass() -> None:
     """A joint detected ten torsos away."""
-    problem = torso_problem(posterior(0.1), Faults.none()).problem
-    keypoints = problem.keypoints.copy()
+    joints = torso_problem(posterior(0.1), Faults.none()).joints
+    keypoints = joints.keypoints.copy()
     keypoints[1] += 10 * np.ptp(keypoints)
-    far = problem._replace(keypoints=keypoints)
-    mass = [cut_fits(one, balance(one)).mass for one in (problem, far)]
+    far = joints._replace(keypoints=keypoints)
+    both = [GaussianTorso(one, centre_joints(one)) for one in (joints, far)]
+    mass = [bounded_cells(one).mass for one in both]
     assert 0 <= mass[1] < 1e-9 * mass[0]
 
 
@@ -205,11 +209,11 @@ SHARP = {
 def weighed(
     whole: Posterior, words: list[int], number: int, budget: Budget | None = None
 ) -> TorsoDraws:
-    """Roots by guesses, with weights."""
-    posed = torso_problem(whole, Faults.none())
-    proposal = quick_proposal_of(posed)
-    assert not proposal.exact
-    return draw_posed(posed, proposal, words, number, budget or Budget(1 << 30), most=number)
+    """Roots by approximations, with weights."""
+    problem = torso_problem(whole, Faults.none())
+    batches = Batches(problem, weighted_proposal(problem), words)
+    assert not batches.proposal.exact
+    return draw_torso(batches, number, budget or Budget(1 << 30), most=number)
 
 
 def far_apart(one: TorsoDraws, other: TorsoDraws) -> float:
@@ -239,14 +243,14 @@ def test_weighed_roots_are_those_by_bounds(name: str, monkeypatch: pytest.Monkey
     error = math.sqrt(exact.variance + found.variance)
     assert abs(found.log_evidence - exact.log_evidence) < 4 * error < 0.12
     assert far_apart(found, exact) < 4
-    right = attempts.attempt_fits
+    right = torso_proposals.propose_by_gaussian
 
     def without_weights(*arguments: Any) -> tuple[int, int]:
         result = right(*arguments)
-        arguments[-1].log_weight[:] = 0.0
+        arguments[-1]["log_weight"] = 0.0
         return result
 
-    monkeypatch.setattr(attempts, "attempt_fits", without_weights)
+    monkeypatch.setattr(torso_proposals, "propose_by_gaussian", without_weights)
     wrong = weighed(whole, [3, 4], 20_000)
     assert abs(wrong.log_evidence - exact.log_evidence) > 5 * error
 
@@ -257,7 +261,7 @@ def test_few_weighed_roots_have_an_unbiased_evidence(monkeypatch: pytest.MonkeyP
     their roots count, which is taken from more; without the chance of being taken it is off."""
     whole = posterior(0.12)
     truth = weighed(whole, [3, 4], 100_000)
-    monkeypatch.setattr(attempts, "PROBE", 64)
+    monkeypatch.setattr(torso_proposals, "PROBE", 64)
     some = [weighed(whole, [5, seed], 20) for seed in range(400)]
     ratio = np.exp([one.log_evidence - truth.log_evidence for one in some])
     assert abs(ratio.mean() - 1) < 4 * ratio.std() / 20 < 0.2
@@ -274,14 +278,14 @@ def test_few_weighed_roots_have_an_unbiased_evidence(monkeypatch: pytest.MonkeyP
 
 
 def test_weighed_roots_end_with_the_budget() -> None:
-    """As many attempts as are left, an evidence of those, and a word that it was not enough."""
+    """As many proposals as are left, an evidence of those, and a word that it was not enough."""
     whole = posterior(0.12)
     plenty = weighed(whole, [3, 4], 20_000)
     assert plenty.enough
     assert len(plenty.points.torso) == 20_000
     none = weighed(whole, [3, 4], 20_000, Budget(100))
     assert not none.enough
-    assert len(none.points.torso) == none.attempts == 0
+    assert len(none.points.torso) == none.proposals == 0
     assert none.log_evidence == -math.inf
 
 

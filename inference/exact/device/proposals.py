@@ -1,9 +1,10 @@
-"""One attempt at a group of limbs, in JAX, to be vectorised by `jax.vmap`: what `loops.attempts`
-and `loops.blocks` do for the processor, step by step.
+"""One proposal of a group of limbs, in JAX, to be vectorised by `jax.vmap`: what
+`loops.proposals` and `loops.blocks` do for the processor, step by step.
 
-All limbs are tried, whether or not the first fits: on a device for which this is meant neighbours
-wait for each other anyway. Vectors are three numbers each; as arrays of three, or matrices, they
-would be small products for a library instead of one loop over the attempts."""
+All limbs are tried, whether or not the first fits: on a device for which this is meant
+neighbours wait for each other anyway. Vectors are three numbers each; as arrays of
+three, or matrices, they would be small products for a library instead of one loop over
+the proposals."""
 
 from typing import NamedTuple
 
@@ -31,9 +32,11 @@ from poseterior.inference.exact.loops.tables import (
 )
 from poseterior.probmodel.kinematics import PARALLEL
 
-A_LENGTH, A_LIMB = 3, 7
+A_LENGTH = 3
+A_LIMB = 7
 NUMBERS = 1 + 2 * A_LENGTH + 2 * A_LIMB
-"""Random numbers of an attempt at most: one for its bins, three a length, seven a limb."""
+"""Random numbers of a proposal at most: one for its bins, three a length, seven a
+limb."""
 
 Number = jax.Array
 Vector = tuple[Number, Number, Number]
@@ -41,14 +44,15 @@ Triple = tuple[Vector, Vector, Vector]
 
 
 class Measures(NamedTuple):
-    """Whether the measure of upper bones is "area", and whether that of lower ones is "box"."""
+    """Whether the measure of upper bones is "area", and whether that of lower ones is
+    "box"."""
 
     by_area: bool
     flat: bool
 
 
-def attempt(uniform: jax.Array, plan: DevicePlan, measures: Measures) -> tuple[jax.Array, Number]:
-    """One attempt at a group.
+def propose(uniform: jax.Array, plan: DevicePlan, measures: Measures) -> tuple[jax.Array, Number]:
+    """One proposal of a group.
 
     Parameters
     ----------
@@ -58,23 +62,28 @@ def attempt(uniform: jax.Array, plan: DevicePlan, measures: Measures) -> tuple[j
 
     Returns
     -------
-    `(2 + 6 · limbs,)` its two lengths (of one bone the same twice), the limbs' upper directions and
-    then their lower ones; and whether all limbs fit.
+    `(2 + 6 · limbs,)` its two lengths (of one bone the same twice), the limbs' upper
+    directions and then their lower ones; and whether all limbs fit.
     """
     bins = _pick(uniform[0], 0, len(plan.bins), plan.bins)
     own = [bins]
     if len(plan.lengths) == 2:
         own = [*jnp.divmod(bins, len(plan.lengths[1].slices) // PER_BIN)]
-    lengths, limbs, passed, used = [], [], jnp.array(True), 1
+    lengths = []
+    limbs = []
+    passed = jnp.array(True)
+    used = 1
     for index, law in zip(own, plan.lengths, strict=True):
         length, kept = _length(uniform[used : used + A_LENGTH], index, law)
         lengths.append(length)
-        passed, used = passed & kept, used + A_LENGTH
+        passed = passed & kept
+        used = used + A_LENGTH
     for limb in plan.limbs:
         numbers = uniform[used : used + A_LIMB]
         upper, lower, kept = _limb(numbers, limb, bins, lengths, plan.half, measures)
         limbs.append((upper, lower))
-        passed, used = passed & kept, used + A_LIMB
+        passed = passed & kept
+        used = used + A_LIMB
     directions = [number for part in zip(*limbs, strict=True) for bone in part for number in bone]
     return jnp.stack([lengths[0], lengths[-1], *directions]), passed
 
@@ -93,11 +102,13 @@ def _length(uniform: jax.Array, index: Number, lengths: DeviceLengths) -> tuple[
     low, span, alpha, beta = lengths.law
     place = _pick(uniform[0], index * PER_BIN, PER_BIN, lengths.alias)
     start, width, envelope = real(lengths.slices[place], SLICES, "start", "width", "envelope")
-    first, last = place == 0, place == len(lengths.slices) - 1
+    first = place == 0
+    last = place == len(lengths.slices) - 1
     power = width * uniform[1] ** (1 / jnp.where(first, alpha, beta))
     inside = start + width * uniform[1]
     fraction = jnp.where(first, power, jnp.where(last, 1 - power, inside))
-    rise, fall = fraction ** (alpha - 1), (1 - fraction) ** (beta - 1)
+    rise = fraction ** (alpha - 1)
+    fall = (1 - fraction) ** (beta - 1)
     # In the outermost slices one factor is drawn by its power law.
     density = jnp.where(first, 1.0, rise) * jnp.where(last, 1.0, fall)
     return low + span * fraction, uniform[2] * envelope < density
@@ -111,7 +122,7 @@ def _limb(
     half: Number,
     measures: Measures,
 ) -> tuple[Vector, Vector, Number]:
-    """One attempt at a limb: its directions, and whether it fits."""
+    """One proposal of a limb: its directions, and whether it fits."""
     place = _pick(uniform[0], limb.starts[bins], limb.sizes[bins], limb.alias)
     entry = limb.entries[place]
     sub = limb.subs[whole(entry, ENTRIES, "sub")]
@@ -141,14 +152,16 @@ def _upper(uniform: jax.Array, sub: jax.Array, half: Number, by_area: bool) -> V
     else:
         u2 = lift * jnp.cos(along) + fall * jnp.sin(along)
         planar = fall * jnp.cos(along) - lift * jnp.sin(along)
-    turned, kept = jnp.sin(across), jnp.cos(across)
+    turned = jnp.sin(across)
+    kept = jnp.cos(across)
     return planar * (cosine * kept - sine * turned), planar * (sine * kept + cosine * turned), u2
 
 
 class _Joint(NamedTuple):
-    """Between two bones of a limb: the disc of the lower one's end, its centre from the joint and
-    its radius in lengths of that bone; the limb's frame and the lower one's, lines of the first and
-    columns of the second; the hinge's triple and the row of `CELLS`."""
+    """Between two bones of a limb: the disc of the lower one's end, its centre from the
+    joint and its radius in lengths of that bone; the limb's frame and the lower one's,
+    lines of the first and columns of the second; the hinge's triple and the row of
+    `CELLS`."""
 
     centre: list[Number]
     radius: Number
@@ -173,13 +186,15 @@ def _joint(
 
 
 def _lower(uniform: jax.Array, mask: Number, joint: _Joint) -> tuple[Vector, Number]:
-    """A lower bone in the region of a stratum, and what this joint leaves of a piece's area, which
-    the stratum's bound is compared with. The region is the hinge's box, or pieces of the rectangle
-    around the disc: charts (x, α) of the sphere both, in axes of their own."""
+    """A lower bone in the region of a stratum, and what this joint leaves of a piece's
+    area, which the stratum's bound is compared with. The region is the hinge's box, or
+    pieces of the rectangle around the disc: charts (x, α) of the sphere both, in axes
+    of their own."""
     box_low, box_high, box_first, box_last = real(joint.cell, CELLS, *BOX)
     distance = jnp.sqrt(_square(joint.centre))
     width, low, high = _rectangle(distance, joint.radius)
-    height, is_box = (high - low) / ROWS, mask == 0
+    height = (high - low) / ROWS
+    is_box = mask == 0
     along = uniform[1] * jnp.asarray(COUNT)[mask]
     number = along.astype(int)
     piece = jnp.asarray(PICK)[mask, number].astype(int)
@@ -187,12 +202,14 @@ def _lower(uniform: jax.Array, mask: Number, joint: _Joint) -> tuple[Vector, Num
     turn = jnp.minimum(box_last - box_first, 2 * jnp.pi) * uniform[1]
     x = jnp.where(is_box, in_box, width * (2 * uniform[0] - 1))
     angle = jnp.where(is_box, box_first + turn, low + height * (along - number + piece % ROWS))
-    rho, ahead = _root(1 - x * x), jnp.where(is_box | (piece < ROWS), 1.0, -1.0)
+    rho = _root(1 - x * x)
+    ahead = jnp.where(is_box | (piece < ROWS), 1.0, -1.0)
     chart = x, rho * jnp.sin(angle), rho * jnp.cos(angle) * ahead
     normal, second, third = joint.hinge
     hinged = _out_of((second, third, _minus(normal)), chart)
     far = jnp.where(distance > 0, distance, 1.0)
-    towards0, towards1 = jnp.where(distance > 0, joint.centre[0] / far, 1.0), joint.centre[1] / far
+    towards0 = jnp.where(distance > 0, joint.centre[0] / far, 1.0)
+    towards1 = joint.centre[1] / far
     seen = (
         towards0 * chart[1] - towards1 * chart[0],
         towards1 * chart[1] + towards0 * chart[0],
@@ -225,7 +242,8 @@ def _allowed(q: Vector, joint: _Joint) -> Number:
 def _lower_axes(u: Vector, reference: jax.Array) -> Triple:
     """`kinematics.lower_axes`."""
     a0, a1, a2, f0, f1, f2 = reference
-    usual, other = _cross((a0, a1, a2), u), _cross(u, (f0, f1, f2))
+    usual = _cross((a0, a1, a2), u)
+    other = _cross(u, (f0, f1, f2))
     parallel = _dot(usual, usual) < PARALLEL**2
     v0, v1, v2 = (jnp.where(parallel, *pair) for pair in zip(other, usual, strict=True))
     scale = 1 / jnp.sqrt(v0 * v0 + v1 * v1 + v2 * v2)

@@ -1,13 +1,15 @@
-"""What is compiled by a second process, while this one imports, estimates and compiles the rest: of
-a call that holds roots fixed the loops of attempts and the programs of what comes after them, of
-one whose root is uncertain the loops that weigh limbs. Numba compiles under one lock, so that
-threads do not help; both processes share its cache, and JAX's.
+"""The warm-up: a second process that compiles while this one imports, estimates and
+compiles the rest. Of a call that holds roots fixed it compiles the loops of proposals
+and the programs of what comes after them, of one whose root is uncertain the loops that
+weight limbs. Numba compiles under one lock, so that threads do not help; both processes
+share its cache, and JAX's.
 
-    begin("fixed")  # at the start of a command that draws, before anything heavy is imported
-    wait()          # before the first attempt
-    finish()        # before a result is made of draws
+    begin("fixed")  # at the start of a command that draws, before anything heavy is
+    imported wait()          # before the first proposal finish()        # before a
+    result is made of draws
 
-Where anything of it fails, this process compiles the loops itself, as it always did."""
+Where anything of it fails, this process compiles the loops itself, as it would
+without."""
 
 import atexit
 import os
@@ -16,32 +18,32 @@ import subprocess
 import sys
 import threading
 
-from poseterior.inference.exact.loops.places import FOLDER
+from poseterior.inference.exact.loops.cache_folder import FOLDER
 
-COMPILED = {"fixed": "attempts.attempt_limb", "uncertain": "pairs.combine_rows"}
-"""By the kind of root: a loop that is kept where all are."""
-PATIENCE = 120.0
+COMPILED = {"fixed": "proposals.propose_limb", "uncertain": "pairs.combine_rows"}
+"""By the kind of root: the loop that is in the cache folder where all are."""
+TIMEOUT = 120.0
 """Seconds that are waited for the other process at most."""
 READY = b"loops\n"
-"""What it says once the loops are compiled."""
+"""What the other process says once the loops are compiled."""
 _other: subprocess.Popen | None = None
 _one_waits = threading.Lock()
 
 
 def missing(root: str) -> bool:
-    """Whether loops for this kind of root have yet to be compiled, so that a command takes longer
-    than it will the next time."""
+    """Whether loops for this kind of root have yet to be compiled, so that a command
+    takes longer than it will the next time."""
     return FOLDER is None or not any(FOLDER.rglob(f"{COMPILED[root]}-*.nbi"))
 
 
 def begin(root: str) -> None:
-    """Starts the other process for this kind of root, where there is something to compile,
-    somewhere to keep it, and a core to do it."""
+    """Starts the other process for this kind of root, where there is something to
+    compile, a cache folder, and a core to do it."""
     global _other
     if _other is not None or FOLDER is None or not missing(root) or (os.cpu_count() or 1) < 2:
         return
     # -P: a folder `inference` where the user happens to be is not ours.
-    command = [sys.executable, "-P", "-m", "poseterior.inference.exact.ahead", root]
+    command = [sys.executable, "-P", "-m", "poseterior.inference.exact.warm_up", root]
     quiet = subprocess.DEVNULL
     try:
         _other = subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet)
@@ -51,62 +53,72 @@ def begin(root: str) -> None:
 
 
 def wait() -> None:
-    """Returns once the other process, if there is one, has compiled the loops, or has ended."""
+    """Returns once the other process, if there is one, has compiled the loops, or has
+    ended."""
     if _other is None or _other.stdout is None:
         return
     with _one_waits:
         if not _other.stdout.closed:
-            if not select.select([_other.stdout], [], [], PATIENCE)[0]:
+            if not select.select([_other.stdout], [], [], TIMEOUT)[0]:
                 _other.kill()
             _other.stdout.close()
 
 
 def finish() -> None:
-    """Returns once the other process, if there is one, has ended: then its programs are there."""
+    """Returns once the other process, if there is one, has ended: then its programs are
+    there."""
     if _other is None:
         return
     try:
-        _other.wait(PATIENCE)
+        _other.wait(TIMEOUT)
     except subprocess.TimeoutExpired:
         _other.kill()
 
 
 def signatures() -> dict[str, tuple]:
-    """The types of what the engine calls each loop of attempts with."""
+    """The types of what the engine calls each loop of proposals with."""
     import numba
     import numpy as np
 
     from poseterior.inference.exact.loops import tables
 
+    reals = np.zeros(0)
+    indices = np.zeros(0, np.int64)
+    alias = np.zeros(0, tables.ALIAS)
     limb = tables.CutLimb(
         tables.LimbProblem(np.eye(3), np.zeros((2, 2)), np.ones(2)),
         tables.LimbTables(np.zeros(1, tables.CELLS), (0.0,) * 6, False, False, 2),
         tables.Strata(
-            np.zeros(0, tables.SUBS),
-            np.zeros(0, tables.ALIAS),
-            np.zeros(0, tables.ENTRIES),
-            np.zeros(0, np.int64),
-            np.zeros(0, np.int64),
-            np.zeros(0),
+            subs=np.zeros(0, tables.SUBS),
+            alias=alias,
+            entries=np.zeros(0, tables.ENTRIES),
+            starts=indices,
+            ends=indices,
+            totals=reals,
         ),
     )
-    law = tables.LengthLaw(0.0, 0.0, 0.0, 0.0)
-    alias, slices = np.zeros(0, tables.ALIAS), np.zeros(0, tables.SLICES)
-    bins = tables.LengthBins(law, np.zeros(0), np.zeros(0), np.zeros(1), alias, slices)
-    state, counts = np.zeros(4, np.uint64), np.zeros(0, np.int64)
+    bins = tables.LengthBins(
+        tables.LengthLaw(0.0, 0.0, 0.0, 0.0),
+        mass=reals,
+        proposed=reals,
+        edges=reals,
+        alias=alias,
+        slices=np.zeros(0, tables.SLICES),
+    )
+    state = np.zeros(4, np.uint64)
     bodies = tables.Bodies(np.zeros((0, 2)), np.zeros((0, 1, 3)), np.zeros((0, 1, 3)))
-    desk = tables.desk(1)
+    pair = tables.workspace_pair(1)
     given = {
-        "attempt_lengths": (state, counts, 0, bins, bins, True, desk),
-        "attempt_limb": (state, limb, 1, 0, desk),
-        "hand_over": (state, 0, *tables.desk_pair(1), counts, bodies, 0),
+        "propose_lengths": (state, indices, 0, (bins, bins), True, pair[0]),
+        "propose_limb": (state, limb, 1, 0, pair[0]),
+        "add_bodies": (state, 0, pair, indices, bodies, 0),
     }
     return {name: tuple(map(numba.typeof, values)) for name, values in given.items()}
 
 
 def programs() -> None:
-    """Has JAX compile what a result is made of, for an embedded example: its programs serve every
-    detection."""
+    """Has JAX compile what a result is made of, for an embedded example: its programs
+    serve every detection."""
     import numpy as np
 
     from poseterior.inference.draws import Draws, KnownRoots
@@ -126,9 +138,10 @@ def programs() -> None:
     tree_of(Draws(posterior, points, poses, Faults.none(number), known, about))
 
 
-def weigh() -> None:
-    """Has numba compile what weighs limbs, by weighing those of roots that see nothing."""
-    from poseterior.inference.importance.patterns import pool_of
+def weight_limbs() -> None:
+    """Has numba compile what weights limbs, by weighting those of roots that see
+    nothing."""
+    from poseterior.inference.importance.fault_patterns import pool_of
     from poseterior.probmodel.model import PoseModel
 
     pool_of(PoseModel.paper())
@@ -137,12 +150,12 @@ def weigh() -> None:
 def main(root: str) -> None:
     """What the other process does."""
     if root == "uncertain":
-        weigh()
+        weight_limbs()
         return
-    from poseterior.inference.exact.loops import attempts
+    from poseterior.inference.exact.loops import proposals
 
     for name, types in signatures().items():
-        getattr(attempts, name).compile(types)
+        getattr(proposals, name).compile(types)
     os.write(1, READY)
     if os.environ.get("POSETERIOR_PROGRAMS"):  # else they would be compiled for this process alone
         programs()

@@ -1,6 +1,6 @@
-"""Roots are taken from many by what they promise, and weighed by the inverse of their chance: what
-is taken is unbiased, whatever was promised; the evidence says how far it may be off; and more roots
-are effective."""
+"""Two-stage importance sampling: roots are taken from many by their first-stage weights, and
+weighted by the inverse of their chance: what is taken is unbiased, whatever these weights were; the
+evidence says how far it may be off; and more roots are effective."""
 
 import dataclasses
 import functools
@@ -11,15 +11,15 @@ import weakref
 import numpy as np
 import pytest
 
-from poseterior.inference.exact.groups import once_a_model
-from poseterior.inference.exact.loops import fits
-from poseterior.inference.exact.loops.promise import LANES
+from poseterior.inference.exact.groups import memoised_by_model
+from poseterior.inference.exact.loops import gaussian
+from poseterior.inference.exact.loops.first_stage import LANES
 from poseterior.inference.exact.rates import Budget
-from poseterior.inference.importance import attempts, proposals
-from poseterior.inference.importance.attempts import TorsoDraws, draw_roots
-from poseterior.inference.importance.limbs import CHAINED, ENDS, LIMBS, POOL, prior_poses
-from poseterior.inference.importance.patterns import pool_of
-from poseterior.inference.importance.proposals import _looks, _promising, _some
+from poseterior.inference.importance import torso_proposals, two_stage
+from poseterior.inference.importance.fault_patterns import pool_of
+from poseterior.inference.importance.limbs import CHAINED, ENDS, LIMBS, POOL_SIZE, prior_poses
+from poseterior.inference.importance.torso_proposals import TorsoDraws, draw_roots
+from poseterior.inference.importance.two_stage import _oversampling, _part_of_pool, _take
 from poseterior.inference.importance.weighted import WeightedRoots, weigh_roots
 from poseterior.probmodel import Likelihood, PoseModel
 from poseterior.probmodel.anatomy.limits import EMBEDDED
@@ -52,7 +52,7 @@ def test_rows_are_taken_by_their_chance() -> None:
     value = np.exp(score / 4) * rng.exponential(size=60)
     right, wrong = [], []
     for _ in range(4000):
-        rows, chance = _promising(score, 12, rng)
+        rows, chance = _take(score, 12, rng)
         assert len(np.unique(rows)) == len(rows) == 12
         assert ((chance > 0) & (chance <= 1)).all()
         right.append(np.sum(value[rows] / chance))
@@ -62,41 +62,43 @@ def test_rows_are_taken_by_their_chance() -> None:
     assert abs(np.mean(wrong) - value.sum()) > 9 * np.std(wrong) / math.sqrt(4000)
 
 
-def test_where_few_are_promising_more_are_looked_at() -> None:
-    """Eight for one where all promise the same; so many that 1.7 of them promise as much as the
-    best where one in twelve does; 32 where one in 48 does, or where the promises of a pilot run are
-    as uneven as a scatter of 10 nats makes them; TRUST is how far they are believed."""
+def test_where_few_have_weight_there_is_more_oversampling() -> None:
+    """Eight for one where all first-stage weights are the same; so many that 1.7 of them are as
+    large as the largest where one in twelve is; 32 where one in 48 is, or where the estimates of a
+    pilot run are as uneven as a scatter of 10 nats makes them; by the power that roots are taken
+    by."""
 
-    def looks(promising: int) -> int:
-        return _looks(np.where(np.arange(48) < promising, 0.0, -np.inf))
+    def oversampling(large: int) -> int:
+        return _oversampling(np.where(np.arange(48) < large, 0.0, -np.inf))
 
-    assert looks(48) == 8
-    assert looks(4) == math.ceil(1.7 * 12)
-    assert looks(1) == 32
+    assert oversampling(48) == 8
+    assert oversampling(4) == math.ceil(1.7 * 12)
+    assert oversampling(1) == 32
     rng = np.random.default_rng(0)
-    assert _looks(10 * rng.normal(size=48)) == 32
-    assert _looks(0.1 * rng.normal(size=48)) == 8
-    guess = 5 * rng.normal(size=48)
-    believed = np.exp(proposals.TRUST * guess)
-    wanted = 1.7 * 48 * np.sum(believed**2) / np.sum(believed) ** 2
-    assert 8 < _looks(guess) == math.ceil(wanted) < 32
-    assert _looks(np.zeros(0)) == 8  # nothing is known of a stratum without any
+    assert _oversampling(10 * rng.normal(size=48)) == 32
+    assert _oversampling(0.1 * rng.normal(size=48)) == 8
+    estimate = 5 * rng.normal(size=48)
+    weight = np.exp(two_stage.FIRST_STAGE_POWER * estimate)
+    wanted = 1.7 * 48 * np.sum(weight**2) / np.sum(weight) ** 2
+    assert 8 < _oversampling(estimate) == math.ceil(wanted) < 32
+    assert _oversampling(np.zeros(0)) == 8  # nothing is known of a pattern without any
 
 
-def test_the_more_are_looked_at_the_fewer_draws_judge_them() -> None:
+def test_more_oversampling_is_by_fewer_draws_of_the_prior() -> None:
     """As much work in all, within a fifth; in whole vectors, or what is read lies outside."""
     model = PoseModel.paper()
-    for looks in range(proposals.LOOKS[0], proposals.LOOKS[1] + 1):
-        number = _some(model, looks).shape[-1]
+    least, most = two_stage.OVERSAMPLING
+    for oversampling in range(least, most + 1):
+        number = _part_of_pool(model, oversampling).shape[-1]
         assert number % LANES == 0
-        assert 0.8 < looks * number / (proposals.LOOKS[0] * POOL) <= 1
+        assert 0.8 < oversampling * number / (least * POOL_SIZE) <= 1
 
 
-def test_every_seed_is_guessed_by_the_same_draws_of_the_prior() -> None:
+def test_every_seed_has_the_same_pool_of_the_prior() -> None:
     """Once a model, whoever's camera it is seen by, and for no longer than the model is there."""
     made: list[int] = []
 
-    @once_a_model
+    @memoised_by_model
     def count(model: PoseModel) -> int:
         made.append(id(model))
         return len(made)
@@ -123,7 +125,7 @@ def test_draws_that_judge_are_draws_of_the_prior(limits: str) -> None:
     truth = placed_pool(model)
     for limb, chained in enumerate(CHAINED):
         number = len(np.unique(pool[:, limb, 1], axis=1).T)
-        assert number > POOL / 2
+        assert number > POOL_SIZE / 2
         assert apart(pool[:, limb], truth[:, limb], number) < 5
         assert apart(-pool[:, limb], truth[:, limb], number) > 20
         assert (pool[:, limb, 0] == pool[:, limb, 1]).all() == (not chained)
@@ -147,38 +149,38 @@ def apart(one: np.ndarray, other: np.ndarray, number: int) -> float:
     moments = [np.concatenate([part, part**2]) for part in values]
     error = [
         np.std(moments[0], axis=1) / math.sqrt(number),
-        np.std(moments[1], axis=1) / math.sqrt(POOL),
+        np.std(moments[1], axis=1) / math.sqrt(POOL_SIZE),
     ]
     gap = np.abs(moments[0].mean(axis=1) - moments[1].mean(axis=1))
     return float(np.max(gap / np.maximum(np.hypot(*error), 1e-9)))
 
 
 def test_where_all_are_wanted_all_are_taken() -> None:
-    rows, chance = _promising(np.array([-700.0, 0.0, 3.0]), 3, np.random.default_rng(0))
+    rows, chance = _take(np.array([-700.0, 0.0, 3.0]), 3, np.random.default_rng(0))
     np.testing.assert_array_equal(rows, [0, 1, 2])
     np.testing.assert_array_equal(chance, [1, 1, 1])
 
 
 @pytest.mark.slow
-def test_the_evidence_is_unbiased_wherever_attempts_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the last root looked for, with patience, or with the last root needed: each is how some
+def test_the_evidence_is_unbiased_wherever_proposals_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the last root looked for, at the limit, or with the last root needed: each is how some
     of 600 searches end, and their mean is that of 3,000 roots (4 standard errors, 6e-5). That of
-    those that end with patience alone is too large: they are those that were lucky."""
+    those that end before the limit is too large: they are those that were lucky."""
 
     def drawn(words: list[int], number: int, most: int) -> TorsoDraws:
         return draw_roots(an_arm(), Faults.none(), words, number, Budget(10**9), most=most)
 
     truth = drawn([0, 0], 3000, 3000)
-    each = truth.attempts / 3000
-    monkeypatch.setattr(attempts, "PATIENCE", int(1.2 * each))
+    each = truth.proposals / 3000
+    monkeypatch.setattr(torso_proposals, "TORSO_PROPOSALS", int(1.2 * each))
     found = [drawn([1, seed], 2, 4) for seed in range(600)]
     numbers = np.array([len(one.points.torso) for one in found])
-    made = np.array([one.attempts for one in found])
-    patience = 2 * attempts.PATIENCE
+    made = np.array([one.proposals for one in found])
+    limit = 2 * torso_proposals.TORSO_PROPOSALS
     ends = {
-        "most": (numbers == 4) & (made < patience),
-        "patience": made == patience,
-        "number": (numbers == 2) & (made > patience),
+        "most": (numbers == 4) & (made < limit),
+        "limit": made == limit,
+        "number": (numbers == 2) & (made > limit),
     }
     assert np.sum(list(ends.values())) == 600
     assert min(chosen.sum() for chosen in ends.values()) > 60
@@ -190,26 +192,27 @@ def test_the_evidence_is_unbiased_wherever_attempts_end(monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-def test_promises_change_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Roots as they come, roots by promises, and roots by promises that are the wrong way round
-    have one evidence (4 standard errors); without the inverse chances it is another one."""
-    promised = weighed(0, 1500)
-    monkeypatch.setattr(proposals, "LOOKS", (1, 1))
+def test_first_stage_weights_change_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Roots as they come, roots by first-stage weights, and roots by weights that are the wrong
+    way round have one evidence (4 standard errors); without the inverse chances it is
+    another one."""
+    two_staged = weighed(0, 1500)
+    monkeypatch.setattr(two_stage, "OVERSAMPLING", (1, 1))
     plain = weigh_roots(an_arm(), key=key(1), num_roots=1500)
-    monkeypatch.setattr(proposals, "LOOKS", (4, 4))
-    monkeypatch.setattr(proposals, "TRUST", -0.3)
+    monkeypatch.setattr(two_stage, "OVERSAMPLING", (4, 4))
+    monkeypatch.setattr(two_stage, "FIRST_STAGE_POWER", -0.3)
     perverse = weigh_roots(an_arm(), key=key(2), num_roots=1500)
     for one in (plain, perverse):
-        error = math.hypot(promised.log_evidence_se, one.log_evidence_se)
-        assert abs(promised.log_evidence - one.log_evidence) < 4 * error < 0.6
-    monkeypatch.setattr(proposals, "TRUST", 0.85)
-    taken = proposals._promising
+        error = math.hypot(two_staged.log_evidence_se, one.log_evidence_se)
+        assert abs(two_staged.log_evidence - one.log_evidence) < 4 * error < 0.6
+    monkeypatch.setattr(two_stage, "FIRST_STAGE_POWER", 0.85)
+    taken = two_stage._take
     monkeypatch.setattr(
-        proposals, "_promising", lambda *arguments: (taken(*arguments)[0], np.ones(arguments[1]))
+        two_stage, "_take", lambda *arguments: (taken(*arguments)[0], np.ones(arguments[1]))
     )
     wrong = weigh_roots(an_arm(), key=key(3), num_roots=1500)
-    error = math.hypot(promised.log_evidence_se, wrong.log_evidence_se)
-    assert abs(promised.log_evidence - wrong.log_evidence) > 8 * error
+    error = math.hypot(two_staged.log_evidence_se, wrong.log_evidence_se)
+    assert abs(two_staged.log_evidence - wrong.log_evidence) > 8 * error
 
 
 @pytest.mark.slow
@@ -217,26 +220,29 @@ def test_more_roots_are_effective(monkeypatch: pytest.MonkeyPatch) -> None:
     """All joints seen: three times as many, for a quarter of the roots' own cost."""
     model = PoseModel.paper()
     posterior = prior_scene(model, 3, factor=0.4).posterior(model)
-    promised = weigh_roots(posterior, key=key(0), num_roots=200)
-    monkeypatch.setattr(proposals, "LOOKS", (1, 1))
+    two_staged = weigh_roots(posterior, key=key(0), num_roots=200)
+    monkeypatch.setattr(two_stage, "OVERSAMPLING", (1, 1))
     plain = weigh_roots(posterior, key=key(0), num_roots=200)
-    assert promised.proposed.scatter < plain.proposed.scatter == 1 / 200
-    assert promised.effective > 3 * plain.effective
+    assert two_staged.proposed.scatter < plain.proposed.scatter == 1 / 200
+    assert two_staged.effective > 3 * plain.effective
 
 
 @pytest.mark.slow
 def test_sharp_torsos_have_the_evidence_of_exact_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where joints are known well, roots by guesses, few of them, so that some have more weight
-    than others, against roots by bounds: evidence and mean scale (4 standard errors, 1.3e-4)."""
-    monkeypatch.setattr(attempts, "AMPLE", 0.3)
-    monkeypatch.setattr(fits, "GUESS", 0.6)
+    """Where joints are known well, roots by approximations, few of them, so that some have more
+    weight than others, against roots by bounds: evidence and mean scale (4 standard errors,
+    1.3e-4)."""
+    monkeypatch.setattr(torso_proposals, "AMPLE", 0.3)
+    monkeypatch.setattr(gaussian, "APPROXIMATE", 0.6)
     model = PoseModel.paper(torsos=np.asarray(PoseModel.paper().torsos)[[0, 17, 40]])
     frame = prior_scene(model, 11, factor=0.3)
     likelihood = Likelihood(Gaussian(), factor=0.3)
     posterior = dataclasses.replace(frame, likelihood=likelihood).posterior(model)
     quick = weigh_roots(posterior, key=key(1), num_roots=1000)
     monkeypatch.setattr(
-        proposals, "quick_proposal_of", lambda posed, levels=0: attempts.proposal_of(posed)
+        two_stage,
+        "weighted_proposal",
+        lambda problem, levels=0: torso_proposals.exact_proposal(problem),
     )
     exact = weigh_roots(posterior, key=key(2), num_roots=1000)
     error = math.hypot(quick.log_evidence_se, exact.log_evidence_se)
@@ -244,12 +250,12 @@ def test_sharp_torsos_have_the_evidence_of_exact_ones(monkeypatch: pytest.Monkey
     assert scales_apart(quick, exact) < 4
 
 
-def test_a_small_budget_is_not_spent_on_promises(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_small_budget_is_not_spent_on_a_first_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     """What was enough for roots as they come is enough."""
     with monkeypatch.context() as patch:
-        patch.setattr(proposals, "LOOKS", (1, 1))
+        patch.setattr(two_stage, "OVERSAMPLING", (1, 1))
         plain = weigh_roots(an_arm(), key=key(5), num_roots=100)
-    enough = plain.proposals + 4 * attempts.BATCH  # attempts are allowed in batches
+    enough = plain.proposals + 4 * torso_proposals.BATCH  # proposals are allowed in batches
     tight = weigh_roots(an_arm(), key=key(5), num_roots=100, max_proposals=enough)
     assert len(tight.log_weight) == 100
     np.testing.assert_array_equal(tight.log_weight, plain.log_weight)

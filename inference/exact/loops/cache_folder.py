@@ -1,5 +1,5 @@
-"""Where compiled loops are kept: a folder for each state of their sources, found without importing
-what compiles them."""
+"""The cache folder of the compiled loops: one for each state of their sources, found
+without importing what compiles them."""
 
 import hashlib
 import os
@@ -11,23 +11,24 @@ from collections.abc import Iterable
 from pathlib import Path
 
 SOURCES = (
-    "inference/exact/loops/attempts.py",
     "inference/exact/loops/bins.py",
     "inference/exact/loops/blocks.py",
     "inference/exact/loops/bounds.py",
-    "inference/exact/loops/fits.py",
+    "inference/exact/loops/cache_folder.py",
+    "inference/exact/loops/first_stage.py",
+    "inference/exact/loops/gaussian.py",
+    "inference/exact/loops/line_of_sight.py",
     "inference/exact/loops/numbers.py",
     "inference/exact/loops/pairs.py",
-    "inference/exact/loops/places.py",
-    "inference/exact/loops/promise.py",
+    "inference/exact/loops/proposals.py",
     "inference/exact/loops/rectangles.py",
     "inference/exact/loops/roots.py",
     "inference/exact/loops/seeds.py",
     "inference/exact/loops/series.py",
-    "inference/exact/loops/sights.py",
     "inference/exact/loops/strata.py",
     "inference/exact/loops/tables.py",
-    "inference/exact/loops/weighed.py",
+    "inference/exact/loops/vectors.py",
+    "inference/exact/loops/weighted_limbs.py",
     "probmodel/kinematics.py",
     "probmodel/anatomy/limits.py",
 )
@@ -40,8 +41,8 @@ def digest(texts: Iterable[bytes]) -> str:
 
 
 def _places() -> list[Path]:
-    """Where compiled loops may be kept, best first: where the user says, beside the package, in the
-    user's cache."""
+    """Where the cache folder may be, best first: where the user says, beside the
+    package, in the user's cache."""
     said = [Path(own)] if (own := os.environ.get("NUMBA_CACHE_DIR")) else []
     cache = Path(os.path.expanduser(os.environ.get("XDG_CACHE_HOME") or "~/.cache"))
     home = [cache / "poseterior"] if cache.is_absolute() else []  # a user may have no home
@@ -59,8 +60,8 @@ def _usable(folder: Path) -> bool:
 
 
 def temporary() -> Path | None:
-    """This user's own folder among the temporary ones. Compiled loops are code: nobody else may be
-    able to put any there."""
+    """This user's own folder among the temporary ones. Compiled loops are code: nobody
+    else may be able to put any there."""
     try:
         user = os.getuid() if hasattr(os, "getuid") else 0
         folder = Path(tempfile.gettempdir()) / f"poseterior-{user}"
@@ -73,10 +74,11 @@ def temporary() -> Path | None:
 
 
 def _kept_in(name: str) -> Path | None:
-    """The folder of compiled loops; None where there is none. Numba compiles a function anew where
-    its own file has changed, but not where a function or a constant of another file has that was
-    compiled into it: after an update old and new loops would work on each other's tables. So each
-    state of the sources has a folder of its own, its `name`."""
+    """The folder of compiled loops; None where there is none. Numba compiles a function
+    anew where its own file has changed, but not where a function or a constant of
+    another file has that was compiled into it: after an update old and new loops would
+    work on each other's tables. So each state of the sources has a folder of its own,
+    its `name`."""
     for place in _places():
         if _usable(place / name):
             return place / name

@@ -1,0 +1,366 @@
+"""Two-stage importance sampling of the root: roots given the torso, each with faults of
+the detector, before anything is asked of the limbs.
+
+More roots are drawn than are weighted in the end, since a root that explains the torso
+costs a sixth of what its limbs' evidence costs. How well draws of the prior fit the
+limbs gives each root a first-stage weight; roots are taken by probabilities that this
+decides, and weighted by their inverse, so that a wrong first-stage weight costs
+effective roots and nothing else.
+
+A pilot run estimates how much oversampling is needed. Where the detector has faults,
+every pattern of the torso's faults gets a share of the roots: the pilot run estimates
+what it has of the posterior.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from scipy.special import logsumexp
+
+from poseterior.inference.exact.groups import workers
+from poseterior.inference.exact.loops.first_stage import LANES
+from poseterior.inference.exact.loops.gaussian import FEWER_LEVELS
+from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.importance.fault_patterns import (
+    FaultPattern,
+    FitScore,
+    fault_patterns,
+    fit_score,
+    log_priors,
+    pool_of,
+    propose_faults,
+)
+from poseterior.inference.importance.limbs import LIMB_PROPOSALS, POOL_SIZE
+from poseterior.inference.importance.torso_proposals import (
+    TORSO_PROPOSALS,
+    Batches,
+    TorsoDraws,
+    TorsoProposal,
+    draw_torso,
+    weighted_proposal,
+)
+from poseterior.inference.importance.torsos import TorsoProblem, log_nearness, torso_problem
+from poseterior.inference.resampling import effective, inclusion, shares, systematic, times
+from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.roots import RootPoint
+from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
+
+PILOT = 48
+"""Roots of a pattern in the pilot run."""
+ROUGH_LEVELS = 1
+"""Levels of the cells of a pattern, where there are several: most have next to no
+roots."""
+FINE_SHARE = 0.05
+"""The share of the roots above which a pattern gets cells as fine as one alone."""
+PILOT_PROPOSALS = 1 << 20
+"""Proposals for a pattern in the pilot run."""
+FEW_PROPOSALS = 1 << 21
+"""Proposals for a pattern of which the pilot run brought no root."""
+EVEN_SHARE = 0.1
+"""What is shared out evenly among the patterns, whatever the pilot run says."""
+OVERSAMPLING = 8, 32
+"""How many roots get a first-stage weight, where they come easily, for one that is
+weighted in the end: at least, and at most."""
+EQUALS = 1.7
+"""So many roots of about equal first-stage weight shall be among them, if that is not
+too much oversampling: where limbs say much of the torso, one root in twenty has such a
+weight."""
+MOST_FIRST_STAGE = 1 << 17
+"""So many roots get a first-stage weight altogether, if not more are to be weighted in
+the end: it bounds the memory."""
+FIRST_STAGE_POWER = 0.85
+"""The power of the first-stage weight by which a root is taken."""
+FIRST_STAGE_FLOOR = 0.05
+"""What is shared out evenly among roots, whatever their first-stage weights."""
+
+
+class ProposedRoots(NamedTuple):
+    """Roots before their limbs.
+
+    Attributes
+    ----------
+    points : the roots `(n, ...)`.
+    faults : of the detector under each `(n, ...)`.
+    log_weight : `(n,)`: prior × density of the torso's detection over what each was
+        proposed with, × the peak of the limbs' likelihood and without the factors of
+        the scale that they bring.
+    pattern : `(n,)`: which of the patterns of the torso's faults each has.
+    made : `(patterns,)`: how many proposals for roots of each there were.
+    scatter : what the relative variance of the evidence has of the roots that these
+        were taken from, were first-stage weights the true ones, and proposals without
+        number.
+    wanted : how many roots there would be, had the budget been large enough.
+    proposals : how many were made.
+    """
+
+    points: RootPoint
+    faults: Faults
+    log_weight: np.ndarray
+    pattern: np.ndarray
+    made: np.ndarray
+    scatter: float
+    wanted: int
+    proposals: int
+
+    def at(self, rows: Any) -> "ProposedRoots":
+        """Some of them."""
+        return self._replace(
+            points=self.points.take(rows),
+            faults=self.faults.take(rows),
+            log_weight=self.log_weight[rows],
+            pattern=self.pattern[rows],
+        )
+
+    def relative_variance(self, share: np.ndarray) -> float:
+        """Of the evidence of roots that have these shares `(n,)` of it, by how their
+        weights scatter and what they were taken from."""
+        of_patterns = np.bincount(self.pattern, share, minlength=len(self.made))
+        held = of_patterns > 0
+        proposed = float(np.sum(of_patterns[held] ** 2 / self.made[held]))
+        variance = float(np.sum(share**2)) - 1 / len(share) + self.scatter - proposed
+        return max(variance, 0.0)
+
+
+class PatternPlan(NamedTuple):
+    """How roots of one fault pattern are going to be drawn.
+
+    Attributes
+    ----------
+    pattern
+        Of the torso's faults.
+    problem, proposal
+        Of the torso under it.
+    share
+        Of all roots.
+    oversampling
+        How many roots get a first-stage weight for one that is weighted in the end.
+    likely
+        Whether the pilot run brought any root.
+    """
+
+    pattern: FaultPattern
+    problem: TorsoProblem
+    proposal: TorsoProposal
+    share: float = 1.0
+    oversampling: int = 1
+    likely: bool = True
+
+
+class PatternRoots(NamedTuple):
+    """The roots of one pattern, as `ProposedRoots` has them, and the probability `(n,)`
+    with which each was taken from those that were proposed."""
+
+    points: RootPoint
+    faults: Faults
+    log_weight: np.ndarray
+    pattern: np.ndarray
+    chance: np.ndarray
+
+
+def propose_roots(
+    posterior: Posterior, key: jax.Array, number: int, budget: Budget
+) -> ProposedRoots:
+    """`number` roots, in random order, or as many as the budget allows."""
+    pilot_key, torso_key, order_key = jax.random.split(key, 3)
+    rng = np.random.default_rng(words_of(order_key))
+    # Proposals for roots that may not be weighted are not taken away from limbs.
+    ample = budget.proposals >= 2 * number * (TORSO_PROPOSALS + LIMB_PROPOSALS)
+    plans, pilot_proposals = _plan(posterior, pilot_key, budget, ample)
+    counts = times(np.array([plan.share for plan in plans]), number, rng.uniform()).tolist()
+    limits = [budget.proposals if plan.likely else FEW_PROPOSALS for plan in plans]
+    torsos = _draw(plans, torso_key, counts, limits, budget)
+    parts = []
+    wanted = 0
+    for index, (plan, torso, asked) in enumerate(zip(plans, torsos, counts, strict=True)):
+        accepted = len(torso.points.torso)
+        wanted += asked if plan.likely and not torso.enough else min(accepted, asked)
+        if accepted:
+            roots = _roots_of(posterior, plan, torso, asked, rng)
+            parts.append(roots._replace(pattern=np.full(len(roots.chance), index)))
+    made = np.array([torso.proposals for torso in torsos])
+    proposals = pilot_proposals + int(made.sum())
+    if not parts:
+        return ProposedRoots(
+            points=torsos[0].points,
+            faults=Faults.none(0),
+            log_weight=np.zeros(0),
+            pattern=np.zeros(0, int),
+            made=made,
+            scatter=0.0,
+            wanted=number,
+            proposals=proposals,
+        )
+    roots = jax.tree.map(lambda *rows: np.concatenate(rows), parts[0], *parts[1:])
+    held = len(roots.log_weight)
+    whole = ProposedRoots(
+        points=roots.points,
+        faults=roots.faults,
+        # The mean over the roots there are, not over those asked for, is to be the
+        # evidence.
+        log_weight=roots.log_weight + np.log(held / number),
+        pattern=roots.pattern,
+        made=made,
+        # True first-stage weights would leave the relative variance of the chances.
+        scatter=float(roots.chance.mean()) / held,
+        wanted=wanted,
+        proposals=proposals,
+    )
+    return whole.at(rng.permutation(held))
+
+
+def _plan(
+    posterior: Posterior, key: jax.Array, budget: Budget, ample: bool
+) -> tuple[list[PatternPlan], int]:
+    """A plan for each pattern, by a pilot run, and how many proposals that took; where
+    there is but one pattern, and the budget is not `ample`, none is needed."""
+    patterns = fault_patterns(posterior)
+    problems = [torso_problem(posterior, pattern.faults) for pattern in patterns]
+    levels = [FEWER_LEVELS if len(patterns) == 1 else ROUGH_LEVELS] * len(patterns)
+    proposals = workers().map(weighted_proposal, problems, levels)
+    plans = list(map(PatternPlan, patterns, problems, proposals))
+    if len(plans) == 1 and not ample:
+        return plans, 0
+    limits = [PILOT_PROPOSALS] * len(plans)
+    pilots = _draw(plans, key, [PILOT] * len(plans), limits, budget)
+    estimates = [
+        _pilot_estimate(posterior, pattern, pilot)
+        for pattern, pilot in zip(patterns, pilots, strict=True)
+    ]
+    share = _shares(posterior, patterns, pilots, estimates)
+    for index, estimate in enumerate(estimates):
+        plan = plans[index]._replace(
+            share=share[index],
+            oversampling=_oversampling(estimate) if ample else 1,
+            likely=len(estimate) > 0 or len(plans) == 1,
+        )
+        if len(plans) > 1 and share[index] > FINE_SHARE:
+            plan = plan._replace(proposal=weighted_proposal(plan.problem))
+        plans[index] = plan
+    return plans, sum(pilot.proposals for pilot in pilots)
+
+
+def _pilot_estimate(posterior: Posterior, pattern: FaultPattern, pilot: TorsoDraws) -> np.ndarray:
+    """`(n,)`: log of about what each root of a pilot run has of its pattern."""
+    if not len(pilot.points.torso):
+        return np.zeros(0)
+    score = fit_score(posterior, pool_of(posterior.model), pattern, pilot.points)
+    return log_first_stage(posterior, score, pattern, pilot.points) + pilot.log_share
+
+
+def _oversampling(estimate: np.ndarray) -> int:
+    """How many roots get a first-stage weight for one that is weighted in the end, by
+    the pilot estimates `(n,)`."""
+    least, most = OVERSAMPLING
+    if not len(estimate):
+        return least
+    equal = effective(shares(FIRST_STAGE_POWER * estimate))
+    return min(max(math.ceil(EQUALS * len(estimate) / equal), least), most)
+
+
+def _roots_of(
+    posterior: Posterior,
+    plan: PatternPlan,
+    torso: TorsoDraws,
+    asked: int,
+    rng: np.random.Generator,
+) -> PatternRoots:
+    """So many roots of a pattern as were `asked` for, or all that there are, those of
+    larger first-stage weight the rather, each with faults."""
+    pattern = plan.pattern
+    pool = _part_of_pool(posterior.model, plan.oversampling)
+    score = fit_score(posterior, pool, pattern, torso.points)
+    first_stage = log_first_stage(posterior, score, pattern, torso.points) + torso.log_share
+    rows, chance = _take(first_stage, min(len(first_stage), asked), rng)
+    faults, log_proposal = propose_faults(score.take(rows), pattern, rng)
+    weight = torso.log_evidence + log_priors(posterior, faults) - log_proposal
+    weight += np.log(asked / plan.share) + torso.log_share[rows]
+    weight -= np.log(chance)
+    chance = chance * torso.inclusion[rows]
+    return PatternRoots(torso.points.take(rows), faults, weight, np.zeros(len(rows), int), chance)
+
+
+def _part_of_pool(model: PoseModel, oversampling: int) -> np.ndarray:
+    """The pool's first draws: the more roots are compared with them, the fewer they
+    are."""
+    least = OVERSAMPLING[0]
+    number = POOL_SIZE * least // max(oversampling, least) // LANES * LANES
+    return pool_of(model)[..., :number]
+
+
+def log_first_stage(
+    posterior: Posterior, score: FitScore, pattern: FaultPattern, points: RootPoint
+) -> np.ndarray:
+    """`(n,)`: log first-stage weights, about what the limbs say of roots given the
+    torso, but for a constant."""
+    counted = np.asarray(posterior.detected.counts)
+    of_limbs = int(counted.sum()) - sum(counted[list(TORSO_INDEX)])
+    # The exchanges of one pattern move the same joints of the torso.
+    nearness = log_nearness(posterior, points, pattern.exchanges[0])
+    return score.total - 2 * of_limbs * np.asarray(points.log_scale) + nearness
+
+
+def _take(
+    first_stage: np.ndarray, number: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """`number` rows by log first-stage weights `(n,)`, and the probability that each
+    had of being taken. None is taken twice, so that the effective number of what is
+    taken is never more than that of the whole."""
+    share = (1 - FIRST_STAGE_FLOOR) * _normal(FIRST_STAGE_POWER * first_stage)
+    probability = inclusion(share + FIRST_STAGE_FLOOR / len(first_stage), number)
+    rows = systematic(probability, number, rng.uniform())
+    return rows, probability[rows]
+
+
+def _normal(score: np.ndarray) -> np.ndarray:
+    return np.exp(score - logsumexp(score))
+
+
+def _draw(
+    plans: list[PatternPlan],
+    key: jax.Array,
+    counts: list[int],
+    limits: list[int],
+    budget: Budget,
+) -> list[TorsoDraws]:
+    """So many roots of each pattern, times its oversampling, by no more proposals than
+    its limit."""
+    draws = []
+    for index, (plan, count, limit) in enumerate(zip(plans, counts, limits, strict=True)):
+        words = words_of(jax.random.fold_in(key, index))
+        batches = Batches(plan.problem, plan.proposal, words)
+        most = max(count, min(plan.oversampling * count, MOST_FIRST_STAGE))
+        draws.append(draw_torso(batches, count, Budget(limit, whole=budget), most=most))
+    return draws
+
+
+def _shares(
+    posterior: Posterior,
+    patterns: list[FaultPattern],
+    pilots: list[TorsoDraws],
+    estimates: list[np.ndarray],
+) -> np.ndarray:
+    """`(patterns,)`: what each gets of the roots: about what it has of the
+    posterior."""
+    score = np.full(len(patterns), -np.inf)
+    for index, estimate in enumerate(estimates):
+        if len(estimate):
+            evidence = logsumexp(estimate) + pilots[index].log_evidence
+            score[index] = evidence + _log_prior(posterior, patterns[index])
+    if not np.isfinite(score).any():
+        return np.full(len(patterns), 1 / len(patterns))
+    share = np.exp(score - logsumexp(score))
+    return (1 - EVEN_SHARE) * share + EVEN_SHARE / len(patterns)
+
+
+def _log_prior(posterior: Posterior, pattern: FaultPattern) -> float:
+    """Log prior of the torso's outlier with the peak of the torso's likelihood, but for
+    a constant; that of the exchange is in the fit score."""
+    exchange = np.full(2, pattern.exchanges[0])
+    outlier = np.stack([pattern.faults.outlier, np.zeros(NUM_JOINTS, bool)])
+    own, none = log_priors(posterior, Faults(exchange, outlier))
+    return float(own - none)

@@ -14,9 +14,9 @@ import numpy as np
 from poseterior.probmodel import arrays
 from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.formats.common import Content, are_fractions, chosen_layout
+from poseterior.probmodel.formats.common import Content, chosen_layout
 from poseterior.probmodel.formats.hourglass import scored
-from poseterior.probmodel.formats.instances import KNOWN
+from poseterior.probmodel.formats.units import in_pixels
 from poseterior.probmodel.layouts import COCO_17
 
 __all__ = ["detections_of"]
@@ -34,12 +34,13 @@ def detections_of(
     ----------
     points
         `(joints, 2 or 3)` of a person or `(people, joints, 2 or 3)`: pixels x right, y down, and
-        perhaps a score; NaN, or without a score (0, 0), is a joint that was not detected. Tensors
-        are taken as arrays. Or the `Results` of Ultralytics' YOLO-pose, one or a list of them.
+        perhaps a score; NaN, (0, 0) or (−1, −1) is a joint that was not detected. Tensors are taken
+        as arrays. Or the `Results` of Ultralytics' YOLO-pose, one or a list of them.
     layout
         The order of the joints, a name of `layouts.LAYOUTS`; by default that of so many points.
     image_size
-        (width, height) in pixels, where it is known; results say it themselves.
+        (width, height) in pixels, needed where coordinates are fractions of the image; results say
+        it themselves.
 
     Returns
     -------
@@ -49,29 +50,26 @@ def detections_of(
     Raises
     ------
     BadInput
-        On what is neither, on fractions of an image, and on a layout that does not fit.
+        On what is neither, on a layout that does not fit, and on fractions of an image of unknown
+        size.
     """
     results = points if isinstance(points, list | tuple) else [points]
     if results and all(hasattr(one, "keypoints") for one in results):
         people = [person for one in results for person in _of_results(one)]
     else:
         people = [(rows, IN_MEMORY, image_size) for rows in _people(_plain(points), IN_MEMORY)]
-    return [
+    found = (
         _detection(rows, layout, source, person, size)
         for person, (rows, source, size) in enumerate(people)
-    ]
+    )
+    return list(in_pixels(found, None, image_size))
 
 
 def _detection(
     rows: FloatArray, layout: str | None, source: str, person: int, size: tuple[int, int] | None
 ) -> Detection:
     where = f"person {person} of {source}"
-    if are_fractions(rows[:, :2]):
-        raise BadInput(
-            f"all coordinates of {where} lie between 0 and 1; give pixels: x times the width of the"
-            " image, y times its height."
-        )
-    chosen = chosen_layout(len(rows), KNOWN, Content(b"", source, layout=layout), where)
+    chosen = chosen_layout(len(rows), Content(b"", source, layout=layout), where)
     return chosen.detection(scored(rows, where), 0.0, source, person, image_size=size)
 
 
@@ -80,7 +78,7 @@ Person = tuple[FloatArray, str, tuple[int, int] | None]
 
 
 def _of_results(results: Any) -> Iterator[Person]:
-    """People of one image. Points that YOLO did not find are at (0, 0), whatever their score."""
+    """People of one image."""
     source = str(getattr(results, "path", None) or IN_MEMORY)
     if results.keypoints is None:
         raise BadInput(f"the results of {source} have no keypoints; give those of a pose model.")
@@ -97,7 +95,7 @@ def _of_results(results: Any) -> Iterator[Person]:
                 f"the results of {source} have {len(rows)} points of a person, not COCO's"
                 f" {COCO_17.count}; give them as an array, with a layout."
             )
-        yield _without_zeros(rows), source, size
+        yield rows, source, size
 
 
 def _people(points: FloatArray, source: str) -> FloatArray:
@@ -108,16 +106,7 @@ def _people(points: FloatArray, source: str) -> FloatArray:
             f"{source} has the shape {points.shape}, not (joints, 2 or 3) or (people, joints, 2 or"
             " 3)."
         )
-    if people.shape[2] == 2:
-        return np.stack([_without_zeros(rows) for rows in people]) if len(people) else people
     return people
-
-
-def _without_zeros(rows: FloatArray) -> FloatArray:
-    """Points at (0, 0) are none: NaN."""
-    rows = rows.copy()
-    rows[(rows[:, :2] == 0).all(axis=1)] = np.nan
-    return rows
 
 
 def _plain(values: Any) -> FloatArray:

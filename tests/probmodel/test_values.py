@@ -61,12 +61,18 @@ def test_the_layout_is_that_of_so_many_points_or_the_one_named() -> None:
         detections_of(PEOPLE, "mpii_16")
 
 
-def test_missing_is_nan_or_without_scores_the_corner() -> None:
-    people = PEOPLE.copy()
-    wrist, knee = (COCO_17.points.index(name) for name in ("left_wrist", "right_knee"))
-    people[0, wrist], people[0, knee] = np.nan, 0.0
+def test_fractions_of_a_known_image_become_pixels() -> None:
+    (one, _) = detections_of(PEOPLE / [640, 480], image_size=(640, 480))
+    same = detections_of(PEOPLE)[0]
+    np.testing.assert_allclose(one.keypoints, same.keypoints, rtol=1e-12)
+
+
+def test_missing_is_nan_or_where_detectors_put_what_they_did_not_find() -> None:
+    people, names = PEOPLE.copy(), ("left_wrist", "right_knee", "left_elbow")
+    for name, place in zip(names, (np.nan, 0.0, -1.0), strict=True):
+        people[0, COCO_17.points.index(name)] = place
     one, two = detections_of(people)
-    for name in ("left_wrist", "right_knee"):
+    for name in names:
         assert not one.seen[JOINT_INDEX[name]]
         assert two.seen[JOINT_INDEX[name]]
 
@@ -95,7 +101,7 @@ def test_results_of_yolo_pose() -> None:
         (np.ones(17), "has the shape"),
         ([[1.0], [1.0, 2.0]], "not of list"),
         (np.array([["a", "b"]] * 17), "not of ndarray"),
-        (PEOPLE / 500, "lie between 0 and 1; give pixels"),
+        (PEOPLE / 500, "fractions of an image whose size"),
         (PEOPLE * 1e12, "beyond"),
         (np.ones((19, 2)) * 7, "holds 19 points"),
         (SimpleNamespace(keypoints=None, path="a.jpg"), "no keypoints; give those of a pose model"),

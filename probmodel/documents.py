@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 
@@ -24,6 +24,11 @@ FREE, DENSEST = 256_000_000, 20
 Files of poses need 4 to 16 times theirs: they are numbers. One of empty objects needs 80 times."""
 _COSTS = {"{": 200, "[": 64, ",": 34, '"': 25}
 """Bytes of memory in Python for what stands behind a character."""
+
+
+def shortest(number: SupportsFloat) -> str:
+    """A number in the fewest digits that are this double and no other, such as "30"."""
+    return repr(float(number)).removesuffix(".0")
 
 
 def decoded(data: bytes, source: str, advice: str) -> str:

@@ -512,9 +512,7 @@ def test_weighted_draws_have_no_order(order: str) -> None:
         assert found.given == plain.given
         assert np.array_equal(found.points, plain.points)
     inside = rows[np.isfinite(log_weights[rows])]
-    assert np.array_equal(
-        benchmark.submit(target, points=points[inside]).points[0], points[inside]
-    )
+    assert np.array_equal(benchmark.submit(target, points=points[inside]).points[0], points[inside])
 
 
 def test_no_order_is_left_in_weighted_draws() -> None:

@@ -518,9 +518,7 @@ def test_draws_of_a_file(model: PoseModel, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["weights", "log_weights"])
 @pytest.mark.parametrize("suffix", [".npz", ".nc"])
-def test_weights_of_a_file_count(
-    model: PoseModel, tmp_path: Path, suffix: str, kind: str
-) -> None:
+def test_weights_of_a_file_count(model: PoseModel, tmp_path: Path, suffix: str, kind: str) -> None:
     """Draws of zero weight are not there, whatever they are, and those of half the weight are half
     as often taken; without their weights all are."""
     rng = np.random.default_rng(0)
@@ -652,7 +650,6 @@ def test_draws_of_another_file_of_that_name_are_another_run(
 
 @pytest.mark.slow
 def test_workers_calibrate_to_the_same_bits(model: PoseModel) -> None:
-    pytest.importorskip("distributed")
     settings = {"num_simulations": 55, "num_samples": 12}
     here = calibrate(model, "rejection", **settings)  # type: ignore[arg-type]
     there = calibrate(model, "rejection", machines=Machines(2), **settings)  # type: ignore[arg-type]

@@ -51,7 +51,7 @@ class Test(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """All that the judge found. `tests` of draws decide the verdict; `others` are reported beside it.
+    """All that the judge found. `tests` of draws decide the verdict; `others` stand beside it.
     `evidence` is the test of the stated one, None where none was stated with its error.
     `coordinate_p` `(c, 2)`: rank tests of shift and spread; `joint_w1` `(9,)`: W1 of the joints'
     depth in body units (× 350: millimetres of a person of 1.7 m); `distance`: sliced Wasserstein in

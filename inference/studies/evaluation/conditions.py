@@ -8,6 +8,7 @@ from poseterior.inference import drawers
 from poseterior.inference.estimators import ESTIMATORS
 from poseterior.inference.results import FIXED
 from poseterior.inference.studies.calibration.real import TRUE
+from poseterior.probmodel.documents import shortest
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.skeleton import LIMB_JOINTS
 
@@ -32,7 +33,7 @@ class Condition(NamedTuple):
     @property
     def name(self) -> str:
         """As files call it."""
-        name = f"{self.estimator}-missing-{self.missing}-rotate-{self.rotate:g}"
+        name = f"{self.estimator}-missing-{self.missing}-rotate-{shortest(self.rotate)}"
         return name if self.root == FIXED else f"{name}-root-{self.root}"
 
 

@@ -18,7 +18,11 @@ def joined(results: list[Result]) -> Result:
     complete."""
     draws = min(result.tree["posterior"].sizes["draw"] for result in results)
     trees = [result.tree for result in results]
-    groups = {name: _chains([tree[name].to_dataset() for tree in trees], draws) for name in CHAINED}
+    groups = {
+        name: _chains([tree[name].to_dataset() for tree in trees], draws)
+        for name in CHAINED
+        if name in trees[0].children
+    }
     groups["observed_data"] = trees[0]["observed_data"].to_dataset()
     groups["constant_data"] = _constant([tree["constant_data"].to_dataset() for tree in trees])
     whole = xr.DataTree.from_dict(groups)

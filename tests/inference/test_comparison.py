@@ -483,9 +483,7 @@ def test_evidence_is_judged_by_its_stated_error():
     assert bad.evidence is not None
     assert bad.evidence.p_value < 0.01 < good.evidence.p_value
     for known in ((math.nan, 0.1), (-4.2, math.nan)):
-        unknown = judge(
-            one, other, evidence=known, exact_evidence=(-4.1, 0.01), permutations=FEW
-        )
+        unknown = judge(one, other, evidence=known, exact_evidence=(-4.1, 0.01), permutations=FEW)
         assert unknown.evidence is None
 
 

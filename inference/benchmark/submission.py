@@ -4,7 +4,10 @@ cannot be draws of the target.
 An .npz holds one of `points`, `box`, `cube` (the charts of `target`), `(n, d)`, or `(chain, draw,
 d)` for Markov chains; and where there are any, `weights` or `log_weights` of as many draws,
 `log_evidence` with `log_evidence_se`, `evaluations`, and `seconds`. An .npy holds points. The
-group posterior of ArviZ's netCDF may hold the same, `(chain, draw, d)`."""
+group posterior of ArviZ's netCDF may hold the same, `(chain, draw, d)`.
+
+Draws with weights are a set: nested samplers sort them, so their order says nothing of how they
+were made, and the verdict is the same in any."""
 
 import math
 import os
@@ -14,13 +17,13 @@ from pathlib import Path
 import numpy as np
 
 from poseterior.inference.benchmark.target import FrozenTarget
-from poseterior.probmodel.arrays import HDF5, ArrayFile, read_array, read_tables
+from poseterior.inference.resampling import WEIGHTS, counting, let_pass, merged, weights_of
+from poseterior.probmodel.arrays import HDF5, ArrayFile, plain_numbers, read_array, read_tables
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.files import opened
 
 NETCDF = (".nc", ".nc4", ".h5", ".hdf5")
 CHARTS = ("points", "box", "cube")
-WEIGHTS = ("weights", "log_weights")
 NUMBERS = ("log_evidence", "log_evidence_se", "evaluations", "seconds")
 FEWEST = 4
 """Draws of a chain, of which fewer tell nothing of it."""
@@ -91,16 +94,19 @@ def submit(target: FrozenTarget, *, where: str = "the draws", **arrays: np.ndarr
         have weights that cannot be any.
     """
     chart, values = _chart(arrays, target, where)
-    log_weights = _log_weights(arrays, values.shape[:-1], where)
+    log_weights = weights_of(arrays, values.shape[:-1], where)
     numbers = {name: _number(arrays, name, where) for name in NUMBERS}
     if log_weights is not None:
-        values = values[np.isfinite(log_weights)][None]
-        log_weights = log_weights[np.isfinite(log_weights)]
+        counts = counting(log_weights)
+        given = int(counts.sum())
+        rows, log_weights = merged(values[counts], log_weights[counts])
+        values = rows[None]
+    else:
+        given = values.shape[0] * values.shape[1]
     points = _points(chart, values, target, where)
     _require_support(points, target, where)
-    given = points.shape[0] * points.shape[1]
     if log_weights is not None:
-        points = points[:, _let_pass(log_weights)]
+        points = points[:, let_pass(log_weights, np.random.default_rng(0))]
     _require_motion(points, where)
     return Submission(points, given, **numbers)
 
@@ -113,7 +119,7 @@ def _chart(
     if len(named) != 1:
         said = " and ".join(named) or "none"
         raise BadInput(f"{where} must have one of {', '.join(CHARTS)}, but has {said}; {ADVICE}")
-    values = _numbers(arrays[named[0]], f"{named[0]} of {where}")
+    values = plain_numbers(arrays[named[0]], f"{named[0]} of {where}")
     values = values[None] if values.ndim == 2 else values
     if values.ndim != 3 or values.shape[-1] != target.dim or not values.size:
         raise BadInput(
@@ -129,52 +135,16 @@ def _chart(
     return named[0], values
 
 
-def _numbers(array: np.ndarray, where: str) -> np.ndarray:
-    found = np.asarray(array)
-    if found.dtype.kind not in "fiu":
-        raise BadInput(f"{where} holds {shown(str(found.dtype))} where numbers are needed")
-    return found.astype(float)
-
-
-def _log_weights(
-    arrays: dict[str, np.ndarray], shape: tuple[int, ...], where: str
-) -> np.ndarray | None:
-    """`(chain, draw)`: logs of the draws' weights; None where there are none."""
-    named = [name for name in WEIGHTS if name in arrays]
-    if not named:
-        return None
-    if len(named) > 1:
-        raise BadInput(f"{where} has both weights and log_weights; leave one out")
-    values = _numbers(arrays[named[0]], f"{named[0]} of {where}")
-    if values.size != math.prod(shape):
-        raise BadInput(
-            f"{named[0]} of {where} are {values.size:,} for {math.prod(shape):,} draws; give each"
-            " draw one"
-        )
-    values = values.reshape(shape)
-    if np.isnan(values).any() or (values == np.inf).any():
-        raise BadInput(f"{named[0]} of {where} hold a number that is not finite; leave it out")
-    if named[0] == "weights":
-        if (values < 0).any():
-            raise BadInput(
-                f"{int((values < 0).sum()):,} of {values.size:,} weights of {where} are negative; a"
-                " weight is 0 or more"
-            )
-        with np.errstate(divide="ignore"):
-            values = np.log(values)
-    if not np.isfinite(values).any():
-        raise BadInput(f"all weights of {where} are zero; no draw counts, so run the sampler anew")
-    return values
-
-
 def _number(arrays: dict[str, np.ndarray], name: str, where: str) -> float:
     if name not in arrays:
         return math.nan
-    value = _numbers(arrays[name], f"{name} of {where}")
+    value = plain_numbers(arrays[name], f"{name} of {where}")
     if value.size != 1:
         raise BadInput(f"{name} of {where} has shape {value.shape}; give one number")
     found = float(value.reshape(()))
-    if name != "log_evidence" and not (found > 0 and math.isfinite(found)):
+    if not math.isfinite(found):
+        raise BadInput(f"{name} of {where} is {found:g}; give a finite number, or leave it out")
+    if name != "log_evidence" and found <= 0:
         raise BadInput(f"{name} of {where} is {found:g}; it must be a number above 0")
     return found
 
@@ -202,13 +172,6 @@ def _require_support(points: np.ndarray, target: FrozenTarget, where: str) -> No
             f" support: {target.seen_joints[worst]} lies up to {misfits[:, worst].max():.3g} times"
             " its reach away from where it was detected; give them weight 0, or leave them out"
         )
-
-
-def _let_pass(log_weights: np.ndarray) -> np.ndarray:
-    """`(n,)` bool: draws with weights, let pass with probability weight over largest weight, are
-    draws without: of independent ones, independent ones, and none of them twice."""
-    rng = np.random.default_rng(0)
-    return np.log(rng.uniform(size=len(log_weights))) < log_weights - log_weights.max()
 
 
 def _require_motion(points: np.ndarray, where: str) -> None:

@@ -79,7 +79,7 @@ def verdict(
     judgement = judge(
         sample,
         exact,
-        evidence=stated if math.isfinite(stated[1]) else (math.nan, math.nan),
+        evidence=stated,
         exact_evidence=(known.log_evidence, known.log_evidence_se),
     )
     distances = wasserstein(*standardised(sample.flat, exact.flat))

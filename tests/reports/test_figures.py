@@ -1,6 +1,7 @@
 """Figures: what is drawn is what the tree holds, on every case of the contract; files appear whole
 or not at all."""
 
+import contextlib
 import os
 import struct
 import subprocess
@@ -27,6 +28,7 @@ from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, JOINTS
 from poseterior.reports import figures
 from poseterior.reports.figures.colours import LIMB_OF, MAX_NAMED
 from poseterior.reports.figures.depth import _density
+from poseterior.reports.figures.files import FORMATS
 from poseterior.reports.figures.window import MAX_DRAWS, Window, cropped
 from poseterior.reports.tables import heaviest, values
 from tests.reports.test_interactive import film_tree
@@ -463,6 +465,33 @@ def test_images_that_cannot_be_read(tmp_path: Path) -> None:
     }.items():
         with pytest.raises(BadInput, match=match):
             figures.read_image(tmp_path / name)
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP", "MPO"])
+def test_images_of_the_list_are_read(tmp_path: Path, kind: str) -> None:
+    Image.new("RGB", (5, 4)).save(tmp_path / "image", kind)
+    assert figures.read_image(tmp_path / "image").shape == (4, 5, 3)
+
+
+def pillows() -> list[str]:
+    """All formats that Pillow writes, and so could read, but those of the list."""
+    Image.init()
+    return sorted(set(Image.SAVE) & set(Image.OPEN) - set(FORMATS))
+
+
+@pytest.mark.parametrize("kind", pillows())
+def test_images_of_other_kinds_are_refused(tmp_path: Path, kind: str) -> None:
+    """Of every format that Pillow knows, EPS among them, which starts Ghostscript."""
+    path, written = tmp_path / "image.png", False
+    for mode in ("RGB", "L", "1", "F"):
+        with contextlib.suppress(OSError, ValueError, KeyError, RuntimeError, SystemError):
+            Image.new(mode, (16, 16)).save(path, kind)
+            written = True
+            break
+    if not written:
+        pytest.skip(f"Pillow writes {kind} by another library alone")
+    with pytest.raises(BadInput, match="is no image that can be read"):
+        figures.read_image(path)
 
 
 def test_the_library_says_nothing_beside_our_sentence(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from poseterior.inference.baselines.target import Target
 from poseterior.inference.draws import COMPLETE, MAX_PROPOSALS, place
 from poseterior.inference.exact.loops.numbers import words_of
 from poseterior.inference.importance.weighted import APART, WeightedRoots, verdict, weigh_roots
+from poseterior.inference.resampling import WEIGHTS, counting, let_pass, merged, weights_of
 from poseterior.inference.sampler import MANY_ROOTS, DetectionSampler, sample
 from poseterior.inference.sampler import sampler_of as core_sampler_of
 from poseterior.inference.studies.calibration.assess import FAILED, Answer
@@ -34,7 +35,7 @@ from poseterior.inference.studies.calibration.quantities import of_pose
 from poseterior.inference.studies.calibration.simulations import Instance
 from poseterior.inference.studies.comparison.mixing import mean_ess, mixing
 from poseterior.probmodel.arrays import read_array, read_netcdf, read_tables
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import NUM_JOINTS
@@ -184,21 +185,36 @@ def independent(joints: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class FromFile:
-    """Draws made elsewhere: `joints` `(instances, draws, 15, 3)`, camera axes, body units, pelvis
-    at the origin; an instance with NaN in a draw has failed."""
+    """Draws made elsewhere.
+
+    Attributes
+    ----------
+    path
+        The file.
+    joints : `(instances, draws, 15, 3)`
+        Camera axes, body units, pelvis at the origin; an instance with NaN in a draw that counts
+        has failed.
+    log_weights : `(instances, draws)`
+        Of independent draws; None where they are of equal weight.
+    """
 
     path: Path
     joints: np.ndarray
+    log_weights: np.ndarray | None = None
 
     @property
     def sha256(self) -> str:
-        """Of the draws."""
-        return hashlib.sha256(np.ascontiguousarray(self.joints, "<f8").data).hexdigest()
+        """Of the draws, and of their weights."""
+        digest = hashlib.sha256(np.ascontiguousarray(self.joints, "<f8").data)
+        if self.log_weights is not None:
+            digest.update(np.ascontiguousarray(self.log_weights, "<f8").data)
+        return digest.hexdigest()
 
     @classmethod
     def read(cls, path: Path) -> "FromFile":
-        """Raises `BadInput` on a file without such joints."""
-        joints = _read(path)
+        """Raises `BadInput` on a file without such joints, or with weights that cannot be any."""
+        arrays = _read(path)
+        joints = arrays["joints"]
         if (
             joints.ndim != 4
             or joints.shape[2:] != (NUM_JOINTS, 3)
@@ -208,7 +224,7 @@ class FromFile:
                 f"the joints in {path} have shape {joints.shape}; they need (simulations, draws,"
                 f" {NUM_JOINTS}, 3)"
             )
-        return cls(path, joints.astype(float))
+        return cls(path, joints.astype(float), weights_of(arrays, joints.shape[:2], str(path)))
 
     def __call__(self, index: int, instance: Instance, key: jax.Array) -> Answer:
         if index >= len(self.joints):
@@ -217,6 +233,14 @@ class FromFile:
                 " for more"
             )
         draws = self.joints[index]
+        if self.log_weights is not None:
+            log_weights = self.log_weights[index]
+            counts = counting(log_weights)
+            if not counts.any():
+                said = f"all weights of simulation {index} in {self.path.name} are zero"
+                return Answer(draws[:0], np.nan, FAILED, said)
+            draws, log_weights = merged(draws[counts], log_weights[counts])
+            draws = draws[let_pass(log_weights, np.random.default_rng(words_of(key)))]
         given = np.isfinite(draws).all(axis=(1, 2))
         if given.all():
             return Answer(draws)
@@ -224,17 +248,25 @@ class FromFile:
         return Answer(draws[:0], np.nan, FAILED, said)
 
 
-def _read(path: Path) -> np.ndarray:
-    advice = "write one with numpy.savez(path, joints=joints)"
+_ADVICE = "write one with numpy.savez(path, joints=joints)"
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    """The joints of a file, and weights where it has any."""
     what, suffix = "file of draws", path.suffix.lower()
     if suffix not in (".nc", ".npz"):
-        return read_array(path, what, advice)
-    name = "joints" if suffix == ".npz" else "posterior/joints"
-    found = (
-        read_tables(path, what, advice)
-        if suffix == ".npz"
-        else read_netcdf(path, [name], what, advice)
-    )
-    if name not in found:
-        raise BadInput(f"{path} has no array `{name}`; {advice}")
-    return found[name]
+        return {"joints": read_array(path, what, _ADVICE)}
+    names = {name: name for name in ("joints", *WEIGHTS)}
+    if suffix == ".nc":
+        names = {name: f"posterior/{name}" for name in names}
+        found = read_netcdf(path, list(names.values()), what, _ADVICE)
+    else:
+        found = read_tables(path, what, _ADVICE)
+    if names["joints"] not in found:
+        raise BadInput(f"{path} has no array `{names['joints']}`; {_ADVICE}")
+    unknown = sorted(set(found) - set(names.values()))
+    if unknown:
+        raise BadInput(
+            f"{path} has an array {shown(unknown[0])}; it may have {', '.join(names.values())}"
+        )
+    return {name: found[inside] for name, inside in names.items() if inside in found}

@@ -4,7 +4,8 @@ for granted.
 Tests that need independent draws are given draws thinned by their measured autocorrelation. The
 verdict holds all of them to one level (Holm's procedure): "differs", "agrees" (as far as the draws
 can tell), or "cannot tell" where there are too few effective draws to see anything. Chains that did
-not move differ without a test."""
+not move differ without a test. A stated evidence is judged beside the draws: it is another number,
+with an error of its own, and neither makes the other right or wrong."""
 
 import math
 from typing import NamedTuple
@@ -50,7 +51,8 @@ class Test(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """All that the judge found. `tests` decide the verdict; `others` are reported beside it.
+    """All that the judge found. `tests` of draws decide the verdict; `others` stand beside it.
+    `evidence` is the test of the stated one, None where none was stated with its error.
     `coordinate_p` `(c, 2)`: rank tests of shift and spread; `joint_w1` `(9,)`: W1 of the joints'
     depth in body units (× 350: millimetres of a person of 1.7 m); `distance`: sliced Wasserstein in
     standard deviations; `sentence` says why."""
@@ -64,6 +66,12 @@ class Judgement(NamedTuple):
     coordinate_p: np.ndarray
     joint_w1: np.ndarray
     distance: float
+    evidence: Test | None = None
+
+    @property
+    def beside(self) -> tuple[Test, ...]:
+        """The tests that do not decide."""
+        return self.others if self.evidence is None else (*self.others, self.evidence)
 
     @property
     def worst_millimetres(self) -> float:
@@ -86,7 +94,8 @@ def judge(
     Parameters
     ----------
     evidence, exact_evidence
-        Log evidence and its standard error, NaN where there is none.
+        Log evidence and its standard error, NaN where there is none; an evidence without an error
+        is not judged.
     level
         Chance that a sampler without fault is said to differ.
     permutations
@@ -102,8 +111,6 @@ def judge(
         thinned = sample if _independent(sample, worst) else sample.rows(_stride(sample, worst))
         tests, others = _tests(thinned, exact, rng, permutations)
         tests.append(_coordinates(coordinate_p, ess, sample.names))
-    if math.isfinite(evidence[0]) and math.isfinite(exact_evidence[0]):
-        tests.append(_evidence(evidence, exact_evidence))
     found = modes(
         sample.away.reshape(-1, sample.away.shape[-1]),
         exact.away.reshape(-1, exact.away.shape[-1]),
@@ -123,6 +130,7 @@ def judge(
         coordinate_p,
         joint_w1,
         distance,
+        _evidence(evidence, exact_evidence),
     )
 
 
@@ -189,7 +197,10 @@ def _coordinates(p_values: np.ndarray, ess: np.ndarray, names: tuple[str, ...]) 
     )
 
 
-def _evidence(evidence: tuple[float, float], exact: tuple[float, float]) -> Test:
+def _evidence(evidence: tuple[float, float], exact: tuple[float, float]) -> Test | None:
+    """Of log evidences with their standard errors; None where one of the four is not known."""
+    if not np.isfinite([*evidence, *exact]).all():
+        return None
     z = (evidence[0] - exact[0]) / math.hypot(evidence[1], exact[1])
     assumption = "log evidences are normal with the standard errors that they state"
     return Test("evidence", z, float(2 * stats.norm.sf(abs(z))), math.nan, assumption)

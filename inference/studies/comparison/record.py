@@ -181,7 +181,7 @@ def _tests(entries: list[Entry]) -> xr.Dataset:
     found = [
         {
             kind(test.name): test
-            for test in ((*one.judgement.tests, *one.judgement.others) if one.judgement else ())
+            for test in ((*one.judgement.tests, *one.judgement.beside) if one.judgement else ())
         }
         for one in entries
     ]

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from poseterior.inference.estimators import ESTIMATORS
 from poseterior.inference.studies.calibration.real import TRUE
+from poseterior.probmodel.documents import shortest
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.root_priors import CANDIDATES, ROOT_PRIORS, UNCERTAIN
 from poseterior.probmodel.skeleton import LIMB_JOINTS
@@ -31,7 +32,7 @@ class Condition(NamedTuple):
     @property
     def name(self) -> str:
         """As files call it."""
-        name = f"{self.estimator}-missing-{self.missing}-rotate-{self.rotate:g}"
+        name = f"{self.estimator}-missing-{self.missing}-rotate-{shortest(self.rotate)}"
         return name if self.root == CANDIDATES else f"{name}-root-{self.root}"
 
 

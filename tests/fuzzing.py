@@ -37,7 +37,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import typer
-from poseterior.probmodel.errorlaws import DetectorErrors, ScoreFactor
+from poseterior.probmodel.errors.detector import DetectorErrors, ScoreFactor
 from typer.models import OptionInfo
 
 from poseterior.inference.baselines.run import _checksum

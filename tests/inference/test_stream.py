@@ -10,7 +10,7 @@ import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
-from poseterior.inference.drawers import drawer
+from tests.scenes import drawer
 
 from poseterior import inference
 from poseterior.inference import (

@@ -19,8 +19,8 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from numpyro.handlers import condition, seed
 from numpyro.infer.util import log_density, potential_energy, unconstrain_fn
-from poseterior.probmodel.faults import EXCHANGE_INDEX, LIMB_INDEX, ORDERS, FaultPrior, Faults
-from poseterior.probmodel.likelihood import LAWS
+from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, LIMB_INDEX, ORDERS, FaultPrior, Faults
+from poseterior.probmodel.errors.laws import LAWS
 
 from poseterior.inference.baselines.rooted import RootedTarget
 from poseterior.inference.baselines.target import Target

@@ -14,6 +14,8 @@ import numpy as np
 
 from poseterior.inference.baselines.target import Target
 from poseterior.inference.benchmark.anatomy import FILE
+from poseterior.inference.benchmark.external.posterior import PosteriorTarget
+from poseterior.inference.benchmark.forms import SamplerTarget
 from poseterior.inference.benchmark.root import GivenRoot
 from poseterior.inference.benchmark.target import FrozenTarget
 from poseterior.inference.benchmark.uncertain import UncertainTarget
@@ -55,8 +57,12 @@ def model_of(target: FrozenTarget) -> PoseModel:
     return PoseModel(frozen.limits, frozen.lengths, target.root.torsos)
 
 
-def in_jax(target: FrozenTarget) -> Target | UncertainTarget:
+def in_jax(target: SamplerTarget) -> Target | UncertainTarget:
     """The target in JAX, on R^d."""
+    if isinstance(target, PosteriorTarget):
+        return target.density
+    if not isinstance(target, FrozenTarget):
+        raise TypeError(f"{target.name} is no target of ours, and has no form in JAX")
     root, frame, model = target.root, estimate(target), model_of(target)
     if isinstance(root, GivenRoot):
         return Target.of(frame.posterior(model))

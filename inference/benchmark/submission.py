@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.benchmark.forms import SamplerTarget
 from poseterior.probmodel.arrays import read_array, read_tables
 from poseterior.probmodel.failures import BadInput, shown
 
@@ -47,7 +47,7 @@ class Submission:
     seconds: float = math.nan
 
 
-def read_submission(path: str | os.PathLike, target: FrozenTarget) -> Submission:
+def read_submission(path: str | os.PathLike, target: SamplerTarget) -> Submission:
     """The draws in a file. Raises `BadInput` as `submit`, and where it is no such file."""
     if Path(path).suffix.lower() == ".npy":
         return submit(target, points=read_array(path, WHAT, ADVICE), where=str(path))
@@ -59,7 +59,7 @@ def read_submission(path: str | os.PathLike, target: FrozenTarget) -> Submission
     return submit(target, **arrays, where=str(path))
 
 
-def submit(target: FrozenTarget, *, where: str = "the draws", **arrays: np.ndarray) -> Submission:
+def submit(target: SamplerTarget, *, where: str = "the draws", **arrays: np.ndarray) -> Submission:
     """Draws as arrays, by the names that they have in a file.
 
     Raises
@@ -84,7 +84,7 @@ def submit(target: FrozenTarget, *, where: str = "the draws", **arrays: np.ndarr
 
 
 def _chart(
-    arrays: dict[str, np.ndarray], target: FrozenTarget, where: str
+    arrays: dict[str, np.ndarray], target: SamplerTarget, where: str
 ) -> tuple[str, np.ndarray]:
     """The name of the chart, and the draws in it as `(chain, draw, d)`."""
     named = [name for name in CHARTS if name in arrays]
@@ -157,7 +157,7 @@ def _number(arrays: dict[str, np.ndarray], name: str, where: str) -> float:
     return found
 
 
-def _points(chart: str, values: np.ndarray, target: FrozenTarget, where: str) -> np.ndarray:
+def _points(chart: str, values: np.ndarray, target: SamplerTarget, where: str) -> np.ndarray:
     """The draws as points of R^d."""
     if chart == "points":
         return values
@@ -170,7 +170,7 @@ def _points(chart: str, values: np.ndarray, target: FrozenTarget, where: str) ->
     return target.points_of_box(values) if chart == "box" else target.prior_transform(values)
 
 
-def _require_support(points: np.ndarray, target: FrozenTarget, where: str) -> None:
+def _require_support(points: np.ndarray, target: SamplerTarget, where: str) -> None:
     misfits = target.misfits(points.reshape(-1, target.dim))
     outside = (misfits > 1 + ROUNDING).any(axis=-1)
     if outside.any():

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from poseterior.inference.benchmark.catalogue import load, targets
-from poseterior.inference.benchmark.contestants import GIFT
+from poseterior.inference.benchmark.entrants import GIFT
 from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, SMALL, TEXT, TITLE, page, tidy

@@ -9,7 +9,7 @@ asked about `--sets` sets of exact draws of each of the targets `--alarms`."""
 
 import argparse
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +19,13 @@ import numpy as np
 from poseterior.inference.baselines.catalogue import BASELINES
 from poseterior.inference.baselines.run import Allowance
 from poseterior.inference.benchmark import exact_points, load, targets, verdict
-from poseterior.inference.benchmark.contestants import (
+from poseterior.inference.benchmark.entrants import (
     EXACT,
     GIFT,
-    cannot,
-    check_name,
-    contestant,
-    starts_of,
+    entrant,
+    entrants,
 )
-from poseterior.inference.benchmark.guests import GUESTS
-from poseterior.inference.benchmark.guests.graded import Outcome
+from poseterior.inference.benchmark.external.entries import Outcome
 from poseterior.inference.benchmark.references import sample_at
 from poseterior.inference.benchmark.root import GivenRoot
 from poseterior.inference.benchmark.submission import Submission
@@ -60,6 +57,8 @@ TARGETS = (
     *("arm-soft", "whole-soft"),
 )
 """All with hard walls, and two with soft ones."""
+OURS = ("dynesty", "ultranest", "reddemcee", "nrpt")
+"""External samplers that are run where nothing else is said."""
 DEEP = ("arm", "legs", "whole", "cruel")
 """Targets on which chains also start in exact draws, and on which evaluations are made equal
 too."""
@@ -109,9 +108,9 @@ def line(
 ) -> dict[str, Any]:
     """One sampler on one target: what was found, and what it cost."""
     about: dict[str, Any] = {"target": target.name, "sampler": name, "start": start}
-    if why := cannot(target, name):
+    if why := entrant(name).cannot(target):
         return about | {"verdict": f"not run: {why}"}
-    found = contestant(target, name, start, allowance)
+    found = entrant(name).run(target, start, allowance)
     if found is None:
         return about | {"verdict": "no draws"}
     return about | measured(target, exact, found)
@@ -144,7 +143,7 @@ def _runs(
         if budget == EVALUATIONS and target not in DEEP:
             continue
         for name in names:
-            for start in starts_of(name):
+            for start in entrant(name).starts:
                 if start != GIFT or target in DEEP:
                     yield budget, name, start
 
@@ -194,13 +193,15 @@ def values(lines: list[Line], work: Path) -> Values:
         "not_run": ", ".join(left) or "none",
         "seconds": _allowed(lines, SECONDS),
         "evaluations": _allowed(lines, EVALUATIONS),
-        "notes": "\n".join(f"- *{name}*: {row.note}." for name, row in _notes(ran).items()),
+        "notes": "\n".join(notes(ran)),
     }
 
 
-def _notes(ran: set[str]) -> dict[str, Any]:
+def notes(ran: Collection[str]) -> list[str]:
     """How those that ran are set up."""
-    return {name: row for name, row in (BASELINES | GUESTS).items() if name in ran}
+    return [
+        f"- *{name}*: {entrant(name).note}." for name in entrants() if name in ran and name != EXACT
+    ]
 
 
 def _run(lines: list[Line]) -> list[Line]:
@@ -229,7 +230,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--work", type=Path, default=WORK)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--evaluations", type=int, default=50_000)
-    everyone = [EXACT, "emcee", "emcee-de", "aies", "random-walk", "sa", "smc", "nss", *GUESTS]
+    everyone = [EXACT, "emcee", "emcee-de", "aies", "random-walk", "sa", "smc", "nss", *OURS]
     parser.add_argument("--samplers", default=",".join(everyone))
     parser.add_argument("--targets", default=",".join(TARGETS))
     parser.add_argument("--budgets", default=f"{SECONDS},{EVALUATIONS}")
@@ -242,7 +243,7 @@ def _options() -> argparse.Namespace:
         for name in (*options.targets, *options.alarms):
             load(name)
         for name in options.samplers:
-            check_name(name)
+            entrant(name).require()
     except BadInput as error:
         parser.error(str(error))
     if unknown := set(options.budgets) - {SECONDS, EVALUATIONS}:

@@ -13,7 +13,7 @@ from typing import Any
 from scipy import stats
 
 from poseterior.inference.benchmark.catalogue import load, targets
-from poseterior.inference.benchmark.contestants import EXACT, GIFT
+from poseterior.inference.benchmark.entrants import EXACT, GIFT
 from poseterior.inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
 from poseterior.reports.tables.comparison import gift_sentence
 from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, number

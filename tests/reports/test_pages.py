@@ -12,7 +12,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from poseterior.inference.baselines.run import Allowance
-from poseterior.inference.benchmark import contestants, exact_points, load
+from poseterior.inference.benchmark import entrants, exact_points, load
 from poseterior.inference.readings import READINGS, Verdict
 from poseterior.inference.studies.misreadings import Study
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
@@ -251,9 +251,9 @@ def test_the_leaderboard_s_pictures() -> None:
 
 
 def test_walking_downhill_comes_inside_at_a_price(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(contestants, "PATIENCE", 200)
+    monkeypatch.setattr(entrants, "MOST_STEPS", 200)
     target = load("arm")
-    points, spent = contestants.downhill(target, np.random.default_rng(0), 20, Allowance())
+    points, spent = entrants.downhill(target, np.random.default_rng(0), 20, Allowance())
     assert len(points) >= 5
     assert (target.misfit(points) <= 1).all()
     assert spent > 2 * len(points)
@@ -263,12 +263,12 @@ def test_walkers_are_spread_where_few_starts_were_found() -> None:
     """All inside, none where another is, the found ones first, and every evaluation counted."""
     target, rng = load("single"), np.random.default_rng(0)
     few = exact_points(target, 3)
-    points, spent = contestants.filled(target, rng, few, 40)
+    points, spent = entrants.filled(target, rng, few, 40)
     np.testing.assert_array_equal(points[:3], few)
     assert len(np.unique(points, axis=0)) == 40
     assert (target.misfit(points) <= 1).all()
     assert spent >= 37
-    same, nothing = contestants.filled(target, rng, few, 3)
+    same, nothing = entrants.filled(target, rng, few, 3)
     np.testing.assert_array_equal(same, few)
     assert nothing == 0
 

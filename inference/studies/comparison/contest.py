@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import math
 import time
+import zlib
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -27,6 +28,8 @@ from poseterior.inference.baselines.catalogue import (
 )
 from poseterior.inference.baselines.run import Allowance, Clock, Run, check_law, check_packages, run
 from poseterior.inference.baselines.target import Density, Target
+from poseterior.inference.benchmark.external.entries import external_sampler, external_samplers
+from poseterior.inference.benchmark.external.posterior import PosteriorTarget
 from poseterior.inference.exact.mixture import draw_mixture
 from poseterior.inference.results import COMPLETE, Result, save_tree
 from poseterior.inference.sampler import SAMPLERS, sample
@@ -35,7 +38,7 @@ from poseterior.inference.studies.comparison.cost import course
 from poseterior.inference.studies.comparison.judge import judge
 from poseterior.inference.studies.comparison.pace import pace
 from poseterior.inference.studies.comparison.record import SHOWN, Entry, comparison_tree
-from poseterior.inference.studies.comparison.sample import Sample, read_sample
+from poseterior.inference.studies.comparison.sample import Sample, read_sample, sample_of
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
@@ -106,13 +109,13 @@ def compare(
     frame
         The detection with its candidates.
     samplers
-        Names of `SAMPLERS`.
+        Names of `SAMPLERS`, and of `benchmark.external_samplers()`.
     seed
         Of all draws.
     seconds, max_evaluations
         What each baseline may spend from each of its starts; None: no limit.
     num_samples
-        Draws of exact rejection as a contestant.
+        Draws of exact rejection as an entrant.
     exact_draws
         Draws that all are judged by.
     out
@@ -153,7 +156,7 @@ def compare(
         found = Comparison([], xr.DataTree())
         for name, start in [(one, start) for one in samplers for start in starts_of(one)]:
             # Its own key, whoever else is asked, so that runs can be taken up.
-            own = jax.random.fold_in(key, 1 + SAMPLERS.index(name))
+            own = jax.random.fold_in(key, _number_of(name))
             place = place_of(out, name, start)
             with stage(f"{name} {start}".strip()):
                 entry = _enter(model, known, name, start, own, allowance, num_samples, place)
@@ -181,6 +184,8 @@ def _enter(
     num_samples: int,
     place: Path | None,
 ) -> Entry:
+    if name not in SAMPLERS:
+        return enter_external(model, known, name, key=key, allowance=allowance)
     if name not in BASELINES:
         return enter_exact(model, known, name, key=key, num_samples=num_samples)
     settings: dict[str, Any] = {"allowance": allowance, "num_samples": ENDLESS, "save_to": place}
@@ -210,15 +215,22 @@ def truth(model: PoseModel, frame: Estimate, *, key: jax.Array, number: int = RE
 def check_names(names: list[str]) -> None:
     """Raises `BadInput` on a sampler that does not exist or whose package is missing, before any
     work is done."""
-    unknown = [name for name in names if name not in SAMPLERS]
+    known = (*SAMPLERS, *external_samplers())
+    unknown = [name for name in names if name not in known]
     if unknown or not names:
         raise BadInput(
-            f"there is no sampler {unknown[0] if unknown else ''!r}; choose from"
-            f" {', '.join(SAMPLERS)}"
+            f"there is no sampler {unknown[0] if unknown else ''!r}; choose from {', '.join(known)}"
         )
     for name in names:
         if name in BASELINES:
             check_packages(name, BASELINES[name])
+        elif name not in SAMPLERS:
+            external_sampler(name).require(name)
+
+
+def _number_of(name: str) -> int:
+    """By which a sampler's key is made, whoever else there is."""
+    return 1 + SAMPLERS.index(name) if name in SAMPLERS else zlib.crc32(name.encode())
 
 
 def starts_of(name: str) -> tuple[str, ...]:
@@ -247,6 +259,44 @@ def enter_exact(
     found = read_sample(result.tree, f"the draws of {name}")
     work = Work(attributes["num_proposals"], seconds, 1.0, found.num_draws, 0)
     return entry_of(name, "", found, known, result.sentence, work, evidence)
+
+
+def enter_external(
+    model: PoseModel, known: Truth, name: str, *, key: jax.Array, allowance: Allowance
+) -> Entry:
+    """A line of an external sampler, begun anew at every call; where it brought no draws, or what
+    cannot be any, its sentence says so."""
+    target = PosteriorTarget.of(known.frame.posterior(model))
+    seed = int(jax.random.randint(key, (), 0, 1 << 31))
+    sentence = f"{name} brought no draws of {target.name}: the budget is too small; allow more"
+    started = time.perf_counter()
+    try:
+        outcome = external_sampler(name).run(name, target, seed, allowance)
+    except BadInput as error:
+        outcome = None
+        sentence = str(error)
+    seconds = time.perf_counter() - started
+    if outcome is None:
+        return Entry(name, "", None, sentence, 0, 0, seconds, None, None, math.nan, math.nan)
+    submission = outcome.submission
+    points, steps = _thinned(submission.points, outcome.steps)
+    poses = target.density.poses(key, points)
+    found = sample_of(target.joints_of(poses), poses.length, f"the draws of {name}")
+    cost = submission.evaluations, submission.seconds
+    if not math.isfinite(cost[1]):
+        cost = submission.evaluations, seconds
+    work = Work(*cost, outcome.kept, steps, outcome.given)
+    evidence = submission.log_evidence, submission.log_evidence_se
+    return entry_of(name, "", found, known, "", work, evidence)
+
+
+def _thinned(points: np.ndarray, steps: int) -> tuple[np.ndarray, int]:
+    """At most about `MOST` draws of `(chain, draw, d)`, taken evenly along every path of so many
+    steps; and how many steps of a path are left."""
+    chains, draws, dim = points.shape
+    length = steps if steps > 1 else draws
+    paths = points.reshape(chains, -1, length, dim)[:, :, :: max(1, chains * draws // MOST)]
+    return paths.reshape(chains, -1, dim), paths.shape[2] if steps > 1 else 1
 
 
 def enter_baseline(
@@ -313,10 +363,11 @@ def enter_chains(
 
 
 class Work(NamedTuple):
-    """What draws cost: evaluations, seconds, the share `kept` of them that brought draws; `steps`,
-    how many draws in a row are one path; `given`, the exact draws that the start was given."""
+    """What draws cost: evaluations (NaN where nobody says), seconds, the share `kept` of them that
+    brought draws; `steps`, how many draws in a row are one path; `given`, the exact draws that the
+    start was given."""
 
-    evaluations: int
+    evaluations: float
     seconds: float
     kept: float
     steps: int

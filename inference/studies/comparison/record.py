@@ -28,7 +28,7 @@ class Entry(NamedTuple):
     judgement: Judgement | None
     sentence: str
     num_draws: int
-    evaluations: int
+    evaluations: float
     seconds: float
     course: Course | None
     pace: Pace | None
@@ -63,6 +63,8 @@ class Entry(NamedTuple):
         `Pace.settled`."""
         if self.pace is None or self.course is None:
             return 0.0
+        if self.course.kept == 0:  # its draws come at the end: there is no burn-in to leave out
+            return self.ess_per_second
         return self.pace.settled / (self.seconds * self.course.kept)
 
     @property

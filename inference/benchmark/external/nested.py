@@ -3,11 +3,12 @@
 import numpy as np
 
 from poseterior.inference.baselines.run import Allowance
-from poseterior.inference.benchmark.guests.graded import CLOCK, HARDNESS, Outcome, graded, inside
-from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.benchmark.external.entries import CLOCK, ExternalSampler, Outcome
+from poseterior.inference.benchmark.external.graded import HARDNESS, graded, inside
+from poseterior.inference.benchmark.forms import SamplerTarget
 
 
-def dynesty(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome | None:
+def dynesty(target: SamplerTarget, seed: int, allowance: Allowance) -> Outcome | None:
     """dynesty's static sampler, everything as it comes; one point at a time, in JAX."""
     import dynesty as package
 
@@ -31,7 +32,7 @@ class _Spent(Exception):
     """Raised within UltraNest, which has no limit of its own to the time it takes."""
 
 
-def ultranest(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome | None:
+def ultranest(target: SamplerTarget, seed: int, allowance: Allowance) -> Outcome | None:
     """UltraNest's reactive sampler, everything as it comes; many points at a time, in NumPy. It has
     no draws before it is through."""
     from ultranest import ReactiveNestedSampler
@@ -59,3 +60,17 @@ def ultranest(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome 
     cost = {"evaluations": evaluations, "seconds": CLOCK() - started}
     submission = inside(target, points, log_weights, float(found["logzerr"]), cost)
     return None if submission is None else Outcome(submission)
+
+
+DYNESTY = ExternalSampler(
+    dynesty,
+    "dynesty's static sampler, 500 live points",
+    needs="dynesty",
+    install="poseterior[external]",
+)
+ULTRANEST = ExternalSampler(
+    ultranest,
+    "UltraNest's reactive sampler, MLFriends, vectorised",
+    needs="ultranest",
+    install="poseterior[ultranest]",
+)

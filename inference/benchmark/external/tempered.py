@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from poseterior.inference.baselines.run import Allowance
-from poseterior.inference.benchmark.guests.graded import CLOCK, Outcome, graded, inside
-from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.benchmark.external.entries import CLOCK, ExternalSampler, Outcome
+from poseterior.inference.benchmark.external.graded import graded, inside
+from poseterior.inference.benchmark.forms import SamplerTarget
 
 TEMPERATURES = 10
 WALKERS = 4
@@ -17,7 +18,7 @@ STEPS = 50
 BURN_IN = 0.25
 
 
-def reddemcee(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome | None:
+def reddemcee(target: SamplerTarget, seed: int, allowance: Allowance) -> Outcome | None:
     """reddemcee's adaptive parallel tempering, everything as it comes, in the cube."""
     from reddemcee import PTSampler
 
@@ -48,3 +49,11 @@ def reddemcee(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome 
 def _flat(cube: np.ndarray) -> float:
     """Log density of the prior at a point of the cube."""
     return 0.0 if np.all((cube >= 0) & (cube <= 1)) else -np.inf
+
+
+REDDEMCEE = ExternalSampler(
+    reddemcee,
+    "reddemcee's parallel tempering, ten temperatures",
+    needs="reddemcee",
+    install="poseterior[external]",
+)

@@ -24,10 +24,11 @@ from poseterior.inference.baselines.metropolis import (
 )
 from poseterior.inference.baselines.run import Allowance
 from poseterior.inference.baselines.target import Target
-from poseterior.inference.benchmark.guests.graded import CLOCK, HARDNESS, Outcome
+from poseterior.inference.benchmark.external.entries import CLOCK, ExternalSampler, Outcome
+from poseterior.inference.benchmark.external.graded import HARDNESS
+from poseterior.inference.benchmark.forms import SamplerTarget
 from poseterior.inference.benchmark.programs import in_jax
 from poseterior.inference.benchmark.submission import FEWEST, Submission
-from poseterior.inference.benchmark.target import FrozenTarget
 from poseterior.inference.benchmark.uncertain import UncertainTarget
 
 LADDERS, LEVELS = 4, 24
@@ -91,7 +92,7 @@ class Batch(NamedTuple):
 class Ladders:
     """The ladders at work, and the evaluations that they have cost."""
 
-    def __init__(self, target: FrozenTarget, seed: int) -> None:
+    def __init__(self, target: SamplerTarget, seed: int) -> None:
         self._target, self._rng = target, np.random.default_rng(seed)
         self._density, self._key = in_jax(target), jax.random.key(seed)
         self._points = self._prior(LEVELS)
@@ -115,7 +116,7 @@ class Ladders:
         return batch
 
 
-def nrpt(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome | None:
+def nrpt(target: SamplerTarget, seed: int, allowance: Allowance) -> Outcome | None:
     """Non-reversible parallel tempering. None where no ladder's last rung came inside for good, or
     the allowance ends with the tuning."""
     Ladders(target, seed).sweep()  # compiled before the clock runs
@@ -230,3 +231,10 @@ def _swapped(
     step = jnp.pad(chosen.astype(int), ((0, 0), (0, 1)))
     order = levels + step - jnp.roll(step, 1, axis=1)
     return jnp.take_along_axis(points, order[..., None], axis=1), chance.mean(axis=0)
+
+
+NRPT = ExternalSampler(
+    nrpt,
+    "non-reversible parallel tempering, ours: 4 × 24 levels, random-walk Metropolis, swaps of even"
+    " and odd pairs in turn, levels spaced by the rejections of swaps",
+)

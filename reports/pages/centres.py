@@ -8,7 +8,6 @@ Some minutes. Frames and errors are like those of the relations in reports/motio
 """
 
 import dataclasses
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -35,7 +34,7 @@ from poseterior.probmodel.skeleton import NUM_JOINTS
 from poseterior.reports.figures.composition import gains_figure
 from poseterior.reports.pages.evaluation import CLASSES, NOISE, gain, protocol_of
 from poseterior.reports.pages.motion import ESTIMATOR
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, Values, run
 from poseterior.reports.tables import Sheet, sheet_of
 
 K, FRAMES = 5, 160
@@ -163,9 +162,8 @@ def _words(one: Interval) -> str:
     return f"{one.value:+.1f} % ({one.low:+.1f} to {one.high:+.1f})"
 
 
-def main(data: Path) -> None:
+def main(data: Data) -> Page:
     """Runs the study and writes the page."""
-    in_doubles()
     rows = rows_of(data, print)
     values: Values = {
         "table": table(rows),
@@ -176,8 +174,8 @@ def main(data: Path) -> None:
     }
     gains = dict(zip(CHOSEN, zip(*(row.gains for row in rows), strict=True), strict=True))
     figure = gains_figure(gains, [", ".join(row.way) for row in rows], K)
-    write_page("centres", values, {"centres": figure})
+    return Page("centres", values, {"centres": figure})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

@@ -7,12 +7,13 @@ on. `--frames 1,2` and `--samplers` run some only, so that several processes can
 page is then made by `reports.pages.samplers`.
 """
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import jax
+import typer
 import xarray as xr
 
 from poseterior.inference.baselines.catalogue import BASELINES
@@ -29,7 +30,7 @@ from poseterior.inference.studies.scenes import (
     prior_scene,
 )
 from poseterior.probmodel import Estimate, PoseModel
-from poseterior.reports.pages.page import in_doubles
+from poseterior.reports.pages.page import run
 
 CHECK = "one arm seen"
 """Six dimensions, for every sampler to show that it is right; not of the suite."""
@@ -140,25 +141,20 @@ def compare(
         keep(entry, path, allowed)
 
 
-def main() -> None:
-    """The command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument(
-        "--seconds", type=float, default=60.0, help="for each baseline, from each start"
-    )
-    parser.add_argument("--samplers", default=",".join(BASELINES))
-    parser.add_argument("--frames", default=",".join(str(number) for number in range(len(SUITE))))
-    parser.add_argument("--work", type=Path, default=WORK)
-    options = parser.parse_args()
-    in_doubles()
-    jax.config.update("jax_compilation_cache_dir", str(options.work / "compiled"))
+def main(
+    seconds: Annotated[float, typer.Option(help="For each baseline, from each start.")] = 60.0,
+    samplers: str = ",".join(BASELINES),
+    frames: str = ",".join(map(str, range(len(SUITE)))),
+    work: Path = WORK,
+) -> None:
+    """Runs the contest on these frames, by their numbers."""
+    jax.config.update("jax_compilation_cache_dir", str(work / "compiled"))
     model = PoseModel()
     for number, name in enumerate(SUITE):
-        if str(number) in options.frames.split(","):
+        if str(number) in frames.split(","):
             print(name, flush=True)
-            folder = options.work / str(number)
-            compare(model, number, options.samplers.split(","), options.seconds, folder)
+            compare(model, number, samplers.split(","), seconds, work / str(number))
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -7,11 +7,12 @@ are there. With names of stages, only those are done. About half an hour on two 
 """
 
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 import xarray as xr
 
 from poseterior.inference.estimators import ESTIMATORS
@@ -32,7 +33,7 @@ from poseterior.inference.studies.calibration.real import TRUE, instances
 from poseterior.probmodel.datasets import Case
 from poseterior.reports.figures.coverage import controls_figure, coverage_figure, ranks_figure
 from poseterior.reports.figures.misses import Exclusion, misses_figure
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, Values, Work, run
 from poseterior.reports.pages.real import (
     CELLS,
     ESTIMATED,
@@ -74,6 +75,7 @@ STAGES = {
 }
 SHOWN = ("right_wrist z", "left_knee x", LOG_DENSITY, ENERGY_BALL, TARP)
 """Quantities whose ranks are drawn for every control."""
+Stages = Annotated[list[str] | None, typer.Argument(help="Only these.")]
 Trees = Mapping[tuple[str, ...], xr.DataTree]
 """By torso and camera, 2D error, and how many joints are missing."""
 
@@ -178,8 +180,8 @@ def choices_table(found: xr.Dataset) -> Sheet:
     return sheet_of(["chosen by", against, *(f"k = {k}" for k in KS)], rows)
 
 
-def page(work: Path, data: Path) -> None:
-    """Writes the page and its pictures."""
+def page(work: Work, data: Data) -> Page:
+    """The page and its pictures, all stages done."""
     paths = [work / f"exact-{upper}-{lower}.nc" for upper, lower in MEASURES]
     exacts = {
         f"upper {upper}, lower {lower}": read(path)["simulation"].to_dataset()
@@ -223,18 +225,15 @@ def page(work: Path, data: Path) -> None:
         "coverage_real": coverage_figure(curves),
         "coverage_misses": misses_figure(misses(work, data, commonest)),
     }
-    write_page("coverage", values, pictures)
+    return Page("coverage", values, pictures)
 
 
-def main(data: Path, work: Path, stages: Sequence[str]) -> None:
-    """Does what is left of the stages, then writes the page."""
-    in_doubles()
-    work.mkdir(parents=True, exist_ok=True)
+def main(data: Data, work: Work, stages: Stages = None) -> Page | None:
+    """Does what is left of the stages (all, if none is named), and fills the page from them."""
     for name in stages or STAGES:
         STAGES[name](work, data)
-    if not stages:
-        page(work, data)
+    return None if stages else page(work, data)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:])
+    run(main)

@@ -7,10 +7,8 @@ time is taken; what a user waits for that is a column of its own.
 """
 
 import os
-import sys
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -30,7 +28,7 @@ from poseterior.probmodel import Estimate, PoseModel
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import page as blank_page
 from poseterior.reports.figures.style import tidy
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import SHARED, Data, Page, Values, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
 DRAWS = 10_000_000
@@ -175,9 +173,8 @@ def picture(rates: Sequence[float]) -> Figure:
     return figure
 
 
-def main(data: Path) -> None:
+def main(data: Data = SHARED) -> Page:
     """Measures, writes, and prints the page."""
-    in_doubles()
     model = PoseModel()
     sets = {"Poses of the prior, by their seeds": prior_frames(model)[FRAMES]}
     archive = data / "cmu" / "actions_train.npz"
@@ -209,8 +206,8 @@ def main(data: Path) -> None:
         "chance": f"{1 - (1 - smallest) ** len(checks):.2g}",
         "largest": f"{max(abs(score) for _, score in checks):.2f}",
     }
-    print(write_page("device", values, {"device": picture(rates)}))
+    return Page("device", values, {"device": picture(rates)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))
+    run(main)

@@ -8,10 +8,8 @@ without that person; the page says what is held out and how. Half an hour.
 """
 
 import functools
-import sys
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -46,7 +44,7 @@ from poseterior.reports.pages.estimates import (
     study_singles,
     turned,
 )
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, Values, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
 SUBJECTS = ("01", "02", "03")
@@ -273,9 +271,8 @@ def picture(singles: Singles, drawn: Scores) -> Figure:
     return estimators_figure(NOISE, by_noise, MISSING, by_missing)
 
 
-def main(data: Path) -> None:
+def main(data: Data) -> Page:
     """Runs all studies and writes the page and its picture."""
-    in_doubles()
     motions = read_all([data / "cmu" / "asfamc", data / "cmu" / "actions_train.npz", data / "bvh"])
     people = {subject: hold_out(motions, subject) for subject in SUBJECTS}
     speed = speed_table(people[SUBJECTS[0]])
@@ -291,8 +288,8 @@ def main(data: Path) -> None:
         "speed": speed,
         "recovery": recovery_table(),
     }
-    write_page("estimators", values, {"estimators": picture(singles, drawn)})
+    return Page("estimators", values, {"estimators": picture(singles, drawn)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

@@ -6,8 +6,6 @@
 processor time.
 """
 
-import json
-import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -36,7 +34,7 @@ from poseterior.probmodel.learning.poses import read_all
 from poseterior.probmodel.likelihood import Likelihood
 from poseterior.reports.figures.bias import bias_figure
 from poseterior.reports.figures.evaluation import errors_figure, pck_curves, pck_figure
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, Values, Work, kept_json, run
 from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.bias import actions_table, visits_table
 from poseterior.reports.tables.evaluation import (
@@ -76,7 +74,7 @@ def protocol_of(data: Path) -> Protocol:
     return Protocol(learn(motions), learn_dictionary(motions))
 
 
-def run(data: Path, protocol: Protocol, work: Path) -> Runs:
+def runs_of(data: Path, protocol: Protocol, work: Path) -> Runs:
     """Everything, or what is left of it."""
 
     def judged(name: str, cases: DataSet, wanted: list[Condition]) -> Results:
@@ -154,12 +152,10 @@ def by_noise_and_discs(data: Path, protocol: Protocol, work: Path) -> Sheet:
 
 
 def measured(data: Path, protocol: Protocol, work: Path) -> dict[int, float]:
-    """Frames a second with one and with two workers, measured once: the slope of blocks of 32
-    frames as they come in, but for each worker's first, in which it compiles."""
-    kept = work / "speed.json"
-    if kept.exists():
-        return {int(workers): rate for workers, rate in json.loads(kept.read_text()).items()}
-    cases, rates = read_data_set(data / CLASSES, frames=SPEED_FRAMES, noise=NOISE), {}
+    """Frames a second with one and with two workers: the slope of blocks of 32 frames as they come
+    in, but for each worker's first, in which it compiles."""
+    cases = read_data_set(data / CLASSES, frames=SPEED_FRAMES, noise=NOISE)
+    rates = {}
     for workers in (1, 2):
         came: list[tuple[float, int]] = []
 
@@ -171,7 +167,6 @@ def measured(data: Path, protocol: Protocol, work: Path) -> dict[int, float]:
             evaluate(cases, one, protocol, folder, machines=Machines(workers), progress=note)
         seconds, frames = np.array(came[1 + workers :]).T
         rates[workers] = float(np.polyfit(seconds - seconds[0], frames, 1)[0])
-    kept.write_text(json.dumps(rates))
     return rates
 
 
@@ -228,12 +223,12 @@ TABLE_2 = (
 )
 
 
-def main(data: Path, work: Path) -> None:
+def main(data: Data, work: Work) -> Page:
     """Runs all of it and writes the page and its pictures."""
-    in_doubles()
     protocol = protocol_of(data)
-    runs = run(data, protocol, work)
+    runs = runs_of(data, protocol, work)
     bias = bias_study(read_data_set(data / CLASSES), protocol.anatomy)
+    rates = kept_json(work / "speed.json", measured, data, protocol, work)
     possible = protocol.anatomy.limits.check(runs.noisy.poses).pose_valid.mean()
     labels = Labels(runs.noisy.action, runs.noisy.recording)
     values: Values = {
@@ -242,7 +237,7 @@ def main(data: Path, work: Path) -> None:
         "visits": visits_table(bias),
         "difficulty": by_difficulty(runs),
         "discs": by_noise_and_discs(data, protocol, work),
-        "speed": speed(measured(data, protocol, work)),
+        "speed": speed({int(workers): rate for workers, rate in rates.items()}),
         "valid": f"{100 * possible:.0f} %",
     }
     pictures = {
@@ -250,8 +245,8 @@ def main(data: Path, work: Path) -> None:
         "evaluation-pck": pck_figure(pck_curves(runs.true_results, BASE, 5)),
         "evaluation-bias": bias_figure(bias),
     }
-    write_page("evaluation", values, pictures)
+    return Page("evaluation", values, pictures)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    run(main)

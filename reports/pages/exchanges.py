@@ -13,7 +13,6 @@ so it says too what any other way to find out could reach.
 import dataclasses
 import functools
 import itertools
-import sys
 from typing import NamedTuple
 
 import jax
@@ -27,7 +26,7 @@ from poseterior.probmodel import Detection, Estimate, PoseModel
 from poseterior.probmodel.faults import EXCHANGE_INDEX, EXCHANGES, MOVES_TORSO, ORDERS, FaultPrior
 from poseterior.probmodel.skeleton import JOINT_INDEX
 from poseterior.reports.pages.faults import EXCHANGED, LEGS, SURE, exchanged, with_detection
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Page, People, Values, run
 from poseterior.reports.tables import Sheet, sheet_of
 
 PEOPLE, ROOTS = 200, 250
@@ -151,9 +150,8 @@ def best_tests(people: list[Told]) -> Sheet:
     return sheet_of(("called exchanged where they are not", "found where they are"), lines)
 
 
-def main(people: int) -> None:
+def main(people: People = PEOPLE) -> Page:
     """Runs the study and writes the page."""
-    in_doubles()
     model, told = PoseModel(), []
     for seed in range(people):
         told.append(tell(model, prior_scene(model, 500 + seed, missing=()), seed))
@@ -173,8 +171,8 @@ def main(people: int) -> None:
         "error": f"{np.median(known[np.isfinite(known)]):.2f}",
         "table": table(told),
     }
-    print(write_page("exchanges", values, {}))
+    return Page("exchanges", values)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else PEOPLE)
+    run(main)

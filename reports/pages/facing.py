@@ -9,8 +9,6 @@ true facing has the larger share.
 
 import dataclasses
 import itertools
-import sys
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +20,7 @@ from poseterior.inference.studies.scenes import motion_scene
 from poseterior.probmodel import Anatomy, Detection, PoseModel
 from poseterior.probmodel.motion import read_motion
 from poseterior.probmodel.skeleton import TORSO_INDEX
-from poseterior.reports.pages.page import in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
 POSES = 200
@@ -145,16 +143,15 @@ def section(anatomy: Anatomy, poses: np.ndarray) -> str:
     )
 
 
-def main(data: Path) -> None:
+def main(data: Data) -> Page:
     """Runs the study under the published and the embedded limits, and writes the page."""
-    in_doubles()
     motions = read_motion(data / "cmu" / "actions_train.npz")
     joints = np.concatenate([motion.joints[::7] for motion in motions])
     poses = joints[np.random.default_rng(1).choice(len(joints), POSES, replace=False)]
     published = Anatomy.load(data / "akhter_black" / "jointAngleModel_v2.mat")
     sections = [section(anatomy, poses) for anatomy in (published, Anatomy.default())]
-    print(write_page("facing", {"sections": "\n\n".join(sections)}, {}))
+    return Page("facing", {"sections": "\n\n".join(sections)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

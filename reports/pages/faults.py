@@ -7,7 +7,6 @@ by the person's height, and with the legs' keypoints exchanged.
 """
 
 import dataclasses
-import sys
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -24,7 +23,7 @@ from poseterior.probmodel.faults import EXCHANGE_INDEX, EXCHANGES, ORDERS, Fault
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
-from poseterior.reports.pages.page import in_doubles, write_page
+from poseterior.reports.pages.page import Page, People, run
 from poseterior.reports.tables import Sheet, sheet_of
 
 PEOPLE, ROOTS, DRAWS = 40, 400, 1000
@@ -180,9 +179,8 @@ def probabilities_figure(outcomes: dict[str, list[Judged]]) -> Figure:
     return figure
 
 
-def main(people: int) -> None:
+def main(people: People = PEOPLE) -> Page:
     """Runs the study and writes the page."""
-    in_doubles()
     model = PoseModel()
     frames = [prior_scene(model, 500 + seed, missing=()) for seed in range(people)]
     outcomes, without = (
@@ -202,8 +200,8 @@ def main(people: int) -> None:
         "exchanges": f"{100 * EXCHANGED:.0f} %",
         "table": table(outcomes, without),
     }
-    print(write_page("faults", values, {"faults": probabilities_figure(outcomes)}))
+    return Page("faults", values, {"faults": probabilities_figure(outcomes)})
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else PEOPLE)
+    run(main)

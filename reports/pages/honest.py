@@ -8,9 +8,7 @@ stopped goes on there.
 """
 
 import dataclasses
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,7 +43,7 @@ from poseterior.reports.pages.filmed import (
     film,
     learn_as,
 )
-from poseterior.reports.pages.page import write_page
+from poseterior.reports.pages.page import Data, Page, Work, run
 from poseterior.reports.tables import Sheet, sheet_of
 
 BEST = 5
@@ -362,7 +360,7 @@ def standings_figure(outcomes: Found) -> Figure:
     return figure
 
 
-def main(data: Path, work: Path) -> None:
+def main(data: Data, work: Work) -> Page:
     """Does what is left of the study, then writes the page."""
     seen = film(data)
     outcomes = {way: [judge(*one) for one in drawn(seen, way, work)] for way in WAYS}
@@ -384,8 +382,8 @@ def main(data: Path, work: Path) -> None:
         "depth": f"{depth:.0f}",
         "costs": costs(outcomes),
     }
-    print(write_page("honest", values, {"honest": standings_figure(outcomes)}))
+    return Page("honest", values, {"honest": standings_figure(outcomes)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    run(main)

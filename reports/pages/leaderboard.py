@@ -7,7 +7,6 @@ Every line is kept in the folder `--work`, and what is there is not run again; t
 the lines that are there. `--samplers`, `--targets` and `--budgets` run some only. Then the judge is
 asked about `--sets` sets of exact draws of each of the targets `--alarms`."""
 
-import argparse
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -36,7 +35,7 @@ from poseterior.inference.studies.comparison.sample import Sample
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.files import replacing
 from poseterior.reports.figures.leaderboard import growth, paces, times
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Page, Values, run
 from poseterior.reports.tables.benchmark import verdict_record
 from poseterior.reports.tables.leaderboard import (
     EVALUATIONS,
@@ -57,8 +56,11 @@ TARGETS = (
     *("arm-soft", "whole-soft"),
 )
 """All with hard walls, and two with soft ones."""
-OURS = ("dynesty", "ultranest", "reddemcee", "nrpt")
-"""External samplers that are run where nothing else is said."""
+EVERYONE = (
+    *(EXACT, "emcee", "emcee-de", "aies", "random-walk", "sa", "smc", "nss"),
+    *("dynesty", "ultranest", "reddemcee", "nrpt"),
+)
+"""Who is run where nothing else is said."""
 DEEP = ("arm", "legs", "whole", "cruel")
 """Targets on which chains also start in exact draws, and on which evaluations are made equal
 too."""
@@ -224,54 +226,44 @@ def _allowed(lines: list[Line], budget: str) -> str:
     return " or ".join(f"{value:,.0f}" for value in found) or NOTHING
 
 
-def _options() -> argparse.Namespace:
-    """The command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--work", type=Path, default=WORK)
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--evaluations", type=int, default=50_000)
-    everyone = [EXACT, "emcee", "emcee-de", "aies", "random-walk", "sa", "smc", "nss", *OURS]
-    parser.add_argument("--samplers", default=",".join(everyone))
-    parser.add_argument("--targets", default=",".join(TARGETS))
-    parser.add_argument("--budgets", default=f"{SECONDS},{EVALUATIONS}")
-    parser.add_argument("--alarms", default=",".join(TARGETS))
-    parser.add_argument("--sets", type=int, default=SETS)
-    options = parser.parse_args()
-    for several in ("samplers", "targets", "budgets", "alarms"):
-        setattr(options, several, [one for one in getattr(options, several).split(",") if one])
-    try:
-        for name in (*options.targets, *options.alarms):
-            load(name)
-        for name in options.samplers:
-            entrant(name).require()
-    except BadInput as error:
-        parser.error(str(error))
-    if unknown := set(options.budgets) - {SECONDS, EVALUATIONS}:
-        parser.error(f"there is no budget {unknown.pop()!r}; choose {SECONDS} or {EVALUATIONS}")
-    return options
-
-
-def main() -> None:
-    """Runs what is missing, and writes the page."""
-    options = _options()
-    in_doubles()
-    options.work.mkdir(parents=True, exist_ok=True)
-    jax.config.update("jax_compilation_cache_dir", str(options.work / "compiled"))
+def main(
+    work: Path = WORK,
+    seconds: float = 10.0,
+    evaluations: int = 50_000,
+    samplers: str = ",".join(EVERYONE),
+    targets: str = ",".join(TARGETS),
+    budgets: str = f"{SECONDS},{EVALUATIONS}",
+    alarms: str = ",".join(TARGETS),
+    sets: int = SETS,
+) -> Page:
+    """Runs what is missing, and fills the page from all that is there."""
+    jax.config.update("jax_compilation_cache_dir", str(work / "compiled"))
+    names, chosen, judged = map(_listed, (samplers, targets, alarms))
+    for target in (*chosen, *judged):
+        load(target)
+    for name in names:
+        entrant(name).require()
     given = {
-        SECONDS: Allowance(seconds=options.seconds),
-        EVALUATIONS: Allowance(evaluations=options.evaluations),
+        SECONDS: Allowance(seconds=seconds),
+        EVALUATIONS: Allowance(evaluations=evaluations),
     }
-    budgets = {name: given[name] for name in options.budgets}
-    measure(options.samplers, options.targets, budgets, options.work)
-    false_alarms(options.alarms, options.sets, options.work)
-    lines = lines_in(options.work)
+    if unknown := set(_listed(budgets)) - set(given):
+        raise BadInput(f"there is no budget {unknown.pop()!r}; choose from {', '.join(given)}")
+    measure(names, chosen, {name: given[name] for name in _listed(budgets)}, work)
+    false_alarms(judged, sets, work)
+    lines = lines_in(work)
     pictures = {
         "leaderboard": paces(_run(lines)),
         "leaderboard_times": times(_run(lines)),
         "leaderboard_growth": growth(_run(lines)),
     }
-    write_page("leaderboard", values(lines, options.work), pictures)
+    return Page("leaderboard", values(lines, work), pictures)
+
+
+def _listed(words: str) -> list[str]:
+    """What stands between commas."""
+    return [one for one in words.split(",") if one]
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -7,9 +7,7 @@ Ten minutes.
 """
 
 import dataclasses
-import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
@@ -27,7 +25,7 @@ from poseterior.probmodel.learning.tolerance import Tolerance
 from poseterior.probmodel.motion import Motion, read_motion
 from poseterior.probmodel.skeleton import BONE_NAMES, UPPER_BONES
 from poseterior.reports.figures.limits import limits_figure
-from poseterior.reports.pages.page import in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, run
 from poseterior.reports.tables import Column, Sheet, sheet_of, spoken
 
 SOURCES = ("cmu/asfamc", "cmu/actions_train.npz", "bvh")
@@ -171,9 +169,8 @@ def valid(limits: AnatomicalLimits, joints: np.ndarray) -> list[float]:
     return [float(check.pose_valid.mean()), *check.valid.mean(axis=0).tolist()]
 
 
-def main(data: Path) -> None:
+def main(data: Data) -> Page:
     """Learns and compares, and writes the page and its picture."""
-    in_doubles()
     motions = [motion for source in SOURCES for motion in read_motion(data / source)]
     # The tables of joint limits as they are embedded; the others are learned here.
     limits = Anatomy.default().limits
@@ -187,8 +184,8 @@ def main(data: Path) -> None:
         "lower": lower_frontier(poses, published),
         "generalisation": generalisation(motions, limits, published),
     }
-    write_page("limits", values, {"limits": limits_figure(limits, upper)})
+    return Page("limits", values, {"limits": limits_figure(limits, upper)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

@@ -8,7 +8,6 @@ An hour on two cores; `work` keeps what is done, and a run that was stopped goes
 
 import dataclasses
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.machines import HERE
-from poseterior.inference.results import FIXED, UNCERTAIN, save_tree
+from poseterior.inference.results import FIXED, UNCERTAIN
 from poseterior.inference.studies.calibration.coverage import CoverageSummary, summary
 from poseterior.inference.studies.calibration.exclusions import Reason, exclusions
 from poseterior.inference.studies.calibration.posteriors import sampler_of
@@ -41,9 +40,8 @@ from poseterior.probmodel.likelihood import Gaussian
 from poseterior.probmodel.roots import Candidate
 from poseterior.probmodel.skeleton import TORSO_INDEX
 from poseterior.reports.figures.coverage import coverage_figure
-from poseterior.reports.pages.coverage import read
 from poseterior.reports.pages.evaluation import CLASSES, NOISE, protocol_of
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, Values, Work, kept, run
 from poseterior.reports.pages.real import ERRORS, Held, hold_out, others
 from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.coverage import reasons_table, settings_table, share
@@ -108,21 +106,21 @@ def detections(held: Held) -> list[Case]:
 def stood(work: Path, data: Path, held: Held, given: Given) -> xr.DataTree:
     """Where the truths stand among the draws, why they are excluded where they are, and the share
     of all the people's poses that the limits allow."""
-    path = work / given.path
-    if not path.exists():
-        model, some = with_margin(work, data, held, given.margin), detections(held)
-        likelihood = LAWS[given.errors]
-        root = TRUE if given.root == UNCERTAIN else given.root
-        known = instances(some, model, root, likelihood=likelihood)
-        draw = sampler_of(
-            None, model, given.draws, max_proposals=BUDGET, root=given.kind, num_roots=ROOTS
-        )
-        columns = case_columns(some, excluded(model, some, known, given.kind))
-        check = model.limits.check(gather(held.motions).joints)
-        possible = {"possible": float(check.pose_valid.mean())}
-        save_tree(standings_tree(stand(draw, known, seed=0), possible, columns), path)
-        print(*given, flush=True)
-    return read(path)
+    return kept(work / given.path, _stood, work, data, held, given)
+
+
+def _stood(work: Path, data: Path, held: Held, given: Given) -> xr.DataTree:
+    model = with_margin(work, data, held, given.margin)
+    some = detections(held)
+    root = TRUE if given.root == UNCERTAIN else given.root
+    known = instances(some, model, root, likelihood=LAWS[given.errors])
+    draw = sampler_of(
+        None, model, given.draws, max_proposals=BUDGET, root=given.kind, num_roots=ROOTS
+    )
+    columns = case_columns(some, excluded(model, some, known, given.kind))
+    check = model.limits.check(gather(held.motions).joints)
+    possible = {"possible": float(check.pose_valid.mean())}
+    return standings_tree(stand(draw, known, seed=0), possible, columns)
 
 
 def excluded(
@@ -242,10 +240,8 @@ def widths(found: dict[Given, CoverageSummary]) -> Values:
     }
 
 
-def main(data: Path, work: Path) -> None:
+def main(data: Data, work: Work) -> Page:
     """Does what is left, then writes the page."""
-    in_doubles()
-    work.mkdir(parents=True, exist_ok=True)
     held = hold_out(work, data)
     trees = {given: stood(work, data, held, given) for given in (*BY_LAW, *BY_MARGIN)}
     found = {given: summary(trees[given]) for given in BY_LAW}
@@ -265,8 +261,8 @@ def main(data: Path, work: Path) -> None:
         for given in BY_LAW
         if given.errors == "disc" or given == BOTH
     }
-    write_page("motion", values, {"motion": coverage_figure(curves)})
+    return Page("motion", values, {"motion": coverage_figure(curves)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    run(main)

@@ -8,7 +8,6 @@ read rightly and wrongly. Some twenty minutes.
 """
 
 import itertools
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -37,7 +36,7 @@ from poseterior.probmodel import Anatomy, BadInput, Detection, PoseModel, read_d
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import INK
 from poseterior.reports.figures.style import page as blank_page
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, Values, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
 FRESH = 200
@@ -153,9 +152,8 @@ def picture(found: Study) -> Figure:
     return figure
 
 
-def main(data: Path) -> None:
+def main(data: Data) -> Page:
     """Runs the study and writes page and picture."""
-    in_doubles()
     judge = Judge(PoseModel.from_anatomy(Anatomy.default()))
     motions = data / "cmu" / "actions_train.npz"
     found = study(judge, views(motions, POSES, seed=5), first=OTHERS)
@@ -172,8 +170,8 @@ def main(data: Path) -> None:
             f"{np.median(spread):.2f} nats in the median, {np.quantile(spread, 0.95):.1f} for 95 %"
         ),
     }
-    print(write_page("readings", values, {"readings": picture(found)}))
+    return Page("readings", values, {"readings": picture(found)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

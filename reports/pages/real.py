@@ -6,7 +6,6 @@ Every stage leaves its result in a folder and is not done twice.
 
 import dataclasses
 import functools
-from collections import Counter
 from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +16,6 @@ import xarray as xr
 
 from poseterior.inference.estimators import ESTIMATORS
 from poseterior.inference.hypothesis import grid_poses
-from poseterior.inference.results import save_tree
 from poseterior.inference.studies.calibration.choices import (
     CHOOSE,
     GRID,
@@ -38,6 +36,7 @@ from poseterior.probmodel.learning.dictionaries import PoseDictionary, learn_dic
 from poseterior.probmodel.learning.learner import learn
 from poseterior.probmodel.learning.poses import read_all
 from poseterior.probmodel.motion import Motion
+from poseterior.reports.pages.page import kept
 from poseterior.reports.pages.people import without
 
 DETECTOR = 0.08 / 4.85
@@ -102,13 +101,14 @@ def cases(held: Held, error: str, missing: int = 0, factor: float = 0.25) -> lis
 def real(work: Path, data: Path) -> None:
     """Estimator × 2D error × missing joints: where the truth stands, and why it is excluded where
     it is."""
-    for cell in [cell for cell in CELLS if not cell_path(work, *cell).exists()]:
-        estimator, error, missing = cell
-        held = hold_out(work, data)
-        tree = _stand(held.model, held.dictionary, estimator, cases(held, error, missing))
-        tree.attrs.update(estimator=estimator, error=error, missing=missing)
-        save_tree(tree, cell_path(work, *cell))
-        print(*cell, Counter(tree["simulation"].status.values.tolist()), flush=True)
+    for cell in CELLS:
+        kept(cell_path(work, *cell), _cell, hold_out(work, data), *cell)
+
+
+def _cell(held: Held, estimator: str, error: str, missing: int) -> xr.DataTree:
+    tree = _stand(held.model, held.dictionary, estimator, cases(held, error, missing))
+    tree.attrs.update(estimator=estimator, error=error, missing=missing)
+    return tree
 
 
 def cell_path(work: Path, estimator: str, error: str, missing: int) -> Path:
@@ -134,11 +134,11 @@ def _stand(
 def choices(work: Path, data: Path) -> None:
     """Best-of-k error (mm) by way and k, of the truth and of held-out draws in its place, and modes
     represented."""
-    path = work / "choices.nc"
-    if path.exists():
-        return
+    kept(work / "choices.nc", _choices, hold_out(work, data))
+
+
+def _choices(held: Held) -> xr.DataTree:
     rows: dict[str, list] = {"error": [], "floor": [], "modes": [], "recording": []}
-    held = hold_out(work, data)
     some = cases(held, "detector")
     draw = sampler_of("rejection", held.model, CHOSEN_DRAWS + STAND_INS, max_proposals=BUDGET)
     for number, instance in enumerate(instances(some, held.model)):
@@ -161,7 +161,7 @@ def choices(work: Path, data: Path) -> None:
     }
     found = xr.Dataset(variables, coords={"way": list(WAYS), "k": list(KS)})
     found["recording"] = (("pose",), np.array(rows["recording"]))
-    save_tree(xr.DataTree.from_dict({"choices": found}), path)
+    return xr.DataTree.from_dict({"choices": found})
 
 
 def _chosen(draws: np.ndarray, grid: np.ndarray) -> list[list[np.ndarray]]:
@@ -212,16 +212,16 @@ VARIANTS = (
 def sensitivity(work: Path, data: Path) -> None:
     """Each variant on the same poses and the same detections: errors of a detector, larger where
     scores are lower."""
-    paths = [work / f"variant-{number}.nc" for number in range(len(VARIANTS))]
-    for variant, path in zip(VARIANTS, paths, strict=True):
-        if not path.exists():
-            held = hold_out(work, data)
-            some = [_scored(case, variant.scores) for case in cases(held, "detector")]
-            model = variant.model(held.model, data)
-            tree = _stand(model, held.dictionary, TRUE, some, variant.factor)
-            tree.attrs["variant"] = variant.name
-            save_tree(tree, path)
-            print(variant.name, Counter(tree["simulation"].status.values.tolist()), flush=True)
+    held = hold_out(work, data)
+    for number, variant in enumerate(VARIANTS):
+        kept(work / f"variant-{number}.nc", _varied, held, variant, variant.model(held.model, data))
+
+
+def _varied(held: Held, variant: Variant, model: PoseModel) -> xr.DataTree:
+    some = [_scored(case, variant.scores) for case in cases(held, "detector")]
+    tree = _stand(model, held.dictionary, TRUE, some, variant.factor)
+    tree.attrs["variant"] = variant.name
+    return tree
 
 
 def _scored(case: Case, told: bool) -> Case:

@@ -8,10 +8,8 @@ Controls are the same weighted roots with weights that are wrong.
 
 import dataclasses
 import math
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -36,7 +34,7 @@ from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
 from poseterior.reports.pages.costs import WANTED, costs_of, plot_costs, table_of
 from poseterior.reports.pages.filmed import film
-from poseterior.reports.pages.page import write_page
+from poseterior.reports.pages.page import Data, Page, run
 from poseterior.reports.tables import Sheet, sheet_of
 
 FRAMES = (10, 30, 50, 70, 90)
@@ -208,7 +206,7 @@ def figure_of(cases: list[JudgedFrame], found: list[Found]) -> Figure:
     return figure
 
 
-def main(data: Path) -> None:
+def main(data: Data) -> Page:
     """Runs the study and writes the page."""
     session = film(data).session
     seen = {frame: [corrected(people[frame]) for people in session.people] for frame in FRAMES}
@@ -244,8 +242,8 @@ def main(data: Path) -> None:
         "wanted": f"{WANTED:,}",
     }
     figures = {"routes": figure_of(cases, found), "routes-costs": plot_costs(costs)}
-    print(write_page("routes", values, figures))
+    return Page("routes", values, figures)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

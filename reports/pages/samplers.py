@@ -4,7 +4,6 @@ reports/samplers.md and its picture from what `reports.pages.contests` has left 
     python -m poseterior.reports.pages.samplers [WORK]
 """
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +14,7 @@ import xarray as xr
 from poseterior.inference.baselines.catalogue import BASELINES
 from poseterior.reports.figures.comparison import comparison_figure
 from poseterior.reports.pages.contests import CHECK, CLOCKED, PATIENCE, SUITE, WORK
-from poseterior.reports.pages.page import Values, write_page
+from poseterior.reports.pages.page import Page, Values, Work, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.comparison import comparison_table
 
@@ -194,12 +193,12 @@ def values_of(trees: Mapping[str, xr.DataTree]) -> Values:
     }
 
 
-def main(work: Path) -> None:
+def main(work: Work = WORK) -> Page:
     """Writes the page and its picture from what is in the folder."""
     found = {name: joined(work / f"{number}") for number, name in enumerate(SUITE)}
     trees = {name: tree for name, tree in found.items() if tree is not None}
-    write_page("samplers", values_of(trees), {"samplers": comparison_figure(trees[PICTURED])})
+    return Page("samplers", values_of(trees), {"samplers": comparison_figure(trees[PICTURED])})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else WORK)
+    run(main)

@@ -11,7 +11,6 @@ import multiprocessing
 import os
 import platform
 import resource
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -44,7 +43,7 @@ from poseterior.probmodel.skeleton import GROUPS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import page as blank_page
 from poseterior.reports.figures.style import tidy
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import SHARED, Data, Page, Values, in_doubles, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.evaluation import PAPERS_FRAMES
 
@@ -410,9 +409,8 @@ def picture(found: dict[str, Curve], stream: Curve) -> Figure:
     return figure
 
 
-def main(data: Path) -> None:
+def main(data: Data = SHARED) -> Page:
     """Measures, writes, and prints the page."""
-    in_doubles()
     large = millions()  # first: a process starts with the peak of the one that it comes from
     model = PoseModel()
     sets = {"Poses of the prior, by their seeds": prior_frames(model)}
@@ -448,8 +446,8 @@ def main(data: Path) -> None:
         "memory": f"{memory:.2f}",
         "millions": large,
     }
-    print(write_page("speed", values, {"speed": picture(found, stream)}))
+    return Page("speed", values, {"speed": picture(found, stream)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))
+    run(main)

@@ -7,7 +7,6 @@ A thousand simulations from the model itself, about half an hour on one core; `w
 is done, and a run that was stopped goes on there.
 """
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ from poseterior.inference.studies.calibration import calibrate, judge
 from poseterior.inference.studies.calibration.quantities import OF_ROOT
 from poseterior.probmodel import PoseModel
 from poseterior.reports.figures.coverage import ranks_figure
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Page, Values, Work, run
 from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.coverage import families_table, p_text
 from poseterior.reports.tables.words import spoken
@@ -55,10 +54,8 @@ def roots_table(tests: xr.Dataset) -> Sheet:
     return sheet_of(("of the root", "p", "p, corrected for all"), rows)
 
 
-def main(work: Path) -> None:
+def main(work: Work) -> Page:
     """Does what is left of the simulations, then writes the page."""
-    in_doubles()
-    work.mkdir(parents=True, exist_ok=True)
     right = simulated(work)
     verdict = judge(right)
     number = right.num_draws.values
@@ -72,8 +69,8 @@ def main(work: Path) -> None:
         "families": families_table({"weighted roots": verdict}),
         "of_root": roots_table(verdict.tests),
     }
-    write_page("whole", values, {"whole": ranks_figure(right)})
+    return Page("whole", values, {"whole": ranks_figure(right)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

@@ -15,6 +15,7 @@ from poseterior.inference.baselines.run import Allowance
 from poseterior.inference.benchmark import entrants, exact_points, load
 from poseterior.inference.readings import READINGS, Verdict
 from poseterior.inference.studies.misreadings import Study
+from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from poseterior.reports.figures import leaderboard as pictures
 from poseterior.reports.pages import (
@@ -103,11 +104,55 @@ def test_a_page_is_written_with_its_pictures(
 ) -> None:
     monkeypatch.setattr(page, "REPORTS", tmp_path)
     monkeypatch.setattr(page, "template_of", lambda name: f"# {name}\n\n{{{{table}}}}\n")
-    text = page.write_page("errors", {"table": SHEET}, {"curves": Figure(figsize=(1, 1))})
+    text = page.Page("errors", {"table": SHEET}, {"curves": Figure(figsize=(1, 1))}).write()
     assert text == f"# errors\n\n{SHEET.markdown()}\n"
     assert (tmp_path / "errors.md").read_text(encoding="utf-8") == text
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["curves.png", "errors.md"]
+
+
+def test_the_runner_takes_the_arguments_of_a_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By their names and kinds; it makes the folder, writes, prints and times."""
+    monkeypatch.setattr(page, "REPORTS", tmp_path)
+    monkeypatch.setattr(page, "template_of", lambda name: "{{data}} {{people}}\n")
+    work = tmp_path / "deep" / "work"
+
+    def main(data: page.Data, work: page.Work, people: page.People = 3) -> page.Page | None:
+        assert work.is_dir()
+        if people < 0:
+            raise BadInput("nobody is there; ask for somebody")
+        return page.Page("errors", {"data": str(data), "people": people}) if people else None
+
+    def run(*words: str) -> tuple[int, str]:
+        monkeypatch.setattr("sys.argv", ["errors", *words])
+        with pytest.raises(SystemExit) as ended:
+            page.run(main)
+        return int(ended.value.code or 0), "".join(capsys.readouterr())
+
+    status, said = run("pack", str(work), "0")
+    assert (status, said) == (0, "0 seconds\n")
+    assert not (tmp_path / "errors.md").exists()
+    assert run("pack", str(work)) == (0, "pack 3\n\n0 seconds\n")
+    assert (tmp_path / "errors.md").read_text(encoding="utf-8") == "pack 3\n"
+    assert run("pack", str(work), "--", "-1") == (2, "nobody is there; ask for somebody\n")
+    assert run("pack")[0] == 2, "a folder is missing"
+
+
+def test_what_is_kept_is_not_made_again(tmp_path: Path) -> None:
+    asked: list[int] = []
+
+    def make(number: int) -> xr.DataTree:
+        asked.append(number)
+        return xr.DataTree(xr.Dataset({"number": number}))
+
+    for _ in range(2):
+        assert int(page.kept(tmp_path / "a.nc", make, 7)["number"]) == 7
+        assert page.kept_json(tmp_path / "a.json", lambda: asked.append(1) or {"1": 2.5}) == {
+            "1": 2.5
+        }
+    assert asked == [7, 1]
 
 
 # --- rendering of small studies

@@ -3,7 +3,7 @@ from .catalogue import targets as targets
 from .draws import exact_points as exact_points
 from .draws import same_bits as same_bits
 from .external.entries import ExternalSampler as ExternalSampler
-from .external.entries import Outcome as Outcome
+from .external.entries import SamplerRun as SamplerRun
 from .external.entries import external_samplers as external_samplers
 from .forms import SamplerTarget as SamplerTarget
 from .gym import gym_model as gym_model

@@ -36,7 +36,7 @@ PARALLEL = 1e-8
 """Below this sine of the angle between parent and reference direction, the fallback counts."""
 ITERATIONS = 80
 _EPS = float(np.finfo(float).eps)
-FILE = "anatomy.npz"
+ANATOMY_FILE = "anatomy.npz"
 """The tables in `inference.benchmark.data`: a file of `probmodel.Anatomy`."""
 Rising = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Of places x and the rows they belong to: the function's values there, and its slopes."""
@@ -370,7 +370,7 @@ class FrozenAnatomy:
     def default(cls) -> "FrozenAnatomy":
         """That of the benchmark, read once."""
         with resources.as_file(
-            resources.files("poseterior.inference.benchmark.data") / FILE
+            resources.files("poseterior.inference.benchmark.data") / ANATOMY_FILE
         ) as path:
             tables = read_tables(path, "table of the benchmark", "install poseterior anew")
         shape = (NUM_LOWER, NUM_AZIMUTH, NUM_ELEVATION)

@@ -20,7 +20,7 @@ from poseterior.inference.benchmark.draws import DrawBlock, draw_roots, exact_po
 from poseterior.inference.benchmark.external.entries import (
     CLOCK,
     ExternalSampler,
-    Outcome,
+    SamplerRun,
     external_sampler,
     external_samplers,
 )
@@ -31,20 +31,20 @@ from poseterior.inference.benchmark.target import FrozenTarget
 from poseterior.inference.exact.mixture import draw_mixture
 from poseterior.probmodel.failures import BadInput
 
-EXACT, GIFT, PRIOR = "exact", "exact draws", "prior"
+EXACT_ENGINE, GIFT, PRIOR = "exact", "exact draws", "prior"
 """The engine, and the two starts of Markov chains."""
-DRAWS, ROOTED_DRAWS = 10_000, 200
+TIMED_DRAWS, ROOTED_DRAWS = 10_000, 200
 """Exact draws that are timed: under one root, and with an uncertain one."""
 MOST_DRAWS = 8_000
 """Draws of a baseline that are handed over at most, taken evenly along its paths."""
-STEP = 0.3
+DOWNHILL_STEP = 0.3
 """Of the walk downhill, in R^d."""
-MOST_STEPS = 4000
+DOWNHILL_STEPS = 4000
 """Of the walk downhill."""
 ANY_DENSITY = ("emcee", "emcee-de", "aies", "ess", "random-walk", "sa")
 """Baselines that ask for a density on R^d and nothing else. The others shrink discs (smc, nss,
 nautilus) or soften their rims (nuts, hmc), and know of one root only."""
-SEED = 3
+ENTRANT_SEED = 3
 
 
 class Entrant(Protocol):
@@ -64,20 +64,20 @@ class Entrant(Protocol):
         """Why it is not run on a target; empty where it is."""
 
     def run(
-        self, target: FrozenTarget, start: str, allowance: Allowance, seed: int = SEED
-    ) -> Outcome | None:
+        self, target: FrozenTarget, start: str, allowance: Allowance, seed: int = ENTRANT_SEED
+    ) -> SamplerRun | None:
         """What it brings for so much, from one of its `starts`; compilation is not counted. None
         where it brought no draws: it found no start, or was not through."""
 
 
 def entrants() -> tuple[str, ...]:
     """Everybody's name. Raises as `external_samplers`."""
-    return (EXACT, *BASELINES, *external_samplers())
+    return (EXACT_ENGINE, *BASELINES, *external_samplers())
 
 
 def entrant(name: str) -> Entrant:
     """The one of that name. Raises `BadInput` where there is none, and as `external_sampler`."""
-    if name == EXACT:
+    if name == EXACT_ENGINE:
         return ExactEngine()
     if name in BASELINES:
         return BaselineEntrant(name, BASELINES[name])
@@ -108,15 +108,15 @@ class ExternalEntrant:
         return ""
 
     def run(
-        self, target: FrozenTarget, start: str, allowance: Allowance, seed: int = SEED
-    ) -> Outcome | None:
+        self, target: FrozenTarget, start: str, allowance: Allowance, seed: int = ENTRANT_SEED
+    ) -> SamplerRun | None:
         """As of an `Entrant`."""
         return self.sampler.run(self.name, target, seed, allowance)
 
 
 @dataclass(frozen=True)
 class ExactEngine:
-    """The engine's own draws, always as many as `DRAWS`, whatever is allowed."""
+    """The engine's own draws, always as many as `TIMED_DRAWS`, whatever is allowed."""
 
     note: str = "exact rejection"
     starts: tuple[str, ...] = ("",)
@@ -129,10 +129,10 @@ class ExactEngine:
         return ""
 
     def run(
-        self, target: FrozenTarget, start: str, allowance: Allowance, seed: int = SEED
-    ) -> Outcome | None:
+        self, target: FrozenTarget, start: str, allowance: Allowance, seed: int = ENTRANT_SEED
+    ) -> SamplerRun | None:
         """As of an `Entrant`. How long it takes to set up is what one draw alone takes."""
-        number = DRAWS if isinstance(target.root, GivenRoot) else ROOTED_DRAWS
+        number = TIMED_DRAWS if isinstance(target.root, GivenRoot) else ROOTED_DRAWS
         for several in (number, 1):  # compiled before the clock runs
             _drawn(target, several)
         started = CLOCK()
@@ -149,7 +149,7 @@ class ExactEngine:
             evaluations,
             seconds,
         )
-        return Outcome(submission, kept=max(0.0, 1 - alone / seconds))
+        return SamplerRun(submission, kept=max(0.0, 1 - alone / seconds))
 
 
 @dataclass(frozen=True)
@@ -184,8 +184,8 @@ class BaselineEntrant:
         return ""
 
     def run(
-        self, target: FrozenTarget, start: str, allowance: Allowance, seed: int = SEED
-    ) -> Outcome | None:
+        self, target: FrozenTarget, start: str, allowance: Allowance, seed: int = ENTRANT_SEED
+    ) -> SamplerRun | None:
         """As of an `Entrant`."""
         begun = CLOCK()
         found = self._starts(target, start, allowance, seed)
@@ -216,7 +216,7 @@ class BaselineEntrant:
         steps = int(drawn.info["steps"])
         # Nested samplers have their draws at the end, however much of the work these took.
         kept = drawn.info.get("kept", 1.0) * (1 - before / seconds) if steps > 1 else 0.0
-        return Outcome(submission, self.baseline.starts if start == GIFT else 0, kept, steps)
+        return SamplerRun(submission, self.baseline.starts if start == GIFT else 0, kept, steps)
 
     def _starts(
         self, target: FrozenTarget, start: str, allowance: Allowance, seed: int
@@ -262,11 +262,11 @@ def downhill(
     points = target.prior_points(rng, 2 * wanted)
     misfit = target.misfit(points)
     spent = len(points)
-    for _ in range(MOST_STEPS):
+    for _ in range(DOWNHILL_STEPS):
         outside = np.flatnonzero(misfit > 1)
         if len(points) - len(outside) >= wanted or not allowance.allows(spent, CLOCK() - begun):
             break
-        scale = STEP * 10 ** rng.uniform(-2, 0.5, (len(outside), 1))
+        scale = DOWNHILL_STEP * 10 ** rng.uniform(-2, 0.5, (len(outside), 1))
         proposal = points[outside] + scale * rng.normal(size=(len(outside), target.dim))
         found = target.misfit(proposal)
         better = found <= misfit[outside]
@@ -284,7 +284,7 @@ def filled(
     walkers in one place."""
     points = starts[np.arange(wanted) % len(starts)]
     outside = np.arange(len(starts), wanted)
-    scale = STEP
+    scale = DOWNHILL_STEP
     spent = 0
     while len(outside):
         beside = points[outside] + scale * rng.normal(size=(len(outside), target.dim))

@@ -13,7 +13,7 @@ from importlib import resources
 import numpy as np
 
 from poseterior.inference.baselines.target import Target
-from poseterior.inference.benchmark.anatomy import FILE
+from poseterior.inference.benchmark.anatomy import ANATOMY_FILE
 from poseterior.inference.benchmark.external.posterior import PosteriorTarget
 from poseterior.inference.benchmark.forms import SamplerTarget
 from poseterior.inference.benchmark.root import GivenRoot
@@ -31,7 +31,9 @@ from poseterior.probmodel.roots import Candidate
 @functools.cache
 def frozen_model() -> PoseModel:
     """The model of the frozen anatomy."""
-    with resources.as_file(resources.files("poseterior.inference.benchmark.data") / FILE) as path:
+    with resources.as_file(
+        resources.files("poseterior.inference.benchmark.data") / ANATOMY_FILE
+    ) as path:
         return PoseModel.from_anatomy(Anatomy.load(path))
 
 

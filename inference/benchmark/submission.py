@@ -18,12 +18,12 @@ from poseterior.probmodel.failures import BadInput, shown
 
 CHARTS = ("points", "box", "cube")
 WEIGHTS = ("weights", "log_weights")
-NUMBERS = ("log_evidence", "log_evidence_se", "evaluations", "seconds")
-FEWEST = 4
+STATED = ("log_evidence", "log_evidence_se", "evaluations", "seconds")
+FEWEST_OF_CHAIN = 4
 """Draws of a chain, of which fewer tell nothing of it."""
-ROUNDING = 1e-5
+SINGLE_ROUNDING = 1e-5
 """How far beyond its reach, in reaches, a joint may lie by the rounding of 32-bit numbers."""
-WHAT, ADVICE = "file of draws", "write one with numpy.savez('draws.npz', points=draws)"
+DRAWS_FILE, DRAWS_ADVICE = "file of draws", "write one with numpy.savez('draws.npz', points=draws)"
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class Submission:
 def read_submission(path: str | os.PathLike, target: SamplerTarget) -> Submission:
     """The draws in a file. Raises `BadInput` as `submit`, and where it is no such file."""
     if Path(path).suffix.lower() == ".npy":
-        return submit(target, points=read_array(path, WHAT, ADVICE), where=str(path))
-    arrays = read_tables(path, WHAT, ADVICE)
-    unknown = sorted(set(arrays) - {*CHARTS, *WEIGHTS, *NUMBERS})
+        return submit(target, points=read_array(path, DRAWS_FILE, DRAWS_ADVICE), where=str(path))
+    arrays = read_tables(path, DRAWS_FILE, DRAWS_ADVICE)
+    unknown = sorted(set(arrays) - {*CHARTS, *WEIGHTS, *STATED})
     if unknown:
-        known = ", ".join((*CHARTS, *WEIGHTS, *NUMBERS))
+        known = ", ".join((*CHARTS, *WEIGHTS, *STATED))
         raise BadInput(f"{path} has an array {shown(unknown[0])}; it may have {known}")
     return submit(target, **arrays, where=str(path))
 
@@ -70,7 +70,7 @@ def submit(target: SamplerTarget, *, where: str = "the draws", **arrays: np.ndar
     """
     chart, values = _chart(arrays, target, where)
     log_weights = _log_weights(arrays, values.shape[:-1], where)
-    numbers = {name: _number(arrays, name, where) for name in NUMBERS}
+    numbers = {name: _number(arrays, name, where) for name in STATED}
     if log_weights is not None:
         values = values[np.isfinite(log_weights)][None]
         log_weights = log_weights[np.isfinite(log_weights)]
@@ -90,7 +90,9 @@ def _chart(
     named = [name for name in CHARTS if name in arrays]
     if len(named) != 1:
         said = " and ".join(named) or "none"
-        raise BadInput(f"{where} must have one of {', '.join(CHARTS)}, but has {said}; {ADVICE}")
+        raise BadInput(
+            f"{where} must have one of {', '.join(CHARTS)}, but has {said}; {DRAWS_ADVICE}"
+        )
     values = _numbers(arrays[named[0]], f"{named[0]} of {where}")
     values = values[None] if values.ndim == 2 else values
     if values.ndim != 3 or values.shape[-1] != target.dim or not values.size:
@@ -172,7 +174,7 @@ def _points(chart: str, values: np.ndarray, target: SamplerTarget, where: str) -
 
 def _require_support(points: np.ndarray, target: SamplerTarget, where: str) -> None:
     misfits = target.misfits(points.reshape(-1, target.dim))
-    outside = (misfits > 1 + ROUNDING).any(axis=-1)
+    outside = (misfits > 1 + SINGLE_ROUNDING).any(axis=-1)
     if outside.any():
         worst = int(np.argmax(misfits.max(axis=0)))
         raise BadInput(
@@ -190,10 +192,10 @@ def _let_pass(log_weights: np.ndarray) -> np.ndarray:
 
 
 def _require_motion(points: np.ndarray, where: str) -> None:
-    if points.shape[1] < FEWEST:
+    if points.shape[1] < FEWEST_OF_CHAIN:
         raise BadInput(
             f"{where} come to {points.shape[1]} draws a chain, weights considered; the judge needs"
-            f" {FEWEST} at least, so run the sampler on"
+            f" {FEWEST_OF_CHAIN} at least, so run the sampler on"
         )
     still = (points == points[:, :1]).all(axis=(1, 2))
     if still.any():

@@ -16,7 +16,7 @@ from poseterior.inference.studies.comparison.distances import standardised, wass
 from poseterior.inference.studies.comparison.judge import Judgement, judge
 from poseterior.inference.studies.comparison.sample import Sample
 
-MOST = 20_000
+MOST_JUDGED = 20_000
 """Draws that are judged at most, taken evenly along every chain."""
 
 
@@ -101,6 +101,6 @@ def verdict(
 
 
 def _thinned(points: np.ndarray) -> np.ndarray:
-    """At most `MOST` draws of `(chain, draw, d)`."""
+    """At most `MOST_JUDGED` draws of `(chain, draw, d)`."""
     chains, draws, _ = points.shape
-    return points[:, :: max(1, -(-chains * draws // MOST))]
+    return points[:, :: max(1, -(-chains * draws // MOST_JUDGED))]

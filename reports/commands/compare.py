@@ -73,12 +73,12 @@ def _contest(settings: CompareSettings) -> Callable[..., "Comparison"]:
             contest.compare,
             seconds=settings.seconds,
             max_evaluations=settings.max_evaluations,
-            exact_draws=settings.exact_draws or contest.REFERENCE,
+            exact_draws=settings.exact_draws or contest.EXACT_REFERENCE,
         )
     return functools.partial(
         routes.compare_routes,
         seconds=settings.seconds,
         max_evaluations=settings.max_evaluations,
         num_roots=settings.rooting.roots,
-        exact_draws=settings.exact_draws or routes.REFERENCE,
+        exact_draws=settings.exact_draws or routes.ROUTE_REFERENCE,
     )

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from poseterior.inference.studies.evaluation.bias import ANGLES, Bias
 from poseterior.reports.figures.colours import PALETTE
-from poseterior.reports.figures.evaluation import DPI, whiskers
+from poseterior.reports.figures.evaluation import CURVE_DPI, whiskers
 from poseterior.reports.figures.style import FAINT, INK, Style, page, tidy
 
 LIGHT = "#BBBBBB"
@@ -18,7 +18,7 @@ ACTIONS = (*PALETTE, "#000000")
 def bias_figure(bias: Bias) -> Figure:
     """Three panels: bone directions of the data set and of the prior; how likely the actions are;
     how much of the prior is visited."""
-    figure = page(12.5, 4.2, dpi=DPI)
+    figure = page(12.5, 4.2, dpi=CURVE_DPI)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.3, 1, 1))
     _draw_picture(left, bias)
     _draw_actions(middle, bias)

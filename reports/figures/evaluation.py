@@ -19,11 +19,11 @@ from poseterior.inference.studies.evaluation.scores import (
 )
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, Style, page, tidy
-from poseterior.reports.tables.evaluation import NAMES, Labels, rows_of
+from poseterior.reports.tables.evaluation import ESTIMATOR_NAMES, Labels, rows_of
 
-COLOURS = {"zhou": PALETTE[0], "akhter-black": PALETTE[1], "dictionary": PALETTE[2]}
+CURVE_COLOURS = {"zhou": PALETTE[0], "akhter-black": PALETTE[1], "dictionary": PALETTE[2]}
 GREY = "#444444"
-DPI = 150
+CURVE_DPI = 150
 FURTHEST = 200.0
 """mm: where the PCK curves end."""
 STYLES = (("-", 4.5, 0.3), ("--", 2.2, 0.8), (":", 1.2, 1.0), ("-.", 1.0, 1.0))
@@ -42,10 +42,10 @@ def errors_figure(
     levels = sorted({condition.missing for condition in results if condition.rotate == base.rotate})
     own = {one.way: results[one] for one in alike(results, base)}
     if len(levels) == 1:
-        figure = page(8.5, 4.2, dpi=DPI)
+        figure = page(8.5, 4.2, dpi=CURVE_DPI)
         _actions_panel(figure.subplots(), own, labels, ks)
         return figure
-    figure = page(11.0, 4.2, dpi=DPI)
+    figure = page(11.0, 4.2, dpi=CURVE_DPI)
     left, right = figure.subplots(1, 2, width_ratios=(2.2, 1))
     _actions_panel(left, own, labels, ks)
     by_level = {
@@ -69,7 +69,7 @@ def _actions_panel(
             there = [own & (labels.action == action) for action in actions]
             means = [errors[rows].mean() if rows.any() else np.nan for rows in there]
             axes.plot(at, means, marker, ms=5, color=colour, mfc=_fill(row, colour))
-        axes.plot([], [], "-", lw=4, color=colour, label=NAMES.get(name, name))
+        axes.plot([], [], "-", lw=4, color=colour, label=ESTIMATOR_NAMES.get(name, name))
     for row, marker in markers.items():
         words = "best of all draws" if row == "all" else _label(row)
         axes.plot([], [], marker, ms=5, color=GREY, mfc=_fill(row, GREY), label=words)
@@ -145,7 +145,7 @@ def pck_curves(
 def pck_figure(curves: Mapping[tuple[str, float, str], np.ndarray]) -> Figure:
     """A panel for each estimator; colours tell rows, styles tell angles."""
     names = list(dict.fromkeys(name for name, _, _ in curves))
-    figure = page(3.8 * len(names), 3.6, dpi=DPI)
+    figure = page(3.8 * len(names), 3.6, dpi=CURVE_DPI)
     panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for axes, name in zip(panels, names, strict=True):
         angles = sorted({angle for own, angle, _ in curves if own == name})
@@ -155,7 +155,7 @@ def pck_figure(curves: Mapping[tuple[str, float, str], np.ndarray]) -> Figure:
                 style, width, alpha = STYLES[angles.index(angle) % len(STYLES)]
                 words = f"{label}, {_angle(angle)}"
                 axes.plot(curve, ls=style, color=colour, lw=width, alpha=alpha, label=words)
-        axes.set(title=NAMES.get(name, name), xlabel="threshold, mm")
+        axes.set(title=ESTIMATOR_NAMES.get(name, name), xlabel="threshold, mm")
         axes.set(xlim=(0, FURTHEST), ylim=(0, 1))
         axes.legend(frameon=False, fontsize=7, loc="lower right")
         _tidy(axes)
@@ -168,4 +168,4 @@ def _angle(angle: float) -> str:
 
 
 def _colour(name: str) -> str:
-    return COLOURS.get(name, PALETTE[4])
+    return CURVE_COLOURS.get(name, PALETTE[4])

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # What Pillow finds in a damaged image stands in our own sentence; without a handler of the user's,
 # Python would print it beside that.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
-LEVEL = 3
+PNG_LEVEL = 3
 """Of a PNG's compression: a fourteenth larger than by the usual 6, in a third of the time."""
 MAX_PIXELS = 60_000_000
 """Images above this are refused before they are decoded: a small file can claim any size."""
@@ -41,7 +41,7 @@ def save_figure(figure: "Figure", path: str | os.PathLike) -> None:
     with replacing(path) as partial:
         options: dict[str, Any] = {}
         if kind == "png":
-            options["pil_kwargs"] = {"compress_level": LEVEL}
+            options["pil_kwargs"] = {"compress_level": PNG_LEVEL}
         figure.savefig(partial, format=kind, **options)
 
 

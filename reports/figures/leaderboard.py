@@ -13,19 +13,19 @@ from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, SMALL, TEXT, TITLE, page, tidy
 from poseterior.reports.tables.leaderboard import SECONDS, Line, contests, pace_of
 
-COLUMNS = 7
+LEGEND_COLUMNS = 7
 """Panels in a row."""
-COLOURS = {AGREES: PALETTE[2], DIFFERS: PALETTE[1]}
+VERDICT_COLOURS = {AGREES: PALETTE[2], DIFFERS: PALETTE[1]}
 """Of the verdicts; any other is grey."""
 DIMENSIONS = (4, 36)
 """Between which all targets are, with room for their names."""
-LEAST = 0.01
+LEAST_PACE = 0.01
 """Effective draws a second below which all are drawn alike."""
 
 
 def paces(lines: Sequence[Line]) -> Figure:
     """What each sampler earns a second on each target."""
-    figure = _dots(lines, lambda one: max(pace_of(one), LEAST))
+    figure = _dots(lines, lambda one: max(pace_of(one), LEAST_PACE))
     figure.supxlabel("effective draws earned a CPU second", fontsize=TEXT)
     return figure
 
@@ -46,7 +46,7 @@ def _dots(lines: Sequence[Line], value: Callable[[Line], float | None]) -> Figur
     and has no value."""
     own = [one for one in lines if one["budget"] == SECONDS]
     shown = [name for name in targets() if any(one["target"] == name for one in own)]
-    rows, columns = -(-len(shown) // COLUMNS), min(len(shown), COLUMNS)
+    rows, columns = -(-len(shown) // LEGEND_COLUMNS), min(len(shown), LEGEND_COLUMNS)
     labels = _ranked(own)
     figure = page(1.1 + 1.25 * columns, (0.8 + 0.14 * len(labels)) * rows)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
@@ -84,7 +84,7 @@ def _panel(
             place,
             row,
             "o",
-            color=COLOURS.get(one["verdict"], FAINT),
+            color=VERDICT_COLOURS.get(one["verdict"], FAINT),
             ms=4.5,
             fillstyle="none" if one["start"] == GIFT else "full",
             gid=f"{_label(one)} {one['target']}",

@@ -21,7 +21,7 @@ from poseterior.reports.figures.style import DPI, INK, LEGEND, TITLE, Style, bla
 from poseterior.reports.figures.window import corners_of
 from poseterior.reports.tables.words import spoken
 
-WIDTH = 8.0
+OVERLAY_WIDTH = 8.0
 """Inches, names on both sides included."""
 COLUMN = 1.75
 """Inches for the names on either side."""
@@ -63,11 +63,13 @@ def overlay_figure(
     """
     low, high = _window(detection, radius)
     wide, tall = high - low
-    inner = WIDTH - 2 * COLUMN
+    inner = OVERLAY_WIDTH - 2 * COLUMN
     height = float(np.clip(inner * tall / wide, 3.0, HIGHEST))
     whole = height + ABOVE + BELOW
-    figure = page(WIDTH, whole, dpi=DPI, layout=None)
-    axis = figure.add_axes((COLUMN / WIDTH, BELOW / whole, inner / WIDTH, height / whole))
+    figure = page(OVERLAY_WIDTH, whole, dpi=DPI, layout=None)
+    axis = figure.add_axes(
+        (COLUMN / OVERLAY_WIDTH, BELOW / whole, inner / OVERLAY_WIDTH, height / whole)
+    )
     blank(axis)
     axis.spines[:].set(visible=True, color="#CCCCCC", lw=0.6)
     if image is not None:

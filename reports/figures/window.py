@@ -9,7 +9,7 @@ import xarray as xr
 from poseterior.probmodel.failures import BadInput
 from poseterior.reports.tables.posterior import heaviest, values
 
-MAX_DRAWS = 150
+WINDOW_DRAWS = 150
 """Draws shown in the background of a panel; more of them make a grey block."""
 
 
@@ -27,7 +27,7 @@ def window_of(tree: xr.DataTree, image: np.ndarray | None) -> Window:
     radius = np.nan_to_num(values(tree, "constant_data", "radius")[heaviest(tree)])[:, None]
     seen = np.isfinite(keypoints).all(axis=1)
     points = np.concatenate([(keypoints - radius)[seen], (keypoints + radius)[seen]])
-    projected = values(tree, "posterior", "keypoints")[:MAX_DRAWS].reshape(-1, 2)
+    projected = values(tree, "posterior", "keypoints")[:WINDOW_DRAWS].reshape(-1, 2)
     if len(projected):
         points = np.concatenate([points, np.quantile(projected, [0.01, 0.99], axis=0)])
     low, high = points.min(axis=0), points.max(axis=0)

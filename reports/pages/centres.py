@@ -24,7 +24,7 @@ from poseterior.inference.results import FIXED, UNCERTAIN
 from poseterior.inference.studies.calibration.real import TRUE, true_candidate
 from poseterior.inference.studies.errors import best_of, mean_joint_error
 from poseterior.inference.studies.evaluation.outcome import Protocol
-from poseterior.inference.studies.evaluation.relations import LEAST_GAIN
+from poseterior.inference.studies.evaluation.relations import RELATION_GAIN
 from poseterior.inference.studies.evaluation.scores import Interval
 from poseterior.probmodel import Likelihood
 from poseterior.probmodel.datasets import Case, read_data_set
@@ -32,19 +32,19 @@ from poseterior.probmodel.likelihood import Gaussian
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.skeleton import NUM_JOINTS
 from poseterior.reports.figures.composition import gains_figure
-from poseterior.reports.pages.evaluation import CLASSES, NOISE, gain, protocol_of
+from poseterior.reports.pages.evaluation import CLASSES, EVALUATION_NOISE, gain, protocol_of
 from poseterior.reports.pages.motion import ESTIMATOR
 from poseterior.reports.pages.page import Data, Page, Values, run
 from poseterior.reports.tables import Sheet, sheet_of
 
-K, FRAMES = 5, 160
+K, CENTRE_FRAMES = 5, 160
 CHOSEN = ("draws", "composed", "centres, which are no poses")
-LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
-WAYS = ((FIXED, "disc"), (UNCERTAIN, "disc"), (UNCERTAIN, "Gaussian"), (TRUE, "disc"))
-NAMES = {FIXED: ESTIMATOR, UNCERTAIN: "uncertain", TRUE: "true"}
+CENTRE_LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
+CENTRE_WAYS = ((FIXED, "disc"), (UNCERTAIN, "disc"), (UNCERTAIN, "Gaussian"), (TRUE, "disc"))
+ROOT_WORDS = {FIXED: ESTIMATOR, UNCERTAIN: "uncertain", TRUE: "true"}
 
 
-class Errors(NamedTuple):
+class CentreErrors(NamedTuple):
     """Mean joint errors in mm: of the single estimate, and the best of k draws, k composed poses
     and k centres; the last three once more where a draw that was kept apart stands in for the
     truth."""
@@ -58,7 +58,7 @@ class Errors(NamedTuple):
     own_centres: float
 
 
-def judged(drawn: Drawn, single: np.ndarray, case: Case) -> Errors:
+def judged(drawn: Drawn, single: np.ndarray, case: Case) -> CentreErrors:
     """What draws in random order, and the single estimate `(15, 3)`, are worth."""
     stand_in, rest = drawn.joints[0] * case.unit, drawn.take(slice(1, None))
     some = (
@@ -69,16 +69,16 @@ def judged(drawn: Drawn, single: np.ndarray, case: Case) -> Errors:
         ),
     )
     errors = [float(best_of(poses, truth)) for truth in (case.pose, stand_in) for poses in some]
-    return Errors(float(mean_joint_error(single, case.pose)), *errors)
+    return CentreErrors(float(mean_joint_error(single, case.pose)), *errors)
 
 
 def found_of(
     protocol: Protocol, cases: list[Case], frames: list[Estimate], root: str, law: str
-) -> list[Errors | None]:
+) -> list[CentreErrors | None]:
     """By frame; None where there are too few draws."""
     draw, found = protocol.drawer(root), []
     for case, frame in zip(cases, frames, strict=True):
-        given = dataclasses.replace(frame, likelihood=LAWS[law])
+        given = dataclasses.replace(frame, likelihood=CENTRE_LAWS[law])
         if root == TRUE:
             given = dataclasses.replace(given, candidates=(true_candidate(case, protocol.model),))
         drawn = draw(given, jax.random.fold_in(jax.random.key(protocol.seed), case.number))
@@ -88,7 +88,7 @@ def found_of(
     return found
 
 
-class Row(NamedTuple):
+class CentreRow(NamedTuple):
     """A way to have a root: mean errors, gains on the single estimate of the three ways to choose,
     that of composed poses on draws where a draw stands in for the truth, and how many frames there
     are."""
@@ -100,7 +100,9 @@ class Row(NamedTuple):
     frames: int
 
     @classmethod
-    def of(cls, way: tuple[str, str], found: list[Errors | None], recording: np.ndarray) -> "Row":
+    def of(
+        cls, way: tuple[str, str], found: list[CentreErrors | None], recording: np.ndarray
+    ) -> "CentreRow":
         """The row of what was found by frame."""
         rows = [number for number, one in enumerate(found) if one is not None]
         values, own = np.array([one for one in found if one is not None]), recording[rows]
@@ -109,10 +111,10 @@ class Row(NamedTuple):
         return cls(way, means, gains, gain(values[:, [4, 5]], own), len(rows))
 
 
-def rows_of(data: Path, say: Callable[[str], None]) -> list[Row]:
+def rows_of(data: Path, say: Callable[[str], None]) -> list[CentreRow]:
     """Every way to have a root, with the errors of one set of frames."""
     protocol = protocol_of(data)
-    cases = list(read_data_set(data / CLASSES, frames=FRAMES, noise=NOISE))
+    cases = list(read_data_set(data / CLASSES, frames=CENTRE_FRAMES, noise=EVALUATION_NOISE))
     frames = estimate_torsos(
         [case.detection for case in cases],
         ESTIMATOR,
@@ -122,14 +124,14 @@ def rows_of(data: Path, say: Callable[[str], None]) -> list[Row]:
         num_candidates=1,
     )
     recording, rows = np.array([case.recording for case in cases]), []
-    for root, law in WAYS:
+    for root, law in CENTRE_WAYS:
         found = found_of(protocol, cases, frames, root, law)
-        rows.append(Row.of((NAMES[root], law), found, recording))
+        rows.append(CentreRow.of((ROOT_WORDS[root], law), found, recording))
         say(str(rows[-1]))
     return rows
 
 
-def table(rows: list[Row]) -> Sheet:
+def table(rows: list[CentreRow]) -> Sheet:
     """Errors and gains."""
     head = (
         "torso and camera",
@@ -167,9 +169,9 @@ def main(data: Data) -> Page:
     rows = rows_of(data, print)
     values: Values = {
         "table": table(rows),
-        "frames": FRAMES,
+        "frames": CENTRE_FRAMES,
         "k": K,
-        "least": f"{100 * LEAST_GAIN:.0f} %",
+        "least": f"{100 * RELATION_GAIN:.0f} %",
         "roots": NUM_ROOTS,
     }
     gains = dict(zip(CHOSEN, zip(*(row.gains for row in rows), strict=True), strict=True))

@@ -39,10 +39,10 @@ CLOCKED = (10_000, 100_000)
 """Draws of exact rejection that are timed, set-up included."""
 CLOCK = time.process_time
 """Other work on the machine does not count."""
-PATIENCE = {"nuts": 15, "hmc": 15, "ess": 4, "smc": 8, "nss": 32, "nautilus": 12}
+LONGER = {"nuts": 15, "hmc": 15, "ess": 4, "smc": 8, "nss": 32, "nautilus": 12}
 """Times as long as the others these may take: they have nothing before a long warm-up, or before
 they have come from the prior to the posterior."""
-WORK = Path("build") / "samplers"
+CONTEST_WORK = Path("build") / "samplers"
 
 SUITE: dict[str, Callable[[PoseModel], Estimate]] = {
     "4 joints missing": lambda model: prior_scene(
@@ -95,7 +95,7 @@ def compare(
     names
         The baselines.
     seconds
-        For each, from each start, but for those with `PATIENCE`.
+        For each, from each start, but for those with `LONGER`.
     folder
         Where lines and runs are kept.
     """
@@ -123,7 +123,7 @@ def compare(
         keep(entry, path, 0.0)
     for name, start in [(one, start) for one in names for start in contest.starts_of(one)]:
         label = f"{name}-{start.replace(' ', '-')}".removesuffix("-")
-        allowed = seconds * PATIENCE.get(name, 1)
+        allowed = seconds * LONGER.get(name, 1)
         path = folder / f"{label}.nc"
         if path.exists() and xr.open_datatree(path).attrs["allowed"] >= allowed:
             continue
@@ -145,7 +145,7 @@ def main(
     seconds: Annotated[float, typer.Option(help="For each baseline, from each start.")] = 60.0,
     samplers: str = ",".join(BASELINES),
     frames: str = ",".join(map(str, range(len(SUITE)))),
-    work: Path = WORK,
+    work: Path = CONTEST_WORK,
 ) -> None:
     """Runs the contest on these frames, by their numbers."""
     jax.config.update("jax_compilation_cache_dir", str(work / "compiled"))

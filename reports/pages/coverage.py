@@ -17,7 +17,7 @@ import xarray as xr
 
 from poseterior.inference.estimators import ESTIMATORS
 from poseterior.inference.studies.calibration import Instance, judge
-from poseterior.inference.studies.calibration.choices import WAYS
+from poseterior.inference.studies.calibration.choices import CHOICES
 from poseterior.inference.studies.calibration.coverage import summary
 from poseterior.inference.studies.calibration.ece import ece
 from poseterior.inference.studies.calibration.exclusions import (
@@ -35,10 +35,10 @@ from poseterior.reports.figures.coverage import controls_figure, coverage_figure
 from poseterior.reports.figures.misses import Exclusion, misses_figure
 from poseterior.reports.pages.page import Data, Page, Values, Work, run
 from poseterior.reports.pages.real import (
-    CELLS,
-    ESTIMATED,
+    BELIEFS,
     KS,
-    VARIANTS,
+    REAL_CELLS,
+    REAL_ROOTS,
     cases,
     cell_path,
     choices,
@@ -47,9 +47,9 @@ from poseterior.reports.pages.real import (
     sensitivity,
 )
 from poseterior.reports.pages.simulated import (
+    BASELINE_EVALUATIONS,
     CONTROLLED,
-    EVALUATIONS,
-    JUDGED,
+    JUDGED_SIMULATIONS,
     MEASURES,
     baselines,
     controls,
@@ -73,7 +73,7 @@ STAGES = {
     "sensitivity": sensitivity,
     "baselines": baselines,
 }
-SHOWN = ("right_wrist z", "left_knee x", LOG_DENSITY, ENERGY_BALL, TARP)
+SHOWN_QUANTITIES = ("right_wrist z", "left_knee x", LOG_DENSITY, ENERGY_BALL, TARP)
 """Quantities whose ranks are drawn for every control."""
 Stages = Annotated[list[str] | None, typer.Argument(help="Only these.")]
 Trees = Mapping[tuple[str, ...], xr.DataTree]
@@ -168,7 +168,7 @@ def _miss(title: str, case: Case, instance: Instance, why: list[Reason], label: 
 def choices_table(found: xr.Dataset) -> Sheet:
     """Best-of-k errors by way of choosing, and modes represented."""
     rows = []
-    for way in WAYS:
+    for way in CHOICES:
         for name, words, form in (
             ("error", "the truth", "{:.0f} mm"),
             ("floor", "one more draw", "{:.0f} mm"),
@@ -192,13 +192,13 @@ def page(work: Work, data: Data) -> Page:
     wrong, others = simulations(work, "control-*.nc"), simulations(work, "baseline-*.nc")
     trees: Trees = {
         (estimator, error, str(missing)): read(cell_path(work, estimator, error, missing))
-        for estimator, error, missing in CELLS
+        for estimator, error, missing in REAL_CELLS
     }
-    variants = [read(work / f"variant-{number}.nc") for number in range(len(VARIANTS))]
+    variants = [read(work / f"variant-{number}.nc") for number in range(len(BELIEFS))]
     summaries = {key: summary(tree) for key, tree in trees.items()}
     estimated, own = (reasons_of(trees, estimated=whose) for whose in (True, False))
     controlled = {"exact rejection": first.isel(simulation=slice(CONTROLLED)), **wrong}
-    beside = {"exact rejection": first.isel(simulation=slice(JUDGED)), **others}
+    beside = {"exact rejection": first.isel(simulation=slice(JUDGED_SIMULATIONS)), **others}
     changed = [((tree.attrs["variant"],), summary(tree)) for tree in variants]
     values: Values = {
         "measures": judged_table(exacts),
@@ -213,15 +213,15 @@ def page(work: Work, data: Data) -> Page:
         "reasons_true": reasons_table(*own),
         "choices": choices_table(read(work / "choices.nc")["choices"].to_dataset()),
         "sensitivity": settings_table(changed, ("variant",)),
-        "judged": JUDGED,
-        "evaluations": f"{EVALUATIONS:,}",
+        "judged": JUDGED_SIMULATIONS,
+        "evaluations": f"{BASELINE_EVALUATIONS:,}",
         "poses": summaries[TRUE, "detector", "0"].size,
     }
-    curves = {name: trees[name, "detector", "0"]["simulation"].to_dataset() for name in ESTIMATED}
+    curves = {name: trees[name, "detector", "0"]["simulation"].to_dataset() for name in REAL_ROOTS}
     commonest = [rank.label for rank in estimated[0][:3]]
     pictures = {
         "coverage": ranks_figure(first),
-        "coverage_controls": controls_figure({"exact": first, **wrong}, SHOWN),
+        "coverage_controls": controls_figure({"exact": first, **wrong}, SHOWN_QUANTITIES),
         "coverage_real": coverage_figure(curves),
         "coverage_misses": misses_figure(misses(work, data, commonest)),
     }

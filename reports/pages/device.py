@@ -31,10 +31,10 @@ from poseterior.reports.figures.style import tidy
 from poseterior.reports.pages.page import SHARED, Data, Page, Values, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
-DRAWS = 10_000_000
+DEVICE_DRAWS = 10_000_000
 COUNTS = (10_000, 100_000, 1_000_000, 10_000_000, 100_000_000)
 """Draws of the curve's frame."""
-FRAMES = slice(None, None, 8)
+DEVICE_FRAMES = slice(None, None, 8)
 """Of the 64."""
 COMPARED, CHECKED = 200_000, slice(None, None, 4)
 """Draws that are compared with the processor's, and in which of the frames."""
@@ -87,10 +87,10 @@ def draw(model: PoseModel, frame: Estimate, seed: int, number: int) -> tuple[flo
 
 def cost(model: PoseModel, frame: Estimate) -> DeviceCost:
     """Times one frame, its one candidate known."""
-    first, _ = draw(model, frame, 0, DRAWS)
-    seconds, attempt = draw(model, frame, 1, DRAWS)
+    first, _ = draw(model, frame, 0, DEVICE_DRAWS)
+    seconds, attempt = draw(model, frame, 1, DEVICE_DRAWS)
     body, groups = _body(model, frame, 2)
-    assert body.more(DRAWS, Budget(10**15))
+    assert body.more(DEVICE_DRAWS, Budget(10**15))
     levels = {group.name: group.level for group in groups}
     del body, groups
     tables, problems = group_tables(model), limb_problems(frame.observation)
@@ -101,7 +101,7 @@ def cost(model: PoseModel, frame: Estimate) -> DeviceCost:
 
     def processor() -> None:
         (candidate,) = root_samplers(frame.posterior(model), jax.random.key(3), "rejection")
-        assert candidate.more(DRAWS // 10, Budget(10**15))
+        assert candidate.more(DEVICE_DRAWS // 10, Budget(10**15))
 
     return DeviceCost(first, seconds, _seconds(set_up), attempt, 10 * _seconds(processor))
 
@@ -149,7 +149,7 @@ def costs_table(costs: Sequence[DeviceCost]) -> Sheet:
     """Costs over the frames: smallest, quartiles, largest."""
     seconds = np.array([item.seconds for item in costs])
     lines = {
-        "whole bodies a second": DRAWS / seconds,
+        "whole bodies a second": DEVICE_DRAWS / seconds,
         "times this machine's processor": np.array([item.processor for item in costs]) / seconds,
         "set-up, ms": 1e3 * np.array([item.set_up for item in costs]),
         "ns an attempt, all included": 1e9 * np.array([item.attempt for item in costs]),
@@ -176,10 +176,10 @@ def picture(rates: Sequence[float]) -> Figure:
 def main(data: Data = SHARED) -> Page:
     """Measures, writes, and prints the page."""
     model = PoseModel()
-    sets = {"Poses of the prior, by their seeds": prior_frames(model)[FRAMES]}
+    sets = {"Poses of the prior, by their seeds": prior_frames(model)[DEVICE_FRAMES]}
     archive = data / "cmu" / "actions_train.npz"
     if archive.exists():
-        sets["Poses of CMU motion capture"] = motion_frames(archive)[FRAMES]
+        sets["Poses of CMU motion capture"] = motion_frames(archive)[DEVICE_FRAMES]
     costs = {title: [cost(model, frame) for frame in frames] for title, frames in sets.items()}
     frames = list(sets.values())[-1]
     checks = [check for frame in frames[CHECKED] for check in compared(model, frame)]
@@ -192,7 +192,7 @@ def main(data: Data = SHARED) -> Page:
         "device": jax.devices()[0].device_kind,
         "cores": os.cpu_count() or 1,
         "jax": jax.__version__,
-        "draws": f"{DRAWS:,}",
+        "draws": f"{DEVICE_DRAWS:,}",
         "tables": "\n\n".join(
             f"## {title}\n\n{costs_table(own).markdown()}" for title, own in costs.items()
         ),

@@ -49,10 +49,10 @@ from poseterior.reports.tables.evaluation import (
 )
 from poseterior.reports.tables.words import duration
 
-OTHERS = ("cmu/asfamc/01", "cmu/asfamc/03", "bvh/cmu_131_03.bvh")
+OTHER_RECORDINGS = ("cmu/asfamc/01", "cmu/asfamc/03", "bvh/cmu_131_03.bvh")
 """Recordings of people who are not in the eight classes of action."""
 CLASSES = "cmu/actions_train.npz"
-NOISE = Noise("gaussian", 0.02)
+EVALUATION_NOISE = Noise("gaussian", 0.02)
 NOISY_FRAMES, TRUE_FRAMES, TRIED_FRAMES, SPEED_FRAMES = 2000, 400, 96, 320
 ESTIMATORS = ("akhter-black", "zhou", "dictionary")
 BASE = Condition(ESTIMATORS[0])
@@ -70,7 +70,7 @@ class Runs(NamedTuple):
 
 def protocol_of(data: Path) -> Protocol:
     """What the others' recordings teach, and the paper's way with it."""
-    motions = read_all([data / name for name in OTHERS])
+    motions = read_all([data / name for name in OTHER_RECORDINGS])
     return Protocol(learn(motions), learn_dictionary(motions))
 
 
@@ -85,7 +85,7 @@ def runs_of(data: Path, protocol: Protocol, work: Path) -> Runs:
         out.mkdir(parents=True, exist_ok=True)
         return evaluate(cases, wanted, protocol, out, machines=Machines(WORKERS), progress=say)
 
-    noisy = read_data_set(data / CLASSES, frames=NOISY_FRAMES, noise=NOISE)
+    noisy = read_data_set(data / CLASSES, frames=NOISY_FRAMES, noise=EVALUATION_NOISE)
     true = read_data_set(data / CLASSES, frames=TRUE_FRAMES, noise=EXACT)
     return Runs(
         noisy,
@@ -127,7 +127,7 @@ def by_noise_and_discs(data: Path, protocol: Protocol, work: Path) -> Sheet:
     for name, noise, factor in (
         ("true 2D", EXACT, 0.25),
         ("true 2D", EXACT, 0.1),
-        ("noise 2 %", NOISE, 0.25),
+        ("noise 2 %", EVALUATION_NOISE, 0.25),
         ("noise 4 %", Noise("gaussian", 0.04), 0.25),
     ):
         cases = read_data_set(data / CLASSES, frames=TRIED_FRAMES, noise=noise)
@@ -154,7 +154,7 @@ def by_noise_and_discs(data: Path, protocol: Protocol, work: Path) -> Sheet:
 def measured(data: Path, protocol: Protocol, work: Path) -> dict[int, float]:
     """Frames a second with one and with two workers: the slope of blocks of 32 frames as they come
     in, but for each worker's first, in which it compiles."""
-    cases = read_data_set(data / CLASSES, frames=SPEED_FRAMES, noise=NOISE)
+    cases = read_data_set(data / CLASSES, frames=SPEED_FRAMES, noise=EVALUATION_NOISE)
     rates = {}
     for workers in (1, 2):
         came: list[tuple[float, int]] = []

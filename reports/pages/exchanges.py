@@ -25,16 +25,22 @@ from poseterior.inference.studies.scenes import prior_scene
 from poseterior.probmodel import Detection, Estimate, PoseModel
 from poseterior.probmodel.faults import EXCHANGE_INDEX, EXCHANGES, MOVES_TORSO, ORDERS, FaultPrior
 from poseterior.probmodel.skeleton import JOINT_INDEX
-from poseterior.reports.pages.faults import EXCHANGED, LEGS, SURE, exchanged, with_detection
+from poseterior.reports.pages.faults import (
+    EXCHANGED,
+    LEGS_EXCHANGED,
+    SURE,
+    exchanged,
+    with_detection,
+)
 from poseterior.reports.pages.page import Page, People, Values, run
 from poseterior.reports.tables import Sheet, sheet_of
 
-PEOPLE, ROOTS = 200, 250
-BUDGET = 10_000_000
+EXCHANGE_PEOPLE, EXCHANGE_ROOTS = 200, 250
+EXCHANGE_BUDGET = 10_000_000
 """Proposals for a reading, which may have no torso at all."""
 ALARMS = (0.02, 0.05, 0.1, 0.2)
 """How often legs that are not exchanged may be called so."""
-APART = (2.0, 5.0)
+RADIUS_ENDS = (2.0, 5.0)
 """Radii: where groups of people end, by how far apart their legs' joints were detected."""
 
 
@@ -49,7 +55,7 @@ class Told(NamedTuple):
     @property
     def gain(self) -> float:
         """By how many nats exchanged legs explain the detection better than no exchange."""
-        return float(self.log_evidence[LEGS] - self.log_evidence[0])
+        return float(self.log_evidence[LEGS_EXCHANGED] - self.log_evidence[0])
 
     @property
     def probability(self) -> np.ndarray:
@@ -76,8 +82,8 @@ def tell(model: PoseModel, frame: Estimate, seed: int) -> Told:
         roots = weigh_roots(
             reading.uncertain(model),
             key=jax.random.key(seed),
-            num_roots=ROOTS,
-            max_proposals=BUDGET,
+            num_roots=EXCHANGE_ROOTS,
+            max_proposals=EXCHANGE_BUDGET,
         )
         found.append((roots.log_evidence, roots.log_evidence_se))
     evidence, error = np.array(found).T
@@ -93,7 +99,7 @@ def tell(model: PoseModel, frame: Estimate, seed: int) -> Told:
 
 def table(people: list[Told]) -> Sheet:
     """A line a group of people, by how far apart their legs are, and one for all."""
-    edges = [0.0, *APART, np.inf]
+    edges = [0.0, *RADIUS_ENDS, np.inf]
     lines = [
         _line(
             f"{low:g} to {high:g}" if np.isfinite(high) else f"over {low:g}",
@@ -117,7 +123,7 @@ def _line(name: str, people: list[Told]) -> tuple[str | int, ...]:
     if not people:
         return (name, 0, "–", "–", "–", "–", "–")
     probability = np.stack([one.probability for one in people])
-    legs = probability[:, LEGS]
+    legs = probability[:, LEGS_EXCHANGED]
     return (
         name,
         len(people),
@@ -150,7 +156,7 @@ def best_tests(people: list[Told]) -> Sheet:
     return sheet_of(("called exchanged where they are not", "found where they are"), lines)
 
 
-def main(people: People = PEOPLE) -> Page:
+def main(people: People = EXCHANGE_PEOPLE) -> Page:
     """Runs the study and writes the page."""
     model, told = PoseModel(), []
     for seed in range(people):
@@ -158,13 +164,13 @@ def main(people: People = PEOPLE) -> Page:
         print(seed, told[-1], flush=True)
     prior = FaultPrior.of(0.0, EXCHANGED).exchange
     needed = np.log(SURE / (1 - SURE) * (1 - sum(prior)) / prior[0])
-    known = np.concatenate([one.error[[0, LEGS]] for one in told])
+    known = np.concatenate([one.error[[0, LEGS_EXCHANGED]] for one in told])
     sure = np.array([one.gain for one in told]) >= np.log(SURE / (1 - SURE))
     values: Values = {
         "tests": best_tests(told),
         "even": f"{sure.mean():.0%}",
         "people": people,
-        "roots": ROOTS,
+        "roots": EXCHANGE_ROOTS,
         "exchanges": f"{100 * EXCHANGED:.0f} %",
         "needed": f"{needed:.1f}",
         "sure": f"{SURE}",

@@ -35,8 +35,8 @@ from poseterior.probmodel.sessions.session import HIPS
 from poseterior.probmodel.skeleton import NUM_JOINTS
 from poseterior.reports.pages.page import in_doubles
 
-DRAWS, ROOTS = 4000, 1000
-BUDGET = 300_000_000
+FILM_DRAWS, FILM_ROOTS = 4000, 1000
+FILM_BUDGET = 300_000_000
 """Most proposals for a case."""
 DISC, LEARNED = "disc", "learned"
 GOLDEN = (5**0.5 - 1) / 2
@@ -54,7 +54,7 @@ class Way(NamedTuple):
     moved: bool = True
     focal: bool = False
     frames: int = 100
-    roots: int = ROOTS
+    roots: int = FILM_ROOTS
 
     def __str__(self) -> str:
         given = "" if self.moved else ", `--as-detected`"
@@ -67,13 +67,13 @@ class Way(NamedTuple):
         return f"{self.root}-{self.errors}{given}{'-focal' if self.focal else ''}".lower()
 
 
-WAYS = (
+FILM_WAYS = (
     Way(FIXED, moved=False),
     Way(FIXED),
     Way(UNCERTAIN),
     Way(UNCERTAIN, focal=True, frames=25),
     Way(UNCERTAIN, LEARNED),
-    Way(UNCERTAIN, LEARNED, focal=True, roots=4 * ROOTS),
+    Way(UNCERTAIN, LEARNED, focal=True, roots=4 * FILM_ROOTS),
     Way(TRUE),
     Way(TRUE, LEARNED, frames=10),
 )
@@ -114,7 +114,7 @@ class FilmedCase(NamedTuple):
         return without_midpoints(self.truth, MIDPOINTS)
 
 
-class Drawn(NamedTuple):
+class FilmedDraws(NamedTuple):
     """What came out of a case: `joints` `(draws, 15, 3)` in body units, rooted and turned as the
     truth is, the effective number of `roots` behind them, NaN where the root is fixed, and the
     `seconds` it took."""
@@ -231,10 +231,15 @@ def film(data: Path) -> Film:
     return Film(read_session(data / "multicamera"))
 
 
-def drawn(seen: Film, way: Way, work: Path) -> Iterator[tuple[FilmedCase, Drawn]]:
+def drawn(seen: Film, way: Way, work: Path) -> Iterator[tuple[FilmedCase, FilmedDraws]]:
     """The draws of a way in its cases; those that are not in the folder `work` are made."""
     cases = seen.cases[: way.frames * len(seen.session.cameras)]
-    settings = {"way": str(way), "session": seen.session.name, "draws": DRAWS, "roots": way.roots}
+    settings = {
+        "way": str(way),
+        "session": seen.session.name,
+        "draws": FILM_DRAWS,
+        "roots": way.roots,
+    }
     with locked(work / way.folder):
         store = Store.begin(work / way.folder, settings)
         blocks = [_block(seen, way, number, case) for number, case in enumerate(cases)]
@@ -242,7 +247,7 @@ def drawn(seen: Film, way: Way, work: Path) -> Iterator[tuple[FilmedCase, Drawn]
         for block, case in zip(blocks, cases, strict=True):
             found = store.read(block.number, "draws")
             about = found.attrs["roots"], found.attrs["seconds"]
-            yield case, Drawn(found.joints.values.astype(float), *map(float, about))
+            yield case, FilmedDraws(found.joints.values.astype(float), *map(float, about))
 
 
 class Asked(NamedTuple):
@@ -285,10 +290,10 @@ def _draw(way: Way, asked: Asked) -> Groups:
         model,
         frame,
         key=jax.random.key(asked.seed),
-        num_samples=DRAWS,
+        num_samples=FILM_DRAWS,
         root=FIXED if way.root == TRUE else way.root,
         num_roots=way.roots,
-        max_proposals=BUDGET,
+        max_proposals=FILM_BUDGET,
     )
     joints = result.tree["posterior"].joints.values[0]
     joints = (joints - joints[:, HIPS].mean(axis=1, keepdims=True)) @ asked.turns.T
@@ -313,7 +318,7 @@ def _frame(way: Way, asked: Asked, model: PoseModel) -> Estimate | None:
 
 
 def _kept(joints: np.ndarray, roots: float, seconds: float) -> Groups:
-    """What is kept of a case: see `Drawn`."""
+    """What is kept of a case: see `FilmedDraws`."""
     columns = {"joints": (("draw", "joint", "axis"), joints.astype(np.float32))}
     about = {"roots": float(roots), "seconds": float(seconds)}
     return {"draws": xr.Dataset(columns, attrs=about)}

@@ -19,12 +19,12 @@ from poseterior.inference.baselines.catalogue import BASELINES
 from poseterior.inference.baselines.run import Allowance
 from poseterior.inference.benchmark import exact_points, load, targets, verdict
 from poseterior.inference.benchmark.entrants import (
-    EXACT,
+    EXACT_ENGINE,
     GIFT,
     entrant,
     entrants,
 )
-from poseterior.inference.benchmark.external.entries import Outcome
+from poseterior.inference.benchmark.external.entries import SamplerRun
 from poseterior.inference.benchmark.references import sample_at
 from poseterior.inference.benchmark.root import GivenRoot
 from poseterior.inference.benchmark.submission import Submission
@@ -57,7 +57,7 @@ TARGETS = (
 )
 """All with hard walls, and two with soft ones."""
 EVERYONE = (
-    *(EXACT, "emcee", "emcee-de", "aies", "random-walk", "sa", "smc", "nss"),
+    *(EXACT_ENGINE, "emcee", "emcee-de", "aies", "random-walk", "sa", "smc", "nss"),
     *("dynesty", "ultranest", "reddemcee", "nrpt"),
 )
 """Who is run where nothing else is said."""
@@ -70,10 +70,10 @@ SETS, SET = 200, 500
 """Sets of exact draws that are judged at most, and draws of each."""
 FEW_SETS, SMALL_SET = 60, 160
 """The same where the root is uncertain, and draws are dear."""
-WORK = Path("build") / "leaderboard"
+LEADERBOARD_WORK = Path("build") / "leaderboard"
 
 
-def measured(target: FrozenTarget, exact: Sample, outcome: Outcome) -> dict[str, Any]:
+def measured(target: FrozenTarget, exact: Sample, outcome: SamplerRun) -> dict[str, Any]:
     """What is found of draws."""
     submission = outcome.submission
     found = verdict(target, submission, exact)
@@ -94,7 +94,7 @@ def _worst_rhat(found: Assessment) -> float | None:
     return float(np.nanmax(rhat)) if np.isfinite(rhat).any() else None
 
 
-def _time_to_distance(target: FrozenTarget, exact: Sample, outcome: Outcome) -> float | None:
+def _time_to_distance(target: FrozenTarget, exact: Sample, outcome: SamplerRun) -> float | None:
     """Seconds of the processor until the draws are within a distance of the exact ones. An ensemble
     is one chain, walker after walker: for its course its walkers are set apart."""
     points = outcome.submission.points
@@ -202,7 +202,9 @@ def values(lines: list[Line], work: Path) -> Values:
 def notes(ran: Collection[str]) -> list[str]:
     """How those that ran are set up."""
     return [
-        f"- *{name}*: {entrant(name).note}." for name in entrants() if name in ran and name != EXACT
+        f"- *{name}*: {entrant(name).note}."
+        for name in entrants()
+        if name in ran and name != EXACT_ENGINE
     ]
 
 
@@ -227,7 +229,7 @@ def _allowed(lines: list[Line], budget: str) -> str:
 
 
 def main(
-    work: Path = WORK,
+    work: Path = LEADERBOARD_WORK,
     seconds: float = 10.0,
     evaluations: int = 50_000,
     samplers: str = ",".join(EVERYONE),

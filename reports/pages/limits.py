@@ -28,8 +28,8 @@ from poseterior.reports.figures.limits import limits_figure
 from poseterior.reports.pages.page import Data, Page, run
 from poseterior.reports.tables import Column, Sheet, sheet_of, spoken
 
-SOURCES = ("cmu/asfamc", "cmu/actions_train.npz", "bvh")
-SUBJECTS = {
+LIMIT_SOURCES = ("cmu/asfamc", "cmu/actions_train.npz", "bvh")
+LIMIT_SUBJECTS = {
     "01": ("01",),
     "02 and the action set": ("02", "actions_train"),
     "03": ("03",),
@@ -144,7 +144,7 @@ def generalisation(
         ("all, learned from", len(everything), *valid(limits, everything)),
         ("all, published limits", len(everything), *valid(published, everything)),
     ]
-    for label, subjects in SUBJECTS.items():
+    for label, subjects in LIMIT_SUBJECTS.items():
         own = held_out(motions, lambda i, motion, who=subjects: motion.subject in who)
         rows.append((f"subject {label}", *own))
     folds = np.array(
@@ -171,7 +171,7 @@ def valid(limits: AnatomicalLimits, joints: np.ndarray) -> list[float]:
 
 def main(data: Data) -> Page:
     """Learns and compares, and writes the page and its picture."""
-    motions = [motion for source in SOURCES for motion in read_motion(data / source)]
+    motions = [motion for source in LIMIT_SOURCES for motion in read_motion(data / source)]
     # The tables of joint limits as they are embedded; the others are learned here.
     limits = Anatomy.default().limits
     published = read_published(data / "akhter_black" / "jointAngleModel_v2.mat")

@@ -25,7 +25,7 @@ from poseterior.inference.readings import (
     together,
 )
 from poseterior.inference.studies.misreadings import (
-    RIGHT,
+    READ_RIGHT,
     Study,
     evidences,
     exchanges,
@@ -41,9 +41,9 @@ from poseterior.reports.tables import Column, Sheet, sheet_of
 
 FRESH = 200
 """Poses of another seed, for the thresholds were chosen on the first."""
-POSES, OTHERS = 500, 150
+READ_POSES, MISREAD_POSES = 500, 150
 """Poses in all, and those that are also misread in ways that are no exchange."""
-BINS = (0, 30, 60, 90)
+ASYMMETRY_BINS = (0, 30, 60, 90)
 WORDS = {
     "arms": "arms exchanged",
     "legs": "legs exchanged",
@@ -80,7 +80,7 @@ def _percent_only(counts: tuple[int, int]) -> str:
 
 def table(found: Study) -> Sheet:
     """Shares of doubted files by mistake, for files of one person, by view, and of ten."""
-    bins = list(itertools.pairwise(BINS))
+    bins = list(itertools.pairwise(ASYMMETRY_BINS))
     rows = []
     for kind, verdicts in found.verdicts.items():
         pairs = list(zip(verdicts, found.angles, strict=False))
@@ -137,8 +137,8 @@ def picture(found: Study) -> Figure:
     figure = blank_page(8, 4.2, dpi=150)
     axes = figure.add_subplot()
     for row, kind in enumerate(kinds):
-        column = found.verdicts[RIGHT][0].names.index(kind)
-        right = np.array([verdict.gains[0, column] for verdict in found.verdicts[RIGHT]])
+        column = found.verdicts[READ_RIGHT][0].names.index(kind)
+        right = np.array([verdict.gains[0, column] for verdict in found.verdicts[READ_RIGHT]])
         for values, colour, shift in ((right, PALETTE[0], 0.17), (-right, PALETTE[1], -0.17)):
             at = row + shift + np.random.default_rng(row).uniform(-0.12, 0.12, len(values))
             axes.plot(np.clip(values, -60, 60), at, ".", ms=2, color=colour, alpha=0.5)
@@ -156,15 +156,15 @@ def main(data: Data) -> Page:
     """Runs the study and writes page and picture."""
     judge = Judge(PoseModel.from_anatomy(Anatomy.default()))
     motions = data / "cmu" / "actions_train.npz"
-    found = study(judge, views(motions, POSES, seed=5), first=OTHERS)
+    found = study(judge, views(motions, READ_POSES, seed=5), first=MISREAD_POSES)
     fresh = study(judge, views(motions, FRESH, seed=6), first=0)
     spread = np.abs(found.asymmetry)
     values: Values = {
         "table": table(found),
         "fresh_table": table(fresh),
         "fresh": FRESH,
-        "others": OTHERS,
-        "poses": POSES,
+        "others": MISREAD_POSES,
+        "poses": READ_POSES,
         "real": real_table(judge, real_people(data)),
         "symmetry": (
             f"{np.median(spread):.2f} nats in the median, {np.quantile(spread, 0.95):.1f} for 95 %"

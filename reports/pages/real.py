@@ -17,9 +17,9 @@ import xarray as xr
 from poseterior.inference.estimators import ESTIMATORS
 from poseterior.inference.hypothesis import grid_poses
 from poseterior.inference.studies.calibration.choices import (
+    CHOICES,
     CHOOSE,
-    GRID,
-    WAYS,
+    POSE_GRID,
     best_error,
     modes_represented,
 )
@@ -49,16 +49,16 @@ ERRORS = {
     "Gaussian 3 %": Noise("gaussian", 0.03),
     "heavy-tailed": Noise("heavy-tailed", DETECTOR),
 }
-ESTIMATED = (TRUE, *ESTIMATORS)
-CELLS = [
-    *((estimator, error, 0) for error in ERRORS for estimator in ESTIMATED),
+REAL_ROOTS = (TRUE, *ESTIMATORS)
+REAL_CELLS = [
+    *((estimator, error, 0) for error in ERRORS for estimator in REAL_ROOTS),
     *((estimator, "detector", missing) for missing in (1, 2) for estimator in (TRUE, "zhou")),
 ]
 """Torso and camera, 2D error, and how many joints are missing: every error with none, and more with
 a detector's and one estimator."""
-POSES, REAL_DRAWS, BUDGET = 24, 200, 300_000
+REAL_POSES, REAL_DRAWS, REAL_BUDGET = 24, 200, 300_000
 KS = (1, 2, 5, 10, 20, 50)
-CHOSEN_DRAWS, STAND_INS = 500, 50
+CHOSEN_DRAWS, CHOICE_STAND_INS = 500, 50
 
 
 class Held(NamedTuple):
@@ -89,7 +89,7 @@ def hold_out(work: Path, data: Path) -> Held:
 
 def cases(held: Held, error: str, missing: int = 0, factor: float = 0.25) -> list[Case]:
     """Poses evenly over people and recordings, by one kind of 2D error."""
-    poses = from_motions(held.motions, "CMU", frames=POSES, noise=ERRORS[error])
+    poses = from_motions(held.motions, "CMU", frames=REAL_POSES, noise=ERRORS[error])
     some = [case.hiding(missing) for case in poses]
     return (
         [by_the_likelihood(case, Likelihood(factor=factor)) for case in some]
@@ -101,7 +101,7 @@ def cases(held: Held, error: str, missing: int = 0, factor: float = 0.25) -> lis
 def real(work: Path, data: Path) -> None:
     """Estimator × 2D error × missing joints: where the truth stands, and why it is excluded where
     it is."""
-    for cell in CELLS:
+    for cell in REAL_CELLS:
         kept(cell_path(work, *cell), _cell, hold_out(work, data), *cell)
 
 
@@ -126,7 +126,7 @@ def _stand(
     settings = {} if estimator == TRUE else {"poses": dictionary}
     likelihood = Likelihood(factor=factor)
     known = instances(some, model, estimator, likelihood=likelihood, **settings)
-    draw = sampler_of("rejection", model, REAL_DRAWS, max_proposals=BUDGET)
+    draw = sampler_of("rejection", model, REAL_DRAWS, max_proposals=REAL_BUDGET)
     columns = case_columns(some, exclusions(model, some, known))
     return standings_tree(stand(draw, known, seed=0), {}, columns)
 
@@ -140,15 +140,19 @@ def choices(work: Path, data: Path) -> None:
 def _choices(held: Held) -> xr.DataTree:
     rows: dict[str, list] = {"error": [], "floor": [], "modes": [], "recording": []}
     some = cases(held, "detector")
-    draw = sampler_of("rejection", held.model, CHOSEN_DRAWS + STAND_INS, max_proposals=BUDGET)
+    draw = sampler_of(
+        "rejection", held.model, CHOSEN_DRAWS + CHOICE_STAND_INS, max_proposals=REAL_BUDGET
+    )
     for number, instance in enumerate(instances(some, held.model)):
         drawn = draw(number, instance, jax.random.key(number)).joints
-        if len(drawn) < CHOSEN_DRAWS + STAND_INS:
+        if len(drawn) < CHOSEN_DRAWS + CHOICE_STAND_INS:
             print("no draws for", some[number].recording, flush=True)
             continue
         observation = instance.frame.observation
-        chosen = _chosen(drawn[STAND_INS:], grid_poses(held.model, observation, most=CHOSEN_DRAWS))
-        mm, truth, held_out = some[number].unit, instance.joints, drawn[:STAND_INS]
+        chosen = _chosen(
+            drawn[CHOICE_STAND_INS:], grid_poses(held.model, observation, most=CHOSEN_DRAWS)
+        )
+        mm, truth, held_out = some[number].unit, instance.joints, drawn[:CHOICE_STAND_INS]
         rows["error"].append([[mm * _best(picked, truth) for picked in way] for way in chosen])
         rows["floor"].append([[mm * _best(picked, held_out) for picked in way] for way in chosen])
         rows["modes"].append(
@@ -159,7 +163,7 @@ def _choices(held: Held) -> xr.DataTree:
         name: (("pose", "way", "k"), np.array(rows[name], float))
         for name in ("error", "floor", "modes")
     }
-    found = xr.Dataset(variables, coords={"way": list(WAYS), "k": list(KS)})
+    found = xr.Dataset(variables, coords={"way": list(CHOICES), "k": list(KS)})
     found["recording"] = (("pose",), np.array(rows["recording"]))
     return xr.DataTree.from_dict({"choices": found})
 
@@ -167,8 +171,8 @@ def _choices(held: Held) -> xr.DataTree:
 def _chosen(draws: np.ndarray, grid: np.ndarray) -> list[list[np.ndarray]]:
     """By way and k; empty where the grid has no pose."""
     chosen = []
-    for way in WAYS:
-        source = grid if way == GRID else draws
+    for way in CHOICES:
+        source = grid if way == POSE_GRID else draws
         chosen.append([CHOOSE[way](source, k, 0) if len(source) else source for k in KS])
     return chosen
 
@@ -198,7 +202,7 @@ class Variant(NamedTuple):
         return PoseModel(*believed, upper=self.upper, lower=self.lower)
 
 
-VARIANTS = (
+BELIEFS = (
     Variant("as it is"),
     Variant("upper bones by area", upper="area"),
     Variant("lower bones by the box", lower="box"),
@@ -213,7 +217,7 @@ def sensitivity(work: Path, data: Path) -> None:
     """Each variant on the same poses and the same detections: errors of a detector, larger where
     scores are lower."""
     held = hold_out(work, data)
-    for number, variant in enumerate(VARIANTS):
+    for number, variant in enumerate(BELIEFS):
         kept(work / f"variant-{number}.nc", _varied, held, variant, variant.model(held.model, data))
 
 

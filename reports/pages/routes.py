@@ -20,7 +20,13 @@ from poseterior.inference.importance.rejection import RejectedRoots, reject_root
 from poseterior.inference.importance.tree import placed
 from poseterior.inference.importance.weighted import APART, WeightedRoots, weigh_roots
 from poseterior.inference.results import COMPLETE
-from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS, LEVEL, Judgement, judge
+from poseterior.inference.studies.comparison.judge import (
+    AGREES,
+    DIFFERS,
+    JUDGE_LEVEL,
+    Judgement,
+    judge,
+)
 from poseterior.inference.studies.comparison.sample import Sample, sample_of
 from poseterior.probmodel import Detection, Estimate, Likelihood, PoseModel
 from poseterior.probmodel.detections import LIKELIHOOD_JOINTS
@@ -37,12 +43,12 @@ from poseterior.reports.pages.filmed import film
 from poseterior.reports.pages.page import Data, Page, run
 from poseterior.reports.tables import Sheet, sheet_of
 
-FRAMES = (10, 30, 50, 70, 90)
+ROUTE_FRAMES = (10, 30, 50, 70, 90)
 """Of every camera."""
-EXACT, ROOTS = 120, 1500
-BUDGET = 100_000_000
+REJECTED_DRAWS, ROUTE_ROOTS = 120, 1500
+ROUTE_BUDGET = 100_000_000
 """Proposals for the exact draws of a case, which may be fewer then."""
-LAWS = {
+ROUTE_LAWS = {
     "disc": Likelihood(),
     "Gaussian": Likelihood(Gaussian()),
     "disc, faults": Likelihood(faults=FaultPrior.of(0.02, 0.02)),
@@ -93,7 +99,7 @@ def _alike(roots: WeightedRoots) -> np.ndarray:
     return np.where(np.isfinite(roots.log_weight), 0.0, -np.inf)
 
 
-WAYS: dict[str, Callable[[WeightedRoots], np.ndarray]] = {
+WEIGHINGS: dict[str, Callable[[WeightedRoots], np.ndarray]] = {
     FAST: lambda roots: roots.log_weight,
     "control: without scale⁻²": _without_scale,
     "control: every root alike": _alike,
@@ -109,7 +115,7 @@ def whole(roots: WeightedRoots, number: int, seed: int) -> Sample:
 
 
 def _posterior(model: PoseModel, case: JudgedFrame) -> UncertainPosterior:
-    return Estimate(case.detection, (), LAWS[case.law]).uncertain(model)
+    return Estimate(case.detection, (), ROUTE_LAWS[case.law]).uncertain(model)
 
 
 def study(model: PoseModel, case: JudgedFrame, seed: int) -> Found:
@@ -117,14 +123,16 @@ def study(model: PoseModel, case: JudgedFrame, seed: int) -> Found:
     posterior = _posterior(model, case)
     exact_key, fast_key = jax.random.split(jax.random.key(seed))
     started = time.perf_counter()
-    exact = reject_roots(posterior, key=exact_key, num_samples=EXACT, max_proposals=BUDGET)
+    exact = reject_roots(
+        posterior, key=exact_key, num_samples=REJECTED_DRAWS, max_proposals=ROUTE_BUDGET
+    )
     between = time.perf_counter()
-    fast = weigh_roots(posterior, key=fast_key, num_roots=ROOTS)
+    fast = weigh_roots(posterior, key=fast_key, num_roots=ROUTE_ROOTS)
     seconds = between - started, time.perf_counter() - between
     if verdict(exact)[0] != COMPLETE:
         print(verdict(exact)[1])
-    known, judged = whole(exact, EXACT, seed), {}
-    for name, weigh in WAYS.items():
+    known, judged = whole(exact, REJECTED_DRAWS, seed), {}
+    for name, weigh in WEIGHINGS.items():
         roots = dataclasses.replace(fast, log_weight=weigh(fast))
         sample = whole(roots, int(roots.effective / APART), seed)
         # The evidence of a control is not what it is wrong about.
@@ -181,7 +189,7 @@ def table(cases: list[JudgedFrame], found: list[Found]) -> Sheet:
 def counts(found: list[Found]) -> Sheet:
     """A line a way: how often it was said to differ."""
     lines = []
-    for name in WAYS:
+    for name in WEIGHINGS:
         said = [one.judged[name].verdict for one in found]
         other = len(said) - said.count(DIFFERS) - said.count(AGREES)
         lines.append((name, said.count(AGREES), said.count(DIFFERS), other))
@@ -193,10 +201,10 @@ def figure_of(cases: list[JudgedFrame], found: list[Found]) -> Figure:
     figure = page(8.4, 3.4, dpi=150)
     axes = figure.subplots()
     place = np.arange(len(cases))
-    for colour, marker, name in zip(PALETTE, "osD", WAYS, strict=False):
+    for colour, marker, name in zip(PALETTE, "osD", WEIGHINGS, strict=False):
         values = [max(smallest(one.judged[name]), 1e-12) for one in found]
         axes.semilogy(place, values, marker, color=colour, ms=5, label=name)
-    axes.axhline(LEVEL, color=INK, lw=0.8, ls=":")
+    axes.axhline(JUDGE_LEVEL, color=INK, lw=0.8, ls=":")
     axes.set_xticks(place, [case.name for case in cases], rotation=60, ha="right", fontsize=SMALL)
     axes.tick_params(axis="y", labelsize=SMALL)
     axes.set_ylabel("smallest p of all tests, corrected", fontsize=SMALL)
@@ -209,14 +217,16 @@ def figure_of(cases: list[JudgedFrame], found: list[Found]) -> Figure:
 def main(data: Data) -> Page:
     """Runs the study and writes the page."""
     session = film(data).session
-    seen = {frame: [corrected(people[frame]) for people in session.people] for frame in FRAMES}
+    seen = {
+        frame: [corrected(people[frame]) for people in session.people] for frame in ROUTE_FRAMES
+    }
     cases = [
         JudgedFrame(f"{frame}, camera {number}", law, detection)
-        for frame, law in zip(FRAMES, TURNS, strict=True)
+        for frame, law in zip(ROUTE_FRAMES, TURNS, strict=True)
         for number, detection in enumerate(seen[frame], 1)
     ]
     model, found = PoseModel(), []
-    for law in LAWS:  # compiled before times are taken
+    for law in ROUTE_LAWS:  # compiled before times are taken
         first = next(case for case in cases if case.law == law)
         reject_roots(_posterior(model, first), key=jax.random.key(0), num_samples=1)
     for seed, case in enumerate(cases):
@@ -225,13 +235,13 @@ def main(data: Data) -> Page:
         print(case.name, found[-1].seconds, said, flush=True)
     detections = [detection for frame in COSTED for detection in seen[frame]]
     learned = Likelihood.of(DetectorErrors.default(), LIKELIHOOD_JOINTS)
-    costs = costs_of(model, detections, LAWS | {"learned": learned}, print)
+    costs = costs_of(model, detections, ROUTE_LAWS | {"learned": learned}, print)
     rates = [len(one.exact.limbs) / one.seconds[0] for one in found]
     values: dict[str, str | int | Sheet] = {
         "cases": len(cases),
-        "exact": EXACT,
-        "budget": f"{BUDGET:,}",
-        "roots": f"{ROOTS:,}",
+        "exact": REJECTED_DRAWS,
+        "budget": f"{ROUTE_BUDGET:,}",
+        "roots": f"{ROUTE_ROOTS:,}",
         "slowest": f"{min(rates):.1f}",
         "middle": f"{np.median(rates):.1f}",
         "fastest": f"{max(rates):.1f}",

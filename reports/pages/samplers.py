@@ -13,7 +13,7 @@ import xarray as xr
 
 from poseterior.inference.baselines.catalogue import BASELINES
 from poseterior.reports.figures.comparison import comparison_figure
-from poseterior.reports.pages.contests import CHECK, CLOCKED, PATIENCE, SUITE, WORK
+from poseterior.reports.pages.contests import CHECK, CLOCKED, CONTEST_WORK, LONGER, SUITE
 from poseterior.reports.pages.page import Page, Values, Work, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.comparison import comparison_table
@@ -189,11 +189,11 @@ def values_of(trees: Mapping[str, xr.DataTree]) -> Values:
         "tables": "\n\n".join(tables),
         "seconds": f"{min(tree.attrs['allowed_least'] for tree in trees.values()):g}",
         "absent": absent(trees),
-        "patience": ", ".join(f"{name} {times}" for name, times in PATIENCE.items()),
+        "patience": ", ".join(f"{name} {times}" for name, times in LONGER.items()),
     }
 
 
-def main(work: Work = WORK) -> Page:
+def main(work: Work = CONTEST_WORK) -> Page:
     """Writes the page and its picture from what is in the folder."""
     found = {name: joined(work / f"{number}") for number, name in enumerate(SUITE)}
     trees = {name: tree for name, tree in found.items() if tree is not None}

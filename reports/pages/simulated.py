@@ -14,7 +14,7 @@ from poseterior.inference.studies.calibration import calibrate
 from poseterior.inference.studies.calibration.controls import (
     DISTORTIONS,
     IGNORING,
-    RECIPE,
+    LITERAL_RECIPE,
     distorted,
     following_the_recipe,
     ignoring,
@@ -24,12 +24,12 @@ from poseterior.inference.studies.calibration.toy import sizes
 from poseterior.probmodel import PoseModel
 from poseterior.reports.pages.page import kept, kept_json
 
-SIMULATIONS, DRAWS = 1000, 1000
+EXACT_SIMULATIONS, SIMULATED_DRAWS = 1000, 1000
 MEASURES = (("angle", "area"), ("area", "area"), ("angle", "box"))
 """Of upper and lower bones."""
 CONTROLLED, RECIPES, RECIPE_DRAWS = 300, 400, 60
-BASELINES = (("emcee", ONE_FLIP),)
-JUDGED, EVALUATIONS = 100, 10_000
+JUDGED_BASELINES = (("emcee", ONE_FLIP),)
+JUDGED_SIMULATIONS, BASELINE_EVALUATIONS = 100, 10_000
 REPETITIONS, TOYS, TOY_DRAWS = 200, 100, 50
 
 
@@ -45,19 +45,21 @@ def _clocked(model: PoseModel, path: Path) -> list[float]:
     """Seconds of the processor, and of the clock."""
     started = time.perf_counter()
     cpu = time.process_time()
-    calibrate(model, "rejection", num_simulations=SIMULATIONS, num_samples=DRAWS, out=path)
+    calibrate(
+        model, "rejection", num_simulations=EXACT_SIMULATIONS, num_samples=SIMULATED_DRAWS, out=path
+    )
     return [time.process_time() - cpu, time.perf_counter() - started]
 
 
 def controls(work: Path, data: Path) -> None:
     """Wrong posteriors on the first simulations, by the same tests."""
     model = PoseModel()
-    right = sampler_of("rejection", model, DRAWS)
+    right = sampler_of("rejection", model, SIMULATED_DRAWS)
     wrong: dict[str, tuple[Sampler, int]] = {
         name: (distorted(right, spoil), CONTROLLED) for name, spoil in DISTORTIONS.items()
     }
-    wrong[IGNORING] = ignoring(model, DRAWS), CONTROLLED
-    wrong[RECIPE] = following_the_recipe(model, RECIPE_DRAWS), RECIPES
+    wrong[IGNORING] = ignoring(model, SIMULATED_DRAWS), CONTROLLED
+    wrong[LITERAL_RECIPE] = following_the_recipe(model, RECIPE_DRAWS), RECIPES
     for number, (name, (sampler, count)) in enumerate(wrong.items()):
         partial = work / f"partial-{number}.nc"
         kept(work / f"control-{number}.nc", _calibrated, model, sampler, count, name, partial)
@@ -75,10 +77,12 @@ def _calibrated(
 def baselines(work: Path, data: Path) -> None:
     """A sampler that is not exact, on the first of the same simulations."""
     model = PoseModel()
-    for name, start in BASELINES:
+    for name, start in JUDGED_BASELINES:
         path = work / f"baseline-{name}-{start}.nc".replace(" ", "-")
-        draw = sampler_of(name, model, EVALUATIONS, max_proposals=EVALUATIONS, start=start)
-        kept(path, _calibrated, model, draw, JUDGED, f"{name}, started {start}")
+        draw = sampler_of(
+            name, model, BASELINE_EVALUATIONS, max_proposals=BASELINE_EVALUATIONS, start=start
+        )
+        kept(path, _calibrated, model, draw, JUDGED_SIMULATIONS, f"{name}, started {start}")
 
 
 def toy(work: Path, data: Path) -> None:

@@ -47,12 +47,12 @@ from poseterior.reports.pages.page import SHARED, Data, Page, Values, in_doubles
 from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.evaluation import PAPERS_FRAMES
 
-DRAWS = 100_000
+SPEED_DRAWS = 100_000
 MANY = 2_000_000
 """Draws of a photo's person."""
 FEW = 2000
 """After which a process has what it holds however many draws it makes."""
-NUMBERS = 23
+UNIFORMS = 23
 """Uniform numbers of a pose: the floor."""
 STREAM_FRAMES, STREAM_ROOTS = 32, 200
 STAGE_LEVEL, STAGE_ATTEMPTS = 2, 1 << 16
@@ -66,7 +66,7 @@ class FrameCost(NamedTuple):
     Attributes
     ----------
     set_up
-        Seconds to set up as finely as `DRAWS` draws deserve.
+        Seconds to set up as finely as `SPEED_DRAWS` draws deserve.
     seconds
         In all.
     arms, legs
@@ -87,7 +87,7 @@ class FrameCost(NamedTuple):
     @property
     def rate(self) -> float:
         """Whole bodies a second."""
-        return DRAWS / self.seconds
+        return SPEED_DRAWS / self.seconds
 
 
 class Curve(NamedTuple):
@@ -120,12 +120,12 @@ def _numbers(state, count):  # type: ignore[no-untyped-def]
 def floors() -> dict[str, float]:
     """Seconds a pose for its random numbers alone."""
     state, rng = seeded([0], 0), np.random.default_rng(0)
-    draw = jax.jit(lambda key: jax.random.uniform(key, (NUMBERS * BATCH,)))
+    draw = jax.jit(lambda key: jax.random.uniform(key, (UNIFORMS * BATCH,)))
     _numbers(state, 10)
     jax.block_until_ready(draw(jax.random.key(0)))
     return {
-        "compiled SFC64": timed(lambda: _numbers(state, NUMBERS * BATCH)) / BATCH,
-        "NumPy PCG64": timed(lambda: rng.random(NUMBERS * BATCH)) / BATCH,
+        "compiled SFC64": timed(lambda: _numbers(state, UNIFORMS * BATCH)) / BATCH,
+        "NumPy PCG64": timed(lambda: rng.random(UNIFORMS * BATCH)) / BATCH,
         "JAX threefry": timed(lambda: jax.block_until_ready(draw(jax.random.key(1)))) / BATCH,
     }
 
@@ -145,7 +145,7 @@ def cost(model: PoseModel, frame: Estimate, naive: float) -> FrameCost:
     """Times one frame, its one candidate known."""
     started, budget = time.perf_counter(), Budget(10**12)
     (candidate,) = root_samplers(frame.posterior(model), jax.random.key(0), "rejection")
-    assert candidate.more(DRAWS, budget)
+    assert candidate.more(SPEED_DRAWS, budget)
     seconds = time.perf_counter() - started
     groups = {
         sampler.name: sampler
@@ -300,7 +300,7 @@ def _nanoseconds(head: str) -> Column:
 
 def floors_table(floor: dict[str, float]) -> Sheet:
     """What random numbers cost."""
-    head = (f"random numbers of a pose ({NUMBERS})", _nanoseconds("ns"))
+    head = (f"random numbers of a pose ({UNIFORMS})", _nanoseconds("ns"))
     return sheet_of(head, list(floor.items()))
 
 
@@ -430,7 +430,7 @@ def main(data: Data = SHARED) -> Page:
     uncertain = float(np.polyfit(*streams(model, frames, UNCERTAIN), 1)[0])
     values: Values = {
         "tables": "\n\n".join(f"## {title}\n\n{own.markdown()}" for title, own in tables.items()),
-        "draws": f"{DRAWS:,}",
+        "draws": f"{SPEED_DRAWS:,}",
         "published": published(data),
         "cores": str(os.cpu_count()),
         "machine": platform.machine(),

@@ -22,9 +22,9 @@ from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.coverage import families_table, p_text
 from poseterior.reports.tables.words import spoken
 
-SIMULATIONS = 1000
-ROOTS, DRAWS, SEED = 300, 400, 7
-BUDGET = 30_000_000
+WHOLE_SIMULATIONS = 1000
+WHOLE_ROOTS, WHOLE_DRAWS, WHOLE_SEED = 300, 400, 7
+WHOLE_BUDGET = 30_000_000
 """Most proposals for a simulation."""
 
 
@@ -32,12 +32,12 @@ def simulated(work: Path) -> xr.Dataset:
     """The simulations by weighted roots."""
     tree = calibrate(
         PoseModel(),
-        seed=SEED,
-        num_simulations=SIMULATIONS,
-        num_samples=DRAWS,
+        seed=WHOLE_SEED,
+        num_simulations=WHOLE_SIMULATIONS,
+        num_samples=WHOLE_DRAWS,
         root=UNCERTAIN,
-        num_roots=ROOTS,
-        max_proposals=BUDGET,
+        num_roots=WHOLE_ROOTS,
+        max_proposals=WHOLE_BUDGET,
         out=work / "coverage.nc",
     )
     return tree["simulation"].to_dataset()
@@ -60,9 +60,9 @@ def main(work: Work) -> Page:
     verdict = judge(right)
     number = right.num_draws.values
     values: Values = {
-        "simulations": f"{SIMULATIONS:,}",
-        "roots": ROOTS,
-        "draws": DRAWS,
+        "simulations": f"{WHOLE_SIMULATIONS:,}",
+        "roots": WHOLE_ROOTS,
+        "draws": WHOLE_DRAWS,
         "fewest": int(number.min()),
         "middle": int(np.median(number)),
         "sentence": f"{verdict.verdict}: {verdict.sentence}",

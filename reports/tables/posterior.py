@@ -39,7 +39,7 @@ UNIT_NOTE = f"1 body unit = mean limb length, about {MILLIMETRES:.0f} mm for a p
 STILL = 1e-9
 """Body units within which nothing moves: rounding, not spread."""
 HELD = "held fixed"
-LIKELY = 0.5
+LIKELY_FAULT = 0.5
 """Posterior probability above which a fault of the detector is spoken of."""
 _ENDS = ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
 
@@ -158,12 +158,12 @@ class FaultProbabilities(NamedTuple):
         found = [
             f"the {spoken(joint)}'s keypoint is an outlier ({100 * share:.0f} %)"
             for joint, share in self.outlier.items()
-            if share > LIKELY
+            if share > LIKELY_FAULT
         ]
         return found + [
             f"left and right are exchanged: {name} ({100 * share:.0f} %)"
             for name, share in self.exchange.items()
-            if share > LIKELY and name != "none"
+            if share > LIKELY_FAULT and name != "none"
         ]
 
 

@@ -757,7 +757,7 @@ def test_exact_draws_are_timed_without_what_sets_them_up() -> None:
     outcome = entrants.entrant("exact").run(benchmark.load("single"), "", Allowance())
     assert outcome is not None
     assert 0 < outcome.kept < 1
-    assert outcome.submission.given == entrants.DRAWS
+    assert outcome.submission.given == entrants.TIMED_DRAWS
 
 
 # --- the inference gym

@@ -29,7 +29,7 @@ OURS = ("dynesty", "ultranest", "reddemcee", "nrpt")
 SAMPLERS = """
 import numpy as np
 from poseterior.inference.benchmark import (
-    ExternalSampler, Outcome, Submission, shipped_points, submit
+    ExternalSampler, SamplerRun, Submission, shipped_points, submit
 )
 from poseterior.inference.benchmark.external.posterior import PosteriorTarget
 
@@ -45,12 +45,12 @@ def accepted(target, seed):
 
 def right(target, seed, allowance):
     found = accepted(target, seed)
-    return Outcome(submit(target, points=found, evaluations=np.array(PROPOSALS)))
+    return SamplerRun(submit(target, points=found, evaluations=np.array(PROPOSALS)))
 
 
 def wrong(target, seed, allowance):
     found = accepted(target, seed)
-    return Outcome(submit(target, points=found[found[:, -1] > 0]))
+    return SamplerRun(submit(target, points=found[found[:, -1] > 0]))
 
 
 def empty(target, seed, allowance):
@@ -59,7 +59,7 @@ def empty(target, seed, allowance):
 
 def outside(target, seed, allowance):
     points = target.prior_points(np.random.default_rng(seed), 100)
-    return Outcome(Submission(points[None], len(points)))
+    return SamplerRun(Submission(points[None], len(points)))
 
 
 def function(target, seed, allowance):
@@ -85,7 +85,7 @@ def install(folder: Path, distribution: str, declared: dict[str, str]) -> None:
     )
     lines = [f"{name} = {value}" for name, value in declared.items()]
     (about / "entry_points.txt").write_text(
-        "\n".join([f"[{entries.GROUP}]", *lines]), encoding="utf-8"
+        "\n".join([f"[{entries.ENTRY_POINTS}]", *lines]), encoding="utf-8"
     )
 
 
@@ -144,7 +144,7 @@ def test_a_user_s_sampler_is_compared_on_a_detection(installed: Path) -> None:
     assert lines["right"].evaluations == 600_000
     assert lines["right"].settled_per_second == lines["right"].ess_per_second > 0
     assert "lie outside of the support" in lines["outside"].sentence
-    assert "brought str, not an Outcome" in lines["said"].sentence
+    assert "brought str, not a SamplerRun" in lines["said"].sentence
     assert "the budget is too small; allow more" in lines["empty"].sentence
 
 
@@ -177,7 +177,7 @@ def test_ours_are_found_in_a_checkout_that_was_not_installed_anew(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Whatever an older install has left behind: nothing, or a sampler that is gone."""
-    stale = metadata.EntryPoint("gone", "poseterior.gone:GONE", entries.GROUP)
+    stale = metadata.EntryPoint("gone", "poseterior.gone:GONE", entries.ENTRY_POINTS)
     stale = stale._for(metadata.distribution("poseterior"))
     for left in ((), (stale,)):
         monkeypatch.setattr(metadata, "entry_points", lambda group, left=left: left)

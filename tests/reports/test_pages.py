@@ -160,7 +160,9 @@ def test_what_is_kept_is_not_made_again(tmp_path: Path) -> None:
 
 def test_facing_counts_by_angle() -> None:
     near, far = (
-        facing.Row(angle=angle, candidates=2, share=0.75, complete=True, apart=50.0, first=False)
+        facing.FacingRow(
+            angle=angle, candidates=2, share=0.75, complete=True, apart=50.0, first=False
+        )
         for angle in (10.0, 80.0)
     )
     rows = [near, near._replace(share=0.25, first=True), far, far._replace(complete=False)]
@@ -296,7 +298,7 @@ def test_the_leaderboard_s_pictures() -> None:
 
 
 def test_walking_downhill_comes_inside_at_a_price(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(entrants, "MOST_STEPS", 200)
+    monkeypatch.setattr(entrants, "DOWNHILL_STEPS", 200)
     target = load("arm")
     points, spent = entrants.downhill(target, np.random.default_rng(0), 20, Allowance())
     assert len(points) >= 5

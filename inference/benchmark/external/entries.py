@@ -23,16 +23,16 @@ from poseterior.inference.benchmark.forms import SamplerTarget
 from poseterior.inference.benchmark.submission import Submission, submit
 from poseterior.probmodel.failures import BadInput
 
-GROUP = "poseterior.samplers"
+ENTRY_POINTS = "poseterior.samplers"
 """The group of entry points."""
-OURS = "poseterior"
+DISTRIBUTION = "poseterior"
 """Our distribution."""
 CHECKOUT = Path(__file__).resolve().parents[3]
 """Where the sources lie; installed, it has no pyproject.toml."""
 CLOCK = time.process_time
 
 
-class Outcome(NamedTuple):
+class SamplerRun(NamedTuple):
     """What a sampler brought.
 
     Attributes
@@ -60,7 +60,7 @@ class ExternalSampler:
     Attributes
     ----------
     draw
-        Draws of a target, by a seed, at most so dear: an `Outcome` whose draws are made by
+        Draws of a target, by a seed, at most so dear: an `SamplerRun` whose draws are made by
         `submission.submit`; None where none came inside the walls.
     note
         How it is set up.
@@ -70,7 +70,7 @@ class ExternalSampler:
         What brings that package, as `pip install` takes it.
     """
 
-    draw: Callable[[SamplerTarget, int, Allowance], Outcome | None]
+    draw: Callable[[SamplerTarget, int, Allowance], SamplerRun | None]
     note: str
     needs: str = ""
     install: str = ""
@@ -84,15 +84,15 @@ class ExternalSampler:
 
     def run(
         self, name: str, target: SamplerTarget, seed: int, allowance: Allowance
-    ) -> Outcome | None:
-        """What `draw` brings. Raises `BadInput` where that is no `Outcome`, or cannot be draws of
-        the target, as `submit` says."""
+    ) -> SamplerRun | None:
+        """What `draw` brings. Raises `BadInput` where that is no `SamplerRun`, or cannot be draws
+        of the target, as `submit` says."""
         found = self.draw(target, seed, allowance)
         if found is None:
             return None
-        if not isinstance(found, Outcome):
+        if not isinstance(found, SamplerRun):
             raise BadInput(
-                f"the sampler {name} brought {type(found).__name__}, not an Outcome of"
+                f"the sampler {name} brought {type(found).__name__}, not a SamplerRun of"
                 " poseterior.inference.benchmark; its package has to be mended"
             )
         submit(target, points=found.submission.points, where=f"the draws of {name}")
@@ -160,8 +160,8 @@ def external_sampler(name: str) -> ExternalSampler:
 def _declared() -> Iterator[metadata.EntryPoint]:
     ours = _declared_in(CHECKOUT)
     for name, value in ours.items():
-        yield metadata.EntryPoint(name, value, GROUP)
-    for entry in sorted(metadata.entry_points(group=GROUP), key=_ours_first):
+        yield metadata.EntryPoint(name, value, ENTRY_POINTS)
+    for entry in sorted(metadata.entry_points(group=ENTRY_POINTS), key=_ours_first):
         if not (ours and _is_ours(entry)):
             yield entry
 
@@ -171,7 +171,7 @@ def _ours_first(entry: metadata.EntryPoint) -> tuple[bool, str]:
 
 
 def _is_ours(entry: metadata.EntryPoint) -> bool:
-    return entry.dist is not None and entry.dist.name == OURS
+    return entry.dist is not None and entry.dist.name == DISTRIBUTION
 
 
 @functools.cache
@@ -181,4 +181,4 @@ def _declared_in(folder: Path) -> dict[str, str]:
     if not file.is_file():
         return {}
     project = tomllib.loads(file.read_text(encoding="utf-8")).get("project", {})
-    return project["entry-points"][GROUP] if project.get("name") == OURS else {}
+    return project["entry-points"][ENTRY_POINTS] if project.get("name") == DISTRIBUTION else {}

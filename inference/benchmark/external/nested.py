@@ -3,12 +3,12 @@
 import numpy as np
 
 from poseterior.inference.baselines.run import Allowance
-from poseterior.inference.benchmark.external.entries import CLOCK, ExternalSampler, Outcome
+from poseterior.inference.benchmark.external.entries import CLOCK, ExternalSampler, SamplerRun
 from poseterior.inference.benchmark.external.graded import HARDNESS, graded, inside
 from poseterior.inference.benchmark.forms import SamplerTarget
 
 
-def dynesty(target: SamplerTarget, seed: int, allowance: Allowance) -> Outcome | None:
+def dynesty(target: SamplerTarget, seed: int, allowance: Allowance) -> SamplerRun | None:
     """dynesty's static sampler, everything as it comes; one point at a time, in JAX."""
     import dynesty as package
 
@@ -25,14 +25,14 @@ def dynesty(target: SamplerTarget, seed: int, allowance: Allowance) -> Outcome |
     cost = {"evaluations": int(np.sum(found.ncall)), "seconds": seconds}
     error = float(found.logzerr[-1])
     submission = inside(target, np.asarray(found.samples), log_weights, error, cost)
-    return None if submission is None else Outcome(submission)
+    return None if submission is None else SamplerRun(submission)
 
 
 class _Spent(Exception):
     """Raised within UltraNest, which has no limit of its own to the time it takes."""
 
 
-def ultranest(target: SamplerTarget, seed: int, allowance: Allowance) -> Outcome | None:
+def ultranest(target: SamplerTarget, seed: int, allowance: Allowance) -> SamplerRun | None:
     """UltraNest's reactive sampler, everything as it comes; many points at a time, in NumPy. It has
     no draws before it is through."""
     from ultranest import ReactiveNestedSampler
@@ -59,7 +59,7 @@ def ultranest(target: SamplerTarget, seed: int, allowance: Allowance) -> Outcome
     points = target.prior_transform(np.asarray(weighted["upoints"]))
     cost = {"evaluations": evaluations, "seconds": CLOCK() - started}
     submission = inside(target, points, log_weights, float(found["logzerr"]), cost)
-    return None if submission is None else Outcome(submission)
+    return None if submission is None else SamplerRun(submission)
 
 
 DYNESTY = ExternalSampler(

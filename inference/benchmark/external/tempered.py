@@ -6,19 +6,19 @@ from typing import Any
 import numpy as np
 
 from poseterior.inference.baselines.run import Allowance
-from poseterior.inference.benchmark.external.entries import CLOCK, ExternalSampler, Outcome
+from poseterior.inference.benchmark.external.entries import CLOCK, ExternalSampler, SamplerRun
 from poseterior.inference.benchmark.external.graded import graded, inside
 from poseterior.inference.benchmark.forms import SamplerTarget
 
 TEMPERATURES = 10
-WALKERS = 4
+WALKERS_PER_DIM = 4
 """Walkers of a temperature, as a multiple of the dimension."""
-STEPS = 50
+SWEEP_STEPS = 50
 """Steps between two looks at the clock."""
 BURN_IN = 0.25
 
 
-def reddemcee(target: SamplerTarget, seed: int, allowance: Allowance) -> Outcome | None:
+def reddemcee(target: SamplerTarget, seed: int, allowance: Allowance) -> SamplerRun | None:
     """reddemcee's adaptive parallel tempering, everything as it comes, in the cube."""
     from reddemcee import PTSampler
 
@@ -29,12 +29,12 @@ def reddemcee(target: SamplerTarget, seed: int, allowance: Allowance) -> Outcome
         next(counted)
         return density(target.prior_transform(cube)) if _flat(cube) == 0 else -np.inf
 
-    walkers = WALKERS * target.dim
+    walkers = WALKERS_PER_DIM * target.dim
     sampler = PTSampler(walkers, target.dim, log_likelihood, _flat, ntemps=TEMPERATURES)
     state: Any = np.random.default_rng(seed).uniform(size=(TEMPERATURES, walkers, target.dim))
     started, evaluations = CLOCK(), 0
     while allowance.allows(evaluations, CLOCK() - started):
-        state = sampler.run_mcmc(state, nsweeps=STEPS, progress=False)
+        state = sampler.run_mcmc(state, nsweeps=SWEEP_STEPS, progress=False)
         evaluations = next(counted)
     seconds = CLOCK() - started
     cold = np.asarray(sampler.get_chain())[0]
@@ -43,7 +43,7 @@ def reddemcee(target: SamplerTarget, seed: int, allowance: Allowance) -> Outcome
     points = target.prior_transform(np.moveaxis(kept, 1, 0).reshape(-1, target.dim))
     cost = {"evaluations": evaluations, "seconds": seconds}
     submission = inside(target, points, np.zeros(len(points)), np.nan, cost)
-    return None if submission is None else Outcome(submission, kept=1 - BURN_IN)
+    return None if submission is None else SamplerRun(submission, kept=1 - BURN_IN)
 
 
 def _flat(cube: np.ndarray) -> float:

@@ -39,7 +39,7 @@ FEWEST_DRAWS = 9
 nothing."""
 
 
-STAND_INS = 10
+ECE_STAND_INS = 10
 """Draws of each posterior that stand in for the truth, to see what a right posterior would look
 like."""
 
@@ -85,7 +85,7 @@ def failure(
 ) -> Standing:
     """The standing of an instance whose posterior brought too few draws."""
     blank, level = np.full(len(MOVING), np.nan), np.full(len(QUANTITIES), np.nan)
-    stand_in = np.full((STAND_INS, len(MOVING)), np.nan)
+    stand_in = np.full((ECE_STAND_INS, len(MOVING)), np.nan)
     return Standing(
         status,
         sentence,
@@ -163,7 +163,7 @@ def assess(
         median_levels(truth, cloud),
         median_levels(truth[:, :2], cloud[..., :2]),
         median_levels(truth[:, 2:], cloud[..., 2:]),
-        stand_in_levels(cloud, rng.integers(0, len(cloud), STAND_INS)),
+        stand_in_levels(cloud, rng.integers(0, len(cloud), ECE_STAND_INS)),
         np.sqrt(np.mean(spread[:, :2] ** 2, axis=1)),
         spread[:, 2],
     )

@@ -64,7 +64,7 @@ DISTORTIONS: dict[str, Distortion] = {
     "7 of 15 joints ten times too narrow": some_joints_narrower,
     "joints uncorrelated": uncorrelated,
 }
-IGNORING, RECIPE = "ignores the image", "the paper's literal recipe"
+IGNORING, LITERAL_RECIPE = "ignores the image", "the paper's literal recipe"
 
 
 def distorted(sampler: Sampler, distortion: Distortion) -> Sampler:

@@ -13,7 +13,7 @@ from poseterior.inference.studies.calibration.ece import Ece, Interval, coverage
 from poseterior.inference.studies.calibration.exclusions import Rank, from_text, ranking
 
 NOMINAL = (0.5, 0.8, 0.95)
-KINDS = ("lateral", "depth", "whole")
+COVERED_KINDS = ("lateral", "depth", "whole")
 
 
 class CoverageSummary(NamedTuple):
@@ -40,7 +40,7 @@ def summary(tree: xr.DataTree) -> CoverageSummary:
     found = tree["simulation"].to_dataset()
     recording = found.recording.values
     covered, by_joint = {}, {}
-    for kind in KINDS:
+    for kind in COVERED_KINDS:
         for nominal in NOMINAL:
             covered[kind, nominal] = coverage(found[kind].values, nominal, recording)
             by_joint[kind, nominal] = [

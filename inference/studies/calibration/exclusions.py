@@ -32,7 +32,7 @@ from poseterior.probmodel.skeleton import (
     TORSO_INDEX,
 )
 
-LIMIT, LENGTH, TAU, TORSO, CAMERA, BOTH = SOURCES = (
+LIMIT, LENGTH, TAU, TORSO, CAMERA, BOTH = REASON_SOURCES = (
     "limit",
     "length",
     "τ",
@@ -53,7 +53,7 @@ class Break(NamedTuple):
 
 
 class Reason(NamedTuple):
-    """Why a truth is excluded: the `source` (`SOURCES`), and what it breaks."""
+    """Why a truth is excluded: the `source` (`REASON_SOURCES`), and what it breaks."""
 
     source: str
     broken: Break

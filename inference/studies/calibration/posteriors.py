@@ -43,7 +43,7 @@ from poseterior.probmodel.skeleton import NUM_JOINTS
 
 Sampler = Callable[[int, Instance, jax.Array], Answer]
 """The number of the instance, the instance, a key of its own."""
-SUFFIXES = (".nc", ".npz", ".npy")
+DRAWS_SUFFIXES = (".nc", ".npz", ".npy")
 
 
 def sampler_of(
@@ -74,12 +74,12 @@ def sampler_of(
     if name in BASELINES:
         check_packages(name, BASELINES[name])
         return functools.partial(_baseline, name, model, num_samples, max_proposals, start)
-    if Path(name).suffix.lower() in SUFFIXES:
+    if Path(name).suffix.lower() in DRAWS_SUFFIXES:
         return FromFile.read(Path(name))
     known = ", ".join(SAMPLERS)
     raise BadInput(
         f"there is no sampler {name!r}; choose one of {known}, or a file of draws"
-        f" ({', '.join(SUFFIXES)})"
+        f" ({', '.join(DRAWS_SUFFIXES)})"
     )
 
 
@@ -92,7 +92,7 @@ def _drawn(draw: Drawer, index: int, instance: Instance, key: jax.Array) -> Answ
     return Answer(joints, draws.log_evidence, draws.status, draws.sentence, draws.points)
 
 
-ROUNDS = (1, 4, 16, 64)
+ROOT_FACTORS = (1, 4, 16, 64)
 """How many times as many roots are tried where fewer bring too few effective ones."""
 Reweigh = Callable[[WeightedRoots], WeightedRoots]
 
@@ -115,7 +115,9 @@ def independent_roots(
 
     def draw(index: int, instance: Instance, key: jax.Array) -> Answer:
         posterior = instance.frame.uncertain(model)
-        for round_key, times in zip(jax.random.split(key, len(ROUNDS)), ROUNDS, strict=True):
+        for round_key, times in zip(
+            jax.random.split(key, len(ROOT_FACTORS)), ROOT_FACTORS, strict=True
+        ):
             roots_key, draws_key = jax.random.split(round_key)
             roots = reweigh(
                 weigh_roots(

@@ -27,7 +27,7 @@ from poseterior.probmodel.skeleton import TORSO_INDEX
 TRUE = "true"
 """In place of an estimator's name: the true torso in front of the true camera."""
 NUM_SAMPLES = 500
-MAX_PROPOSALS = 3_000_000
+INSTANCE_PROPOSALS = 3_000_000
 """Where no draw comes in so many proposals, none is waited for: some truths are far outside what is
 possible."""
 LIKELIHOOD = "likelihood"

@@ -44,16 +44,20 @@ from poseterior.inference.studies.calibration.record import (
     coverage_tree,
     standings_table,
 )
-from poseterior.inference.studies.calibration.simulations import BLOCK, Instance, simulate
+from poseterior.inference.studies.calibration.simulations import (
+    SIMULATIONS_PER_BLOCK,
+    Instance,
+    simulate,
+)
 from poseterior.probmodel.datasets import Case
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.likelihood import PAPER, Likelihood
 from poseterior.probmodel.model import PoseModel
 
 NUM_SAMPLES = 1000
-REFERENCE = "zhou"
+COMPARED_ESTIMATOR = "zhou"
 """The estimator whose pose is TARP's reference: it looks at every joint."""
-GROUP = "simulation"
+SIMULATION_GROUP = "simulation"
 Progress = Callable[[int, int], None]
 
 
@@ -64,7 +68,7 @@ def calibrate(
     seed: int = 0,
     num_simulations: int = 1000,
     num_samples: int = NUM_SAMPLES,
-    reference: str = REFERENCE,
+    reference: str = COMPARED_ESTIMATOR,
     likelihood: Likelihood = PAPER,
     root: str = FIXED,
     num_roots: int = NUM_ROOTS,
@@ -129,12 +133,12 @@ def calibrate(
     blocks = [
         Block(
             number,
-            f"simulations {first} to {min(first + BLOCK, num_simulations) - 1}",
+            f"simulations {first} to {min(first + SIMULATIONS_PER_BLOCK, num_simulations) - 1}",
             {},
-            min(BLOCK, num_simulations - first),
-            range(first, min(first + BLOCK, num_simulations)),
+            min(SIMULATIONS_PER_BLOCK, num_simulations - first),
+            range(first, min(first + SIMULATIONS_PER_BLOCK, num_simulations)),
         )
-        for number, first in enumerate(range(0, num_simulations, BLOCK))
+        for number, first in enumerate(range(0, num_simulations, SIMULATIONS_PER_BLOCK))
     ]
     task = _Simulated(model, draw, seed, reference, likelihood, root)
     return _run(task, blocks, settings, out, machines, progress)
@@ -151,7 +155,7 @@ def cover(
     likelihood: Likelihood = PAPER,
     root: str = FIXED,
     num_roots: int = NUM_ROOTS,
-    max_proposals: int = real.MAX_PROPOSALS,
+    max_proposals: int = real.INSTANCE_PROPOSALS,
     source: Mapping[str, Any] | None = None,
     out: Path | None = None,
     machines: Machines = HERE,
@@ -208,8 +212,8 @@ def cover(
         **(source or {}),
     }
     blocks = []
-    for number, first in enumerate(range(0, len(cases), BLOCK)):
-        some = cases[first : first + BLOCK]
+    for number, first in enumerate(range(0, len(cases), SIMULATIONS_PER_BLOCK)):
+        some = cases[first : first + SIMULATIONS_PER_BLOCK]
         words = f"poses {first} to {first + len(some) - 1}"
         made_of = {"poses": _fingerprint(some)}
         blocks.append(Block(number, words, made_of, len(some), (first, some)))
@@ -239,7 +243,7 @@ class _Simulated:
         )
         poses = references(some, self.reference)
         found = stand(self.draw, some, self.seed, numbers.start, model=self.model, poses=poses)
-        return {GROUP: standings_table(found, numbers.start)}
+        return {SIMULATION_GROUP: standings_table(found, numbers.start)}
 
 
 @dataclass(frozen=True)
@@ -258,7 +262,7 @@ class _Covered:
         known = real.instances(cases, self.model, self.estimator, likelihood=self.likelihood)
         found = stand(self.draw, known, self.seed, first)
         reasons = exclusions(self.model, cases, known, self.root)
-        return {GROUP: standings_table(found, first, case_columns(cases, reasons))}
+        return {SIMULATION_GROUP: standings_table(found, first, case_columns(cases, reasons))}
 
 
 def stand(
@@ -310,7 +314,7 @@ def _run(
 
     def take(block: Block, groups: Groups) -> None:
         nonlocal done
-        found[block.number] = groups[GROUP].isel(simulation=slice(block.size))
+        found[block.number] = groups[SIMULATION_GROUP].isel(simulation=slice(block.size))
         done += block.size
         if progress:
             progress(done, wanted)

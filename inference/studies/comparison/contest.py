@@ -37,17 +37,17 @@ from poseterior.inference.store import locked
 from poseterior.inference.studies.comparison.cost import course
 from poseterior.inference.studies.comparison.judge import judge
 from poseterior.inference.studies.comparison.pace import pace
-from poseterior.inference.studies.comparison.record import SHOWN, Entry, comparison_tree
+from poseterior.inference.studies.comparison.record import SHOWN_DRAWS, Entry, comparison_tree
 from poseterior.inference.studies.comparison.sample import Sample, read_sample, sample_of
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
 
-PILOT = 500
+PILOT_DRAWS = 500
 """Draws by which the candidate is chosen."""
-REFERENCE = 20_000
+EXACT_REFERENCE = 20_000
 """Exact draws that the judge compares with."""
-MOST = 20_000
+MOST_COMPARED = 20_000
 """Draws of a baseline that are judged, at most, taken evenly along its paths."""
 ENDLESS = 1 << 40
 """More draws than any budget brings."""
@@ -95,7 +95,7 @@ def compare(
     seconds: float | None = 30.0,
     max_evaluations: int | None = None,
     num_samples: int = 10_000,
-    exact_draws: int = REFERENCE,
+    exact_draws: int = EXACT_REFERENCE,
     out: Path | None = None,
     stage: Stage = contextlib.nullcontext,
 ) -> Comparison:
@@ -201,11 +201,13 @@ def place_of(out: Path | None, name: str, start: str) -> Path | None:
     return out / "runs" / f"{label}.npz"
 
 
-def truth(model: PoseModel, frame: Estimate, *, key: jax.Array, number: int = REFERENCE) -> Truth:
+def truth(
+    model: PoseModel, frame: Estimate, *, key: jax.Array, number: int = EXACT_REFERENCE
+) -> Truth:
     """Exact draws under the candidate with the largest weight. Raises `OutOfBudget` where there are
     none."""
     if len(frame.candidates) > 1:
-        pilot = sample(model, frame, key=jax.random.fold_in(key, 0), num_samples=PILOT)
+        pilot = sample(model, frame, key=jax.random.fold_in(key, 0), num_samples=PILOT_DRAWS)
         best = int(np.argmax(pilot.tree["constant_data"].weight.values))
         frame = dataclasses.replace(frame, candidates=(frame.candidates[best],))
     result = sample(model, frame, key=jax.random.fold_in(key, 1), num_samples=number)
@@ -291,11 +293,13 @@ def enter_external(
 
 
 def _thinned(points: np.ndarray, steps: int) -> tuple[np.ndarray, int]:
-    """At most about `MOST` draws of `(chain, draw, d)`, taken evenly along every path of so many
-    steps; and how many steps of a path are left."""
+    """At most about `MOST_COMPARED` draws of `(chain, draw, d)`, taken evenly along every path of
+    so many steps; and how many steps of a path are left."""
     chains, draws, dim = points.shape
     length = steps if steps > 1 else draws
-    paths = points.reshape(chains, -1, length, dim)[:, :, :: max(1, chains * draws // MOST)]
+    paths = points.reshape(chains, -1, length, dim)[
+        :, :, :: max(1, chains * draws // MOST_COMPARED)
+    ]
     return paths.reshape(chains, -1, dim), paths.shape[2] if steps > 1 else 1
 
 
@@ -347,7 +351,7 @@ def enter_chains(
         target,
         key=key,
         starts=starting_points(target, known.tree, start) if start else None,
-        most=MOST,
+        most=MOST_COMPARED,
         **settings,
     )
     evidence = done.log_evidence, done.log_evidence_se
@@ -402,7 +406,7 @@ def entry_of(
         found, known.sample, effective=verdict.mixing.worst, given=work.given, steps=work.steps
     )
     shown = evidence if math.isfinite(evidence[0]) else (math.nan, math.nan)
-    some = found.flat[:: max(1, found.num_draws // SHOWN)][:SHOWN]
+    some = found.flat[:: max(1, found.num_draws // SHOWN_DRAWS)][:SHOWN_DRAWS]
     said = sentence or verdict.sentence
     return Entry(
         name,

@@ -27,9 +27,9 @@ from poseterior.inference.studies.comparison.permutation import (
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate
 from poseterior.inference.studies.comparison.sample import NAMES, Sample
 
-LEVEL = 0.01
+JUDGE_LEVEL = 0.01
 """Chance that a sampler without fault is said to differ."""
-FEWEST = 100
+FEWEST_EFFECTIVE_DRAWS = 100
 """Effective draws below which no agreement is claimed: a shift of 0.3 standard deviations would go
 unseen."""
 INDEPENDENT = 0.5
@@ -78,7 +78,7 @@ def judge(
     seed: int = 0,
     evidence: tuple[float, float] = (math.nan, math.nan),
     exact_evidence: tuple[float, float] = (math.nan, math.nan),
-    level: float = LEVEL,
+    level: float = JUDGE_LEVEL,
     permutations: int = PERMUTATIONS,
 ) -> Judgement:
     """Judges draws against exact, independent ones of the same posterior.
@@ -98,7 +98,7 @@ def judge(
     coordinate_p, ess = each_coordinate(sample.values, exact.flat)
     tests: list[Test] = []
     others: list[Test] = []
-    if not mixed.stuck and worst >= FEWEST:
+    if not mixed.stuck and worst >= FEWEST_EFFECTIVE_DRAWS:
         thinned = sample if _independent(sample, worst) else sample.rows(_stride(sample, worst))
         tests, others = _tests(thinned, exact, rng, permutations)
         tests.append(_coordinates(coordinate_p, ess, sample.names))
@@ -212,12 +212,12 @@ def _verdict(
     ):  # Holm's first step decides whether anything differs
         test = worse[0]
         return DIFFERS, f"{test.name}: p = {test.p_value:.2g} of {len(worse)} tests{_missed(found)}"
-    if worst < FEWEST:
+    if worst < FEWEST_EFFECTIVE_DRAWS:
         return (
             CANNOT_TELL,
             (
-                f"only {worst:.0f} effective draws in the worst coordinate; at least {FEWEST} are"
-                " needed"
+                f"only {worst:.0f} effective draws in the worst coordinate; at least"
+                f" {FEWEST_EFFECTIVE_DRAWS} are needed"
             ),
         )
     said = f"no test of {len(worse)} rejects at {level:g} with {worst:.0f} effective draws"

@@ -11,7 +11,7 @@ from scipy import stats
 
 from poseterior.inference.studies.flips import codes
 
-LEAST = 5.0
+LEAST_EXPECTED = 5.0
 """Expected count below which modes are put together for the chi-square test."""
 
 
@@ -52,7 +52,7 @@ def same_shares(away: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
     into the modes alike (homogeneity of two samples); rare modes are put together."""
     _, counts = _counts(away, exact)
     pooled = counts.sum(axis=0) / counts.sum()
-    rare = pooled * min(len(away), len(exact)) < LEAST
+    rare = pooled * min(len(away), len(exact)) < LEAST_EXPECTED
     if rare.any():
         counts = np.concatenate(
             [counts[:, ~rare], counts[:, rare].sum(axis=1, keepdims=True)], axis=1

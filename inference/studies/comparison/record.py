@@ -14,7 +14,7 @@ from poseterior.inference.studies.comparison.sample import NAMES, Sample
 from poseterior.inference.studies.flips import FLIPPING
 from poseterior.probmodel.skeleton import BONES, JOINTS
 
-SHOWN, EXACT_SHOWN = 1000, 4000
+SHOWN_DRAWS, EXACT_SHOWN = 1000, 4000
 """Draws that are kept for pictures, of each sampler and exact ones."""
 
 
@@ -159,9 +159,9 @@ def _course(entries: list[Entry]) -> xr.Dataset:
 
 def _draws(entries: list[Entry], exact: Sample) -> xr.Dataset:
     """Some draws of every sampler, NaN where it has fewer, and some exact ones."""
-    table = np.full((len(entries), SHOWN, len(exact.names)), np.nan, np.float32)
+    table = np.full((len(entries), SHOWN_DRAWS, len(exact.names)), np.nan, np.float32)
     for row, entry in enumerate(entries):
-        table[row, : len(entry.draws)] = entry.draws[:SHOWN]
+        table[row, : len(entry.draws)] = entry.draws[:SHOWN_DRAWS]
     known = exact.flat[:: max(1, exact.num_draws // EXACT_SHOWN)][:EXACT_SHOWN].astype(np.float32)
     return xr.Dataset(
         {

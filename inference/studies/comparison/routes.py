@@ -37,7 +37,7 @@ from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
 
-REFERENCE = 1000
+ROUTE_REFERENCE = 1000
 """Draws by rejection that the judge compares with: some minutes."""
 
 
@@ -51,7 +51,7 @@ def compare_routes(
     max_evaluations: int | None = None,
     num_samples: int = 10_000,
     num_roots: int = NUM_ROOTS,
-    exact_draws: int = REFERENCE,
+    exact_draws: int = ROUTE_REFERENCE,
     out: Path | None = None,
     stage: Stage = contextlib.nullcontext,
 ) -> Comparison:

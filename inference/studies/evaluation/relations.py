@@ -22,7 +22,7 @@ from poseterior.inference.studies.evaluation.scores import (
 )
 
 HOLDS, FAILS, OPEN = "holds", "does not hold", "undecided"
-LEAST_GAIN = 0.15
+RELATION_GAIN = 0.15
 """What the best of five must gain on Akhter & Black's single estimate."""
 ABOUT = 0.05
 """How far apart errors are, relatively, that are "about equal"."""
@@ -81,7 +81,7 @@ def _against_single(way: Condition, values: Values, recording: np.ndarray, k: in
         single = f"the single estimate of {way.estimator}"
     if way.estimator == "akhter-black":
         words = f"{way.way}: the best of {k} beats {single} by 15 % or more"
-        return gain._replace(words=words, paper="18 %", low=LEAST_GAIN)
+        return gain._replace(words=words, paper="18 %", low=RELATION_GAIN)
     if way == way._replace(estimator="zhou", root=FIXED):
         words = f"{way.way}: the best of {k} about equals {single} (within 5 %)"
         return gain._replace(words=words, paper="0.3 %", low=-ABOUT, high=ABOUT)

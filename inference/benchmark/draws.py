@@ -106,7 +106,8 @@ def draw_block(target: FrozenTarget, index: int, progress: Progress | None = Non
 
 
 def _under_one_root(target: FrozenTarget, key: jax.Array) -> DrawBlock:
-    found, size = estimate(target).posterior(frozen_model()), blocks_of(target).size
+    found = estimate(target).posterior(frozen_model())
+    size = blocks_of(target).size
     (sampler,) = root_samplers(found, key, "rejection")
     if not sampler.more(size, Budget(BLOCK_PROPOSALS)):
         raise _no_draws(target)

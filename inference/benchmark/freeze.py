@@ -59,7 +59,8 @@ def in_a_picture(scene: Scene, seed: int) -> Scene:
     than where scenes have them, so that the middle of the prior tells nothing."""
 
     def seen(model: PoseModel) -> Estimate:
-        frame, rng = scene(model), np.random.default_rng(seed)
+        frame = scene(model)
+        rng = np.random.default_rng(seed)
         radius = frame.likelihood.factor * float(frame.best.camera.scale)
         number = len(TORSO_INDEX)
         distance = radius * np.sqrt(rng.uniform(size=number))

@@ -65,7 +65,9 @@ def in_jax(target: SamplerTarget) -> Target | UncertainTarget:
         return target.density
     if not isinstance(target, FrozenTarget):
         raise TypeError(f"{target.name} is no target of ours, and has no form in JAX")
-    root, frame, model = target.root, estimate(target), model_of(target)
+    root = target.root
+    frame = estimate(target)
+    model = model_of(target)
     if isinstance(root, GivenRoot):
         return Target.of(frame.posterior(model))
     return UncertainTarget.of(target, root, frame.uncertain(model))

@@ -121,8 +121,10 @@ class FrozenTarget:
         uniform ones, which are Beta(1, 1), of all else."""
         lengths, free = self._lengths
         anatomy = FrozenAnatomy.default().lengths
-        alpha, beta = np.ones(self.dim), np.ones(self.dim)
-        alpha[free], beta[free] = anatomy.alpha[lengths], anatomy.beta[lengths]
+        alpha = np.ones(self.dim)
+        beta = np.ones(self.dim)
+        alpha[free] = anatomy.alpha[lengths]
+        beta[free] = anatomy.beta[lengths]
         return alpha, beta
 
     def log_prior(self, points: np.ndarray) -> np.ndarray:
@@ -150,7 +152,8 @@ class FrozenTarget:
         inside = np.all((box > 0) & (box < 1), axis=-1)
         safe = np.where(inside[..., None], box, 0.5)
         lengths, free = self._lengths
-        anatomy, fraction = FrozenAnatomy.default().lengths, safe[..., free]
+        anatomy = FrozenAnatomy.default().lengths
+        fraction = safe[..., free]
         prior = (anatomy.alpha[lengths] - 1) * np.log(fraction)
         prior = prior + (anatomy.beta[lengths] - 1) * np.log1p(-fraction)
         log_prior = np.sum(prior + anatomy.log_constants[lengths], axis=-1)

@@ -98,7 +98,8 @@ def view_of(body: np.ndarray, rng: np.random.Generator, noise: float = MISREAD_N
 def _chest(body: np.ndarray) -> np.ndarray:
     """`(3, 3)`: columns left, up and forward of a pose."""
     at = {name: body[index] for name, index in JOINT_INDEX.items()}
-    left, up = at["left_hip"] - at["right_hip"], _unit(at["thorax"] - at["pelvis"])
+    left = at["left_hip"] - at["right_hip"]
+    up = _unit(at["thorax"] - at["pelvis"])
     return np.stack([_unit(left - left @ up * up), up, _unit(np.cross(left, up))], axis=1)
 
 
@@ -109,7 +110,8 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 def mirrored(detection: Detection, axis: int, size: float = 640.0) -> Detection:
     """x counted from the other side (axis 0), or y (axis 1)."""
     turned = np.arange(2) == axis
-    sign, shift = np.where(turned, -1.0, 1.0), np.where(turned, size, 0.0)
+    sign = np.where(turned, -1.0, 1.0)
+    shift = np.where(turned, size, 0.0)
     face = detection.face
     if face is not None:
         face = np.column_stack([face[:, :2] * sign + shift, face[:, 2]])
@@ -168,7 +170,8 @@ def exchanges(person: Detection, found: Evidences) -> dict[str, Verdict]:
 
 def others(judge: Judge, view: FileView, found: Evidences) -> dict[str, Verdict]:
     """Verdicts on mistakes that are no exchange: mirrored images, other orders, other sizes."""
-    mirror, upside = mirrored(view.detection, 0), mirrored(view.detection, 1)
+    mirror = mirrored(view.detection, 0)
+    upside = mirrored(view.detection, 1)
     opposite = judge.evidence(exchanged(mirror, *BODY))
     verdicts = {
         "mirrored": weigh(mirror, judge.evidence(mirror), found.opposed, opposite),

@@ -29,7 +29,8 @@ def gains_figure(gains: Mapping[str, Sequence[Interval]], ways: Sequence[str], k
         A row of points for each way.
     """
     figure = page(8.5, 0.8 + 0.75 * len(ways), dpi=CURVE_DPI)
-    axes, place = figure.subplots(), np.arange(len(ways))
+    axes = figure.subplots()
+    place = np.arange(len(ways))
     shifts = np.linspace(-0.2, 0.2, len(gains))
     for shift, colour, (name, found) in zip(shifts, PALETTE, gains.items(), strict=False):
         axes.errorbar(

@@ -52,7 +52,8 @@ def _draw_joint(axes: Axes, found: Learned, joint: int) -> None:
     if not found.errors.known[joint]:
         note(axes, "not seen", x=0.3, y=0.55)
         return
-    expected, pairs = found.fit.expected, found.pairs
+    expected = found.fit.expected
+    pairs = found.pairs
     seen = pairs.seen[:, joint]
     points = expected.left[0, seen, joint]
     inlier = expected.inlier[0, seen, joint] > 0.5
@@ -69,7 +70,8 @@ def _draw_joint(axes: Axes, found: Learned, joint: int) -> None:
 
 
 def _draw_sizes(axes: Axes, found: Learned) -> None:
-    errors, mixture = found.errors, found.fit.mixture
+    errors = found.errors
+    mixture = found.fit.mixture
     size = sizes(found)
     known = ~np.isnan(size)
     top = min(max(float(np.nanmax(size)), REACH), FARTHEST_ERROR)

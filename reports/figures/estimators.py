@@ -47,7 +47,8 @@ def estimators_figure(
         means, halves = _means(found)
         left.errorbar(at, means, halves, color=BAR_COLOURS[name], **BARS)
         place: Style = {"textcoords": "offset points", "va": "center", "fontsize": 8}
-        end, away = (100 * noise[-1], means[-1]), (10, NUDGES.get(name, 0))
+        end = (100 * noise[-1], means[-1])
+        away = (10, NUDGES.get(name, 0))
         left.annotate(name, end, away, color=BAR_COLOURS[name], annotation_clip=False, **place)
     left.set(xlabel="2D noise, % of the body height (no joint missing)", xlim=(-0.3, 7.2))
     left.set_ylabel("mean joint error, mm")
@@ -55,7 +56,8 @@ def estimators_figure(
     poses = list(dict.fromkeys(pose for _, pose in by_missing))
     for index, ((name, pose), found) in enumerate(by_missing.items()):
         at = np.array(missing) + 0.04 * (index - 1.5)
-        colour, first = BAR_COLOURS[name], pose == poses[0]
+        colour = BAR_COLOURS[name]
+        first = pose == poses[0]
         line: Style = {"ls": "-" if first else "--", "mfc": colour if first else "white"}
         right.errorbar(at, *_means(found), color=colour, **BARS, **line)
     for name in dict.fromkeys(name for name, _ in by_missing):

@@ -62,7 +62,8 @@ def _actions_panel(
     actions = sorted(set(labels.action.tolist()))
     markers = dict(zip(rows_of(ks), ("s", "o", "^", "D", "v", "P"), strict=False))
     for index, (name, values) in enumerate(results.items()):
-        own, colour = usable(values), _colour(name)
+        own = usable(values)
+        colour = _colour(name)
         at = np.arange(len(actions)) + 0.24 * (index - (len(results) - 1) / 2)
         for row, marker in markers.items():
             errors = pose_errors(values, row)
@@ -88,12 +89,14 @@ def _missing_panel(
 ) -> None:
     """`results` by way, in the order of the `levels`."""
     for index, (name, many) in enumerate(results.items()):
-        own, colour = common(many), _colour(name)
+        own = common(many)
+        colour = _colour(name)
         at = np.array(levels) + 0.05 * (index - (len(results) - 1) / 2)
         for row, style in (("single", "-"), (k, "--")):
             found = [clustered(pose_errors(one, row)[own], labels.recording[own]) for one in many]
             bars: Style = {"capsize": 2, "lw": 1.2, "ls": style, "mfc": _fill(row, colour)}
-            means, around = [one.value for one in found], whiskers(found)
+            means = [one.value for one in found]
+            around = whiskers(found)
             axes.errorbar(at, means, around, marker="o", ms=4, color=colour, **bars)
     for row, style in (("single", "-o"), (k, "--o")):
         axes.plot([], [], style, color=GREY, mfc=_fill(row, GREY), ms=4, label=_label(row))
@@ -127,7 +130,8 @@ def pck_curves(
 ) -> dict[tuple[str, float, str], np.ndarray]:
     """Share of joints within 0, 1, … mm, by way, angle and row, over the frames that all angles
     share."""
-    curves, thresholds = {}, np.arange(FURTHEST + 1)
+    curves = {}
+    thresholds = np.arange(FURTHEST + 1)
     for name in dict.fromkeys(condition.way for condition in results):
         turned = {
             condition.rotate: values

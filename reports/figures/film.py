@@ -71,7 +71,8 @@ def _people(summary: xr.Dataset, owners: list[str]) -> list[str]:
 
 def _draw_bands(axis: Axes, bands: np.ndarray, end: str) -> None:
     """Bands `(frames, 5)` of one joint, quantile by quantile."""
-    frames, colour = np.arange(len(bands)), COLOURS[JOINT_INDEX[end]]
+    frames = np.arange(len(bands))
+    colour = COLOURS[JOINT_INDEX[end]]
     for low, high, alpha in ((0, 4, 0.2), (1, 3, 0.4)):
         gid = f"band {end} {low}"
         axis.fill_between(

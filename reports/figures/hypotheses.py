@@ -150,7 +150,8 @@ def hypotheses_figure(
     )
     _draw_detections(axes[0], tree, window, image)
     if image is not None:
-        low, high = axes[1].get_xlim(), axes[1].get_ylim()
+        low = axes[1].get_xlim()
+        high = axes[1].get_ylim()
         part = cropped(image, window)
         camera = _heaviest_camera(tree)
         draw_image(axes[1], part.pixels, 0.35, (part.corners - camera.translation) / camera.scale)
@@ -329,7 +330,8 @@ def _draw_pose(axis: Axes, points: np.ndarray, pen: Pen, gid: str, zorder: int) 
 
 
 def _scale_bar(axis: Axes) -> None:
-    left, bottom = axis.get_xlim()[0], max(axis.get_ylim())
+    left = axis.get_xlim()[0]
+    bottom = max(axis.get_ylim())
     bar: Style = {"color": INK, "lw": 1.2, "solid_capstyle": "butt", "gid": "scale bar"}
     axis.plot([left, left + 1], [bottom, bottom], clip_on=False, **bar)
     axis.annotate(

@@ -46,7 +46,8 @@ def _dots(lines: Sequence[Line], value: Callable[[Line], float | None]) -> Figur
     and has no value."""
     own = [one for one in lines if one["budget"] == SECONDS]
     shown = [name for name in targets() if any(one["target"] == name for one in own)]
-    rows, columns = -(-len(shown) // LEGEND_COLUMNS), min(len(shown), LEGEND_COLUMNS)
+    rows = -(-len(shown) // LEGEND_COLUMNS)
+    columns = min(len(shown), LEGEND_COLUMNS)
     labels = _ranked(own)
     figure = page(1.1 + 1.25 * columns, (0.8 + 0.14 * len(labels)) * rows)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
@@ -76,7 +77,8 @@ def _panel(
     value: Callable[[Line], float | None],
 ) -> None:
     for one in lines:
-        row, place = labels.index(_label(one)), value(one) if "earned" in one else None
+        row = labels.index(_label(one))
+        place = value(one) if "earned" in one else None
         if place is None:
             axes.plot(0.04, row, "x", color=FAINT, ms=3.5, transform=axes.get_yaxis_transform())
             continue

@@ -97,12 +97,15 @@ def _window(detection: Detection, radius: np.ndarray | None) -> tuple[np.ndarray
     reach = 0.0 if radius is None else float(np.nan_to_num(radius[seen]).max(initial=0.0))
     if not len(points):
         return np.zeros(2), np.ones(2)
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     # A joint that is hardly seen has a disc larger than the person.
     reach = min(reach, 0.3 * (high - low).max())
-    low, high = low - reach, high + reach
+    low = low - reach
+    high = high + reach
     margin = max(0.08 * (high - low).max(), 1.0)
-    middle, half = (low + high) / 2, (high - low) / 2 + margin
+    middle = (low + high) / 2
+    half = (high - low) / 2 + margin
     half = np.maximum(half, half[::-1] * np.array([0.5, 0.6]))
     return middle - half, middle + half
 

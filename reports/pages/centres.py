@@ -60,7 +60,8 @@ class CentreErrors(NamedTuple):
 
 def judged(drawn: Drawn, single: np.ndarray, case: Case) -> CentreErrors:
     """What draws in random order, and the single estimate `(15, 3)`, are worth."""
-    stand_in, rest = drawn.joints[0] * case.unit, drawn.take(slice(1, None))
+    stand_in = drawn.joints[0] * case.unit
+    rest = drawn.take(slice(1, None))
     some = (
         np.stack([one.joints for one in diverse(rest.joints, K)]),
         np.stack([one.joints for one in compose(rest, K)]),
@@ -76,7 +77,8 @@ def found_of(
     protocol: Protocol, cases: list[Case], frames: list[Estimate], root: str, law: str
 ) -> list[CentreErrors | None]:
     """By frame; None where there are too few draws."""
-    draw, found = protocol.drawer(root), []
+    draw = protocol.drawer(root)
+    found = []
     for case, frame in zip(cases, frames, strict=True):
         given = dataclasses.replace(frame, likelihood=CENTRE_LAWS[law])
         if root == TRUE:
@@ -105,7 +107,8 @@ class CentreRow(NamedTuple):
     ) -> "CentreRow":
         """The row of what was found by frame."""
         rows = [number for number, one in enumerate(found) if one is not None]
-        values, own = np.array([one for one in found if one is not None]), recording[rows]
+        values = np.array([one for one in found if one is not None])
+        own = recording[rows]
         gains = [gain(values[:, [0, column]], own) for column in (1, 2, 3)]
         means = values.mean(axis=0)[:4].tolist()
         return cls(way, means, gains, gain(values[:, [4, 5]], own), len(rows))
@@ -123,7 +126,8 @@ def rows_of(data: Path, say: Callable[[str], None]) -> list[CentreRow]:
         poses=protocol.dictionary,
         num_candidates=1,
     )
-    recording, rows = np.array([case.recording for case in cases]), []
+    recording = np.array([case.recording for case in cases])
+    rows = []
     for root, law in CENTRE_WAYS:
         found = found_of(protocol, cases, frames, root, law)
         rows.append(CentreRow.of((ROOT_WORDS[root], law), found, recording))

@@ -189,7 +189,8 @@ def page(work: Work, data: Data) -> Page:
     }
     costs = [json.loads(path.with_suffix(".json").read_text()) for path in paths]
     first = next(iter(exacts.values()))
-    wrong, others = simulations(work, "control-*.nc"), simulations(work, "baseline-*.nc")
+    wrong = simulations(work, "control-*.nc")
+    others = simulations(work, "baseline-*.nc")
     trees: Trees = {
         (estimator, error, str(missing)): read(cell_path(work, estimator, error, missing))
         for estimator, error, missing in REAL_CELLS

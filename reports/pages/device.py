@@ -77,7 +77,8 @@ def _body(model: PoseModel, frame: Estimate, seed: int) -> tuple[RootSampler, li
 
 def draw(model: PoseModel, frame: Estimate, seed: int, number: int) -> tuple[float, float]:
     """Seconds of so many whole bodies that stay on the device, and of those for each attempt."""
-    budget, started = Budget(10**15), time.perf_counter()
+    budget = Budget(10**15)
+    started = time.perf_counter()
     body, groups = _body(model, frame, seed)
     assert body.more(number, budget)
     jax.block_until_ready([group.room for group in groups])
@@ -93,7 +94,8 @@ def cost(model: PoseModel, frame: Estimate) -> DeviceCost:
     assert body.more(DEVICE_DRAWS, Budget(10**15))
     levels = {group.name: group.level for group in groups}
     del body, groups
-    tables, problems = group_tables(model), limb_problems(frame.observation)
+    tables = group_tables(model)
+    problems = limb_problems(frame.observation)
 
     def set_up() -> None:
         for name, level in levels.items():
@@ -116,7 +118,8 @@ def compared(model: PoseModel, frame: Estimate) -> list[tuple[float, float]]:
     """Group by group, draws of the device beside those of the processor: the smallest p-value of
     two-sample Kolmogorov–Smirnov tests of all coordinates, times their number; and the difference
     of log evidences over its standard error."""
-    found, problems = [], limb_problems(frame.observation)
+    found = []
+    problems = limb_problems(frame.observation)
     for device in device_groups(jax.random.key(4), model, frame.observation):
         name = device.name
         tables = group_tables(model)[name]
@@ -130,7 +133,8 @@ def compared(model: PoseModel, frame: Estimate) -> list[tuple[float, float]]:
             for sampler in (device, loops)
         )
         values = [stats.ks_2samp(*pair).pvalue for pair in zip(ours.T, theirs.T, strict=True)]
-        one, other = device.rates[0], loops.rates[0]
+        one = device.rates[0]
+        other = loops.rates[0]
         error = np.sqrt(one.variance + other.variance)
         found.append(
             (

@@ -50,7 +50,8 @@ def hold_out(motions: Sequence[Motion], subject: str) -> HeldOut:
     """Some poses of a person, and what is learned without that person."""
     own = [motion for motion in motions if motion.subject == subject]
     others = without(motions, [subject])
-    poses, trial = [], []
+    poses = []
+    trial = []
     for motion in own:
         joints = motion.without_jumps().joints
         chosen = np.linspace(0, len(joints) - 1, PER_TRIAL + 2).astype(int)[1:-1]
@@ -195,7 +196,9 @@ def study_draws(people: Mapping[str, HeldOut]) -> Scores:
     drawn = Scores({}, {}, {})
     for at in [(method, missing) for method in DRAWN_METHODS for missing in MISSING]:
         method, missing = at
-        errors, trial, lost = [], [], 0
+        errors = []
+        trial = []
+        lost = 0
         for held in people.values():
             some = cases(held, 0.0, missing, one_view_of_some)
             for case, found in zip(some, sampled_errors(held, some, method), strict=True):
@@ -204,7 +207,9 @@ def study_draws(people: Mapping[str, HeldOut]) -> Scores:
                 else:
                     errors.append(found)
                     trial.append(held.trial[case.pose])
-        drawn.errors[at], drawn.trial[at], drawn.lost[at] = np.array(errors), np.array(trial), lost
+        drawn.errors[at] = np.array(errors)
+        drawn.trial[at] = np.array(trial)
+        drawn.lost[at] = lost
         print(at, drawn.errors[at].mean(axis=0), lost, flush=True)
     return drawn
 

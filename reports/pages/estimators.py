@@ -151,7 +151,8 @@ def ablation_table(people: Mapping[str, HeldOut]) -> Sheet:
 def _ablated(
     people: Mapping[str, HeldOut], fit: Callable[[HeldOut, list[Detection]], Fits], noise: float
 ) -> Interval:
-    errors, trial = [], []
+    errors = []
+    trial = []
     for held in people.values():
         some = cases(held, noise, 0, four_views)
         fits = fit(held, [case.detection for case in some])
@@ -216,7 +217,8 @@ def speed_table(held: HeldOut) -> Sheet:
 def recovery_table() -> Sheet:
     """Share of noise-free poses in the span of the embedded dictionary that are recovered to
     1e-3."""
-    whole, rng = PoseDictionary.default(), np.random.default_rng(0)
+    whole = PoseDictionary.default()
+    rng = np.random.default_rng(0)
     limits = Anatomy.default().limits
     rows = []
     for terms in (1, 2, 3):
@@ -249,7 +251,8 @@ def _in_the_span(
 
 def _seen(truth: np.ndarray) -> Detection:
     view = WeakPerspective(100.0, np.eye(3), np.array([320.0, 320.0]))
-    points, score = np.asarray(view.project(truth)), np.full(NUM_JOINTS, SCORE)
+    points = np.asarray(view.project(truth))
+    score = np.full(NUM_JOINTS, SCORE)
     return Detection(points, score, "synthetic", "a pose", 0)
 
 
@@ -262,7 +265,8 @@ def recovered(candidate: Candidate, truth: np.ndarray) -> bool:
 
 def picture(singles: Singles, drawn: Scores) -> Figure:
     """Single estimates under noise; beside the best of five, with joints missing."""
-    errors, trial = singles.errors, singles.trial
+    errors = singles.errors
+    trial = singles.trial
     by_noise = {
         name: [clustered(errors[method, noise, 0], trial) for noise in RECOVERY_NOISE]
         for method, name in ESTIMATE_NAMES.items()
@@ -283,7 +287,8 @@ def main(data: Data) -> Page:
     motions = read_all([data / "cmu" / "asfamc", data / "cmu" / "actions_train.npz", data / "bvh"])
     people = {subject: hold_out(motions, subject) for subject in HELD_OUT}
     speed = speed_table(people[HELD_OUT[0]])
-    singles, drawn = study_singles(people), study_draws(people)
+    singles = study_singles(people)
+    drawn = study_draws(people)
     values: Values = {
         "poses": sum(len(held.poses) for held in people.values()),
         "singles": singles_table(singles),

@@ -163,7 +163,8 @@ def measured(data: Path, protocol: Protocol, work: Path) -> dict[int, float]:
             came.append((time.perf_counter(), done))
 
         with tempfile.TemporaryDirectory(dir=work) as out:
-            one, folder = [Condition("zhou")], Path(out)
+            one = [Condition("zhou")]
+            folder = Path(out)
             evaluate(cases, one, protocol, folder, machines=Machines(workers), progress=note)
         seconds, frames = np.array(came[1 + workers :]).T
         rates[workers] = float(np.polyfit(seconds - seconds[0], frames, 1)[0])

@@ -92,7 +92,8 @@ def tell(model: PoseModel, frame: Estimate, seed: int) -> Told:
     keypoints = frame.detection.keypoints
     gaps = []
     for name in ("knee", "ankle"):
-        one, other = JOINT_INDEX[f"left_{name}"], JOINT_INDEX[f"right_{name}"]
+        one = JOINT_INDEX[f"left_{name}"]
+        other = JOINT_INDEX[f"right_{name}"]
         gaps.append(np.linalg.norm(keypoints[one] - keypoints[other]) / radius[one])
     return Told(evidence, error, float(max(gaps)))
 
@@ -147,7 +148,8 @@ def found(gain: np.ndarray, alarms: float, axis: int = -1) -> np.ndarray:
 
 def best_tests(people: list[Told]) -> Sheet:
     """What the best test finds, with an interval of 95 % from drawing people anew."""
-    gain, lines = np.array([one.gain for one in people]), []
+    gain = np.array([one.gain for one in people])
+    lines = []
     for alarms in ALARMS:
         of = functools.partial(found, alarms=alarms)
         drawn = bootstrap((gain,), of, method="percentile", rng=0).confidence_interval
@@ -158,7 +160,8 @@ def best_tests(people: list[Told]) -> Sheet:
 
 def main(people: People = EXCHANGE_PEOPLE) -> Page:
     """Runs the study and writes the page."""
-    model, told = PoseModel(), []
+    model = PoseModel()
+    told = []
     for seed in range(people):
         told.append(tell(model, prior_scene(model, 500 + seed, missing=()), seed))
         print(seed, told[-1], flush=True)

@@ -91,9 +91,11 @@ def judge(model: PoseModel, frame: Estimate, seed: int, faulty: bool = True) -> 
         return JudgedFaults(np.zeros(len(JOINTS)), np.zeros(len(EXCHANGES)), nothing, 0.0)
     draws = result.tree["posterior"]
     joints = draws.joints.values[0]
-    outlier, exchange = np.zeros(joints.shape[:2]), np.zeros(len(joints), int)
+    outlier = np.zeros(joints.shape[:2])
+    exchange = np.zeros(len(joints), int)
     if faulty:
-        outlier, exchange = draws.outlier.values[0], draws.exchange.values[0]
+        outlier = draws.outlier.values[0]
+        exchange = draws.exchange.values[0]
     return JudgedFaults(
         np.mean(outlier, axis=0),
         np.bincount(exchange, minlength=len(EXCHANGES)) / len(exchange),

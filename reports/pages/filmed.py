@@ -160,7 +160,8 @@ class Film:
         doubt = axes @ world.covariance @ np.swapaxes(axes, -1, -2)
         sigma = np.stack([self._truth_sigma[self.part_of(row)] for row in range(len(session))])
         doubt = doubt * sigma[:, :, None, None] ** 2
-        seen_by, people = session.straight[camera], session.people[camera]
+        seen_by = session.straight[camera]
+        people = session.people[camera]
         straight = [
             dataclasses.replace(person, keypoints=keypoints)
             for person, keypoints in zip(people, session.keypoints[camera], strict=True)
@@ -269,7 +270,8 @@ def _block(seen: Film, way: Way, number: int, case: FilmedCase) -> Block:
     person = case.straight if way.focal else case.detection
     person = corrected(person) if way.moved else person
     lens, turns = (case.lens, case.turns) if way.focal else (None, np.eye(3))
-    known, units = None, 1.0
+    known = None
+    units = 1.0
     if way.root == TRUE and case.known is not None:
         known, turns = case.known
         units = known.unit / seen.session.unit
@@ -313,7 +315,8 @@ def _frame(way: Way, asked: Asked, model: PoseModel) -> Estimate | None:
         require_camera(asked.detection)
     except BadInput:
         return None
-    torsos, likelihood = np.asarray(model.torsos), asked.likelihood
+    torsos = np.asarray(model.torsos)
+    likelihood = asked.likelihood
     return inference.estimate_torso(asked.detection, torsos=torsos, likelihood=likelihood)
 
 

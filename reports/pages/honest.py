@@ -102,11 +102,13 @@ NO_LEVELS = np.full(len(JUDGED_NAMES), np.nan), np.full((ECE_STAND_INS, len(JUDG
 
 def judge(case: FilmedCase, found: FilmedDraws) -> HonestCase:
     """Draws for one camera's detection, against the truth; NaN where there are none."""
-    joints, about = found.joints, (found.roots, found.seconds)
+    joints = found.joints
+    about = (found.roots, found.seconds)
     if not len(joints):
         nothing = NOWHERE, NOWHERE, NOWHERE, *NO_LEVELS, np.nan, np.nan
         return HonestCase(case.camera, case.frame, *nothing, *about, False)
-    limbs, truth = joints[:, LIMB_JOINTS], case.truth[list(LIMB_JOINTS)]
+    limbs = joints[:, LIMB_JOINTS]
+    truth = case.truth[list(LIMB_JOINTS)]
     rng = np.random.default_rng([case.camera, case.frame])
     noise = case.errors(rng, len(joints))[:, LIMB_JOINTS]
     hypotheses = np.array([one.joints for one in diverse(joints, min(BEST, len(joints)))])
@@ -305,7 +307,8 @@ def doubts(cases: Sequence[FilmedCase]) -> tuple[float, float]:
 
 def share(interval: Interval) -> str:
     """A share with its interval, in percent."""
-    low, high = 100 * interval.low, 100 * interval.high
+    low = 100 * interval.low
+    high = 100 * interval.high
     return f"{100 * interval.value:.0f} % ({low:.0f}–{high:.0f})"
 
 

@@ -123,7 +123,8 @@ def measure(
 ) -> None:
     """Runs every line that is not yet in the folder."""
     for one in chosen:
-        target, exact = load(one), exact_sample(load(one))
+        target = load(one)
+        exact = exact_sample(load(one))
         for budget, name, start in _runs(one, names, budgets):
             label = f"{one} {budget} {name} {start}".strip().replace(" ", "-")
             path = work / f"{label}.json"
@@ -154,9 +155,11 @@ def false_alarms(chosen: Iterable[str], most: int, work: Path) -> None:
     """Judges sets of exact draws, as many of every target as are not yet in the folder. They are of
     the first blocks, and the judge's of the last."""
     for one in chosen:
-        path, target = work / f"exact-{one}.txt", load(one)
+        path = work / f"exact-{one}.txt"
+        target = load(one)
         cheap = isinstance(target.root, GivenRoot)
-        sets, size = min(most, SETS if cheap else FEW_SETS), SET if cheap else SMALL_SET
+        sets = min(most, SETS if cheap else FEW_SETS)
+        size = SET if cheap else SMALL_SET
         said = path.read_text(encoding="utf-8").split("\n")[1:] if path.exists() else []
         if len(said) >= sets:
             continue

@@ -54,7 +54,8 @@ def both(pair: tuple[float, float]) -> str:
 
 def comparison(limits: AnatomicalLimits, published: AnatomicalLimits) -> Sheet:
     """Areas of the tables, and what they have in common."""
-    given, joint = overlap(limits, published), overlap(limits, published, joint=True)
+    given = overlap(limits, published)
+    joint = overlap(limits, published, joint=True)
     rows = [
         (
             spoken(bone),
@@ -77,7 +78,8 @@ def shares(measure: Overlap, bone: int) -> tuple[float, float]:
 
 def upper_frontier(poses: Poses, published: AnatomicalLimits) -> Sheet:
     """Covered and outside of upper bones, for several radii."""
-    upper, area = upper_directions(poses.joints), cell_areas()
+    upper = upper_directions(poses.joints)
+    area = cell_areas()
     rows = []
     for radius in RADII:
         cells = [
@@ -122,7 +124,8 @@ def upper_directions(joints: np.ndarray) -> np.ndarray:
 def seen_beyond(poses: Poses, published: AnatomicalLimits) -> Sheet:
     """The area of cells in which a direction was seen, and the share of it that the published
     tables do not have."""
-    upper, area = upper_directions(poses.joints), cell_areas()
+    upper = upper_directions(poses.joints)
+    area = cell_areas()
     rows = []
     for index, bone in enumerate(UPPER_BONES):
         seen = np.zeros(GRID, bool)

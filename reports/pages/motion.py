@@ -240,7 +240,8 @@ def compared(work: Path, data: Path) -> Values:
 
 def widths(found: dict[Given, CoverageSummary]) -> Values:
     """How much wider intervals are, in depth and across, than where the root is known."""
-    known, free = found[ROOT_KNOWN], found[ROOT_FREE]
+    known = found[ROOT_KNOWN]
+    free = found[ROOT_FREE]
     return {
         "wider": f"{100 * (free.depth / known.depth - 1):.0f} %",
         "wider_across": f"{100 * (free.lateral / known.lateral - 1):.0f} %",

@@ -119,7 +119,8 @@ def render(template: str, values: Values) -> str:
     ValueError
         Where a placeholder has no value, or a value no placeholder.
     """
-    wanted, given = set(placeholders(template)), set(values)
+    wanted = set(placeholders(template))
+    given = set(values)
     if wanted != given:
         raise ValueError(f"placeholders without one value: {', '.join(sorted(wanted ^ given))}")
     texts = {

@@ -87,7 +87,8 @@ def table(found: Study) -> Sheet:
         inside = [[one for one, angle in pairs if low <= angle < high] for low, high in bins]
         by_view = map(share, inside)
         rows.append((WORDS.get(kind, kind), share(verdicts), *by_view, share(verdicts, 10)))
-    one, ten = Column("one person", form=percent), Column("ten people", form=percent)
+    one = Column("one person", form=percent)
+    ten = Column("ten people", form=percent)
     angles = (Column(f"view {low}–{high}°", form=_percent_only) for low, high in bins)
     return sheet_of(["read", one, *angles, ten], rows)
 

@@ -79,7 +79,8 @@ def others(data: Path, subjects: Collection[str]) -> list[Motion]:
 def hold_out(work: Path, data: Path) -> Held:
     """Learns from everybody but the three people; what was learned is kept in `work`."""
     own = read_all([data / "cmu" / "asfamc"])
-    limits, poses = work / "limits.npz", work / "poses.npz"
+    limits = work / "limits.npz"
+    poses = work / "poses.npz"
     if not (limits.exists() and poses.exists()):
         rest = others(data, {motion.subject for motion in own})
         learn_dictionary(rest).save(poses)
@@ -152,7 +153,9 @@ def _choices(held: Held) -> xr.DataTree:
         chosen = _chosen(
             drawn[CHOICE_STAND_INS:], grid_poses(held.model, observation, most=CHOSEN_DRAWS)
         )
-        mm, truth, held_out = some[number].unit, instance.joints, drawn[:CHOICE_STAND_INS]
+        mm = some[number].unit
+        truth = instance.joints
+        held_out = drawn[:CHOICE_STAND_INS]
         rows["error"].append([[mm * _best(picked, truth) for picked in way] for way in chosen])
         rows["floor"].append([[mm * _best(picked, held_out) for picked in way] for way in chosen])
         rows["modes"].append(

@@ -131,7 +131,8 @@ def study(model: PoseModel, case: JudgedFrame, seed: int) -> Found:
     seconds = between - started, time.perf_counter() - between
     if verdict(exact)[0] != COMPLETE:
         print(verdict(exact)[1])
-    known, judged = whole(exact, REJECTED_DRAWS, seed), {}
+    known = whole(exact, REJECTED_DRAWS, seed)
+    judged = {}
     for name, weigh in WEIGHINGS.items():
         roots = dataclasses.replace(fast, log_weight=weigh(fast))
         sample = whole(roots, int(roots.effective / APART), seed)
@@ -225,7 +226,8 @@ def main(data: Data) -> Page:
         for frame, law in zip(ROUTE_FRAMES, TURNS, strict=True)
         for number, detection in enumerate(seen[frame], 1)
     ]
-    model, found = PoseModel(), []
+    model = PoseModel()
+    found = []
     for law in ROUTE_LAWS:  # compiled before times are taken
         first = next(case for case in cases if case.law == law)
         reject_roots(_posterior(model, first), key=jax.random.key(0), num_samples=1)

@@ -108,12 +108,14 @@ def _ratio(best: Best) -> str:
 
 def _summary_line(name: str, tree: xr.DataTree) -> list[Any]:
     found = tree["summary"].to_dataset()
-    exact, rest = found.isel(sampler=0), found.isel(sampler=slice(1, None))
+    exact = found.isel(sampler=0)
+    rest = found.isel(sampler=slice(1, None))
     few, many = exact_rates(tree)
     walks = rest.sel(sampler=~rest.sampler.isin(PATHLESS))
     earned = best_of(rest, "ess_per_second", many)
     settled = best_of(walks, "settled_per_second", many)
-    differ, judged = (rest.verdict.values == "differs"), (rest.verdict.values != "no draws")
+    differ = rest.verdict.values == "differs"
+    judged = rest.verdict.values != "no draws"
     return [
         name,
         tree.attrs["dim"],
@@ -151,7 +153,8 @@ def _evidence(found: xr.Dataset, sampler: str, known: tuple[float, float]) -> st
     if sampler not in found.sampler.values:
         return "–"
     one = found.sel(sampler=sampler)
-    value, error = float(one.log_evidence), float(one.log_evidence_se)
+    value = float(one.log_evidence)
+    error = float(one.log_evidence_se)
     if np.isnan(value):
         return f"none in {float(one.seconds):.0f} s"
     off = (value - known[0]) / np.hypot(error, known[1])

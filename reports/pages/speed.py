@@ -109,7 +109,8 @@ def timed(action: Callable[[], object], repeats: int = 3) -> float:
 
 @compiled
 def _numbers(state, count):  # type: ignore[no-untyped-def]
-    stream, total = load(state), 0.0
+    stream = load(state)
+    total = 0.0
     for _ in range(count):
         value, stream = uniform(stream)
         total += value
@@ -119,7 +120,8 @@ def _numbers(state, count):  # type: ignore[no-untyped-def]
 
 def floors() -> dict[str, float]:
     """Seconds a pose for its random numbers alone."""
-    state, rng = seeded([0], 0), np.random.default_rng(0)
+    state = seeded([0], 0)
+    rng = np.random.default_rng(0)
     draw = jax.jit(lambda key: jax.random.uniform(key, (UNIFORMS * BATCH,)))
     _numbers(state, 10)
     jax.block_until_ready(draw(jax.random.key(0)))
@@ -143,7 +145,8 @@ def naive_proposal(model: PoseModel, frame: Estimate) -> float:
 
 def cost(model: PoseModel, frame: Estimate, naive: float) -> FrameCost:
     """Times one frame, its one candidate known."""
-    started, budget = time.perf_counter(), Budget(10**12)
+    started = time.perf_counter()
+    budget = Budget(10**12)
     (candidate,) = root_samplers(frame.posterior(model), jax.random.key(0), "rejection")
     assert candidate.more(SPEED_DRAWS, budget)
     seconds = time.perf_counter() - started
@@ -212,15 +215,20 @@ class StageCost(NamedTuple):
 
 def stages(model: PoseModel, frame: Estimate, name: str) -> StageCost:
     """Times a group's loops one after the other, by the processor's time of this thread."""
-    tables, limbs = group_tables(model)[name], limb_problems(frame.observation)[name]
-    clock, number = time.thread_time, STAGE_ATTEMPTS
+    tables = group_tables(model)[name]
+    limbs = limb_problems(frame.observation)[name]
+    clock = time.thread_time
+    number = STAGE_ATTEMPTS
     plan_group(tables, limbs, RESOLUTIONS[STAGE_LEVEL], alone=True)
     started = clock()
     plan = plan_group(tables, limbs, RESOLUTIONS[STAGE_LEVEL], alone=True)
-    set_up, desks = clock() - started, desk_pair(number)
+    set_up = clock() - started
+    desks = desk_pair(number)
     cut = [CutLimb(*parts) for parts in zip(limbs, tables.builds, plan.strata, strict=True)]
     counts = np.random.default_rng(0).multinomial(number, plan.share)
-    state, room, times = seeded([0], 0), blank_bodies(number, len(limbs)), []
+    state = seeded([0], 0)
+    room = blank_bodies(number, len(limbs))
+    times = []
 
     def stage(action: Callable[..., int], *given: object) -> int:
         start = clock()
@@ -363,18 +371,22 @@ class Million(NamedTuple):
 def million(to_file: bool, double: bool) -> Million:
     """Draws and saves them, in memory first or straight to the file, once a few have been drawn."""
     in_doubles()
-    model, frame, number = PoseModel(), estimate_torso(example().detection), 1_000_000
+    model = PoseModel()
+    frame = estimate_torso(example().detection)
+    number = 1_000_000
     draw = functools.partial(sample, model, frame, key=jax.random.key(0))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "posterior.nc"
         draw(num_samples=FEW).save(path)
-        start, started = _peak(), time.perf_counter()
+        start = _peak()
+        started = time.perf_counter()
         if to_file:
             key = jax.random.key(0)
             sample_to_file(path, model, frame, key=key, num_samples=number, double=double)
         else:
             draw(num_samples=number).save(path, double=double)
-        seconds, size = time.perf_counter() - started, path.stat().st_size
+        seconds = time.perf_counter() - started
+        size = path.stat().st_size
     words = f"{'straight to disk' if to_file else 'in memory'}, {'double' if double else 'single'}"
     return Million(words, seconds, _peak(), start, size / 1e6)
 
@@ -419,12 +431,14 @@ def main(data: Data = SHARED) -> Page:
         sets["Poses of CMU motion capture"] = motion_frames(archive)
     frames = list(sets.values())[-1]
     draw_mixture(frames[0].posterior(model), key=jax.random.key(0), num_samples=2000)  # compiles
-    floor, naive = floors(), naive_proposal(model, frames[0])
+    floor = floors()
+    naive = naive_proposal(model, frames[0])
     tables = {
         title: costs_table([cost(model, frame, naive) for frame in own], floor["compiled SFC64"])
         for title, own in sets.items()
     }
-    found, stream = curves(model, frames[0]), streams(model, frames)
+    found = curves(model, frames[0])
+    stream = streams(model, frames)
     memory = _peak() / 1e3
     slope = float(np.polyfit(*stream, 1)[0])
     uncertain = float(np.polyfit(*streams(model, frames, UNCERTAIN), 1)[0])

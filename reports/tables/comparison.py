@@ -63,7 +63,8 @@ def gift_sentence(record: Record) -> str:
     if record["verdict"] != AGREES or not record["start"]:
         return ""
     earned = (record["ess_per_second"] or 0.0) * record["seconds"]
-    apart, worth = record["rhat_worst"], record["ess_worst"]
+    apart = record["rhat_worst"]
+    worth = record["ess_worst"]
     far = apart is not None and apart > CHAINS_APART
     if earned >= worth / 2 and not far:
         return ""
@@ -106,7 +107,8 @@ def _reached(record: Record) -> str:
 
 
 def _evidence(record: Record) -> str:
-    value, error = record["log_evidence"], record["log_evidence_se"]
+    value = record["log_evidence"]
+    error = record["log_evidence_se"]
     return NOTHING if value is None else f"{value:.2f} ± {error:.2f}"
 
 

@@ -72,7 +72,8 @@ class Settings(NamedTuple):
         height = np.log(np.asarray(self.inverse)[:-1] + COLDEST)
         spaced = np.exp(np.interp(np.linspace(0, barrier[-1], RUNGS - 1), barrier, height))
         inverse = np.concatenate([np.maximum(spaced - COLDEST, 0), [1.0]])
-        inverse[0], inverse[-2] = 0.0, 1.0
+        inverse[0] = 0.0
+        inverse[-2] = 1.0
         moved = np.mean([batch.moved for batch in batches], axis=0)
         points = np.concatenate([batch.points for batch in batches])
         points = np.moveaxis(points, 2, 0).reshape(RUNGS, -1, points.shape[-1])
@@ -93,8 +94,10 @@ class Ladders:
     """The ladders at work, and the evaluations that they have cost."""
 
     def __init__(self, target: SamplerTarget, seed: int) -> None:
-        self._target, self._rng = target, np.random.default_rng(seed)
-        self._density, self._key = in_jax(target), jax.random.key(seed)
+        self._target = target
+        self._rng = np.random.default_rng(seed)
+        self._density = in_jax(target)
+        self._key = jax.random.key(seed)
         self._points = self._prior(RUNGS)
         self._batches = self.evaluations = 0
         self.settings = Settings.first(target.dim)
@@ -120,7 +123,8 @@ def nrpt(target: SamplerTarget, seed: int, allowance: Allowance) -> SamplerRun |
     """Non-reversible parallel tempering. None where no ladder's last rung came inside for good, or
     the allowance ends with the tuning."""
     Ladders(target, seed).sweep()  # compiled before the clock runs
-    ladders, started = Ladders(target, seed), CLOCK()
+    ladders = Ladders(target, seed)
+    started = CLOCK()
     tuning = Allowance(_part(allowance.evaluations), _part(allowance.seconds))
     for number in itertools.count():
         batches: list[Batch] = []
@@ -129,7 +133,8 @@ def nrpt(target: SamplerTarget, seed: int, allowance: Allowance) -> SamplerRun |
         if not batches:
             break
         ladders.settings = ladders.settings.tuned(batches)
-    before, last = CLOCK() - started, []
+    before = CLOCK() - started
+    last = []
     while allowance.allows(ladders.evaluations, CLOCK() - started):
         last.append(ladders.sweep().points[:, :, -1])
     seconds = CLOCK() - started

@@ -12,7 +12,8 @@ def dynesty(target: SamplerTarget, seed: int, allowance: Allowance) -> SamplerRu
     """dynesty's static sampler, everything as it comes; one point at a time, in JAX."""
     import dynesty as package
 
-    rng, log_likelihood = np.random.default_rng(seed), graded(target)
+    rng = np.random.default_rng(seed)
+    log_likelihood = graded(target)
     started = CLOCK()
     sampler = package.NestedSampler(log_likelihood, target.prior_transform, target.dim, rstate=rng)
     for _ in sampler.sample(add_live=False):
@@ -20,7 +21,8 @@ def dynesty(target: SamplerTarget, seed: int, allowance: Allowance) -> SamplerRu
             break
     for _ in sampler.add_live_points():
         pass
-    found, seconds = sampler.results, CLOCK() - started
+    found = sampler.results
+    seconds = CLOCK() - started
     log_weights = np.asarray(found.logwt)
     cost = {"evaluations": int(np.sum(found.ncall)), "seconds": seconds}
     error = float(found.logzerr[-1])
@@ -38,7 +40,8 @@ def ultranest(target: SamplerTarget, seed: int, allowance: Allowance) -> Sampler
     from ultranest import ReactiveNestedSampler
 
     np.random.seed(seed)  # noqa: NPY002 — the global state is what it draws from
-    started, evaluations = CLOCK(), 0
+    started = CLOCK()
+    evaluations = 0
 
     def log_likelihood(cube: np.ndarray) -> np.ndarray:
         nonlocal evaluations

@@ -99,7 +99,8 @@ class PosteriorTarget:
     def _shape(self) -> tuple[np.ndarray, np.ndarray]:
         """Parameters alpha, beta `(d,)` of the fractions: Beta distributions of lengths, and
         uniform ones of all else."""
-        lengths, active = self.density.model.lengths, np.array(self.density.active)
+        lengths = self.density.model.lengths
+        active = np.array(self.density.active)
         ones = np.ones(len(COORDINATES) - NUM_LENGTHS)
         alpha = np.concatenate([lengths.alpha, ones])
         beta = np.concatenate([lengths.beta, ones])

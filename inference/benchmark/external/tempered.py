@@ -23,7 +23,8 @@ def reddemcee(target: SamplerTarget, seed: int, allowance: Allowance) -> Sampler
     from reddemcee import PTSampler
 
     np.random.seed(seed)  # noqa: NPY002 — the global state is what it begins with
-    density, counted = graded(target), itertools.count(1)
+    density = graded(target)
+    counted = itertools.count(1)
 
     def log_likelihood(cube: np.ndarray) -> float:
         next(counted)
@@ -32,7 +33,8 @@ def reddemcee(target: SamplerTarget, seed: int, allowance: Allowance) -> Sampler
     walkers = WALKERS_PER_DIM * target.dim
     sampler = PTSampler(walkers, target.dim, log_likelihood, _flat, ntemps=TEMPERATURES)
     state: Any = np.random.default_rng(seed).uniform(size=(TEMPERATURES, walkers, target.dim))
-    started, evaluations = CLOCK(), 0
+    started = CLOCK()
+    evaluations = 0
     while allowance.allows(evaluations, CLOCK() - started):
         state = sampler.run_mcmc(state, nsweeps=SWEEP_STEPS, progress=False)
         evaluations = next(counted)

@@ -84,7 +84,8 @@ def failure(
     status: str, sentence: str, num_draws: int = 0, log_evidence: float = np.nan
 ) -> Standing:
     """The standing of an instance whose posterior brought too few draws."""
-    blank, level = np.full(len(MOVING), np.nan), np.full(len(QUANTITIES), np.nan)
+    blank = np.full(len(MOVING), np.nan)
+    level = np.full(len(QUANTITIES), np.nan)
     stand_in = np.full((ECE_STAND_INS, len(MOVING)), np.nan)
     return Standing(
         status,
@@ -152,7 +153,8 @@ def assess(
     level[ENERGY_BALL] = energy_level(flat[0], flat[1:], rng)
     if reference is not None:
         level[TARP] = distance_level(flat[0], flat[1:], reference[list(MOVING)].ravel(), rng)
-    truth, cloud = moving[0], moving[1:]
+    truth = moving[0]
+    cloud = moving[1:]
     spread = draws[:, MOVING].std(axis=0)
     return Standing(
         posterior.status,

@@ -39,7 +39,8 @@ def summary(tree: xr.DataTree) -> CoverageSummary:
     Intervals draw whole recordings anew."""
     found = tree["simulation"].to_dataset()
     recording = found.recording.values
-    covered, by_joint = {}, {}
+    covered = {}
+    by_joint = {}
     for kind in COVERED_KINDS:
         for nominal in NOMINAL:
             covered[kind, nominal] = coverage(found[kind].values, nominal, recording)

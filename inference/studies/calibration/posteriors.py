@@ -153,7 +153,8 @@ def _baseline(
     key: jax.Array,
 ) -> Answer:
     given = instance.frame.posterior(model)
-    target, baseline = Target.of(given), BASELINES[name]
+    target = Target.of(given)
+    baseline = BASELINES[name]
     places = None
     if baseline.starts:
         exact = _exact_tree(model, instance, jax.random.fold_in(key, 0))
@@ -242,7 +243,8 @@ class FromFile:
 
 def _read(path: Path) -> np.ndarray:
     advice = "write one with numpy.savez(path, joints=joints)"
-    what, suffix = "file of draws", path.suffix.lower()
+    what = "file of draws"
+    suffix = path.suffix.lower()
     if suffix not in (".nc", ".npz"):
         return read_array(path, what, advice)
     name = "joints" if suffix == ".npz" else "posterior/joints"

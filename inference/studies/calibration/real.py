@@ -97,7 +97,8 @@ def by_the_likelihood(
     """The case with its detection drawn from the likelihood instead, scores and missing joints as
     they are."""
     rng = np.random.default_rng([seed, 2, case.number])
-    exact, score = case.image(case.pose), case.detection.score
+    exact = case.image(case.pose)
+    score = case.detection.score
     unit = case.scale * case.unit * case.magnification(case.pose)
     spread = unit * SPREADS[root](score, likelihood)
     found = detected(exact, score, spread, likelihood, rng, source="likelihood")

@@ -310,7 +310,8 @@ def _run(
 ) -> xr.DataTree:
     """The tree of all blocks, kept beside `out` where that is given, and written to it."""
     found: dict[int, xr.Dataset] = {}
-    done, wanted = 0, sum(block.size for block in blocks)
+    done = 0
+    wanted = sum(block.size for block in blocks)
 
     def take(block: Block, groups: Groups) -> None:
         nonlocal done

@@ -102,17 +102,20 @@ def _inside(low: np.ndarray, high: np.ndarray, size: int) -> float:
     uniform values; its increments are independent, so that each step is a convolution."""
     step = stats.poisson.pmf(np.arange(size + 1), size / ECDF_POINTS)
     step = step[: int(np.flatnonzero(step > 1e-30).max()) + 1]
-    start, mass = 0, np.ones(1)
+    start = 0
+    mass = np.ones(1)
     for least, most in zip(low.astype(int), high.astype(int), strict=True):
         if most < least:
             return 0.0
         spread = np.convolve(mass, step)
         whole = np.zeros(most - least + 1)
-        first, last = max(least, start), min(most, start + len(spread) - 1)
+        first = max(least, start)
+        last = min(most, start + len(spread) - 1)
         if first > last:
             return 0.0
         whole[first - least : last - least + 1] = spread[first - start : last - start + 1]
-        start, mass = least, whole
+        start = least
+        mass = whole
     rest = size - (start + np.arange(len(mass)))
     ends = np.sum(
         mass * stats.poisson.pmf(rest, size / ECDF_POINTS)
@@ -127,7 +130,8 @@ def _tail_for(size: int, probability: float) -> float:
     def excess(log_tail: float) -> float:
         return _probability_of(np.exp(log_tail), size) - (1 - probability)
 
-    low, high = np.log((1 - probability) / ECDF_POINTS / 10), 0.0
+    low = np.log((1 - probability) / ECDF_POINTS / 10)
+    high = 0.0
     root = optimize.brentq(excess, low, high, xtol=1e-6)
     while excess(root) > 0:  # the law has steps
         root -= 1e-6

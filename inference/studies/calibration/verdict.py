@@ -67,7 +67,8 @@ def judge(
     quantity counts against the sampler only if it did so whatever the levels of the failed ones.
     Raises `BadInput` where there are fewer than `fewest` judged simulations."""
     table = simulation["level"]
-    total, failed = len(table), int((~np.isfinite(table.values).any(axis=1)).sum())
+    total = len(table)
+    failed = int((~np.isfinite(table.values).any(axis=1)).sum())
     if total - failed < fewest:
         lost = f", {failed} of them failed" if failed else ""
         raise BadInput(

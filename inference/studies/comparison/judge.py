@@ -154,7 +154,9 @@ def _stride(sample: Sample, worst: float) -> int:
 def _tests(
     thinned: Sample, exact: Sample, rng: np.random.Generator, permutations: int
 ) -> tuple[list[Test], list[Test]]:
-    draws, known, number = thinned.flat, exact.flat, thinned.num_draws
+    draws = thinned.flat
+    known = exact.flat
+    number = thinned.num_draws
     lengths = thinned.lengths
     rest = slice(lengths.stop, None)
     independent = "thinned draws are independent"

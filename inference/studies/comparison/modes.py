@@ -39,8 +39,10 @@ def modes(away: np.ndarray, exact: np.ndarray, independent: float) -> Modes:
     """Of draws `(n, bones)`, worth `independent` independent ones, and exact draws `(m, bones)`."""
     found, counts = _counts(away, exact)
     order = np.argsort(-counts[1], kind="stable")
-    found, counts = found[order], counts[:, order]
-    share, known = counts[0] / len(away), counts[1] / len(exact)
+    found = found[order]
+    counts = counts[:, order]
+    share = counts[0] / len(away)
+    known = counts[1] / len(exact)
     missed = float(known[counts[0] == 0].sum())
     expected = float(np.sum(known * (1 - known) ** independent))
     patterns = (found[:, None] >> np.arange(away.shape[1])) % 2 > 0

@@ -53,8 +53,10 @@ def pace(sample: Sample, exact: Sample, *, effective: float, given: int, steps: 
     steps
         How many draws in a row are the path of one walker.
     """
-    series, truth = _series(sample), _series(exact)
-    centre, spread = truth.mean(axis=0), truth.std(axis=0)
+    series = _series(sample)
+    truth = _series(exact)
+    centre = truth.mean(axis=0)
+    spread = truth.std(axis=0)
     varies = spread > CONSTANT
     paths = ((series[:, varies] - centre[varies]) / spread[varies]).reshape(
         -1, steps, int(varies.sum())
@@ -64,12 +66,14 @@ def pace(sample: Sample, exact: Sample, *, effective: float, given: int, steps: 
         bounds = np.zeros(len(varies))
         bounds[-sample.away.shape[-1] :] = uncrossed(sample.away, exact.away, steps)
         never = bounds[varies] > 0
-        times, closed = np.where(never, bounds[varies], times), closed & ~never
+        times = np.where(never, bounds[varies], times)
+        closed = closed & ~never
     time = max(1.0, float(times.max()))
     settled = sample.num_draws / time
     known = bool(closed.all()) and steps >= ENOUGH * time
     if settled > MOST_PROMISED * effective:
-        settled, known = effective, False
+        settled = effective
+        known = False
     return Pace(max(0.0, effective - given), time, settled, known)
 
 
@@ -100,7 +104,8 @@ def autocorrelation_times(paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     variance 1 in the limit, and whether the sum came to its end within half a path; where it did
     not, it is a lower bound."""
     steps = paths.shape[1]
-    times, closed = np.empty(paths.shape[2]), np.empty(paths.shape[2], bool)
+    times = np.empty(paths.shape[2])
+    closed = np.empty(paths.shape[2], bool)
     lags = np.arange(steps // 2 + 1)
     groups = np.array_split(np.arange(len(paths)), min(WALKER_GROUPS, len(paths)))
     for column in range(paths.shape[2]):
@@ -127,7 +132,8 @@ def _rest(found: np.ndarray) -> float:
     width = last // 8
     if len(found) < WALKER_GROUPS or not width:
         return 0.0
-    half, end = last // 2, last
+    half = last // 2
+    end = last
     early, late = (found[:, at - width : at + 1].mean(axis=1) for at in (half, end))
     left_out = np.array(
         [[np.delete(part, group).mean() for group in range(len(found))] for part in (early, late)]

@@ -88,7 +88,8 @@ def compare_routes(
         Where the exact draws are not complete.
     """
     check_routes(samplers)
-    posterior, allowance = frame.uncertain(model), Allowance(max_evaluations, seconds)
+    posterior = frame.uncertain(model)
+    allowance = Allowance(max_evaluations, seconds)
     # Before any work is done.
     target = RootedTarget.of(posterior) if {*samplers} & {*ROOTED} else None
     key = jax.random.key(seed)

@@ -162,8 +162,10 @@ def _halves(data: DataSet) -> np.ndarray:
 def log_prior(model: PoseModel, joints: np.ndarray) -> np.ndarray:
     """`(N,)`: log density of the bones' directions under the uniform prior, but for a constant;
     -inf where a pose is impossible."""
-    reference, fallback = np.asarray(model.limits.reference), np.asarray(model.limits.fallback)
-    low, high = np.asarray(model.lengths.low), np.asarray(model.lengths.high)
+    reference = np.asarray(model.limits.reference)
+    fallback = np.asarray(model.limits.fallback)
+    low = np.asarray(model.lengths.low)
+    high = np.asarray(model.lengths.high)
 
     def one(poses: jax.Array) -> jax.Array:
         local = articulation(poses, reference, fallback)
@@ -181,7 +183,8 @@ def visits(own: np.ndarray, judged: np.ndarray, rivals: np.ndarray) -> list[Visi
     def shares(nearest: np.ndarray) -> tuple[float, ...]:
         return tuple(float(np.mean(nearest >= np.cos(np.radians(angle)))) for angle in ANGLES)
 
-    data, prior = _nearest(judged, own), _nearest(judged, rivals)
+    data = _nearest(judged, own)
+    prior = _nearest(judged, rivals)
     return [Visits(part, shares(data[part]), shares(prior[part])) for part in LIMB_ENDS]
 
 

@@ -45,7 +45,8 @@ class Field:
     """What is kept of a frame under one name: its type and, by dimension, its sizes."""
 
     def __init__(self, kind: str, **sizes: int) -> None:
-        self.kind, self.sizes = kind, sizes
+        self.kind = kind
+        self.sizes = sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +299,8 @@ def _drawn(
         given=TORSO_INDEX if root == TRUE else (),
         strays=case.strays(rng, len(joints)),
     )
-    scaled, plain = joint_errors(joints, case.pose), aligned_errors(joints, case.pose).mean(axis=-1)
+    scaled = joint_errors(joints, case.pose)
+    plain = aligned_errors(joints, case.pose).mean(axis=-1)
     means = scaled.mean(axis=-1)
     values |= {
         "all": scaled[means.argmin()],

@@ -56,7 +56,8 @@ def relations(
 ) -> list[Relation]:
     """Those relations that the conditions at hand allow; `base` is the first of them, its estimator
     aside."""
-    few, many = min(ks), max(ks)
+    few = min(ks)
+    many = max(ks)
     ways = alike(results, base)
     found = [_against_single(way, results[way], recording, few) for way in ways]
     for way in ways:

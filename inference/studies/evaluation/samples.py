@@ -80,7 +80,8 @@ def of_samples(
     `beyond`, 1 where the truth lies beyond all of them; `width`, mm, of central intervals of 95 %.
     NaN where samples are too few to say.
     """
-    rooted, truth = joints - joints[:, :1], truth - truth[:1]
+    rooted = joints - joints[:, :1]
+    truth = truth - truth[:1]
     far = np.linalg.norm(rooted - truth, axis=-1).mean(axis=-1)
     turned = aligned_errors(joints[: max(BESTS)], truth).mean(axis=-1)
     apart = np.linalg.norm(off, axis=-1)[:, seen]
@@ -95,7 +96,8 @@ def of_samples(
             for name, sizes in SAMPLE_SHAPES.items()
             if name not in found
         }
-    judged, at = (rooted + strays)[:, JUDGED_JOINTS], truth[list(JUDGED_JOINTS)]
+    judged = (rooted + strays)[:, JUDGED_JOINTS]
+    at = truth[list(JUDGED_JOINTS)]
     few = judged[:ECE_SAMPLES]
     low, high = np.quantile(rooted[:, JUDGED_JOINTS], [TAIL, 1 - TAIL], axis=0)
     standing = rank_level(at, judged, rng)
@@ -132,7 +134,8 @@ def of_predictions(poses: np.ndarray, data: DataSet, seed: int = 0) -> dict[str,
         image = case.image(joints - joints[:, :1])
         off = (image - case.image(case.pose)) / case.scale
         rng = np.random.default_rng([seed, 3, number])
-        seen, errors = case.detection.score > 0, case.strays(rng, len(joints))
+        seen = case.detection.score > 0
+        errors = case.strays(rng, len(joints))
         rows.append(of_samples(joints, off, case.pose, seen, rng, strays=errors))
     found = {name: np.array([row[name] for row in rows]) for name in SAMPLE_SHAPES}
     if not metric:

@@ -104,13 +104,12 @@ def summary(values: Values, row: str | int) -> Metrics:
         valid = float(values["single_valid"][rows].all(axis=-1).mean())
     elif row == "all":
         per_joint = float(values["all_by_joint"][rows].mean())
-        flips, spread = float(values["flips"][rows].mean()), float(values["spread"][rows].mean())
+        flips = float(values["flips"][rows].mean())
+        spread = float(values["spread"][rows].mean())
     else:
         many = values[f"hypotheses_{row}"][rows].astype(float)
-        per_batch, per_joint = (
-            metrics.best_per_batch(many),
-            float(metrics.best_per_joint(many).mean()),
-        )
+        per_batch = metrics.best_per_batch(many)
+        per_joint = float(metrics.best_per_joint(many).mean())
         flips = float(values[f"flips_{row}"][rows].mean())
     pck = float(metrics.pck(errors, [metrics.PCK_MM])[0])
     return Metrics(
@@ -161,7 +160,8 @@ SCORED_LIMBS = [JUDGED_JOINTS.index(joint) for joint in LIMB_JOINTS]
 def sample_scores(values: Values, recording: np.ndarray) -> SampleScores:
     """Of the frames `(n,)` of whose samples something is known, with intervals over recordings."""
     rows = np.isfinite(values["best_procrustes"][:, 0])
-    found, recording = {name: values[name][rows] for name in values}, recording[rows]
+    found = {name: values[name][rows] for name in values}
+    recording = recording[rows]
     bests = {
         name: tuple(clustered(column, recording) for column in found[name].T)
         for name in ("best_root", "best_procrustes")
@@ -169,7 +169,8 @@ def sample_scores(values: Values, recording: np.ndarray) -> SampleScores:
     judged = np.isfinite(found["standing"][:, SCORED_LIMBS]).all(axis=(1, 2))
     standing, width = (found[name][judged][:, SCORED_LIMBS] for name in ("standing", "width"))
     held = (standing >= TAIL) & (standing <= 1 - TAIL)
-    clusters, some = recording[judged], bool(judged.any())
+    clusters = recording[judged]
+    some = bool(judged.any())
     effective = found.get("effective_roots", np.full(len(recording), np.nan))
     return SampleScores(
         len(recording),

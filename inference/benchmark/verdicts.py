@@ -87,16 +87,16 @@ def verdict(
     varying = np.array(exact.names)[exact.flat.std(axis=0) > 1e-12]
     effective = judgement.mixing.worst
     return Assessment(
-        target.name,
-        judgement,
-        submission.given,
-        sample.num_draws,
-        str(varying[worst]),
-        float(distances[worst]),
-        stated[0] - known.log_evidence,
-        math.hypot(stated[1], known.log_evidence_se),
-        effective / submission.evaluations,
-        effective / submission.seconds,
+        target=target.name,
+        judgement=judgement,
+        draws=submission.given,
+        judged=sample.num_draws,
+        worst_coordinate=str(varying[worst]),
+        worst_w1=float(distances[worst]),
+        evidence_error=stated[0] - known.log_evidence,
+        evidence_error_se=math.hypot(stated[1], known.log_evidence_se),
+        per_evaluation=effective / submission.evaluations,
+        per_second=effective / submission.seconds,
     )
 
 

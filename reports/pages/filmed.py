@@ -170,7 +170,16 @@ class Film:
         lens = Lens(float(seen_by.focal.mean()), seen_by.principal)
         rows = zip(people, truth, doubt, straight, turns, strict=True)
         cases = [
-            FilmedCase(camera, row, person, where, errs, plain, lens, turned)
+            FilmedCase(
+                camera=camera,
+                frame=row,
+                detection=person,
+                truth=where,
+                doubt=errs,
+                straight=plain,
+                lens=lens,
+                turns=turned,
+            )
             for row, (person, where, errs, plain, turned) in enumerate(rows)
         ]
         for row, (known, rotation) in self._known[camera].items():
@@ -277,7 +286,15 @@ def _block(seen: Film, way: Way, number: int, case: FilmedCase) -> Block:
         units = known.unit / seen.session.unit
     seed = case.frame * len(seen.session.cameras) + case.camera
     made_of = {"camera": case.camera, "frame": case.frame, "law": likelihood.sha256}
-    asked = Asked(person, likelihood, lens, turns, known, units, seed)
+    asked = Asked(
+        detection=person,
+        likelihood=likelihood,
+        lens=lens,
+        turns=turns,
+        case=known,
+        units=units,
+        seed=seed,
+    )
     return Block(number, f"{way}, case {number}", made_of, 1, asked)
 
 

@@ -244,13 +244,13 @@ def stages(model: PoseModel, frame: Estimate, name: str) -> StageCost:
         stage(hand_over, state, both, *desks, np.arange(2), room, 0)
     length, one, two, draw = times
     return StageCost(
-        1e9 * set_up / plan.size,
-        length / number,
-        (one + two) / (number + first),
-        draw / max(both, 1),
-        sum(times) / number,
-        first / number,
-        both / number,
+        stratum=1e9 * set_up / plan.size,
+        lengths=length / number,
+        limb=(one + two) / (number + first),
+        draw=draw / max(both, 1),
+        whole=sum(times) / number,
+        first=first / number,
+        both=both / number,
     )
 
 

@@ -88,17 +88,17 @@ def failure(
     level = np.full(len(QUANTITIES), np.nan)
     stand_in = np.full((ECE_STAND_INS, len(MOVING)), np.nan)
     return Standing(
-        status,
-        sentence,
-        num_draws,
-        log_evidence,
-        level,
-        blank,
-        blank,
-        blank,
-        stand_in,
-        blank,
-        blank,
+        status=status,
+        sentence=sentence,
+        num_draws=num_draws,
+        log_evidence=log_evidence,
+        level=level,
+        whole=blank,
+        lateral=blank,
+        depth=blank,
+        stand_in=stand_in,
+        spread_lateral=blank,
+        spread_depth=blank,
     )
 
 
@@ -157,17 +157,17 @@ def assess(
     cloud = moving[1:]
     spread = draws[:, MOVING].std(axis=0)
     return Standing(
-        posterior.status,
-        posterior.sentence,
-        len(draws),
-        posterior.log_evidence,
-        np.array([*level.values()]),
-        median_levels(truth, cloud),
-        median_levels(truth[:, :2], cloud[..., :2]),
-        median_levels(truth[:, 2:], cloud[..., 2:]),
-        stand_in_levels(cloud, rng.integers(0, len(cloud), ECE_STAND_INS)),
-        np.sqrt(np.mean(spread[:, :2] ** 2, axis=1)),
-        spread[:, 2],
+        status=posterior.status,
+        sentence=posterior.sentence,
+        num_draws=len(draws),
+        log_evidence=posterior.log_evidence,
+        level=np.array([*level.values()]),
+        whole=median_levels(truth, cloud),
+        lateral=median_levels(truth[:, :2], cloud[..., :2]),
+        depth=median_levels(truth[:, 2:], cloud[..., 2:]),
+        stand_in=stand_in_levels(cloud, rng.integers(0, len(cloud), ECE_STAND_INS)),
+        spread_lateral=np.sqrt(np.mean(spread[:, :2] ** 2, axis=1)),
+        spread_depth=spread[:, 2],
     )
 
 

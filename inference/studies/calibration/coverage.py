@@ -51,20 +51,18 @@ def summary(tree: xr.DataTree) -> CoverageSummary:
     held = np.array([0.0 if one else 1.0 for one in reasons])
     inside = coverage(np.where(held > 0, 0.0, np.nan), 0.5, recording)
     return CoverageSummary(
-        len(recording),
-        covered,
-        by_joint,
-        ece(found.whole.values, found.stand_in.values, recording),
-        _spread(found.spread_lateral, found.unit_mm),
-        _spread(found.spread_depth, found.unit_mm),
-        (
-            float(np.median(found.log_evidence.values[_drawn(found)]))
-            if _drawn(found).any()
-            else np.nan
-        ),
-        int((~_drawn(found)).sum()),
-        Interval(1 - inside.value, 1 - inside.high, 1 - inside.low),
-        ranking(reasons),
+        size=len(recording),
+        covered=covered,
+        by_joint=by_joint,
+        ece=ece(found.whole.values, found.stand_in.values, recording),
+        lateral=_spread(found.spread_lateral, found.unit_mm),
+        depth=_spread(found.spread_depth, found.unit_mm),
+        evidence=float(np.median(found.log_evidence.values[_drawn(found)]))
+        if _drawn(found).any()
+        else np.nan,
+        without_draws=int((~_drawn(found)).sum()),
+        excluded=Interval(1 - inside.value, 1 - inside.high, 1 - inside.low),
+        reasons=ranking(reasons),
     )
 
 

@@ -124,7 +124,9 @@ def calibrate(
         draw = independent_roots(model, num_samples, num_roots, max_proposals=max_proposals)
     else:
         draw = _sampler(sampler, model, num_samples, max_proposals, root, num_roots)
-    settings = _settings(model, sampler, draw, seed, num_samples, likelihood, max_proposals) | {
+    settings = {
+        **_asked(sampler, draw),
+        **_common(model, seed, num_samples, likelihood, max_proposals),
         "study": "calibration",
         **_rooted(root, num_roots),
         "reference": reference,
@@ -204,7 +206,9 @@ def cover(
         )
     sampler = _named(sampler, root)
     draw = _sampler(sampler, model, num_samples, max_proposals, root, num_roots)
-    settings = _settings(model, sampler, draw, seed, num_samples, likelihood, max_proposals) | {
+    settings = {
+        **_asked(sampler, draw),
+        **_common(model, seed, num_samples, likelihood, max_proposals),
         "study": "coverage of real poses",
         "estimator": estimator,
         **_rooted(root, num_roots),
@@ -357,20 +361,17 @@ def _rooted(root: str, num_roots: int) -> dict[str, Any]:
     return {"root": root} | ({"num_roots": num_roots} if root == UNCERTAIN else {})
 
 
-def _settings(
-    model: PoseModel,
-    sampler: str | Sampler,
-    draw: Sampler,
-    seed: int,
-    num_samples: int,
-    likelihood: Likelihood,
-    max_proposals: int,
-) -> dict[str, Any]:
-    """What both studies are asked for; draws of a file are known by their content."""
+def _asked(sampler: str | Sampler, draw: Sampler) -> dict[str, Any]:
+    """Who draws; draws of a file are known by their content."""
     name = sampler if isinstance(sampler, str) else getattr(sampler, "__name__", "a function")
+    return {"sampler": name} | ({"draws": draw.sha256} if isinstance(draw, FromFile) else {})
+
+
+def _common(
+    model: PoseModel, seed: int, num_samples: int, likelihood: Likelihood, max_proposals: int
+) -> dict[str, Any]:
+    """What both studies are asked for besides."""
     return {
-        "sampler": name,
-        **({"draws": draw.sha256} if isinstance(draw, FromFile) else {}),
         "seed": seed,
         "num_samples": num_samples,
         "likelihood": f"{likelihood.words} {likelihood.sha256}",

@@ -51,7 +51,6 @@ MOST_COMPARED = 20_000
 """Draws of a baseline that are judged, at most, taken evenly along its paths."""
 ENDLESS = 1 << 40
 """More draws than any budget brings."""
-Progress = Callable[[int, int], None]
 Stage = Callable[[str], AbstractContextManager[Any]]
 """What is shown while something, said in words, is at work."""
 
@@ -159,7 +158,21 @@ def compare(
             own = jax.random.fold_in(key, _number_of(name))
             place = place_of(out, name, start)
             with stage(f"{name} {start}".strip()):
-                entry = _enter(model, known, name, start, own, allowance, num_samples, place)
+                if name in BASELINES:
+                    entry, _ = enter_baseline(
+                        model,
+                        known,
+                        name,
+                        start,
+                        key=own,
+                        allowance=allowance,
+                        num_samples=ENDLESS,
+                        save_to=place,
+                    )
+                elif name in SAMPLERS:
+                    entry = enter_exact(model, known, name, key=own, num_samples=num_samples)
+                else:
+                    entry = enter_external(model, known, name, key=own, allowance=allowance)
             entries = [*found.entries, entry]
             found = Comparison(entries, comparison_tree(entries, known.sample, attributes))
             if out:
@@ -172,24 +185,6 @@ def truth_of(frame: Estimate, result: Result) -> Truth:
     if result.status != COMPLETE:
         raise OutOfBudget(f"the exact draws to judge by are not complete: {result.sentence}")
     return Truth(frame, result.tree, read_sample(result.tree, "the exact draws"))
-
-
-def _enter(
-    model: PoseModel,
-    known: Truth,
-    name: str,
-    start: str,
-    key: jax.Array,
-    allowance: Allowance,
-    num_samples: int,
-    place: Path | None,
-) -> Entry:
-    if name not in SAMPLERS:
-        return enter_external(model, known, name, key=key, allowance=allowance)
-    if name not in BASELINES:
-        return enter_exact(model, known, name, key=key, num_samples=num_samples)
-    settings: dict[str, Any] = {"allowance": allowance, "num_samples": ENDLESS, "save_to": place}
-    return enter_baseline(model, known, name, start, key=key, **settings)[0]
 
 
 def place_of(out: Path | None, name: str, start: str) -> Path | None:
@@ -260,7 +255,7 @@ def enter_exact(
     evidence = attributes["log_evidence"], attributes["log_evidence_se"]
     found = read_sample(result.tree, f"the draws of {name}")
     work = Work(attributes["num_proposals"], seconds, 1.0, found.num_draws, 0)
-    return entry_of(name, "", found, known, result.sentence, work, evidence)
+    return entry_of(name, "", found, known, work=work, evidence=evidence, sentence=result.sentence)
 
 
 def enter_external(
@@ -279,7 +274,7 @@ def enter_external(
         sentence = str(error)
     seconds = time.perf_counter() - started
     if outcome is None:
-        return Entry(name, "", None, sentence, 0, 0, seconds, None, None, math.nan, math.nan)
+        return Entry.without_draws(name, "", sentence, (0, seconds))
     submission = outcome.submission
     points, steps = _thinned(submission.points, outcome.steps)
     poses = target.density.poses(key, points)
@@ -289,7 +284,7 @@ def enter_external(
         cost = submission.evaluations, seconds
     work = Work(*cost, outcome.kept, steps, outcome.given)
     evidence = submission.log_evidence, submission.log_evidence_se
-    return entry_of(name, "", found, known, "", work, evidence)
+    return entry_of(name, "", found, known, work=work, evidence=evidence)
 
 
 def _thinned(points: np.ndarray, steps: int) -> tuple[np.ndarray, int]:
@@ -308,29 +303,13 @@ def enter_baseline(
     known: Truth,
     name: str,
     start: str,
-    *,
-    key: jax.Array,
-    allowance: Allowance,
-    num_samples: int,
-    progress: Progress | None = None,
-    save_to: Path | None = None,
-    clock: Clock = time.perf_counter,
+    **settings: Any,
 ) -> tuple[Entry, xr.DataTree | None]:
-    """A line of a baseline, and its draws, or none where its budget brought none."""
+    """A line of a baseline, and its draws, or none where its budget brought none; `settings` are
+    those of `baselines.run.run`."""
     posterior = known.frame.posterior(model)
-    return enter_chains(
-        Target.of(posterior),
-        functools.partial(baseline_tree, posterior),
-        known,
-        name,
-        start,
-        key=key,
-        allowance=allowance,
-        num_samples=num_samples,
-        progress=progress,
-        save_to=save_to,
-        clock=clock,
-    )
+    tree_of = functools.partial(baseline_tree, posterior)
+    return enter_chains(Target.of(posterior), tree_of, known, name, start, **settings)
 
 
 def enter_chains(
@@ -343,7 +322,7 @@ def enter_chains(
     key: jax.Array,
     **settings: Any,
 ) -> tuple[Entry, xr.DataTree | None]:
-    """As `enter_baseline`, which says what `settings` are, on any target; `tree_of(run, key)` makes
+    """As `enter_baseline`, on any target; `tree_of(run, key)` makes
     its draws a tree."""
     done = run(
         BASELINES[name],
@@ -357,13 +336,11 @@ def enter_chains(
     evidence = done.log_evidence, done.log_evidence_se
     if not done.num_draws:
         cost = done.cost.num_proposals, done.cost.wall_time
-        return Entry(name, start, None, done.sentence, 0, *cost, None, None, *evidence), None
+        return Entry.without_draws(name, start, done.sentence, cost, evidence), None
     tree = tree_of(done, key)
     found = read_sample(tree, f"the draws of {name}")
-    return (
-        entry_of(name, start, found, known, "", _work_of(done, BASELINES[name].starts), evidence),
-        tree,
-    )
+    work = _work_of(done, BASELINES[name].starts)
+    return entry_of(name, start, found, known, work=work, evidence=evidence), tree
 
 
 class Work(NamedTuple):
@@ -395,11 +372,13 @@ def entry_of(
     start: str,
     found: Sample,
     known: Truth,
-    sentence: str,
+    *,
     work: Work,
     evidence: tuple[float, float],
+    sentence: str = "",
 ) -> Entry:
-    """The line of draws `found`: judged by the truth, with their course and pace."""
+    """The line of draws `found`: judged by the truth, with their course and pace; a `sentence` says
+    more than the judgement's."""
     verdict = judge(found, known.sample, evidence=evidence, exact_evidence=known.evidence)
     way = course(found, known.sample, work.seconds, work.kept)
     speed = pace(
@@ -407,17 +386,17 @@ def entry_of(
     )
     shown = evidence if math.isfinite(evidence[0]) else (math.nan, math.nan)
     some = found.flat[:: max(1, found.num_draws // SHOWN_DRAWS)][:SHOWN_DRAWS]
-    said = sentence or verdict.sentence
     return Entry(
-        name,
-        start,
-        verdict,
-        said,
-        found.num_draws,
-        work.evaluations,
-        work.seconds,
-        way,
-        speed,
-        *shown,
-        some,
+        sampler=name,
+        start=start,
+        judgement=verdict,
+        sentence=sentence or verdict.sentence,
+        num_draws=found.num_draws,
+        evaluations=work.evaluations,
+        seconds=work.seconds,
+        course=way,
+        pace=speed,
+        log_evidence=shown[0],
+        log_evidence_se=shown[1],
+        draws=some,
     )

@@ -114,15 +114,15 @@ def judge(
     joint_w1 = wasserstein(sample.flat[:, depth], exact.flat[:, depth])
     distance = sliced_wasserstein(sample.flat, exact.flat)
     return Judgement(
-        verdict,
-        sentence,
-        tuple(tests),
-        tuple(others),
-        mixed,
-        found,
-        coordinate_p,
-        joint_w1,
-        distance,
+        verdict=verdict,
+        sentence=sentence,
+        tests=tuple(tests),
+        others=tuple(others),
+        mixing=mixed,
+        modes=found,
+        coordinate_p=coordinate_p,
+        joint_w1=joint_w1,
+        distance=distance,
     )
 
 

@@ -140,12 +140,12 @@ def _enter_route(known: Truth, name: str, result: Result) -> Entry:
     evidence = attributes["log_evidence"], attributes["log_evidence_se"]
     cost = attributes["num_proposals"], attributes["wall_time_s"]
     if not result.num_draws:
-        return Entry(name, "", None, result.sentence, 0, *cost, None, None, *evidence)
+        return Entry.without_draws(name, "", result.sentence, cost, evidence)
     found = read_sample(result.tree, f"the draws of {name}")
     if name == WEIGHTED:
         found = found.first(min(1.0, attributes["effective_roots"] / APART / found.num_draws))
     work = Work(*cost, 1.0, found.num_draws, 0)
-    return entry_of(name, "", found, known, result.sentence, work, evidence)
+    return entry_of(name, "", found, known, work=work, evidence=evidence, sentence=result.sentence)
 
 
 def check_routes(names: Sequence[str]) -> None:

@@ -104,7 +104,15 @@ def _gain(
         [pose_errors(values, before)[rows], pose_errors(values, after)[rows]], axis=1
     )
     estimate = clustered(columns, recording[rows], lambda means: 1 - means[..., 1] / means[..., 0])
-    return Relation(words, paper, estimate, 0.0, INF, "share", int(rows.sum()))
+    return Relation(
+        words=words,
+        paper=paper,
+        found=estimate,
+        low=0.0,
+        high=INF,
+        unit="share",
+        frames=int(rows.sum()),
+    )
 
 
 _PAPER_GAIN = {(0, 1): "+21.5 mm", (1, 2): "+13.4 mm", (0, 2): "+34.9 mm"}
@@ -119,4 +127,12 @@ def _growth(
     estimate = clustered(gains[1] - gains[0], recording[rows])
     words = f"{way}: the gain of the best of {k} grows from {one} to {more} missing joints"
     paper = f"{_PAPER_GAIN[one, more]} (A&B)" if (one, more) in _PAPER_GAIN else "–"
-    return Relation(words, paper, estimate, 0.0, INF, "mm", int(rows.sum()))
+    return Relation(
+        words=words,
+        paper=paper,
+        found=estimate,
+        low=0.0,
+        high=INF,
+        unit="mm",
+        frames=int(rows.sum()),
+    )

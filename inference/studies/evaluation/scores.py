@@ -113,16 +113,16 @@ def summary(values: Values, row: str | int) -> Metrics:
         flips = float(values[f"flips_{row}"][rows].mean())
     pck = float(metrics.pck(errors, [metrics.PCK_MM])[0])
     return Metrics(
-        float(errors.mean()),
-        float(unscaled_errors(values, row)[rows].mean()),
-        per_batch,
-        per_joint,
-        pck,
-        metrics.pck_area(errors),
-        metrics.cps(errors),
-        flips,
-        spread,
-        valid,
+        per_pose=float(errors.mean()),
+        unscaled=float(unscaled_errors(values, row)[rows].mean()),
+        per_batch=per_batch,
+        per_joint=per_joint,
+        pck=pck,
+        pck_area=metrics.pck_area(errors),
+        cps=metrics.cps(errors),
+        flips=flips,
+        spread=spread,
+        valid=valid,
     )
 
 

@@ -6,7 +6,7 @@ Given torso, camera and bone lengths, though, limbs are independent of each othe
 draws of one *limb* there is one whose bones point nearly as the centre's do, and limbs of different
 draws make a pose that is possible and explains the detection.
 
-    composed(result, frame.uncertain(model), k=5)
+    composed(result, frame.posterior(model), k=5)
 """
 
 from typing import Any, NamedTuple
@@ -14,20 +14,20 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from poseterior.probmodel.errors.faults import Faults
 
 from poseterior.inference.clusters import Clusters, clusters
+from poseterior.inference.draws import Draws
 from poseterior.inference.hypothesis import Hypothesis, require_k
-from poseterior.inference.importance.tree import nearest_rotation
 from poseterior.inference.machines import calm_blas
 from poseterior.inference.results import Result
-from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.model import PoseModel
-from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.observation import DetectedJoints, Observation
 from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.programs import kept
-from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.root_priors import CANDIDATES, RootPrior
+from poseterior.probmodel.roots import RootPoint, nearest_rotation
 from poseterior.probmodel.skeleton import GROUPS, NUM_JOINTS, PARENTS, TORSO_INDEX
-from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 ROOTS = 8
 """Roots that are tried for each hypothesis, of each kind: draws' own, and the mean camera's."""
@@ -53,45 +53,27 @@ class Drawn(NamedTuple):
     posterior : what they were drawn from.
     joints : `(n, 15, 3)` camera axes, body units.
     bone_length : `(n, 5)` body units.
-    candidate : `(n,)` the root of each draw, where roots are fixed.
-    points, faults : the root and the pattern of faults of each draw `(n, ...)`, where roots are
-        uncertain.
+    points : the root of each draw, as the posterior's prior has it.
+    faults : the pattern of faults of each draw `(n, ...)`.
     """
 
-    posterior: Posterior | UncertainPosterior
+    posterior: Posterior
     joints: np.ndarray
     bone_length: np.ndarray
-    candidate: np.ndarray | None = None
-    points: RootPoint | None = None
-    faults: Faults | None = None
+    points: Any
+    faults: Faults
 
     @classmethod
-    def of(cls, result: Result, posterior: Posterior | UncertainPosterior) -> "Drawn":
+    def of(cls, result: Result, posterior: Posterior) -> "Drawn":
         """The draws of a result that `sample` returned for a posterior."""
         found = {
-            name: np.asarray(values).reshape(-1, *values.shape[2:])
+            str(name): np.asarray(values).reshape(-1, *values.shape[2:])
             for name, values in result.tree["posterior"].data_vars.items()
         }
-        where = posterior, found["joints"], found["bone_length"]
-        if "rotation" not in found:
-            return cls(*where, candidate=found["candidate"])
-        points = RootPoint(
-            found["torso"], found["rotation"], np.log(found["scale"]), found["translation"]
-        )
         none = Faults.none(len(found["joints"]))
         faults = Faults(*(found.get(name, part) for name, part in none._asdict().items()))
-        return cls(*where, points=points, faults=faults)
-
-    def take(self, rows: Any) -> "Drawn":
-        """Some of them."""
-        return Drawn(
-            self.posterior,
-            self.joints[rows],
-            self.bone_length[rows],
-            None if self.candidate is None else self.candidate[rows],
-            None if self.points is None else self.points.take(rows),
-            None if self.faults is None else self.faults.take(rows),
-        )
+        points = posterior.root_prior.point_of(found)
+        return cls(posterior, found["joints"], found["bone_length"], points, faults)
 
 
 class _Roots(NamedTuple):
@@ -105,7 +87,7 @@ class _Roots(NamedTuple):
 
 
 def composed(
-    result: Result, posterior: Posterior | UncertainPosterior, k: int = 5, *, seed: int = 0
+    result: Result, posterior: Posterior, k: int = 5, *, seed: int = 0
 ) -> list[Hypothesis]:
     """Hypotheses that are more like the centres of a result's clusters than draws are: possible
     poses, each with the torso and camera of a draw, or the mean camera of a cluster, and with limbs
@@ -116,7 +98,7 @@ def composed(
     result
         What `sample` returned.
     posterior
-        What it was drawn from: `Estimate.posterior` of a model, or `Estimate.uncertain`.
+        What it was drawn from.
     k
         How many.
     seed
@@ -136,7 +118,7 @@ def composed(
     return compose(Drawn.of(result, posterior), k, seed=seed)
 
 
-def compose(drawn: Drawn, k: int, *, seed: int = 0) -> list[Hypothesis]:
+def compose(drawn: Drawn | Draws, k: int, *, seed: int = 0) -> list[Hypothesis]:
     """`composed` of draws that are at hand.
 
     Parameters
@@ -166,10 +148,10 @@ def compose(drawn: Drawn, k: int, *, seed: int = 0) -> list[Hypothesis]:
     return sorted(found, key=lambda hypothesis: -hypothesis.weight)
 
 
-def _hypothesis(drawn: Drawn, fit: Clusters, cluster: int) -> Hypothesis:
+def _hypothesis(drawn: Drawn | Draws, fit: Clusters, cluster: int) -> Hypothesis:
     members = np.flatnonzero(fit.labels == cluster)
     centre = fit.centres[cluster].reshape(NUM_JOINTS, 3)
-    way = _fixed if isinstance(drawn.posterior, Posterior) else _uncertain
+    way = _of_candidates if drawn.posterior.root_prior.name == CANDIDATES else _of_points
     bases, roots = way(drawn, members, centre)
     limbs = np.append(np.arange(min(len(drawn.joints), LIMBS)), bases)
     directions = drawn.joints[limbs], drawn.bone_length[limbs]
@@ -181,24 +163,22 @@ def _hypothesis(drawn: Drawn, fit: Clusters, cluster: int) -> Hypothesis:
     return Hypothesis(poses[best], weight, int(np.argmin(away)), keypoints[best])
 
 
-def _fixed(drawn: Drawn, members: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, _Roots]:
-    """The draws nearest to the centre, and their roots."""
-    posterior, candidate = drawn.posterior, drawn.candidate
-    assert isinstance(posterior, Posterior)
-    assert candidate is not None
+def _of_candidates(
+    drawn: Drawn | Draws, members: np.ndarray, centre: np.ndarray
+) -> tuple[np.ndarray, _Roots]:
+    """The draws nearest to the centre, and their candidates."""
+    posterior = drawn.posterior
     bases = np.resize(_nearest(drawn.joints[members], centre, members)[:ROOTS], ROOTS)
-    every = jax.tree.map(lambda *leaves: np.stack(leaves), *posterior.observations)
-    seen = jax.tree.map(lambda leaf: leaf[candidate[bases]], every)
+    seen = _under(posterior.detected, posterior.root_prior, drawn.points[bases], None)
     return bases, _Roots(seen, drawn.bone_length[bases], _own(drawn))
 
 
-def _uncertain(drawn: Drawn, members: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, _Roots]:
+def _of_points(
+    drawn: Drawn | Draws, members: np.ndarray, centre: np.ndarray
+) -> tuple[np.ndarray, _Roots]:
     """Draws of those roots whose torsos are nearest to the centre's, and these roots; behind them
     the members' mean camera, with the torsos that are nearest under it."""
     posterior, points, faults = drawn.posterior, drawn.points, drawn.faults
-    assert isinstance(posterior, UncertainPosterior)
-    assert points is not None
-    assert faults is not None
     order = _nearest(drawn.joints[members][:, _TORSO], centre[_TORSO], members)
     _, first = np.unique(points.log_scale[order], return_index=True)  # each root once
     bases = np.resize(order[np.sort(first)][:ROOTS], ROOTS)
@@ -208,7 +188,7 @@ def _uncertain(drawn: Drawn, members: np.ndarray, centre: np.ndarray) -> tuple[n
     patterns = faults.take(np.append(bases, np.full(ROOTS, bases[0])))
     mean = np.tile(drawn.bone_length[like].mean(axis=0), (ROOTS, 1))
     length = np.concatenate([drawn.bone_length[bases], mean])
-    seen = _under(posterior.model, posterior.detected, roots, patterns)
+    seen = _under(posterior.detected, posterior.root_prior, roots, patterns)
     return bases, _Roots(seen, length, np.append(_own(drawn), np.full(ROOTS, -1)))
 
 
@@ -217,7 +197,7 @@ def _nearest(poses: np.ndarray, centre: np.ndarray, names: np.ndarray) -> np.nda
     return names[np.argsort(np.sum((poses - centre) ** 2, axis=(1, 2)), kind="stable")]
 
 
-def _own(drawn: Drawn) -> np.ndarray:
+def _own(drawn: Drawn | Draws) -> np.ndarray:
     """Where the limbs of the draws whose roots are tried stand: behind all others."""
     return min(len(drawn.joints), LIMBS) + np.arange(ROOTS)
 
@@ -227,7 +207,7 @@ def _same(patterns: Faults, one: Faults) -> np.ndarray:
     return (patterns.exchange == one.exchange) & (patterns.outlier == one.outlier).all(axis=-1)
 
 
-def _mean_camera(posterior: UncertainPosterior, points: RootPoint, centre: np.ndarray) -> RootPoint:
+def _mean_camera(posterior: Posterior, points: RootPoint, centre: np.ndarray) -> RootPoint:
     """`(ROOTS, ...)`: the mean of some roots' cameras, before it those of their torsos that are
     nearest to the centre's."""
     torsos = np.unique(points.torso)
@@ -249,11 +229,13 @@ def _bones(joints: jax.Array) -> jax.Array:
 
 @jax.jit  # and not kept: what it returns is more than tuples
 def _under(
-    model: PoseModel, detected: DetectedJoints, points: RootPoint, faults: Faults
+    detected: DetectedJoints,
+    prior: RootPrior,
+    points: Any,
+    faults: Faults | None,
 ) -> Observation:
     """What a detection says under roots and patterns of faults `(r, ...)`."""
-    prior = RootPrior.of(model)
-    return jax.vmap(lambda point, pattern: detected.under(prior, point, pattern))(points, faults)
+    return jax.vmap(lambda *one: detected.under(prior, *one))(points, faults)
 
 
 @kept

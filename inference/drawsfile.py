@@ -3,8 +3,8 @@
     result = sample_to_file("posterior.nc", model, frame, key=jax.random.key(0),
                             num_samples=1_000_000)
 
-Exact rejection under a fixed root and weighted roots make them block by block; each is a sample of
-the posterior, is written, and is forgotten. The file is that of `Result.save`, and appears when it
+Exact rejection and weighted roots make them block by block; each is a sample of the posterior, is
+written, and is forgotten. The file is that of `Result.save`, and appears when it
 is whole.
 """
 
@@ -19,15 +19,15 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
-from poseterior.inference.drawers import sampler_under
-from poseterior.inference.exact.mixture import MAX_PROPOSALS, PROPOSALS, Progress
-from poseterior.inference.importance.routes import ROUTES
+from poseterior.inference.draws import MAX_PROPOSALS, Draws, Progress
+from poseterior.inference.exact import ahead
 from poseterior.inference.importance.weighted import NUM_ROOTS
-from poseterior.inference.results import BLOCK, FIXED, Result, single
-from poseterior.inference.sampler import ROOTED_SAMPLERS, exact_blocks, sample, uncertain_blocks
+from poseterior.inference.results import BLOCK, Result, result_of, single
+from poseterior.inference.sampler import require_chains, sampler_of
 from poseterior.probmodel.files import replacing
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import UNCERTAIN
 
 CHUNK = 1 << 12
 """Draws that a file which grows has side by side: those of one joint are read without the rest."""
@@ -45,7 +45,7 @@ def sample_to_file(
     num_samples: int = 10_000,
     max_proposals: int = MAX_PROPOSALS,
     chains: int = 1,
-    root: str = FIXED,
+    root: str = UNCERTAIN,
     num_roots: int = NUM_ROOTS,
     most_roots: int | None = None,
     double: bool = False,
@@ -53,10 +53,10 @@ def sample_to_file(
 ) -> Result:
     """Draws as `inference.sample` makes them, saved in a file.
 
-    More than `BLOCK` draws of exact rejection in one chain under a fixed root, or of weighted
-    roots, never are in memory together: the result's tree then reads them from the file as they are
-    asked for. They are other ones, as random, than `sample` makes for the same key. All others are
-    drawn first, and then saved.
+    More than `BLOCK` draws of exact rejection in one chain, or of weighted roots, never are in
+    memory together: the result's tree then reads them from the file as they are asked for. They are
+    other ones, as random, than `sample` makes for the same key. Other samplers draw first, and then
+    save.
 
     Parameters
     ----------
@@ -79,45 +79,30 @@ def sample_to_file(
     BadInput
         As `inference.sample` does, and where the file cannot be written.
     """
-    if num_samples > BLOCK and chains == 1:
-        name = sampler_under(root, sampler, ROOTED_SAMPLERS)
-        given: dict[str, Any] = {
-            "key": key,
-            "num_samples": num_samples,
-            "max_proposals": max_proposals,
-            "progress": progress,
-            "block": BLOCK,
-        }
-        if root == FIXED and name in PROPOSALS:
-            blocks = exact_blocks(frame.posterior(model), name, **given)
-            return _written(path, blocks, double)
-        if name == ROUTES[0]:
-            posterior = frame.uncertain(model)
-            given |= {"num_roots": num_roots, "most_roots": most_roots}
-            blocks = uncertain_blocks(posterior, name, **given)
-            return _written(path, blocks, double)
-    result = sample(
-        model,
-        frame,
-        key=key,
-        sampler=sampler,
-        num_samples=num_samples,
+    chosen = sampler_of(
+        root,
+        sampler,
         max_proposals=max_proposals,
-        chains=chains,
-        root=root,
         num_roots=num_roots,
         most_roots=most_roots,
-        progress=progress,
+        chains=require_chains(root, sampler, chains),
     )
+    posterior = frame.posterior(model, root)
+    blocks = chosen.blocks(posterior, key, num_samples, block=BLOCK, progress=progress)
+    if num_samples > BLOCK:
+        return _written(path, blocks, double)
+    (draws,) = blocks
+    ahead.finish()
+    result = result_of(draws)
     if result.num_draws:
         result.save(path, double=double)
     return result
 
 
-def _written(path: str | os.PathLike, blocks: Iterator[Result], double: bool) -> Result:
+def _written(path: str | os.PathLike, blocks: Iterator[Draws], double: bool) -> Result:
     """Blocks in one file, and the result that reads them from there. Where the first one has no
     draw, that one itself."""
-    last = next(blocks)
+    last = result_of(next(blocks))
     if not last.num_draws:
         return last
     encoding = {} if double else single(last.tree)
@@ -126,7 +111,8 @@ def _written(path: str | os.PathLike, blocks: Iterator[Result], double: bool) ->
         contextlib.closing(DrawsFile(partial, last.tree, encoding)) as file,
     ):
         _let_go(last.tree)
-        for last in blocks:
+        for number, draws in enumerate(blocks, 1):
+            last = result_of(draws, number)
             file.append(last.tree)
             _let_go(last.tree)
     return Result(xr.open_datatree(path, engine="netcdf4"), last.status, last.sentence)

@@ -14,6 +14,7 @@ from poseterior.inference.exact.problem import limb_problems, log_ratio_of
 from poseterior.inference.exact.rates import Budget, GroupSampler
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import GROUPS, Limb
 
 BODY = "body"
@@ -72,7 +73,7 @@ def evidence(
     dict of Evidence
         Of the "body", of each group ("head", "arms", "legs") and of each limb alone.
     """
-    observation = frame.posterior(model).observations[candidate]
+    observation = frame.posterior(model, CANDIDATES).observations[candidate]
     tables, problems = group_tables(model), limb_problems(observation)
     budget = Budget(max_proposals)
     found, goal = {}, relative_error / np.sqrt(len(GROUPS))

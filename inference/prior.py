@@ -8,7 +8,8 @@ import xarray as xr
 from numpyro.infer import Predictive
 from numpyro.infer.util import log_density
 
-from poseterior.inference.results import key_words, provenance
+from poseterior.inference.draws import key_words
+from poseterior.inference.results import provenance
 from poseterior.probmodel.chunks import CHUNK
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel

@@ -11,13 +11,15 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from poseterior.inference.draws import MAX_PROPOSALS
 from poseterior.inference.exact.device.group import device_groups, place_group
-from poseterior.inference.exact.mixture import MAX_PROPOSALS, RootSampler
+from poseterior.inference.exact.mixture import RootSampler
 from poseterior.inference.exact.rates import Budget
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import CANDIDATES
 
 
 class Resident(NamedTuple):
@@ -78,10 +80,10 @@ def resident_draws(
     """
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
-    posterior = frame.posterior(model)
-    if not 0 <= candidate < len(posterior.roots):
+    posterior = frame.posterior(model, CANDIDATES)
+    if not 0 <= candidate < len(posterior.candidates):
         raise BadInput(
-            f"there is no candidate {candidate}; choose from 0 to {len(posterior.roots) - 1}"
+            f"there is no candidate {candidate}; choose from 0 to {len(posterior.candidates) - 1}"
         )
     observation, budget = posterior.observations[candidate], Budget(max_proposals)
     groups = device_groups(key, model, observation)

@@ -8,64 +8,26 @@ import importlib.metadata
 import os
 import platform
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax
 import numpy as np
 import xarray as xr
+from poseterior.probmodel.errors.faults import ORDERS
 
-from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.draws import Draws, KnownRoots, over_draws
 from poseterior.inference.predictions import KeypointsRead, prediction_groups
 from poseterior.probmodel.camera import Lens
-from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.files import replacing
-from poseterior.probmodel.model import PoseModel, log_joint
-from poseterior.probmodel.observation import Observation
-from poseterior.probmodel.pose import Pose
-from poseterior.probmodel.posterior import Posterior
-from poseterior.probmodel.programs import kept
-from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS, NUM_JOINTS
-from poseterior.probmodel.uncertain import UncertainPosterior
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Posterior, log_joints
+from poseterior.probmodel.roots import Candidate, RootPoint, nearest_rotation
+from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS
 
 _PACKAGES = ("poseterior", "numpyro", "jax", "numpy", "scipy", "arviz", "xarray")
-BASE_MEASURE = (
-    "counting (torso) x length (5, body units) x surface of the unit sphere (9 directions) x image"
-    " area (px2)"
-)
-FIXED, UNCERTAIN = "fixed", "uncertain"
-"""What a result says of its root: atoms that an estimator gave, or a part of the posterior."""
 BLOCK = 1 << 16
 """Draws of a large result that are in memory at a time (some 200 MB), and that its pictures and
 tables are of."""
-COMPLETE, OUT_OF_BUDGET, IMPOSSIBLE = "complete", "out of budget", "impossible"
-
-
-class RootDraws(NamedTuple):
-    """Draws under one root.
-
-    Attributes
-    ----------
-    poses : the draws `(n, ...)`.
-    log_evidence : log of the prior's mean of the likelihood over its peak; for discs, the log prior
-        probability of the indicator.
-    log_evidence_se : its standard error.
-    weight : the root's share of the posterior.
-    """
-
-    poses: Pose
-    log_evidence: float
-    log_evidence_se: float
-    weight: float
-
-
-class Cost(NamedTuple):
-    """What the draws cost: proposals made, of which accepted in the sampler's own count, and
-    seconds."""
-
-    num_proposals: int
-    acceptance_rate: float
-    wall_time: float
 
 
 @dataclass(frozen=True)
@@ -161,11 +123,6 @@ def single(tree: xr.DataTree) -> dict[str, dict[str, dict[str, str]]]:
     }
 
 
-def key_words(key: jax.Array) -> str:
-    """A key as the attribute `seed` has it."""
-    return " ".join(map(str, words_of(key)))
-
-
 @functools.cache
 def versions() -> str:
     """Versions of Python and of the packages that draws depend on."""
@@ -189,7 +146,10 @@ def _said(lens: Lens) -> dict[str, str]:
     return {"focal": f"{float(lens.focal):.6g}", "principal": principal}
 
 
-Columns = dict[str, np.ndarray]
+BASE_MEASURE = (
+    "length (5, body units) x surface of the unit sphere (9 directions) x image area (px2)"
+)
+"""Of log densities, after that of the root."""
 COLUMNS: dict[str, tuple[tuple[str, ...], str]] = {
     "joints": (("joint", "axis"), "body units"),
     "bone_length": (("length_group",), "body units"),
@@ -214,64 +174,37 @@ NAMES = {
 """The coordinates of what has names."""
 
 
-def build_tree(
-    posterior: Posterior,
-    parts: list[RootDraws],
-    attributes: dict[str, Any],
-    rng: np.random.Generator | None,
-    block: int = 0,
-) -> xr.DataTree:
-    """The DataTree of a posterior's draws, those of each root in `parts`.
-
-    Draws are put in random order, so that any stretch of them is a sample of the mixture; without
-    `rng` they stay in theirs. The attribute `seed` also decides the predictions, with the number of
-    the `block` where a result is made in several.
-    """
-    columns = pose_columns(posterior, parts, rng)
-    attributes = {"root": FIXED} | attributes | {"converged": int(posterior.converged)}
-    constant = _constant_data(posterior, parts)
-    return assemble(posterior, columns, constant, BASE_MEASURE, attributes, block)
+def result_of(draws: Draws, block: int = 0) -> Result:
+    """Draws with names. The attribute `seed` also decides the predictions, with the number of the
+    `block` where a result is made in several."""
+    return Result(tree_of(draws, block), draws.status, draws.sentence)
 
 
-def assemble(
-    posterior: Posterior | UncertainPosterior,
-    columns: Columns,
-    constant: xr.Dataset,
-    base_measure: str,
-    attributes: dict[str, Any],
-    block: int = 0,
-) -> xr.DataTree:
-    """The DataTree of draws in columns `(n, ...)`: some of `COLUMNS`, the fields of
-    `KeypointsRead`, their names after "read_", and lp, log densities with respect to
-    `base_measure`."""
-    chain = ("chain", "draw")
-    coords = {"chain": [0], "draw": np.arange(len(columns["joints"]))}
-    draws: dict[str, Any] = {}
-    used: set[str] = set()
-    for name in [name for name in COLUMNS if name in columns]:
-        dims, unit = COLUMNS[name]
-        draws[name] = ((*chain, *dims), columns[name][None], {"units": unit} if unit else {})
-        used.update(dims)
-    names = {name: values for name, values in NAMES.items() if name in used}
-    lp = (chain, columns["lp"][None], {"base_measure": base_measure})
-    words = [int(word) for word in attributes["seed"].split()]
-    tree = xr.DataTree.from_dict(
-        {
-            "posterior": xr.Dataset(draws, coords=coords | names),
-            "sample_stats": xr.Dataset({"lp": lp}, coords=coords),
-            **prediction_groups(
-                posterior.likelihood.law,
-                KeypointsRead(*(columns[f"read_{name}"] for name in KeypointsRead._fields)),
-                columns["keypoints"],
-                words,
-                block,
-            ),
-            "observed_data": observed_data(posterior.detection),
-            "constant_data": constant,
-        }
+def tree_of(draws: Draws, block: int = 0) -> xr.DataTree:
+    """The DataTree of draws, whatever sampler made them."""
+    posterior, columns = draws.posterior, columns_of(draws)
+    named = {name: (*COLUMNS[name], columns[name]) for name in COLUMNS if name in columns}
+    posterior_group = _group(draws, named)
+    names = {dim: NAMES[dim] for dim in NAMES if dim in posterior_group.dims}
+    words = [int(word) for word in draws.attributes["seed"].split()]
+    predictions = prediction_groups(
+        posterior.likelihood.law, _as_read(draws), draws.keypoints, words, block
     )
+    base_measure = f"{draws.prior.base_measure} x {BASE_MEASURE}"
+    lp = _group(draws, {"lp": ((), "", log_density(draws))})
+    lp["lp"].attrs["base_measure"] = base_measure
+    groups = {
+        "posterior": posterior_group.assign_coords(names),
+        "sample_stats": lp,
+        **{name: _in_chains(group, draws.chains) for name, group in predictions.items()},
+        "observed_data": observed_data(posterior.detection),
+        "constant_data": constant_data(posterior, draws.known),
+    }
+    if draws.root_index is not None:
+        groups["roots"] = _known_roots(draws)
+    tree = xr.DataTree.from_dict(groups)
     tree.attrs.update(
-        attributes,
+        {"root": draws.prior.name, "converged": int(posterior.converged)} | draws.attributes,
         **provenance(posterior.model),
         source=posterior.detection.source,
         person=posterior.detection.person,
@@ -283,91 +216,86 @@ def assemble(
     return tree
 
 
-def pose_columns(
-    posterior: Posterior, parts: list[RootDraws], rng: np.random.Generator | None
-) -> Columns:
-    """Draws under all roots as columns: those of `joint_columns` but for scale, torso, the
-    detection as it is read, lp; in random order, or without `rng` one root after the other."""
-    columns: list[Columns] = []
-    for index, (root, observation, part) in enumerate(
-        zip(posterior.roots, posterior.observations, parts, strict=True)
-    ):
-        number = len(part.poses.length)
-        density = functools.partial(log_joint, posterior.model, observation)
-        seen = _seen(posterior.model, observation, part.poses)
-        spread = seen.pop("scale")[:, None] * np.asarray(observation.spread)
-        columns.append(
-            {
-                **seen,
-                "torso": np.full(number, root.torso_index),
-                "candidate": np.full(number, index),
-                "read_detected": _tiled(posterior.detection.keypoints, number),
-                "read_bias": _tiled(posterior.likelihood.bias * float(root.camera.scale), number),
-                "read_spread": spread,
-                "read_outlier": np.zeros((number, NUM_JOINTS), bool),
-                "lp": in_chunks(density, *part.poses) if number else np.empty(0),
-            }
+def _group(draws: Draws, named: dict[str, tuple[tuple[str, ...], str, np.ndarray]]) -> xr.Dataset:
+    """Variables of draws `(n, ...)`, by name: dimensions after chain and draw, unit, values."""
+    shape = draws.chains, len(draws) // draws.chains
+    coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
+    return xr.Dataset(
+        {
+            name: (
+                ("chain", "draw", *dims),
+                np.reshape(values, (*shape, *values.shape[1:])),
+                {"units": unit} if unit else {},
+            )
+            for name, (dims, unit, values) in named.items()
+        },
+        coords=coords,
+    )
+
+
+def _in_chains(group: xr.Dataset, chains: int) -> xr.Dataset:
+    """A group of one chain as that of several, one after the other."""
+    if chains == 1:
+        return group
+    draws = group.sizes["draw"] // chains
+    found = {
+        name: (
+            variable.dims,
+            variable.values.reshape(chains, draws, *variable.shape[2:]),
+            variable.attrs,
         )
-    return _shuffled(columns, rng)
-
-
-def _tiled(row: np.ndarray, number: int) -> np.ndarray:
-    """The same row for every draw."""
-    return np.broadcast_to(row, (number, *row.shape))
-
-
-def joint_columns(
-    posterior: Posterior, parts: list[RootDraws], rng: np.random.Generator
-) -> Columns:
-    """Draws under all roots in the same random order: joints `(n, 15, 3)`, bone_length `(n, 5)`,
-    keypoints `(n, 15, 2)`, candidate `(n,)` and the root's scale `(n,)` in pixels a body unit
-    only."""
-    columns = [
-        _seen(posterior.model, observation, part.poses)
-        | {"candidate": np.full(len(part.poses.length), index)}
-        for index, (observation, part) in enumerate(zip(posterior.observations, parts, strict=True))
-    ]
-    return _shuffled(columns, rng)
-
-
-def _seen(model: PoseModel, observation: Observation, poses: Pose) -> Columns:
-    """Draws under one root, and where its camera sees them."""
-    number = len(poses.length)
-    joints, keypoints = np.empty((0, NUM_JOINTS, 3)), np.empty((0, NUM_JOINTS, 2))
-    if number:
-        joints, keypoints = in_chunks(functools.partial(_place, model, observation), *poses)
-    return {
-        "joints": joints,
-        "bone_length": poses.length,
-        "keypoints": keypoints,
-        "scale": np.full(number, float(observation.root.camera.scale)),
+        for name, variable in group.data_vars.items()
     }
+    coords = {name: group.coords[name] for name in group.coords if name not in ("chain", "draw")}
+    return xr.Dataset(found, coords | {"chain": np.arange(chains), "draw": np.arange(draws)})
 
 
-@kept
-def _place(
-    model: PoseModel,
-    observation: Observation,
-    length: jax.Array,
-    upper: jax.Array,
-    lower: jax.Array,
-) -> tuple[jax.Array, jax.Array]:
-    """Joints of a chunk of draws in camera axes, and where they fall in the image."""
-    joints = model.joints(observation.view, length, upper, lower)
-    return joints, observation.root.camera.image(joints)
+def columns_of(draws: Draws) -> dict[str, np.ndarray]:
+    """Draws as columns `(n, ...)`, those of `COLUMNS` that there are."""
+    posterior, faults = draws.posterior, draws.faults
+    columns = draws.prior.columns(draws.points) | {
+        "joints": draws.joints,
+        "bone_length": draws.bone_length,
+        "keypoints": draws.keypoints,
+        "candidate": draws.prior.sides(draws.points, posterior.candidates),
+    }
+    if draws.root_index is not None:
+        columns["root_index"] = draws.root_index
+    if posterior.faults.any:
+        columns |= {"outlier": faults.outlier, "exchange": faults.exchange}
+    return columns
 
 
-def _shuffled(columns: list[Columns], rng: np.random.Generator | None) -> Columns:
-    joined = {key: _joined([column[key] for column in columns]) for key in columns[0]}
-    if rng is None:
-        return joined
-    order = rng.permutation(len(joined["joints"]))
-    return {key: value.take(order, axis=0) for key, value in joined.items()}
+def log_density(draws: Draws) -> np.ndarray:
+    """`(n,)`: the log joint density of draws, that of the program."""
+    posterior = draws.posterior
+    if not len(draws):
+        return np.empty(0)
+    given = posterior.model, posterior.detected, posterior.root_prior, posterior.faults
+    return over_draws(log_joints, given, draws.points, draws.poses, draws.faults)
 
 
-def _joined(parts: list[np.ndarray]) -> np.ndarray:
-    """The rows of all parts; of one part itself, which need not be copied."""
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+def _as_read(draws: Draws) -> KeypointsRead:
+    """The detection as the pattern of faults of each draw has it."""
+    posterior = draws.posterior
+    order = ORDERS[draws.faults.exchange]
+    spread = np.asarray(posterior.detected.spread)[order]
+    outlier = np.take_along_axis(draws.faults.outlier, order, axis=1) & np.isfinite(spread)
+    bias = np.where(outlier[..., None], 0.0, posterior.likelihood.bias[order])
+    unit = _units(draws)
+    return KeypointsRead(
+        posterior.detection.keypoints[order],
+        unit[..., None] * bias,
+        unit * np.where(outlier, posterior.faults.reach, spread),
+        outlier,
+    )
+
+
+def _units(draws: Draws) -> np.ndarray:
+    """`(n, 15)`: pixels of a body unit at each joint."""
+    lens, scale = draws.posterior.model.lens, draws.scale[:, None]
+    nearness = 0.0 if lens is None else 1 / float(lens.focal)
+    return scale / (1 + nearness * scale * draws.joints[:, :, 2])
 
 
 def observed_data(detection: Detection) -> xr.Dataset:
@@ -381,34 +309,88 @@ def observed_data(detection: Detection) -> xr.Dataset:
     )
 
 
-def _constant_data(posterior: Posterior, parts: list[RootDraws]) -> xr.Dataset:
-    roots, one = posterior.roots, ("candidate",)
-    cameras = [root.camera for root in roots]
-    reach = np.stack([observation.reach for observation in posterior.observations])
-    radius = np.where(np.isfinite(reach), reach, np.nan) * [[float(c.scale)] for c in cameras]
+def constant_data(posterior: Posterior, known: KnownRoots) -> xr.Dataset:
+    """What is known of each side, which is a candidate of the estimator: its share of the posterior
+    and evidence, and the mean of its roots' cameras."""
+    side = posterior.root_prior.sides(known.points, posterior.candidates)
+    points, number = posterior.root_prior.points(known.points), max(1, len(posterior.candidates))
+    found: list[dict[str, Any]] = []
+    for index in range(number):
+        rows = np.flatnonzero(side == index)
+        evidence = dict(zip(("log_evidence", "log_evidence_se"), known.evidence(rows), strict=True))
+        found.append(_side(posterior, points.take(rows), known.share[rows], index) | evidence)
+    columns = {name: np.array([one[name] for one in found]) for name in found[0]}
+    spread = np.asarray(posterior.detected.spread)
+    reach = posterior.likelihood.law.reach * np.where(np.isfinite(spread), spread, np.nan)
+    columns["radius"] = columns["scale"][:, None] * reach[None]
+    dims = {"rotation": ("axis", "body_axis"), "translation": ("uv",), "radius": ("joint",)}
+    return xr.Dataset(
+        {name: (("candidate", *dims.get(name, ())), column) for name, column in columns.items()},
+        coords={"candidate": np.arange(number)}
+        | {name: NAMES[name] for name in ("joint", "axis", "body_axis", "uv")},
+    )
+
+
+def _side(posterior: Posterior, points: RootPoint, share: np.ndarray, index: int) -> dict[str, Any]:
+    """Of a side's roots: their share, mean camera and its spread, and the torso that has most of
+    it. The estimator's candidate where they have no weight."""
+    weight = share.sum()
+    found: dict[str, Any] = {"weight": float(weight), "num_torsos": 0}
+    found |= dict.fromkeys(("reprojection_error", "scale_sd", "turn_sd"), np.nan)
+    if posterior.candidates:
+        found |= _of_candidate(posterior, posterior.candidates[index])
+    elif not weight:
+        nowhere = {"scale": np.nan, "rotation": np.full((3, 3), np.nan), "torso_index": -1}
+        return found | nowhere | {"translation": np.full(2, np.nan)}
+    if not weight:
+        return found
+    share = share / weight
+    scale = np.exp(points.log_scale)
+    mean = float(share @ scale)
+    rotation = nearest_rotation(np.einsum("n,nij->ij", share, points.rotation))
+    cosine = (np.einsum("nij,ij->n", points.rotation, rotation) - 1) / 2
+    turn = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    torsos, torso = np.unique(points.torso, return_inverse=True)
+    by_torso = np.bincount(torso, weights=share)
+    return found | {
+        "scale": mean,
+        "scale_sd": float(np.sqrt(share @ (scale - mean) ** 2)),
+        "rotation": rotation,
+        "turn_sd": float(np.sqrt(share @ turn**2)),
+        "translation": share @ points.translation,
+        "torso_index": int(torsos[np.argmax(by_torso)]),
+        "num_torsos": int(np.count_nonzero(by_torso)),
+    }
+
+
+def _of_candidate(posterior: Posterior, one: Candidate) -> dict[str, Any]:
+    return {
+        "scale": float(one.camera.scale),
+        "rotation": np.asarray(one.camera.rotation),
+        "translation": np.asarray(one.camera.translation),
+        "torso_index": one.torso_index,
+        "reprojection_error": posterior.root_prior.error_of(one),
+    }
+
+
+def _known_roots(draws: Draws) -> xr.Dataset:
+    """All roots that were weighed."""
+    posterior, known, one = draws.posterior, draws.known, ("root",)
+    columns = draws.prior.columns(known.points) | {
+        "candidate": draws.prior.sides(known.points, posterior.candidates),
+        "share": known.share,
+        **known.columns,
+    }
     return xr.Dataset(
         {
-            "radius": ((*one, "joint"), radius),
-            "scale": (one, [float(camera.scale) for camera in cameras]),
-            "rotation": (
-                (*one, "axis", "body_axis"),
-                np.stack([np.asarray(camera.rotation) for camera in cameras]),
-            ),
-            "translation": (
-                (*one, "uv"),
-                np.stack([np.asarray(camera.translation) for camera in cameras]),
-            ),
-            "torso_index": (one, [root.torso_index for root in roots]),
-            "reprojection_error": (one, [root.reprojection_error for root in roots]),
-            "log_evidence": (one, [part.log_evidence for part in parts]),
-            "log_evidence_se": (one, [part.log_evidence_se for part in parts]),
-            "weight": (one, [part.weight for part in parts]),
+            name: ((*one, *COLUMNS.get(name, ((), ""))[0]), column, _units_of(name))
+            for name, column in columns.items()
         },
-        coords={
-            "candidate": np.arange(len(roots)),
-            "joint": list(JOINTS),
-            "axis": list("xyz"),
-            "body_axis": ["left", "up", "forward"],
-            "uv": list("uv"),
-        },
+        coords={"root": np.arange(len(known.share))}
+        | {name: NAMES[name] for name in ("axis", "body_axis", "uv")},
     )
+
+
+def _units_of(name: str) -> dict[str, str]:
+    unit = COLUMNS.get(name, ((), ""))[1]
+    return {"units": unit} if unit else {}

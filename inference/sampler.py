@@ -1,45 +1,127 @@
 """The one face of all samplers: `sample(model, frame, sampler=…, key=…, num_samples=…)` →
-`Result`."""
+`Result`.
 
-import functools
-import time
-from collections.abc import Callable, Iterator
+Every sampler stands in one table, by the prior of torso and camera that it draws under."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import jax
-import numpy as np
 
-from poseterior.inference.baselines.catalogue import (
-    BASELINES,
-    ROOTED,
-    sample_baseline,
-    sample_rooted,
-)
-from poseterior.inference.drawers import sampler_under
+from poseterior.inference.baselines.catalogue import BASELINES, ROOTED, BaselineSampler
+from poseterior.inference.draws import MAX_PROPOSALS, Draws, Progress, Sampler
 from poseterior.inference.exact import ahead
-from poseterior.inference.exact.mixture import (
-    MAX_PROPOSALS,
-    ON_DEVICE,
-    PROPOSALS,
-    Progress,
-    mixture_blocks,
-)
-from poseterior.inference.importance.routes import ROUTES, draw_uncertain
-from poseterior.inference.importance.tree import uncertain_tree
-from poseterior.inference.importance.weighted import NUM_ROOTS
-from poseterior.inference.joined import joined
-from poseterior.inference.results import FIXED, UNCERTAIN, Result, build_tree, key_words
+from poseterior.inference.exact.mixture import ON_DEVICE, PROPOSALS, ExactRejection
+from poseterior.inference.importance.rejection import TorsoRejection
+from poseterior.inference.importance.weighted import NUM_ROOTS, WeightedSampler
+from poseterior.inference.results import Result, result_of
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
-from poseterior.probmodel.posterior import Estimate, Posterior
-from poseterior.probmodel.uncertain import UncertainPosterior
+from poseterior.probmodel.posterior import Estimate, require_root_prior
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 
 SAMPLERS = tuple(sorted((*PROPOSALS, *BASELINES), key=lambda name: name == ON_DEVICE))
-"""Every sampler under a fixed root by its name: exact rejection first, then the baselines. Keys of
+"""Every sampler under candidates by its name: exact rejection first, then the baselines. Keys of
 draws go by the places, so that what came later stands at the end. Under an uncertain root there are
 `ROOTED_SAMPLERS`."""
-ROOTED_SAMPLERS = (*ROUTES, *ROOTED)
+WEIGHTED, REJECTION = "weighted-roots", "rejection"
+ROOTED_SAMPLERS = (WEIGHTED, REJECTION, *ROOTED)
 """Every sampler of torso, camera and pose together: weighted roots, rejection, then baselines."""
+MAKERS: Mapping[str, Mapping[str, Callable[..., Sampler]]] = {
+    UNCERTAIN: {WEIGHTED: WeightedSampler, REJECTION: TorsoRejection}
+    | dict.fromkeys(ROOTED, BaselineSampler),
+    CANDIDATES: dict.fromkeys(PROPOSALS, ExactRejection)
+    | dict.fromkeys(BASELINES, BaselineSampler),
+}
+"""What makes a sampler, by the root's prior and the sampler's name; the first is the one that is
+meant where none is named."""
+MANY_ROOTS = 200
+"""Roots of each detection where there are many of them: about a second of one core."""
+
+
+def sampler_of(root: str, name: str | None = None, **settings: Any) -> Sampler:
+    """A sampler by its name.
+
+    Parameters
+    ----------
+    root
+        The prior of torso and camera, one of `ROOT_PRIORS`.
+    name
+        One of those that draw under it; the first where none is named.
+    settings
+        Of the sampler: those that it does not have are left out, and so are those that are None.
+
+    Returns
+    -------
+    Sampler
+        With these settings.
+
+    Raises
+    ------
+    BadInput
+        On an unknown root or sampler, a sampler that draws under the other one, and settings that
+        cannot be.
+    """
+    require_root_prior(root)
+    makers = MAKERS[root]
+    name = next(iter(makers)) if name is None else name
+    _require_known(root, name)
+    known = {field.name for field in dataclasses.fields(makers[name])}
+    given = {one: value for one, value in settings.items() if one in known and value is not None}
+    return makers[name](name=name, **given)
+
+
+@dataclass(frozen=True)
+class DetectionSampler:
+    """Draws of many detections, one after the other: a stream, an evaluation, a study of coverage.
+
+    Attributes
+    ----------
+    model
+        The prior of poses.
+    root
+        The prior of torso and camera, one of `ROOT_PRIORS`.
+    sampler
+        Who draws.
+    num_samples
+        Draws of each detection.
+    """
+
+    model: PoseModel
+    root: str
+    sampler: Sampler
+    num_samples: int
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What draws depend on beside model, detection and key: plain JSON values."""
+        return {"root": self.root, "num_samples": self.num_samples} | self.sampler.settings
+
+    def __call__(self, frame: Estimate, key: jax.Array) -> Draws:
+        """Draws of one detection, those of `sample` for this key, in the same order. Raises
+        `BadInput` as that."""
+        posterior = frame.posterior(self.model, self.root)
+        return self.sampler.draw(posterior, key, self.num_samples)
+
+
+def _require_known(root: str, name: str) -> None:
+    """Raises `BadInput` where no sampler of that name draws under such a root."""
+    if name in MAKERS[root]:
+        return
+    if name not in {*SAMPLERS, *ROOTED_SAMPLERS}:
+        raise BadInput(f"there is no sampler {name!r}; choose one of {', '.join(MAKERS[root])}")
+    if root == UNCERTAIN:
+        *most, last = MAKERS[root]
+        raise BadInput(
+            f"no sampler {name!r} draws torso and camera; choose {', '.join(most)} or {last}, or"
+            f" the root {CANDIDATES!r}"
+        )
+    raise BadInput(
+        f"the sampler {name} needs torso and camera uncertain; choose another, or the root"
+        f" {UNCERTAIN!r}"
+    )
 
 
 def sample(
@@ -51,7 +133,7 @@ def sample(
     num_samples: int = 10_000,
     max_proposals: int = MAX_PROPOSALS,
     chains: int = 1,
-    root: str = FIXED,
+    root: str = UNCERTAIN,
     num_roots: int = NUM_ROOTS,
     most_roots: int | None = None,
     progress: Progress | None = None,
@@ -67,11 +149,11 @@ def sample(
     key
         Of all draws: the same key, the same draws.
     sampler
-        One of `SAMPLERS`, "rejection" if none is named: exact rejection draws independently from
-        the posterior itself; a baseline draws chains under one candidate, started in exact draws.
-        Under an uncertain root one of `ROOTED_SAMPLERS`: "weighted-roots" if none is named;
-        "rejection", a few dozen draws a second, which are independent; or a baseline, started in
-        draws from weighted roots.
+        One of `ROOTED_SAMPLERS`: "weighted-roots" if none is named; "rejection", a few dozen draws
+        a second, which are independent; or a baseline, started in draws from weighted roots. Under
+        candidates one of `SAMPLERS`: exact rejection if none is named, whose draws are independent
+        ones of the posterior itself; or a baseline, which draws chains under one candidate, started
+        in exact draws.
     num_samples
         How many draws, of all chains together; each chain gets as many as the others.
     max_proposals
@@ -81,9 +163,9 @@ def sample(
         How many independent runs of exact rejection, each with a key and its share of the proposals
         of its own, so that diagnostics which compare chains have some.
     root
-        One of `drawers.ROOTS`. "fixed" is the paper's method, a mixture over the candidates;
-        "uncertain" draws torso and camera too, and takes no more of the candidates than the names
-        of the sides.
+        One of `ROOT_PRIORS`: "uncertain" draws torso and camera with the pose, and takes no more of
+        the estimate's candidates than the names of the sides; "candidates" is the paper's method, a
+        mixture over them.
     num_roots
         From how many roots draws are made where the root is uncertain; by rejection: those of the
         pilot run that finds its bound; by a baseline: those that it is started in.
@@ -105,176 +187,30 @@ def sample(
         of samples or chains that cannot be, and where the torso's seen joints do not determine a
         camera.
     """
-    sampler = sampler_under(root, sampler, ROOTED_SAMPLERS)
-    if root == UNCERTAIN:
-        if num_samples < 1:
-            raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
-        if chains != 1:
-            raise BadInput(
-                f"several chains are runs under fixed roots; leave their number out, or choose the"
-                f" root {FIXED!r}"
-            )
-        posterior = frame.uncertain(model)
-        given: dict[str, Any] = {
-            "key": key,
-            "num_samples": num_samples,
-            "num_roots": num_roots,
-            "max_proposals": max_proposals,
-            "progress": progress,
-        }
-        if sampler in ROOTED:
-            return sample_rooted(posterior, sampler=sampler, **given)
-        given |= {"most_roots": most_roots, "block": num_samples}
-        (result,) = uncertain_blocks(posterior, sampler, **given)
-        return result
-    if sampler not in PROPOSALS and sampler not in BASELINES:
-        raise BadInput(f"there is no sampler {sampler!r}; choose one of {', '.join(SAMPLERS)}")
-    if chains != 1:
-        return _several(
-            functools.partial(sample, model, frame, sampler=sampler),
-            key=key,
-            sampler=sampler,
-            chains=chains,
-            num_samples=num_samples,
-            max_proposals=max_proposals,
-            progress=progress,
-        )
-    mixture = frame.posterior(model)
-    if sampler in BASELINES and num_samples > 0:
-        return sample_baseline(
-            mixture,
-            functools.partial(sample, model, frame, key=jax.random.fold_in(key, 0)),
-            key=key,
-            sampler=sampler,
-            num_samples=num_samples,
-            max_evaluations=max_proposals,
-            progress=progress,
-        )
-    (result,) = exact_blocks(
-        mixture,
+    chosen = sampler_of(
+        root,
         sampler,
-        key=key,
-        num_samples=num_samples,
         max_proposals=max_proposals,
-        progress=progress,
-        block=num_samples,
+        num_roots=num_roots,
+        most_roots=most_roots,
+        chains=require_chains(root, sampler, chains),
     )
-    return result
+    draws = chosen.draw(frame.posterior(model, root), key, num_samples, progress)
+    ahead.finish()
+    return result_of(draws)
 
 
-def exact_blocks(
-    posterior: Posterior,
-    sampler: str,
-    *,
-    key: jax.Array,
-    num_samples: int,
-    max_proposals: int,
-    progress: Progress | None,
-    block: int,
-) -> Iterator[Result]:
-    """The results of exact rejection under a fixed root, block by block, as `mixture_blocks` has
-    them."""
-    started = time.perf_counter()
-    mixtures = mixture_blocks(
-        posterior,
-        key=key,
-        sampler=sampler,
-        num_samples=num_samples,
-        max_proposals=max_proposals,
-        progress=progress,
-        block=block,
-    )
-    for number, mixture in enumerate(mixtures):
-        attributes = {
-            **mixture.attributes,
-            "wall_time_s": time.perf_counter() - started,
-            "status": mixture.status,
-        }
-        ahead.finish()
-        tree = build_tree(posterior, mixture.parts, attributes, mixture.rng, number)
-        yield Result(tree, mixture.status, mixture.sentence)
-
-
-def _several(
-    run: Callable[..., Result],
-    *,
-    key: jax.Array,
-    sampler: str,
-    chains: int,
-    num_samples: int,
-    max_proposals: int,
-    progress: Progress | None,
-) -> Result:
-    """Independent runs as the chains of one result. Raises `BadInput` where there cannot be so
-    many."""
+def require_chains(root: str, sampler: str | None, chains: int) -> int:
+    """The number of chains. Raises `BadInput` where there cannot be several."""
+    if chains == 1:
+        return chains
+    if root == UNCERTAIN:
+        raise BadInput(
+            "several chains are runs under fixed roots; leave their number out, or choose the"
+            f" root {CANDIDATES!r}"
+        )
     if sampler in BASELINES:
         raise BadInput(
             f"{sampler} decides itself how many chains it runs; leave the number of chains out"
         )
-    if not 1 <= chains <= num_samples:
-        raise BadInput(
-            f"{num_samples:,} samples cannot be in {chains} chains; choose from 1 to one a sample"
-        )
-    each = -(-num_samples // chains)
-    results = []
-    for chain, own in enumerate(jax.random.split(key, chains)):
-        done = chain * each
-
-        def report(made: int, _wanted: int, done: int = done) -> None:
-            if progress:
-                progress(done + made, chains * each)
-
-        results.append(
-            run(
-                key=own,
-                num_samples=each,
-                max_proposals=max(1, max_proposals // chains),
-                progress=report,
-            )
-        )
-    whole = joined(results)
-    whole.tree.attrs["seed"] = key_words(key)
-    return whole
-
-
-def uncertain_blocks(
-    posterior: UncertainPosterior,
-    sampler: str,
-    *,
-    key: jax.Array,
-    num_samples: int,
-    num_roots: int,
-    most_roots: int | None,
-    max_proposals: int,
-    progress: Progress | None,
-    block: int,
-) -> Iterator[Result]:
-    """The results of a route to an uncertain root, block by block: its roots are made once, and
-    each block is a sample of them. There is one block at least, and no other where that one has no
-    draw."""
-    started = time.perf_counter()
-    roots, status, sentence, about = draw_uncertain(
-        posterior,
-        sampler,
-        key=jax.random.fold_in(key, 0),
-        num_samples=num_samples,
-        num_roots=num_roots,
-        most_roots=most_roots,
-        max_proposals=max_proposals,
-        progress=progress,
-    )
-    rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
-    attributes = {"sampler": sampler, "seed": key_words(key), "num_samples": num_samples} | about
-    done = 0
-    for number, start in enumerate(range(0, num_samples, block)):
-        size = min(block, num_samples - start)
-        tree = uncertain_tree(roots, rng, size, attributes, number)
-        done += tree["posterior"].sizes["draw"]
-        tree.attrs.update(
-            acceptance_rate=done / max(roots.proposals, 1),
-            wall_time_s=time.perf_counter() - started,
-            status=status,
-        )
-        yield Result(tree, status, sentence)
-        if not done:
-            return
+    return chains

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from poseterior.inference.results import NAMES, UNCERTAIN, Result
+from poseterior.inference.results import NAMES, Result
 from poseterior.probmodel.arrays import HDF5, ArrayFile, doubles
 from poseterior.probmodel.detections import LARGEST_NUMBER
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.files import opened
+from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.probmodel.skeleton import NUM_JOINTS
 
 WHAT, ADVICE = "posterior.nc of poseterior", "give one that `poseterior` wrote"

@@ -25,18 +25,19 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.composition import compose
-from poseterior.inference.drawers import NUM_ROOTS, Drawer, drawer
+from poseterior.inference.draws import MAX_PROPOSALS, key_words
 from poseterior.inference.estimators import Estimating
-from poseterior.inference.exact.mixture import MAX_PROPOSALS
 from poseterior.inference.hypothesis import diverse
 from poseterior.inference.machines import HERE, Machines, in_threads
-from poseterior.inference.results import FIXED, key_words, provenance
+from poseterior.inference.results import provenance
+from poseterior.inference.sampler import MANY_ROOTS, DetectionSampler, sampler_of
 from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.frames import DetectedFrame
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS, NUM_JOINTS, NUM_LENGTHS
 
 DRAW_BYTES = 4 * (3 * NUM_JOINTS + NUM_LENGTHS)
@@ -96,8 +97,8 @@ def sample_frames(
     out: str | os.PathLike,
     estimating: Estimating | None = None,
     sampler: str | None = None,
-    root: str = FIXED,
-    num_roots: int = NUM_ROOTS,
+    root: str = UNCERTAIN,
+    num_roots: int = MANY_ROOTS,
     most_roots: int | None = None,
     num_samples: int = 10_000,
     k: int = 5,
@@ -126,7 +127,7 @@ def sample_frames(
     estimating
         How detections are estimated; not needed where all frames are estimates.
     sampler, root, num_roots, most_roots, num_samples
-        As `inference.drawers.drawer` takes them: what is drawn of every frame.
+        As `inference.sample` takes them: what is drawn of every frame.
     k, composed
         How many hypotheses of each frame, and whether they are put together limb by limb
         (`inference.composition`), rather than draws.
@@ -148,7 +149,7 @@ def sample_frames(
     ------
     BadInput
         Where `out` holds another run, or another process is writing to it, where the numbers do not
-        go together, where a detection comes without `estimating`, and as that and `drawer` do.
+        go together, where a detection comes without `estimating`, and as that and `sampler_of` do.
     """
     keep = min(keep, num_samples)
     if num_samples < 1 or not 1 <= k <= num_samples or keep < 0:
@@ -162,15 +163,10 @@ def sample_frames(
     size = BLOCK_BYTES // (DRAW_BYTES * max(keep, 1))
     size = max(1, min(MOST_FRAMES, size))
     words = np.asarray(jax.random.key_data(key))
-    draw = drawer(
-        model,
-        root=root,
-        sampler=sampler,
-        num_samples=num_samples,
-        num_roots=num_roots,
-        most_roots=most_roots,
-        max_proposals=max_proposals,
+    chosen = sampler_of(
+        root, sampler, num_roots=num_roots, most_roots=most_roots, max_proposals=max_proposals
     )
+    draw = DetectionSampler(model, root, chosen, num_samples)
     task = _Drawing(draw, estimating, words, k, composed, keep)
     settings = {
         "study": "stream of frames",
@@ -328,7 +324,7 @@ class _Drawing:
     """The task of a block: draws and hypotheses of its frames, of which it is told the number of
     the first; `words` are those of the run's key."""
 
-    draw: Drawer
+    draw: DetectionSampler
     estimating: Estimating | None
     words: np.ndarray
     k: int
@@ -370,7 +366,7 @@ class _Drawing:
         if number == 0:
             return drawn
         k = min(self.k, number)
-        chosen = compose(draws.drawn, k) if self.composed else diverse(joints.astype(np.float32), k)
+        chosen = compose(draws, k) if self.composed else diverse(joints.astype(np.float32), k)
         for row, one in enumerate(chosen):
             drawn.hypotheses[row], drawn.weight[row] = one.joints, one.weight
             drawn.chosen[row] = one.draw

@@ -27,8 +27,8 @@ from .model import PoseModel as PoseModel
 from .observation import Observation as Observation
 from .posterior import Estimate as Estimate
 from .posterior import Posterior as Posterior
+from .root_priors import Candidates as Candidates
+from .root_priors import TorsoCameraPrior as TorsoCameraPrior
 from .roots import Candidate as Candidate
 from .roots import Root as Root
 from .roots import RootPoint as RootPoint
-from .roots import RootPrior as RootPrior
-from .uncertain import UncertainPosterior as UncertainPosterior

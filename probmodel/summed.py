@@ -15,10 +15,10 @@ import numpy as np
 from jax.nn import logsumexp
 
 from poseterior.probmodel.faults import LIMB_INDEX, ORDERS, FaultPrior, Faults, faults_of
-from poseterior.probmodel.observation import Observation
-from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.observation import DetectedJoints, Observation
+from poseterior.probmodel.root_priors import TorsoCameraPrior
+from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
-from poseterior.probmodel.uncertain import DetectedJoints
 
 _ASTRAY = np.eye(1 + len(TORSO_INDEX), len(TORSO_INDEX), -1, dtype=bool)
 """In each state of the torso, which of its joints is an outlier: none, then one after the other."""
@@ -57,7 +57,7 @@ class SummedFaults(NamedTuple):
 
     detected: DetectedJoints
     faults: FaultPrior
-    prior: RootPrior
+    prior: TorsoCameraPrior
 
     def log_likelihood(self, point: RootPoint, joints: jax.Array) -> jax.Array:
         """Summed over all patterns.

@@ -42,7 +42,7 @@ SAMPLERS = (
 """Those of `inference.SAMPLERS`, as a test makes sure: `--help` names them without importing
 JAX."""
 ROUTES = ("weighted-roots", "rejection")
-"""The routes to an uncertain root, `inference.importance.routes.ROUTES`."""
+"""Samplers of an uncertain root that are not baselines: the first two of `ROOTED`."""
 ROOTED = (*ROUTES, "emcee", "emcee-de", "aies", "ess", "random-walk", "sa")
 """The samplers with an uncertain root, `inference.sampler.ROOTED_SAMPLERS`."""
 PROGRAMS = "POSETERIOR_PROGRAMS"
@@ -465,6 +465,11 @@ class RootKind(enum.StrEnum):
     fixed = "fixed"
     uncertain = "uncertain"
 
+    @property
+    def prior(self) -> str:
+        """The prior of the root, as `probmodel.root_priors` names it."""
+        return "candidates" if self is RootKind.fixed else "uncertain"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Rooting:
@@ -479,7 +484,7 @@ class Rooting:
                 " drawn with the pose."
             )
         ),
-    ] = RootKind.fixed
+    ] = RootKind.uncertain
     roots: Roots = 1000
     upright: Upright = None
 

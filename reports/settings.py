@@ -476,7 +476,7 @@ class EvaluateSettings:
         Option(
             help="Torso and camera: fixed (the estimators'), uncertain, or true (the truth's own)."
         ),
-    ] = "fixed"
+    ] = "uncertain"
     roots: Roots = MANY_ROOTED.roots
     upright: Upright = None
     perspective: KnownLenses = False

@@ -1,13 +1,12 @@
-"""The table of baselines, the two starts, and a baseline's draws as a DataTree: what
-`inference.sample` needs of them. Those of `ROOTED` draw torso and camera with the pose, too.
+"""The table of baselines, the two starts, and the sampler that each of them is. Those of `ROOTED` draw torso and camera with the pose, too.
 
 A start "dispersed" over the exact posterior flatters, because the walkers are where they should be
 before the first step; a start in "one flip" (the commonest pattern of limbs towards and away from
 the camera) shows what a sampler finds by itself."""
 
 import dataclasses
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 import jax
 import numpy as np
@@ -21,7 +20,6 @@ from poseterior.inference.baselines.nested import NESTED
 from poseterior.inference.baselines.run import (
     Allowance,
     Baseline,
-    Progress,
     Run,
     check_law,
     check_packages,
@@ -29,29 +27,27 @@ from poseterior.inference.baselines.run import (
 )
 from poseterior.inference.baselines.target import Density, Target
 from poseterior.inference.baselines.tempering import TEMPERINGS
-from poseterior.inference.exact.loops.numbers import words_of
-from poseterior.inference.importance.tree import BASE_MEASURE, draw_columns, side_data, sides
-from poseterior.inference.importance.weighted import FEWEST_EFFECTIVE, verdict, weigh_roots
-from poseterior.inference.joined import CHAINED
-from poseterior.inference.results import (
+from poseterior.inference.draws import (
     COMPLETE,
     OUT_OF_BUDGET,
-    UNCERTAIN,
-    Result,
-    RootDraws,
-    assemble,
-    build_tree,
+    Draws,
+    KnownRoots,
+    Progress,
+    Sampler,
     key_words,
 )
+from poseterior.inference.exact.mixture import ExactRejection
+from poseterior.inference.importance.weighted import (
+    FEWEST_EFFECTIVE,
+    NUM_ROOTS,
+    WeightedSampler,
+)
+from poseterior.inference.results import tree_of
 from poseterior.inference.studies.flips import away, codes
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.posterior import Posterior
-from poseterior.probmodel.roots import RootPoint
-from poseterior.probmodel.uncertain import UncertainPosterior
-
-if TYPE_CHECKING:
-    from poseterior.inference.baselines.rooted import RootedTarget
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 
 BASELINES: dict[str, Baseline] = {**ENSEMBLES, **GRADIENTS, **WALKS, **TEMPERINGS, **NESTED}
 """Every baseline by its name."""
@@ -78,88 +74,67 @@ def starting_points(target: Density, exact: xr.DataTree, start: str) -> np.ndarr
     return points[flips == found[np.argmax(counts)]]
 
 
-def sample_baseline(
-    posterior: Posterior,
-    exact: Callable[..., Result],
-    *,
-    key: jax.Array,
-    sampler: str,
-    num_samples: int,
-    max_evaluations: int,
-    progress: Progress | None,
-) -> Result:
-    """At least `num_samples` draws of a baseline, as many in every chain, started in draws of
-    `exact(num_samples=…)`. They are not independent, and not exact: `inference.studies.comparison`
-    says how good they are. Raises as `Target.of` and `check_law`, and `BadInput` where chains are
-    asked for more than they keep."""
-    target, baseline = Target.of(posterior), BASELINES[sampler]
-    _check(sampler, num_samples)
-    check_law(sampler, baseline, posterior.likelihood.law)
-    starts = (
-        starting_points(target, exact(num_samples=STARTING).tree, DISPERSED)
-        if baseline.starts
-        else None
-    )
-    done = run(
-        baseline,
-        sampler,
-        target,
-        key=key,
-        starts=starts,
-        num_samples=num_samples,
-        allowance=Allowance(evaluations=max_evaluations),
-        progress=progress,
-    )
-    return Result(
-        baseline_tree(posterior, _thinned(done, num_samples), key), done.status, done.sentence
-    )
+@dataclasses.dataclass(frozen=True)
+class BaselineSampler(Sampler):
+    """Draws of a baseline, as many in every chain, started in draws that are right. They are not
+    independent, and not exact: `inference.studies.comparison` says how good they are. Under an
+    uncertain root chains that are worth too few draws are no answer, and the status says so.
 
+    Attributes
+    ----------
+    name, max_proposals
+        As of a `Sampler`: one of `BASELINES`, or of `ROOTED` under an uncertain root.
+    num_roots
+        From how many weighted roots the draws are made that it is started in, under an uncertain
+        root.
+    """
 
-def sample_rooted(
-    posterior: UncertainPosterior,
-    *,
-    key: jax.Array,
-    sampler: str,
-    num_samples: int,
-    num_roots: int,
-    max_proposals: int,
-    progress: Progress | None,
-) -> Result:
-    """As `sample_baseline`, of torso, camera and pose, by one of `ROOTED`, started in draws from
-    `num_roots` weighted roots. Where the chains are worth too few draws, the status says so. Raises
-    as `RootedTarget.of` and `weigh_roots`, and `OutOfBudget` where there is nowhere to start."""
-    from poseterior.inference.baselines.rooted import (
-        RootedTarget,
-    )  # it needs NumPyro, and imports it
+    num_roots: int = NUM_ROOTS
 
-    target = RootedTarget.of(posterior)
-    _check(sampler, num_samples)
-    root_key, draw_key = jax.random.split(jax.random.fold_in(key, 0))
-    roots = weigh_roots(posterior, key=root_key, num_roots=num_roots, max_proposals=max_proposals)
-    points, poses, _ = roots.draw(np.random.default_rng(words_of(draw_key)), STARTING)
-    if not len(poses.length):
-        raise OutOfBudget(f"{sampler} has nowhere to start: {verdict(roots)[1]}")
-    done = run(
-        BASELINES[sampler],
-        sampler,
-        target,
-        key=key,
-        starts=target.points_of(points, poses),
-        num_samples=num_samples,
-        allowance=Allowance(evaluations=max_proposals),
-        progress=progress,
-    )
-    tree = rooted_tree(posterior, target, _thinned(done, num_samples), key)
-    status, sentence = done.status, done.sentence
-    if status == COMPLETE and tree.attrs["effective_roots"] < FEWEST_EFFECTIVE:
-        status = tree.attrs["status"] = OUT_OF_BUDGET
-        sentence = (
-            f"the draws of {sampler} for {posterior.detection.where} are worth"
-            f" {tree.attrs['effective_roots']:.1f} independent ones, too few for an answer (at"
-            f" least {FEWEST_EFFECTIVE}); ask for more draws, or take weighted-roots"
+    def _blocks(
+        self,
+        posterior: Posterior,
+        key: jax.Array,
+        number: int,
+        block: int,
+        progress: Progress | None,
+    ) -> Iterator[Draws]:
+        target, baseline = target_of(posterior), BASELINES[self.name]
+        _check(self.name, number)
+        check_law(self.name, baseline, posterior.likelihood.law)
+        starts = self._starts(posterior, target, key) if baseline.starts else None
+        done = run(
+            baseline,
+            self.name,
+            target,
+            key=key,
+            starts=starts,
+            num_samples=number,
+            allowance=Allowance(evaluations=self.max_proposals),
+            progress=progress,
         )
-    tree.attrs["starts"] = f"{STARTING} draws from {len(roots.log_weight)} weighted roots"
-    return Result(tree, status, sentence)
+        draws = draws_of(posterior, target, _thinned(done, number), key)
+        yield _judged(self.name, draws) if posterior.root_prior.name == UNCERTAIN else draws
+
+    def _starts(self, posterior: Posterior, target: Density, key: jax.Array) -> np.ndarray:
+        """Points of draws that are right. Raises `OutOfBudget` where there are none."""
+        right: Sampler = ExactRejection()
+        if posterior.root_prior.name == UNCERTAIN:
+            right = WeightedSampler(num_roots=self.num_roots, max_proposals=self.max_proposals)
+        draws = right.draw(posterior, jax.random.fold_in(key, 0), STARTING)
+        if not len(draws):
+            raise OutOfBudget(f"{self.name} has nowhere to start: {draws.sentence}")
+        return target.points_at(draws.points, draws.poses)
+
+
+def target_of(posterior: Posterior) -> Density:
+    """The posterior on R^d. Raises `BadInput` where it has no coordinates to walk along."""
+    if posterior.root_prior.name == CANDIDATES:
+        return Target.of(posterior)
+    # It needs NumPyro, and imports it.
+    from poseterior.inference.baselines.rooted import RootedTarget
+
+    return RootedTarget.of(posterior)
 
 
 def _check(sampler: str, num_samples: int) -> None:
@@ -184,92 +159,73 @@ def _thinned(done: Run, number: int) -> Run:
     return dataclasses.replace(done, points=done.points[:, rows], poses=poses)
 
 
-def baseline_tree(posterior: Posterior, run: Run, key: jax.Array) -> xr.DataTree:
-    """The DataTree of the contract, with a baseline's chains; the posterior has the one root that
-    it drew under."""
-    part = RootDraws(_flat(run.poses), run.log_evidence, run.log_evidence_se, 1.0)
-    tree = build_tree(posterior, [part], _attributes(run, key), rng=None)
-    return _in_chains(tree, run)
-
-
-def rooted_tree(
-    posterior: UncertainPosterior, target: "RootedTarget", run: Run, key: jax.Array
-) -> xr.DataTree:
-    """The DataTree of an uncertain root, with a baseline's chains: a root for every draw.
-    `effective_roots` are the effective draws of the worst coordinate, `rhat` is the largest."""
-    poses = _flat(run.poses)
-    number = len(poses.length)
-    flat = run.points.reshape(number, target.dim)
-    points = RootPoint(*(np.asarray(part) for part in target.roots(flat)))
-    faults = target.faults(jax.random.fold_in(key, 5), flat)
-    columns = draw_columns(posterior, points, poses, faults)
-    columns["candidate"] = sides(posterior, points)
-    constant = side_data(
-        posterior, points, np.full(number, 1 / max(number, 1)), lambda rows: (np.nan, np.nan)
+def draws_of(posterior: Posterior, target: Density, run: Run, key: jax.Array) -> Draws:
+    """A run's chains as draws."""
+    chains, number = run.poses.length.shape[:2]
+    flat = run.points.reshape(chains * number, target.dim)
+    points = target.roots(flat)
+    draws = Draws(
+        posterior,
+        points=points,
+        poses=Pose(*(np.asarray(part).reshape(-1, *part.shape[2:]) for part in run.poses)),
+        faults=target.faults(jax.random.fold_in(key, 5), flat),
+        known=_known(posterior, points, run, len(flat)),
+        attributes={
+            "sampler": run.sampler,
+            "seed": key_words(key),
+            "num_proposals": run.cost.num_proposals,
+            "acceptance_rate": run.cost.acceptance_rate,
+            "log_evidence": run.log_evidence,
+            "log_evidence_se": run.log_evidence_se,
+            "wall_time_s": run.cost.wall_time,
+            "status": run.status,
+            **{f"info_{name}": value for name, value in run.info.items()},
+        },
+        status=run.status,
+        sentence=run.sentence,
+        chains=chains,
     )
-    about = {
-        "root": UNCERTAIN,
-        "num_roots": number,
-        "converged": int(all(one.converged for one in posterior.candidates)),
-    }
-    tree = assemble(posterior, columns, constant, BASE_MEASURE, about | _attributes(run, key))
-    tree = _in_chains(tree, run)
-    tree.attrs.update(_mixed(tree) if number else {"effective_roots": 0.0, "rhat": np.nan})
-    return tree
+    if posterior.root_prior.name == CANDIDATES:
+        return draws
+    worth = {"num_roots": len(flat)} | _mixed(draws)
+    return dataclasses.replace(draws, attributes=draws.attributes | worth)
 
 
-def _mixed(tree: xr.DataTree) -> dict[str, float]:
-    """How well chains mixed, in every coordinate of pose and root."""
+def _known(posterior: Posterior, points: Any, run: Run, number: int) -> KnownRoots:
+    """The one candidate with its evidence; or the roots of all draws, of which there is none."""
+    if posterior.root_prior.name == CANDIDATES:
+        evidence = run.log_evidence, run.log_evidence_se
+        return KnownRoots(np.zeros(1, int), np.ones(1), lambda rows: evidence)
+    return KnownRoots(points, np.full(number, 1 / max(number, 1)), lambda rows: (np.nan, np.nan))
+
+
+def _judged(sampler: str, draws: Draws) -> Draws:
+    """The draws, and whether they are worth enough."""
+    started = {"starts": f"{STARTING} draws from weighted roots"}
+    draws = dataclasses.replace(draws, attributes=draws.attributes | started)
+    if draws.status != COMPLETE or draws.effective_roots >= FEWEST_EFFECTIVE:
+        return draws
+    sentence = (
+        f"the draws of {sampler} for {draws.posterior.detection.where} are worth"
+        f" {draws.effective_roots:.1f} independent ones, too few for an answer (at least"
+        f" {FEWEST_EFFECTIVE}); ask for more draws, or take weighted-roots"
+    )
+    about = draws.attributes | {"status": OUT_OF_BUDGET}
+    return dataclasses.replace(draws, status=OUT_OF_BUDGET, sentence=sentence, attributes=about)
+
+
+def _mixed(draws: Draws) -> dict[str, float]:
+    """How well chains mixed, in every coordinate of pose and root: `effective_roots` are the
+    effective draws of the worst one, `rhat` is the largest."""
     from poseterior.inference.studies.comparison.mixing import mixing
     from poseterior.inference.studies.comparison.sample import read_sample
 
-    found = read_sample(tree)
+    if not len(draws):
+        return {"effective_roots": 0.0, "rhat": np.nan}
+    found = read_sample(tree_of(draws))
     mixed = mixing(found.values, found.flat.std(axis=0))
     known = not mixed.stuck and bool(np.isfinite(mixed.bulk).any())
     return {
         "effective_roots": mixed.worst if known else 1.0,
         "rhat": float(np.nanmax(mixed.rhat)) if known else np.nan,
     }
-
-
-def _flat(poses: Pose) -> Pose:
-    """Poses of all chains, one after the other."""
-    return Pose(*(np.asarray(part).reshape(-1, *part.shape[2:]) for part in poses))
-
-
-def _attributes(run: Run, key: jax.Array) -> dict[str, Any]:
-    return {
-        "sampler": run.sampler,
-        "seed": key_words(key),
-        "num_proposals": run.cost.num_proposals,
-        "acceptance_rate": run.cost.acceptance_rate,
-        "log_evidence": run.log_evidence,
-        "log_evidence_se": run.log_evidence_se,
-        "wall_time_s": run.cost.wall_time,
-        "status": run.status,
-        **{f"info_{name}": value for name, value in run.info.items()},
-    }
-
-
-def _in_chains(tree: xr.DataTree, run: Run) -> xr.DataTree:
-    """The tree of one chain with the chains of the run."""
-    for group in CHAINED:
-        chains = _chained(tree[group].to_dataset(), *run.poses.length.shape[:2])
-        tree[group] = xr.DataTree(chains)
-    return tree
-
-
-def _chained(flat: xr.Dataset, chains: int, draws: int) -> xr.Dataset:
-    """One chain of `chains · draws` draws as the chains that it consists of."""
-    found = {
-        name: (
-            variable.dims,
-            np.asarray(variable).reshape(chains, draws, *variable.shape[2:]),
-            variable.attrs,
-        )
-        for name, variable in flat.data_vars.items()
-    }
-    coords = {name: flat.coords[name] for name in flat.coords if name not in ("chain", "draw")}
-    return xr.Dataset(
-        found, coords={**coords, "chain": np.arange(chains), "draw": np.arange(draws)}
-    )

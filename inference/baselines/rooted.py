@@ -27,16 +27,16 @@ import xarray as xr
 from jax.typing import ArrayLike
 
 from poseterior.inference.baselines.target import LimbChart, active_coordinates
-from poseterior.inference.importance.tree import nearest_rotation
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.faults import ORDERS, FaultPrior, Faults
-from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.observation import DetectedJoints, Observation
 from poseterior.probmodel.pose import Pose
-from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.root_priors import TorsoCameraPrior
+from poseterior.probmodel.roots import RootPoint, nearest_rotation
 from poseterior.probmodel.rotations import RotationTransform
 from poseterior.probmodel.summed import SummedFaults
-from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 ROOT_COORDINATES = ("torso", *(f"turn {axis}" for axis in "xyz"), "log scale", "place u", "place v")
 """Names of the seven that follow the limbs'."""
@@ -70,7 +70,7 @@ class RootedTarget:
     """
 
     limbs: LimbChart
-    prior: RootPrior
+    prior: TorsoCameraPrior
     detected: DetectedJoints
     order: jax.Array
     turn: jax.Array
@@ -78,7 +78,7 @@ class RootedTarget:
     faulty: FaultPrior
 
     @classmethod
-    def of(cls, posterior: UncertainPosterior) -> Self:
+    def of(cls, posterior: Posterior) -> Self:
         """The target of a posterior with an uncertain root.
 
         Parameters
@@ -107,7 +107,7 @@ class RootedTarget:
         cameras = [np.asarray(one.camera.rotation) for one in posterior.candidates] or [FACING]
         return cls(
             LimbChart(posterior.model, active),
-            posterior.prior,
+            posterior.root_prior,
             detected,
             jnp.asarray(_alike(np.asarray(posterior.model.torsos))),
             jnp.asarray(nearest_rotation(np.mean(cameras, axis=0))),
@@ -212,7 +212,7 @@ class RootedTarget:
         keys = np.asarray(jax.random.key_data(jax.random.split(key, len(points))))
         return Faults(*in_chunks(functools.partial(_faults, self), points, keys))
 
-    def points_of(self, roots: RootPoint, poses: Pose) -> np.ndarray:
+    def points_at(self, roots: RootPoint, poses: Pose) -> np.ndarray:
         """Points of R^d of roots and poses; each torso in the middle of its part.
 
         Parameters
@@ -246,7 +246,7 @@ class RootedTarget:
             for name in ("torso", "rotation", "scale", "translation", "joints", "bone_length")
         )
         poses = self.limbs.model.pose_of(joints, length)
-        return self.points_of(RootPoint(torso, rotation, np.log(scale), place), poses)
+        return self.points_at(RootPoint(torso, rotation, np.log(scale), place), poses)
 
     def _root(self, own: jax.Array) -> RootPoint:
         """The root at its own coordinates `(7,)`."""

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 from poseterior.inference.baselines.target import Density, Target
-from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET, Cost
+from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET, Progress
 from poseterior.probmodel.arrays import read_tables
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.failures import BadInput
@@ -25,10 +25,18 @@ from poseterior.probmodel.files import replacing
 from poseterior.probmodel.likelihood import ErrorLaw
 from poseterior.probmodel.pose import Pose
 
-Progress = Callable[[int, int], None]
 Clock = Callable[[], float]
 SAVE_EVERY = 20.0
 """Seconds between two saves."""
+
+
+class Cost(NamedTuple):
+    """What draws cost: proposals made, of which accepted in the sampler's own count, and
+    seconds."""
+
+    num_proposals: int
+    acceptance_rate: float
+    wall_time: float
 
 
 class Drawn(NamedTuple):

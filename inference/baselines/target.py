@@ -16,13 +16,14 @@ direction in its unit square, uniform. Three charts:
 
 import dataclasses
 import functools
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
+from poseterior.probmodel.errors.faults import Faults
 
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.failures import BadInput
@@ -63,6 +64,15 @@ class Density(Protocol):
 
     def poses(self, key: jax.Array, points: ArrayLike) -> Pose:
         """Poses at points of R^d; what no seen joint depends on is drawn from the prior."""
+
+    def roots(self, points: ArrayLike) -> Any:
+        """The roots at points `(n, d)` of R^d, as the posterior's prior of the root has them."""
+
+    def faults(self, key: jax.Array, points: ArrayLike) -> Faults:
+        """Which detections are faults at points `(n, d)` of R^d."""
+
+    def points_at(self, roots: Any, poses: Pose) -> np.ndarray:
+        """Points `(n, d)` of R^d of roots and poses."""
 
     def points_in(self, draws: xr.Dataset) -> np.ndarray:
         """Points `(n, d)` of R^d of the draws of a result with one chain."""
@@ -192,9 +202,9 @@ class Target(LimbChart):
             Where there are more roots, or nothing is seen.
         """
         where = posterior.detection.where
-        if len(posterior.roots) != 1:
+        if len(posterior.candidates) != 1:
             raise BadInput(
-                f"{where} has {len(posterior.roots)} torso-and-camera candidates, but this sampler"
+                f"{where} has {len(posterior.candidates)} torso-and-camera candidates, but this sampler"
                 " draws under one; estimate with num_candidates=1 (on the command line"
                 " --candidates 1)"
             )
@@ -273,6 +283,18 @@ class Target(LimbChart):
         """
         fraction = jax.random.beta(key, *self._shape, (number, self.dim))
         return _logit(fraction)
+
+    def roots(self, points: ArrayLike) -> np.ndarray:
+        """As of a `Density`: the only candidate."""
+        return np.zeros(len(np.asarray(points)), int)
+
+    def faults(self, key: jax.Array, points: ArrayLike) -> Faults:
+        """As of a `Density`: none."""
+        return Faults.none(len(np.asarray(points)))
+
+    def points_at(self, roots: Any, poses: Pose) -> np.ndarray:
+        """As of a `Density`."""
+        return self.points_of(poses)
 
     def points_in(self, draws: xr.Dataset) -> np.ndarray:
         """As of a `Density`."""

@@ -24,16 +24,17 @@ from poseterior.inference.benchmark.programs import estimate, frozen_model, mode
 from poseterior.inference.benchmark.references import SHIPPED, Moments, reference, sample_at
 from poseterior.inference.benchmark.root import BoxedRoot, GivenRoot
 from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.draws import COMPLETE, Progress
 from poseterior.inference.exact.loops.numbers import words_of
-from poseterior.inference.exact.mixture import Progress, root_samplers
+from poseterior.inference.exact.mixture import root_samplers
 from poseterior.inference.exact.rates import Budget
 from poseterior.inference.importance.rejection import reject_roots
 from poseterior.inference.importance.rejection import verdict as complaint
-from poseterior.inference.results import COMPLETE
 from poseterior.inference.studies.flips import FLIPPING
 from poseterior.probmodel.arrays import read_tables
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.files import replacing
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.transport import to_fractions
 
 
@@ -106,7 +107,7 @@ def draw_block(target: FrozenTarget, index: int, progress: Progress | None = Non
 
 
 def _under_one_root(target: FrozenTarget, key: jax.Array) -> DrawBlock:
-    found = estimate(target).posterior(frozen_model())
+    found = estimate(target).posterior(frozen_model(), CANDIDATES)
     size = blocks_of(target).size
     (sampler,) = root_samplers(found, key, "rejection")
     if not sampler.more(size, Budget(BLOCK_PROPOSALS)):
@@ -124,7 +125,7 @@ def draw_roots(
 ) -> DrawBlock:
     """So many draws of a target with an uncertain root: under flat priors of scale and place, those
     in its box. Raises `OutOfBudget` where the engine cannot make them."""
-    found = estimate(target).uncertain(model_of(target))
+    found = estimate(target).posterior(model_of(target))
     roots = reject_roots(
         found,
         key=key,

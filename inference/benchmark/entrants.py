@@ -28,8 +28,9 @@ from poseterior.inference.benchmark.programs import estimate, frozen_model, in_j
 from poseterior.inference.benchmark.root import BoxedRoot, GivenRoot
 from poseterior.inference.benchmark.submission import Submission
 from poseterior.inference.benchmark.target import FrozenTarget
-from poseterior.inference.exact.mixture import draw_mixture
+from poseterior.inference.exact.mixture import ExactRejection
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.root_priors import CANDIDATES
 
 EXACT_ENGINE, GIFT, PRIOR = "exact", "exact draws", "prior"
 """The engine, and the two starts of Markov chains."""
@@ -301,9 +302,8 @@ def _drawn(target: FrozenTarget, number: int) -> tuple[DrawBlock, float]:
     known."""
     if isinstance(target.root, BoxedRoot):
         return draw_roots(target, target.root, jax.random.key(2), number), math.nan
-    posterior = estimate(target).posterior(frozen_model())
-    found = draw_mixture(posterior, key=jax.random.key(2), num_samples=number)
-    part = found.parts[0]
-    points = Target.of(posterior).points_of(part.poses)
-    block = DrawBlock(points, part.log_evidence, part.log_evidence_se)
+    posterior = estimate(target).posterior(frozen_model(), CANDIDATES)
+    found = ExactRejection().draw(posterior, jax.random.key(2), number)
+    points = Target.of(posterior).points_of(found.poses)
+    block = DrawBlock(points, found.log_evidence, found.log_evidence_se)
     return block, float(found.attributes["num_proposals"])

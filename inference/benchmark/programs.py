@@ -4,7 +4,7 @@ and in JAX, where they have gradients.
     in_jax(load("arm"))                            # log_density, with jax.grad
     model, frame = frozen_model(), estimate(load("arm"))
     model.posterior                                # NumPyro program of frame.observation
-    estimate(scene).uncertain(model_of(scene)).program   # that of root and pose: load("scene")
+    estimate(scene).posterior(model_of(scene)).program   # that of root and pose: load("scene")
 """
 
 import functools
@@ -25,6 +25,7 @@ from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.likelihood import LAWS, Likelihood
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.roots import Candidate
 
 
@@ -51,7 +52,7 @@ def estimate(target: FrozenTarget) -> Estimate:
 
 def model_of(target: FrozenTarget) -> PoseModel:
     """The model of the frozen anatomy, with the torsos of the target in their order where its root
-    is uncertain: `estimate(target).uncertain(model_of(target))` is then the target but for its box,
+    is uncertain: `estimate(target).posterior(model_of(target))` is then the target but for its box,
     since that posterior's priors of scale and place have no bounds."""
     frozen = frozen_model()
     if isinstance(target.root, GivenRoot):
@@ -69,5 +70,5 @@ def in_jax(target: SamplerTarget) -> Target | UncertainTarget:
     frame = estimate(target)
     model = model_of(target)
     if isinstance(root, GivenRoot):
-        return Target.of(frame.posterior(model))
-    return UncertainTarget.of(target, root, frame.uncertain(model))
+        return Target.of(frame.posterior(model, CANDIDATES))
+    return UncertainTarget.of(target, root, frame.posterior(model))

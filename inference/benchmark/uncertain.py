@@ -15,12 +15,13 @@ from poseterior.inference.benchmark.root import BoxedRoot
 from poseterior.inference.benchmark.target import FrozenTarget
 from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.model import PoseModel
-from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.observation import DetectedJoints, Observation
 from poseterior.probmodel.pose import Pose
-from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.root_priors import TorsoCameraPrior
+from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.rotations import rotation_of
 from poseterior.probmodel.transport import CUBE_DIM, from_fractions, log_density_of_logits
-from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 
 @jax.tree_util.register_dataclass
@@ -51,9 +52,7 @@ class UncertainTarget:
     active: tuple[int, ...] = dataclasses.field(metadata={"static": True})
 
     @classmethod
-    def of(
-        cls, target: FrozenTarget, root: BoxedRoot, posterior: UncertainPosterior
-    ) -> "UncertainTarget":
+    def of(cls, target: FrozenTarget, root: BoxedRoot, posterior: Posterior) -> "UncertainTarget":
         """The target in JAX.
 
         Parameters
@@ -153,7 +152,7 @@ class UncertainTarget:
     def _observed(self, point: jax.Array) -> tuple[Observation, jax.Array]:
         """The detection under the root at one point, and the joints of its pose."""
         root, pose = self.parts(point)
-        prior = RootPrior(self.model.torsos, self.model.upright)
+        prior = TorsoCameraPrior(self.model.torsos, self.model.upright)
         observation = self.detected.under(prior, root, Faults.none())
         return observation, self.model.joints(observation.view, *pose)
 

@@ -108,16 +108,22 @@ def programs() -> None:
     """Has JAX compile what a result is made of, for an embedded example: its programs serve every
     detection."""
     import numpy as np
+    from poseterior.probmodel.errors.faults import Faults
 
+    from poseterior.inference.draws import Draws, KnownRoots
     from poseterior.inference.estimators import estimate_torso
-    from poseterior.inference.results import RootDraws, build_tree
+    from poseterior.inference.results import tree_of
     from poseterior.probmodel.example import example
     from poseterior.probmodel.model import PoseModel
     from poseterior.probmodel.pose import Pose
+    from poseterior.probmodel.root_priors import CANDIDATES
 
-    posterior = estimate_torso(example().detection).posterior(PoseModel())
-    parts = [RootDraws(Pose.blank(1), 0.0, 0.0, 1.0) for _ in posterior.roots]
-    build_tree(posterior, parts, {"seed": "0 0"}, np.random.default_rng(0))
+    posterior = estimate_torso(example().detection).posterior(PoseModel(), CANDIDATES)
+    number = len(posterior.candidates)
+    known = KnownRoots(np.arange(number), np.ones(number) / number, lambda rows: (0.0, 0.0))
+    points, poses = np.arange(number), Pose.blank(number)
+    about = {"seed": "0 0", "log_evidence": 0.0, "log_evidence_se": 0.0}
+    tree_of(Draws(posterior, points, poses, Faults.none(number), known, about))
 
 
 def weigh() -> None:

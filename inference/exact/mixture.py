@@ -1,17 +1,28 @@
-"""Exact draws from the mixture over a posterior's roots.
+"""Exact draws from the mixture over a posterior's candidates.
 
-Each root's evidence comes out of its own rejection, weighs it against the others, and decides how
+Each candidate's evidence comes out of its own rejection, weighs it against the others, and decides how
 many of the draws are its own.
 """
 
+import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
+from poseterior.probmodel.errors.faults import Faults
 
+from poseterior.inference.draws import (
+    COMPLETE,
+    IMPOSSIBLE,
+    OUT_OF_BUDGET,
+    Draws,
+    KnownRoots,
+    Progress,
+    Sampler,
+    joined,
+)
 from poseterior.inference.exact.device.group import device_groups
 from poseterior.inference.exact.groups import StratifiedGroup, group_tables
 from poseterior.inference.exact.naive import PriorBodies
@@ -19,7 +30,6 @@ from poseterior.inference.exact.problem import limb_problems, log_ratio_of
 from poseterior.inference.exact.rates import Budget, GroupSampler, Pooled, Rate
 from poseterior.inference.exact.reach import nearest_miss, out_of_reach
 from poseterior.inference.resampling import shares
-from poseterior.inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET, RootDraws, key_words
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import Observation
@@ -36,10 +46,6 @@ PILOT_PROPOSALS = 20_000_000
 """Proposals (some seconds) in which a root must make its first pilot draws."""
 EVEN = 16
 """Every group gets so many-th part of its draws before any group gets the rest."""
-MAX_PROPOSALS = 1_000_000_000
-"""Most proposals for one detection, where nothing else is said."""
-Progress = Callable[[int, int], None]
-"""Called with the draws made and the draws wanted."""
 
 
 def _strata(key: jax.Array, model: PoseModel, observation: Observation) -> list[GroupSampler]:
@@ -135,106 +141,122 @@ class RootSampler:
         return poses
 
 
-class Mixture(NamedTuple):
-    """Draws from the mixture over a posterior's roots, before they are named and put in order.
+@dataclass(frozen=True)
+class ExactRejection(Sampler):
+    """Exact, independent draws from the mixture over a posterior's candidates, by one of
+    `PROPOSALS`.
 
     Attributes
     ----------
-    parts : the draws under each root.
-    attributes : what they cost and are worth.
-    status, sentence : as in `inference.results.Result`.
-    rng : for what remains random.
+    name, max_proposals
+        As of a `Sampler`.
+    chains
+        Independent runs, each with a key and its share of the proposals of its own, so that
+        diagnostics which compare chains have some.
     """
 
-    parts: list[RootDraws]
-    attributes: dict[str, Any]
-    status: str
-    sentence: str
-    rng: np.random.Generator
+    name: str = "rejection"
+    chains: int = 1
 
+    def __post_init__(self) -> None:
+        if self.name not in PROPOSALS:
+            raise BadInput(
+                f"there is no exact sampler {self.name!r}; choose from {', '.join(PROPOSALS)}"
+            )
 
-def draw_mixture(
-    posterior: Posterior,
-    *,
-    key: jax.Array,
-    sampler: str = "rejection",
-    num_samples: int = 10_000,
-    max_proposals: int = MAX_PROPOSALS,
-    progress: Progress | None = None,
-) -> Mixture:
-    """Draws from a posterior by one of `PROPOSALS`; arguments and errors as in
-    `inference.sample`."""
-    (mixture,) = mixture_blocks(
-        posterior,
-        key=key,
-        sampler=sampler,
-        num_samples=num_samples,
-        max_proposals=max_proposals,
-        progress=progress,
-        block=num_samples,
-    )
-    return mixture
-
-
-def mixture_blocks(
-    posterior: Posterior,
-    *,
-    key: jax.Array,
-    sampler: str,
-    num_samples: int,
-    max_proposals: int,
-    progress: Progress | None,
-    block: int,
-) -> Iterator[Mixture]:
-    """Draws from a posterior, `block` of them at a time: each block is a sample of the mixture, and
-    forgotten once it has been given. What the attributes say is of all draws until then; the last
-    block is the one that is not complete, or has the last of `num_samples`. Otherwise as
-    `draw_mixture`."""
-    if sampler not in PROPOSALS:
-        raise BadInput(f"there is no exact sampler {sampler!r}; choose from {', '.join(PROPOSALS)}")
-    if num_samples < 1:
-        raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
-    budget = Budget(max_proposals)
-    samplers = root_samplers(posterior, key, sampler)
-    prior = posterior.log_weights
-    log_weight = _weigh(samplers, prior, num_samples, budget)
-    seed = jax.random.key_data(jax.random.fold_in(key, len(samplers)))
-    rng = np.random.default_rng(np.asarray(seed))
-    counts = rng.multinomial(num_samples, _shares(log_weight))
-    given = 0
-    for own in _shared_out(counts, block, rng):
-        report = _reporter(samplers, own, given, num_samples, progress)
-        enough = _fill(samplers, own, budget, report)
-        held = [min(int(count), one.held) for count, one in zip(own, samplers, strict=True)]
-        given += sum(held)
-        parts = _parts(samplers, held, prior)
-        evidence, error = _mixture_evidence(prior, parts)
-        attributes = {
-            "sampler": sampler,
-            "seed": key_words(key),
-            "num_samples": num_samples,
-            "num_proposals": budget.spent,
-            "acceptance_rate": given / max(budget.spent, 1),
-            "log_evidence": evidence,
-            "log_evidence_se": error,
-        }
-        status, sentence = COMPLETE, ""
-        if not enough:
-            status, sentence = _explain(samplers, posterior, budget, given, num_samples)
-        yield Mixture(parts, attributes, status, sentence, rng)
-        if not enough:
+    def _blocks(
+        self,
+        posterior: Posterior,
+        key: jax.Array,
+        number: int,
+        block: int,
+        progress: Progress | None,
+    ) -> Iterator[Draws]:
+        if self.chains != 1:
+            yield self._several(posterior, key, number, progress)
             return
-        for one, number in zip(samplers, held, strict=True):
-            one.forget(number)
+        budget = Budget(self.max_proposals)
+        samplers = root_samplers(posterior, key, self.name)
+        prior = posterior.log_weights
+        log_weight = _weigh(samplers, prior, number, budget)
+        seed = jax.random.key_data(jax.random.fold_in(key, len(samplers)))
+        rng = np.random.default_rng(np.asarray(seed))
+        counts = rng.multinomial(number, _shares(log_weight))
+        given = 0
+        for own in _shared_out(counts, block, rng):
+            report = _reporter(samplers, own, given, number, progress)
+            enough = _fill(samplers, own, budget, report)
+            held = [min(int(count), one.held) for count, one in zip(own, samplers, strict=True)]
+            given += sum(held)
+            status, sentence = COMPLETE, ""
+            if not enough:
+                status, sentence = _explain(samplers, posterior, budget, given, number)
+            cost = {
+                "num_proposals": budget.spent,
+                "acceptance_rate": given / max(budget.spent, 1),
+            }
+            draws = _drawn(posterior, samplers, held, prior, rng)
+            yield replace(
+                draws, attributes=cost | draws.attributes, status=status, sentence=sentence
+            )
+            if not enough:
+                return
+            for one, count in zip(samplers, held, strict=True):
+                one.forget(count)
+
+    def _several(
+        self, posterior: Posterior, key: jax.Array, number: int, progress: Progress | None
+    ) -> Draws:
+        if not 1 <= self.chains <= number:
+            raise BadInput(
+                f"{number:,} samples cannot be in {self.chains} chains; choose from 1 to one a"
+                " sample"
+            )
+        each = -(-number // self.chains)
+        one = replace(self, chains=1, max_proposals=max(1, self.max_proposals // self.chains))
+        runs = []
+        for chain, own in enumerate(jax.random.split(key, self.chains)):
+
+            def report(made: int, _wanted: int, done: int = chain * each) -> None:
+                if progress:
+                    progress(done + made, self.chains * each)
+
+            runs.append(one.draw(posterior, own, each, report))
+        return joined(runs)
 
 
-def _parts(samplers: list[RootSampler], held: list[int], prior: np.ndarray) -> list[RootDraws]:
-    """The first draws of each root, so many as are `held`, and what is known of it by now."""
-    shares = _shares(_log_weights(samplers, prior))
-    return [
-        RootDraws(one.poses(number), one.log_evidence, one.log_evidence_se, float(share))
-        for one, number, share in zip(samplers, held, shares, strict=True)
-    ]
+def _drawn(
+    posterior: Posterior,
+    samplers: list[RootSampler],
+    held: list[int],
+    prior: np.ndarray,
+    rng: np.random.Generator,
+) -> Draws:
+    """The first draws of each candidate, so many as are `held`, in random order, and what is known
+    of the candidates by now."""
+    parts = [one.poses(number) for one, number in zip(samplers, held, strict=True)]
+    order = rng.permutation(sum(held))
+    evidences = np.array([(one.log_evidence, one.log_evidence_se) for one in samplers])
+    evidence, error = _mixture_evidence(prior, *evidences.T)
+    return Draws(
+        posterior,
+        points=np.repeat(np.arange(len(samplers)), held)[order],
+        poses=Pose(*(np.concatenate(column)[order] for column in zip(*parts, strict=True))),
+        faults=Faults.none(len(order)),
+        known=KnownRoots(
+            np.arange(len(samplers)),
+            _shares(_log_weights(samplers, prior)),
+            functools.partial(_one_evidence, evidences),
+        ),
+        attributes={"log_evidence": evidence, "log_evidence_se": error},
+    )
+
+
+def _one_evidence(evidences: np.ndarray, rows: np.ndarray) -> tuple[float, float]:
+    """That of the one candidate in `rows`."""
+    (row,) = rows
+    log_evidence, error = evidences[row].tolist()
+    return log_evidence, error
 
 
 def _shared_out(counts: np.ndarray, block: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
@@ -325,13 +347,15 @@ def _reporter(
     return report
 
 
-def _mixture_evidence(prior: np.ndarray, parts: list[RootDraws]) -> tuple[float, float]:
-    """Log evidence of the mixture and its standard error, the roots' errors being independent."""
-    log_terms = prior + np.array([part.log_evidence for part in parts])
+def _mixture_evidence(
+    prior: np.ndarray, log_evidence: np.ndarray, errors: np.ndarray
+) -> tuple[float, float]:
+    """Log evidence of the mixture and its standard error, the candidates' errors being
+    independent."""
+    log_terms = prior + log_evidence
     if not np.isfinite(log_terms).any():
         return -math.inf, math.inf
     shares = _shares(log_terms)
-    errors = np.array([part.log_evidence_se for part in parts])
     errors = np.where(shares > 0, errors, 0.0)
     return float(np.logaddexp.reduce(log_terms)), float(np.sqrt(np.sum((shares * errors) ** 2)))
 
@@ -345,7 +369,7 @@ def _explain(
         out_of_reach(model, limb_problems(observation)) for observation in posterior.observations
     ]
     if all(unreachable):
-        scale = float(posterior.roots[0].camera.scale)
+        scale = float(posterior.candidates[0].camera.scale)
         return IMPOSSIBLE, f"no pose explains {where}: {unreachable[0][0].sentence(scale)}"
     index = unreachable.index([])
     observation = posterior.observations[index]

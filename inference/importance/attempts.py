@@ -49,8 +49,8 @@ from poseterior.inference.resampling import effective, inclusion, shares, system
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.likelihood import WithOutliers
+from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.roots import RootPoint
-from poseterior.probmodel.uncertain import UncertainPosterior
 
 BATCH = 1 << 17
 """Most attempts made at a time by one thread: some 10 ms."""
@@ -167,7 +167,7 @@ def _by_discs(posed: Posed) -> Proposal:
 
 
 def draw_roots(
-    posterior: UncertainPosterior,
+    posterior: Posterior,
     faults: Faults,
     words: list[int],
     number: int,

@@ -31,11 +31,13 @@ from poseterior.probmodel.faults import ORDERS, Faults
 from poseterior.probmodel.kinematics import upper_axes
 from poseterior.probmodel.likelihood import ErrorLaw, WithOutliers
 from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import DetectedJoints
 from poseterior.probmodel.pose import GroupDraws, Pose
+from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.programs import kept
-from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.root_priors import TorsoCameraPrior
+from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import GROUPS, NUM_JOINTS, NUM_UPPER, TORSO_INDEX
-from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 Effort = dict[int, tuple[int, int]]
 """By the number of limbs in a group: lengths of the bones under each root, and attempts at each
@@ -92,7 +94,7 @@ class Views(NamedTuple):
 
 
 def limb_draws(
-    posterior: UncertainPosterior,
+    posterior: Posterior,
     points: RootPoint,
     faults: Faults,
     words: list[int],
@@ -116,7 +118,7 @@ def limb_draws(
             yield from found
 
 
-def views_of(posterior: UncertainPosterior, points: RootPoint, faults: Faults) -> Views:
+def views_of(posterior: Posterior, points: RootPoint, faults: Faults) -> Views:
     """The views of roots and patterns `(n, ...)`, compiled once."""
     look = functools.partial(_look, posterior.model, posterior.detected)
     return Views(*in_chunks(look, *map(np.asarray, points), *faults, size=BLOCK))
@@ -136,7 +138,7 @@ def blind(number: int) -> Views:
     )
 
 
-def outliers_of(posterior: UncertainPosterior, faults: Faults) -> np.ndarray:
+def outliers_of(posterior: Posterior, faults: Faults) -> np.ndarray:
     """`(n, 15)`: the joints whose keypoints are outliers in patterns of faults `(n, ...)`."""
     counts = np.isfinite(np.asarray(posterior.detected.spread))
     order = ORDERS[faults.exchange]
@@ -146,7 +148,7 @@ def outliers_of(posterior: UncertainPosterior, faults: Faults) -> np.ndarray:
 @kept
 def _look(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> tuple[jax.Array, ...]:
     """The columns of `Views`."""
-    prior, lens = RootPrior.of(model), model.lens
+    prior, lens = TorsoCameraPrior.of(model), model.lens
 
     def one(point: RootPoint, faults: Faults) -> tuple[jax.Array, ...]:
         observation = detected.under(prior, point, faults)
@@ -298,7 +300,7 @@ def _free(draws: GroupDraws, words: list[int], *path: int) -> LimbDraws:
     return LimbDraws(0.0, GroupDraws(*(part[some] for part in draws)))
 
 
-def free_groups(posterior: UncertainPosterior, words: list[int]) -> dict[str, GroupDraws]:
+def free_groups(posterior: Posterior, words: list[int]) -> dict[str, GroupDraws]:
     """Draws of the prior for the groups of which no joint counts."""
     counts = np.isfinite(posterior.detected.spread)
     free = [

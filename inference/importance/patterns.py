@@ -40,9 +40,10 @@ from poseterior.probmodel.faults import (
 )
 from poseterior.probmodel.likelihood import PAPER
 from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import DetectedJoints
+from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import TORSO_INDEX
-from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 BLUR = 0.06
 """Body units by which errors are widened, so that so few draws come near every detection."""
@@ -68,7 +69,7 @@ class Stratum(NamedTuple):
     exchanges: tuple[int, ...]
 
 
-def strata_of(posterior: UncertainPosterior) -> list[Stratum]:
+def strata_of(posterior: Posterior) -> list[Stratum]:
     """All that may be wrong with the torso's keypoints, nothing first."""
     prior, counts = posterior.faults, np.asarray(posterior.detected.counts)
     exchanges = prior.exchanges
@@ -82,7 +83,7 @@ def strata_of(posterior: UncertainPosterior) -> list[Stratum]:
     return found
 
 
-def prior_share(posterior: UncertainPosterior, stratum: Stratum) -> float:
+def prior_share(posterior: Posterior, stratum: Stratum) -> float:
     """The prior probability of the stratum: of its faults of the torso with any of its exchanges,
     whatever is wrong with the limbs."""
     prior, counts = posterior.faults, np.asarray(posterior.detected.counts)
@@ -118,9 +119,7 @@ class Fit(NamedTuple):
         return logsumexp(self.by_exchange, axis=1)
 
 
-def fit_of(
-    posterior: UncertainPosterior, pool: np.ndarray, stratum: Stratum, points: RootPoint
-) -> Fit:
+def fit_of(posterior: Posterior, pool: np.ndarray, stratum: Stratum, points: RootPoint) -> Fit:
     """How well the `pool` of `pool_of` fits under each exchange and pattern at roots `(n, ...)`."""
     prior, number = posterior.faults, len(points.torso)
     limbs = np.empty((number, len(stratum.exchanges), len(LIMBS), len(PATTERNS)))
@@ -148,7 +147,7 @@ class Errors(NamedTuple):
     stray: np.ndarray
 
 
-def _errors(posterior: UncertainPosterior, keypoints: np.ndarray, chained: bool) -> Errors:
+def _errors(posterior: Posterior, keypoints: np.ndarray, chained: bool) -> Errors:
     """Those of two keypoints, or of the first alone."""
     spread = np.asarray(posterior.detected.spread)[keypoints]
     outlier = np.array(posterior.faults.outlier)[keypoints]
@@ -241,7 +240,7 @@ def _normal(score: np.ndarray) -> np.ndarray:
     return np.exp(score - logsumexp(score, axis=1, keepdims=True))
 
 
-def log_priors(posterior: UncertainPosterior, faults: Faults) -> np.ndarray:
+def log_priors(posterior: Posterior, faults: Faults) -> np.ndarray:
     """`(n,)`: for each pattern the log of its prior probability × the peak of the likelihood under
     it at scale one."""
     return in_chunks(functools.partial(_log_priors, posterior.faults, posterior.detected), *faults)

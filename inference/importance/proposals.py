@@ -43,9 +43,9 @@ from poseterior.inference.importance.torsos import Posed, log_nearness, torso_pr
 from poseterior.inference.resampling import effective, inclusion, shares, systematic, times
 from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
-from poseterior.probmodel.uncertain import UncertainPosterior
 
 PILOT = 48
 """Roots of a stratum in the pilot run."""
@@ -141,7 +141,7 @@ class StratumRoots(NamedTuple):
 
 
 def propose_roots(
-    posterior: UncertainPosterior, key: jax.Array, number: int, budget: Budget
+    posterior: Posterior, key: jax.Array, number: int, budget: Budget
 ) -> ProposedRoots:
     """`number` roots, in random order, or as many as the budget allows."""
     pilot_key, torso_key, order_key = jax.random.split(key, 3)
@@ -175,7 +175,7 @@ def propose_roots(
     return whole.at(rng.permutation(len(weight)))
 
 
-def _plan(posterior: UncertainPosterior, key: jax.Array, budget: Budget, ample: bool) -> RootPlan:
+def _plan(posterior: Posterior, key: jax.Array, budget: Budget, ample: bool) -> RootPlan:
     """By a pilot run of each stratum; where there is but one, and the budget is not `ample`, none
     is needed."""
     strata = strata_of(posterior)
@@ -201,7 +201,7 @@ def _plan(posterior: UncertainPosterior, key: jax.Array, budget: Budget, ample: 
     )
 
 
-def _guess(posterior: UncertainPosterior, stratum: Stratum, pilot: TorsoDraws) -> np.ndarray:
+def _guess(posterior: Posterior, stratum: Stratum, pilot: TorsoDraws) -> np.ndarray:
     """`(n,)`: log of about what each root of a pilot run has of its stratum."""
     if not len(pilot.points.torso):
         return np.zeros(0)
@@ -218,7 +218,7 @@ def _looks(guess: np.ndarray) -> int:
 
 
 def _roots_of(
-    posterior: UncertainPosterior,
+    posterior: Posterior,
     plan: RootPlan,
     index: int,
     torso: TorsoDraws,
@@ -247,9 +247,7 @@ def _some(model: PoseModel, looks: int) -> np.ndarray:
     return pool_of(model)[..., :number]
 
 
-def log_promise(
-    posterior: UncertainPosterior, fit: Fit, stratum: Stratum, points: RootPoint
-) -> np.ndarray:
+def log_promise(posterior: Posterior, fit: Fit, stratum: Stratum, points: RootPoint) -> np.ndarray:
     """`(n,)`: about what the limbs say of roots given the torso, but for a constant."""
     counted = np.asarray(posterior.detected.counts)
     of_limbs = int(counted.sum()) - sum(counted[list(TORSO_INDEX)])
@@ -296,7 +294,7 @@ def _draw(
 
 
 def _shares(
-    posterior: UncertainPosterior,
+    posterior: Posterior,
     strata: list[Stratum],
     pilots: list[TorsoDraws],
     guesses: list[np.ndarray],
@@ -312,7 +310,7 @@ def _shares(
     return (1 - EVEN) * share + EVEN / len(strata)
 
 
-def _log_prior(posterior: UncertainPosterior, stratum: Stratum) -> float:
+def _log_prior(posterior: Posterior, stratum: Stratum) -> float:
     """Log prior of the torso's outlier with the peak of the torso's likelihood, but for a constant;
     that of the exchange is in the fit."""
     exchange = np.full(2, stratum.exchanges[0])

@@ -1,5 +1,7 @@
 """The slow route, by which the fast one is judged: root, faults and limbs by rejection.
 
+    draws = TorsoRejection().draw(posterior, key, 1000)
+
     roots = reject_roots(posterior, key=key, num_samples=1000)
     roots.cut_off                        # what share of the posterior lies above the bound
 
@@ -23,9 +25,16 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from poseterior.inference.draws import (
+    COMPLETE,
+    MAX_PROPOSALS,
+    OUT_OF_BUDGET,
+    Draws,
+    Progress,
+    Sampler,
+)
 from poseterior.inference.estimators.points import require_camera
 from poseterior.inference.exact.loops.numbers import words_of
-from poseterior.inference.exact.mixture import MAX_PROPOSALS, Progress
 from poseterior.inference.importance.attempts import (
     HOPELESS,
     Proposal,
@@ -53,15 +62,15 @@ from poseterior.inference.importance.torsos import Posed, log_mass, require_dist
 from poseterior.inference.importance.weighted import (
     NUM_ROOTS,
     WeightedRoots,
+    blocks_of,
     log_limbs,
     require_number,
 )
-from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.pose import GroupDraws, Pose
+from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.roots import RootPoint
-from poseterior.probmodel.uncertain import UncertainPosterior
 
 EFFORT: Effort = {1: (16, 16), 2: (16, 16)}
 """A root brings one draw, however well its evidence is known. The benchmark's frozen draws were
@@ -168,7 +177,7 @@ class _Stratum(NamedTuple):
     proposal: Proposal
 
 
-def _strata(posterior: UncertainPosterior) -> list[_Stratum]:
+def _strata(posterior: Posterior) -> list[_Stratum]:
     found = []
     for stratum in strata_of(posterior):
         posed = torso_problem(posterior, stratum.faults)
@@ -181,7 +190,7 @@ class _Rounds:
     """One round after the other, each with as many attempts as about `ABOUT` roots take, until the
     budget ends."""
 
-    def __init__(self, posterior: UncertainPosterior, key: jax.Array, max_proposals: int) -> None:
+    def __init__(self, posterior: Posterior, key: jax.Array, max_proposals: int) -> None:
         self.posterior, self.key = posterior, key
         self.strata = _strata(posterior)
         self.left, self.number, self.attempts = max_proposals, 0, FIRST
@@ -250,8 +259,46 @@ class _Rounds:
         return points.take(rows), faults, weight + mass
 
 
+@dataclass(frozen=True)
+class TorsoRejection(Sampler):
+    """Independent draws of torso, camera and pose, a few dozen a second.
+
+    Attributes
+    ----------
+    name, max_proposals
+        As of a `Sampler`.
+    num_roots
+        Of the pilot run, which finds the bound.
+    """
+
+    name: str = "rejection"
+    num_roots: int = NUM_ROOTS
+
+    def __post_init__(self) -> None:
+        require_number(self.num_roots)
+
+    def _blocks(
+        self,
+        posterior: Posterior,
+        key: jax.Array,
+        number: int,
+        block: int,
+        progress: Progress | None,
+    ) -> Iterator[Draws]:
+        roots = reject_roots(
+            posterior,
+            key=jax.random.fold_in(key, 0),
+            num_samples=number,
+            num_roots=self.num_roots,
+            max_proposals=self.max_proposals,
+            progress=progress,
+        )
+        about = {"num_roots": roots.tried, "cut_off": roots.cut_off}
+        yield from blocks_of(roots, verdict(roots), about, key, number, block=number)
+
+
 def reject_roots(
-    posterior: UncertainPosterior,
+    posterior: Posterior,
     *,
     key: jax.Array,
     num_samples: int,
@@ -326,7 +373,7 @@ def _bound(rounds: _Rounds, num_roots: int) -> float:
 
 
 def _result(
-    posterior: UncertainPosterior,
+    posterior: Posterior,
     parts: list[Taken],
     log_weight: np.ndarray,
     log_bound: float,

@@ -15,9 +15,11 @@ from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.faults import ORDERS, Faults
 from poseterior.probmodel.likelihood import WithOutliers
 from poseterior.probmodel.model import PoseModel
-from poseterior.probmodel.roots import NEAREST, RootPoint, RootPrior
+from poseterior.probmodel.observation import DetectedJoints
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.root_priors import NEAREST, TorsoCameraPrior
+from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import TORSO_INDEX
-from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 
 class Posed(NamedTuple):
@@ -33,7 +35,7 @@ class Posed(NamedTuple):
     highest: float
 
 
-def torso_problem(posterior: UncertainPosterior, faults: Faults) -> Posed:
+def torso_problem(posterior: Posterior, faults: Faults) -> Posed:
     """What the torso's joints ask of a root under a pattern of faults.
 
     The joint with the smallest disc comes first, then the others from far to near: most attempts
@@ -67,7 +69,7 @@ def torso_problem(posterior: UncertainPosterior, faults: Faults) -> Posed:
         np.ascontiguousarray(ray, float),
         2.0 * len(rows) - 2,
     )
-    highest = math.exp(float(posterior.prior.highest_log_scale))
+    highest = math.exp(float(posterior.root_prior.highest_log_scale))
     return Posed(problem, law, float(posterior.model.upright), origin, lowest, highest)
 
 
@@ -140,9 +142,7 @@ def points_of(posed: Posed, table: RootTable) -> RootPoint:
     return RootPoint(table.torso, rotations_of(table), np.log(scale), translation)
 
 
-def log_nearness(
-    posterior: UncertainPosterior, points: RootPoint, exchange: ArrayLike
-) -> np.ndarray:
+def log_nearness(posterior: Posterior, points: RootPoint, exchange: ArrayLike) -> np.ndarray:
     """`(n,)`: what perspective adds to the log density of the torso's joints under roots `(n, ...)`
     and exchanges `(n,)`: errors are as large as things appear where the joint is, and roots are
     drawn as if they were as large as at the pelvis."""
@@ -155,7 +155,7 @@ def log_nearness(
 
 @jax.jit
 def _log_nearness(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> jax.Array:
-    prior, torso = RootPrior.of(model), jnp.asarray(TORSO_INDEX)
+    prior, torso = TorsoCameraPrior.of(model), jnp.asarray(TORSO_INDEX)
 
     def one(point: RootPoint, exchange: jax.Array) -> jax.Array:
         root = prior.root(point)
@@ -166,7 +166,7 @@ def _log_nearness(model: PoseModel, detected: DetectedJoints, *fields: jax.Array
     return jax.vmap(one)(RootPoint(*fields[:4]), fields[4])
 
 
-def require_distance(posterior: UncertainPosterior) -> None:
+def require_distance(posterior: Posterior) -> None:
     """Raises `BadInput` where a known focal length puts the person too near to the camera."""
     lens = posterior.model.lens
     if lens is None:

@@ -1,6 +1,8 @@
 """The fast route: roots drawn given the torso, weighed by unbiased estimates of their limbs'
 evidence, and drawn anew by their weights.
 
+    draws = WeightedSampler(num_roots=1000).draw(posterior, key, 10_000)
+
     roots = weigh_roots(posterior, key=key, num_roots=1000)
     roots.effective                      # of how many equally good roots they are worth
     roots.draw(rng, 10_000)              # roots and poses
@@ -13,15 +15,24 @@ import dataclasses
 import functools
 import math
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
 
+from poseterior.inference.draws import (
+    COMPLETE,
+    MAX_PROPOSALS,
+    OUT_OF_BUDGET,
+    Draws,
+    KnownRoots,
+    Progress,
+    Sampler,
+)
 from poseterior.inference.estimators.points import require_camera
 from poseterior.inference.exact.loops.numbers import words_of
-from poseterior.inference.exact.mixture import MAX_PROPOSALS, Progress
 from poseterior.inference.exact.problem import limbs_of
 from poseterior.inference.exact.rates import Budget
 from poseterior.inference.exact.reach import out_of_reach
@@ -37,13 +48,12 @@ from poseterior.inference.importance.limbs import (
 from poseterior.inference.importance.proposals import ProposedRoots, propose_roots
 from poseterior.inference.importance.torsos import log_nearness, require_distance
 from poseterior.inference.resampling import effective, shares, times
-from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.faults import LIMB_INDEX, Faults
 from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import GROUPS
-from poseterior.probmodel.uncertain import UncertainPosterior
 
 NUM_ROOTS = 1000
 """Roots, where nothing else is said."""
@@ -76,7 +86,7 @@ class WeightedRoots:
         How many attempts all that took.
     """
 
-    posterior: UncertainPosterior
+    posterior: Posterior
     proposed: ProposedRoots
     limbs: Sequence[dict[str, LimbDraws]]
     log_weight: np.ndarray
@@ -110,6 +120,22 @@ class WeightedRoots:
             return math.inf
         return math.sqrt(self.proposed.relative_variance(self.share))
 
+    @property
+    def known(self) -> KnownRoots:
+        """What is known of them."""
+        limbs = np.array([log_evidence(found) for found in self.limbs])
+        columns = {"log_evidence_of_limbs": limbs, "log_weight": self.log_weight}
+        return KnownRoots(self.points, self.share, self.evidence_of, columns)
+
+    def evidence_of(self, rows: np.ndarray) -> tuple[float, float]:
+        """Log evidence of the roots in some rows alone, and its standard error."""
+        own = np.isin(np.arange(len(self.log_weight)), rows)
+        evidence = log_mean(np.where(own, self.log_weight, -np.inf))
+        whole = np.where(own, self.share, 0.0)
+        if not whole.any():
+            return evidence, math.inf
+        return evidence, math.sqrt(self.proposed.relative_variance(whole / whole.sum()))
+
     def draw(self, rng: np.random.Generator, number: int) -> tuple[RootPoint, Pose, np.ndarray]:
         """`number` roots and poses, in random order, and which `(number,)` of the roots each has;
         none where no root has any weight.
@@ -136,6 +162,84 @@ class WeightedRoots:
         return self.points.take(chosen), poses, chosen
 
 
+@dataclass(frozen=True)
+class WeightedSampler(Sampler):
+    """Draws of torso, camera and pose from weighted roots.
+
+    Attributes
+    ----------
+    name, max_proposals
+        As of a `Sampler`.
+    num_roots, most_roots
+        From how many roots draws are made, and from how many at most where these are too few, as
+        `weigh_enough_roots` takes them.
+    """
+
+    name: str = "weighted-roots"
+    num_roots: int = NUM_ROOTS
+    most_roots: int | None = None
+
+    def __post_init__(self) -> None:
+        require_number(self.num_roots)
+
+    def _blocks(
+        self,
+        posterior: Posterior,
+        key: jax.Array,
+        number: int,
+        block: int,
+        progress: Progress | None,
+    ) -> Iterator[Draws]:
+        roots = weigh_enough_roots(
+            posterior,
+            key=jax.random.fold_in(key, 0),
+            num_roots=self.num_roots,
+            most_roots=self.most_roots,
+            max_proposals=self.max_proposals,
+            progress=progress,
+        )
+        about = {"num_roots": len(roots.log_weight)}
+        yield from blocks_of(roots, verdict(roots), about, key, number, block)
+
+
+def blocks_of(
+    roots: WeightedRoots,
+    verdict: tuple[str, str],
+    about: dict[str, Any],
+    key: jax.Array,
+    number: int,
+    block: int,
+) -> Iterator[Draws]:
+    """Draws from roots, block by block, with their status and sentence, and attributes of their
+    own. There is one block at least, and no other where that one has no draw."""
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))))
+    worth = {
+        "effective_roots": roots.effective,
+        "num_proposals": roots.proposals,
+        "log_evidence": roots.log_evidence,
+        "log_evidence_se": roots.log_evidence_se,
+    }
+    status, sentence = verdict
+    done = 0
+    for start in range(0, number, block):
+        points, poses, chosen = roots.draw(rng, min(block, number - start))
+        done += len(chosen)
+        rate = {"acceptance_rate": done / max(roots.proposals, 1)}
+        yield Draws(
+            roots.posterior,
+            points,
+            poses,
+            faults=roots.proposed.faults.take(chosen),
+            known=roots.known,
+            attributes=about | worth | rate,
+            status=status,
+            sentence=sentence,
+            root_index=chosen,
+        )
+        if not done:
+            return
+
+
 def log_mean(log_weight: np.ndarray) -> float:
     """Log of the mean of weights `(n,)`; -inf where none has any."""
     if not np.isfinite(log_weight).any():
@@ -144,7 +248,7 @@ def log_mean(log_weight: np.ndarray) -> float:
 
 
 def weigh_roots(
-    posterior: UncertainPosterior,
+    posterior: Posterior,
     *,
     key: jax.Array,
     num_roots: int = NUM_ROOTS,
@@ -195,7 +299,7 @@ def weigh_roots(
 
 
 def weigh_enough_roots(
-    posterior: UncertainPosterior,
+    posterior: Posterior,
     *,
     key: jax.Array,
     num_roots: int = NUM_ROOTS,
@@ -262,7 +366,7 @@ def require_number(num_roots: int) -> None:
 
 
 def log_limbs(
-    posterior: UncertainPosterior,
+    posterior: Posterior,
     points: RootPoint,
     faults: Faults,
     limbs: Sequence[dict[str, LimbDraws]],

@@ -1,18 +1,10 @@
 """`poseterior compare`: samplers on one frame, judged by exact draws: a table, comparison.nc and a
 picture."""
 
-import functools
-from collections.abc import Callable
-from typing import TYPE_CHECKING
-
-from poseterior.inference.results import FIXED
 from poseterior.probmodel.failures import BadInput
 from poseterior.reports import console
 from poseterior.reports.options import ROUTES, Screen
 from poseterior.reports.settings import CONTESTANTS, CompareSettings
-
-if TYPE_CHECKING:
-    from poseterior.inference.studies.comparison import Comparison
 
 FEWEST = 100
 """Draws of exact rejection with which it can be judged."""
@@ -31,24 +23,26 @@ def run(settings: CompareSettings, screen: Screen) -> None:
         raise BadInput(f"--seconds must be more than 0, not {settings.seconds:g}")
     if settings.num_samples < FEWEST:
         raise BadInput(f"--num-samples must be at least {FEWEST}, not {settings.num_samples}")
-    fixed = settings.rooting.root == FIXED
-    said = settings.samplers or (CONTESTANTS if fixed else ROUTES[0])
+    said = settings.samplers or (ROUTES[0] if settings.rooting.rooted else CONTESTANTS)
     samplers = [name.strip() for name in said.split(",") if name.strip()]
-    if fixed:
-        contest.check_names(samplers)
-    else:
-        routes.check_routes(samplers)
+    check = routes.check_routes if settings.rooting.rooted else contest.check_names
+    check(samplers)
     out = console.output_folder(settings.out)
     with console.progress("torso and camera", screen.quiet):
         model = settings.rooting.model(settings.prior, settings.person.size)
         frame = settings.estimation.estimate(settings.person.detection, model)
     kept = ", runs" if {*samplers} & {*BASELINES} else ""
-    found = _contest(settings)(
+    found = routes.compare(
         model,
         frame,
         samplers,
+        root=settings.rooting.root.prior,
+        num_roots=settings.rooting.roots,
         seed=settings.seed,
+        seconds=settings.seconds,
+        max_evaluations=settings.max_evaluations,
         num_samples=settings.num_samples,
+        exact_draws=settings.exact_draws,
         out=out,
         stage=lambda words: console.progress(words, screen.quiet),
     )
@@ -62,23 +56,3 @@ def run(settings: CompareSettings, screen: Screen) -> None:
         for entry in found.entries:
             console.say(f"{entry.label}: {entry.sentence}")
         console.say(f"Written to {out}: comparison.nc, comparison.png{kept}")
-
-
-def _contest(settings: CompareSettings) -> Callable[..., "Comparison"]:
-    """Samplers under one candidate, or of torso and camera, too."""
-    from poseterior.inference.studies.comparison import contest, routes
-
-    if settings.rooting.root == FIXED:
-        return functools.partial(
-            contest.compare,
-            seconds=settings.seconds,
-            max_evaluations=settings.max_evaluations,
-            exact_draws=settings.exact_draws or contest.EXACT_REFERENCE,
-        )
-    return functools.partial(
-        routes.compare_routes,
-        seconds=settings.seconds,
-        max_evaluations=settings.max_evaluations,
-        num_roots=settings.rooting.roots,
-        exact_draws=settings.exact_draws or routes.ROUTE_REFERENCE,
-    )

@@ -4,8 +4,8 @@ not, why?"""
 from pathlib import Path
 from typing import Any
 
-from poseterior.inference.drawers import sampler_under
-from poseterior.inference.results import FIXED, save_tree
+from poseterior.inference.results import save_tree
+from poseterior.inference.sampler import MAKERS
 from poseterior.inference.studies import calibration
 from poseterior.inference.studies.calibration.coverage import CoverageSummary
 from poseterior.inference.studies.calibration.record import instances_tree
@@ -100,7 +100,7 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
             noise=settings.noise,
             missing=settings.missing,
             likelihood=Likelihood(factor=settings.factor),
-            root=settings.rooting.root,
+            root=settings.rooting.root.prior,
             seed=settings.sampling.seed,
             perspective=settings.perspective,
         )
@@ -115,7 +115,7 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
         )
     found = calibration.summary(tree)
     simulation = tree["simulation"].to_dataset()
-    given = settings.estimator if settings.rooting.root == FIXED else "uncertain"
+    given = "uncertain" if settings.rooting.rooted else settings.estimator
     curves = coverage_figure({f"torso and camera: {given}": simulation})
     save_figure(curves, out / "coverage.png")
     if screen.json:
@@ -125,7 +125,7 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
 
 
 def _drawer(settings: CoverageSettings) -> str:
-    return sampler_under(settings.rooting.root, settings.sampler)
+    return settings.sampler or next(iter(MAKERS[settings.rooting.root.prior]))
 
 
 def _asked(settings: CoverageSettings, out: Path) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def _asked(settings: CoverageSettings, out: Path) -> dict[str, Any]:
         "num_samples": settings.sampling.num_samples,
         "likelihood": Likelihood(factor=settings.factor),
         "max_proposals": settings.sampling.max_proposals,
-        "root": settings.rooting.root,
+        "root": settings.rooting.root.prior,
         "num_roots": settings.rooting.roots,
         "machines": settings.workforce.machines(),
         "out": out,

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from poseterior.inference.estimators.external import read_poses
-from poseterior.inference.results import UNCERTAIN
 from poseterior.inference.studies.errors import mean_joint_error
 from poseterior.inference.studies.evaluation.bias import LEAST_POSES, Bias, bias_study
 from poseterior.inference.studies.evaluation.conditions import Condition, conditions
@@ -22,11 +21,12 @@ from poseterior.inference.studies.evaluation.scores import Values, lost
 from poseterior.probmodel.datasets import DataSet, brings_detections, read_data_set
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure
 from poseterior.reports.figures.bias import bias_figure
 from poseterior.reports.figures.evaluation import errors_figure, pck_curves, pck_figure
-from poseterior.reports.options import Screen, concentration
+from poseterior.reports.options import RootKind, Screen, concentration
 from poseterior.reports.settings import EvaluateSettings
 from poseterior.reports.tables import Sheet
 from poseterior.reports.tables.bias import actions_table, visits_table
@@ -172,7 +172,8 @@ def _conditions(settings: EvaluateSettings) -> list[Condition]:
 
 
 def _roots(settings: EvaluateSettings) -> list[str]:
-    return [name.strip() for name in settings.root.split(",") if name.strip()]
+    names = [name.strip() for name in settings.root.split(",") if name.strip()]
+    return [RootKind(name).prior if name in [*RootKind] else name for name in names]
 
 
 def _protocol(settings: EvaluateSettings) -> Protocol:

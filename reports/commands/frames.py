@@ -37,7 +37,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
             key=jax.random.key(sampling.seed),
             out=out,
             estimating=estimating,
-            root=settings.rooting.root,
+            root=settings.rooting.root.prior,
             num_roots=settings.rooting.roots,
             most_roots=settings.rooting.most,
             num_samples=sampling.num_samples,

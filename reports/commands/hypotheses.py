@@ -8,9 +8,9 @@ import numpy as np
 
 from poseterior.inference import Result
 from poseterior.inference.composition import composed
+from poseterior.inference.draws import COMPLETE
 from poseterior.inference.drawsfile import sample_to_file
 from poseterior.inference.hypothesis import Hypothesis, hypotheses
-from poseterior.inference.results import COMPLETE, FIXED
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
@@ -47,7 +47,7 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
             key=jax.random.key(sampling.seed),
             num_samples=sampling.num_samples,
             max_proposals=sampling.max_proposals,
-            root=settings.rooting.root,
+            root=settings.rooting.root.prior,
             num_roots=settings.rooting.roots,
             most_roots=settings.rooting.most,
             double=settings.double,
@@ -80,13 +80,12 @@ def _chosen(
     k, seed = min(settings.k, shown.num_draws), settings.sampling.seed
     if not settings.composed:
         return hypotheses(shown, k, seed=seed)
-    fixed = settings.rooting.root == FIXED
-    posterior = frame.posterior(model) if fixed else frame.uncertain(model)
+    posterior = frame.posterior(model, settings.rooting.root.prior)
     return composed(shown, posterior, k, seed=seed)
 
 
 def _task(settings: HypothesesSettings) -> str:
-    return "exact draws" if settings.rooting.root == FIXED else "roots and their limbs"
+    return "roots and their limbs" if settings.rooting.rooted else "exact draws"
 
 
 def _as_text(chosen: list[Hypothesis], result: Result, seed: int) -> str:

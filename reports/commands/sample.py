@@ -1,10 +1,9 @@
 """`poseterior sample`: posterior draws of one person by a named sampler, as netCDF and a page."""
 
-from poseterior.inference.drawers import sampler_under
+from poseterior.inference.draws import COMPLETE
 from poseterior.inference.drawsfile import sample_to_file
 from poseterior.inference.hypothesis import hypotheses
-from poseterior.inference.results import COMPLETE, FIXED
-from poseterior.inference.sampler import ROOTED_SAMPLERS
+from poseterior.inference.sampler import sampler_of
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.reports import console, doubts, tables
 from poseterior.reports.interactive.page import write_page
@@ -17,9 +16,8 @@ NUM_HYPOTHESES = 5
 
 
 def _task(settings: SampleSettings) -> str:
-    root = settings.rooting.root
-    sampler = sampler_under(root, settings.sampler, ROOTED_SAMPLERS)
-    weighed = root != FIXED and sampler in ROUTES
+    sampler = sampler_of(settings.rooting.root.prior, settings.sampler).name
+    weighed = settings.rooting.rooted and sampler in ROUTES
     return "roots and their limbs" if weighed else f"draws by {sampler}"
 
 
@@ -46,7 +44,7 @@ def run(settings: SampleSettings, screen: Screen) -> None:
             num_samples=sampling.num_samples,
             max_proposals=sampling.max_proposals,
             chains=settings.chains,
-            root=settings.rooting.root,
+            root=settings.rooting.root.prior,
             num_roots=settings.rooting.roots,
             most_roots=settings.rooting.most,
             double=settings.double,

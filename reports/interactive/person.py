@@ -11,8 +11,9 @@ import numpy as np
 import xarray as xr
 from PIL import Image
 
+from poseterior.inference.draws import COMPLETE
 from poseterior.inference.hypothesis import Hypothesis
-from poseterior.inference.results import COMPLETE, Result
+from poseterior.inference.results import Result
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 from poseterior.reports.figures.colours import LIMB_OF, hypothesis_colours
 from poseterior.reports.figures.window import Window, cropped, window_of

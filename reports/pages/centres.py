@@ -14,13 +14,12 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from poseterior.inference.drawers import NUM_ROOTS
 
 from poseterior.inference.clusters import clusters
 from poseterior.inference.composition import Drawn, compose
-from poseterior.inference.drawers import NUM_ROOTS
 from poseterior.inference.estimators import estimate_torsos
 from poseterior.inference.hypothesis import diverse
-from poseterior.inference.results import FIXED, UNCERTAIN
 from poseterior.inference.studies.calibration.real import TRUE, true_candidate
 from poseterior.inference.studies.errors import best_of, mean_joint_error
 from poseterior.inference.studies.evaluation.outcome import Protocol
@@ -30,6 +29,7 @@ from poseterior.probmodel import Likelihood
 from poseterior.probmodel.datasets import Case, read_data_set
 from poseterior.probmodel.likelihood import Gaussian
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import NUM_JOINTS
 from poseterior.reports.figures.composition import gains_figure
 from poseterior.reports.pages.evaluation import CLASSES, EVALUATION_NOISE, gain, protocol_of
@@ -40,8 +40,8 @@ from poseterior.reports.tables import Sheet, sheet_of
 K, CENTRE_FRAMES = 5, 160
 CHOSEN = ("draws", "composed", "centres, which are no poses")
 CENTRE_LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
-CENTRE_WAYS = ((FIXED, "disc"), (UNCERTAIN, "disc"), (UNCERTAIN, "Gaussian"), (TRUE, "disc"))
-ROOT_WORDS = {FIXED: ESTIMATOR, UNCERTAIN: "uncertain", TRUE: "true"}
+CENTRE_WAYS = ((CANDIDATES, "disc"), (UNCERTAIN, "disc"), (UNCERTAIN, "Gaussian"), (TRUE, "disc"))
+ROOT_WORDS = {CANDIDATES: ESTIMATOR, UNCERTAIN: "uncertain", TRUE: "true"}
 
 
 class CentreErrors(NamedTuple):

@@ -19,7 +19,7 @@ import xarray as xr
 from poseterior.inference.baselines.catalogue import BASELINES
 from poseterior.inference.baselines.run import Allowance
 from poseterior.inference.baselines.target import Target
-from poseterior.inference.exact.mixture import draw_mixture
+from poseterior.inference.exact.mixture import ExactRejection
 from poseterior.inference.results import save_tree
 from poseterior.inference.studies.comparison import comparison_tree, contest
 from poseterior.inference.studies.comparison.record import Entry
@@ -30,6 +30,7 @@ from poseterior.inference.studies.scenes import (
     prior_scene,
 )
 from poseterior.probmodel import Estimate, PoseModel
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.pages.page import run
 
 CHECK = "one arm seen"
@@ -71,7 +72,7 @@ def clock(model: PoseModel, frame: Estimate, number: int) -> list[float]:
     found = []
     for draws in CLOCKED:
         started = CLOCK()
-        draw_mixture(frame.posterior(model), key=jax.random.key(number), num_samples=draws)
+        ExactRejection().draw(frame.posterior(model, CANDIDATES), jax.random.key(number), draws)
         found.append(CLOCK() - started)
     return found
 
@@ -103,7 +104,7 @@ def compare(
     frame = list(SUITE.values())[number](model)
     known = contest.truth(model, frame, key=jax.random.key(1000 + number), number=EXACT_DRAWS)
     attributes: dict[str, object] = {
-        "dim": Target.of(known.frame.posterior(model)).dim,
+        "dim": Target.of(known.frame.posterior(model, CANDIDATES)).dim,
         "exact_log_evidence": known.evidence[0],
         "exact_log_evidence_se": known.evidence[1],
     }

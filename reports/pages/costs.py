@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from poseterior import inference
-from poseterior.inference.results import UNCERTAIN
 from poseterior.probmodel import Detection, Estimate, Likelihood, PoseModel
+from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
 from poseterior.reports.tables import Sheet, sheet_of

@@ -25,6 +25,7 @@ from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget
 from poseterior.inference.studies.scenes import motion_frames, prior_frames
 from poseterior.probmodel import Estimate, PoseModel
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import page as blank_page
 from poseterior.reports.figures.style import tidy
@@ -102,7 +103,9 @@ def cost(model: PoseModel, frame: Estimate) -> DeviceCost:
             jax.block_until_ready(_handed(name, level, tables[name], problems[name]))
 
     def processor() -> None:
-        (candidate,) = root_samplers(frame.posterior(model), jax.random.key(3), "rejection")
+        (candidate,) = root_samplers(
+            frame.posterior(model, CANDIDATES), jax.random.key(3), "rejection"
+        )
         assert candidate.more(DEVICE_DRAWS // 10, Budget(10**15))
 
     return DeviceCost(first, seconds, _seconds(set_up), attempt, 10 * _seconds(processor))

@@ -80,7 +80,7 @@ def tell(model: PoseModel, frame: Estimate, seed: int) -> Told:
     for name in EXCHANGES:
         reading = dataclasses.replace(wrong, detection=read_as(wrong.detection, name))
         roots = weigh_roots(
-            reading.uncertain(model),
+            reading.posterior(model),
             key=jax.random.key(seed),
             num_roots=EXCHANGE_ROOTS,
             max_proposals=EXCHANGE_BUDGET,

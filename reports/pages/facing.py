@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from poseterior import inference
-from poseterior.inference.results import COMPLETE
+from poseterior.inference.draws import COMPLETE
 from poseterior.inference.studies.scenes import motion_scene
 from poseterior.probmodel import Anatomy, Detection, PoseModel
 from poseterior.probmodel.motion import read_motion

@@ -14,12 +14,12 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from poseterior.inference.results import UNCERTAIN
 from poseterior.inference.sampler import sample
 from poseterior.inference.studies.intervals import of_share
 from poseterior.inference.studies.scenes import prior_scene
 from poseterior.probmodel import Detection, Estimate, PoseModel
 from poseterior.probmodel.faults import EXCHANGE_INDEX, EXCHANGES, ORDERS, FaultPrior
+from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page

@@ -18,7 +18,6 @@ import xarray as xr
 from poseterior import inference
 from poseterior.inference.estimators.points import require_camera
 from poseterior.inference.machines import HERE
-from poseterior.inference.results import FIXED, UNCERTAIN
 from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.inference.studies.calibration.real import TRUE, true_candidate
 from poseterior.inference.studies.errorlaws.learn import Learned, learn
@@ -30,6 +29,7 @@ from poseterior.probmodel.datasets.sessions import judged_views
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.faults import NO_FAULTS
 from poseterior.probmodel.layouts import MIDPOINTS, corrected, without_midpoints
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.sessions import Session, read_session
 from poseterior.probmodel.sessions.session import HIPS
 from poseterior.probmodel.skeleton import NUM_JOINTS
@@ -68,8 +68,8 @@ class Way(NamedTuple):
 
 
 FILM_WAYS = (
-    Way(FIXED, moved=False),
-    Way(FIXED),
+    Way(CANDIDATES, moved=False),
+    Way(CANDIDATES),
     Way(UNCERTAIN),
     Way(UNCERTAIN, focal=True, frames=25),
     Way(UNCERTAIN, LEARNED),
@@ -310,7 +310,7 @@ def _draw(way: Way, asked: Asked) -> Groups:
         frame,
         key=jax.random.key(asked.seed),
         num_samples=FILM_DRAWS,
-        root=FIXED if way.root == TRUE else way.root,
+        root=CANDIDATES if way.root == TRUE else way.root,
         num_roots=way.roots,
         max_proposals=FILM_BUDGET,
     )

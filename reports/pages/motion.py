@@ -16,7 +16,6 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.machines import HERE
-from poseterior.inference.results import FIXED, UNCERTAIN
 from poseterior.inference.studies.calibration.coverage import CoverageSummary, summary
 from poseterior.inference.studies.calibration.exclusions import Reason, exclusions
 from poseterior.inference.studies.calibration.posteriors import sampler_of
@@ -37,6 +36,7 @@ from poseterior.probmodel.learning.learner import learn
 from poseterior.probmodel.learning.poses import gather
 from poseterior.probmodel.learning.tolerance import DEFAULT
 from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.roots import Candidate
 from poseterior.probmodel.skeleton import TORSO_INDEX
 from poseterior.reports.figures.coverage import coverage_figure
@@ -54,7 +54,7 @@ LAID_TORSOS = 8
 RELATION_FRAMES = 640
 """Of the paper's relations."""
 ESTIMATOR = "akhter-black"
-RELATION_ROOTS = (FIXED, UNCERTAIN, TRUE)
+RELATION_ROOTS = (CANDIDATES, UNCERTAIN, TRUE)
 UPRIGHT_DEGREES = 20
 """Degrees by which backs are tilted, where that is believed."""
 MOTION_LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
@@ -73,7 +73,7 @@ class Given(NamedTuple):
     @property
     def kind(self) -> str:
         """Whether the root is fixed or uncertain."""
-        return UNCERTAIN if self.root == UNCERTAIN else FIXED
+        return UNCERTAIN if self.root == UNCERTAIN else CANDIDATES
 
     @property
     def path(self) -> str:
@@ -207,7 +207,7 @@ def compared(work: Path, data: Path) -> Values:
     cases = read_data_set(data / CLASSES, frames=RELATION_FRAMES, noise=EVALUATION_NOISE)
 
     def found(name: str, protocol: Protocol, roots: Sequence[str]) -> list[Relation]:
-        estimators = (ESTIMATOR, "zhou") if FIXED in roots else (ESTIMATOR,)
+        estimators = (ESTIMATOR, "zhou") if CANDIDATES in roots else (ESTIMATOR,)
         wanted = conditions(estimators, (0,), (0.0,), roots)
         out = work / name
         out.mkdir(parents=True, exist_ok=True)

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from matplotlib.figure import Figure
-
-from poseterior.inference.importance.rejection import RejectedRoots, reject_roots, verdict
 from poseterior.inference.importance.tree import placed
+
+from poseterior.inference.draws import COMPLETE
+from poseterior.inference.importance.rejection import RejectedRoots, reject_roots, verdict
 from poseterior.inference.importance.weighted import APART, WeightedRoots, weigh_roots
-from poseterior.inference.results import COMPLETE
 from poseterior.inference.studies.comparison.judge import (
     AGREES,
     DIFFERS,
@@ -34,8 +34,8 @@ from poseterior.probmodel.errorlaws import DetectorErrors
 from poseterior.probmodel.faults import FaultPrior
 from poseterior.probmodel.layouts import corrected
 from poseterior.probmodel.likelihood import Gaussian
+from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.skeleton import TORSO_INDEX
-from poseterior.probmodel.uncertain import UncertainPosterior
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
 from poseterior.reports.pages.costs import WANTED, costs_of, plot_costs, table_of
@@ -114,8 +114,8 @@ def whole(roots: WeightedRoots, number: int, seed: int) -> Sample:
     return found.with_roots(joints[None], np.exp(points.log_scale)[None], points.translation[None])
 
 
-def _posterior(model: PoseModel, case: JudgedFrame) -> UncertainPosterior:
-    return Estimate(case.detection, (), ROUTE_LAWS[case.law]).uncertain(model)
+def _posterior(model: PoseModel, case: JudgedFrame) -> Posterior:
+    return Estimate(case.detection, (), ROUTE_LAWS[case.law]).posterior(model)
 
 
 def study(model: PoseModel, case: JudgedFrame, seed: int) -> Found:

@@ -29,16 +29,16 @@ from poseterior.inference.exact.loops.attempts import attempt_lengths, attempt_l
 from poseterior.inference.exact.loops.numbers import compiled, load, store, uniform
 from poseterior.inference.exact.loops.seeds import seeded
 from poseterior.inference.exact.loops.tables import CutLimb, blank_bodies, desk_pair
-from poseterior.inference.exact.mixture import draw_mixture, root_samplers
+from poseterior.inference.exact.mixture import ExactRejection, root_samplers
 from poseterior.inference.exact.naive import BATCH, propose
 from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget
-from poseterior.inference.results import FIXED, UNCERTAIN
 from poseterior.inference.sampler import sample
 from poseterior.inference.stream import Item, sample_frames
 from poseterior.inference.studies.scenes import motion_frames, prior_frames, prior_scene
 from poseterior.probmodel import Anatomy, Estimate, PoseModel, read_detections
 from poseterior.probmodel.example import example
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import GROUPS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import page as blank_page
@@ -147,7 +147,7 @@ def cost(model: PoseModel, frame: Estimate, naive: float) -> FrameCost:
     """Times one frame, its one candidate known."""
     started = time.perf_counter()
     budget = Budget(10**12)
-    (candidate,) = root_samplers(frame.posterior(model), jax.random.key(0), "rejection")
+    (candidate,) = root_samplers(frame.posterior(model, CANDIDATES), jax.random.key(0), "rejection")
     assert candidate.more(SPEED_DRAWS, budget)
     seconds = time.perf_counter() - started
     groups = {
@@ -175,7 +175,7 @@ def published(data: Path) -> str:
     if not (limits.exists() and photo.exists()):
         return ""
     model = PoseModel.from_anatomy(Anatomy.load(limits))
-    posterior = estimate_torso(read_detections(photo)[0]).posterior(model)
+    posterior = estimate_torso(read_detections(photo)[0]).posterior(model, CANDIDATES)
 
     def draw() -> None:
         candidate, *_ = root_samplers(posterior, jax.random.key(0), "rejection")
@@ -322,9 +322,8 @@ def curves(model: PoseModel, frame: Estimate) -> dict[str, Curve]:
     of the prior, the radius of the discs."""
 
     def each(frame: Estimate, number: int) -> float:
-        draw = functools.partial(
-            draw_mixture, frame.posterior(model), key=jax.random.key(1), num_samples=number
-        )
+        posterior = frame.posterior(model, CANDIDATES)
+        draw = functools.partial(ExactRejection().draw, posterior, jax.random.key(1), number)
         return timed(draw, 2) / number * 1e6
 
     numbers = [100, 1000, 10_000, 100_000, 1_000_000]
@@ -336,7 +335,7 @@ def curves(model: PoseModel, frame: Estimate) -> dict[str, Curve]:
     }
 
 
-def streams(model: PoseModel, frames: Sequence[Estimate], root: str = FIXED) -> Curve:
+def streams(model: PoseModel, frames: Sequence[Estimate], root: str = CANDIDATES) -> Curve:
     """Seconds of streams of 1 to `STREAM_FRAMES` frames × 10,000 draws with five hypotheses."""
     items = [Item(str(number), frame) for number, frame in enumerate(frames)]
 
@@ -430,7 +429,8 @@ def main(data: Data = SHARED) -> Page:
     if archive.exists():
         sets["Poses of CMU motion capture"] = motion_frames(archive)
     frames = list(sets.values())[-1]
-    draw_mixture(frames[0].posterior(model), key=jax.random.key(0), num_samples=2000)  # compiles
+    # Compiles.
+    ExactRejection().draw(frames[0].posterior(model, CANDIDATES), jax.random.key(0), 2000)
     floor = floors()
     naive = naive_proposal(model, frames[0])
     tables = {

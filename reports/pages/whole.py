@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from poseterior.inference.results import UNCERTAIN
 from poseterior.inference.studies.calibration import calibrate, judge
 from poseterior.inference.studies.calibration.quantities import OF_ROOT
 from poseterior.probmodel import PoseModel
+from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.reports.figures.coverage import ranks_figure
 from poseterior.reports.pages.page import Page, Values, Work, run
 from poseterior.reports.tables import Sheet, sheet_of

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from poseterior.inference.results import FIXED
 from poseterior.inference.studies.evaluation.conditions import Condition, alike
 from poseterior.inference.studies.evaluation.metrics import PCK_MM
 from poseterior.inference.studies.evaluation.relations import Relation
@@ -22,6 +21,7 @@ from poseterior.inference.studies.evaluation.scores import (
     summary,
     usable,
 )
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, sheet_of
 
 PAPERS_FRAMES = 26_385
@@ -87,7 +87,7 @@ SHARPNESS_CAPTION = (
 def row_name(way: Condition, row: str | int) -> str:
     """A row of a condition in words; beside a root that depends on no estimator stands an
     estimator's single estimate."""
-    if row == "single" and way.root != FIXED:
+    if row == "single" and way.root != CANDIDATES:
         return f"{way.way} ({ESTIMATOR_NAMES.get(way.estimator, way.estimator)}, single estimate)"
     words = {"single": "single estimate", "all": "all samples"}
     name = ESTIMATOR_NAMES.get(way.way, way.way)

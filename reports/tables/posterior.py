@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from poseterior.inference.results import UNCERTAIN
 from poseterior.probmodel.faults import EXCHANGES
+from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, TORSO_INDEX
 from poseterior.reports.tables.sheet import (
     NOTHING,

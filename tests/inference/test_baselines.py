@@ -31,13 +31,14 @@ from poseterior.inference.baselines.hamiltonian import _log_weights
 from poseterior.inference.baselines.run import Allowance, Baseline, Drawn, run
 from poseterior.inference.baselines.target import Target
 from poseterior.inference.baselines.tempering import next_multiple
+from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.resampling import systematic
-from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.studies.comparison import compare, contest
 from poseterior.inference.studies.comparison.judge import DIFFERS
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.likelihood import LAWS, Gaussian, Likelihood
 from poseterior.probmodel.model import log_joint
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import JOINT_INDEX
 from poseterior.probmodel.transport import CUBE_DIM
 from tests.scenes import ALL_BUT_AN_ARM, key, prior_scene
@@ -79,7 +80,7 @@ def low():
     """One arm seen: model, frame, target, exact tree and starting points."""
     model = PoseModel()
     frame = prior_scene(model, 1, missing=ALL_BUT_AN_ARM)
-    target = Target.of(frame.posterior(model))
+    target = Target.of(frame.posterior(model, CANDIDATES))
     tree = inference.sample(model, frame, key=key(21), num_samples=4000).tree
     return model, frame, target, tree, starting_points(target, tree, DISPERSED)
 
@@ -89,7 +90,7 @@ def whole():
     """All limbs seen: target and exact points."""
     model = PoseModel()
     frame = prior_scene(model, 1)
-    target = Target.of(frame.posterior(model))
+    target = Target.of(frame.posterior(model, CANDIDATES))
     tree = inference.sample(model, frame, key=key(22), num_samples=200).tree
     return target, starting_points(target, tree, DISPERSED)
 
@@ -192,7 +193,7 @@ def test_who_shrinks_discs_is_refused_under_another_law(name):
     with refused:
         compare(model, frame, [name])
     with refused:
-        run(BASELINES[name], name, Target.of(frame.posterior(model)), key=key(0))
+        run(BASELINES[name], name, Target.of(frame.posterior(model, CANDIDATES)), key=key(0))
 
 
 def test_the_shares_of_shrinking_discs_are_not_flattered():
@@ -234,7 +235,7 @@ def test_every_baseline_has_the_same_face(name, tmp_path):
     assert done.num_draws > 0
     assert done.cost.num_proposals >= enough or name == "nss"
     assert done.cost.wall_time > 0
-    tree = baseline_tree(frame.posterior(model), done, key(5))
+    tree = baseline_tree(frame.posterior(model, CANDIDATES), done, key(5))
     posterior = tree["posterior"]
     assert posterior.joints.dims == ("chain", "draw", "joint", "axis")
     assert posterior.sizes["chain"] * posterior.sizes["draw"] == done.num_draws
@@ -324,12 +325,12 @@ def test_several_candidates_or_nothing_seen_are_refused():
     model, frame, *_ = low()
     twice = dataclasses.replace(frame, candidates=frame.candidates * 2)
     with pytest.raises(BadInput, match="2 torso-and-camera candidates"):
-        Target.of(twice.posterior(model))
+        Target.of(twice.posterior(model, CANDIDATES))
     with pytest.raises(BadInput, match="no seen limb joint"):
         Target.of(
             prior_scene(
                 model, 1, missing=(*ALL_BUT_AN_ARM, "right_elbow", "right_wrist")
-            ).posterior(model)
+            ).posterior(model, CANDIDATES)
         )
 
 

@@ -44,6 +44,7 @@ from poseterior.inference.studies.comparison.sample import NAMES, ROOT_NAMES, Sa
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.model import log_joint
 from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import JOINTS
 from poseterior.probmodel.transport import from_fractions
 from tests.wrong_samplers import DenseAdaptiveKernel, HalfUpdatedAIES
@@ -181,7 +182,7 @@ def disagreement(target: FrozenTarget, model: PoseModel) -> float:
     points = np.concatenate([prior, near(target)])
     fractions = np.full((len(points), CUBE_DIM), 0.5)
     fractions[:, target.active] = target.box_of(points)
-    observation = benchmark.estimate(target).posterior(model).observations[0]
+    observation = benchmark.estimate(target).posterior(model, CANDIDATES).observations[0]
     theirs = product_squares(model, observation, jnp.asarray(fractions))
     difference = np.abs(target.squares(points) - np.asarray(theirs)[:, target.seen])
     return float(np.max(difference / (1 + target.squares(points))))

@@ -34,10 +34,11 @@ from poseterior.inference.studies.comparison.sample import NAMES, ROOT_NAMES
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.rotations import RotationTransform, rodrigues
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
-from poseterior.probmodel.uncertain import UncertainPosterior
 
 UNCERTAIN_ROOT = tuple(
     name for name, one in benchmark.targets().items() if isinstance(one.root, BoxedRoot)
@@ -59,8 +60,8 @@ def root_of(target: FrozenTarget) -> BoxedRoot:
     return target.root
 
 
-def uncertain(target: FrozenTarget, model: PoseModel | None = None) -> UncertainPosterior:
-    return benchmark.estimate(target).uncertain(model or model_of(target))
+def uncertain(target: FrozenTarget, model: PoseModel | None = None) -> Posterior:
+    return benchmark.estimate(target).posterior(model or model_of(target))
 
 
 # --- the coordinates
@@ -78,7 +79,7 @@ def test_a_scene_is_a_body_a_torso_and_a_camera() -> None:
 
 def test_a_scene_has_no_root_to_hold_fixed() -> None:
     frame = benchmark.estimate(benchmark.load("scene"))
-    for ask in (lambda: frame.observation, lambda: frame.posterior(frozen_model())):
+    for ask in (lambda: frame.observation, lambda: frame.posterior(frozen_model(), CANDIDATES)):
         with pytest.raises(BadInput, match=r"scene.*no torso and camera to hold fixed; take"):
             ask()
 

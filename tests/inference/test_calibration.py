@@ -57,6 +57,7 @@ from poseterior.inference.studies.calibration.verdict import (
     holm,
 )
 from poseterior.probmodel import BadInput, Likelihood, PoseModel
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import JOINT_INDEX
 
 RNG = np.random.default_rng
@@ -314,7 +315,7 @@ def test_quantities_of_draws_are_the_samplers_own(model: PoseModel) -> None:
     """Log density by way of the joints against the sampler's, lengths and depth against its
     columns."""
     for instance in simulate(model, 3, 0, 4):
-        posterior = instance.frame.posterior(model)
+        posterior = instance.frame.posterior(model, CANDIDATES)
         mixture = draw_mixture(posterior, key=jax.random.key(1), num_samples=300)
         columns = pose_columns(posterior, mixture.parts, mixture.rng)
         *_, density, misfit = of_both(model, instance.frame.observation, columns["joints"]).T

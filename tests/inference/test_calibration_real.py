@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from poseterior.inference.draws import OUT_OF_BUDGET
 from poseterior.inference.hypothesis import diverse
-from poseterior.inference.results import OUT_OF_BUDGET
 from poseterior.inference.studies.calibration import assess, simulate
 from poseterior.inference.studies.calibration.assess import Answer, failure
 from poseterior.inference.studies.calibration.choices import (
@@ -442,7 +442,7 @@ def test_known_lenses_explain_who_is_near(model: PoseModel, cases: list[Case]) -
         candidate = instance.frame.candidates[0]
         seen = np.asarray(candidate.camera.image(instance.joints))
         np.testing.assert_allclose(seen, case.image(case.pose), atol=1e-9)
-        posterior = instance.frame.uncertain(model)
+        posterior = instance.frame.posterior(model)
         assert float(posterior.model.lens.focal) == 2000 * case.scale
     assert exclusions(model, some, known, "uncertain") == [[]] * len(some)
     without = [dataclasses.replace(case, lens=None) for case in some]

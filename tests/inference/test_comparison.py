@@ -53,6 +53,7 @@ from poseterior.inference.studies.comparison.sample import (
 )
 from poseterior.inference.studies.flips import codes
 from poseterior.probmodel import BadInput, PoseModel
+from poseterior.probmodel.root_priors import CANDIDATES
 from tests.scenes import ALL_BUT_AN_ARM, key, prior_scene
 from tests.wrong_samplers import HalfUpdatedAIES, HalfUpdatedESS
 
@@ -280,7 +281,7 @@ def test_lengths_five_percent_too_narrow_are_caught(seed):
 def low_target() -> tuple[Target, np.ndarray]:
     """The arm's posterior and exact starting points in it."""
     model, frame, joints, length = arm()
-    target = Target.of(frame.posterior(model))
+    target = Target.of(frame.posterior(model, CANDIDATES))
     return target, target.points_of(model.pose_of(joints[:5000], length[:5000]))
 
 

@@ -11,12 +11,12 @@ import itertools
 import jax
 import numpy as np
 import pytest
+from poseterior.inference.drawers import drawer
 from scipy.optimize import least_squares
 
 from poseterior import inference
 from poseterior.inference.clusters import clusters
 from poseterior.inference.composition import Drawn, compose
-from poseterior.inference.drawers import drawer
 from poseterior.inference.hypothesis import Hypothesis
 from poseterior.probmodel import BadInput, Estimate, FaultPrior, Likelihood, PoseModel
 from poseterior.probmodel.body import align_torsos
@@ -25,9 +25,9 @@ from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.likelihood import Gaussian
 from poseterior.probmodel.model import log_joint
 from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import GROUPS, LENGTH_GROUPS, NUM_JOINTS, PARENTS, TORSO_INDEX
-from poseterior.probmodel.uncertain import UncertainPosterior
 from tests.scenes import key, prior_scene
 from tests.sweeps import sweep
 
@@ -86,7 +86,7 @@ def lengths_of(joints: np.ndarray) -> np.ndarray:
     return found
 
 
-def density_of(posterior: UncertainPosterior, one: Hypothesis, patterns: Faults) -> float:
+def density_of(posterior: Posterior, one: Hypothesis, patterns: Faults) -> float:
     """The log joint density under the root that the hypothesis has, and the best of some patterns
     of faults."""
     torsos, view = np.asarray(posterior.model.torsos), one.joints[TORSO]
@@ -99,7 +99,7 @@ def density_of(posterior: UncertainPosterior, one: Hypothesis, patterns: Faults)
         return RootPoint(torso, rotations[torso], values[0], values[1:])
 
     def off(values: np.ndarray) -> np.ndarray:
-        image = posterior.prior.root(point(values)).camera.image(one.joints)
+        image = posterior.root_prior.root(point(values)).camera.image(one.joints)
         return np.ravel(np.asarray(image) - one.keypoints)
 
     start = np.array([np.log(100.0), *one.keypoints[0]])
@@ -237,13 +237,13 @@ def test_of_few_draws_it_is_the_best_of_all_combinations(name, rows):
 @pytest.mark.parametrize("name", ["disc", "faults"])
 def test_a_result_gives_what_its_draws_give(name):
     model, frame = scene(name)
-    posterior = frame.uncertain(model)
+    posterior = frame.posterior(model)
     result = inference.sample(
         model, frame, key=key(2), root="uncertain", num_samples=200, num_roots=60
     )
     drawn = Drawn.of(result, posterior)
     assert len(drawn.joints) == 200
-    root = posterior.prior.root(drawn.points.take(7))
+    root = posterior.root_prior.root(drawn.points.take(7))
     joints = model.joints(root.view, *model.pose_of(drawn.joints[7], drawn.bone_length[7]))
     assert np.asarray(joints) == pytest.approx(drawn.joints[7], abs=1e-9)
     assert drawn.faults.outlier.any() == (name == "faults")

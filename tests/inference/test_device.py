@@ -14,6 +14,7 @@ import pytest
 from scipy import stats
 
 from poseterior import inference
+from poseterior.inference.draws import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
 from poseterior.inference.exact import groups
 from poseterior.inference.exact.device import group as device
 from poseterior.inference.exact.device.attempts import _lower_axes, _rectangle
@@ -25,9 +26,9 @@ from poseterior.inference.exact.loops.tables import ENTRIES, SUBS
 from poseterior.inference.exact.mixture import RootSampler
 from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget
-from poseterior.inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
 from poseterior.probmodel import BadInput, PoseModel, kinematics
 from poseterior.probmodel.example import example
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX
 from tests.scenes import key, prior_scene
 from tests.sweeps import sweep
@@ -251,7 +252,7 @@ def test_draws_that_stay_are_those_that_come_home(model, photo):
     draws = inference.resident_draws(model, photo, key=key(3), num_samples=3000)
     assert all(isinstance(part, jax.Array) for part in draws.poses)
     assert all(len(part) == 3000 and part.dtype == float for part in draws.poses)
-    observation = photo.posterior(model).observations[0]
+    observation = photo.posterior(model, CANDIDATES).observations[0]
     home = device_groups(key(3), model, observation)
     assert RootSampler(model, observation, home).more(3000, PLENTY)
     for one in home:

@@ -16,10 +16,11 @@ from scipy.stats import hypergeom, ks_2samp
 
 from poseterior import inference
 from poseterior.inference import Result, drawsfile
+from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.drawsfile import sample_to_file
 from poseterior.inference.exact import mixture
 from poseterior.inference.exact.mixture import RootSampler
-from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET, SINGLE
+from poseterior.inference.results import SINGLE
 from poseterior.inference.saved import read_result
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.faults import FaultPrior

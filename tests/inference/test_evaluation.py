@@ -33,6 +33,7 @@ from poseterior.probmodel import Anatomy, BadInput, PoseModel
 from poseterior.probmodel.datasets import from_motions
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from poseterior.probmodel.motion import Motion
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import BONE_NAMES
 from poseterior.reports.commands.evaluate import Predictions, findings
 from poseterior.reports.tables import Sheet
@@ -193,7 +194,7 @@ def test_hypotheses_may_be_composed(judged):
     result = inference.sample(
         PROTOCOL.model, frame, key=jax.random.fold_in(jax.random.key(0), 2), num_samples=40
     )
-    chosen = inference.composed(result, frame.posterior(PROTOCOL.model), 3)
+    chosen = inference.composed(result, frame.posterior(PROTOCOL.model, CANDIDATES), 3)
     errors = joint_errors(np.array([one.joints for one in chosen]), DATA.case(2).pose)
     assert found["hypotheses_3"][0] == pytest.approx(errors, abs=1e-3)
     assert not np.allclose(found["hypotheses_3"][0], judged["hypotheses_3"][2], atol=1.0)
@@ -202,8 +203,9 @@ def test_hypotheses_may_be_composed(judged):
 @pytest.mark.slow
 def test_upright_is_believed_where_the_root_is_uncertain():
     """And nowhere else, where a torso is held fixed."""
-    from poseterior import inference
     from poseterior.inference.drawers import drawer
+
+    from poseterior import inference
 
     protocol = dataclasses.replace(PROTOCOL, upright=8.0, num_roots=60)
     plain = dataclasses.replace(PROTOCOL, num_roots=60)

@@ -22,6 +22,7 @@ from poseterior.inference.benchmark.programs import estimate, frozen_model
 from poseterior.inference.studies.comparison import contest
 from poseterior.inference.studies.comparison.judge import DIFFERS
 from poseterior.probmodel import BadInput
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.pages import leaderboard
 from tests.scenes import key
 
@@ -152,7 +153,7 @@ def test_a_user_s_sampler_is_compared_on_a_detection(installed: Path) -> None:
 def test_a_frame_s_posterior_is_what_the_frozen_target_is(name: str) -> None:
     """In every form that a sampler may ask for; the frozen target shares no code with it."""
     frozen = benchmark.load(name)
-    target = PosteriorTarget.of(estimate(frozen).posterior(frozen_model()))
+    target = PosteriorTarget.of(estimate(frozen).posterior(frozen_model(), CANDIDATES))
     assert target.dim == frozen.dim
     assert sorted(target.seen_joints) == sorted(frozen.seen_joints)
     cube = np.random.default_rng(0).uniform(size=(50, target.dim))

@@ -18,6 +18,7 @@ from poseterior.inference import Result, joined
 from poseterior.inference.predictions import KeypointsRead, prediction_groups
 from poseterior.inference.results import save_tree
 from poseterior.probmodel import BadInput, Estimate, Likelihood, PoseModel, Posterior
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import JOINTS
 from tests.conftest import Cli
 from tests.inference.test_error_laws import CutGaussian
@@ -36,7 +37,9 @@ def bent(example_estimate: Estimate) -> Posterior:
     """The example's posterior under a law that is not flat, and reaches as far as the disc."""
     law = CutGaussian()
     likelihood = Likelihood(law, example_estimate.likelihood.factor / law.reach)
-    return dataclasses.replace(example_estimate, likelihood=likelihood).posterior(PoseModel())
+    return dataclasses.replace(example_estimate, likelihood=likelihood).posterior(
+        PoseModel(), CANDIDATES
+    )
 
 
 @pytest.fixture(scope="module")

@@ -14,12 +14,12 @@ import pytest
 from scipy.stats import chi2, ks_2samp
 
 from poseterior import inference
+from poseterior.inference.draws import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
 from poseterior.inference.exact import mixture
 from poseterior.inference.exact.mixture import PROPOSALS
 from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget
 from poseterior.inference.exact.reach import out_of_reach
-from poseterior.inference.results import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
 from poseterior.probmodel import Anatomy, PoseModel
 from poseterior.probmodel.anatomy.limits import NUM_ELEVATION, cell_of
 from poseterior.probmodel.kinematics import lower_axes

@@ -24,8 +24,9 @@ from poseterior.inference.baselines.catalogue import BASELINES, ROOTED, rooted_t
 from poseterior.inference.baselines.hamiltonian import _log_weights
 from poseterior.inference.baselines.rooted import ROOT_COORDINATES, RootedTarget
 from poseterior.inference.baselines.run import Allowance, run
+from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.importance.weighted import weigh_roots
-from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET, Result
+from poseterior.inference.results import Result
 from poseterior.inference.saved import read_result
 from poseterior.inference.studies.comparison import compare_routes
 from poseterior.inference.studies.comparison.contest import ENDLESS
@@ -55,14 +56,14 @@ def case() -> tuple[PoseModel, Estimate, RootedTarget]:
     """The small case under a prior of upright people, and its target."""
     plain, frame = sound.small_case()
     model = PoseModel(plain.limits, plain.lengths, plain.torsos, upright=2.0)
-    return model, frame, RootedTarget.of(frame.uncertain(model))
+    return model, frame, RootedTarget.of(frame.posterior(model))
 
 
 @functools.cache
 def drawn() -> tuple[RootPoint, Pose]:
     """Draws of roots and poses of the small case."""
     model, frame, _ = case()
-    roots = weigh_roots(frame.uncertain(model), key=key(1), num_roots=100)
+    roots = weigh_roots(frame.posterior(model), key=key(1), num_roots=100)
     return roots.draw(np.random.default_rng(0), 60)[:2]
 
 
@@ -84,7 +85,7 @@ def test_the_density_is_the_posterior_s_own() -> None:
     x = target.points_of(*drawn())
     x = np.concatenate([x, x + np.random.default_rng(1).normal(scale=0.05, size=x.shape)])
     roots, poses = placed(target, x)
-    own = np.asarray(frame.uncertain(model).log_joint(roots, poses)) - model.log_prior(*poses)
+    own = np.asarray(frame.posterior(model).log_joint(roots, poses)) - model.log_prior(*poses)
     chart = target.limbs.log_base(jnp.asarray(x[:, : target.limbs.dim])) + target.log_volume(x)
     found = np.asarray(target.log_density(x))
     inside = np.isfinite(found)
@@ -102,7 +103,7 @@ def test_the_density_is_that_of_the_program() -> None:
     limbs = dataclasses.replace(some.limbs, active=tuple(range(CUBE_DIM)))
     target = dataclasses.replace(some, limbs=limbs)
     x = target.points_of(points, poses)
-    program = frame.uncertain(model).program
+    program = frame.posterior(model).program
 
     @jax.jit
     def potential(torso: jax.Array, x: jax.Array, root: RootPoint) -> jax.Array:
@@ -177,7 +178,7 @@ def test_soft_walls_have_slopes_of_the_root_and_weights_undo_them(law: type[Erro
     """Under discs the density is flat in turn, scale and place but for the walls and the prior."""
     model, frame, _ = case()
     frame = dataclasses.replace(frame, likelihood=dataclasses.replace(frame.likelihood, law=law()))
-    target, x = RootedTarget.of(frame.uncertain(model)), case()[2].points_of(*drawn())
+    target, x = RootedTarget.of(frame.posterior(model)), case()[2].points_of(*drawn())
     x = np.concatenate([x, x + np.random.default_rng(1).normal(scale=0.5, size=x.shape)])
     inside = np.asarray(target.misfit(x)) <= 1
     assert len(x) // 2 <= inside.sum() < len(x)
@@ -219,12 +220,12 @@ def test_every_draw_has_its_root(name: str, tmp_path: Path) -> None:
     assert lp.shape == draws.torso.shape
     assert np.isfinite(lp).all()
     model, frame = sound.small_case()
-    target = RootedTarget.of(frame.uncertain(model))
+    target = RootedTarget.of(frame.posterior(model))
     chain = draws.to_dataset().isel(chain=slice(1))
     assert np.asarray(target.misfit(target.points_in(chain))).max() <= 1
     seen = [JOINTS.index(joint) for joint in sound.SEEN]
     off = draws.keypoints.values[..., seen, :] - frame.detection.keypoints[seen]
-    reach = np.asarray(frame.uncertain(model).detected.spread)[seen]
+    reach = np.asarray(frame.posterior(model).detected.spread)[seen]
     distance = np.linalg.norm(off, axis=-1) / draws.scale.values[..., None]
     assert (distance <= reach * (1 + 1e-9)).all()
     result.save(tmp_path / "p.nc")
@@ -253,7 +254,7 @@ def test_what_is_no_density_on_r_d_is_refused() -> None:
     limbs = tuple(name for row, name in enumerate(JOINTS) if row not in TORSO_INDEX)
     bare = prior_scene(model, 11, missing=limbs)
     with pytest.raises(BadInput, match="has no seen limb joint"):
-        RootedTarget.of(bare.uncertain(model))
+        RootedTarget.of(bare.posterior(model))
     with pytest.raises(BadInput, match="keeps 49,152 draws at most"):
         sampled("random-walk", num_samples=100_000)
 
@@ -280,7 +281,7 @@ def test_a_detector_s_faults_are_summed_out_of_the_density() -> None:
     """Log density = log of the sum, over patterns, of the posterior's own; draws bring patterns
     that explain them, and the arm that is seen only if sides are exchanged has coordinates too."""
     model, frame = faulty.small_case()
-    posterior = frame.uncertain(model)
+    posterior = frame.posterior(model)
     target, roots = RootedTarget.of(posterior), faulty.weighed()
     points, poses, _ = roots.draw(np.random.default_rng(1), 400)
     assert target.dim == 2 + 4 * 2 + len(ROOT_COORDINATES)  # lengths and bones of both arms
@@ -308,7 +309,7 @@ def test_a_detector_s_faults_are_summed_out_of_the_density() -> None:
 
 def test_a_target_of_faults_has_no_slopes() -> None:
     model, frame = faulty.small_case()
-    target = RootedTarget.of(frame.uncertain(model))
+    target = RootedTarget.of(frame.posterior(model))
     with pytest.raises(BadInput, match="a detector with faults has no slopes"):
         target.log_smooth(np.zeros(target.dim), 8.0)
 
@@ -319,7 +320,7 @@ def test_a_walk_finds_faults_as_often_as_brute_force(monkeypatch: pytest.MonkeyP
     log scale, within 4 standard errors (6e-5 each); where any joint is an outlier as probably as
     not, they are not."""
     model, frame = faulty.small_case()
-    posterior, brute, roots = frame.uncertain(model), faulty.brute_force(), faulty.weighed()
+    posterior, brute, roots = frame.posterior(model), faulty.brute_force(), faulty.weighed()
     target = RootedTarget.of(posterior)
     starts = target.points_of(*roots.draw(np.random.default_rng(1), 1000)[:2])
 

@@ -48,6 +48,7 @@ from poseterior.inference.exact.rates import Budget, Pooled, Rate
 from poseterior.probmodel import Anatomy, PoseModel, kinematics
 from poseterior.probmodel.anatomy.limits import CELL, NUM_ELEVATION, cell_of
 from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import GROUPS
 from poseterior.probmodel.transport import to_cube
 from tests.goodness import energy_p_value
@@ -812,7 +813,7 @@ def test_a_finer_cut_that_leaves_nothing_is_the_end(monkeypatch):
     """What a coarse cut could not rule out, a finer one may: no attempt is made on an empty plan,
     whose tables have no row to look at."""
     model = PoseModel()
-    problems = limb_problems(prior_scene(model, 0).posterior(model).observations[0])
+    problems = limb_problems(prior_scene(model, 0).posterior(model, CANDIDATES).observations[0])
     group = StratifiedGroup(key(0), "legs", group_tables(model)["legs"], problems["legs"])
     assert not group.impossible
     empty = group.plan_at(0)._replace(mass=0.0, share=np.zeros(1))

@@ -23,6 +23,7 @@ from poseterior.inference import (
 )
 from poseterior.probmodel import Anatomy, BadInput, Likelihood, PoseModel
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
+from poseterior.probmodel.root_priors import CANDIDATES
 from tests.scenes import key, prior_scene
 
 SETTINGS = {"num_samples": 40, "k": 3, "keep": 40}
@@ -127,7 +128,7 @@ def test_composed_hypotheses_of_a_frame_are_those_of_its_result(model, items, tm
         key=jax.random.fold_in(key(0), 1),
         num_samples=SETTINGS["num_samples"],
     )
-    chosen = inference.composed(result, items[1].frame.posterior(model), SETTINGS["k"])
+    chosen = inference.composed(result, items[1].frame.posterior(model, CANDIDATES), SETTINGS["k"])
     found = open_stream(tmp_path)["hypotheses"].isel(frame=1)
     assert found.joints.values == pytest.approx(np.array([one.joints for one in chosen]))
     assert found.draw.values.tolist() == [one.draw for one in chosen]

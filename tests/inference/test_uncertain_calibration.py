@@ -16,9 +16,9 @@ import functools
 import jax
 import numpy as np
 import pytest
+from poseterior.inference.importance.tree import placed
 from scipy import stats
 
-from poseterior.inference.importance.tree import placed
 from poseterior.inference.importance.weighted import WeightedRoots, weigh_roots
 from poseterior.probmodel import Candidate, Estimate, Likelihood, PoseModel, WeakPerspective
 from poseterior.probmodel.detections import Detection
@@ -115,7 +115,7 @@ def stand(
         frame, truth = simulate(seed, seen, law)
         frame = dataclasses.replace(frame, likelihood=believed or frame.likelihood)
         roots = weigh_roots(
-            frame.uncertain(model()),
+            frame.posterior(model()),
             key=key(20_000 + seed),
             num_roots=num_roots,
             max_proposals=most,

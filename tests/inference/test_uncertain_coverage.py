@@ -11,9 +11,9 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
+from poseterior.inference.drawers import drawer
 from scipy import stats
 
-from poseterior.inference.drawers import drawer
 from poseterior.inference.studies.calibration import calibrate, cover, judge, simulate
 from poseterior.inference.studies.calibration.assess import Answer, assess
 from poseterior.inference.studies.calibration.controls import forgetting_scale
@@ -79,7 +79,7 @@ def test_simulated_truths_are_possible_under_their_own_root() -> None:
     """Every seen joint, the torso's too, lies in its disc, whose radius is the posterior's own."""
     worst = []
     for instance in simulations()[:8]:
-        posterior = instance.frame.uncertain(model())
+        posterior = instance.frame.posterior(model())
         *_, density, misfit = of_rooted(posterior, *truth(instance))[0]
         assert np.isfinite(density)
         worst.append(misfit)
@@ -94,14 +94,14 @@ def test_simulated_truths_are_possible_under_their_own_root() -> None:
 def test_numbers_of_draws_are_the_samplers_own() -> None:
     """Log density and misfit by way of the joints against the posterior's, of root and pose."""
     instance = simulations()[0]
-    posterior = instance.frame.uncertain(model())
+    posterior = instance.frame.posterior(model())
     draw = drawer(model(), root="uncertain", num_samples=30, num_roots=ROOTS)
     draws = draw(instance.frame, key(3))
     assert draws.points is not None
     *_, density, misfit = of_rooted(posterior, draws.points, draws.joints).T
     observed = [
         posterior.detected.under(
-            posterior.prior, RootPoint(*(part[row] for part in draws.points)), Faults.none()
+            posterior.root_prior, RootPoint(*(part[row] for part in draws.points)), Faults.none()
         )
         for row in (0, 7)
     ]

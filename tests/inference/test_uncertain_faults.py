@@ -157,7 +157,7 @@ def moments(weight: np.ndarray, values: np.ndarray) -> dict:
 @functools.cache
 def weighed() -> WeightedRoots:
     model, frame = small_case()
-    return weigh_roots(frame.uncertain(model), key=key(3), num_roots=1500)
+    return weigh_roots(frame.posterior(model), key=key(3), num_roots=1500)
 
 
 def fast_moments(roots: WeightedRoots, log_weight: np.ndarray) -> dict:
@@ -242,7 +242,7 @@ def test_the_program_is_the_log_joint():
     """Density of the NumPyro program, with its discrete sites = that of the draws' lp, and = prior
     by hand + peaks."""
     model, frame = small_case()
-    posterior = frame.uncertain(model)
+    posterior = frame.posterior(model)
     result = inference.sample(
         model, frame, key=key(1), root="uncertain", num_roots=200, num_samples=400
     )
@@ -365,7 +365,7 @@ def found_faults(detection: Detection, seed: int, num_roots: int = 300) -> tuple
     frame = dataclasses.replace(
         inference.estimate_torso(detection, torsos=np.asarray(model.torsos)), likelihood=likelihood
     )
-    roots = weigh_roots(frame.uncertain(model), key=key(seed), num_roots=num_roots)
+    roots = weigh_roots(frame.posterior(model), key=key(seed), num_roots=num_roots)
     pattern = roots.proposed.faults
     return (
         roots.share @ pattern.outlier,

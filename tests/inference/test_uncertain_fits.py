@@ -28,8 +28,8 @@ from poseterior.inference.importance.torsos import Posed, torso_problem
 from poseterior.probmodel import ErrorLaw, Likelihood, PoseModel
 from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.likelihood import Gaussian, Student
+from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
-from poseterior.probmodel.uncertain import UncertainPosterior
 from tests.scenes import prior_scene
 
 ALARM = 1e-4
@@ -37,7 +37,7 @@ ALARM = 1e-4
 
 def posterior(
     factor: float = 0.6, law: ErrorLaw | None = None, without: tuple[str, ...] = ()
-) -> UncertainPosterior:
+) -> Posterior:
     """A torso, without some of its joints, three torsos in the dictionary, and errors so wide that
     discs find roots."""
     model = PoseModel(torsos=np.asarray(PoseModel().torsos)[[0, 17, 40]])
@@ -49,13 +49,13 @@ def posterior(
         score=np.where(hidden, 0.0, frame.detection.score),
     )
     likelihood = Likelihood(law or Gaussian(), factor=factor)
-    return dataclasses.replace(frame, detection=detection, likelihood=likelihood).uncertain(model)
+    return dataclasses.replace(frame, detection=detection, likelihood=likelihood).posterior(model)
 
 
-def by_discs(whole: UncertainPosterior, number: int, monkeypatch: pytest.MonkeyPatch) -> TorsoDraws:
+def by_discs(whole: Posterior, number: int, monkeypatch: pytest.MonkeyPatch) -> TorsoDraws:
     """As if nothing were known of the law but its ratio and its reach."""
 
-    def plain(posterior: UncertainPosterior, faults: Faults) -> Posed:
+    def plain(posterior: Posterior, faults: Faults) -> Posed:
         posed = torso_problem(posterior, faults)
         none = np.zeros_like(posed.problem.precision)
         return posed._replace(problem=posed.problem._replace(precision=none))
@@ -120,7 +120,7 @@ def test_a_factor_of_the_scale_that_is_lost_is_found_out(monkeypatch: pytest.Mon
     whole = posterior()
     discs = by_discs(whole, 2500, monkeypatch)
 
-    def flatter(posterior: UncertainPosterior, faults: Faults) -> Posed:
+    def flatter(posterior: Posterior, faults: Faults) -> Posed:
         posed = torso_problem(posterior, faults)
         return posed._replace(problem=posed.problem._replace(power=posed.problem.power - 2))
 
@@ -203,7 +203,7 @@ SHARP = {
 
 
 def weighed(
-    whole: UncertainPosterior, words: list[int], number: int, budget: Budget | None = None
+    whole: Posterior, words: list[int], number: int, budget: Budget | None = None
 ) -> TorsoDraws:
     """Roots by guesses, with weights."""
     posed = torso_problem(whole, Faults.none())

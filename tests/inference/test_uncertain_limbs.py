@@ -43,7 +43,7 @@ def scene(upper="angle", lower="area"):
 
 def likely_roots(model, frame):
     roots = weigh_roots(
-        dataclasses.replace(frame, likelihood=Likelihood(factor=0.4)).uncertain(model),
+        dataclasses.replace(frame, likelihood=Likelihood(factor=0.4)).posterior(model),
         key=key(3),
         num_roots=40,
     )
@@ -87,13 +87,15 @@ def off(model, frame, law, outlier=False):
     """The largest distances, in standard errors, of evidences and of means, and how large the
     errors of the evidences are."""
     frame = dataclasses.replace(frame, likelihood=Likelihood(law, factor=0.4))
-    posterior, faults = frame.uncertain(model), Faults.none(ROOTS)
+    posterior, faults = frame.posterior(model), Faults.none(ROOTS)
     faults.outlier[:, WRIST] = outlier
     points = likely_roots(model, frame)
     sights = sights_of(views_of(posterior, points, faults), outliers_of(posterior, faults))
     worst, relative = np.zeros(2), []
     for row in range(ROOTS):
-        observation = posterior.detected.under(posterior.prior, points.take(row), faults.take(row))
+        observation = posterior.detected.under(
+            posterior.root_prior, points.take(row), faults.take(row)
+        )
         for name, tables in group_tables(model).items():
             own = [
                 Sight(*(part[row : row + 1] for part in sight))

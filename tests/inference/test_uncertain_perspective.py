@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from poseterior.inference.drawers import drawer
+from poseterior.inference.importance.tree import placed
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from poseterior import inference
-from poseterior.inference.drawers import drawer
 from poseterior.inference.importance import limbs, weighted
 from poseterior.inference.importance.torsos import log_nearness, torso_problem
-from poseterior.inference.importance.tree import placed
 from poseterior.inference.importance.weighted import WeightedRoots, weigh_roots
 from poseterior.probmodel import (
     BadInput,
@@ -27,15 +27,15 @@ from poseterior.probmodel import (
     Estimate,
     Likelihood,
     PoseModel,
+    Posterior,
     RootPoint,
-    UncertainPosterior,
 )
 from poseterior.probmodel.camera import Lens, Perspective, WeakPerspective
 from poseterior.probmodel.errorlaws import Exchange
 from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.likelihood import Gaussian
 from poseterior.probmodel.pose import Pose
-from poseterior.probmodel.roots import NEAREST
+from poseterior.probmodel.root_priors import CANDIDATES, NEAREST
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from tests.brute_force import propose_group
 from tests.inference import test_uncertain_root as sound
@@ -154,7 +154,7 @@ def apart(roots: WeightedRoots, brute: dict) -> tuple[float, float]:
 def test_evidence_and_moments_against_a_pinhole_camera(name: str) -> None:
     """The lowest scale that brute force proposes is lower than any that explains the torso."""
     model, frame = under(name)
-    posterior = frame.uncertain(model)
+    posterior = frame.posterior(model)
     assert torso_problem(posterior, Faults.none()).lowest > LOWEST
     roots = weigh_roots(posterior, key=key(3), num_roots=1500)
     assert math.hypot(brute_force(name)["se"], roots.log_evidence_se) < 0.1
@@ -171,7 +171,7 @@ def test_what_perspective_does_is_missed(monkeypatch: pytest.MonkeyPatch) -> Non
     brute = brute_force("disc")
 
     def off(seen_by: PoseModel = model) -> tuple[float, float]:
-        return apart(weigh_roots(frame.uncertain(seen_by), key=key(3), num_roots=1500), brute)
+        return apart(weigh_roots(frame.posterior(seen_by), key=key(3), num_roots=1500), brute)
 
     assert off(model.seen_by(None))[1] > 12
     right = limbs.see_rows
@@ -194,7 +194,7 @@ def test_draws_are_what_the_program_says(name: str) -> None:
     """Weighted draws have a density under the program, and under weak perspective most have none;
     it is that of a pinhole camera."""
     model, frame = under(name)
-    posterior, errors = frame.uncertain(model), Errors(name)
+    posterior, errors = frame.posterior(model), Errors(name)
     roots = weigh_roots(posterior, key=key(8), num_roots=300)
     points, poses, _ = roots.draw(np.random.default_rng(0), 200)
     density = np.asarray(posterior.log_joint(points, poses))
@@ -211,7 +211,7 @@ def test_draws_are_what_the_program_says(name: str) -> None:
     assert log_nearness(posterior, points, np.zeros(200, int)) == pytest.approx(2 * nearer)
     prior = np.asarray(model.log_prior(*poses)) - math.log(len(model.torsos))
     assert density == pytest.approx(seen + prior, abs=1e-6)
-    weak = frame.uncertain(model.seen_by(None)).log_joint(points, poses)
+    weak = frame.posterior(model.seen_by(None)).log_joint(points, poses)
     assert np.isfinite(weak).mean() < (0.6 if name == "disc" else 0.99)
 
 
@@ -220,10 +220,10 @@ def test_who_is_far_away_is_seen_by_weak_perspective() -> None:
     """What a telescope sees agrees with parallel lines of sight in evidence and mean scale (4
     standard errors, 1.3e-4), what a lens sees does not."""
     model, frame = under("gaussian")
-    weak = weigh_roots(frame.uncertain(model.seen_by(None)), key=key(2), num_roots=2000)
+    weak = weigh_roots(frame.posterior(model.seen_by(None)), key=key(2), num_roots=2000)
 
     def apart(model: PoseModel, seed: int) -> tuple[float, float]:
-        roots = weigh_roots(frame.uncertain(model), key=key(seed), num_roots=2000)
+        roots = weigh_roots(frame.posterior(model), key=key(seed), num_roots=2000)
         error = math.hypot(roots.log_evidence_se, weak.log_evidence_se)
         apart = abs(roots.log_evidence - weak.log_evidence) / error
         return apart, sound.scales_apart(roots, weak)
@@ -261,8 +261,8 @@ def test_a_lens_that_cannot_be(focal: float, principal: list, said: str) -> None
 def test_a_focal_length_needs_an_uncertain_root_and_room() -> None:
     model, frame = small_case()
     with pytest.raises(BadInput, match="a known focal length needs torso and camera"):
-        frame.posterior(model)
-    near = frame.uncertain(model.seen_by(Lens(100.0, PRINCIPAL)))
+        frame.posterior(model, CANDIDATES)
+    near = frame.posterior(model.seen_by(Lens(100.0, PRINCIPAL)))
     with pytest.raises(BadInput, match="from the camera, where 4 are"):
         weigh_roots(near, key=key(0), num_roots=10)
 
@@ -322,7 +322,7 @@ def test_an_estimate_brings_the_lens_of_its_own_camera() -> None:
     sampled = inference.sample(plain, own, key=key(3), **settings)
     assert float(sampled.tree.attrs["focal"]) == FOCAL
     with pytest.raises(BadInput, match="a known focal length needs torso and camera to be uncert"):
-        own.posterior(plain)
+        own.posterior(plain, CANDIDATES)
 
 
 def ranks(model: PoseModel, simulations: int, believed: PoseModel | None = None) -> np.ndarray:
@@ -332,7 +332,7 @@ def ranks(model: PoseModel, simulations: int, believed: PoseModel | None = None)
     for seed in range(simulations):
         points, poses, detection = simulated(model, seed)
         likelihood, rng = Likelihood(Gaussian(), factor=0.25), np.random.default_rng(seed)
-        posterior = UncertainPosterior(believed, likelihood, detection)
+        posterior = Posterior(believed, likelihood, detection)
         roots = weigh_roots(posterior, key=key(seed), num_roots=400)
         drawn = roots.draw(rng, max(2, int(roots.effective / weighted.APART)))
         inside = np.abs(drawn[0].log_scale - SCALES.mean()) < np.ptp(SCALES) / 2

@@ -28,15 +28,15 @@ from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.kinematics import upper_axes
 from poseterior.probmodel.likelihood import Gaussian
-from poseterior.probmodel.uncertain import UncertainPosterior
+from poseterior.probmodel.posterior import Posterior
 from tests.inference.test_uncertain_root import scales_apart, small_case
 from tests.scenes import key, prior_scene
 
 
 @functools.cache
-def an_arm() -> UncertainPosterior:
+def an_arm() -> Posterior:
     model, frame = small_case()
-    return frame.uncertain(model)
+    return frame.posterior(model)
 
 
 @functools.cache
@@ -216,7 +216,7 @@ def test_promises_change_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_more_roots_are_effective(monkeypatch: pytest.MonkeyPatch) -> None:
     """All joints seen: three times as many, for a quarter of the roots' own cost."""
     model = PoseModel()
-    posterior = prior_scene(model, 3, factor=0.4).uncertain(model)
+    posterior = prior_scene(model, 3, factor=0.4).posterior(model)
     promised = weigh_roots(posterior, key=key(0), num_roots=200)
     monkeypatch.setattr(proposals, "LOOKS", (1, 1))
     plain = weigh_roots(posterior, key=key(0), num_roots=200)
@@ -233,7 +233,7 @@ def test_sharp_torsos_have_the_evidence_of_exact_ones(monkeypatch: pytest.Monkey
     model = PoseModel(torsos=np.asarray(PoseModel().torsos)[[0, 17, 40]])
     frame = prior_scene(model, 11, factor=0.3)
     likelihood = Likelihood(Gaussian(), factor=0.3)
-    posterior = dataclasses.replace(frame, likelihood=likelihood).uncertain(model)
+    posterior = dataclasses.replace(frame, likelihood=likelihood).posterior(model)
     quick = weigh_roots(posterior, key=key(1), num_roots=1000)
     monkeypatch.setattr(
         proposals, "quick_proposal_of", lambda posed, levels=0: attempts.proposal_of(posed)

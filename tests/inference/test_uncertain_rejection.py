@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from poseterior.inference.importance.routes import ROUTES
 
 from poseterior import inference
+from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.importance import rejection, weighted
 from poseterior.inference.importance.patterns import prior_share, strata_of
 from poseterior.inference.importance.rejection import RejectedRoots, reject_roots, verdict
-from poseterior.inference.importance.routes import ROUTES
 from poseterior.inference.importance.weighted import log_mean
-from poseterior.inference.results import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.studies.comparison import compare_routes
 from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
 from poseterior.inference.studies.comparison.sample import NAMES, ROOT_NAMES
@@ -32,13 +32,13 @@ from tests.scenes import key
 @functools.cache
 def rejected() -> RejectedRoots:
     model, frame = sound.small_case()
-    return reject_roots(frame.uncertain(model), key=key(7), num_samples=600)
+    return reject_roots(frame.posterior(model), key=key(7), num_samples=600)
 
 
 @functools.cache
 def few() -> RejectedRoots:
     model, frame = sound.small_case()
-    return reject_roots(frame.uncertain(model), key=key(8), num_samples=12, num_roots=40)
+    return reject_roots(frame.posterior(model), key=key(8), num_samples=12, num_roots=40)
 
 
 def apart(roots: RejectedRoots, brute: dict) -> float:
@@ -67,7 +67,7 @@ def test_a_bound_that_is_too_low_cuts_off_what_it_says(monkeypatch: pytest.Monke
     model, frame = sound.small_case()
     monkeypatch.setattr(rejection, "ROOM", 1e-4)
     monkeypatch.setattr(rejection, "CHANCE", 1.0)
-    low = reject_roots(frame.uncertain(model), key=key(7), num_samples=1500)
+    low = reject_roots(frame.posterior(model), key=key(7), num_samples=1500)
     assert low.cut_off > 0.5
     assert verdict(low)[0] == OUT_OF_BUDGET
     assert sound.off(sound.fast_moments(low, low.share), brute) > 8
@@ -77,7 +77,7 @@ def test_a_bound_that_is_too_low_cuts_off_what_it_says(monkeypatch: pytest.Monke
 @pytest.mark.sweep
 def test_patterns_of_faults_against_brute_force() -> None:
     model, frame = faulty.small_case()
-    roots = reject_roots(frame.uncertain(model), key=key(9), num_samples=600)
+    roots = reject_roots(frame.posterior(model), key=key(9), num_samples=600)
     brute = faulty.brute_force()
     assert apart(roots, brute) < 4
     found = faulty.fast_moments(roots, roots.log_weight)
@@ -96,7 +96,7 @@ def test_draws_are_independent_roots_with_one_draw_each() -> None:
     for part in (points.log_scale, *(column.reshape(12, -1)[:, 0] for column in poses[1:])):
         assert len(np.unique(part)) == 12
     model, frame = sound.small_case()
-    assert np.isfinite(frame.uncertain(model).log_joint(points, poses)).all()
+    assert np.isfinite(frame.posterior(model).log_joint(points, poses)).all()
 
 
 @pytest.mark.slow
@@ -121,7 +121,7 @@ def test_the_same_key_the_same_draws() -> None:
 
 def test_the_shares_of_all_strata_are_one() -> None:
     model, frame = faulty.small_case()
-    posterior = frame.uncertain(model)
+    posterior = frame.posterior(model)
     total = sum(prior_share(posterior, stratum) for stratum in strata_of(posterior))
     assert total == pytest.approx(1, abs=1e-9)
 
@@ -148,7 +148,7 @@ def test_a_budget_that_ends_leaves_what_there_is() -> None:
 
 def test_nothing_within_the_budget_is_no_draw() -> None:
     model, frame = sound.small_case()
-    roots = reject_roots(frame.uncertain(model), key=key(0), num_samples=5, max_proposals=1000)
+    roots = reject_roots(frame.posterior(model), key=key(0), num_samples=5, max_proposals=1000)
     assert not roots.limbs
     assert roots.log_evidence == -math.inf
     assert verdict(roots)[1].startswith("0 of 5 draws by rejection after 0 proposals")
@@ -165,7 +165,7 @@ def test_nothing_within_the_budget_is_no_draw() -> None:
 def test_what_makes_no_sense_is_refused(settings: dict[str, int], words: str) -> None:
     model, frame = sound.small_case()
     with pytest.raises(BadInput, match=words):
-        reject_roots(frame.uncertain(model), key=key(0), **settings)
+        reject_roots(frame.posterior(model), key=key(0), **settings)
 
 
 @pytest.mark.parametrize(

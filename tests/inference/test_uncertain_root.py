@@ -14,10 +14,12 @@ import jax
 import numpy as np
 import pytest
 from numpyro.infer.util import log_density
+from poseterior.inference.importance.tree import placed, sides
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from poseterior import inference
+from poseterior.inference.draws import OUT_OF_BUDGET
 from poseterior.inference.exact.loops.roots import (
     TILTS,
     WIDTH,
@@ -33,7 +35,6 @@ from poseterior.inference.importance.attempts import TorsoDraws, draw_roots
 from poseterior.inference.importance.limbs import log_evidence, picks
 from poseterior.inference.importance.proposals import ProposedRoots
 from poseterior.inference.importance.torsos import lowest_scale, rotations_of, torso_problem
-from poseterior.inference.importance.tree import placed, sides
 from poseterior.inference.importance.weighted import (
     WeightedRoots,
     log_mean,
@@ -41,12 +42,12 @@ from poseterior.inference.importance.weighted import (
     weigh_roots,
 )
 from poseterior.inference.resampling import shares, times
-from poseterior.inference.results import OUT_OF_BUDGET
 from poseterior.probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.likelihood import Gaussian
 from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.rotations import UprightRotation
 from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 from tests.brute_force import propose_group
@@ -184,7 +185,7 @@ def both_routes() -> tuple[dict, WeightedRoots]:
     model, frame = small_case()
     return (
         brute_force_roots(model, frame, 3_000_000, 5),
-        weigh_roots(frame.uncertain(model), key=key(3), num_roots=1500),
+        weigh_roots(frame.posterior(model), key=key(3), num_roots=1500),
     )
 
 
@@ -194,7 +195,7 @@ def as_they_come() -> WeightedRoots:
     posterior, and few effective ones under a wrong one."""
     model, frame = small_case()
     with mock.patch.object(proposals, "LOOKS", (1, 1)):
-        return weigh_roots(frame.uncertain(model), key=key(3), num_roots=3000)
+        return weigh_roots(frame.posterior(model), key=key(3), num_roots=3000)
 
 
 @pytest.mark.slow
@@ -212,13 +213,13 @@ def test_another_error_law_against_brute_force():
     model, frame = small_case()
     law = Likelihood(Gaussian(), factor=FACTOR)
     brute = brute_force_roots(model, frame, 3_000_000, 6, "gaussian")
-    posterior = dataclasses.replace(frame, likelihood=law).uncertain(model)
+    posterior = dataclasses.replace(frame, likelihood=law).posterior(model)
     roots = weigh_roots(posterior, key=key(4), num_roots=1500)
     error = math.hypot(brute["se"], roots.log_evidence_se)
     assert abs(roots.log_evidence - brute["log"]) < 4 * error < 0.5
     assert off(fast_moments(roots, roots.share), brute) < 4
     wide = dataclasses.replace(frame, likelihood=Likelihood(factor=1.5 * FACTOR))
-    wrong = weigh_roots(wide.uncertain(model), key=key(4), num_roots=800)
+    wrong = weigh_roots(wide.posterior(model), key=key(4), num_roots=800)
     assert abs(wrong.log_evidence - brute["log"]) > 8 * error
 
 
@@ -251,7 +252,7 @@ def test_who_is_believed_upright_weighs_as_much_more():
     model, frame = small_case()
     _, plain = both_routes()
     upright = PoseModel(torsos=model.torsos, upright=40.0)
-    roots = weigh_roots(frame.uncertain(upright), key=key(6), num_roots=1500)
+    roots = weigh_roots(frame.posterior(upright), key=key(6), num_roots=1500)
     density = UprightRotation(40.0).log_prob(np.asarray(plain.points.rotation))
     weighed = dataclasses.replace(plain, log_weight=plain.log_weight + np.asarray(density))
     error = math.hypot(roots.log_evidence_se, weighed.log_evidence_se)
@@ -260,14 +261,14 @@ def test_who_is_believed_upright_weighs_as_much_more():
     assert off(found, fast_moments(weighed, weighed.share)) < 4
     assert abs(roots.log_evidence - plain.log_evidence) > 16 * error
     assert off(found, fast_moments(plain, plain.share)) > 4.5
-    program = frame.uncertain(upright).log_joint(*roots.draw(np.random.default_rng(0), 5)[:2])
+    program = frame.posterior(upright).log_joint(*roots.draw(np.random.default_rng(0), 5)[:2])
     assert np.isfinite(program).all()
 
 
 def test_a_fixed_root_has_no_belief_of_its_rotation():
     model, frame = small_case()
     with pytest.raises(BadInput, match="a belief that people are upright needs"):
-        frame.posterior(PoseModel(torsos=model.torsos, upright=20.0))
+        frame.posterior(PoseModel(torsos=model.torsos, upright=20.0), CANDIDATES)
 
 
 def test_systematic_resampling_is_even():
@@ -284,10 +285,10 @@ def test_systematic_resampling_is_even():
 
 def test_the_same_key_the_same_weights():
     model, frame = small_case()
-    one, two = (weigh_roots(frame.uncertain(model), key=key(8), num_roots=40) for _ in range(2))
+    one, two = (weigh_roots(frame.posterior(model), key=key(8), num_roots=40) for _ in range(2))
     np.testing.assert_array_equal(one.log_weight, two.log_weight)
     np.testing.assert_array_equal(one.points.rotation, two.points.rotation)
-    other = weigh_roots(frame.uncertain(model), key=key(9), num_roots=40)
+    other = weigh_roots(frame.posterior(model), key=key(9), num_roots=40)
     assert not np.isin(other.points.rotation[:, 0, 0], one.points.rotation[:, 0, 0]).any()
 
 
@@ -353,7 +354,7 @@ def test_a_joint_out_of_reach_is_named_with_its_distance():
     assert 0 < excess < 600
     within = [prior_scene(model, seed, factor=0.05) for seed in range(3)]
     for frame in (*within, moved(scene, "right_wrist", (160.0, 0.0))):
-        roots = weigh_roots(frame.uncertain(model), key=key(0), num_roots=40)
+        roots = weigh_roots(frame.posterior(model), key=key(0), num_roots=40)
         assert weighted._out_of_reach(roots) is None
     lens = PoseModel(lens=Lens(1500.0, np.array([320.0, 240.0])))
     said = inference.sample(lens, far, **settings).sentence
@@ -366,7 +367,7 @@ def test_too_few_roots_are_drawn_anew_as_many_as_would_do():
     anew where the first ones do, where no root explains the limbs, where the most that there may be
     would not do, and where the budget would end before."""
     model = PoseModel()
-    posterior = moved(prior_scene(model, 2), "right_wrist", (100.0, 0.0)).uncertain(model)
+    posterior = moved(prior_scene(model, 2), "right_wrist", (100.0, 0.0)).posterior(model)
     first = weigh_roots(posterior, key=key(3), num_roots=40)
     assert 5 < first.effective < weighted.FEWEST_EFFECTIVE
     found = weigh_enough_roots(posterior, key=key(3), num_roots=40, most_roots=4000)
@@ -388,10 +389,10 @@ def test_too_few_roots_are_drawn_anew_as_many_as_would_do():
     left(most_roots=4000, max_proposals=first.proposals + again.proposals // 3)
     with pytest.raises(BadInput, match="number of roots must lie between 1 and 100,000"):
         left(most_roots=0)
-    nobody = moved(prior_scene(model, 2), "right_wrist", (2000.0, 0.0)).uncertain(model)
+    nobody = moved(prior_scene(model, 2), "right_wrist", (2000.0, 0.0)).posterior(model)
     none = weigh_enough_roots(nobody, key=key(3), num_roots=40, most_roots=4000)
     assert (len(none.log_weight), none.effective) == (40, 0)
-    enough = prior_scene(model, 2).uncertain(model)
+    enough = prior_scene(model, 2).posterior(model)
     held = weigh_enough_roots(enough, key=key(3), num_roots=100, most_roots=4000)
     assert len(held.log_weight) == 100
     assert held.effective >= weighted.FEWEST_EFFECTIVE
@@ -437,7 +438,7 @@ def test_draws_are_possible_and_say_where_they_come_from():
 def test_the_program_is_the_log_joint():
     """Density of the NumPyro program = flat prior + that of pose and detection given the root."""
     model, frame = small_case()
-    posterior = frame.uncertain(model)
+    posterior = frame.posterior(model)
     result = inference.sample(
         model, frame, key=key(1), root="uncertain", num_roots=60, num_samples=5
     )
@@ -530,7 +531,7 @@ def test_few_roots_estimate_the_torsos_evidence_without_bias():
     """The mean of 200 estimates from three roots each is that from 3,000 (4 standard errors);
     successes over attempts, where the attempts end with a success, would be half too large."""
     model, frame = small_case()
-    posterior = frame.uncertain(model)
+    posterior = frame.posterior(model)
 
     def drawn(words: list[int], number: int) -> TorsoDraws:
         return draw_roots(posterior, Faults.none(), words, number, Budget(10**9))
@@ -607,7 +608,7 @@ def test_a_root_goes_to_the_side_that_it_faces():
         dataclasses.replace(one, camera=one.camera._replace(rotation=rotation))
         for rotation in cameras.as_matrix()
     )
-    posterior = dataclasses.replace(frame, candidates=candidates).uncertain(model)
+    posterior = dataclasses.replace(frame, candidates=candidates).posterior(model)
     roots = Rotation.random(50, rng=np.random.default_rng(1))
     points = RootPoint(np.zeros(50, int), roots.as_matrix(), np.zeros(50), np.zeros((50, 2)))
     turns = np.array([(camera * roots.inv()).magnitude() for camera in cameras])
@@ -617,7 +618,7 @@ def test_a_root_goes_to_the_side_that_it_faces():
 def test_cells_hold_every_root_that_explains_the_torso():
     """Bounds are bounds; and discs a third smaller, which leave roots out, are found out."""
     _, frame = small_case()
-    posterior = frame.uncertain(PoseModel())
+    posterior = frame.posterior(PoseModel())
     torso, rotation, inverse = plain_roots(posterior, 1_000_000, 2)
     assert len(torso) > 500
     problem = torso_problem(posterior, Faults.none()).problem

@@ -11,6 +11,7 @@ from numpyro.infer.util import log_density
 from poseterior.probmodel import BadInput, Candidate, Estimate, Likelihood, PoseModel
 from poseterior.probmodel.model import log_joint
 from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 from tests.scenes import prior_scene
 
@@ -28,7 +29,9 @@ def posterior() -> Posterior:
     away = dataclasses.replace(
         truth, camera=camera._replace(translation=camera.translation + np.array([500.0, 0.0]))
     )
-    return dataclasses.replace(frame, candidates=(truth, smaller, away)).posterior(model)
+    return dataclasses.replace(frame, candidates=(truth, smaller, away)).posterior(
+        model, CANDIDATES
+    )
 
 
 def test_root_weights_by_hand(posterior) -> None:
@@ -116,7 +119,7 @@ def test_a_likelihood_without_sense_is_refused(posterior) -> None:
 def test_an_estimate_is_its_posterior_but_for_the_model(posterior) -> None:
     (one, *_) = posterior.roots
     estimate = Estimate(posterior.detection, (one,), Likelihood(), "somebody")
-    again = estimate.posterior(posterior.model)
+    again = estimate.posterior(posterior.model, CANDIDATES)
     assert isinstance(one, Candidate)
     assert (again.roots, again.estimator) == ((one,), "somebody")
     np.testing.assert_array_equal(again.observations[0].spread, estimate.observation.spread)

@@ -21,10 +21,10 @@ from poseterior.probmodel import Lens, Likelihood, PoseModel
 from poseterior.probmodel.faults import EXCHANGES, LIMB_INDEX, FaultPrior, Faults
 from poseterior.probmodel.model import log_joint
 from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 from poseterior.probmodel.summed import SummedFaults
-from poseterior.probmodel.uncertain import UncertainPosterior
 from tests.inference import test_uncertain_faults as faulty
 from tests.scenes import key, prior_scene
 
@@ -43,7 +43,7 @@ LIKELIHOODS = {"disc": Likelihood(factor=0.6), "learned": LEARNED}
 
 
 @functools.cache
-def case(law: str, lens: bool = False) -> tuple[UncertainPosterior, RootPoint, Pose]:
+def case(law: str, lens: bool = False) -> tuple[Posterior, RootPoint, Pose]:
     """Someone of whom one ankle was not found, and draws, most of which need some fault."""
     whole = PoseModel()
     camera = Lens(PIXELS, np.full(2, PIXELS)) if lens else None
@@ -54,7 +54,7 @@ def case(law: str, lens: bool = False) -> tuple[UncertainPosterior, RootPoint, P
     likelihood = dataclasses.replace(LIKELIHOODS[law], faults=FAULTS)
     detection = dataclasses.replace(scene.detection, keypoints=keypoints)
     frame = dataclasses.replace(scene, detection=detection, likelihood=likelihood)
-    posterior = frame.uncertain(model)
+    posterior = frame.posterior(model)
     roots = weigh_roots(posterior, key=key(1), num_roots=60)
     points, poses, _ = roots.draw(np.random.default_rng(0), 12)
     return posterior, points, poses
@@ -74,9 +74,7 @@ def patterns() -> Iterator[Faults]:
         yield Faults(exchange, outlier)
 
 
-def every_pattern(
-    posterior: UncertainPosterior, point: RootPoint, pose: Pose
-) -> tuple[Faults, np.ndarray]:
+def every_pattern(posterior: Posterior, point: RootPoint, pose: Pose) -> tuple[Faults, np.ndarray]:
     """All patterns, and the log joint density of root and pose with each, that of the prior of
     both left out."""
     some = list(patterns())
@@ -87,22 +85,22 @@ def every_pattern(
         jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], len(some), axis=0), one)
         for one in (point, pose)
     )
-    root = float(posterior.prior.log_density(point)) + float(posterior.model.log_prior(*pose))
+    root = float(posterior.root_prior.log_density(point)) + float(posterior.model.log_prior(*pose))
     return faults, np.asarray(posterior.log_joint(points, poses, faults)) - root
 
 
-def rows(law: str, lens: bool) -> Iterator[tuple[UncertainPosterior, RootPoint, Pose, jax.Array]]:
+def rows(law: str, lens: bool) -> Iterator[tuple[Posterior, RootPoint, Pose, jax.Array]]:
     """Draws one by one, with their joints."""
     posterior, points, poses = case(law, lens)
     for row in range(len(poses.length)):
         point = RootPoint(*map(jnp.asarray, points.take(row)))
         pose = Pose(*(np.asarray(part)[row] for part in poses))
-        view = posterior.prior.root(point).view
+        view = posterior.root_prior.root(point).view
         yield posterior, point, pose, posterior.model.joints(view, *pose)
 
 
-def summed(posterior: UncertainPosterior) -> SummedFaults:
-    return SummedFaults(posterior.detected, posterior.faults, posterior.prior)
+def summed(posterior: Posterior) -> SummedFaults:
+    return SummedFaults(posterior.detected, posterior.faults, posterior.root_prior)
 
 
 @pytest.mark.slow
@@ -135,7 +133,7 @@ def test_misfit_is_that_of_the_pattern_that_explains_a_pose_best() -> None:
     @jax.jit
     def least(point: RootPoint, joints: jax.Array) -> jax.Array:
         def one(pattern: Faults) -> jax.Array:
-            return posterior.detected.under(posterior.prior, point, pattern).misfit(joints)
+            return posterior.detected.under(posterior.root_prior, point, pattern).misfit(joints)
 
         return jax.vmap(one)(batch).min()
 
@@ -195,8 +193,8 @@ def _entropy(log_each: np.ndarray) -> float:
 def test_without_faults_the_sum_is_the_likelihood() -> None:
     posterior, _, _ = case("disc")
     for _, point, pose, joints in itertools.islice(rows("disc", False), 3):
-        plain = SummedFaults(posterior.detected, FaultPrior(), posterior.prior)
-        observation = posterior.detected.under(posterior.prior, point, Faults.none())
+        plain = SummedFaults(posterior.detected, FaultPrior(), posterior.root_prior)
+        observation = posterior.detected.under(posterior.root_prior, point, Faults.none())
         np.testing.assert_allclose(
             plain.log_likelihood(point, joints), observation.log_density(joints)
         )

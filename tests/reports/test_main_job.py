@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from poseterior import inference
-from poseterior.inference.results import COMPLETE
+from poseterior.inference.draws import COMPLETE
 from poseterior.probmodel import Anatomy, PoseModel, read_detections
 from poseterior.probmodel.motion import read_motion
 from poseterior.probmodel.skeleton import LENGTH_GROUPS

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from poseterior.inference.results import OUT_OF_BUDGET
+from poseterior.inference.draws import OUT_OF_BUDGET
 from poseterior.inference.saved import read_result
 from poseterior.probmodel.example import example
 from poseterior.reports.cli import COMMANDS, declared

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from poseterior.inference.results import COMPLETE
+from poseterior.inference.draws import COMPLETE
 from poseterior.inference.studies.calibration.levels import (
     distance_level,
     energy_level,
@@ -144,7 +144,7 @@ def assess(
         level.update(zip(OF_MODEL, rank_level(values[0], values[1:], rng), strict=True))
     elif model is not None and posterior.points is not None:
         points = _with_truth(instance.frame.best, posterior.points)
-        values = of_rooted(instance.frame.uncertain(model), points, both)
+        values = of_rooted(instance.frame.posterior(model), points, both)
         level.update(zip(OF_MODEL, rank_level(values[0], values[1:], rng), strict=True))
         values = of_root(points)
         level.update(zip(OF_ROOT, rank_level(values[0], values[1:], rng), strict=True))

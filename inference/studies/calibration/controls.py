@@ -11,7 +11,7 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from poseterior.inference.exact.mixture import draw_mixture
+from poseterior.inference.exact.mixture import ExactRejection
 from poseterior.inference.importance.weighted import WeightedRoots
 from poseterior.inference.studies.calibration.assess import Answer
 from poseterior.inference.studies.calibration.posteriors import Sampler
@@ -22,6 +22,7 @@ from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import GROUPS, LOWER_BONES, UPPER_BONES
 from poseterior.probmodel.transport import CUBE_DIM, from_cube
 
@@ -123,8 +124,8 @@ def following_the_recipe(model: PoseModel, number: int) -> Sampler:
         tried = 0
         while min(_held(kept).values()) < number and tried < MOST_TRIES:
             own = jax.random.fold_in(key, tried)
-            mixture = draw_mixture(upper_only.posterior(model), key=own, num_samples=TRIES)
-            length, upper, _ = mixture.parts[0].poses
+            draws = ExactRejection().draw(upper_only.posterior(model, CANDIDATES), own, TRIES)
+            length, upper, _ = draws.poses
             joints = np.asarray(_recipe(model, observation, own, length, upper))
             for name, right in _explained(observation, joints).items():
                 kept[name].append(joints[right])

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from poseterior.inference.results import FIXED, UNCERTAIN
 from poseterior.inference.studies.calibration.quantities import lengths
 from poseterior.inference.studies.calibration.real import true_candidate
 from poseterior.inference.studies.calibration.simulations import Instance
@@ -22,6 +21,7 @@ from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.roots import Candidate, RootPoint
 from poseterior.probmodel.skeleton import (
     BONE_NAMES,
@@ -82,7 +82,7 @@ class Reason(NamedTuple):
 
 
 def exclusions(
-    model: PoseModel, cases: Sequence[Case], known: Sequence[Instance], root: str = FIXED
+    model: PoseModel, cases: Sequence[Case], known: Sequence[Instance], root: str = CANDIDATES
 ) -> list[list[Reason]]:
     """The reasons why each case's posterior excludes its truth, none where it does not. Where there
     are several candidates each has to exclude it, and the one with the fewest reasons gives
@@ -168,13 +168,13 @@ def _of_limbs(model: PoseModel, frame: Estimate, candidate: Candidate) -> Observ
 def _of_all(model: PoseModel, frame: Estimate, candidate: Candidate) -> Observation:
     camera = candidate.camera
     point = RootPoint(0, camera.rotation, np.log(float(camera.scale)), camera.translation)
-    posterior = frame.uncertain(model)
+    posterior = frame.posterior(model)
     # Where joints are seen depends on the camera alone; the true torso is in no dictionary.
-    seen = posterior.detected.under(posterior.prior, point, Faults.none())
+    seen = posterior.detected.under(posterior.root_prior, point, Faults.none())
     return seen._replace(root=candidate.root)
 
 
-OBSERVED = {FIXED: _of_limbs, UNCERTAIN: _of_all}
+OBSERVED = {CANDIDATES: _of_limbs, UNCERTAIN: _of_all}
 """What a candidate's camera sees of a detection, by what the posterior holds of the root."""
 
 

@@ -19,19 +19,16 @@ from poseterior.inference.baselines.catalogue import (
     BASELINES,
     DISPERSED,
     STARTING,
-    baseline_tree,
+    draws_of,
     starting_points,
 )
 from poseterior.inference.baselines.run import Allowance, check_packages, run
 from poseterior.inference.baselines.target import Target
-from poseterior.inference.drawers import NUM_ROOTS, Drawer, drawer, sampler_under
+from poseterior.inference.draws import COMPLETE, MAX_PROPOSALS, place
 from poseterior.inference.exact.loops.numbers import words_of
-from poseterior.inference.exact.mixture import MAX_PROPOSALS, PROPOSALS
-from poseterior.inference.importance.routes import ROUTES
-from poseterior.inference.importance.tree import placed
 from poseterior.inference.importance.weighted import APART, WeightedRoots, verdict, weigh_roots
-from poseterior.inference.results import COMPLETE, FIXED
-from poseterior.inference.sampler import SAMPLERS
+from poseterior.inference.sampler import MANY_ROOTS, DetectionSampler, sample
+from poseterior.inference.sampler import sampler_of as core_sampler_of
 from poseterior.inference.studies.calibration.assess import FAILED, Answer
 from poseterior.inference.studies.calibration.quantities import of_pose
 from poseterior.inference.studies.calibration.simulations import Instance
@@ -39,6 +36,7 @@ from poseterior.inference.studies.comparison.mixing import mean_ess, mixing
 from poseterior.probmodel.arrays import read_array, read_netcdf, read_tables
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import NUM_JOINTS
 
 Sampler = Callable[[int, Instance, jax.Array], Answer]
@@ -53,43 +51,33 @@ def sampler_of(
     *,
     max_proposals: int = MAX_PROPOSALS,
     start: str = DISPERSED,
-    root: str = FIXED,
-    num_roots: int = NUM_ROOTS,
+    root: str = UNCERTAIN,
+    num_roots: int = MANY_ROOTS,
 ) -> Sampler:
     """The sampler of that name, or the draws of a file. Raises `BadInput` where there is none such,
     its package is missing, or it holds the root fixed where it shall be uncertain."""
-    name = sampler_under(root, name)
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
-    if name in PROPOSALS or name in ROUTES:
-        draw = drawer(
-            model,
-            root=root,
-            sampler=name,
-            num_samples=num_samples,
-            num_roots=num_roots,
-            max_proposals=max_proposals,
-        )
-        return functools.partial(_drawn, draw)
-    if name in BASELINES:
+    if name is not None and Path(name).suffix.lower() in DRAWS_SUFFIXES:
+        return FromFile.read(Path(name))
+    if name in BASELINES and root == CANDIDATES:
         check_packages(name, BASELINES[name])
         return functools.partial(_baseline, name, model, num_samples, max_proposals, start)
-    if Path(name).suffix.lower() in DRAWS_SUFFIXES:
-        return FromFile.read(Path(name))
-    known = ", ".join(SAMPLERS)
-    raise BadInput(
-        f"there is no sampler {name!r}; choose one of {known}, or a file of draws"
-        f" ({', '.join(DRAWS_SUFFIXES)})"
-    )
+    try:
+        chosen = core_sampler_of(root, name, num_roots=num_roots, max_proposals=max_proposals)
+    except BadInput as error:
+        raise BadInput(f"{error}, or a file of draws ({', '.join(DRAWS_SUFFIXES)})") from None
+    return functools.partial(_drawn, DetectionSampler(model, root, chosen, num_samples))
 
 
-def _drawn(draw: Drawer, index: int, instance: Instance, key: jax.Array) -> Answer:
+def _drawn(draw: DetectionSampler, index: int, instance: Instance, key: jax.Array) -> Answer:
     draws = draw(instance.frame, key)
-    joints = draws.joints
-    if draws.points is None:  # candidates differ in scale: all in the first one's body units
-        scale = draws.scale / float(instance.frame.best.camera.scale)
-        joints = joints * scale[:, None, None]
-    return Answer(joints, draws.log_evidence, draws.status, draws.sentence, draws.points)
+    told = draws.log_evidence, draws.status, draws.sentence
+    if draw.root == UNCERTAIN:
+        return Answer(draws.joints, *told, draws.points)
+    # Candidates differ in scale: all in the first one's body units.
+    scale = draws.scale / float(instance.frame.best.camera.scale)
+    return Answer(draws.joints * scale[:, None, None], *told)
 
 
 ROOT_FACTORS = (1, 4, 16, 64)
@@ -100,7 +88,7 @@ Reweigh = Callable[[WeightedRoots], WeightedRoots]
 def independent_roots(
     model: PoseModel,
     num_samples: int,
-    num_roots: int = NUM_ROOTS,
+    num_roots: int = MANY_ROOTS,
     *,
     max_proposals: int = MAX_PROPOSALS,
     reweigh: Reweigh = lambda roots: roots,
@@ -114,7 +102,7 @@ def independent_roots(
     """
 
     def draw(index: int, instance: Instance, key: jax.Array) -> Answer:
-        posterior = instance.frame.uncertain(model)
+        posterior = instance.frame.posterior(model)
         for round_key, times in zip(
             jax.random.split(key, len(ROOT_FACTORS)), ROOT_FACTORS, strict=True
         ):
@@ -132,7 +120,7 @@ def independent_roots(
                 break
         rng = np.random.default_rng(words_of(draws_key))
         points, poses, _ = roots.draw(rng, min(num_samples, int(roots.effective / APART)))
-        joints = placed(posterior.model, points, poses, size=PLACED)["joints"]
+        joints, _ = place(posterior, points, poses, size=PLACED)
         return Answer(joints, roots.log_evidence, status, sentence, points)
 
     return draw
@@ -152,7 +140,7 @@ def _baseline(
     instance: Instance,
     key: jax.Array,
 ) -> Answer:
-    given = instance.frame.posterior(model)
+    given = instance.frame.posterior(model, CANDIDATES)
     target = Target.of(given)
     baseline = BASELINES[name]
     places = None
@@ -170,17 +158,15 @@ def _baseline(
     )
     if not done.num_draws:
         return Answer(np.empty((0, NUM_JOINTS, 3)), done.log_evidence, done.status, done.sentence)
-    chains = np.asarray(baseline_tree(given, done, key)["posterior"].joints)
-    joints = independent(chains)
+    draws = draws_of(given, target, done, key)
+    joints = independent(draws.joints.reshape(draws.chains, -1, NUM_JOINTS, 3))
     if not len(joints):
         return Answer(joints, done.log_evidence, FAILED, f"the chains of {name} did not move")
     return Answer(joints, done.log_evidence, COMPLETE, done.sentence)
 
 
 def _exact_tree(model: PoseModel, instance: Instance, key: jax.Array) -> xr.DataTree:
-    from poseterior.inference.sampler import sample
-
-    return sample(model, instance.frame, key=key, num_samples=STARTING).tree
+    return sample(model, instance.frame, key=key, root=CANDIDATES, num_samples=STARTING).tree
 
 
 def independent(joints: np.ndarray) -> np.ndarray:

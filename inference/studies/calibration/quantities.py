@@ -13,11 +13,12 @@ from poseterior.inference.studies.flips import FLIPPING, away
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.faults import Faults
 from poseterior.probmodel.model import PoseModel, log_joint
-from poseterior.probmodel.observation import Observation
+from poseterior.probmodel.observation import DetectedJoints, Observation
 from poseterior.probmodel.pose import Pose
-from poseterior.probmodel.roots import RootPoint, RootPrior
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.root_priors import TorsoCameraPrior
+from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import BONES, JOINTS, LENGTH_GROUPS, LOWER_BONES
-from poseterior.probmodel.uncertain import DetectedJoints, UncertainPosterior
 
 MOVING = tuple(bone.end for bone in BONES)
 """The nine joints that move when the torso is given."""
@@ -87,7 +88,7 @@ def _sines(model: PoseModel, poses: Pose) -> jax.Array:
     return -jnp.sum(model.hinges_at(poses.upper).triple[..., 0, :] * poses.lower, axis=-1)
 
 
-def of_rooted(posterior: UncertainPosterior, points: RootPoint, joints: np.ndarray) -> np.ndarray:
+def of_rooted(posterior: Posterior, points: RootPoint, joints: np.ndarray) -> np.ndarray:
     """`(n, 6)`: as `of_both`, of poses `(n, 15, 3)` each with its own root `(n, ...)`: the log
     joint density is that of root and pose, without any fault of the detector."""
     look = functools.partial(_of_rooted, posterior.model, posterior.detected)
@@ -99,7 +100,7 @@ def of_rooted(posterior: UncertainPosterior, points: RootPoint, joints: np.ndarr
 def _of_rooted(
     model: PoseModel, detected: DetectedJoints, *fields: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    prior = RootPrior.of(model)
+    prior = TorsoCameraPrior.of(model)
 
     def one(
         point: RootPoint, joints: jax.Array, length: jax.Array

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from poseterior.inference.estimators import estimate_torsos
-from poseterior.inference.results import FIXED
 from poseterior.inference.studies.calibration.simulations import SPREADS, Instance, detected
 from poseterior.probmodel.body import align_torsos
 from poseterior.probmodel.camera import WeakPerspective
@@ -21,6 +20,7 @@ from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.likelihood import PAPER, Likelihood
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.roots import Candidate
 from poseterior.probmodel.skeleton import TORSO_INDEX
 
@@ -41,7 +41,7 @@ def read_cases(
     noise: str = LIKELIHOOD,
     missing: int = 0,
     likelihood: Likelihood = PAPER,
-    root: str = FIXED,
+    root: str = CANDIDATES,
     seed: int = 0,
     perspective: bool = False,
 ) -> tuple[list[Case], dict[str, Any]]:
@@ -79,7 +79,7 @@ def read_cases(
     """
     drawn = noise == LIKELIHOOD
     kind = Noise() if drawn else Noise.parse(noise)
-    if perspective and root == FIXED:
+    if perspective and root == CANDIDATES:
         raise BadInput(
             "a known focal length needs torso and camera to be uncertain; choose the root"
             " 'uncertain', or leave perspective out"
@@ -92,7 +92,7 @@ def read_cases(
 
 
 def by_the_likelihood(
-    case: Case, likelihood: Likelihood = PAPER, seed: int = 0, root: str = FIXED
+    case: Case, likelihood: Likelihood = PAPER, seed: int = 0, root: str = CANDIDATES
 ) -> Case:
     """The case with its detection drawn from the likelihood instead, scores and missing joints as
     they are."""

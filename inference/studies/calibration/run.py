@@ -21,13 +21,13 @@ from typing import Any
 import jax
 import numpy as np
 import xarray as xr
-
-from poseterior.inference.drawers import NUM_ROOTS, sampler_under
-from poseterior.inference.estimators import estimate_torsos
 from poseterior.inference.importance.routes import WEIGHTED
+
+from poseterior.inference.draws import MAX_PROPOSALS
+from poseterior.inference.estimators import estimate_torsos
 from poseterior.inference.machines import HERE, Machines, in_threads
-from poseterior.inference.results import FIXED, UNCERTAIN, provenance, save_tree
-from poseterior.inference.sampler import MAX_PROPOSALS
+from poseterior.inference.results import provenance, save_tree
+from poseterior.inference.sampler import MAKERS, MANY_ROOTS
 from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.inference.studies.calibration import real
 from poseterior.inference.studies.calibration.assess import Standing, assess
@@ -53,6 +53,8 @@ from poseterior.probmodel.datasets import Case
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.likelihood import PAPER, Likelihood
 from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.posterior import require_root_prior
+from poseterior.probmodel.root_priors import UNCERTAIN
 
 NUM_SAMPLES = 1000
 COMPARED_ESTIMATOR = "zhou"
@@ -70,8 +72,8 @@ def calibrate(
     num_samples: int = NUM_SAMPLES,
     reference: str = COMPARED_ESTIMATOR,
     likelihood: Likelihood = PAPER,
-    root: str = FIXED,
-    num_roots: int = NUM_ROOTS,
+    root: str = UNCERTAIN,
+    num_roots: int = MANY_ROOTS,
     max_proposals: int = MAX_PROPOSALS,
     out: Path | None = None,
     machines: Machines = HERE,
@@ -155,9 +157,9 @@ def cover(
     seed: int = 0,
     num_samples: int = real.NUM_SAMPLES,
     likelihood: Likelihood = PAPER,
-    root: str = FIXED,
-    num_roots: int = NUM_ROOTS,
-    max_proposals: int = real.INSTANCE_PROPOSALS,
+    root: str = UNCERTAIN,
+    num_roots: int = MANY_ROOTS,
+    max_proposals: int = real.MAX_PROPOSALS,
     source: Mapping[str, Any] | None = None,
     out: Path | None = None,
     machines: Machines = HERE,
@@ -339,7 +341,8 @@ def _run(
 
 
 def _named(sampler: str | Sampler | None, root: str) -> str | Sampler:
-    return sampler if callable(sampler) else sampler_under(root, sampler)
+    require_root_prior(root)
+    return next(iter(MAKERS[root])) if sampler is None else sampler
 
 
 def _sampler(

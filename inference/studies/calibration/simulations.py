@@ -19,7 +19,6 @@ import jax
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from poseterior.inference.results import FIXED, UNCERTAIN
 from poseterior.probmodel.camera import WeakPerspective
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.detections import Detection
@@ -27,6 +26,7 @@ from poseterior.probmodel.faults import ORDERS, FaultPrior
 from poseterior.probmodel.likelihood import PAPER, Likelihood
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.roots import Candidate
 from poseterior.probmodel.rotations import UprightRotation
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
@@ -58,7 +58,7 @@ def _believed(rng: np.random.Generator, model: PoseModel) -> np.ndarray:
     return np.asarray(UprightRotation(model.upright).sample(key))
 
 
-ROTATIONS = {FIXED: _sideways, UNCERTAIN: _believed}
+ROTATIONS = {CANDIDATES: _sideways, UNCERTAIN: _believed}
 """How simulated people are turned, by what the posterior holds of the root."""
 
 
@@ -83,7 +83,7 @@ def simulate(
     number: int,
     *,
     likelihood: Likelihood = PAPER,
-    root: str = FIXED,
+    root: str = CANDIDATES,
 ) -> list[Instance]:
     """Simulations `first`, …, `first + number - 1` of a seed, each the same whichever others are
     made with it, for posteriors with such a `root`. The frame's candidate is the true root.
@@ -148,7 +148,7 @@ def joint_spread(score: np.ndarray, likelihood: Likelihood) -> np.ndarray:
     return _spread(score, likelihood, sorted({*TORSO_INDEX, *likelihood.joints}))
 
 
-SPREADS: dict[str, Spread] = {FIXED: limbs_spread, UNCERTAIN: joint_spread}
+SPREADS: dict[str, Spread] = {CANDIDATES: limbs_spread, UNCERTAIN: joint_spread}
 """How far detections stray, by what the posterior holds of the root."""
 
 

@@ -1,9 +1,8 @@
 from .contest import Comparison as Comparison
-from .contest import compare as compare
 from .judge import Judgement as Judgement
 from .judge import Test as Test
 from .judge import judge as judge
 from .record import comparison_tree as comparison_tree
-from .routes import compare_routes as compare_routes
+from .routes import compare as compare
 from .sample import Sample as Sample
 from .sample import read_sample as read_sample

@@ -1,12 +1,11 @@
 """Several samplers on one frame, each from two starts, judged by exact draws.
 
-found = compare(model, frame, ["rejection", "emcee"], seconds=30)
+found = compare_candidate(model, frame, ["rejection", "emcee"], seconds=30)
 found.tree["summary"].to_dataframe()
 """
 
 import contextlib
 import dataclasses
-import functools
 import math
 import time
 import zlib
@@ -23,15 +22,16 @@ import xarray as xr
 from poseterior.inference.baselines.catalogue import (
     BASELINES,
     STARTS,
-    baseline_tree,
+    draws_of,
     starting_points,
 )
 from poseterior.inference.baselines.run import Allowance, Clock, Run, check_law, check_packages, run
 from poseterior.inference.baselines.target import Density, Target
 from poseterior.inference.benchmark.external.entries import external_sampler, external_samplers
 from poseterior.inference.benchmark.external.posterior import PosteriorTarget
-from poseterior.inference.exact.mixture import draw_mixture
-from poseterior.inference.results import COMPLETE, Result, save_tree
+from poseterior.inference.draws import COMPLETE
+from poseterior.inference.exact.mixture import ExactRejection
+from poseterior.inference.results import Result, save_tree, tree_of
 from poseterior.inference.sampler import SAMPLERS, sample
 from poseterior.inference.store import locked
 from poseterior.inference.studies.comparison.cost import course
@@ -41,7 +41,8 @@ from poseterior.inference.studies.comparison.record import SHOWN_DRAWS, Entry, c
 from poseterior.inference.studies.comparison.sample import Sample, read_sample, sample_of
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.model import PoseModel
-from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.posterior import Estimate, Posterior
+from poseterior.probmodel.root_priors import CANDIDATES
 
 PILOT_DRAWS = 500
 """Draws by which the candidate is chosen."""
@@ -85,7 +86,7 @@ class Comparison(NamedTuple):
     tree: xr.DataTree
 
 
-def compare(
+def compare_candidate(
     model: PoseModel,
     frame: Estimate,
     samplers: Sequence[str],
@@ -202,10 +203,18 @@ def truth(
     """Exact draws under the candidate with the largest weight. Raises `OutOfBudget` where there are
     none."""
     if len(frame.candidates) > 1:
-        pilot = sample(model, frame, key=jax.random.fold_in(key, 0), num_samples=PILOT_DRAWS)
+        pilot = sample(
+            model,
+            frame,
+            root=CANDIDATES,
+            key=jax.random.fold_in(key, 0),
+            num_samples=PILOT_DRAWS,
+        )
         best = int(np.argmax(pilot.tree["constant_data"].weight.values))
         frame = dataclasses.replace(frame, candidates=(frame.candidates[best],))
-    result = sample(model, frame, key=jax.random.fold_in(key, 1), num_samples=number)
+    result = sample(
+        model, frame, root=CANDIDATES, key=jax.random.fold_in(key, 1), num_samples=number
+    )
     return truth_of(frame, result)
 
 
@@ -247,9 +256,11 @@ def enter_exact(
     """A line of exact rejection, drawn anew with another key. It is drawn twice, the same: the
     first time everything is compiled, the second time the clock runs, as with baselines up to where
     draws are given names."""
-    result = sample(model, known.frame, sampler=name, key=key, num_samples=num_samples)
+    result = sample(
+        model, known.frame, sampler=name, root=CANDIDATES, key=key, num_samples=num_samples
+    )
     started = clock()
-    draw_mixture(known.frame.posterior(model), key=key, sampler=name, num_samples=num_samples)
+    ExactRejection(name).draw(known.frame.posterior(model, CANDIDATES), key, num_samples)
     seconds = clock() - started
     attributes = result.tree.attrs
     evidence = attributes["log_evidence"], attributes["log_evidence_se"]
@@ -263,7 +274,7 @@ def enter_external(
 ) -> Entry:
     """A line of an external sampler, begun anew at every call; where it brought no draws, or what
     cannot be any, its sentence says so."""
-    target = PosteriorTarget.of(known.frame.posterior(model))
+    target = PosteriorTarget.of(known.frame.posterior(model, CANDIDATES))
     seed = int(jax.random.randint(key, (), 0, 1 << 31))
     sentence = f"{name} brought no draws of {target.name}: the budget is too small; allow more"
     started = time.perf_counter()
@@ -307,14 +318,13 @@ def enter_baseline(
 ) -> tuple[Entry, xr.DataTree | None]:
     """A line of a baseline, and its draws, or none where its budget brought none; `settings` are
     those of `baselines.run.run`."""
-    posterior = known.frame.posterior(model)
-    tree_of = functools.partial(baseline_tree, posterior)
-    return enter_chains(Target.of(posterior), tree_of, known, name, start, **settings)
+    posterior = known.frame.posterior(model, CANDIDATES)
+    return enter_chains(posterior, Target.of(posterior), known, name, start, **settings)
 
 
 def enter_chains(
+    posterior: Posterior,
     target: Density,
-    tree_of: Callable[[Run, jax.Array], xr.DataTree],
     known: Truth,
     name: str,
     start: str,
@@ -322,8 +332,7 @@ def enter_chains(
     key: jax.Array,
     **settings: Any,
 ) -> tuple[Entry, xr.DataTree | None]:
-    """As `enter_baseline`, on any target; `tree_of(run, key)` makes
-    its draws a tree."""
+    """As `enter_baseline`, on the target of any posterior."""
     done = run(
         BASELINES[name],
         name,
@@ -337,7 +346,7 @@ def enter_chains(
     if not done.num_draws:
         cost = done.cost.num_proposals, done.cost.wall_time
         return Entry.without_draws(name, start, done.sentence, cost, evidence), None
-    tree = tree_of(done, key)
+    tree = tree_of(draws_of(posterior, target, done, key))
     found = read_sample(tree, f"the draws of {name}")
     work = _work_of(done, BASELINES[name].starts)
     return entry_of(name, start, found, known, work=work, evidence=evidence), tree

@@ -1,6 +1,6 @@
 """Samplers of torso, camera and pose together, judged by rejection.
 
-found = compare_routes(model, frame)
+found = compare(model, frame)
 found.tree["summary"].to_dataframe()
 """
 
@@ -8,24 +8,31 @@ import contextlib
 import functools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 
-from poseterior.inference.baselines.catalogue import BASELINES, DISPERSED, ROOTED, rooted_tree
+from poseterior.inference.baselines.catalogue import BASELINES, DISPERSED, ROOTED
 from poseterior.inference.baselines.rooted import RootedTarget
 from poseterior.inference.baselines.run import Allowance, check_packages
-from poseterior.inference.drawers import sampler_under
-from poseterior.inference.importance.routes import REJECTION, WEIGHTED
 from poseterior.inference.importance.weighted import APART, NUM_ROOTS
-from poseterior.inference.results import UNCERTAIN, Result, save_tree
-from poseterior.inference.sampler import ROOTED_SAMPLERS, sample
+from poseterior.inference.results import Result, save_tree
+from poseterior.inference.sampler import (
+    REJECTION,
+    ROOTED_SAMPLERS,
+    WEIGHTED,
+    sample,
+    sampler_of,
+)
 from poseterior.inference.store import locked
+from poseterior.inference.studies.comparison import contest
 from poseterior.inference.studies.comparison.contest import (
     ENDLESS,
     Comparison,
     Stage,
     Truth,
     Work,
+    compare_candidate,
     enter_chains,
     entry_of,
     place_of,
@@ -35,10 +42,67 @@ from poseterior.inference.studies.comparison.record import Entry, comparison_tre
 from poseterior.inference.studies.comparison.sample import read_sample
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
-from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.posterior import Estimate, require_root_prior
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 
 ROUTE_REFERENCE = 1000
 """Draws by rejection that the judge compares with: some minutes."""
+
+
+def compare(
+    model: PoseModel,
+    frame: Estimate,
+    samplers: Sequence[str] | None = None,
+    *,
+    root: str = UNCERTAIN,
+    num_roots: int = NUM_ROOTS,
+    exact_draws: int | None = None,
+    **settings: Any,
+) -> Comparison:
+    """Lets samplers draw from a frame's posterior, and judges each by exact draws.
+
+    Parameters
+    ----------
+    model
+        The prior of poses.
+    frame
+        The detection with its candidates.
+    samplers
+        Those that draw under the root; by default weighted roots, or exact rejection.
+    root
+        One of `ROOT_PRIORS`: torso, camera and pose together, or the pose under the candidate with
+        the largest weight.
+    num_roots
+        From how many roots weighted ones draw; of the pilot run of rejection.
+    exact_draws
+        Draws that all are judged by; by default as many as take some minutes at most.
+    settings
+        `seed`, `seconds`, `max_evaluations`, `num_samples`, `out`, `stage`, as `compare_candidate`
+        takes them.
+
+    Returns
+    -------
+    Comparison
+        A line for every sampler.
+
+    Raises
+    ------
+    BadInput, OutOfBudget
+        As `compare_candidate` and `compare_routes`.
+    """
+    require_root_prior(root)
+    if root == CANDIDATES:
+        names = ("rejection",) if samplers is None else samplers
+        number = contest.EXACT_REFERENCE if exact_draws is None else exact_draws
+        return compare_candidate(model, frame, names, exact_draws=number, **settings)
+    return compare_routes(
+        model,
+        frame,
+        (WEIGHTED,) if samplers is None else samplers,
+        num_roots=num_roots,
+        exact_draws=ROUTE_REFERENCE if exact_draws is None else exact_draws,
+        **settings,
+    )
 
 
 def compare_routes(
@@ -65,7 +129,7 @@ def compare_routes(
     samplers
         Names of `ROOTED_SAMPLERS`.
     seed, seconds, max_evaluations, num_samples
-        As in `compare`, but that baselines have one start, dispersed over the exact draws: of few
+        As in `compare_candidate`, but that baselines have one start, dispersed over the exact draws: of few
         draws with seven coordinates more, too few stand in one flip. Of weighted roots as many
         draws are judged as are independent.
     num_roots
@@ -73,7 +137,7 @@ def compare_routes(
     exact_draws
         Draws that all are judged by.
     out, stage
-        As in `compare`.
+        As in `compare_candidate`.
 
     Returns
     -------
@@ -88,7 +152,7 @@ def compare_routes(
         Where the exact draws are not complete.
     """
     check_routes(samplers)
-    posterior = frame.uncertain(model)
+    posterior = frame.posterior(model)
     allowance = Allowance(max_evaluations, seconds)
     # Before any work is done.
     target = RootedTarget.of(posterior) if {*samplers} & {*ROOTED} else None
@@ -114,8 +178,8 @@ def compare_routes(
             with stage(name):
                 if target and name in ROOTED:
                     entry, _ = enter_chains(
+                        posterior,
                         target,
-                        functools.partial(rooted_tree, posterior, target),
                         known,
                         name,
                         DISPERSED,
@@ -152,7 +216,7 @@ def check_routes(names: Sequence[str]) -> None:
     """Raises `BadInput` where there is no name, or one that holds the root fixed, or whose package
     is missing."""
     for name in names:
-        sampler_under(UNCERTAIN, name, ROOTED_SAMPLERS)
+        sampler_of(UNCERTAIN, name)
         if name in ROOTED:
             check_packages(name, BASELINES[name])
     if not names:

@@ -4,14 +4,13 @@ torso and camera are."""
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from poseterior.inference import drawers
 from poseterior.inference.estimators import ESTIMATORS
-from poseterior.inference.results import FIXED
 from poseterior.inference.studies.calibration.real import TRUE
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.root_priors import CANDIDATES, ROOT_PRIORS, UNCERTAIN
 from poseterior.probmodel.skeleton import LIMB_JOINTS
 
-EVALUATED_ROOTS = (*drawers.ROOTS, TRUE)
+EVALUATED_ROOTS = (*ROOT_PRIORS, TRUE)
 """What torso and camera may be: the estimator's, drawn with the pose, or the truth's own."""
 
 
@@ -22,18 +21,18 @@ class Condition(NamedTuple):
     estimator: str
     missing: int = 0
     rotate: float = 0.0
-    root: str = FIXED
+    root: str = UNCERTAIN
 
     @property
     def way(self) -> str:
         """Whose draws these are: the estimator's, or those of a root that depends on none."""
-        return self.estimator if self.root == FIXED else f"{self.root} root"
+        return self.estimator if self.root == CANDIDATES else f"{self.root} root"
 
     @property
     def name(self) -> str:
         """As files call it."""
         name = f"{self.estimator}-missing-{self.missing}-rotate-{self.rotate:g}"
-        return name if self.root == FIXED else f"{name}-root-{self.root}"
+        return name if self.root == CANDIDATES else f"{name}-root-{self.root}"
 
 
 def alike(some: Iterable[Condition], base: Condition) -> list[Condition]:
@@ -45,7 +44,7 @@ def conditions(
     estimators: Sequence[str],
     missing: Sequence[int],
     rotate: Sequence[float],
-    roots: Sequence[str] = (FIXED,),
+    roots: Sequence[str] = (UNCERTAIN,),
 ) -> list[Condition]:
     """Every estimator with every number of missing joints (the image turned by the first angle),
     and turned by every angle (with the first number missing); the same under every root.
@@ -91,6 +90,6 @@ def conditions(
     return [
         Condition(estimator, *one, root)
         for root in roots
-        for estimator in (estimators if root == FIXED else estimators[:1])
+        for estimator in (estimators if root == CANDIDATES else estimators[:1])
         for one in own
     ]

@@ -16,10 +16,10 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.composition import compose
-from poseterior.inference.drawers import NUM_ROOTS, Drawer, Draws, drawer
+from poseterior.inference.draws import Draws
 from poseterior.inference.estimators import estimate_torsos
 from poseterior.inference.hypothesis import diverse
-from poseterior.inference.results import FIXED, UNCERTAIN
+from poseterior.inference.sampler import MANY_ROOTS, DetectionSampler, sampler_of
 from poseterior.inference.studies.calibration.real import TRUE, true_candidate
 from poseterior.inference.studies.errors import aligned_errors, joint_errors
 from poseterior.inference.studies.evaluation.conditions import Condition
@@ -32,6 +32,7 @@ from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from poseterior.probmodel.likelihood import PAPER, Likelihood
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
 
 BAD_INPUT, FAILED = "bad input", "failed"
@@ -86,7 +87,7 @@ class Protocol:
     ks: tuple[int, ...] = (5, 20)
     max_proposals: int = 20_000_000
     seed: int = 0
-    num_roots: int = NUM_ROOTS
+    num_roots: int = MANY_ROOTS
     rooted_anatomy: Anatomy | None = None
     upright: float = 0.0
     composed: bool = False
@@ -117,15 +118,11 @@ class Protocol:
             upright=self.upright,
         )
 
-    def drawer(self, root: str) -> Drawer:
-        """What draws under one of `conditions.ROOTS`; the true root is a fixed one."""
-        return drawer(
-            self.rooted if root == UNCERTAIN else self.model,
-            root=FIXED if root == TRUE else root,
-            num_samples=self.num_samples,
-            num_roots=self.num_roots,
-            max_proposals=self.max_proposals,
-        )
+    def sampler(self, root: str) -> DetectionSampler:
+        """What draws under one of `conditions.ROOTS`; the true root is the only candidate."""
+        own, model = (UNCERTAIN, self.rooted) if root == UNCERTAIN else (CANDIDATES, self.model)
+        chosen = sampler_of(own, num_roots=self.num_roots, max_proposals=self.max_proposals)
+        return DetectionSampler(model, own, chosen, self.num_samples)
 
     @functools.cached_property
     def fields(self) -> dict[str, Field]:
@@ -278,7 +275,7 @@ def _truth(protocol: Protocol, case: Case) -> Estimate:
 def _drawn(
     protocol: Protocol, root: str, case: Case, frame: Estimate
 ) -> tuple[str, str, dict[str, Any]]:
-    draws = protocol.drawer(root)(
+    draws = protocol.sampler(root)(
         frame, jax.random.fold_in(jax.random.key(protocol.seed), case.number)
     )
     joints = draws.joints
@@ -323,7 +320,7 @@ def _drawn(
 def _hypotheses(protocol: Protocol, draws: Draws, k: int) -> np.ndarray:
     """`(k, 15, 3)`; some stand twice where draws are alike, so that there are fewer than k."""
     if protocol.composed:
-        poses = np.stack([one.joints for one in compose(draws.drawn, k, seed=protocol.seed)])
+        poses = np.stack([one.joints for one in compose(draws, k, seed=protocol.seed)])
     else:
         chosen = diverse(draws.joints.astype(np.float32), k, seed=protocol.seed)
         poses = draws.joints[[one.draw for one in chosen]]

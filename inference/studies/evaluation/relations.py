@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from poseterior.inference.results import FIXED
 from poseterior.inference.studies.evaluation.conditions import Condition, alike
 from poseterior.inference.studies.evaluation.scores import (
     Interval,
@@ -20,6 +19,7 @@ from poseterior.inference.studies.evaluation.scores import (
     pose_errors,
     usable,
 )
+from poseterior.probmodel.root_priors import CANDIDATES
 
 HOLDS, FAILS, OPEN = "holds", "does not hold", "undecided"
 RELATION_GAIN = 0.15
@@ -78,12 +78,12 @@ def relations(
 def _against_single(way: Condition, values: Values, recording: np.ndarray, k: int) -> Relation:
     gain = _gain("", "", values, "single", k, recording)
     single = "the single estimate"
-    if way.root != FIXED:
+    if way.root != CANDIDATES:
         single = f"the single estimate of {way.estimator}"
     if way.estimator == "akhter-black":
         words = f"{way.way}: the best of {k} beats {single} by 15 % or more"
         return gain._replace(words=words, paper="18 %", low=RELATION_GAIN)
-    if way == way._replace(estimator="zhou", root=FIXED):
+    if way == way._replace(estimator="zhou", root=CANDIDATES):
         words = f"{way.way}: the best of {k} about equals {single} (within 5 %)"
         return gain._replace(words=words, paper="0.3 %", low=-ABOUT, high=ABOUT)
     words = f"{way.way}: the best of {k} beats {single}"

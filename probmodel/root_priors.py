@@ -1,0 +1,214 @@
+"""The two priors of torso and camera: what is believed of them before anything was seen.
+
+`Candidates` are the paper's method: atoms that an estimator found, weighed by what the torso's
+keypoints say. Under a `TorsoCameraPrior` they are as uncertain as the pose (docs/model.md § 9). A
+`Posterior` takes either, and all that differs between the two stands here.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from poseterior.probmodel.camera import Lens, WeakPerspective
+from poseterior.probmodel.roots import Candidate, Root, RootPoint
+from poseterior.probmodel.skeleton import TORSO_INDEX
+
+if TYPE_CHECKING:
+    from poseterior.probmodel.model import PoseModel
+
+CANDIDATES, UNCERTAIN = "candidates", "uncertain"
+ROOT_PRIORS = (UNCERTAIN, CANDIDATES)
+"""By their names; the first is the one that is meant where none is named."""
+NEAREST = 4.0
+"""Body units, 1.5 m: where the focal length is known, a pelvis is no nearer to the camera, measured
+along its optical axis. No joint of a person is as far from the pelvis, so that none is behind the
+camera."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """The paper's method: torso and camera are one of a few that an estimator found. A root is the
+    number of its candidate. The usual way in is `of`.
+
+    Attributes
+    ----------
+    roots
+        Leaves start with n.
+    torso : `(n,)`
+        Their torsos' indices in the dictionary; -1 where they are not from there.
+    log_weight : `(n,)`
+        Log of their probabilities.
+    """
+
+    roots: Root
+    torso: np.ndarray | jax.Array
+    log_weight: np.ndarray | jax.Array
+    name: ClassVar[str] = CANDIDATES
+    base_measure: ClassVar[str] = "counting (candidate)"
+
+    @classmethod
+    def of(cls, candidates: Sequence[Candidate], log_weight: np.ndarray) -> "Candidates":
+        """What an estimator found, with weights `(n,)` that need not be normalised."""
+        roots = [jax.tree.map(np.asarray, one.root) for one in candidates]
+        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *roots)
+        torso = np.array([one.torso_index for one in candidates])
+        return cls(stacked, torso, log_weight - np.logaddexp.reduce(log_weight))
+
+    def compose(self, step: Callable[[str, Any], Any]) -> Any:
+        """The prior, written once: `step(site, law)` says what becomes of its only law."""
+        from numpyro.distributions import CategoricalLogits
+
+        return step("root", CategoricalLogits(jnp.asarray(self.log_weight)))
+
+    def log_density(self, point: Any) -> jax.Array:
+        """`()`: log probability of one candidate."""
+        return jnp.asarray(self.log_weight)[point]
+
+    def root(self, point: Any) -> Root:
+        """The torso and camera of one candidate."""
+        return jax.tree.map(lambda leaf: leaf[point], self.roots)
+
+    def points(self, point: Any) -> RootPoint:
+        """Candidates `(n,)` as a point each."""
+        camera = self.roots.camera
+        log_scale = np.log(np.asarray(camera.scale))
+        whole = RootPoint(self.torso, camera.rotation, log_scale, camera.translation)
+        return whole.take(point)
+
+    def sides(self, point: Any, candidates: Sequence[Candidate]) -> np.ndarray:
+        """`(n,)`: the candidate that each root is."""
+        return np.asarray(point)
+
+    def columns(self, point: Any) -> dict[str, np.ndarray]:
+        """What results say of roots `(n,)`, by name."""
+        return {"torso": np.asarray(self.torso)[point]}
+
+    def point_of(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Roots from what results say of them."""
+        return np.asarray(columns["candidate"])
+
+    def error_of(self, candidate: Candidate) -> float:
+        """What results say of the reprojection error of a side's camera, which is the candidate's."""
+        return candidate.reprojection_error
+
+    def counted(self, joints: Sequence[int]) -> list[int]:
+        """The joints whose keypoints are detections under a root: the torso's have been heard where
+        candidates were weighed."""
+        return list(joints)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TorsoCameraPrior:
+    """What is believed of torso and camera: the torso uniform over a dictionary, the rotation
+    uniform on SO(3), or upright bodies more probable, log scale and translation flat.
+
+    The last two have no total mass, but every seen joint contributes scale⁻² to the posterior,
+    which is proper as soon as two seen joints lie apart. Base measure: counting (torso) × Haar's ×
+    log scale × area of the image. With a known `lens` the scale ends where the person is `NEAREST`.
+
+    Attributes
+    ----------
+    torsos : `(J, 6, 3)`
+        Body axes, body units, pelvis at the origin.
+    upright
+        Concentration of `UprightRotation`.
+    lens
+        Of the camera, where it is known: roots then see in perspective.
+    """
+
+    torsos: np.ndarray | jax.Array
+    upright: float | jax.Array = 0.0
+    lens: Lens | None = None
+    name: ClassVar[str] = UNCERTAIN
+    base_measure: ClassVar[str] = (
+        "counting (torso) x Haar's on SO(3) (1 in all) x log scale x image area (px2, translation)"
+    )
+
+    @classmethod
+    def of(cls, model: "PoseModel") -> "TorsoCameraPrior":
+        """What a model believes of torso and camera."""
+        return cls(model.torsos, model.upright, model.lens)
+
+    def compose(self, step: Callable[[str, Any], Any]) -> RootPoint:
+        """The prior, written once: `step(site, law)` says what becomes of each law."""
+        from numpyro.distributions import ImproperUniform, constraints
+
+        from poseterior.probmodel.anatomy.torsos import TorsoDictionary
+        from poseterior.probmodel.rotations import UprightRotation
+        from poseterior.probmodel.scales import FlatUpTo
+
+        flat = ImproperUniform(constraints.real, (), ())
+        return RootPoint(
+            step("torso", TorsoDictionary(self.torsos)),
+            step("rotation", UprightRotation(self.upright)),
+            step("log_scale", flat if self.lens is None else FlatUpTo(self.highest_log_scale)),
+            step("translation", ImproperUniform(constraints.real_vector, (), (2,))),
+        )
+
+    @property
+    def highest_log_scale(self) -> jax.Array:
+        """`()`: that of a person at `NEAREST`; infinite where no focal length is known."""
+        focal = jnp.inf if self.lens is None else self.lens.focal
+        return jnp.log(jnp.asarray(focal) / NEAREST)
+
+    def log_density(self, point: RootPoint) -> jax.Array:
+        """`()`: log density of one root; -inf outside."""
+        terms: list[jax.Array] = []
+
+        def step(site: str, law: Any) -> None:
+            terms.append(law.log_prob(jnp.asarray(getattr(point, site))))
+
+        self.compose(step)
+        return terms[0] + terms[1] + terms[2] + terms[3]
+
+    def root(self, point: RootPoint) -> Root:
+        """The torso and camera of one root."""
+        torso = jnp.asarray(self.torsos)[point.torso]
+        scale = jnp.exp(jnp.asarray(point.log_scale))
+        weak = WeakPerspective(scale, point.rotation, point.translation)
+        return Root(torso, weak.through(self.lens))
+
+    def points(self, point: RootPoint) -> RootPoint:
+        """Roots of the prior as points: what they are."""
+        return RootPoint(*map(np.asarray, point))
+
+    def sides(self, point: RootPoint, candidates: Sequence[Candidate]) -> np.ndarray:
+        """`(n,)`: for each root, the candidate whose camera is turned least against its own; 0
+        where there is none."""
+        cameras = [np.asarray(one.camera.rotation) for one in candidates] or [np.eye(3)]
+        # The trace of a rotation falls with its angle.
+        trace = np.einsum("nij,cij->nc", np.asarray(point.rotation), np.stack(cameras))
+        return np.argmax(trace, axis=1)
+
+    def columns(self, point: RootPoint) -> dict[str, np.ndarray]:
+        """What results say of roots `(n, ...)`, by name."""
+        return {
+            "torso": np.asarray(point.torso),
+            "rotation": np.asarray(point.rotation),
+            "scale": np.exp(point.log_scale),
+            "translation": np.asarray(point.translation),
+        }
+
+    def point_of(self, columns: Mapping[str, np.ndarray]) -> RootPoint:
+        """Roots from what results say of them."""
+        torso, rotation, scale, translation = (
+            np.asarray(columns[name]) for name in ("torso", "rotation", "scale", "translation")
+        )
+        return RootPoint(torso, rotation, np.log(scale), translation)
+
+    def error_of(self, candidate: Candidate) -> float:
+        """Of a side's mean camera there is no reprojection error."""
+        return np.nan
+
+    def counted(self, joints: Sequence[int]) -> list[int]:
+        """The joints whose keypoints are detections under a root: the torso's with all others."""
+        return sorted({*TORSO_INDEX, *joints})
+
+
+RootPrior = Candidates | TorsoCameraPrior

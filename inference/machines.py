@@ -29,7 +29,7 @@ import jax
 
 from poseterior.probmodel.failures import BadInput
 
-PATIENCE = "15s"
+SCHEDULER_PATIENCE = "15s"
 """How long a scheduler may take to answer."""
 DEATHS = 10
 """After so many deaths of workers over one block it is given up: the block kills them."""
@@ -110,7 +110,7 @@ class Machines:
         distributed = _library()
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails becomes a sentence
         try:
-            client = distributed.Client(self.scheduler, timeout=PATIENCE)
+            client = distributed.Client(self.scheduler, timeout=SCHEDULER_PATIENCE)
         except (OSError, ValueError, TimeoutError, ImportError) as error:
             raise BadInput(
                 f"no scheduler answers at {self.scheduler!r} ({type(error).__name__}); start one"

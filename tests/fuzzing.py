@@ -37,7 +37,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import typer
-from poseterior.probmodel.errors.detector import DetectorErrors, ScoreFactor
 from typer.models import OptionInfo
 
 from poseterior.inference.baselines.run import _checksum
@@ -49,6 +48,7 @@ from poseterior.inference.studies.calibration.posteriors import _read as read_dr
 from poseterior.probmodel import Anatomy, BadInput, Likelihood, read_frames
 from poseterior.probmodel.datasets import from_motions, read_data_set, write_plain
 from poseterior.probmodel.datasets.cases import DataSet
+from poseterior.probmodel.errors.detector import DetectorErrors, ScoreFactor
 from poseterior.probmodel.example import example
 from poseterior.probmodel.formats import read_detections
 from poseterior.probmodel.learning.dictionaries import PoseDictionary

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.benchmark.forms import SamplerTarget
 from poseterior.inference.resampling import WEIGHTS, counting, let_pass, merged, weights_of
 from poseterior.probmodel.arrays import HDF5, ArrayFile, plain_numbers, read_array, read_tables
 from poseterior.probmodel.failures import BadInput, shown
@@ -24,12 +24,12 @@ from poseterior.probmodel.files import opened
 
 NETCDF = (".nc", ".nc4", ".h5", ".hdf5")
 CHARTS = ("points", "box", "cube")
-NUMBERS = ("log_evidence", "log_evidence_se", "evaluations", "seconds")
-FEWEST = 4
+STATED = ("log_evidence", "log_evidence_se", "evaluations", "seconds")
+FEWEST_OF_CHAIN = 4
 """Draws of a chain, of which fewer tell nothing of it."""
-ROUNDING = 1e-5
+SINGLE_ROUNDING = 1e-5
 """How far beyond its reach, in reaches, a joint may lie by the rounding of 32-bit numbers."""
-WHAT, ADVICE = "file of draws", "write one with numpy.savez('draws.npz', points=draws)"
+DRAWS_FILE, DRAWS_ADVICE = "file of draws", "write one with numpy.savez('draws.npz', points=draws)"
 
 
 @dataclass(frozen=True)
@@ -53,16 +53,16 @@ class Submission:
     seconds: float = math.nan
 
 
-def read_submission(path: str | os.PathLike, target: FrozenTarget) -> Submission:
+def read_submission(path: str | os.PathLike, target: SamplerTarget) -> Submission:
     """The draws in a file. Raises `BadInput` as `submit`, and where it is no such file."""
     if Path(path).suffix.lower() == ".npy":
-        return submit(target, points=read_array(path, WHAT, ADVICE), where=str(path))
+        return submit(target, points=read_array(path, DRAWS_FILE, DRAWS_ADVICE), where=str(path))
     if Path(path).suffix.lower() in NETCDF:
         return submit(target, **_posterior(Path(path)), where=str(path))
-    arrays = read_tables(path, WHAT, ADVICE)
-    unknown = sorted(set(arrays) - {*CHARTS, *WEIGHTS, *NUMBERS})
+    arrays = read_tables(path, DRAWS_FILE, DRAWS_ADVICE)
+    unknown = sorted(set(arrays) - {*CHARTS, *WEIGHTS, *STATED})
     if unknown:
-        known = ", ".join((*CHARTS, *WEIGHTS, *NUMBERS))
+        known = ", ".join((*CHARTS, *WEIGHTS, *STATED))
         raise BadInput(f"{path} has an array {shown(unknown[0])}; it may have {known}")
     return submit(target, **arrays, where=str(path))
 
@@ -70,11 +70,11 @@ def read_submission(path: str | os.PathLike, target: FrozenTarget) -> Submission
 def _posterior(path: Path) -> dict[str, np.ndarray]:
     """What the posterior of ArviZ's netCDF holds of the arrays that an .npz may have."""
     group = "posterior/"
-    with opened(path, WHAT, ADVICE) as file:
-        found = ArrayFile(file, str(path), WHAT, ADVICE)
+    with opened(path, DRAWS_FILE, DRAWS_ADVICE) as file:
+        found = ArrayFile(file, str(path), DRAWS_FILE, DRAWS_ADVICE)
         found.require(HDF5)
         names = [name.removeprefix(group) for name in found.names() if name.startswith(group)]
-        wanted = [name for name in (*CHARTS, *WEIGHTS, *NUMBERS) if name in names]
+        wanted = [name for name in (*CHARTS, *WEIGHTS, *STATED) if name in names]
         arrays = found.read([group + name for name in wanted])
     if not set(CHARTS) & set(wanted):
         raise BadInput(
@@ -84,7 +84,7 @@ def _posterior(path: Path) -> dict[str, np.ndarray]:
     return {name.removeprefix(group): values for name, values in arrays.items()}
 
 
-def submit(target: FrozenTarget, *, where: str = "the draws", **arrays: np.ndarray) -> Submission:
+def submit(target: SamplerTarget, *, where: str = "the draws", **arrays: np.ndarray) -> Submission:
     """Draws as arrays, by the names that they have in a file.
 
     Raises
@@ -95,7 +95,7 @@ def submit(target: FrozenTarget, *, where: str = "the draws", **arrays: np.ndarr
     """
     chart, values = _chart(arrays, target, where)
     log_weights = weights_of(arrays, values.shape[:-1], where)
-    numbers = {name: _number(arrays, name, where) for name in NUMBERS}
+    numbers = {name: _number(arrays, name, where) for name in STATED}
     if log_weights is not None:
         counts = counting(log_weights)
         given = int(counts.sum())
@@ -112,13 +112,15 @@ def submit(target: FrozenTarget, *, where: str = "the draws", **arrays: np.ndarr
 
 
 def _chart(
-    arrays: dict[str, np.ndarray], target: FrozenTarget, where: str
+    arrays: dict[str, np.ndarray], target: SamplerTarget, where: str
 ) -> tuple[str, np.ndarray]:
     """The name of the chart, and the draws in it as `(chain, draw, d)`."""
     named = [name for name in CHARTS if name in arrays]
     if len(named) != 1:
         said = " and ".join(named) or "none"
-        raise BadInput(f"{where} must have one of {', '.join(CHARTS)}, but has {said}; {ADVICE}")
+        raise BadInput(
+            f"{where} must have one of {', '.join(CHARTS)}, but has {said}; {DRAWS_ADVICE}"
+        )
     values = plain_numbers(arrays[named[0]], f"{named[0]} of {where}")
     values = values[None] if values.ndim == 2 else values
     if values.ndim != 3 or values.shape[-1] != target.dim or not values.size:
@@ -149,7 +151,7 @@ def _number(arrays: dict[str, np.ndarray], name: str, where: str) -> float:
     return found
 
 
-def _points(chart: str, values: np.ndarray, target: FrozenTarget, where: str) -> np.ndarray:
+def _points(chart: str, values: np.ndarray, target: SamplerTarget, where: str) -> np.ndarray:
     """The draws as points of R^d."""
     if chart == "points":
         return values
@@ -162,9 +164,9 @@ def _points(chart: str, values: np.ndarray, target: FrozenTarget, where: str) ->
     return target.points_of_box(values) if chart == "box" else target.prior_transform(values)
 
 
-def _require_support(points: np.ndarray, target: FrozenTarget, where: str) -> None:
+def _require_support(points: np.ndarray, target: SamplerTarget, where: str) -> None:
     misfits = target.misfits(points.reshape(-1, target.dim))
-    outside = (misfits > 1 + ROUNDING).any(axis=-1)
+    outside = (misfits > 1 + SINGLE_ROUNDING).any(axis=-1)
     if outside.any():
         worst = int(np.argmax(misfits.max(axis=0)))
         raise BadInput(
@@ -175,10 +177,10 @@ def _require_support(points: np.ndarray, target: FrozenTarget, where: str) -> No
 
 
 def _require_motion(points: np.ndarray, where: str) -> None:
-    if points.shape[1] < FEWEST:
+    if points.shape[1] < FEWEST_OF_CHAIN:
         raise BadInput(
             f"{where} come to {points.shape[1]} draws a chain, weights considered; the judge needs"
-            f" {FEWEST} at least, so run the sampler on"
+            f" {FEWEST_OF_CHAIN} at least, so run the sampler on"
         )
     still = (points == points[:, :1]).all(axis=(1, 2))
     if still.any():

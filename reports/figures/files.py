@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # What Pillow finds in a damaged image stands in our own sentence; without a handler of the user's,
 # Python would print it beside that.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
-LEVEL = 3
+PNG_LEVEL = 3
 """Of a PNG's compression: a fourteenth larger than by the usual 6, in a third of the time."""
 FORMATS = ("PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP")
 """Of images that are read; Pillow knows many more, some of which start other programs."""
@@ -43,7 +43,7 @@ def save_figure(figure: "Figure", path: str | os.PathLike) -> None:
     with replacing(path) as partial:
         options: dict[str, Any] = {}
         if kind == "png":
-            options["pil_kwargs"] = {"compress_level": LEVEL}
+            options["pil_kwargs"] = {"compress_level": PNG_LEVEL}
         figure.savefig(partial, format=kind, **options)
 
 

@@ -7,25 +7,25 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from poseterior.inference.benchmark.catalogue import load, targets
-from poseterior.inference.benchmark.contestants import GIFT
+from poseterior.inference.benchmark.entrants import GIFT
 from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, SMALL, TEXT, TITLE, page, tidy
 from poseterior.reports.tables.leaderboard import SECONDS, Line, contests, pace_of
 
-COLUMNS = 7
+LEGEND_COLUMNS = 7
 """Panels in a row."""
-COLOURS = {AGREES: PALETTE[2], DIFFERS: PALETTE[1]}
+VERDICT_COLOURS = {AGREES: PALETTE[2], DIFFERS: PALETTE[1]}
 """Of the verdicts; any other is grey."""
 DIMENSIONS = (4, 36)
 """Between which all targets are, with room for their names."""
-LEAST = 0.01
+LEAST_PACE = 0.01
 """Effective draws a second below which all are drawn alike."""
 
 
 def paces(lines: Sequence[Line]) -> Figure:
     """What each sampler earns a second on each target."""
-    figure = _dots(lines, lambda one: max(pace_of(one), LEAST))
+    figure = _dots(lines, lambda one: max(pace_of(one), LEAST_PACE))
     figure.supxlabel("effective draws earned a CPU second", fontsize=TEXT)
     return figure
 
@@ -46,7 +46,8 @@ def _dots(lines: Sequence[Line], value: Callable[[Line], float | None]) -> Figur
     and has no value."""
     own = [one for one in lines if one["budget"] == SECONDS]
     shown = [name for name in targets() if any(one["target"] == name for one in own)]
-    rows, columns = -(-len(shown) // COLUMNS), min(len(shown), COLUMNS)
+    rows = -(-len(shown) // LEGEND_COLUMNS)
+    columns = min(len(shown), LEGEND_COLUMNS)
     labels = _ranked(own)
     figure = page(1.1 + 1.25 * columns, (0.8 + 0.14 * len(labels)) * rows)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
@@ -76,7 +77,8 @@ def _panel(
     value: Callable[[Line], float | None],
 ) -> None:
     for one in lines:
-        row, place = labels.index(_label(one)), value(one) if "earned" in one else None
+        row = labels.index(_label(one))
+        place = value(one) if "earned" in one else None
         if place is None:
             axes.plot(0.04, row, "x", color=FAINT, ms=3.5, transform=axes.get_yaxis_transform())
             continue
@@ -84,7 +86,7 @@ def _panel(
             place,
             row,
             "o",
-            color=COLOURS.get(one["verdict"], FAINT),
+            color=VERDICT_COLOURS.get(one["verdict"], FAINT),
             ms=4.5,
             fillstyle="none" if one["start"] == GIFT else "full",
             gid=f"{_label(one)} {one['target']}",

@@ -7,10 +7,8 @@ time is taken; what a user waits for that is a column of its own.
 """
 
 import os
-import sys
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -31,13 +29,13 @@ from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import page as blank_page
 from poseterior.reports.figures.style import tidy
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import SHARED, Data, Page, Values, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
-DRAWS = 10_000_000
+DEVICE_DRAWS = 10_000_000
 COUNTS = (10_000, 100_000, 1_000_000, 10_000_000, 100_000_000)
 """Draws of the curve's frame."""
-FRAMES = slice(None, None, 8)
+DEVICE_FRAMES = slice(None, None, 8)
 """Of the 64."""
 COMPARED, CHECKED = 200_000, slice(None, None, 4)
 """Draws that are compared with the processor's, and in which of the frames."""
@@ -80,7 +78,8 @@ def _body(model: PoseModel, frame: Estimate, seed: int) -> tuple[RootSampler, li
 
 def draw(model: PoseModel, frame: Estimate, seed: int, number: int) -> tuple[float, float]:
     """Seconds of so many whole bodies that stay on the device, and of those for each attempt."""
-    budget, started = Budget(10**15), time.perf_counter()
+    budget = Budget(10**15)
+    started = time.perf_counter()
     body, groups = _body(model, frame, seed)
     assert body.more(number, budget)
     jax.block_until_ready([group.room for group in groups])
@@ -90,13 +89,14 @@ def draw(model: PoseModel, frame: Estimate, seed: int, number: int) -> tuple[flo
 
 def cost(model: PoseModel, frame: Estimate) -> DeviceCost:
     """Times one frame, its one candidate known."""
-    first, _ = draw(model, frame, 0, DRAWS)
-    seconds, attempt = draw(model, frame, 1, DRAWS)
+    first, _ = draw(model, frame, 0, DEVICE_DRAWS)
+    seconds, attempt = draw(model, frame, 1, DEVICE_DRAWS)
     body, groups = _body(model, frame, 2)
-    assert body.more(DRAWS, Budget(10**15))
+    assert body.more(DEVICE_DRAWS, Budget(10**15))
     levels = {group.name: group.level for group in groups}
     del body, groups
-    tables, problems = group_tables(model), limb_problems(frame.observation)
+    tables = group_tables(model)
+    problems = limb_problems(frame.observation)
 
     def set_up() -> None:
         for name, level in levels.items():
@@ -106,7 +106,7 @@ def cost(model: PoseModel, frame: Estimate) -> DeviceCost:
         (candidate,) = root_samplers(
             frame.posterior(model, CANDIDATES), jax.random.key(3), "rejection"
         )
-        assert candidate.more(DRAWS // 10, Budget(10**15))
+        assert candidate.more(DEVICE_DRAWS // 10, Budget(10**15))
 
     return DeviceCost(first, seconds, _seconds(set_up), attempt, 10 * _seconds(processor))
 
@@ -121,7 +121,8 @@ def compared(model: PoseModel, frame: Estimate) -> list[tuple[float, float]]:
     """Group by group, draws of the device beside those of the processor: the smallest p-value of
     two-sample Kolmogorov–Smirnov tests of all coordinates, times their number; and the difference
     of log evidences over its standard error."""
-    found, problems = [], limb_problems(frame.observation)
+    found = []
+    problems = limb_problems(frame.observation)
     for device in device_groups(jax.random.key(4), model, frame.observation):
         name = device.name
         tables = group_tables(model)[name]
@@ -135,7 +136,8 @@ def compared(model: PoseModel, frame: Estimate) -> list[tuple[float, float]]:
             for sampler in (device, loops)
         )
         values = [stats.ks_2samp(*pair).pvalue for pair in zip(ours.T, theirs.T, strict=True)]
-        one, other = device.rates[0], loops.rates[0]
+        one = device.rates[0]
+        other = loops.rates[0]
         error = np.sqrt(one.variance + other.variance)
         found.append(
             (
@@ -154,7 +156,7 @@ def costs_table(costs: Sequence[DeviceCost]) -> Sheet:
     """Costs over the frames: smallest, quartiles, largest."""
     seconds = np.array([item.seconds for item in costs])
     lines = {
-        "whole bodies a second": DRAWS / seconds,
+        "whole bodies a second": DEVICE_DRAWS / seconds,
         "times this machine's processor": np.array([item.processor for item in costs]) / seconds,
         "set-up, ms": 1e3 * np.array([item.set_up for item in costs]),
         "ns an attempt, all included": 1e9 * np.array([item.attempt for item in costs]),
@@ -178,14 +180,13 @@ def picture(rates: Sequence[float]) -> Figure:
     return figure
 
 
-def main(data: Path) -> None:
+def main(data: Data = SHARED) -> Page:
     """Measures, writes, and prints the page."""
-    in_doubles()
     model = PoseModel.paper()
-    sets = {"Poses of the prior, by their seeds": prior_frames(model)[FRAMES]}
+    sets = {"Poses of the prior, by their seeds": prior_frames(model)[DEVICE_FRAMES]}
     archive = data / "cmu" / "actions_train.npz"
     if archive.exists():
-        sets["Poses of CMU motion capture"] = motion_frames(archive)[FRAMES]
+        sets["Poses of CMU motion capture"] = motion_frames(archive)[DEVICE_FRAMES]
     costs = {title: [cost(model, frame) for frame in frames] for title, frames in sets.items()}
     frames = list(sets.values())[-1]
     checks = [check for frame in frames[CHECKED] for check in compared(model, frame)]
@@ -198,7 +199,7 @@ def main(data: Path) -> None:
         "device": jax.devices()[0].device_kind,
         "cores": os.cpu_count() or 1,
         "jax": jax.__version__,
-        "draws": f"{DRAWS:,}",
+        "draws": f"{DEVICE_DRAWS:,}",
         "tables": "\n\n".join(
             f"## {title}\n\n{costs_table(own).markdown()}" for title, own in costs.items()
         ),
@@ -212,8 +213,8 @@ def main(data: Path) -> None:
         "chance": f"{1 - (1 - smallest) ** len(checks):.2g}",
         "largest": f"{max(abs(score) for _, score in checks):.2f}",
     }
-    print(write_page("device", values, {"device": picture(rates)}))
+    return Page("device", values, {"device": picture(rates)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))
+    run(main)

@@ -13,7 +13,7 @@ from typing import Any
 from scipy import stats
 
 from poseterior.inference.benchmark.catalogue import load, targets
-from poseterior.inference.benchmark.contestants import EXACT, GIFT
+from poseterior.inference.benchmark.entrants import EXACT_ENGINE, GIFT
 from poseterior.inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
 from poseterior.reports.tables.comparison import gift_sentence
 from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, number
@@ -149,10 +149,10 @@ def contests(lines: Sequence[Line]) -> list[dict[str, Any]]:
     records = []
     for target in targets():
         own = [one for one in lines if one["target"] == target and one["budget"] == SECONDS]
-        exact = next((one for one in own if one["sampler"] == EXACT), None)
+        exact = next((one for one in own if one["sampler"] == EXACT_ENGINE), None)
         if exact is None:
             continue
-        others = [one for one in own if one["sampler"] != EXACT and one["start"] != GIFT]
+        others = [one for one in own if one["sampler"] != EXACT_ENGINE and one["start"] != GIFT]
         right = [one for one in others if one["verdict"] == AGREES and one["earned"] > 0]
         best = max(right, key=pace_of, default=None)
         there = [one for one in others if one.get("to_distance") is not None]

@@ -30,9 +30,10 @@ from poseterior.inference.baselines.ensemble import NumPyroKernel
 from poseterior.inference.baselines.metropolis import ADAPTIVE_WALKERS, AdaptiveKernel
 from poseterior.inference.baselines.run import Allowance
 from poseterior.inference.baselines.target import Target
-from poseterior.inference.benchmark import catalogue, contestants, draws, references
+from poseterior.inference.benchmark import catalogue, draws, entrants, references
 from poseterior.inference.benchmark.draws import Blocks, blocks_of, exact_block
-from poseterior.inference.benchmark.guests import GUESTS, ladder
+from poseterior.inference.benchmark.external import ladder
+from poseterior.inference.benchmark.external.entries import external_sampler, external_samplers
 from poseterior.inference.benchmark.programs import in_jax
 from poseterior.inference.benchmark.references import SHIPPED, sample_at, shipped_points
 from poseterior.inference.benchmark.root import GivenRoot
@@ -801,13 +802,13 @@ ENOUGH = {"ultranest": 100_000, "nrpt": 1_500_000}
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("name", GUESTS)
-def test_guests_draw_from_the_target(name: str) -> None:
-    row = GUESTS[name]
-    if row.package:
-        pytest.importorskip(row.package)
+@pytest.mark.parametrize("name", external_samplers())
+def test_external_samplers_draw_from_the_target(name: str) -> None:
+    sampler = external_sampler(name)
+    if sampler.needs:
+        pytest.importorskip(sampler.needs)
     target = benchmark.load("single")
-    outcome = row.run(target, 3, Allowance(evaluations=ENOUGH.get(name, 20_000)))
+    outcome = sampler.run(name, target, 3, Allowance(evaluations=ENOUGH.get(name, 20_000)))
     assert outcome is not None
     found = outcome.submission
     assert found.evaluations >= 5_000
@@ -852,25 +853,27 @@ def test_exact_draws_are_seldom_said_to_differ(name: str) -> None:
     assert differ <= 11
 
 
-# --- contestants
+# --- entrants
 
 
 def test_who_cannot_be_held_to_a_target_is_not_run() -> None:
     arm, soft, scene = (benchmark.load(name) for name in ("arm", "arm-soft", "scene"))
-    assert [contestants.cannot(arm, name) for name in ("exact", "smc", "nuts", "nrpt")] == [""] * 4
-    assert "soft walls are none" in contestants.cannot(soft, "nss")
-    assert "one torso and camera only" in contestants.cannot(scene, "smc")
-    assert not contestants.cannot(scene, "emcee")
+    for name in ("exact", "smc", "nuts", "nrpt"):
+        assert entrants.entrant(name).cannot(arm) == ""
+    assert "soft walls are none" in entrants.entrant("nss").cannot(soft)
+    assert "one torso and camera only" in entrants.entrant("smc").cannot(scene)
+    assert not entrants.entrant("emcee").cannot(scene)
     with pytest.raises(BadInput, match="there is no sampler 'mcmc'; choose from exact, emcee"):
-        contestants.cannot(arm, "mcmc")
+        entrants.entrant("mcmc")
 
 
 @pytest.mark.slow
 def test_a_baseline_pays_for_its_way_from_the_prior() -> None:
     """Both starts, on one arm: what was given is told, and evaluations are those of both."""
     target, allowance = benchmark.load("arm"), Allowance(evaluations=60_000)
-    given = contestants.contestant(target, "emcee", contestants.GIFT, allowance)
-    own = contestants.contestant(target, "emcee", contestants.PRIOR, allowance)
+    emcee = entrants.entrant("emcee")
+    given = emcee.run(target, entrants.GIFT, allowance)
+    own = emcee.run(target, entrants.PRIOR, allowance)
     assert given is not None
     assert own is not None
     assert given.given > 0
@@ -885,10 +888,10 @@ def test_a_baseline_pays_for_its_way_from_the_prior() -> None:
 
 @pytest.mark.slow
 def test_exact_draws_are_timed_without_what_sets_them_up() -> None:
-    outcome = contestants.contestant(benchmark.load("single"), "exact", "", Allowance())
+    outcome = entrants.entrant("exact").run(benchmark.load("single"), "", Allowance())
     assert outcome is not None
     assert 0 < outcome.kept < 1
-    assert outcome.submission.given == contestants.DRAWS
+    assert outcome.submission.given == entrants.TIMED_DRAWS
 
 
 # --- the inference gym

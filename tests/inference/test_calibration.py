@@ -54,7 +54,7 @@ from poseterior.inference.studies.calibration.quantities import (
 )
 from poseterior.inference.studies.calibration.simulations import HIDDEN, Instance
 from poseterior.inference.studies.calibration.toy import Toy, sizes
-from poseterior.inference.studies.calibration.uniformity import LEVELS, difference
+from poseterior.inference.studies.calibration.uniformity import ECDF_LEVELS, difference
 from poseterior.inference.studies.calibration.verdict import (
     CALIBRATED,
     CANNOT_TELL,
@@ -97,7 +97,7 @@ def test_the_band_and_the_test_say_the_same() -> None:
     low, high = band(200, 0.95)
     left = []
     for values in RNG(0).uniform(size=(600, 200)):
-        share = difference(values) + LEVELS
+        share = difference(values) + ECDF_LEVELS
         inside = (share >= low - 1e-12).all() and (share <= high + 1e-12).all()
         assert inside == (uniformity(values).p_value > 0.05)
         left.append(not inside)

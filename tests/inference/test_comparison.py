@@ -45,7 +45,12 @@ from poseterior.inference.studies.comparison.pace import autocorrelation_times, 
 from poseterior.inference.studies.comparison.permutation import classifier_test, permutation_tests
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate, scores
 from poseterior.inference.studies.comparison.record import Entry
-from poseterior.inference.studies.comparison.sample import NAMES, Sample, read_sample, sample_of
+from poseterior.inference.studies.comparison.sample import (
+    NAMES,
+    Sample,
+    read_sample,
+    sample_of,
+)
 from poseterior.inference.studies.flips import codes
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.root_priors import CANDIDATES

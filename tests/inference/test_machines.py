@@ -246,7 +246,7 @@ def sleeps(payload: int) -> int:
 
 def test_nobody_is_asked_where_there_is_nothing_to_do(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("poseterior.inference.machines.PATIENCE", "1s")
+    monkeypatch.setattr("poseterior.inference.machines.SCHEDULER_PATIENCE", "1s")
     nobody = Machines(scheduler="tcp://127.0.0.1:9")
     assert list(nobody.each(what_it_is, [])) == []
     with pytest.raises(BadInput, match=r"no scheduler answers at 'tcp://127.0.0.1:9'"):

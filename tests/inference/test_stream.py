@@ -10,7 +10,6 @@ import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
-from tests.scenes import drawer
 
 from poseterior import inference
 from poseterior.inference import (
@@ -25,7 +24,7 @@ from poseterior.inference import (
 from poseterior.probmodel import Anatomy, BadInput, Lens, Likelihood, PoseModel
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from poseterior.probmodel.root_priors import CANDIDATES
-from tests.scenes import key, prior_scene
+from tests.scenes import drawer, key, prior_scene
 
 SETTINGS = {"num_samples": 40, "k": 3, "keep": 40, "root": "candidates"}
 

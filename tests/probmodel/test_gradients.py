@@ -19,12 +19,18 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from numpyro.handlers import condition, seed
 from numpyro.infer.util import log_density, potential_energy, unconstrain_fn
-from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, LIMB_INDEX, ORDERS, FaultPrior, Faults
-from poseterior.probmodel.errors.laws import LAWS
 
 from poseterior.inference.baselines.rooted import RootedTarget
 from poseterior.inference.baselines.target import Target
 from poseterior.probmodel import Lens, Likelihood, PoseModel
+from poseterior.probmodel.errors.faults import (
+    EXCHANGE_INDEX,
+    LIMB_INDEX,
+    ORDERS,
+    FaultPrior,
+    Faults,
+)
+from poseterior.probmodel.errors.laws import LAWS
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.posterior import Estimate, Posterior
 from poseterior.probmodel.roots import RootPoint

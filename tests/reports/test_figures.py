@@ -29,7 +29,7 @@ from poseterior.reports import figures
 from poseterior.reports.figures.colours import LIMB_OF, MAX_NAMED
 from poseterior.reports.figures.depth import _density
 from poseterior.reports.figures.files import FORMATS
-from poseterior.reports.figures.window import MAX_DRAWS, Window, cropped
+from poseterior.reports.figures.window import WINDOW_DRAWS, Window, cropped
 from poseterior.reports.tables import heaviest, values
 from tests.reports.test_interactive import film_tree
 
@@ -101,13 +101,13 @@ def test_cloud_lies_in_the_discs_where_a_joint_was_seen(
     result: Result, five: list[Hypothesis]
 ) -> None:
     axis = figures.hypotheses_figure(result.tree, five).axes[0]
-    draws = values(result.tree, "posterior", "candidate")[:MAX_DRAWS] == heaviest(result.tree)
+    draws = values(result.tree, "posterior", "candidate")[:WINDOW_DRAWS] == heaviest(result.tree)
     for disc in named(axis, Circle, "disc"):
         (cloud,) = [
             c for c in axis.collections if c.get_gid() == disc.get_gid().replace("disc", "cloud")
         ]
         points = np.asarray(cloud.get_offsets())
-        assert len(points) == MAX_DRAWS
+        assert len(points) == WINDOW_DRAWS
         distance = np.linalg.norm(points - disc.center, axis=1)
         assert (distance[draws] <= disc.radius * (1 + 1e-6)).all()
 
@@ -227,7 +227,7 @@ def test_draws_are_thinned(result: Result, five: list[Hypothesis]) -> None:
     figure = figures.hypotheses_figure(result.tree, five)
     (lines,) = named(figure.axes[2], LineCollection, "draws")
     drawn = np.array([path.vertices for path in lines.get_paths()])
-    bones = drawn.reshape(MAX_DRAWS, len(JOINTS) - 1, 3, 2)
+    bones = drawn.reshape(WINDOW_DRAWS, len(JOINTS) - 1, 3, 2)
     assert np.isfinite(bones[:, :, :2]).all()
     assert np.isnan(bones[:, :, 2]).all()  # gaps
 

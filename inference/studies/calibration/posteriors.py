@@ -42,7 +42,7 @@ from poseterior.probmodel.skeleton import NUM_JOINTS
 
 Sampler = Callable[[int, Instance, jax.Array], Answer]
 """The number of the instance, the instance, a key of its own."""
-SUFFIXES = (".nc", ".npz", ".npy")
+DRAWS_SUFFIXES = (".nc", ".npz", ".npy")
 
 
 def sampler_of(
@@ -59,7 +59,7 @@ def sampler_of(
     its package is missing, or it holds the root fixed where it shall be uncertain."""
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
-    if name is not None and Path(name).suffix.lower() in SUFFIXES:
+    if name is not None and Path(name).suffix.lower() in DRAWS_SUFFIXES:
         return FromFile.read(Path(name))
     if name in BASELINES and root == CANDIDATES:
         check_packages(name, BASELINES[name])
@@ -67,7 +67,7 @@ def sampler_of(
     try:
         chosen = core_sampler_of(root, name, num_roots=num_roots, max_proposals=max_proposals)
     except BadInput as error:
-        raise BadInput(f"{error}, or a file of draws ({', '.join(SUFFIXES)})") from None
+        raise BadInput(f"{error}, or a file of draws ({', '.join(DRAWS_SUFFIXES)})") from None
     return functools.partial(_drawn, DetectionSampler(model, root, chosen, num_samples))
 
 
@@ -81,7 +81,7 @@ def _drawn(draw: DetectionSampler, index: int, instance: Instance, key: jax.Arra
     return Answer(draws.joints * scale[:, None, None], *told)
 
 
-ROUNDS = (1, 4, 16, 64)
+ROOT_FACTORS = (1, 4, 16, 64)
 """How many times as many roots are tried where fewer bring too few effective ones."""
 Reweigh = Callable[[WeightedRoots], WeightedRoots]
 
@@ -104,7 +104,9 @@ def independent_roots(
 
     def draw(index: int, instance: Instance, key: jax.Array) -> Answer:
         posterior = instance.frame.posterior(model)
-        for round_key, times in zip(jax.random.split(key, len(ROUNDS)), ROUNDS, strict=True):
+        for round_key, times in zip(
+            jax.random.split(key, len(ROOT_FACTORS)), ROOT_FACTORS, strict=True
+        ):
             roots_key, draws_key = jax.random.split(round_key)
             roots = reweigh(
                 weigh_roots(
@@ -140,7 +142,8 @@ def _baseline(
     key: jax.Array,
 ) -> Answer:
     given = instance.frame.posterior(model, CANDIDATES)
-    target, baseline = Target.of(given), BASELINES[name]
+    target = Target.of(given)
+    baseline = BASELINES[name]
     places = None
     if baseline.starts:
         exact = _exact_tree(model, instance, jax.random.fold_in(key, 0))

@@ -28,9 +28,9 @@ from poseterior.inference.studies.comparison.permutation import (
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate
 from poseterior.inference.studies.comparison.sample import NAMES, Sample
 
-LEVEL = 0.01
+JUDGE_LEVEL = 0.01
 """Chance that a sampler without fault is said to differ."""
-FEWEST = 100
+FEWEST_EFFECTIVE_DRAWS = 100
 """Effective draws below which no agreement is claimed: a shift of 0.3 standard deviations would go
 unseen."""
 INDEPENDENT = 0.5
@@ -86,7 +86,7 @@ def judge(
     seed: int = 0,
     evidence: tuple[float, float] = (math.nan, math.nan),
     exact_evidence: tuple[float, float] = (math.nan, math.nan),
-    level: float = LEVEL,
+    level: float = JUDGE_LEVEL,
     permutations: int = PERMUTATIONS,
 ) -> Judgement:
     """Judges draws against exact, independent ones of the same posterior.
@@ -107,7 +107,7 @@ def judge(
     coordinate_p, ess = each_coordinate(sample.values, exact.flat)
     tests: list[Test] = []
     others: list[Test] = []
-    if not mixed.stuck and worst >= FEWEST:
+    if not mixed.stuck and worst >= FEWEST_EFFECTIVE_DRAWS:
         thinned = sample if _independent(sample, worst) else sample.rows(_stride(sample, worst))
         tests, others = _tests(thinned, exact, rng, permutations)
         tests.append(_coordinates(coordinate_p, ess, sample.names))
@@ -121,16 +121,16 @@ def judge(
     joint_w1 = wasserstein(sample.flat[:, depth], exact.flat[:, depth])
     distance = sliced_wasserstein(sample.flat, exact.flat)
     return Judgement(
-        verdict,
-        sentence,
-        tuple(tests),
-        tuple(others),
-        mixed,
-        found,
-        coordinate_p,
-        joint_w1,
-        distance,
-        _evidence(evidence, exact_evidence),
+        verdict=verdict,
+        sentence=sentence,
+        tests=tuple(tests),
+        others=tuple(others),
+        mixing=mixed,
+        modes=found,
+        coordinate_p=coordinate_p,
+        joint_w1=joint_w1,
+        distance=distance,
+        evidence=_evidence(evidence, exact_evidence),
     )
 
 
@@ -162,7 +162,9 @@ def _stride(sample: Sample, worst: float) -> int:
 def _tests(
     thinned: Sample, exact: Sample, rng: np.random.Generator, permutations: int
 ) -> tuple[list[Test], list[Test]]:
-    draws, known, number = thinned.flat, exact.flat, thinned.num_draws
+    draws = thinned.flat
+    known = exact.flat
+    number = thinned.num_draws
     lengths = thinned.lengths
     rest = slice(lengths.stop, None)
     independent = "thinned draws are independent"
@@ -223,12 +225,12 @@ def _verdict(
     ):  # Holm's first step decides whether anything differs
         test = worse[0]
         return DIFFERS, f"{test.name}: p = {test.p_value:.2g} of {len(worse)} tests{_missed(found)}"
-    if worst < FEWEST:
+    if worst < FEWEST_EFFECTIVE_DRAWS:
         return (
             CANNOT_TELL,
             (
-                f"only {worst:.0f} effective draws in the worst coordinate; at least {FEWEST} are"
-                " needed"
+                f"only {worst:.0f} effective draws in the worst coordinate; at least"
+                f" {FEWEST_EFFECTIVE_DRAWS} are needed"
             ),
         )
     said = f"no test of {len(worse)} rejects at {level:g} with {worst:.0f} effective draws"

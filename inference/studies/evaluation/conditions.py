@@ -11,13 +11,13 @@ from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.root_priors import CANDIDATES, ROOT_PRIORS, UNCERTAIN
 from poseterior.probmodel.skeleton import LIMB_JOINTS
 
-ROOTS = (*ROOT_PRIORS, TRUE)
+EVALUATED_ROOTS = (*ROOT_PRIORS, TRUE)
 """What torso and camera may be: the estimator's, drawn with the pose, or the truth's own."""
 
 
 class Condition(NamedTuple):
     """What a data set is evaluated under. `missing`: limb joints, at random; `rotate`: degrees, in
-    the image; `root`: one of `ROOTS`."""
+    the image; `root`: one of `EVALUATED_ROOTS`."""
 
     estimator: str
     missing: int = 0
@@ -77,8 +77,8 @@ def conditions(
             f" {', '.join(ESTIMATORS)}"
         )
     for root in roots:
-        if root not in ROOTS:
-            raise BadInput(f"there is no root {root!r}; choose among {', '.join(ROOTS)}")
+        if root not in EVALUATED_ROOTS:
+            raise BadInput(f"there is no root {root!r}; choose among {', '.join(EVALUATED_ROOTS)}")
     for number in missing:
         if not 0 <= number <= len(LIMB_JOINTS):
             raise BadInput(f"{number} limb joints cannot be missing; there are {len(LIMB_JOINTS)}")

@@ -7,8 +7,8 @@ Markov chains start twice: in exact draws, which is a gift that nobody has, and 
 draws of it, led downhill at the sampler's expense until they are inside the walls."""
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import jax
 import numpy as np
@@ -48,22 +48,27 @@ nautilus) or soften their rims (nuts, hmc), and know of one root only."""
 ENTRANT_SEED = 3
 
 
-class Entrant(Protocol):
-    """One who is held to a target. `note`: how it is set up. `starts`: those that it may be run
-    from; one without a name where it needs none."""
+class Entrant(ABC):
+    """One who is held to a target."""
 
     @property
-    def note(self) -> str: ...
+    def note(self) -> str:
+        """How it is set up."""
+        return ""
 
     @property
-    def starts(self) -> tuple[str, ...]: ...
+    def starts(self) -> tuple[str, ...]:
+        """Those that it may be run from; one without a name where it needs none."""
+        return ("",)
 
-    def require(self) -> None:
+    def require(self) -> None:  # noqa: B027 — most need nothing
         """Raises `BadInput` where a package that it needs is not installed."""
 
     def cannot(self, target: FrozenTarget) -> str:
         """Why it is not run on a target; empty where it is."""
+        return ""
 
+    @abstractmethod
     def run(
         self, target: FrozenTarget, start: str, allowance: Allowance, seed: int = ENTRANT_SEED
     ) -> SamplerRun | None:
@@ -88,12 +93,11 @@ def entrant(name: str) -> Entrant:
 
 
 @dataclass(frozen=True)
-class ExternalEntrant:
+class ExternalEntrant(Entrant):
     """An external sampler; from where it starts is its own affair."""
 
     name: str
     sampler: ExternalSampler
-    starts: tuple[str, ...] = ("",)
 
     @property
     def note(self) -> str:
@@ -104,10 +108,6 @@ class ExternalEntrant:
         """As of an `Entrant`."""
         self.sampler.require(self.name)
 
-    def cannot(self, target: FrozenTarget) -> str:
-        """It can always be run."""
-        return ""
-
     def run(
         self, target: FrozenTarget, start: str, allowance: Allowance, seed: int = ENTRANT_SEED
     ) -> SamplerRun | None:
@@ -116,18 +116,8 @@ class ExternalEntrant:
 
 
 @dataclass(frozen=True)
-class ExactEngine:
+class ExactEngine(Entrant):
     """The engine's own draws, always as many as `TIMED_DRAWS`, whatever is allowed."""
-
-    note: str = "exact rejection"
-    starts: tuple[str, ...] = ("",)
-
-    def require(self) -> None:
-        """It needs nothing."""
-
-    def cannot(self, target: FrozenTarget) -> str:
-        """It can always be run."""
-        return ""
 
     def run(
         self, target: FrozenTarget, start: str, allowance: Allowance, seed: int = ENTRANT_SEED
@@ -154,7 +144,7 @@ class ExactEngine:
 
 
 @dataclass(frozen=True)
-class BaselineEntrant:
+class BaselineEntrant(Entrant):
     """A baseline of the product. What it is told is a density, not which pose a point is."""
 
     name: str

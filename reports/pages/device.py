@@ -8,7 +8,7 @@ time is taken; what a user waits for that is a column of its own.
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -23,12 +23,11 @@ from poseterior.inference.exact.loops.tables import LimbProblem
 from poseterior.inference.exact.mixture import RootSampler, root_samplers
 from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget
-from poseterior.inference.studies.scenes import motion_frames, prior_frames
 from poseterior.probmodel import Estimate, PoseModel
 from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import page as blank_page
-from poseterior.reports.figures.style import tidy
+from poseterior.reports.pages.clocks import digits, finish, frames_of, quartiles, timed, titled
 from poseterior.reports.pages.page import SHARED, Data, Page, Values, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
@@ -63,12 +62,6 @@ class DeviceCost(NamedTuple):
     set_up: float
     attempt: float
     processor: float
-
-
-def _seconds(action: Callable[[], object]) -> float:
-    started = time.perf_counter()
-    action()
-    return time.perf_counter() - started
 
 
 def _body(model: PoseModel, frame: Estimate, seed: int) -> tuple[RootSampler, list[DeviceGroup]]:
@@ -108,7 +101,7 @@ def cost(model: PoseModel, frame: Estimate) -> DeviceCost:
         )
         assert candidate.more(DEVICE_DRAWS // 10, Budget(10**15))
 
-    return DeviceCost(first, seconds, _seconds(set_up), attempt, 10 * _seconds(processor))
+    return DeviceCost(first, seconds, timed(set_up, 1), attempt, 10 * timed(processor, 1))
 
 
 def _handed(name: str, level: int, tables: GroupTables, limbs: tuple[LimbProblem, ...]) -> object:
@@ -148,10 +141,6 @@ def compared(model: PoseModel, frame: Estimate) -> list[tuple[float, float]]:
     return found
 
 
-def _digits(value: float) -> str:
-    return f"{value:,.3g}" if value < 1000 else f"{value:,.0f}"
-
-
 def costs_table(costs: Sequence[DeviceCost]) -> Sheet:
     """Costs over the frames: smallest, quartiles, largest."""
     seconds = np.array([item.seconds for item in costs])
@@ -162,11 +151,7 @@ def costs_table(costs: Sequence[DeviceCost]) -> Sheet:
         "ns an attempt, all included": 1e9 * np.array([item.attempt for item in costs]),
         "s of the first call": np.array([item.first for item in costs]),
     }
-    rows = [(what, *np.quantile(line, [0, 0.25, 0.5, 0.75, 1])) for what, line in lines.items()]
-    heads = ("min", "¼", "median", "¾", "max")
-    return sheet_of(
-        [f"over {len(costs)} frames", *(Column(head, form=_digits) for head in heads)], rows
-    )
+    return quartiles(f"over {len(costs)} frames", lines)
 
 
 def picture(rates: Sequence[float]) -> Figure:
@@ -175,18 +160,14 @@ def picture(rates: Sequence[float]) -> Figure:
     axis = figure.subplots()
     axis.loglog(COUNTS, rates, "o-", color=PALETTE[0])
     axis.set(xlabel="draws of one frame", ylabel="whole bodies a second, set-up included")
-    axis.grid(alpha=0.3)
-    tidy(axis)
+    finish([axis])
     return figure
 
 
 def main(data: Data = SHARED) -> Page:
     """Measures, writes, and prints the page."""
     model = PoseModel.paper()
-    sets = {"Poses of the prior, by their seeds": prior_frames(model)[DEVICE_FRAMES]}
-    archive = data / "cmu" / "actions_train.npz"
-    if archive.exists():
-        sets["Poses of CMU motion capture"] = motion_frames(archive)[DEVICE_FRAMES]
+    sets = frames_of(model, data, DEVICE_FRAMES)
     costs = {title: [cost(model, frame) for frame in frames] for title, frames in sets.items()}
     frames = list(sets.values())[-1]
     checks = [check for frame in frames[CHECKED] for check in compared(model, frame)]
@@ -200,11 +181,9 @@ def main(data: Data = SHARED) -> Page:
         "cores": os.cpu_count() or 1,
         "jax": jax.__version__,
         "draws": f"{DEVICE_DRAWS:,}",
-        "tables": "\n\n".join(
-            f"## {title}\n\n{costs_table(own).markdown()}" for title, own in costs.items()
-        ),
+        "tables": titled({title: costs_table(own) for title, own in costs.items()}),
         "curve": sheet_of(
-            ["draws of one frame", Column("whole bodies a second", form=_digits)],
+            ["draws of one frame", Column("whole bodies a second", form=digits)],
             [(f"{count:,}", rate) for count, rate in zip(COUNTS, rates, strict=True)],
         ),
         "compared": f"{COMPARED:,}",

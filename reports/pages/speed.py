@@ -35,14 +35,14 @@ from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget
 from poseterior.inference.sampler import sample
 from poseterior.inference.stream import Item, sample_frames
-from poseterior.inference.studies.scenes import motion_frames, prior_frames, prior_scene
+from poseterior.inference.studies.scenes import prior_scene
 from poseterior.probmodel import Anatomy, Estimate, PoseModel, read_detections
 from poseterior.probmodel.example import example
 from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import GROUPS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import page as blank_page
-from poseterior.reports.figures.style import tidy
+from poseterior.reports.pages.clocks import digits, finish, frames_of, quartiles, timed, titled
 from poseterior.reports.pages.page import SHARED, Data, Page, Values, in_doubles, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.evaluation import PAPERS_FRAMES
@@ -95,16 +95,6 @@ class Curve(NamedTuple):
 
     x: Sequence[float]
     y: Sequence[float]
-
-
-def timed(action: Callable[[], object], repeats: int = 3) -> float:
-    """Seconds of the fastest of some runs."""
-    found = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        action()
-        found.append(time.perf_counter() - start)
-    return min(found)
 
 
 @compiled
@@ -275,11 +265,7 @@ def stages_table(costs: dict[str, list[StageCost]]) -> Sheet:
         scale = 100.0 if what.startswith("%") else 1.0
         each = ([scale * getattr(cost, field) for cost in own] for own in costs.values())
         rows.append((what, *map(np.median, each)))
-    return sheet_of(["medians", *(Column(name, form=_digits) for name in costs)], rows)
-
-
-def _digits(value: float) -> str:
-    return f"{value:,.3g}" if value < 1000 else f"{value:,.0f}"
+    return sheet_of(["medians", *(Column(name, form=digits) for name in costs)], rows)
 
 
 def costs_table(costs: Sequence[FrameCost], floor: float) -> Sheet:
@@ -297,9 +283,7 @@ def costs_table(costs: Sequence[FrameCost], floor: float) -> Sheet:
         "times faster than naive groups": columns["naive"] * rate,
         "times the floor (23 random numbers)": 1 / rate / floor,
     }
-    rows = [(what, *np.quantile(line, [0, 0.25, 0.5, 0.75, 1])) for what, line in lines.items()]
-    heads = ("min", "¼", "median", "¾", "max")
-    return sheet_of(["over 64 frames", *(Column(head, form=_digits) for head in heads)], rows)
+    return quartiles("over 64 frames", lines)
 
 
 def _nanoseconds(head: str) -> Column:
@@ -402,7 +386,7 @@ def millions() -> Sheet:
     with ProcessPoolExecutor(1, mp_context=spawn, max_tasks_per_child=1) as pool:
         rows = [pool.submit(million, *way).result() for way in ways]
     heads = ("seconds", "MB at most", f"MB, {FEW:,} draws", "MB on disk")
-    return sheet_of(["a million draws", *(Column(head, form=_digits) for head in heads)], rows)
+    return sheet_of(["a million draws", *(Column(head, form=digits) for head in heads)], rows)
 
 
 def picture(found: dict[str, Curve], stream: Curve) -> Figure:
@@ -414,9 +398,7 @@ def picture(found: dict[str, Curve], stream: Curve) -> Figure:
         axis.set(xlabel=name, ylabel="µs a draw, set-up included")
     axes[1].plot(*stream, "o-", color=PALETTE[0])
     axes[1].set(xlabel="frames × 10,000 draws, five hypotheses each", ylabel="seconds", ylim=0)
-    for axis in axes:
-        axis.grid(alpha=0.3)
-        tidy(axis)
+    finish(axes)
     return figure
 
 
@@ -424,10 +406,7 @@ def main(data: Data = SHARED) -> Page:
     """Measures, writes, and prints the page."""
     large = millions()  # first: a process starts with the peak of the one that it comes from
     model = PoseModel.paper()
-    sets = {"Poses of the prior, by their seeds": prior_frames(model)}
-    archive = data / "cmu" / "actions_train.npz"
-    if archive.exists():
-        sets["Poses of CMU motion capture"] = motion_frames(archive)
+    sets = frames_of(model, data)
     frames = list(sets.values())[-1]
     # Compiles.
     ExactRejection().draw(frames[0].posterior(model, CANDIDATES), jax.random.key(0), 2000)
@@ -443,7 +422,7 @@ def main(data: Data = SHARED) -> Page:
     slope = float(np.polyfit(*stream, 1)[0])
     uncertain = float(np.polyfit(*streams(model, frames, UNCERTAIN), 1)[0])
     values: Values = {
-        "tables": "\n\n".join(f"## {title}\n\n{own.markdown()}" for title, own in tables.items()),
+        "tables": titled(tables),
         "draws": f"{SPEED_DRAWS:,}",
         "published": published(data),
         "cores": str(os.cpu_count()),

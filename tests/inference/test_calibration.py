@@ -11,6 +11,7 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
+from arviz_stats.base import array_stats
 from scipy import stats
 
 from poseterior.inference.draws import COMPLETE
@@ -117,6 +118,19 @@ def test_what_is_not_uniform_is_rejected(name: str, law: object) -> None:
     found = uniformity(law.rvs(1000, random_state=RNG(1)))  # type: ignore[attr-defined]
     assert found.p_value < 1e-4, (name, found)
     assert found.size == 1000
+
+
+@pytest.mark.parametrize("shape", [1.0, 1.3, 0.75])
+def test_arviz_decides_alike(shape: float) -> None:
+    """Another library's test of the same, on right, narrow and wide values (from its version 1.3.3
+    on: earlier ones scale by the range of the values, and take 0.9 times uniform ones for
+    uniform)."""
+    values = RNG(3).beta(shape, shape, size=(100, 300))
+    ours = np.array([uniformity(one).p_value for one in values])
+    theirs = np.array([float(array_stats.uniformity_test(one)[0]) for one in values])
+    assert np.mean((ours < 0.05) == (theirs < 0.05)) >= 0.85
+    assert stats.spearmanr(ours, theirs).statistic > 0.8
+    assert float(array_stats.uniformity_test(0.9 * RNG(4).uniform(size=300))[0]) < 1e-3
 
 
 def test_extreme_values_have_tiny_p_values() -> None:

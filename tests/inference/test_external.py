@@ -128,6 +128,7 @@ def test_a_user_s_sampler_is_run_and_judged_on_a_target(
     assert note.startswith(f"- *mypackage-{name}*: ")
 
 
+@pytest.mark.slow
 def test_a_user_s_sampler_is_compared_on_a_detection(installed: Path) -> None:
     """By the posterior of a frame in place of a frozen target."""
     model, frame = frozen_model(), estimate(benchmark.load("single"))

@@ -22,7 +22,7 @@ from poseterior.probmodel.errors.keypoints import DetectedKeypoint
 from poseterior.probmodel.errors.laws import LAWS, Gaussian, Student, law_of
 from poseterior.probmodel.skeleton import GROUPS
 from poseterior.reports.options import LearnedLaw
-from tests.brute_force import brute_force
+from tests.oracle import brute_force
 from tests.scenes import key, prior_scene
 
 FAMILY = 1e-3

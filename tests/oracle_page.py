@@ -30,8 +30,8 @@ against it under every route and prior of the root: log evidence, means and devi
 All differences are in standard errors of both sides together. All {rows} rows together raise a
 false alarm in one run of a thousand: the limit is {limit:.1f} for each number. *Scale × s*, a
 prior with one factor of the scale too much, and *spread × 1.05*, a law that is 5 % too wide,
-are the same draws against a wrong oracle, and must lie beyond it; by the evidence or by any of
-the other numbers.
+are the evidence of the same draws against that of a wrong oracle, and must lie beyond
+{caught:.1f}, which by chance is one case of ten thousand.
 
 {sheet}
 
@@ -64,7 +64,7 @@ def row_of(row: table.Row) -> tuple[str, ...]:
         if row.faults != "none" or (row.root == table.FIXED and control == "scale × s"):
             cells.append("")
         else:
-            cells.append(f"{np.abs(table.apart(row, draws, control)).max():.0f}")
+            cells.append(f"{abs(table.apart(row, draws, control)[0]):.1f}")
     print(*cells, sep=" | ", flush=True)
     return tuple(cells)
 
@@ -97,6 +97,7 @@ def main() -> None:
         compared=table.COMPARED,
         rows=len(table.ROWS),
         limit=table.LIMIT,
+        caught=table.CAUGHT,
         sheet=sheet.markdown(),
         planted_row=planted_row,
         planted=planted[0],

@@ -408,7 +408,7 @@ def test_settings_are_compared_to_the_last_bit(name, tmp_path):
     def go(lens=LENS, upright=20.0, factor=0.25):
         estimating = Estimating("dictionary", likelihood=Likelihood(factor=factor))
         sample_frames(
-            PoseModel(lens=lens, upright=upright),
+            PoseModel.paper(lens=lens, upright=upright),
             [Item("a", "nobody")],
             key=key(0),
             out=tmp_path,

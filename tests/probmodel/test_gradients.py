@@ -77,7 +77,7 @@ class Case(NamedTuple):
 
 @functools.cache
 def model(lens: bool) -> PoseModel:
-    whole = PoseModel()
+    whole = PoseModel.paper()
     torsos = np.asarray(whole.torsos)[:3]
     return PoseModel(whole.limits, whole.lengths, torsos, lens=LENS if lens else None)
 
@@ -167,7 +167,7 @@ def mixture(known: PoseModel, one: Case) -> Posterior:
 
 def potential(known: PoseModel, one: Case) -> Prepared:
     """What NUTS follows: the program of an uncertain root on R^d."""
-    found = one.frame.uncertain(known)
+    found = one.frame.posterior(known)
 
     def program(data: Any) -> Callable[[], jax.Array]:
         own = dataclasses.replace(found)
@@ -194,7 +194,7 @@ def potential(known: PoseModel, one: Case) -> Prepared:
 
 def summed(known: PoseModel, one: Case) -> Prepared:
     """Faults summed out, by root and joints."""
-    posterior = one.frame.uncertain(known)
+    posterior = one.frame.posterior(known)
     likelihood = SummedFaults(posterior.detected, posterior.faults, posterior.prior)
 
     def log(data: Any, at: Any) -> jax.Array:
@@ -212,7 +212,7 @@ def walked(free: bool, name: str, *more: float) -> "Prepare":
     def prepare(known: PoseModel, one: Case) -> Prepared:
         rows = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (one.point, one.pose))
         if free:
-            rooted = RootedTarget.of(one.frame.uncertain(known))
+            rooted = RootedTarget.of(one.frame.posterior(known))
             return Prepared(log, rooted, rooted.points_of(*rows)[0])
         target = Target.of(one.frame.posterior(known))
         return Prepared(log, target, target.points_of(rows[1])[0])
@@ -234,7 +234,7 @@ HELD: dict[str, Prepare] = {
 """Under a root that is held, by detectors without faults."""
 FREE: dict[str, Prepare] = {
     "program of an uncertain root": program_of(
-        lambda known, one: one.frame.uncertain(known), "detected"
+        lambda known, one: one.frame.posterior(known), "detected"
     ),
     "potential of an uncertain root": potential,
     "faults summed out": summed,

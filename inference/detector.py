@@ -25,7 +25,7 @@ from PIL import Image
 
 from poseterior.inference import network_process
 from poseterior.probmodel.detections import LARGEST_NUMBER, Detection
-from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.failures import BadInput, installing, shown
 from poseterior.probmodel.files import opened
 from poseterior.probmodel.heatmaps import THRESHOLD, Crop, Decoded, decode
 from poseterior.probmodel.layouts import Layout
@@ -323,8 +323,7 @@ def cut_out(image: np.ndarray, crop: Crop, size: tuple[int, int]) -> np.ndarray:
 def _start(path: Path, time_limit: float) -> _Process:
     if importlib.util.find_spec("onnxruntime") is None:
         raise BadInput(
-            "running a network needs onnxruntime, which is not installed; install it with: "
-            "pip install 'poseterior[detect]'"
+            f"running a network needs onnxruntime, which is not installed; {installing('detect')}"
         )
     opened(path, "network", "give an ONNX file").close()
     return _Process(path, time_limit)

@@ -282,6 +282,17 @@ class Sampler(abc.ABC):
         """As `blocks`, of a number that can be."""
 
 
+def key_of(key: jax.Array | int) -> jax.Array:
+    """A key, or that of a number: what `jax.random.key` makes of it. Raises `BadInput` where JAX
+    has no 64-bit floats: limits are decided to the last bits, and draws would be others."""
+    if not jax.config.jax_enable_x64:
+        raise BadInput(
+            "draws need 64-bit floats, which are switched off; take JAX_ENABLE_X64 out of the"
+            " environment, or call jax.config.update('jax_enable_x64', True) first"
+        )
+    return jax.random.key(key) if isinstance(key, int | np.integer) else key
+
+
 def key_words(key: jax.Array) -> str:
     """A key as the attribute `seed` has it."""
     return " ".join(map(str, words_of(key)))

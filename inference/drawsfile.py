@@ -19,11 +19,12 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
-from poseterior.inference.draws import MAX_PROPOSALS, Draws, Progress
+from poseterior.inference.draws import MAX_PROPOSALS, Draws, Progress, key_of
 from poseterior.inference.exact import warm_up
 from poseterior.inference.importance.weighted import NUM_ROOTS
 from poseterior.inference.results import BLOCK, Result, result_of, single
-from poseterior.inference.sampler import require_chains, sampler_of
+from poseterior.inference.sampler import estimated, require_chains, sampler_of
+from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.files import replacing
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
@@ -38,9 +39,9 @@ _LAST = ("log_evidence", "log_evidence_se", "weight")
 def sample_to_file(
     path: str | os.PathLike,
     model: PoseModel,
-    frame: Estimate,
+    frame: Estimate | Detection,
     *,
-    key: jax.Array,
+    key: jax.Array | int,
     sampler: str | None = None,
     num_samples: int = 10_000,
     max_proposals: int = MAX_PROPOSALS,
@@ -87,8 +88,8 @@ def sample_to_file(
         most_roots=most_roots,
         chains=require_chains(root, sampler, chains),
     )
-    posterior = frame.posterior(model, root)
-    blocks = chosen.blocks(posterior, key, num_samples, block=BLOCK, progress=progress)
+    posterior = estimated(frame).posterior(model, root)
+    blocks = chosen.blocks(posterior, key_of(key), num_samples, block=BLOCK, progress=progress)
     if num_samples > BLOCK:
         return _written(path, blocks, double)
     (draws,) = blocks

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from poseterior.inference.draws import key_of
 from poseterior.inference.exact.groups import StratifiedGroup, group_tables
 from poseterior.inference.exact.problem import limb_problems, log_ratio_of
 from poseterior.inference.exact.rates import Budget, GroupSampler
@@ -43,7 +44,7 @@ def evidence(
     model: PoseModel,
     frame: Estimate,
     *,
-    key: jax.Array,
+    key: jax.Array | int,
     candidate: int = 0,
     relative_error: float = 0.01,
     max_proposals: int = 1_000_000_000,
@@ -84,7 +85,7 @@ def evidence(
         return StratifiedGroup(key, name, group, problems[name][rows], thin)
 
     for index, (name, members) in enumerate(GROUPS.items()):
-        words = jax.random.fold_in(key, index)
+        words = jax.random.fold_in(key_of(key), index)
         found[name] = _estimate(sampler(words, name, members, slice(None)), goal, budget)
         for row, limb in enumerate(members):
             if len(members) == 1:

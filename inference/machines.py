@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, installing
 
 SCHEDULER_PATIENCE = "15s"
 """How long a scheduler may take to answer."""
@@ -350,7 +350,7 @@ def _library() -> Any:
         import distributed
     except ImportError:
         raise BadInput(
-            "a scheduler needs distributed; pip install 'poseterior[evaluate]', or leave"
+            f"a scheduler needs distributed; {installing('evaluate')}; or leave"
             " --scheduler out: workers of this machine need none"
         ) from None
     return distributed

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from poseterior.inference.draws import MAX_PROPOSALS
+from poseterior.inference.draws import MAX_PROPOSALS, key_of
 from poseterior.inference.exact.device.group import device_groups, place_group
 from poseterior.inference.exact.mixture import RootSampler
 from poseterior.inference.exact.rates import Budget
@@ -45,7 +45,7 @@ def resident_draws(
     model: PoseModel,
     frame: Estimate,
     *,
-    key: jax.Array,
+    key: jax.Array | int,
     num_samples: int,
     candidate: int = 0,
     max_proposals: int = MAX_PROPOSALS,
@@ -86,7 +86,7 @@ def resident_draws(
             f"there is no candidate {candidate}; choose from 0 to {len(posterior.candidates) - 1}"
         )
     observation, budget = posterior.observations[candidate], Budget(max_proposals)
-    groups = device_groups(key, model, observation)
+    groups = device_groups(key_of(key), model, observation)
     body = RootSampler(model, observation, groups)
     body.more(num_samples, budget)
     with jax.enable_x64(True):

@@ -8,6 +8,7 @@ import importlib.metadata
 import os
 import platform
 from dataclasses import dataclass, replace
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,11 @@ class Result:
     tree: xr.DataTree
     status: str
     sentence: str = ""
+
+    def _repr_html_(self) -> str:
+        said = f"{self.num_draws:,} draws by {self.tree.attrs.get('sampler', '?')}, {self.status}"
+        about = f"{said}: {self.sentence}" if self.sentence else said
+        return f"<p>{escape(about)}</p>{self.tree._repr_html_()}"
 
     @property
     def num_draws(self) -> int:

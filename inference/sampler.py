@@ -10,12 +10,14 @@ from typing import Any
 import jax
 
 from poseterior.inference.baselines.catalogue import BASELINES, ROOTED, BaselineSampler
-from poseterior.inference.draws import MAX_PROPOSALS, Draws, Progress, Sampler
+from poseterior.inference.draws import MAX_PROPOSALS, Draws, Progress, Sampler, key_of
+from poseterior.inference.estimators import estimate_torso
 from poseterior.inference.exact import warm_up
 from poseterior.inference.exact.mixture import ON_DEVICE, PROPOSALS, ExactRejection
 from poseterior.inference.importance.rejection import TorsoRejection
 from poseterior.inference.importance.weighted import NUM_ROOTS, WeightedSampler
 from poseterior.inference.results import Result, result_of
+from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate, require_root_prior
@@ -145,9 +147,9 @@ def _require_known(root: str, name: str) -> None:
 
 def sample(
     model: PoseModel,
-    frame: Estimate,
+    frame: Estimate | Detection,
     *,
-    key: jax.Array,
+    key: jax.Array | int,
     sampler: str | None = None,
     num_samples: int = 10_000,
     max_proposals: int = MAX_PROPOSALS,
@@ -164,9 +166,9 @@ def sample(
     model
         The prior of poses.
     frame
-        The detection with its candidates, as `estimate_torso` gives it.
+        The detection, or it with its candidates as `estimate_torso` gives them.
     key
-        Of all draws: the same key, the same draws.
+        Of all draws: the same key, the same draws. A number stands for `jax.random.key` of it.
     sampler
         One of `ROOTED_SAMPLERS`: "weighted-roots" if none is named; "rejection", a few dozen draws
         a second, which are independent; or a baseline, started in draws from weighted roots. Under
@@ -203,8 +205,8 @@ def sample(
     ------
     BadInput
         On an unknown sampler or root, a sampler or several chains that need another root, a number
-        of samples or chains that cannot be, and where the torso's seen joints do not determine a
-        camera.
+        of samples or chains that cannot be, where the torso's seen joints do not determine a
+        camera, and where JAX has no 64-bit floats.
     """
     chosen = sampler_of(
         root,
@@ -214,9 +216,15 @@ def sample(
         most_roots=most_roots,
         chains=require_chains(root, sampler, chains),
     )
-    draws = chosen.draw(frame.posterior(model, root), key, num_samples, progress)
+    posterior = estimated(frame).posterior(model, root)
+    draws = chosen.draw(posterior, key_of(key), num_samples, progress)
     warm_up.finish()
     return result_of(draws)
+
+
+def estimated(frame: Estimate | Detection) -> Estimate:
+    """An estimate, or that of a detection. Raises `BadInput` where too little was detected."""
+    return estimate_torso(frame) if isinstance(frame, Detection) else frame
 
 
 def require_chains(root: str, sampler: str | None, chains: int) -> int:

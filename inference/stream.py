@@ -25,7 +25,7 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.composition import compose
-from poseterior.inference.draws import MAX_PROPOSALS, Draws, key_words
+from poseterior.inference.draws import MAX_PROPOSALS, Draws, key_of, key_words
 from poseterior.inference.estimators import Estimating
 from poseterior.inference.hypothesis import diverse
 from poseterior.inference.machines import HERE, Machines, in_threads
@@ -106,7 +106,7 @@ def sample_frames(
     model: PoseModel,
     frames: Iterable[Item],
     *,
-    key: jax.Array,
+    key: jax.Array | int,
     out: str | os.PathLike,
     estimating: Estimating | None = None,
     sampler: str | None = None,
@@ -170,6 +170,7 @@ def sample_frames(
             f"{num_samples} samples, {k} hypotheses and {keep} kept do not go together; choose at"
             " least one sample, at most as many hypotheses, and no negative number to keep"
         )
+    key = key_of(key)
     if estimating:
         estimating([])  # refuses what would fail for everybody
     folder = Path(out)

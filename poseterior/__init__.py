@@ -3,12 +3,15 @@ streams, distributions and studies that `probmodel` and `inference` export.
 
     import poseterior as pt
 
-    frame = pt.estimate_torso(pt.read_detections("frame_keypoints.json")[0])
-    result = pt.sample(pt.PoseModel(), frame, key=jax.random.key(0), num_samples=10_000)
+    person = pt.read_detections("frame_keypoints.json")[0]  # or pt.detections_of(array)
+    result = pt.sample(pt.PoseModel(), person, key=0, num_samples=10_000)
 
 Names are looked up when they are first used: the import itself costs next to nothing, and does not
-bring JAX along."""
+bring JAX along. It switches JAX's 64-bit floats on, without which limits, which are decided to the
+last bits, would be others; a JAX_ENABLE_X64 in the environment has its way."""
 
+import os
+import sys
 from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Any
 
@@ -72,6 +75,7 @@ if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors
         TorsoCameraPrior,
         TorsoDictionary,
         WeakPerspective,
+        detections_of,
         read_detections,
         read_frames,
         read_published,
@@ -145,6 +149,7 @@ __all__ = [
     "compare",
     "composed",
     "cover",
+    "detections_of",
     "diverse",
     "draws_of",
     "estimate_torso",
@@ -166,6 +171,21 @@ __all__ = [
     "sample_to_file",
     "write_detections",
 ]
+
+
+def _switch_doubles_on() -> None:
+    """Of a JAX that is here already, by its configuration; else of the one that will come."""
+    if "JAX_ENABLE_X64" in os.environ:
+        return
+    if "jax" in sys.modules:
+        import jax
+
+        jax.config.update("jax_enable_x64", True)
+    else:
+        os.environ["JAX_ENABLE_X64"] = "1"
+
+
+_switch_doubles_on()
 
 
 def __getattr__(name: str) -> Any:

@@ -23,6 +23,7 @@ from .formats import read_detections as read_detections
 from .formats import write_detections as write_detections
 from .formats.frames import DetectedFrame as DetectedFrame
 from .formats.frames import read_frames as read_frames
+from .formats.values import detections_of as detections_of
 from .model import PoseModel as PoseModel
 from .observation import Observation as Observation
 from .posterior import Estimate as Estimate

@@ -7,6 +7,7 @@ returns. What the scores mean for the likelihood: `probmodel.errors.likelihood`.
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 import numpy.typing as npt
@@ -111,6 +112,16 @@ class Detection:
         _check_labels(self.person, self.image_id, self.image_size, self.where)
         if self.track is not None and not is_label(self.track):
             raise BadInput(f"the track of {self.where} must be {_LABEL}, not {shown(self.track)}.")
+
+    def _repr_html_(self) -> str:
+        """A table of what was seen, for notebooks."""
+        rows = "".join(
+            f"<tr><td>{name}</td><td>{x:.1f}</td><td>{y:.1f}</td><td>{score:.2f}</td></tr>"
+            for name, (x, y), score in zip(JOINTS, self.keypoints, self.score, strict=True)
+            if score > 0
+        )
+        head = "<tr><th>joint</th><th>x</th><th>y</th><th>score</th></tr>"
+        return f"<table><caption>{escape(self.where)}</caption>{head}{rows}</table>"
 
     @property
     def where(self) -> str:

@@ -16,6 +16,12 @@ class OutOfBudget(RuntimeError):
     3)."""
 
 
+def installing(extra: str) -> str:
+    """How an extra of this package is installed, for a message. It is on no index, so that its name
+    alone would install nothing."""
+    return f"pip install '.[{extra}]' in a clone of poseterior, or 'WHEEL[{extra}]' of its wheel"
+
+
 LONGEST_SHOWN = 120
 
 

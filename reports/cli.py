@@ -36,7 +36,6 @@ COMMANDS: dict[str, type] = {
 }
 app = typer.Typer(
     name="poseterior",
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     epilog="Exit codes: 2 bad input, 3 a sampler that could not make what was asked for, 1 a bug.",
@@ -78,10 +77,13 @@ def _show_version(wanted: bool) -> None:
 def _about(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="Say the version."),
+        typer.Option(
+            "--version", "-v", callback=_show_version, is_eager=True, help="Say the version."
+        ),
     ] = False,
 ) -> None:
-    """Exact posteriors over human 3D pose given 2D joint detections."""
+    """Posteriors over human 3D pose given 2D joint detections: weighted draws, and exact ones by
+    rejection."""
 
 
 def declared(group: Any, given: object = None) -> Iterator[inspect.Parameter]:
@@ -170,7 +172,7 @@ def _compile_ahead(root: str, screen: Screen) -> None:
 
 def _typed(context: typer.Context, name: str) -> bool:
     source = context.get_parameter_source(name)
-    return source is not None and source.name == "COMMANDLINE"
+    return source is not None and source.name in ("COMMANDLINE", "DEFAULT_MAP")
 
 
 for _name, _kind in COMMANDS.items():

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from typer import Argument, Option
 
 from poseterior.probmodel.errors import LAW_NAMES
-from poseterior.reports import console
+from poseterior.reports import configuration, console
 
 if TYPE_CHECKING:
     import numpy as np
@@ -179,6 +179,15 @@ class LearnedLaw(enum.StrEnum):
 class Screen:
     """How a command speaks: with progress or without, in tables or JSON."""
 
+    config: Annotated[
+        Path | None,
+        Option(
+            is_eager=True,
+            callback=configuration.take,
+            help="A TOML file of options by their names: num-samples = 1000. What is on the command"
+            " line wins.",
+        ),
+    ] = None
     quiet: Annotated[bool, Option("--quiet", help="No progress.")] = False
     json: Annotated[
         bool, Option("--json", help="Results on stdout as JSON instead of a table.")

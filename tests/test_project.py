@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 import yaml
 
+from poseterior.inference.benchmark import targets
+
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
@@ -78,3 +80,38 @@ def test_classifiers_are_true() -> None:
     python = (ROOT / ".python-version").read_text(encoding="utf-8").strip()
     assert f"Programming Language :: Python :: {python}" in PROJECT["classifiers"]
     assert (ROOT / "poseterior" / "py.typed").exists()
+
+
+def test_no_page_promises_an_index_that_does_not_have_us() -> None:
+    """What installs an extra is said by one function, and its extras are there."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
+    folders = ("probmodel", "inference", "reports", "docs", "examples")
+    files = [
+        path for one in folders for path in (ROOT / one).rglob("*") if path.suffix in (".py", ".md")
+    ]
+    texts = {path: path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *files)}
+    assert [path for path, text in texts.items() if re.search(r"poseterior\[\w", text)] == []
+    named = {
+        one for text in texts.values() for one in re.findall(r"""installing\(["'](\w+)""", text)
+    }
+    assert named
+    assert named <= extras.keys()
+
+
+def test_pages_count_the_targets_that_there_are() -> None:
+    found = targets()
+    soft = sum(name.endswith("-soft") for name in found)
+    first = f"{len(found)} frozen targets"
+    assert first in (ROOT / "README.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/benchmark.md").read_text(encoding="utf-8")
+    assert (
+        f"{first}: {len(found) - soft} posteriors over human poses with hard walls, {soft} of which"
+        in page
+    )
+    board = (ROOT / "reports/leaderboard.md").read_text(encoding="utf-8")
+    listed = re.findall(r"<summary>([\w-]+), \d+ dimensions: equal processor time", board)
+    assert f"on {len(listed)} of the {len(found)} frozen targets" in board
+    assert set(listed) <= found.keys()
+    assert f"on {len(listed)} of them" in page

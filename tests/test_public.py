@@ -7,10 +7,12 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
+import jax
 import pytest
 
 import poseterior
 from poseterior import inference, probmodel
+from poseterior.probmodel.example import example
 
 ROOT = Path(__file__).parents[1]
 
@@ -76,3 +78,37 @@ def test_a_stranger_of_our_name_stands_beside_us(tmp_path: Path, name: str) -> N
     )
     done = python(code, tmp_path / "strange", ROOT, cwd=tmp_path)
     assert done.stdout.split() == ["False", "True"], done.stderr
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("import poseterior, jax", "True"),
+        ("import jax, poseterior", "True"),
+        ("import os; os.environ['JAX_ENABLE_X64'] = '0'; import poseterior, jax", "False"),
+    ],
+)
+def test_doubles_are_switched_on_unless_the_environment_says_no(
+    tmp_path: Path, before: str, after: str
+) -> None:
+    clean = "import os; os.environ.pop('JAX_ENABLE_X64', 0)"
+    code = f"{clean}\n{before}\nprint(jax.config.jax_enable_x64)"
+    done = python(code, ROOT, cwd=tmp_path)
+    assert done.stdout.strip() == after, done.stderr
+
+
+def test_a_number_is_a_key_and_single_precision_is_refused() -> None:
+    from poseterior.inference.draws import key_of, key_words
+
+    assert key_words(key_of(7)) == key_words(key_of(jax.random.key(7)))
+    with jax.enable_x64(False), pytest.raises(poseterior.BadInput, match="64-bit floats"):
+        key_of(7)
+
+
+def test_a_detection_is_estimated_on_the_way() -> None:
+    from poseterior.inference.sampler import estimated
+
+    detection = example().detection
+    frame = estimated(detection)
+    assert frame.detection is detection
+    assert estimated(frame) is frame

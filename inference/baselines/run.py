@@ -21,7 +21,7 @@ from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET, Progress
 from poseterior.probmodel.arrays import read_tables
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.errors.laws import ErrorLaw
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, installing
 from poseterior.probmodel.files import replacing
 from poseterior.probmodel.pose import Pose
 
@@ -298,8 +298,8 @@ def check_packages(name: str, baseline: Baseline) -> None:
     missing = [package for package in baseline.extra if importlib.util.find_spec(package) is None]
     if missing:
         raise BadInput(
-            f"the sampler {name} needs {' and '.join(missing)}, which is not installed; "
-            'install "poseterior[samplers]", or choose another'
+            f"the sampler {name} needs {' and '.join(missing)}, which is not installed;"
+            f" {installing('samplers')}; or choose another"
         )
 
 

@@ -4,7 +4,7 @@
     model.unnormalized_log_prob(model.default_event_space_bijector(jnp.zeros(6)))
     model.sample_transformations["identity"].ground_truth_mean
 
-It needs `pip install 'poseterior[gym]'`: the gym, and TensorFlow Probability as it is built every
+It needs `pip install '.[gym]'`: the gym, and TensorFlow Probability as it is built every
 night, because its last release does not run on this JAX."""
 
 import math

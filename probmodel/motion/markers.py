@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from poseterior.probmodel.arrays import doubles
-from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.failures import BadInput, installing, shown
 from poseterior.probmodel.files import read_bytes
 from poseterior.probmodel.layouts import MIDPOINTS, spoken_name
 from poseterior.probmodel.motion.recording import (
@@ -80,7 +80,7 @@ def read_c3d(path: Path, names: Mapping[str, str] | None = None) -> list[Motion]
         import c3d
     except ImportError:
         raise BadInput(
-            "C3D files need the package c3d; pip install 'poseterior[export]', or give TRC"
+            f"C3D files need the package c3d; {installing('export')}; or give TRC"
         ) from None
     data = read_bytes(path, "motion capture", "check the path", largest=LARGEST_TEXT)
     try:

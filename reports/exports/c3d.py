@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, installing
 from poseterior.probmodel.files import replacing
 from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS
 from poseterior.reports.exports.clip import UNITS, Clip
@@ -34,8 +34,7 @@ def write_c3d(clip: Clip, path: Path, unit: str) -> None:
         import c3d
     except ImportError:
         raise BadInput(
-            "C3D files need the package c3d; pip install 'poseterior[export]', or choose another"
-            " --to"
+            f"C3D files need the package c3d; {installing('export')}; or choose another --to"
         ) from None
     clip = clip.regular()
     if len(clip.joints) > MOST_FRAMES:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, installing
 from poseterior.probmodel.files import replacing
 from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS, PARENTS
 from poseterior.reports.exports.clip import Clip
@@ -47,8 +47,7 @@ def write_gltf(clip: Clip, path: Path, unit: str) -> None:
         import pygltflib
     except ImportError:
         raise BadInput(
-            "glTF files need the package pygltflib; pip install 'poseterior[export]', or choose"
-            " another --to"
+            f"glTF files need the package pygltflib; {installing('export')}; or choose another --to"
         ) from None
     if not clip.film and len(clip.joints) > MOST_GHOSTS:
         raise BadInput(

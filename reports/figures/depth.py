@@ -12,7 +12,7 @@ from poseterior.probmodel.skeleton import JOINTS, TORSO_INDEX
 from poseterior.reports.figures.colours import COLOURS, LIMB_OF, OTHER_COLOUR
 from poseterior.reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, TITLE, Style, note, page
 from poseterior.reports.tables.posterior import heaviest, is_uncertain, values
-from poseterior.reports.tables.words import spoken
+from poseterior.reports.tables.words import spoken, undetected
 
 
 def depth_figure(tree: xr.DataTree) -> Figure:
@@ -26,7 +26,10 @@ def depth_figure(tree: xr.DataTree) -> Figure:
     _draw_ridges(ridges, tree, joints)
     _draw_spreads(spreads, tree, joints)
     seen = values(tree, "observed_data", "score") > 0
-    names = [spoken(JOINTS[joint]) + ("" if seen[joint] else " (missing)") for joint in joints]
+    names = [
+        spoken(JOINTS[joint]) if seen[joint] else f"{undetected(JOINTS[joint])} (not detected)"
+        for joint in joints
+    ]
     if not uncertain:
         names.append("torso and camera")
         spreads.annotate(

@@ -52,7 +52,7 @@ from poseterior.reports.tables.posterior import (
     values,
 )
 from poseterior.reports.tables.sheet import percent
-from poseterior.reports.tables.words import spoken
+from poseterior.reports.tables.words import undetected
 
 if TYPE_CHECKING:
     from poseterior.inference.hypothesis import Hypothesis
@@ -271,11 +271,13 @@ def _draw_detections(
     axis.set_ylim(window.high[1], window.low[1])
     axis.spines[:].set_visible(True)
     axis.spines[:].set(color="#CCCCCC", lw=0.6)
-    lost = [spoken(JOINTS[joint]) for joint in LIMB_OF if not np.isfinite(keypoints[joint]).all()]
+    lost = [
+        undetected(JOINTS[joint]) for joint in LIMB_OF if not np.isfinite(keypoints[joint]).all()
+    ]
     sentences = ["purple: right, green: left"]
     sentences += [] if is_uncertain(tree) else ["torso and camera: held fixed"]
     sentences += faults.lines if faults else []
-    footnote(axis, *sentences, *(["missing: " + ", ".join(lost)] if lost else []))
+    footnote(axis, *sentences, *(["not detected: " + ", ".join(lost)] if lost else []))
 
 
 def _draw_view(axis: Axes, view: Pane, flat: Flat) -> None:

@@ -1,102 +1,81 @@
-"""The leaderboard in pictures: a row a sampler, a panel a target, so that twenty samplers need no
-legend; and how the ratio of exact draws to the best other grows with the dimension."""
+"""The leaderboard in pictures: a row a sampler, a column a target; and how the ratio of exact draws
+to the best other grows with the dimension."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from poseterior.inference.benchmark.catalogue import load, targets
-from poseterior.inference.benchmark.entrants import GIFT
-from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
+from poseterior.inference.studies.comparison.judge import (
+    AGREES,
+    CANNOT_TELL,
+    DIFFERS,
+    UNMIXED,
+)
 from poseterior.reports.figures.colours import PALETTE
-from poseterior.reports.figures.style import FAINT, SMALL, TEXT, TITLE, page, tidy
-from poseterior.reports.tables.leaderboard import SECONDS, Line, contests, pace_of
+from poseterior.reports.figures.style import INK, SMALL, page, tidy
+from poseterior.reports.tables.leaderboard import (
+    Line,
+    contests,
+    entered,
+    pace_of,
+    ranking,
+    verdict_of,
+)
 
-LEGEND_COLUMNS = 7
-"""Panels in a row."""
-VERDICT_COLOURS = {AGREES: PALETTE[2], DIFFERS: PALETTE[1]}
-"""Of the verdicts; any other is grey."""
+VERDICT_COLOURS = {AGREES: PALETTE[2], DIFFERS: PALETTE[1], UNMIXED: "#F0E442"}
+"""Of the verdicts; any other is white."""
 DIMENSIONS = (4, 36)
 """Between which all targets are, with room for their names."""
-LEAST_PACE = 0.01
-"""Effective draws a second below which all are drawn alike."""
+MARKS = {CANNOT_TELL: "?", "no draws": "·"}
+"""What stands in a cell that has no number to believe."""
 
 
-def paces(lines: Sequence[Line]) -> Figure:
-    """What each sampler earns a second on each target."""
-    figure = _dots(lines, lambda one: max(pace_of(one), LEAST_PACE))
-    figure.supxlabel("effective draws earned a CPU second", fontsize=TEXT)
-    return figure
-
-
-def times(lines: Sequence[Line]) -> Figure:
-    """How long each sampler takes to come within 0.1 sd on each target."""
-    figure = _dots(lines, lambda one: one["to_distance"])
-    figure.supxlabel("CPU seconds to 0.1 standard deviations", fontsize=TEXT)
-    return figure
-
-
-def _label(line: Line) -> str:
-    return line["sampler"] + (" (given)" if line["start"] == GIFT else "")
-
-
-def _dots(lines: Sequence[Line], value: Callable[[Line], float | None]) -> Figure:
-    """Small multiples: a row a sampler and start, best ones above; a cross at the left where it ran
-    and has no value."""
-    own = [one for one in lines if one["budget"] == SECONDS]
+def standings(lines: Sequence[Line]) -> Figure:
+    """A row a sampler in the order of the ranking, a column a target: the colour is the verdict,
+    the number what it earned a second."""
+    own = entered(lines)
+    rows = [str(record["sampler"]) for record in ranking(lines).records]
     shown = [name for name in targets() if any(one["target"] == name for one in own)]
-    rows = -(-len(shown) // LEGEND_COLUMNS)
-    columns = min(len(shown), LEGEND_COLUMNS)
-    labels = _ranked(own)
-    figure = page(1.1 + 1.25 * columns, (0.8 + 0.14 * len(labels)) * rows)
-    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
-    for axes in panels[len(shown) :]:
-        axes.set_visible(False)
-    for axes, target in zip(panels, shown, strict=False):
-        _panel(axes, [one for one in own if one["target"] == target], labels, value)
-        axes.set_title(f"{target}, {load(target).dim}", fontsize=TITLE - 1)
-    panels[0].set_yticks(range(len(labels)), labels)
-    panels[0].set_ylim(len(labels) - 0.5, -0.5)
+    figure = page(1.2 + 0.5 * len(shown), 1.5 + 0.24 * len(rows))
+    axes = figure.subplots()
+    for one in own:
+        _cell(axes, shown.index(one["target"]), rows.index(one["sampler"]), one)
+    axes.set_xticks(range(len(shown)), [f"{name}, {load(name).dim}" for name in shown])
+    axes.tick_params(axis="x", rotation=40, labeltop=True, labelbottom=False, length=0)
+    for label in axes.get_xticklabels():
+        label.set(ha="left", rotation_mode="anchor")
+    axes.set_yticks(range(len(rows)), rows)
+    axes.tick_params(axis="y", length=0)
+    axes.tick_params(labelsize=SMALL + 1)
+    axes.set(xlim=(-0.5, len(shown) - 0.5), ylim=(len(rows) - 0.5, -0.5))
+    axes.spines[:].set_visible(False)
     return figure
 
 
-def _ranked(lines: Sequence[Line]) -> list[str]:
-    """Labels of the rows, those first that agree most often, and then those that earn most."""
-    agreeing: dict[str, tuple[int, float]] = {}
-    for one in lines:
-        number, most = agreeing.get(_label(one), (0, 0.0))
-        agreeing[_label(one)] = number + (one["verdict"] == AGREES), max(most, pace_of(one))
-    return sorted(agreeing, key=lambda label: agreeing[label], reverse=True)
+def _cell(axes: Axes, column: int, row: int, line: Line) -> None:
+    said = verdict_of(line)
+    colour = VERDICT_COLOURS.get(said, "white")
+    place = (column - 0.48, row - 0.46)
+    axes.add_patch(Rectangle(place, 0.96, 0.92, color=colour, alpha=0.55, lw=0))
+    number = "" if said in MARKS else _short(pace_of(line))
+    axes.text(
+        *(column, row, MARKS.get(said, number)),
+        ha="center",
+        va="center",
+        fontsize=SMALL,
+        color=INK,
+        gid=f"{line['sampler']} {line['target']}",
+    )
 
 
-def _panel(
-    axes: Axes,
-    lines: Sequence[Line],
-    labels: list[str],
-    value: Callable[[Line], float | None],
-) -> None:
-    for one in lines:
-        row = labels.index(_label(one))
-        place = value(one) if "earned" in one else None
-        if place is None:
-            axes.plot(0.04, row, "x", color=FAINT, ms=3.5, transform=axes.get_yaxis_transform())
-            continue
-        axes.plot(
-            place,
-            row,
-            "o",
-            color=VERDICT_COLOURS.get(one["verdict"], FAINT),
-            ms=4.5,
-            fillstyle="none" if one["start"] == GIFT else "full",
-            gid=f"{_label(one)} {one['target']}",
-        )
-    axes.set(xscale="log")
-    axes.grid(axis="y", color="#e6e6e6", lw=0.6)
-    axes.set_axisbelow(True)
-    axes.tick_params(labelsize=SMALL, length=2)
-    axes.tick_params(axis="y", length=0)
-    tidy(axes)
+def _short(pace: float) -> str:
+    """A rate in four characters."""
+    if pace >= 1000:
+        return f"{pace / 1000:.0f}k"
+    return f"{pace:.0f}" if pace >= 10 else f"{pace:.1f}"
 
 
 def growth(lines: Sequence[Line]) -> Figure:

@@ -19,7 +19,7 @@ from poseterior.reports.figures.body import draw_detection, draw_image
 from poseterior.reports.figures.colours import COLOURS
 from poseterior.reports.figures.style import DPI, INK, LEGEND, TITLE, Style, blank, note, page
 from poseterior.reports.figures.window import corners_of
-from poseterior.reports.tables.words import spoken
+from poseterior.reports.tables.words import spoken, undetected
 
 OVERLAY_WIDTH = 8.0
 """Inches, names on both sides included."""
@@ -83,8 +83,9 @@ def overlay_figure(
     title = f"{detection.layout}, person {detection.person}"
     title += " (see the warnings)" if warned else ""
     axis.set_title(title, loc="left", fontsize=TITLE, fontweight="bold", color=INK)
-    missing = [spoken(name) for name, seen in zip(JOINTS, detection.seen, strict=True) if not seen]
-    words = "purple: right, green: left" + (f"; missing: {', '.join(missing)}" if missing else "")
+    joints = zip(JOINTS, detection.seen, strict=True)
+    lost = [undetected(name) for name, seen in joints if not seen]
+    words = "purple: right, green: left" + (f"; not detected: {', '.join(lost)}" if lost else "")
     note(axis, words, y=-0.015, fontsize=LEGEND, gid="note")
     return figure
 

@@ -31,7 +31,7 @@ from poseterior.reports.tables.posterior import (
     values,
 )
 from poseterior.reports.tables.sheet import percent, signed
-from poseterior.reports.tables.words import facing_words, pose_facing, spoken
+from poseterior.reports.tables.words import facing_words, pose_facing, spoken, undetected
 
 MAX_DRAWS = 1000
 """Draws that a page holds; marginals are of all that are shown."""
@@ -212,7 +212,7 @@ def _doubts(result: Result) -> list[str]:
 
 def _sentences(tree: xr.DataTree, hypotheses: Sequence[Hypothesis]) -> list[str]:
     seen = values(tree, "observed_data", "score") > 0
-    lost = [spoken(JOINTS[joint]) for joint in LIMB_OF if not seen[joint]]
+    lost = [undetected(JOINTS[joint]) for joint in LIMB_OF if not seen[joint]]
     joint = _widest(tree)
     sd = float(values(tree, "posterior", "joints")[:, joint, 2].std())
     found = [

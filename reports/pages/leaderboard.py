@@ -34,7 +34,7 @@ from poseterior.inference.studies.comparison.cost import course
 from poseterior.inference.studies.comparison.sample import Sample
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.files import replacing
-from poseterior.reports.figures.leaderboard import growth, paces, times
+from poseterior.reports.figures.leaderboard import growth, standings
 from poseterior.reports.pages.page import Page, Values, run
 from poseterior.reports.tables.benchmark import verdict_record
 from poseterior.reports.tables.leaderboard import (
@@ -44,6 +44,7 @@ from poseterior.reports.tables.leaderboard import (
     alarms,
     board,
     finite,
+    ranking,
     ratios,
     read_alarms,
     sorted_lines,
@@ -183,7 +184,8 @@ def values(lines: list[Line], work: Path) -> Values:
     """What fills the page."""
     titles = {SECONDS: "equal processor time", EVALUATIONS: "equal evaluations"}
     boards = [
-        f"### {target}, {load(target).dim} dimensions: {words}\n\n{sheet.markdown()}"
+        f"<details><summary>{target}, {load(target).dim} dimensions: {words}</summary>\n\n"
+        f"{sheet.markdown()}\n\n</details>"
         for target in targets()
         for budget, words in titles.items()
         if (sheet := board(_run(lines), target, budget)).records
@@ -191,6 +193,9 @@ def values(lines: list[Line], work: Path) -> Values:
     ran = {one["sampler"] for one in _run(lines)}
     left = [name for name in BASELINES if name not in ran]
     return {
+        "ranking": ranking(_run(lines)),
+        "samplers": str(len(ran)),
+        "targets": f"{len({one['target'] for one in lines})} of the {len(targets())}",
         "ratios": ratios(_run(lines)),
         "alarms": alarms(read_alarms(work)),
         "boards": "\n\n".join(boards),
@@ -258,8 +263,7 @@ def main(
     false_alarms(judged, sets, work)
     lines = lines_in(work)
     pictures = {
-        "leaderboard": paces(_run(lines)),
-        "leaderboard_times": times(_run(lines)),
+        "leaderboard": standings(_run(lines)),
         "leaderboard_growth": growth(_run(lines)),
     }
     return Page("leaderboard", values(lines, work), pictures)

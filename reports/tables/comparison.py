@@ -11,7 +11,7 @@ deviations.
 import xarray as xr
 
 from poseterior.inference.studies.comparison.distances import MILLIMETRES
-from poseterior.inference.studies.comparison.judge import AGREES
+from poseterior.inference.studies.comparison.judge import AGREES, UNMIXED
 from poseterior.reports.tables.sheet import (
     NOTHING,
     Column,
@@ -24,8 +24,6 @@ from poseterior.reports.tables.sheet import (
 
 NARROW = ("sampler", "verdict", "ESS", "earned/s", "R-hat", "missed", "depth off")
 """The columns that matter most, for a narrow terminal."""
-CHAINS_APART = 1.1
-"""R-hat beyond which chains are not yet one sample (Gelman & Rubin 1992)."""
 WIDE = 120
 """Characters that all columns need."""
 
@@ -60,12 +58,12 @@ def gift_sentence(record: Record) -> str:
         Empty where it does not agree, was given nothing, or has earned more than it was given and
         its chains are one sample.
     """
-    if record["verdict"] != AGREES or not record["start"]:
+    if record["verdict"] not in (AGREES, UNMIXED) or not record["start"]:
         return ""
     earned = (record["ess_per_second"] or 0.0) * record["seconds"]
     apart = record["rhat_worst"]
     worth = record["ess_worst"]
-    far = apart is not None and apart > CHAINS_APART
+    far = apart is not None and apart > APART
     if earned >= worth / 2 and not far:
         return ""
     said = f", and R-hat {apart:.2f} says that its chains are still far apart" if far else ""

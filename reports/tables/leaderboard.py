@@ -6,6 +6,8 @@ one start, under one budget.
 standard deviations for good."""
 
 import math
+import statistics
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,13 @@ from scipy import stats
 
 from poseterior.inference.benchmark.catalogue import load, targets
 from poseterior.inference.benchmark.entrants import EXACT_ENGINE, GIFT
-from poseterior.inference.studies.comparison.judge import AGREES, CANNOT_TELL, DIFFERS
+from poseterior.inference.studies.comparison.judge import (
+    AGREES,
+    CANNOT_TELL,
+    DIFFERS,
+    UNMIXED,
+)
+from poseterior.inference.studies.comparison.mixing import CHAINS_APART
 from poseterior.reports.tables.comparison import gift_sentence
 from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, number
 
@@ -26,6 +34,63 @@ Line = Mapping[str, Any]
 def pace_of(line: Line) -> float:
     """What it earned a second; -1 where it brought no draws."""
     return line["earned"] / line["seconds"] if "earned" in line else -1.0
+
+
+def verdict_of(line: Line) -> str:
+    """What the judge said; of lines that were kept from before it had a word for chains that are
+    still apart, that word."""
+    apart = line["verdict"] == AGREES and (line.get("rhat_worst") or 0.0) > CHAINS_APART
+    return UNMIXED if apart else line["verdict"]
+
+
+def said_of(line: Line) -> str:
+    """The verdict and, where it cannot tell, how much longer a run would have to be."""
+    said = verdict_of(line)
+    if said != CANNOT_TELL or not line["effective_draws"]:
+        return said
+    return (
+        f"{said}: run {math.ceil(FEWEST_EFFECTIVE_DRAWS / line['effective_draws'])} times as long"
+    )
+
+
+def entered(lines: Iterable[Line]) -> list[Line]:
+    """Lines that are ranked: of equal processor time, by samplers that were given nothing."""
+    return [one for one in lines if one["budget"] == SECONDS and one["start"] != GIFT]
+
+
+def ranking(lines: Sequence[Line]) -> Sheet:
+    """All samplers on all targets: those first that agree on most of them, then those that are
+    least behind exact draws."""
+    own = entered(lines)
+    exact = {one["target"]: pace_of(one) for one in own if one["sampler"] == EXACT_ENGINE}
+    records = []
+    for name in dict.fromkeys(one["sampler"] for one in own):
+        mine = [one for one in own if one["sampler"] == name]
+        said = Counter(map(verdict_of, mine))
+        right = [one for one in mine if verdict_of(one) == AGREES]
+        behind = [exact[one["target"]] / pace_of(one) for one in right if pace_of(one) > 0]
+        records.append(
+            {
+                "sampler": name,
+                "agrees": said[AGREES],
+                "of": len(mine),
+                "dim": max((load(one["target"]).dim for one in right), default=None),
+                "behind": statistics.median(behind) if behind else None,
+                "unmixed": said[UNMIXED],
+                "differs": said[DIFFERS],
+                "cannot tell": said[CANNOT_TELL],
+                "no draws": said["no draws"],
+            }
+        )
+    records.sort(key=lambda one: (-one["agrees"], one["behind"] or math.inf))
+    columns = (
+        Column("sampler", left=True),
+        Column("agrees on", lambda one: f"{one['agrees']} of {one['of']}"),
+        Column("up to dimension", "dim"),
+        Column("exact draws ahead, times (median)", "behind", _count),
+        *(Column(head) for head in (UNMIXED, DIFFERS, CANNOT_TELL, "no draws")),
+    )
+    return Sheet(columns, records)
 
 
 def sorted_lines(lines: Iterable[Line]) -> list[Line]:
@@ -41,7 +106,7 @@ def board(lines: Sequence[Line], target: str, budget: str) -> Sheet:
     columns = (
         Column("sampler", left=True),
         Column("start", lambda one: one["start"] or NOTHING, left=True),
-        Column("verdict", left=True),
+        Column("verdict", said_of, left=True),
         Column("effective draws", lambda one: one.get("effective_draws"), _count),
         Column("earned/s", _earned("seconds"), _rate),
         Column("earned/1,000 evaluations", _earned("evaluations", 1000), _rate),
@@ -153,7 +218,7 @@ def contests(lines: Sequence[Line]) -> list[dict[str, Any]]:
         if exact is None:
             continue
         others = [one for one in own if one["sampler"] != EXACT_ENGINE and one["start"] != GIFT]
-        right = [one for one in others if one["verdict"] == AGREES and one["earned"] > 0]
+        right = [one for one in others if verdict_of(one) == AGREES and one["earned"] > 0]
         best = max(right, key=pace_of, default=None)
         there = [one for one in others if one.get("to_distance") is not None]
         first = min(there, key=lambda one: one["to_distance"], default=None)

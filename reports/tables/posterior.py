@@ -5,6 +5,7 @@ columns.
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -25,7 +26,7 @@ from poseterior.reports.tables.sheet import (
     plus_minus,
     signed,
 )
-from poseterior.reports.tables.words import facing_words, pose_facing, spoken
+from poseterior.reports.tables.words import facing_words, pose_facing, spoken, undetected
 
 if TYPE_CHECKING:
     from poseterior.inference.hypothesis import Hypothesis
@@ -132,8 +133,8 @@ def posterior_table(tree: xr.DataTree) -> Sheet:
         if name != "pelvis"
     ]
     columns = [
-        Column("joint", form=spoken, left=True),
-        Column("score", form=lambda score: "missing" if score is None else f"{score:.2f}"),
+        Column("joint", _spoken_joint, left=True),
+        Column("score", form=lambda score: "none" if score is None else f"{score:.2f}"),
         Column("τ px", "radius_px", fixed(1)),
         Column("sd of depth", _unless_held("depth_sd", HELD), _spread),
         Column("mm", _unless_held("depth_sd_mm", ""), _whole),
@@ -142,8 +143,13 @@ def posterior_table(tree: xr.DataTree) -> Sheet:
         *([Column("wrong", "outlier", percent)] if faults else []),
     ]
     wrong = " wrong: that its keypoint is an outlier." if faults else ""
-    caption = f"sd: standard deviation relative to the pelvis. {UNIT_NOTE}.{wrong}"
+    lost = " none: not detected." if (score[1:] <= 0).any() else ""
+    caption = f"sd: standard deviation relative to the pelvis.{lost} {UNIT_NOTE}.{wrong}"
     return Sheet(columns, records, "Posterior, joint by joint", caption)
+
+
+def _spoken_joint(record: Record) -> str:
+    return spoken(record["joint"]) if record["seen"] else undetected(record["joint"])
 
 
 class FaultProbabilities(NamedTuple):
@@ -219,18 +225,17 @@ def sides_table(tree: xr.DataTree) -> Sheet:
         "weight": "weight",
     }
     columns = {key: values(tree, "constant_data", name) for key, name in names.items()}
-    rotation = values(tree, "constant_data", "rotation")
     records = [
         {
             "candidate": index,
-            "facing": facing_words(rotation[index, :, 2]),
+            "facing": facing_words(facing),
             **{key: number(column[index]) for key, column in columns.items()},
         }
-        for index in range(len(rotation))
+        for index, facing in enumerate(_mean_facings(tree))
     ]
     shown = [
         Column("", "candidate", form=lambda index: str(index + 1)),
-        Column("faces", "facing", left=True, whole=True),
+        Column("faces on average", "facing", left=True, whole=True),
         Column("torsos", form=fixed(0)),
         Column("px", _scale, str, whole=True),
         Column("turn", "turn_sd_degrees", fixed(0, "°")),
@@ -242,10 +247,24 @@ def sides_table(tree: xr.DataTree) -> Sheet:
     done = "weighed" if "roots" in tree.children else "drawn"
     caption = (
         f"Torso and camera are uncertain: {effective:,.0f} effective of {weighed:,} roots {done},"
-        " each counted to the side it faces. px: a body unit, in pixels; ± and turn: standard"
-        " deviations."
+        " each counted to the side it faces; a hypothesis may face another way than its side does"
+        " on average. px: a body unit, in pixels; ± and turn: standard deviations."
     )
     return Sheet(shown, records, "Torso and camera", caption)
+
+
+def _mean_facings(tree: xr.DataTree) -> np.ndarray:
+    """`(sides, 3)`: where chests of each side's draws point on average; of a side without draws,
+    where its torso does."""
+    chests = pose_facing(values(tree, "posterior", "joints"))
+    side = values(tree, "posterior", "candidate")
+    torso = values(tree, "constant_data", "rotation")[:, :, 2]
+    return np.array(
+        [
+            chests[side == index].mean(axis=0) if (side == index).any() else facing
+            for index, facing in enumerate(torso)
+        ]
+    )
 
 
 def _scale(row: Record) -> str:
@@ -295,17 +314,19 @@ def _evidence(record: Record) -> tuple[float | None, float | None]:
 def facing_sentences(tree: xr.DataTree) -> list[str]:
     """Which ways the person may face, how much speaks for each, and how surprising the detection
     is."""
-    records = sorted(candidates_table(tree).records, key=lambda record: -record["weight"])
-    ways = [f"{record['facing']} {percent(record['weight'])}" for record in records]
+    counts = Counter(map(facing_words, pose_facing(values(tree, "posterior", "joints"))))
+    ways = [f"{words} {percent(n / counts.total())}" for words, n in counts.most_common()]
+    single = len(values(tree, "constant_data", "weight")) == 1
     open_way = (
         "Torso and camera are drawn with the pose"
         if is_uncertain(tree)
         else (
             "Torso and camera are held fixed at an estimator's"
-            f" {'candidate' if len(ways) == 1 else 'candidates'}"
+            f" {'candidate' if single else 'candidates'}"
         )
     )
-    found = [f"{open_way}. Which way the person faces, by share of the draws: {'; '.join(ways)}."]
+    facing = f" Where the chest faces, by share of the draws: {'; '.join(ways)}." if ways else ""
+    found = [f"{open_way}.{facing}"]
     evidence = number(tree.attrs["log_evidence"])
     if evidence is not None and not is_uncertain(tree):
         found.append(f"Log evidence {plus_minus((evidence, None))}{_odds(evidence)}.")

@@ -19,6 +19,12 @@ def spoken(name: str) -> str:
     return name.replace("_", " ")
 
 
+def undetected(name: str) -> str:
+    """A joint that was not detected, as words: of the head that is its end, which eyes and ears do
+    not tell."""
+    return "head's end" if name == "head" else spoken(name)
+
+
 def facing_words(vector: np.ndarray) -> str:
     """Where a chest `(3,)` in camera axes points, as the picture shows it: "left", "away, right",
     "up" …"""
@@ -35,9 +41,9 @@ def facing_words(vector: np.ndarray) -> str:
 
 
 def pose_facing(joints: np.ndarray) -> np.ndarray:
-    """`(3,)`: where the chest of a pose `(15, 3)` points, in right-handed axes: leftwards ×
+    """`(..., 3)`: where the chests of poses `(..., 15, 3)` point, in right-handed axes: leftwards ×
     upwards."""
-    at = {name: joints[index] for name, index in JOINT_INDEX.items()}
+    at = {name: joints[..., index, :] for name, index in JOINT_INDEX.items()}
     left = at["left_shoulder"] - at["right_shoulder"] + at["left_hip"] - at["right_hip"]
     return np.cross(left, at["thorax"] - at["pelvis"])
 

@@ -350,7 +350,7 @@ def test_several_candidates_or_nothing_seen_are_refused():
 def test_a_missing_package_is_one_sentence(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(
-        BadInput, match=r"needs blackjax, which is not installed; install .poseterior\[samplers\]"
+        BadInput, match=r"needs blackjax, which is not installed; pip install '\.\[samplers\]'"
     ):
         draw("smc", 1000)
 

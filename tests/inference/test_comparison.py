@@ -34,6 +34,7 @@ from poseterior.inference.studies.comparison.judge import (
     AGREES,
     CANNOT_TELL,
     DIFFERS,
+    UNMIXED,
     _coordinates,
     _evidence,
     _verdict,
@@ -194,7 +195,32 @@ def test_the_level_is_shared_by_all_tests(smallest, verdict):
     tests = [OneTest("a test", 0.0, p_value, 200, "") for p_value in (0.5, smallest, 0.3, 0.9, 0.2)]
     moved = mixing(one.values, other.flat.std(axis=0))
     found = modes(one.away[0], other.away[0], 200.0)
-    assert _verdict(tests, moved, 200.0, found, 0.01)[0] == verdict
+    assert _verdict(tests, moved, 200.0, found, 400, 0.01)[0] == verdict
+
+
+@pytest.mark.parametrize(("rhat", "verdict"), [(1.09, AGREES), (3.44, UNMIXED), (np.nan, AGREES)])
+def test_chains_that_are_apart_do_not_agree(rhat, verdict):
+    one, other = exact_pair(200, 400, 3)
+    moved = mixing(one.values, other.flat.std(axis=0))._replace(rhat=np.array([1.0, rhat]))
+    found = modes(one.away[0], other.away[0], 200.0)
+    said, sentence = _verdict([], moved, 200.0, found, 400, 0.01)
+    assert said == verdict
+    assert ("R-hat 3.44" in sentence) == (verdict == UNMIXED)
+
+
+@pytest.mark.parametrize(
+    ("number", "worst", "more"),
+    [(1000, 50.0, "1,000"), (1000, 99.0, "11"), (12_345, 7.0, "170,000")],
+)
+def test_who_cannot_tell_is_told_how_many_draws_more(number, worst, more):
+    """More draws of the same worth, rounded up to two digits, make a hundred effective ones."""
+    one, other = exact_pair(200, 400, 3)
+    moved = mixing(one.values, other.flat.std(axis=0))
+    found = modes(one.away[0], other.away[0], 200.0)
+    said, sentence = _verdict([], moved, worst, found, number, 0.01)
+    assert said == CANNOT_TELL
+    assert f"run some {more} more" in sentence
+    assert (number + int(more.replace(",", ""))) * worst / number >= 100 - 1e-9
 
 
 def test_the_worst_coordinate_is_corrected_for_their_number():

@@ -248,7 +248,7 @@ def test_without_onnxruntime_a_sentence_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(BadInput, match=r"pip install 'poseterior\[detect\]'"):
+    with pytest.raises(BadInput, match=r"pip install '\.\[detect\]' in a clone"):
         Network.load(dot_network(tmp_path / "a.onnx"), COCO_17)
 
 

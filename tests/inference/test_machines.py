@@ -262,5 +262,7 @@ def test_without_dask_one_machine_does_all(monkeypatch: pytest.MonkeyPatch) -> N
     ((label, (payload, process, _)),) = HERE.each(what_it_is, WORK[1:2], apart=True)
     assert (label, payload) == (1, 10)
     assert process != os.getpid()
-    with pytest.raises(BadInput, match=r"a scheduler needs distributed; pip install 'poseterior\["):
+    with pytest.raises(
+        BadInput, match=r"a scheduler needs distributed; .*pip install '\.\[evaluate\]'"
+    ):
         list(Machines(scheduler="tcp://127.0.0.1:9").each(what_it_is, WORK))

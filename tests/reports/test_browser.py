@@ -1,6 +1,7 @@
 """Pages that turn, in a browser without a screen: they open without a complaint, turn, step, play,
 answer to the keyboard and to fingers, and fit a phone. Needs Chromium or Chrome on the machine."""
 
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -221,6 +222,55 @@ def test_bands_are_drawn_for_every_stretch(opened: Open, film: str) -> None:
     before = page.locator("#bands polyline").first.get_attribute("points")
     page.locator("#joint").select_option(label="left ankle")
     assert page.locator("#bands polyline").first.get_attribute("points") != before
+
+
+def centre(page: "Page", name: str) -> tuple[float, float]:
+    page.locator(name).scroll_into_view_if_needed()
+    box = page.locator(name).bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+@pytest.mark.parametrize("kind", ["person", "film"])
+def test_values_stand_beside_the_pointer(opened: Open, person: str, film: str, kind: str) -> None:
+    page = opened(person if kind == "person" else film)
+    tip = page.locator("#tip")
+    assert not tip.is_visible()
+    centre(page, "#scene")
+    settle(page)
+    box, found = page.locator("#scene").bounding_box(), ""
+    for across in range(10, int(box["width"]), 12):  # bodies are in the middle of the scene
+        for down in (0.35, 0.45, 0.55, 0.65):
+            page.mouse.move(box["x"] + across, box["y"] + down * box["height"])
+            if tip.is_visible():
+                found = tip.inner_text()
+    assert re.search(r"depth [+−]?\d+\.\d\d, across [+−]?\d+\.\d\d, height", found)
+    page.mouse.move(2, 2)
+    assert not tip.is_visible()
+
+
+def test_the_wheel_enlarges_the_scene_and_scrolls_elsewhere(opened: Open, person: str) -> None:
+    page = opened(person, viewport={"width": 1280, "height": 500})
+    before = drawing(page)
+    page.mouse.move(*centre(page, "#photo"))
+    at = page.evaluate("scrollY")
+    page.mouse.wheel(0, 60)
+    page.wait_for_function(f"scrollY > {at}")
+    assert drawing(page) == before
+    page.mouse.move(*centre(page, "#scene"))
+    at = page.evaluate("scrollY")
+    page.mouse.wheel(0, -60)
+    assert drawing(page) != before
+    assert page.evaluate("scrollY") == at
+
+
+@pytest.mark.parametrize("kind", ["person", "film"])
+def test_fingers_find_every_control(opened: Open, person: str, film: str, kind: str) -> None:
+    """44 CSS pixels each way (WCAG 2.5.5); of a checkbox its label is the target."""
+    page = opened(person if kind == "person" else film, viewport=PHONE, has_touch=True)
+    for one in page.locator("button, select, input[type=range], #truth-choice").all():
+        box = one.bounding_box()
+        if box is not None:
+            assert min(box["width"], box["height"]) >= 44, one.evaluate("one => one.outerHTML")
 
 
 @pytest.mark.parametrize("kind", ["person", "film"])

@@ -851,5 +851,5 @@ def test_without_the_package_it_names_the_extra(
     monkeypatch.setitem(sys.modules, package, None)
     run = poseterior("export", folder, "--to", to, "--out", tmp_path / "x")
     assert run.code == 2
-    assert f"need the package {package}; pip install 'poseterior[export]'" in run.err
+    assert f"need the package {package}; pip install '.[export]' in a clone" in run.err
     assert not (tmp_path / "x").exists()

@@ -93,7 +93,7 @@ def test_discs_are_the_factors_of_the_heaviest_candidate(
     knee = discs["disc left_knee"]
     assert knee.radius == pytest.approx(radius[JOINT_INDEX["left_knee"]])
     np.testing.assert_allclose(knee.center, example().detection.keypoints[JOINT_INDEX["left_knee"]])
-    assert "missing: right wrist" in words(figure.axes[0])
+    assert "not detected: right wrist" in words(figure.axes[0])
     assert len(named(figure.axes[0], Line2D, "joint")) == seen.sum()
 
 
@@ -308,7 +308,9 @@ def test_depth_figure_shows_interval_and_deviation(result: Result) -> None:
     np.testing.assert_allclose(interval.get_xdata(), np.quantile(depth, [0.05, 0.95]))
     (point,) = named(spreads, Line2D, "sd left_ankle")
     assert point.get_xdata()[0] == pytest.approx(depth.std())
-    assert any(label.get_text() == "right wrist (missing)" for label in ridges.get_yticklabels())
+    assert any(
+        label.get_text() == "right wrist (not detected)" for label in ridges.get_yticklabels()
+    )
 
 
 def test_a_torso_that_is_held_fixed_says_so(result: Result, five: list[Hypothesis]) -> None:

@@ -1,6 +1,8 @@
 """The main job on real input: detectors' files, motion capture, the published limits. Needs the
 shared data pack."""
 
+from pathlib import Path
+
 import arviz_stats
 import jax
 import numpy as np
@@ -12,6 +14,8 @@ from poseterior.inference.draws import COMPLETE
 from poseterior.probmodel import Anatomy, PoseModel, read_detections
 from poseterior.probmodel.motion import read_motion
 from poseterior.probmodel.skeleton import LENGTH_GROUPS
+from poseterior.reports.pages import skier
+from tests.conftest import Cli
 from tests.independent_check import valid_bones
 from tests.scenes import motion_scene
 
@@ -137,3 +141,12 @@ def test_fifty_poses_of_motion_capture(model, shared_data):
     assert complete >= 45, f"only {complete} of 50 poses could be explained within the budget"
     if model.limits.name == "akhter-black":
         assert valid_bones(np.concatenate(drawn)[::5], published).all()
+
+
+@pytest.mark.sweep
+def test_the_first_page_shows_what_its_command_draws(tmp_path: Path, poseterior: Cli) -> None:
+    folder = skier.PICTURE.parent
+    image = ("--image", folder / "skier.jpg")
+    run = poseterior("hypotheses", folder / "skier.json", *image, "--out", tmp_path / "result")
+    assert run.code == 0, run.err
+    assert skier.shares_of(tmp_path / "result") == skier.drawn_shares()

@@ -282,16 +282,36 @@ def test_the_leaderboard_explains_who_agrees_by_its_start() -> None:
     assert "exact draws" not in tables.board(lines, "arm", "seconds").markdown()
 
 
+def test_the_ranking_by_hand() -> None:
+    """Who agrees with chains apart is unmixed, also in lines kept from before that word; gifts and
+    equal evaluations are not ranked."""
+    lines = [
+        *leaderboard_lines(),
+        entry("aies", "prior", rhat_worst=3.44),
+        entry("nrpt", verdict="cannot tell", effective_draws=23.0),
+        entry("sa", "prior", earned=50.0),
+        entry("sa", "prior", budget="evaluations", verdict="differs"),
+    ]
+    rows = {row[0]: row[1:] for row in tables.ranking(lines).texts()}
+    assert list(rows)[:3] == ["exact", "emcee", "sa"]
+    assert rows["emcee"] == ["1 of 1", "6", "100", "0", "0", "0", "0"]
+    assert rows["sa"] == ["1 of 1", "6", "200", "0", "0", "0", "0"]
+    assert rows["aies"] == ["0 of 1", "–", "–", "1", "0", "0", "0"]
+    assert rows["nrpt"][-2:] == ["1", "0"]
+    assert rows["random-walk"][-1] == "1"
+    said = [row[2] for row in tables.board(lines, "arm", "seconds").texts()]
+    assert "cannot tell: run 5 times as long" in said
+
+
 def test_the_leaderboard_s_pictures() -> None:
     lines = leaderboard_lines()
-    for draw in (pictures.paces, pictures.times):
-        (panel,) = draw(lines).axes
-        rows = [text.get_text() for text in panel.get_yticklabels()]
-        assert rows[0] == "exact"
-        assert set(rows) == {"exact", "emcee", "emcee (given)", "smc", "random-walk"}
-        shown = {mark.get_gid() for mark in panel.get_lines() if mark.get_gid()}
-        assert ("smc arm" in shown) == (draw is pictures.paces)
-        assert "random-walk arm" not in shown, "it has no draws"
+    (cells,) = pictures.standings(lines).axes
+    assert [text.get_text() for text in cells.get_yticklabels()] == [
+        str(record["sampler"]) for record in tables.ranking(lines).records
+    ]
+    shown = {mark.get_gid(): mark.get_text() for mark in cells.texts}
+    assert shown["random-walk arm"] == "·", "it has no draws"
+    assert len(shown) == len(tables.entered(lines)), "runs from exact draws are left out"
     earned, timed = pictures.growth(lines).axes
     assert earned.get_lines()[0].get_ydata() == [100.0]
     assert timed.get_lines()[0].get_ydata() == [100.0]

@@ -50,7 +50,7 @@ def test_every_joint_is_drawn_where_it_is_with_name_score_and_disc() -> None:
                 drawn[f"joint {name}"].get_xydata()[0], detection.keypoints[joint]
             )
     assert drawn["disc left_wrist"].radius == pytest.approx(radius[JOINTS.index("left_wrist")])
-    assert "missing: right wrist, head" in drawn["note"].get_text()
+    assert "not detected: right wrist, head's end" in drawn["note"].get_text()
     assert "face nose" in drawn
 
 

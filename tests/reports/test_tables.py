@@ -21,6 +21,8 @@ from poseterior.probmodel.skeleton import BONE_NAMES, JOINT_INDEX, JOINTS
 from poseterior.reports import tables
 from poseterior.reports.tables import posterior
 from poseterior.reports.tables.evaluation import relations_table
+from poseterior.reports.tables.posterior import facing_sentences
+from poseterior.reports.tables.words import undetected
 
 UPRIGHT = np.diag(
     [1.0, -1.0, -1.0]
@@ -149,7 +151,7 @@ def test_posterior_rows_by_hand(tree: xr.DataTree) -> None:
 def test_posterior_table_shows_the_rows(tree: xr.DataTree) -> None:
     words = text(tables.posterior_table(tree))
     assert row(words, "right knee") == "right knee 0.80 7.0 1.000 350 0.354 124"
-    assert row(words, "right wrist").startswith("right wrist missing – ")
+    assert row(words, "right wrist").startswith("right wrist none – ")
 
 
 def test_a_torso_that_is_held_fixed_says_so() -> None:
@@ -399,3 +401,20 @@ def test_rows_are_as_long_as_the_head() -> None:
 def test_a_side_without_draws_has_a_scale_and_no_spread() -> None:
     assert posterior._scale({"scale_px": 111.9, "scale_sd_px": None}) == "112"
     assert posterior._scale({"scale_px": 111.9, "scale_sd_px": 3.4}) == "112 ± 3"
+
+
+def test_a_head_s_end_is_not_called_missing() -> None:
+    """Nose, eyes and ears may be seen where the head's end is not."""
+    assert undetected("head") == "head's end"
+    assert undetected("right_wrist") == "right wrist"
+
+
+def test_sides_and_sentences_say_where_chests_face() -> None:
+    """A side's average, and shares of draws: of three draws of one side one faces elsewhere."""
+    left = standing() @ np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    tree = small_tree(np.stack([standing(), standing(), left]))
+    assert len({tables.facing_words(tables.pose_facing(one)) for one in (standing(), left)}) == 2
+    tree.attrs["log_evidence"] = np.nan
+    (sentence, *_) = facing_sentences(tree)
+    other = tables.facing_words(tables.pose_facing(left))
+    assert f"by share of the draws: towards camera 67 %; {other} 33 %." in sentence

@@ -3,9 +3,10 @@ for granted.
 
 Tests that need independent draws are given draws thinned by their measured autocorrelation. The
 verdict holds all of them to one level (Holm's procedure): "differs", "agrees" (as far as the draws
-can tell), or "cannot tell" where there are too few effective draws to see anything. Chains that did
-not move differ without a test. A stated evidence is judged beside the draws: it is another number,
-with an error of its own, and neither makes the other right or wrong."""
+can tell), "unmixed" where no test rejects but the chains are still apart, so that their starts
+agree rather than they, or "cannot tell" where there are too few effective draws to see anything.
+Chains that did not move differ without a test. A stated evidence is judged beside the draws: it is
+another number, with an error of its own, and neither makes the other right or wrong."""
 
 import math
 from typing import NamedTuple
@@ -18,7 +19,7 @@ from poseterior.inference.studies.comparison.distances import (
     sliced_wasserstein,
     wasserstein,
 )
-from poseterior.inference.studies.comparison.mixing import Mixing, mean_ess, mixing
+from poseterior.inference.studies.comparison.mixing import CHAINS_APART, Mixing, mean_ess, mixing
 from poseterior.inference.studies.comparison.modes import Modes, modes, same_shares
 from poseterior.inference.studies.comparison.permutation import (
     PERMUTATIONS,
@@ -36,7 +37,7 @@ unseen."""
 INDEPENDENT = 0.5
 """Draws are taken as independent if no autocorrelation is seen between neighbours and the worst
 estimate of the effective size, which is noisy, is at least this share of their number."""
-DIFFERS, AGREES, CANNOT_TELL = "differs", "agrees", "cannot tell"
+DIFFERS, AGREES, UNMIXED, CANNOT_TELL = "differs", "agrees", "unmixed", "cannot tell"
 
 
 class Test(NamedTuple):
@@ -116,7 +117,7 @@ def judge(
         exact.away.reshape(-1, exact.away.shape[-1]),
         worst,
     )
-    verdict, sentence = _verdict(tests, mixed, worst, found, level)
+    verdict, sentence = _verdict(tests, mixed, worst, found, sample.num_draws, level)
     depth = [column for column, name in enumerate(NAMES) if name.endswith(" z")]
     joint_w1 = wasserstein(sample.flat[:, depth], exact.flat[:, depth])
     distance = sliced_wasserstein(sample.flat, exact.flat)
@@ -209,7 +210,7 @@ def _evidence(evidence: tuple[float, float], exact: tuple[float, float]) -> Test
 
 
 def _verdict(
-    tests: list[Test], mixed: Mixing, worst: float, found: Modes, level: float
+    tests: list[Test], mixed: Mixing, worst: float, found: Modes, number: int, level: float
 ) -> tuple[str, str]:
     if mixed.stuck:
         return (
@@ -230,11 +231,22 @@ def _verdict(
             CANNOT_TELL,
             (
                 f"only {worst:.0f} effective draws in the worst coordinate; at least"
-                f" {FEWEST_EFFECTIVE_DRAWS} are needed"
+                f" {FEWEST_EFFECTIVE_DRAWS} are needed: run some {_more(number, worst):,} more"
             ),
         )
     said = f"no test of {len(worse)} rejects at {level:g} with {worst:.0f} effective draws"
+    if mixed.worst_rhat > CHAINS_APART:
+        apart = f"R-hat {mixed.worst_rhat:.2f} says that the chains are still apart, run longer"
+        return UNMIXED, f"{said}, but {apart}{_missed(found)}"
     return AGREES, f"{said}{_missed(found)}"
+
+
+def _more(number: int, worst: float) -> int:
+    """How many draws more would be effective enough, if they are worth what the first ones are: two
+    digits, rounded up."""
+    more = number * (FEWEST_EFFECTIVE_DRAWS / worst - 1)
+    unit = 10 ** max(0, math.floor(math.log10(more)) - 1)
+    return unit * math.ceil(more / unit)
 
 
 def _missed(found: Modes) -> str:

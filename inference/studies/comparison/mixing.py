@@ -19,6 +19,8 @@ CONSTANT = 1e-9
 """A coordinate that varies by less, in standard deviations of the exact draws, does not vary but by
 rounding."""
 
+CHAINS_APART = 1.1
+"""R-hat beyond which chains are not yet one sample (Gelman & Rubin 1992)."""
 SCATTER = 0.1
 """How seldom chains that are as good as ArviZ says scatter more than they are allowed to."""
 
@@ -38,6 +40,11 @@ class Mixing(NamedTuple):
     def worst(self) -> float:
         """The smallest effective size of a coordinate that varies; 1 where the chains are stuck."""
         return 1.0 if self.stuck else float(np.nanmin(np.minimum(self.bulk, self.tail)))
+
+    @property
+    def worst_rhat(self) -> float:
+        """The largest R-hat of a coordinate; NaN where there is none."""
+        return float(np.nanmax(self.rhat)) if np.isfinite(self.rhat).any() else np.nan
 
 
 def mixing(values: np.ndarray, spread: np.ndarray) -> Mixing:

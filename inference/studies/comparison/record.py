@@ -94,8 +94,7 @@ class Entry(NamedTuple):
     @property
     def worst_rhat(self) -> float:
         """The largest R-hat of a coordinate; NaN where there is none."""
-        rhat = np.array([]) if self.judgement is None else self.judgement.mixing.rhat
-        return float(np.nanmax(rhat)) if np.isfinite(rhat).any() else np.nan
+        return np.nan if self.judgement is None else self.judgement.mixing.worst_rhat
 
     @property
     def seconds_to_distance(self) -> float:

@@ -9,15 +9,19 @@ const people = data.people.map((one) => ({
   bands: unpacked(one.bands, 15 * data.levels.length).map((row) => grouped(row, data.levels.length)),
 }));
 const state = { frame: 0, person: 0, joint: data.start, playing: null };
-const scene = new Scene(element("scene"), body, sceneContent, choose);
+const scene = new Scene(element("scene"), body, sceneContent, choose, said);
 const there = (pose) => Number.isFinite(pose[0][0]);
 
 function sceneContent() {
   const one = people[state.person], first = state.frame * data.k;
   const bodies = one.poses.slice(first, first + data.k)
-    .map((joints, rank) => ({ joints, colour: data.hypothesis_colours[rank], width: rank ? 2 : 3.4, edge: 2 }))
+    .map((joints, rank) => ({ joints, words: `hypothesis ${rank + 1}`, colour: data.hypothesis_colours[rank], width: rank ? 2 : 3.4, edge: 2 }))
     .filter(({ joints }) => there(joints));
   return { bodies, lines: [], dots: null };
+}
+
+function said(one, joint) {
+  return `${data.joints[joint]}: ${one.words}\n${placed(one.joints[joint])}`;
 }
 
 // --- depth bands
@@ -59,27 +63,33 @@ function paintBands() {
     svg.append(drawn("text", { x: x(tick), y: BOX.base + 16, "text-anchor": "middle" }, tick));
   svg.append(drawn("text", { x: (BOX.left + BOX.right) / 2, y: BOX.high - 3, "text-anchor": "middle" }, "frame"));
   svg.append(drawn("line", { id: "now", x1: 0, x2: 0, y1: BOX.top, y2: BOX.base, stroke: "#222222" }));
-  svg.onclick = (event) => {
-    const place = event.offsetX / svg.clientWidth * BOX.wide;
-    go(Math.round(last * (place - BOX.left) / (BOX.right - BOX.left)));
-  };
   go(state.frame);
+}
+
+// The frame at a place of the bands, in CSS pixels.
+function frameAt(across) {
+  const last = data.frames.length - 1, place = across / element("bands").clientWidth * BOX.wide;
+  return Math.max(0, Math.min(last, Math.round(Math.max(1, last) * (place - BOX.left) / (BOX.right - BOX.left))));
+}
+
+// What is known of the chosen joint in a frame, or why there is no pose.
+function depthOf(frame) {
+  const { bands, words } = people[state.person], row = bands[frame][state.joint];
+  return Number.isFinite(row[0])
+    ? `${data.joints[state.joint]}: depth ${signed(row[2], 2)} body units, 90 % between ${signed(row[0], 2)} and ${signed(row[4], 2)}` : words[frame];
 }
 
 // --- controls
 
 function go(frame) {
   state.frame = Math.max(0, Math.min(data.frames.length - 1, frame));
-  const { bands, words } = people[state.person], last = Math.max(1, data.frames.length - 1);
+  const last = Math.max(1, data.frames.length - 1);
   const x = BOX.left + (BOX.right - BOX.left) * state.frame / last, now = element("now");
   now.setAttribute("x1", x);
   now.setAttribute("x2", x);
   element("frame").value = state.frame;
   element("frame").setAttribute("aria-valuetext", data.frames[state.frame]);
-  const row = bands[state.frame][state.joint];
-  const depth = Number.isFinite(row[0])
-    ? `${data.joints[state.joint]}: depth ${signed(row[2], 2)} body units, 90 % between ${signed(row[0], 2)} and ${signed(row[4], 2)}` : words[state.frame];
-  element("frame-said").textContent = `${data.frames[state.frame]} (${state.frame + 1} of ${data.frames.length}) · ${depth}`;
+  element("frame-said").textContent = `${data.frames[state.frame]} (${state.frame + 1} of ${data.frames.length}) · ${depthOf(state.frame)}`;
   scene.sheet.refresh();
 }
 
@@ -109,6 +119,8 @@ function choosePerson(person) {
   paintBands();
 }
 
+element("bands").addEventListener("click", (event) => go(frameAt(event.offsetX)));
+connectTip(element("bands"), (x) => `${data.frames[frameAt(x)]}\n${depthOf(frameAt(x))}`);
 element("frame").max = data.frames.length - 1;
 element("frame").addEventListener("input", () => go(Number(element("frame").value)));
 element("play").addEventListener("click", play);

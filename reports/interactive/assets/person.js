@@ -12,15 +12,15 @@ const state = {
   truth: data.truth !== null,
 };
 
-const scene = new Scene(element("scene"), body, sceneContent, choose);
+const scene = new Scene(element("scene"), body, sceneContent, choose, said);
 const photo = new Sheet(element("photo"), paintPhoto);
 const picture = data.photo ? new Image() : null;
-let places = []; // joints of the photo in CSS pixels, for picking
+let places = [], photographed = []; // joints of the photo in CSS pixels, for picking: detected ones, then bodies
 
 function sceneContent() {
   const bodies = [...state.shown].sort((p, q) => p - q)
     .map((rank) => ({ ...data.hypotheses[rank], width: 3.2, edge: 2.5 }));
-  if (state.truth) bodies.unshift({ joints: data.truth, colour: "#000000", width: 1.8, edge: 1.5, dashed: true });
+  if (state.truth) bodies.unshift({ joints: data.truth, words: "the true pose", colour: "#000000", width: 1.8, edge: 1.5, dashed: true });
   const dots = { points: draws.slice(0, state.draws).map((pose) => pose[state.joint]), colour: data.colours[state.joint] };
   return { bodies, lines: draws.slice(0, state.draws), dots };
 }
@@ -55,6 +55,20 @@ function paintPhoto(pen, wide, high) {
     pen.beginPath(); pen.arc(point[0], point[1], 4, 0, 2 * Math.PI); pen.fill(); pen.stroke();
   });
   places = [points, ...bodies.map((one) => one.points)];
+  photographed = bodies;
+}
+
+function said(one, joint) {
+  return `${data.joints[joint]}: ${one.words}\n${placed(one.joints[joint])}\nall draws: depth ${data.marginals.depth[joint].words}`;
+}
+
+function saidOfPhoto(x, y) {
+  const found = nearest(places, x, y);
+  if (!found) return "";
+  if (found.rank) return said(photographed[found.rank - 1], found.joint);
+  const [u, v] = data.detection.points[found.joint], radius = data.detection.radius[found.joint];
+  const disc = radius === null ? "" : `, disc of ${radius.toFixed(1)} px`;
+  return `${data.joints[found.joint]}: detected at ${u.toFixed(1)}, ${v.toFixed(1)} px${disc}`;
 }
 
 // --- marginals
@@ -77,9 +91,14 @@ function marginal(name) {
   const svg = drawn("svg", { viewBox: `0 0 ${BOX.wide} ${BOX.high}`, role: "img", "aria-label": `${title}: ${one.words}` });
   const step = (one.high - one.low) / one.counts[0].length;
   one.counts[0].forEach((heavy, bin) => {
-    const light = one.counts[1][bin], x = place(one.low + bin * step), width = place(one.low + step) - BOX.left;
-    svg.append(drawn("rect", { x, width, y: BOX.base - tall(heavy), height: tall(heavy), fill: data.colours[state.joint], "fill-opacity": 0.6 }));
-    svg.append(drawn("rect", { x, width, y: BOX.base - tall(heavy + light), height: tall(light), fill: "#9A9A9A" }));
+    const light = one.counts[1][bin], low = one.low + bin * step, x = place(low), width = place(one.low + step) - BOX.left;
+    const bar = (count, below, style) => {
+      const rect = drawn("rect", { x, width, y: BOX.base - tall(count + below), height: tall(count), ...style });
+      rect.append(drawn("title", {}, `${signed(low, 2)} to ${signed(low + step, 2)}: ${heavy + light} draws`));
+      svg.append(rect);
+    };
+    bar(heavy, 0, { fill: data.colours[state.joint], "fill-opacity": 0.6 });
+    bar(light, heavy, { fill: "#9A9A9A" });
   });
   svg.append(drawn("line", { x1: place(one.interval[0]), x2: place(one.interval[1]), y1: BOX.base + 2, y2: BOX.base + 2, stroke: data.colours[state.joint], "stroke-width": 3 }));
   const line = (value, colour, dash) => svg.append(drawn("line", {
@@ -134,9 +153,10 @@ function listHypotheses() {
 }
 
 element("photo").addEventListener("click", (event) => {
-  const joint = nearestJoint(places, event.offsetX, event.offsetY);
-  if (joint !== null) choose(joint);
+  const found = nearest(places, event.offsetX, event.offsetY);
+  if (found) choose(found.joint);
 });
+connectTip(element("photo"), saidOfPhoto);
 element("draws").max = draws.length;
 element("draws").value = state.draws;
 element("draws").addEventListener("input", () => {

@@ -2,7 +2,7 @@
 // A view is a turn about the vertical and a tilt; at 0, 0 the scene is seen from the camera.
 
 const VIEWS = { camera: [0, 0], side: [Math.PI / 2, 0], above: [0, Math.PI / 2], oblique: [-0.7, 0.3] };
-const TAP = 5, NEAR = 18; // pixels: a finger may move so far, and miss by so much
+const TAP = 5, NEAR = 22; // pixels: a finger may move so far, and miss by so much
 
 // A canvas as sharp as its screen; `paint` gets its context, width and height in CSS pixels.
 class Sheet {
@@ -33,14 +33,31 @@ class Sheet {
   }
 }
 
-// The joint whose point is nearest to a place, if any is near; bodies are arrays of [x, y] or null.
-function nearestJoint(bodies, x, y) {
+// The point that is nearest to a place, if any is near: {rank, joint}; bodies are arrays of [x, y] or null.
+function nearest(bodies, x, y) {
   let found = null, least = NEAR;
-  for (const points of bodies) points.forEach((point, joint) => {
+  bodies.forEach((points, rank) => points.forEach((point, joint) => {
     const far = point ? Math.hypot(point[0] - x, point[1] - y) : Infinity;
-    if (far < least) [found, least] = [joint, far];
-  });
+    if (far < least) [found, least] = [{ rank, joint }, far];
+  }));
   return found;
+}
+
+// A place in camera axes, in words.
+function placed([x, y, z]) {
+  return `depth ${signed(z, 2)}, across ${signed(x, 2)}, height ${signed(-y, 2)} body units`;
+}
+
+// Words beside the pointer: `words(x, y)` says what is there, or nothing.
+function connectTip(target, words) {
+  const tip = element("tip");
+  target.addEventListener("pointermove", (event) => {
+    tip.textContent = event.buttons ? "" : words(event.offsetX, event.offsetY);
+    tip.hidden = !tip.textContent;
+    tip.style.left = `${Math.max(0, Math.min(event.clientX + 14, innerWidth - tip.offsetWidth - 8))}px`;
+    tip.style.top = `${Math.min(event.clientY + 14, innerHeight - tip.offsetHeight - 8)}px`;
+  });
+  target.addEventListener("pointerleave", () => { tip.hidden = true; });
 }
 
 // A body of points [x, y, depth]: far bones first, each with a white edge that hides what is behind it.
@@ -72,9 +89,10 @@ function drawDots(pen, points, colour, size, alpha) {
 
 class Scene {
   // `body`: bones and left joints. `content()`: {bodies: [{joints, colour, width, edge, dashed}], lines: poses
-  // drawn faintly, dots: {points, colour} or null}. `picked(joint)` is called where one is touched.
-  constructor(canvas, body, content, picked) {
-    Object.assign(this, { body, content, picked, zoom: 1, centre: [0, 0, 0], reach: 2, floor: null });
+  // drawn faintly, dots: {points, colour} or null}; `words` of a body say which it is.
+  // `picked(joint)` is called where one is touched, `said(body, joint)` is what stands beside the pointer.
+  constructor(canvas, body, content, picked, said) {
+    Object.assign(this, { body, content, picked, said, zoom: 1, centre: [0, 0, 0], reach: 2, floor: null });
     this.view("oblique", true);
     this.sheet = new Sheet(canvas, (pen, wide, high) => this.paint(pen, wide, high));
     this.listen(canvas);
@@ -125,6 +143,7 @@ class Scene {
     }
     pen.globalAlpha = 1;
     if (content.dots) drawDots(pen, content.dots.points.map(lens), content.dots.colour, 2.4, 0.45);
+    this.bodies = content.bodies;
     this.shown = content.bodies.map((one) => one.joints.map(lens));
     for (let rank = content.bodies.length - 1; rank >= 0; rank--)
       drawBody(pen, this.shown[rank], content.bodies[rank], this.body);
@@ -169,14 +188,18 @@ class Scene {
     });
     canvas.addEventListener("pointerup", (event) => {
       fingers.delete(event.pointerId);
-      const joint = moved < TAP ? nearestJoint(this.shown, event.offsetX, event.offsetY) : null;
-      if (joint !== null) this.picked(joint);
+      const found = moved < TAP ? nearest(this.shown, event.offsetX, event.offsetY) : null;
+      if (found) this.picked(found.joint);
     });
     canvas.addEventListener("pointercancel", (event) => fingers.delete(event.pointerId));
+    connectTip(canvas, (x, y) => {
+      const found = nearest(this.shown, x, y);
+      return found ? this.said(this.bodies[found.rank], found.joint) : "";
+    });
     canvas.addEventListener("wheel", (event) => {
-      if (!event.ctrlKey && document.activeElement !== canvas) return; // else the page scrolls
-      event.preventDefault();
+      const before = this.zoom;
       this.enlarge(Math.exp(-event.deltaY / 400));
+      if (this.zoom !== before || event.ctrlKey) event.preventDefault(); // at the last size the page scrolls on
     }, { passive: false });
     const keys = {
       ArrowLeft: () => this.turn(0.1, 0), ArrowRight: () => this.turn(-0.1, 0),

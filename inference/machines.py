@@ -233,7 +233,7 @@ def _here(number: int, task: Any, first: Any, rest: Iterator[Any]) -> Iterator[t
             set_to_work(one)
         while working:
             for pipe in wait(list(working)):
-                worker, one = working.pop(pipe)
+                worker, one = working.pop(pipe)  # type: ignore[call-overload]
                 found = worker.answer()
                 if found is None:
                     worker.stop()

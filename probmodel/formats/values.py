@@ -14,9 +14,9 @@ import numpy as np
 from poseterior.probmodel import arrays
 from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.formats.common import Content, are_fractions, chosen_layout
+from poseterior.probmodel.formats.common import Content, chosen_layout
 from poseterior.probmodel.formats.hourglass import scored
-from poseterior.probmodel.formats.instances import KNOWN
+from poseterior.probmodel.formats.units import in_pixels
 from poseterior.probmodel.layouts import COCO_17
 
 __all__ = ["detections_of"]
@@ -56,22 +56,18 @@ def detections_of(
         people = [person for one in results for person in _of_results(one)]
     else:
         people = [(rows, IN_MEMORY, image_size) for rows in _people(_plain(points), IN_MEMORY)]
-    return [
+    found = (
         _detection(rows, layout, source, person, size)
         for person, (rows, source, size) in enumerate(people)
-    ]
+    )
+    return list(in_pixels(found, None, image_size))
 
 
 def _detection(
     rows: FloatArray, layout: str | None, source: str, person: int, size: tuple[int, int] | None
 ) -> Detection:
     where = f"person {person} of {source}"
-    if are_fractions(rows[:, :2]):
-        raise BadInput(
-            f"all coordinates of {where} lie between 0 and 1; give pixels: x times the width of the"
-            " image, y times its height."
-        )
-    chosen = chosen_layout(len(rows), KNOWN, Content(b"", source, layout=layout), where)
+    chosen = chosen_layout(len(rows), Content(b"", source, layout=layout), where)
     return chosen.detection(scored(rows, where), 0.0, source, person, image_size=size)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 from poseterior.inference.benchmark.catalogue import targets
 from poseterior.inference.benchmark.references import reference
 from poseterior.inference.benchmark.verdicts import Assessment
-from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS, LEVEL
+from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS, JUDGE_LEVEL
 from poseterior.reports.tables.sheet import Column, Sheet, number, plus_minus, significant
 
 CLEAR = 0.01
@@ -92,7 +92,7 @@ def _evidence(found: Assessment) -> str:
     if test is None:
         return f"{off}, not judged without log_evidence_se"
     p_value = significant(2)(test.p_value)
-    return f"{off}: {DIFFERS if test.p_value < LEVEL else AGREES}, p = {p_value}"
+    return f"{off}: {DIFFERS if test.p_value < JUDGE_LEVEL else AGREES}, p = {p_value}"
 
 
 def verdict_record(found: Assessment) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import xarray as xr
 
 from poseterior.inference.studies.comparison.distances import MILLIMETRES
 from poseterior.inference.studies.comparison.judge import AGREES, UNMIXED
+from poseterior.inference.studies.comparison.mixing import CHAINS_APART
 from poseterior.reports.tables.sheet import (
     NOTHING,
     Column,
@@ -63,7 +64,7 @@ def gift_sentence(record: Record) -> str:
     earned = (record["ess_per_second"] or 0.0) * record["seconds"]
     apart = record["rhat_worst"]
     worth = record["ess_worst"]
-    far = apart is not None and apart > APART
+    far = apart is not None and apart > CHAINS_APART
     if earned >= worth / 2 and not far:
         return ""
     said = f", and R-hat {apart:.2f} says that its chains are still far apart" if far else ""

@@ -20,6 +20,7 @@ from poseterior.inference.studies.comparison.judge import (
     AGREES,
     CANNOT_TELL,
     DIFFERS,
+    FEWEST_EFFECTIVE_DRAWS,
     UNMIXED,
 )
 from poseterior.inference.studies.comparison.mixing import CHAINS_APART

@@ -158,7 +158,7 @@ def cover(
     likelihood: Likelihood = PAPER,
     root: str = UNCERTAIN,
     num_roots: int = MANY_ROOTS,
-    max_proposals: int = real.MAX_PROPOSALS,
+    max_proposals: int = real.INSTANCE_PROPOSALS,
     source: Mapping[str, Any] | None = None,
     out: Path | None = None,
     machines: Machines = HERE,

@@ -137,7 +137,8 @@ def _limbs(plain: Mapping[str, int]) -> dict[str, int]:
     found: dict[str, int] = {}
     for ours, namings in _LIMBS.items():
         each = [_limb(plain, ours, theirs) for theirs in namings]
-        found.update(max(each, key=len))
+        longest: dict[str, int] = max(each, key=len)
+        found.update(longest)
     return found
 
 

@@ -21,7 +21,7 @@ test: $(VENV)/.done
 test-all: $(VENV)/.done
 	$(PYTEST) --dist worksteal -m "slow and not sweep"
 
-# Minutes a test: wrong samplers on the benchmark, guests, kills, the commands of the how-to pages.
+# Minutes a test: wrong samplers on the benchmark, external ones, kills, the commands of the how-to pages.
 sweeps: $(VENV)/.done
 	$(PYTEST) --dist worksteal -m sweep
 

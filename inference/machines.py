@@ -1,28 +1,35 @@
-"""The one way to use many machines: blocks of work given to worker processes by dask.distributed,
-on this machine or on a cluster that somebody else has started.
+"""The one way to use many processors: blocks of work given to worker processes of this machine, or
+by dask.distributed to those of a cluster that somebody else has started.
 
-Without them (`Machines()`) work is done in this process, by threads, and dask is not needed. The
-task reaches every worker once, those that come later included; a block whose worker dies goes to
-another one.
+Without them (`Machines()`) work is done in this process, by threads. The task reaches every worker
+once, those that come later included; a block whose worker dies goes to another one. Workers of this
+machine hear of their work through pipes: nobody else can reach them.
 
     for label, result in Machines(workers=4).each(task, [(label, "block 0", payload), …]):
         …
 """
 
 import functools
+import itertools
+import logging
+import multiprocessing
 import os
+import pickle
+import signal
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
+from multiprocessing.connection import Connection, wait
+from typing import Any, NamedTuple
 
 import jax
 
 from poseterior.probmodel.failures import BadInput, installing
 
-PATIENCE = "15s"
+SCHEDULER_PATIENCE = "15s"
 """How long a scheduler may take to answer."""
 DEATHS = 10
 """After so many deaths of workers over one block it is given up: the block kills them."""
@@ -79,8 +86,8 @@ class Machines:
         Raises
         ------
         BadInput
-            Where there is no scheduler or no worker, dask.distributed is not installed, or a block
-            kills every worker that gets it.
+            Where a block kills every worker that gets it; of a scheduler, where there is none, it
+            has no worker or dies, or dask.distributed is not installed.
         """
         if self.workers < 1:
             raise BadInput(f"the number of workers must be at least 1, not {self.workers}")
@@ -90,41 +97,20 @@ class Machines:
                 yield label, task(payload)
             return
         first = next(waiting, None)
-        if first is not None:
-            with self._client() as client:
-                yield from _spread(client, task, first, waiting)
+        if first is None:
+            return
+        if self.scheduler is None:
+            yield from _here(self.workers, task, first, waiting)
+            return
+        with self._client() as client:
+            yield from _spread(client, task, first, waiting)
 
     @contextmanager
     def _client(self) -> Iterator[Any]:
         distributed = _library()
-        if self.scheduler is None:
-            # Whoever reaches a worker may have it run anything, and other users of this machine
-            # reach it: all sides show certificates that are made here, for this run alone.
-            certificates = _certificates()
-            cache = jax.config.jax_compilation_cache_dir or os.environ.get(
-                "JAX_COMPILATION_CACHE_DIR"
-            )
-            with (
-                distributed.LocalCluster(
-                    n_workers=self.workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    # Nobody but this machine is listened to, and there is no dashboard: dask's
-                    # pages ask nobody who they are.
-                    protocol="tls://",
-                    security=certificates,
-                    host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0",
-                    env=ONE_THREAD | ({"JAX_COMPILATION_CACHE_DIR": cache} if cache else {}),
-                    silence_logs="CRITICAL",
-                    scheduler_kwargs={"allowed_failures": DEATHS, "dashboard": False},
-                ) as cluster,
-                distributed.Client(cluster, security=certificates) as client,
-            ):
-                yield client
-            return
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails becomes a sentence
         try:
-            client = distributed.Client(self.scheduler, timeout=PATIENCE)
+            client = distributed.Client(self.scheduler, timeout=SCHEDULER_PATIENCE)
         except (OSError, ValueError, TimeoutError, ImportError) as error:
             raise BadInput(
                 f"no scheduler answers at {self.scheduler!r} ({type(error).__name__}); start one"
@@ -179,37 +165,148 @@ def _libraries() -> Any:
     return ThreadpoolController().select(user_api="blas")
 
 
+class _Worker(NamedTuple):
+    """A process of this machine, and the pipe to it."""
+
+    process: Any
+    pipe: Connection
+
+    @classmethod
+    def start(cls, task: bytes) -> "_Worker":
+        """One that makes itself ready for a pickled task."""
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        cache = jax.config.jax_compilation_cache_dir
+        process = context.Process(target=_serve, args=(theirs, task, cache), daemon=True)
+        process.start()
+        theirs.close()
+        return cls(process, ours)
+
+    def give(self, payload: Any) -> None:
+        """Hands over a block; whether it was taken, the answer says."""
+        with suppress(OSError):
+            self.pipe.send(payload)
+
+    def answer(self) -> tuple[bool, Any] | None:
+        """Whether the block is done, and its result or the failure; None where it has died."""
+        try:
+            return self.pipe.recv()
+        except (EOFError, OSError):
+            return None
+
+    def stop(self) -> None:
+        """Ends it, whatever it does."""
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+
+
+def _serve(pipe: Connection, task: bytes, cache: str | None) -> None:
+    """What a worker of this machine does, until nobody asks any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started it ends it
+    os.environ.update(ONE_THREAD)
+    if cache:
+        jax.config.update("jax_compilation_cache_dir", cache)
+    prepare(task)
+    with suppress(EOFError, OSError):  # whoever started it has gone
+        while True:
+            payload = pipe.recv()
+            try:
+                answer = (True, _do(payload))
+            except Exception as error:
+                answer = (False, error)
+            pipe.send(answer)
+
+
+def _here(number: int, task: Any, first: Any, rest: Iterator[Any]) -> Iterator[tuple[Any, Any]]:
+    """Results as they are done, by processes of this machine, each of which has one block."""
+    data, deaths = pickle.dumps(task), Counter[Any]()
+    working: dict[Connection, tuple[_Worker, Any]] = {}
+
+    def set_to_work(one: Any, worker: _Worker | None = None) -> None:
+        worker = worker or _Worker.start(data)
+        worker.give(one[2])
+        working[worker.pipe] = worker, one
+
+    try:
+        for one in itertools.islice(itertools.chain([first], rest), number):
+            set_to_work(one)
+        while working:
+            for pipe in wait(list(working)):
+                worker, one = working.pop(pipe)  # type: ignore[call-overload]
+                found = worker.answer()
+                if found is None:
+                    worker.stop()
+                    deaths[one[1]] += 1
+                    if deaths[one[1]] > DEATHS:
+                        raise _deadly(one[1])
+                    set_to_work(one)
+                    continue
+                done, result = found
+                if not done:
+                    worker.stop()
+                    raise result
+                following = next(rest, None)
+                if following is None:
+                    worker.stop()
+                else:
+                    set_to_work(following, worker)
+                yield one[0], result
+    finally:
+        for worker, _ in working.values():
+            worker.stop()
+
+
+def _deadly(words: str) -> BadInput:
+    return BadInput(
+        f"more than {DEATHS} workers died over {words}; give them more memory, or leave that out"
+    )
+
+
 def _spread(client: Any, task: Any, first: Any, rest: Iterator[Any]) -> Iterator[tuple[Any, Any]]:
-    """Results as they are done."""
+    """Results as they are done, by the workers of a scheduler."""
     distributed = _library()
-    client.register_plugin(_preparing(task), name="poseterior-task")
     running: dict[str, Any] = {}
-    ready = distributed.as_completed([], with_results=False, raise_errors=False)
+    with _reached(client):
+        client.register_plugin(_preparing(task), name="poseterior-task")
+        ready = distributed.as_completed([], with_results=False, raise_errors=False)
 
     def submit(one: Any) -> None:
-        future = client.submit(_do, one[2], pure=False)
+        with _reached(client):
+            future = client.submit(_do, one[2], pure=False)
         running[future.key] = one
         ready.add(future)
 
-    def top_up() -> None:
-        while len(running) < WAITING * max(1, len(client.nthreads())):
-            one = next(rest, None)
-            if one is None:
-                return
-            submit(one)
+    def places() -> int:
+        with _reached(client):
+            return WAITING * max(1, len(client.nthreads()))
 
     submit(first)
-    top_up()
+    for one in itertools.islice(rest, places() - 1):
+        submit(one)
     for future in ready:
         label, words, _ = running.pop(future.key)
         try:
-            result = future.result()
+            with _reached(client):
+                result = future.result()
         except distributed.scheduler.KilledWorker:
-            raise BadInput(
-                f"{DEATHS} workers died over {words}; give them more memory, or leave that out"
-            ) from None
+            raise _deadly(words) from None
         yield label, result
-        top_up()
+        for one in itertools.islice(rest, max(0, places() - len(running))):
+            submit(one)
+
+
+@contextmanager
+def _reached(client: Any) -> Iterator[None]:
+    """Turns what dask says where its scheduler has died into `BadInput`."""
+    distributed = _library()
+    try:
+        yield
+    except (distributed.client.FutureCancelledError, distributed.comm.CommClosedError):
+        raise BadInput(
+            f"the scheduler at {client.scheduler.address} is gone; start it anew, and run again:"
+            " what is done is kept"
+        ) from None
 
 
 def _preparing(task: Any) -> Any:
@@ -252,17 +349,8 @@ def _library() -> Any:
     try:
         import distributed
     except ImportError:
-        raise _not_installed("distributed") from None
+        raise BadInput(
+            f"a scheduler needs distributed; {installing('evaluate')}; or leave"
+            " --scheduler out: workers of this machine need none"
+        ) from None
     return distributed
-
-
-def _certificates() -> Any:
-    """Of dask's own kind: they never leave the memory of this process and of those it starts."""
-    try:
-        return _library().Security.temporary()
-    except ImportError:
-        raise _not_installed("cryptography") from None
-
-
-def _not_installed(package: str) -> BadInput:
-    return BadInput(f"worker processes need {package}; {installing('evaluate')}")

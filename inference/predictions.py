@@ -17,6 +17,13 @@ from poseterior.probmodel.skeleton import JOINTS
 _STREAM = 1
 """Tells the random numbers of predictions from those of the draws, which have the same seed."""
 
+FLAT = (
+    "left out: the law of errors is flat within its reach, so that every draw makes a detection"
+    " equally likely, and none reaches where it could not have been; leaving one out (az.loo) would"
+    " weigh nothing, and be sure of it"
+)
+"""Why there is no log likelihood under such a law."""
+
 
 class KeypointsRead(NamedTuple):
     """The detection as each draw reads it; joints that do not count have an infinite spread.
@@ -57,7 +64,7 @@ def prediction_groups(
     -------
     `posterior_predictive`: `keypoints` (chain, draw, joint, uv), pixels, NaN where a joint does not
     count. `log_likelihood`: `keypoints` (chain, draw, detected), of the joints that count, per
-    square pixel.
+    square pixel; left out under a law that is flat, see `FLAT`.
     """
     rng = np.random.default_rng([*words, _STREAM, block])
     seen = np.flatnonzero(np.isfinite(read.spread).any(axis=0))
@@ -69,15 +76,16 @@ def prediction_groups(
         _new_detections(law, read, keypoints, rng)[None],
         units,
     )
+    new = xr.Dataset({"keypoints": made}, coords=coords | {"joint": list(JOINTS), "uv": list("uv")})
+    if law.follows(0.0):  # uniform within its reach
+        return {"posterior_predictive": new.assign_attrs(log_likelihood=FLAT)}
     likely = (
         (*dims, "detected"),
         _log_likelihood(law, read, keypoints)[None, :, seen],
         {"base_measure": "image area (px2)"},
     )
     return {
-        "posterior_predictive": xr.Dataset(
-            {"keypoints": made}, coords=coords | {"joint": list(JOINTS), "uv": list("uv")}
-        ),
+        "posterior_predictive": new,
         "log_likelihood": xr.Dataset(
             {"keypoints": likely}, coords=coords | {"detected": [JOINTS[joint] for joint in seen]}
         ),

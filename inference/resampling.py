@@ -1,6 +1,94 @@
-"""Draws of equal weight from draws that have weights."""
+"""Draws of equal weight from draws that have weights, and the weights that come with draws of
+somebody else's."""
+
+import math
+from collections.abc import Mapping
 
 import numpy as np
+
+from poseterior.probmodel.arrays import plain_numbers
+from poseterior.probmodel.failures import BadInput
+
+WEIGHTS = ("weights", "log_weights")
+"""What the weights of draws are called in a file."""
+NOTHING = math.log(np.finfo(float).tiny)
+"""Log of the smallest share of the largest weight that counts. Nested samplers give points of no
+likelihood a log weight that is finite, such as -1e300."""
+
+
+def weights_of(
+    arrays: Mapping[str, np.ndarray], shape: tuple[int, ...], where: str
+) -> np.ndarray | None:
+    """Logs of the weights that come with draws.
+
+    Parameters
+    ----------
+    arrays
+        What is in the file, by name.
+    shape
+        Of the draws.
+    where
+        The file, in messages.
+
+    Returns
+    -------
+    ndarray or None
+        `shape`, -inf where a weight is zero; None where there are no weights.
+
+    Raises
+    ------
+    BadInput
+        Where there are two kinds, one is no number, infinite or negative, they are not as many as
+        the draws, or all are zero.
+    """
+    named = [name for name in WEIGHTS if name in arrays]
+    if not named:
+        return None
+    if len(named) > 1:
+        raise BadInput(f"{where} has both weights and log_weights; leave one out")
+    values = plain_numbers(arrays[named[0]], f"{named[0]} of {where}")
+    if values.size != math.prod(shape):
+        raise BadInput(
+            f"{named[0]} of {where} are {values.size:,} for {math.prod(shape):,} draws; give each"
+            " draw one"
+        )
+    values = values.reshape(shape)
+    if np.isnan(values).any() or (values == np.inf).any():
+        raise BadInput(f"{named[0]} of {where} hold a number that is not finite; leave it out")
+    if named[0] == "weights":
+        if (values < 0).any():
+            raise BadInput(
+                f"{int((values < 0).sum()):,} of {values.size:,} weights of {where} are negative; a"
+                " weight is 0 or more"
+            )
+        with np.errstate(divide="ignore"):
+            values = np.log(values)
+    if not np.isfinite(values).any():
+        raise BadInput(f"all weights of {where} are zero; no draw counts, so run the sampler anew")
+    return values
+
+
+def counting(log_weights: np.ndarray) -> np.ndarray:
+    """Which draws count at all: bool, of the same shape."""
+    with np.errstate(invalid="ignore"):  # where all are zero: -inf - -inf
+        return log_weights - log_weights.max(initial=-np.inf) > NOTHING
+
+
+def merged(draws: np.ndarray, log_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The set of draws `(n, ...)`: each once, in an order that does not depend on the given one,
+    with the log of the sum of its weights."""
+    rows = draws.reshape(len(draws), -1)
+    _, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    total = np.full(len(first), -np.inf)
+    np.logaddexp.at(total, which.ravel(), log_weights)
+    order = np.random.default_rng(0).permutation(len(first))
+    return draws[first[order]], total[order]
+
+
+def let_pass(log_weights: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """`(n,)` bool: draws with weights, let pass with probability weight over largest weight, are
+    draws without: of independent ones, independent ones, and none of them twice."""
+    return np.log(rng.uniform(size=len(log_weights))) < log_weights - log_weights.max()
 
 
 def shares(log_weight: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from poseterior.inference.draws import Draws, KnownRoots, over_draws
 from poseterior.inference.predictions import KeypointsRead, prediction_groups
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.documents import shortest
 from poseterior.probmodel.errors.faults import ORDERS
 from poseterior.probmodel.files import replacing
 from poseterior.probmodel.model import PoseModel
@@ -141,15 +142,15 @@ def provenance(model: PoseModel) -> dict[str, str]:
     return {
         "limits": f"{model.limits.name} {model.limits.sha256}",
         "measures": f"upper {model.upper}, lower {model.lower}",
-        **({"upright": f"{float(model.upright):.6g}"} if model.upright else {}),
+        **({"upright": shortest(model.upright)} if model.upright else {}),
         **(_said(model.lens) if model.lens is not None else {}),
         "versions": versions(),
     }
 
 
 def _said(lens: Lens) -> dict[str, str]:
-    principal = " ".join(f"{part:.6g}" for part in np.asarray(lens.principal).tolist())
-    return {"focal": f"{float(lens.focal):.6g}", "principal": principal}
+    principal = " ".join(map(shortest, np.asarray(lens.principal).tolist()))
+    return {"focal": shortest(lens.focal), "principal": principal}
 
 
 BASE_MEASURE = (

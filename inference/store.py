@@ -363,7 +363,8 @@ def _holder(path: Path) -> str:
 def _read_settings(path: Path) -> dict[str, Any]:
     try:
         found = read_json(path, "settings of a run", "choose another folder")
-        settings, blocks = dict(found["settings"]), found["blocks"]
+        settings = dict(found["settings"])
+        blocks = found["blocks"]
         if blocks is not None and not (isinstance(blocks, int) and blocks >= 0):
             raise ValueError
         return {"settings": settings, "blocks": blocks}

@@ -488,6 +488,14 @@ def plain(array: np.ndarray, where: str) -> np.ndarray:
     return values
 
 
+def plain_numbers(array: ArrayLike, where: str) -> np.ndarray:
+    """Numbers as float64, whatever they are. Raises `BadInput` where they are something else."""
+    found = np.asarray(array)
+    if found.dtype.kind not in "fiu":
+        raise BadInput(f"{where} holds {shown(str(found.dtype))} where numbers are needed")
+    return found.astype(float)
+
+
 def first_text(array: np.ndarray) -> str:
     """The first entry of an array of texts; empty where it has none."""
     first = next(iter(array.ravel()[:1].tolist()), "")

@@ -5,13 +5,14 @@ and use `decoded`, `require_modest` and `json_failures`."""
 
 import json
 import os
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.files import LARGEST_FILE, read_bytes
 
 LARGEST_TEXT = 1_500_000_000
@@ -24,6 +25,11 @@ FREE, DENSEST = 256_000_000, 20
 Files of poses need 4 to 16 times theirs: they are numbers. One of empty objects needs 80 times."""
 _COSTS = {"{": 200, "[": 64, ",": 34, '"': 25}
 """Bytes of memory in Python for what stands behind a character."""
+
+
+def shortest(number: SupportsFloat) -> str:
+    """A number in the fewest digits that are this double and no other, such as "30"."""
+    return repr(float(number)).removesuffix(".0")
 
 
 def decoded(data: bytes, source: str, advice: str) -> str:
@@ -75,11 +81,15 @@ def json_failures(source: str) -> Iterator[None]:
         ) from None
 
 
-def parsed(text: str, source: str) -> Any:
-    """The document. Raises `BadInput` where it is not JSON, nested too deeply, or too large."""
+Pairs = list[tuple[str, Any]]
+
+
+def parsed(text: str, source: str, pairs: Callable[[Pairs], dict[str, Any]] = dict) -> Any:
+    """The document, objects made of their `pairs`. Raises `BadInput` where it is not JSON, nested
+    too deeply, or too large."""
     require_modest(text, source)
     with json_failures(source):
-        return json.loads(text)
+        return json.loads(text, object_pairs_hook=None if pairs is dict else pairs)
 
 
 def read_text(
@@ -90,5 +100,17 @@ def read_text(
 
 
 def read_json(path: str | os.PathLike, what: str, advice: str) -> Any:
-    """The document in a file. Raises `BadInput` where it cannot be read or is no JSON."""
-    return parsed(read_text(path, what, advice), str(path))
+    """The document in a file. Raises `BadInput` where it cannot be read, is no JSON, or an object
+    has a name twice, of which a reader would forget one without a word."""
+
+    def once(pairs: Pairs) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            number = Counter(name for name, _ in pairs)
+            raise BadInput(
+                f"{path} has {shown(number.most_common(1)[0][0])} twice in one object; keep one of"
+                " them"
+            )
+        return found
+
+    return parsed(read_text(path, what, advice), str(path), once)

@@ -314,7 +314,8 @@ class PoseModel:
         larger = camera.magnification(joints)
         target = observation.target + observation.bias * (1 - larger[:, None])
         detected = jnp.where(seen[:, None], camera.to_pixels(target), keypoints)
-        spread = jnp.where(seen, jnp.asarray(observation.spread) * camera.scale * larger, 1.0)
+        # An unseen joint's spread is infinite, and would make the slope along the scale NaN.
+        spread = jnp.where(seen, jnp.asarray(observation.spread), 1.0) * camera.scale * larger
         with numpyro.plate("joint", len(seen)), mask(mask=seen):
             law = DetectedKeypoint(observation.law, keypoints, spread, validate_args=False)
             numpyro.sample("detection", law, obs=detected)

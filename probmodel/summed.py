@@ -74,7 +74,7 @@ class SummedFaults(NamedTuple):
         Array
             `()`: the log, per square pixel and joint seen.
         """
-        return logsumexp(_log_exchanges(self._log_states(point, joints)))
+        return _log_sum(_log_exchanges(self._log_states(point, joints)))
 
     def draw(self, key: jax.Array, point: RootPoint, joints: jax.Array) -> Faults:
         """A pattern given root and pose.
@@ -177,5 +177,12 @@ class SummedFaults(NamedTuple):
 
 def _log_exchanges(states: States) -> jax.Array:
     """`(e,)`: each exchange with all states of torso and limbs."""
-    torso = logsumexp(states.torso, axis=-1)
-    return states.exchange + torso + logsumexp(states.limbs, axis=-1).sum(axis=-1)
+    return states.exchange + _log_sum(states.torso) + _log_sum(states.limbs).sum(axis=-1)
+
+
+def _log_sum(log_terms: jax.Array) -> jax.Array:
+    """`(...)`: logs of sums over the last axis. Where no term is possible it is -inf, and its slope
+    0: that of `logsumexp` is 0/0 there, and would make those of the other exchanges NaN."""
+    possible = jnp.any(log_terms > -jnp.inf, axis=-1)
+    safe = jnp.where(possible[..., None], log_terms, 0.0)
+    return jnp.where(possible, logsumexp(safe, axis=-1), -jnp.inf)

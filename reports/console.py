@@ -13,6 +13,7 @@ import sys
 import tempfile
 import threading
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -30,6 +31,12 @@ LONGEST = 600
 """Most characters of a sentence; the middle of a longer one is left out."""
 _CUT_OFF = re.compile(r"Error reading persistent compilation cache entry for '([\w.<>-]+)'")
 """What JAX says of compiled code in its folder that cannot be read."""
+_ARITHMETIC = re.compile(
+    r"(divide by zero|overflow|underflow|invalid value) encountered|Mean of empty slice"
+    r"|All-NaN (slice|axis) encountered|Degrees of freedom <= 0"
+)
+"""What NumPy says of numbers that are not finite: nothing that a user of the command could act on;
+tests, where warnings are errors, and `make fuzz` hear of it."""
 
 
 def printable(text: str, keep: str = "") -> str:
@@ -259,8 +266,11 @@ def guarded(app: typer.Typer) -> None:
 
 
 def _heed(message: str) -> None:
-    """Passes a library's warning on. JAX never replaces compiled code that was cut off, by a full
-    disk or by a kill, and would compile it anew in every run: it is taken away."""
+    """Passes a library's warning on, unless it is of arithmetic. JAX never replaces compiled code
+    that was cut off, by a full disk or by a kill, and would compile it anew in every run: it is
+    taken away."""
+    if _ARITHMETIC.match(message):
+        return
     broken = _CUT_OFF.match(message)
     if broken is None:
         warn(message)
@@ -298,6 +308,15 @@ def _verdict(error: Exception) -> tuple[str, int]:
         return str(error), 2
     if isinstance(error, OutOfBudget):
         return str(error), 3
+    if _of_jax_backends(error):
+        asked = os.environ.get("JAX_PLATFORMS", "")
+        return (
+            f"JAX cannot compute on {asked!r}, as JAX_PLATFORMS says: this machine has no such"
+            " device, or JAX lacks what it needs for it; leave the variable out, or say cpu"
+            if asked
+            else f"JAX finds no device to compute on ({str(error).partition(chr(10))[0]}); set"
+            " JAX_PLATFORMS=cpu"
+        ), 2
     if isinstance(error, MemoryError):
         return "the memory does not suffice; ask for fewer samples with --num-samples", 2
     if isinstance(error, OSError) and error.filename is not None and error.errno in _SYSTEM:
@@ -306,6 +325,15 @@ def _verdict(error: Exception) -> tuple[str, int]:
         _let_go_of_stdout()
         return f"cannot write the output ({error.strerror}); make room, or send it elsewhere", 2
     return "", 1
+
+
+def _of_jax_backends(error: Exception) -> bool:
+    """Whether JAX failed to find a device: where it raised, since it raises errors of many kinds,
+    an AssertionError among them."""
+    if not isinstance(error, RuntimeError | AssertionError):
+        return False
+    frames = traceback.walk_tb(error.__traceback__)
+    return any(frame.f_globals.get("__name__") == "jax._src.xla_bridge" for frame, _ in frames)
 
 
 def _let_go_of_stdout() -> None:

@@ -98,6 +98,12 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
+def cases(shared_data: Path) -> Path:
+    """Small files in forms that users bring; README says what is right for each."""
+    return shared_data / "cases"
+
+
+@pytest.fixture(scope="session")
 def example_estimate() -> "Estimate":
     """Torso and camera of the embedded example."""
     from poseterior.inference import estimate_torso

@@ -62,7 +62,7 @@ def filmed(joints: np.ndarray, errors: np.ndarray, views: list[Pinhole] | None =
         hips = joints[:, [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]].mean(axis=1)
         scale = camera.focal.mean() / camera.view(hips)[:, 2]
         straight = camera.straight.project(joints) + scale[:, None, None] * error
-        plane = (straight - camera.principal) / camera.focal
+        plane = (straight - camera.principal) / camera.straight.focal
         pixels = camera.focal * camera._distorted(plane) + camera.principal
         people.append(tuple(detected(one, f"frame {n}") for n, one in enumerate(pixels)))
     labels = tuple(f"cam{number}" for number in range(1, len(views) + 1))

@@ -45,13 +45,16 @@ from poseterior.inference.estimators.external import read_poses
 from poseterior.inference.store import Block, Store
 from poseterior.inference.stream import draws_of, open_stream
 from poseterior.inference.studies.calibration.posteriors import _read as read_draws
-from poseterior.probmodel import Anatomy, BadInput, read_frames
+from poseterior.probmodel import Anatomy, BadInput, Likelihood, read_frames
 from poseterior.probmodel.datasets import from_motions, read_data_set, write_plain
 from poseterior.probmodel.datasets.cases import DataSet
+from poseterior.probmodel.errors.detector import DetectorErrors, ScoreFactor
 from poseterior.probmodel.example import example
 from poseterior.probmodel.formats import read_detections
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from poseterior.probmodel.motion import read_motion
+from poseterior.probmodel.sessions.calibrations import read_cameras
+from poseterior.probmodel.sessions.triangulation import triangulate
 from poseterior.probmodel.skeleton import JOINTS
 from poseterior.reports import cli, console
 from poseterior.reports.commands import check
@@ -59,6 +62,8 @@ from poseterior.reports.commands.detect import read_boxes
 from poseterior.reports.exports.results import Wanted, read_clip
 from poseterior.reports.figures import read_image
 from poseterior.reports.options import Detected
+from tests.filmed import cameras as filmed_by
+from tests.filmed import moving, write_qualisys, write_toml
 from tests.probmodel import test_motion
 from tests.probmodel.test_datasets import MOTIONS, human36m
 from tests.probmodel.test_formats_fuzz import FILES, SIZE, hdf5, npy, npz
@@ -122,6 +127,9 @@ def targets() -> dict[str, Target]:
         "check .json": Target("a.json", _checked, [_hypotheses()]),
         "check .npy": Target("a.npy", _checked, [npy(joints)]),
         "check .npz": Target("a.npz", _checked, [npz(**{"a/b": joints})]),
+        "error law": Target("a.json", _error_law, _laws()),
+        "calibration .qca.txt": Target("a.qca.txt", _calibration, [_written(_qualisys)]),
+        "calibration .toml": Target("a.toml", _calibration, [_written(_toml)]),
         "boxes": Target("a.json", lambda path: read_boxes(path, 0.5), [_boxes()]),
         "names": Target("a.json", _names, [b'{"LHip": "left_hip", "RHip": "right_hip"}']),
         "image": Target("a.png", read_image, _images()),
@@ -168,6 +176,37 @@ def _checked(path: Path) -> object:
     poses = check.read_poses(path)
     check._require_poses(poses, path)
     return poses
+
+
+def _error_law(path: Path) -> object:
+    """The law, and what it makes of a detection."""
+    likelihood = Likelihood.of(DetectorErrors.read(path))
+    return [likelihood.sha256, likelihood.spread(example().detection, 100.0)]
+
+
+def _laws() -> list[bytes]:
+    scored = dataclasses.replace(
+        DetectorErrors.default(), score=ScoreFactor((0.3, 0.6), (2.0, 1.0, 0.8))
+    )
+    return [_written(one.write) for one in (DetectorErrors.default(), scored)]
+
+
+def _calibration(path: Path) -> object:
+    """The cameras, and where they see a person who stands before the undamaged ones."""
+    cameras = read_cameras(path)
+    straight = [camera.straight for camera in cameras]
+    xy = [camera.straighten(camera.project(moving(1)[0])) for camera in filmed_by(4)]
+    number = min(len(cameras), len(xy))
+    trust = np.ones((number, len(JOINTS)))
+    return triangulate(straight[:number], np.stack(xy[:number]), trust, 0.4 * trust)
+
+
+def _qualisys(path: Path) -> None:
+    write_qualisys(tuple(filmed_by(4)), path)
+
+
+def _toml(path: Path) -> None:
+    write_toml(tuple(filmed_by(4)), path)
 
 
 def _names(path: Path) -> object:

@@ -26,7 +26,6 @@ NEEDED = (
     *(
         "poseterior/reports/cli.py",
         "poseterior/reports/exports/bvh.py",
-        "poseterior/reports/pages/limits.md",
     ),
 )
 """Files without which the wheel does not work, or says less than it should."""
@@ -39,6 +38,7 @@ def main() -> None:
     (sdist,) = (ROOT / "dist").glob("*.tar.gz")
     look(wheel, sdist, version)
     import poseterior
+    from poseterior.inference.benchmark import external_samplers
 
     place = Path(poseterior.__file__).resolve()
     assert Path(sys.prefix).resolve() in place.parents, f"{place} is not the installed one"
@@ -50,6 +50,7 @@ def main() -> None:
     subprocess.run([command, "demo", "--quiet", "--out", "demo"], check=True, capture_output=True)
     subprocess.run([command, "export", "demo", "--to", "bvh"], check=True, capture_output=True)
     assert Path("demo.bvh").exists()
+    assert {"dynesty", "nrpt"} <= set(external_samplers()), "entry points are not installed"
     print(f"{wheel.name} and {sdist.name} are whole, and the wheel works in {sys.prefix}")
 
 
@@ -57,7 +58,8 @@ def look(wheel: Path, sdist: Path, version: str) -> None:
     """Raises where a file is missing, or one is there that should not be."""
     inside = set(zipfile.ZipFile(wheel).namelist())
     assert not set(NEEDED) - inside, f"{wheel.name} lacks {set(NEEDED) - inside}"
-    assert not any(name.startswith("tests/") for name in inside)
+    unwanted = [name for name in inside if name.startswith(("tests/", "poseterior/reports/pages/"))]
+    assert not unwanted, f"{wheel.name} holds {unwanted}"
     with tarfile.open(sdist) as archive:
         names = archive.getnames()
     for name in ("pyproject.toml", "CITATION.cff", "tests/conftest.py", "docs/python.md"):

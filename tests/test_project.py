@@ -51,6 +51,15 @@ def test_the_hosted_workflow_calls_what_has_to_pass() -> None:
     assert commands == [".ci/run", "make docs", "make dist"]
 
 
+def test_what_others_run_is_named_by_its_commit() -> None:
+    """A tag may be moved to other code; the version stands beside for readers."""
+    text = (ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8")
+    used = re.findall(r"uses: (.*)", text)
+    assert len(used) >= 3
+    for one in used:
+        assert re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}  # v\d+\.\d+\.\d+", one), one
+
+
 def test_hooks_are_those_of_make_lint() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for hook in read(".pre-commit-config.yaml")["repos"][0]["hooks"]:

@@ -2,6 +2,10 @@ from .catalogue import load as load
 from .catalogue import targets as targets
 from .draws import exact_points as exact_points
 from .draws import same_bits as same_bits
+from .external.entries import ExternalSampler as ExternalSampler
+from .external.entries import SamplerRun as SamplerRun
+from .external.entries import external_samplers as external_samplers
+from .forms import SamplerTarget as SamplerTarget
 from .gym import gym_model as gym_model
 from .programs import estimate as estimate
 from .programs import frozen_model as frozen_model

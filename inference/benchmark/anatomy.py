@@ -36,7 +36,7 @@ PARALLEL = 1e-8
 """Below this sine of the angle between parent and reference direction, the fallback counts."""
 ITERATIONS = 80
 _EPS = float(np.finfo(float).eps)
-FILE = "anatomy.npz"
+ANATOMY_FILE = "anatomy.npz"
 """The tables in `inference.benchmark.data`: a file of `probmodel.Anatomy`."""
 Rising = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Of places x and the rows they belong to: the function's values there, and its slopes."""
@@ -59,8 +59,12 @@ def root(square: np.ndarray) -> np.ndarray:
 
 def cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Cross products `(..., 3)`; a fifth of NumPy's own time for a single one."""
-    a, b, c = one[..., 0], one[..., 1], one[..., 2]
-    x, y, z = other[..., 0], other[..., 1], other[..., 2]
+    a = one[..., 0]
+    b = one[..., 1]
+    c = one[..., 2]
+    x = other[..., 0]
+    y = other[..., 1]
+    z = other[..., 2]
     return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=-1)
 
 
@@ -118,7 +122,8 @@ class UpperBones:
 def cell_of(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Azimuth and elevation indices `(n,)` of the cells in which unit vectors `(n, 3)` lie."""
     x, y, z = vector.T
-    azimuth, elevation = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+    azimuth = np.arctan2(y, x)
+    elevation = np.arctan2(z, np.hypot(x, y))
     column = np.floor((azimuth + np.pi) / CELL).astype(int) % NUM_AZIMUTH
     row = np.floor((elevation + np.pi / 2) / CELL).astype(int)
     return column, np.clip(row, 0, NUM_ELEVATION - 1)
@@ -141,7 +146,8 @@ def _pick(sums: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarra
     target = fraction * sums[:, -1]
     index = _bin(sums, target)
     rows = np.arange(len(sums))
-    start, width = sums[rows, index], sums[rows, index + 1] - sums[rows, index]
+    start = sums[rows, index]
+    width = sums[rows, index + 1] - sums[rows, index]
     return index, np.clip((target - start) / np.where(width > 0, width, 1.0), 0.0, 1.0)
 
 
@@ -192,7 +198,8 @@ class LowerBones:
         """Unit vectors `(n, 3)` in the parent's local axes at points `(n, 2)` of the unit square,
         where the parent has the local direction `parent` `(n, 3)`."""
         hinge = self.number[(bone, *cell_of(parent))]
-        offset, bounds = self.offset[hinge], self.bounds[hinge]
+        offset = self.offset[hinge]
+        bounds = self.bounds[hinge]
         u2 = self._quantile(hinge, square[:, 0])
         low, high = _intervals(offset, bounds, u2)
         length = np.maximum(high - low, 0.0)
@@ -202,7 +209,8 @@ class LowerBones:
         rows = np.arange(len(u2))
         full_first = np.argsort(length <= 0, axis=-1, kind="stable")
         which = full_first[rows, np.clip(count - 1, 0, 2)]
-        start, end = low[rows, which], high[rows, which]
+        start = low[rows, which]
+        end = high[rows, which]
         place = np.clip(start + rest - before[rows, which], start, np.maximum(end, start))
         rho = root(1 - u2**2)
         u3 = rho * np.sin(place)
@@ -212,13 +220,18 @@ class LowerBones:
 
     def _quantile(self, hinge: np.ndarray, fraction: np.ndarray) -> np.ndarray:
         """u2 `(n,)` below which this fraction of each hinge's area lies."""
-        areas, nodes = self.areas[hinge], self.nodes[hinge]
+        areas = self.areas[hinge]
+        nodes = self.nodes[hinge]
         whole = areas[:, -1]
         target = fraction * whole
-        piece, rows = _bin(areas, target), np.arange(len(hinge))
-        offset, bounds = self.offset[hinge], self.bounds[hinge]
-        pattern, base = self.pattern[hinge, piece], areas[rows, piece]
-        low, high = nodes[rows, piece], nodes[rows, piece + 1]
+        piece = _bin(areas, target)
+        rows = np.arange(len(hinge))
+        offset = self.offset[hinge]
+        bounds = self.bounds[hinge]
+        pattern = self.pattern[hinge, piece]
+        base = areas[rows, piece]
+        low = nodes[rows, piece]
+        high = nodes[rows, piece + 1]
         origin = np.sum(pattern * primitives(offset, bounds, low), axis=-1)
         rise = areas[rows, piece + 1] - base
         start = low + (high - low) * (target - base) / np.where(rise > 0, rise, 1.0)
@@ -241,7 +254,9 @@ def _newton(
 ) -> np.ndarray:
     """Zeros `(n,)` of functions that rise on [low, high], by Newton's method inside a shrinking
     bracket, until the function is as small as its rounding error `noise` or x stands still."""
-    x, low, high = x.copy(), low.copy(), high.copy()
+    x = x.copy()
+    low = low.copy()
+    high = high.copy()
     left = np.arange(len(x))
     for _ in range(ITERATIONS):
         if not len(left):
@@ -263,8 +278,10 @@ def _newton(
 def _nodes(offset: np.ndarray, bounds: np.ndarray) -> np.ndarray:
     """`(h, 12)`: where an end meets the rim of the disc, the plane the rim, or an end the plane,
     within the bounds of u2."""
-    first, last = np.maximum(bounds[:, 0], -1.0), np.minimum(bounds[:, 1], 1.0)
-    squares, plane = bounds[:, 2:] ** 2, offset[:, None] ** 2
+    first = np.maximum(bounds[:, 0], -1.0)
+    last = np.minimum(bounds[:, 1], 1.0)
+    squares = bounds[:, 2:] ** 2
+    plane = offset[:, None] ** 2
     kinks = root(1 - np.concatenate([squares, plane, squares + plane], axis=-1))
     inner = np.clip(np.concatenate([-kinks, kinks], axis=-1), first[:, None], last[:, None])
     return np.concatenate([first[:, None], np.sort(inner, axis=-1), last[:, None]], axis=-1)
@@ -289,7 +306,8 @@ def ends(offset: np.ndarray, bounds: np.ndarray, u2: np.ndarray) -> np.ndarray:
     low, high, plane = (_arctan(level, _to_rim(level, u2)[1]) for level in levels)
     quarter = np.full_like(plane, np.pi / 2)
     cut = quarter - plane
-    front, behind = np.where(offset > 0, cut, quarter), np.where(offset < 0, cut, quarter)
+    front = np.where(offset > 0, cut, quarter)
+    behind = np.where(offset < 0, cut, quarter)
     return np.stack([low, high, front, behind], axis=-1)
 
 
@@ -299,7 +317,8 @@ def primitives(offset: np.ndarray, bounds: np.ndarray, u2: np.ndarray) -> np.nda
     low, high, plane = (_arcsine_primitive(level, u2) for level in levels)
     quarter = np.pi / 2 * u2
     cut = quarter - plane
-    front, behind = np.where(offset > 0, cut, quarter), np.where(offset < 0, cut, quarter)
+    front = np.where(offset > 0, cut, quarter)
+    behind = np.where(offset < 0, cut, quarter)
     return np.stack(np.broadcast_arrays(low, high, front, behind), axis=-1)
 
 
@@ -370,7 +389,7 @@ class FrozenAnatomy:
     def default(cls) -> "FrozenAnatomy":
         """That of the benchmark, read once."""
         with resources.as_file(
-            resources.files("poseterior.inference.benchmark.data") / FILE
+            resources.files("poseterior.inference.benchmark.data") / ANATOMY_FILE
         ) as path:
             tables = read_tables(path, "table of the benchmark", "install poseterior anew")
         shape = (NUM_LOWER, NUM_AZIMUTH, NUM_ELEVATION)

@@ -55,9 +55,9 @@ BLOCKS = {
 }
 """By law and root: exact draws under soft walls are dearer, and those of a root come at some a
 second."""
-MAX_PROPOSALS = 100_000_000_000
+BLOCK_PROPOSALS = 100_000_000_000
 """Proposals for a block; soft walls turn down most."""
-PILOT = 2_000
+PILOT_ROOTS = 2_000
 """Roots of the pilot run that finds the bound of the rejection."""
 MODES = 1e-4
 """Modes of less mass are not listed; their masses are put together."""
@@ -107,9 +107,10 @@ def draw_block(target: FrozenTarget, index: int, progress: Progress | None = Non
 
 
 def _under_one_root(target: FrozenTarget, key: jax.Array) -> DrawBlock:
-    found, size = estimate(target).posterior(frozen_model(), CANDIDATES), blocks_of(target).size
+    found = estimate(target).posterior(frozen_model(), CANDIDATES)
+    size = blocks_of(target).size
     (sampler,) = root_samplers(found, key, "rejection")
-    if not sampler.more(size, Budget(MAX_PROPOSALS)):
+    if not sampler.more(size, Budget(BLOCK_PROPOSALS)):
         raise _no_draws(target)
     points = Target.of(found).points_of(sampler.poses(size))
     return DrawBlock(points, sampler.log_evidence, sampler.log_evidence_se)
@@ -129,8 +130,8 @@ def draw_roots(
         found,
         key=key,
         num_samples=size,
-        num_roots=PILOT,
-        max_proposals=MAX_PROPOSALS,
+        num_roots=PILOT_ROOTS,
+        max_proposals=BLOCK_PROPOSALS,
         progress=progress,
     )
     if complaint(roots)[0] != COMPLETE:

@@ -33,7 +33,7 @@ from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.skeleton import GROUPS, JOINTS, TORSO_INDEX
 
 DATA = Path(__file__).with_name("data")
-SMALL = 0.08
+SMALL_FACTOR = 0.08
 """The factor of tiny discs."""
 PICTURE = (640, 480)
 """Pixels: in which the pelvis lies where the camera is uncertain."""
@@ -59,7 +59,8 @@ def in_a_picture(scene: Scene, seed: int) -> Scene:
     than where scenes have them, so that the middle of the prior tells nothing."""
 
     def seen(model: PoseModel) -> Estimate:
-        frame, rng = scene(model), np.random.default_rng(seed)
+        frame = scene(model)
+        rng = np.random.default_rng(seed)
         radius = frame.likelihood.factor * float(frame.best.camera.scale)
         number = len(TORSO_INDEX)
         distance = radius * np.sqrt(rng.uniform(size=number))
@@ -86,11 +87,11 @@ FIXED_ROOT: dict[str, tuple[str, Scene]] = {
     "foreshortened": ("arms and legs, pointing along the camera's axis", foreshortened),
     "low-scores": ("arms and legs, wrists and ankles hardly seen", _scene(5, scores=low_scores())),
     "flips": ("arms and legs, of forty scenes that with the most flips", _scene(222)),
-    "tiny": ("arms and legs, discs a third as wide as usual", _scene(1, factor=SMALL)),
+    "tiny": ("arms and legs, discs a third as wide as usual", _scene(1, factor=SMALL_FACTOR)),
     "whole": ("the whole body, head too", _scene(6, missing=())),
     "cruel": (
         "the whole body, tiny discs of all sizes, hundreds of flips",
-        _scene(222, missing=(), factor=SMALL, scores=low_scores()),
+        _scene(222, missing=(), factor=SMALL_FACTOR, scores=low_scores()),
     ),
 }
 """What each target is under one torso and camera, and how it came about."""

@@ -51,7 +51,8 @@ def gym_model(name: str, hardness: float = math.inf) -> Any:
     from tensorflow_probability.substrates.jax import bijectors, distributions
 
     target = load(name)
-    density, to_box = in_jax(target), bijectors.Sigmoid()
+    density = in_jax(target)
+    to_box = bijectors.Sigmoid()
     moved = *target.root.joints[1:], *(bone.end for limb in target.limbs for bone in limb.bones)
     ends = jnp.array(moved)
 

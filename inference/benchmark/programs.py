@@ -13,7 +13,9 @@ from importlib import resources
 import numpy as np
 
 from poseterior.inference.baselines.target import Target
-from poseterior.inference.benchmark.anatomy import FILE
+from poseterior.inference.benchmark.anatomy import ANATOMY_FILE
+from poseterior.inference.benchmark.external.posterior import PosteriorTarget
+from poseterior.inference.benchmark.forms import SamplerTarget
 from poseterior.inference.benchmark.root import GivenRoot
 from poseterior.inference.benchmark.target import FrozenTarget
 from poseterior.inference.benchmark.uncertain import UncertainTarget
@@ -31,7 +33,9 @@ from poseterior.probmodel.roots import Candidate
 @functools.cache
 def frozen_model() -> PoseModel:
     """The model of the frozen anatomy."""
-    with resources.as_file(resources.files("poseterior.inference.benchmark.data") / FILE) as path:
+    with resources.as_file(
+        resources.files("poseterior.inference.benchmark.data") / ANATOMY_FILE
+    ) as path:
         return PoseModel.from_anatomy(Anatomy.load(path))
 
 
@@ -57,9 +61,15 @@ def model_of(target: FrozenTarget) -> PoseModel:
     return PoseModel(frozen.limits, frozen.lengths, target.root.torsos)
 
 
-def in_jax(target: FrozenTarget) -> Target | UncertainTarget:
+def in_jax(target: SamplerTarget) -> Target | UncertainTarget:
     """The target in JAX, on R^d."""
-    root, frame, model = target.root, estimate(target), model_of(target)
+    if isinstance(target, PosteriorTarget):
+        return target.density
+    if not isinstance(target, FrozenTarget):
+        raise TypeError(f"{target.name} is no target of ours, and has no form in JAX")
+    root = target.root
+    frame = estimate(target)
+    model = model_of(target)
     if isinstance(root, GivenRoot):
         return Target.of(frame.posterior(model, CANDIDATES))
     return UncertainTarget.of(target, root, frame.posterior(model))

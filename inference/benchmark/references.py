@@ -23,7 +23,7 @@ from poseterior.probmodel.failures import BadInput
 
 SHIPPED = 10_000
 """Draws of a target in the package, in single precision."""
-FOLDER = "poseterior.inference.benchmark.data"
+DATA_FOLDER = "poseterior.inference.benchmark.data"
 
 
 @dataclass(frozen=True)
@@ -87,14 +87,14 @@ def reference(name: str) -> Reference:
 
 @functools.cache
 def _records() -> dict[str, dict[str, Any]]:
-    return json.loads((resources.files(FOLDER) / "reference.json").read_text("utf-8"))
+    return json.loads((resources.files(DATA_FOLDER) / "reference.json").read_text("utf-8"))
 
 
 def shipped_points(name: str) -> np.ndarray:
     """`(10000, d)`: exact draws of the target of that name as points of R^d. They are those of the
     last block, which nobody comes to who takes some of the first. Raises `BadInput` where the file
     is damaged."""
-    content = (resources.files(FOLDER) / f"{name}.npy").read_bytes()
+    content = (resources.files(DATA_FOLDER) / f"{name}.npy").read_bytes()
     if hashlib.sha256(content).hexdigest() != reference(name).shipped:
         raise BadInput(f"the exact draws of {name} are damaged; install poseterior anew")
     return np.load(io.BytesIO(content), allow_pickle=False).astype(float)

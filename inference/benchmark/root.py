@@ -143,7 +143,8 @@ def rotations(turns: np.ndarray) -> np.ndarray:
     yaw, roll = (np.pi * (2 * turns[..., one] - 1) for one in (0, 2))
     lean = 2 * turns[..., 1] - 1  # sine of the tilt
     upright = np.sqrt((1 - lean) * (1 + lean))
-    c, s = np.cos(yaw), np.sin(yaw)
+    c = np.cos(yaw)
+    s = np.sin(yaw)
     # Rows of the body turned about its back, then leaning towards the camera.
     across = np.stack([c, np.zeros_like(c), s], axis=-1)
     down = np.stack([-lean * s, -upright, lean * c], axis=-1)

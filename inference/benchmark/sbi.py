@@ -19,7 +19,7 @@ from poseterior.inference.benchmark.references import shipped_points
 from poseterior.inference.benchmark.target import FrozenTarget
 from poseterior.probmodel.failures import BadInput
 
-SIMULATIONS = [1_000, 10_000, 100_000]
+SBIBM_SIMULATIONS = [1_000, 10_000, 100_000]
 """Numbers of simulations that algorithms are compared at, as sbibm's own tasks have them."""
 
 
@@ -65,7 +65,7 @@ def sbibm_task(name: str) -> Any:
                 name_display=f"poseterior: {target.about}",
                 num_observations=1,
                 num_posterior_samples=len(exact) - 1,
-                num_simulations=SIMULATIONS,
+                num_simulations=SBIBM_SIMULATIONS,
                 path=Path(__file__).parent,
             )
             self.prior_params = {"concentration1": alpha, "concentration0": beta}

@@ -4,7 +4,10 @@ cannot be draws of the target.
 An .npz holds one of `points`, `box`, `cube` (the charts of `target`), `(n, d)`, or `(chain, draw,
 d)` for Markov chains; and where there are any, `weights` or `log_weights` of as many draws,
 `log_evidence` with `log_evidence_se`, `evaluations`, and `seconds`. An .npy holds points. The
-group posterior of ArviZ's netCDF may hold the same, `(chain, draw, d)`."""
+group posterior of ArviZ's netCDF may hold the same, `(chain, draw, d)`.
+
+Draws with weights are a set: nested samplers sort them, so their order says nothing of how they
+were made, and the verdict is the same in any."""
 
 import math
 import os
@@ -13,20 +16,20 @@ from pathlib import Path
 
 import numpy as np
 
-from poseterior.inference.benchmark.target import FrozenTarget
-from poseterior.probmodel.arrays import HDF5, ArrayFile, read_array, read_tables
+from poseterior.inference.benchmark.forms import SamplerTarget
+from poseterior.inference.resampling import WEIGHTS, counting, let_pass, merged, weights_of
+from poseterior.probmodel.arrays import HDF5, ArrayFile, plain_numbers, read_array, read_tables
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.files import opened
 
 NETCDF = (".nc", ".nc4", ".h5", ".hdf5")
 CHARTS = ("points", "box", "cube")
-WEIGHTS = ("weights", "log_weights")
-NUMBERS = ("log_evidence", "log_evidence_se", "evaluations", "seconds")
-FEWEST = 4
+STATED = ("log_evidence", "log_evidence_se", "evaluations", "seconds")
+FEWEST_OF_CHAIN = 4
 """Draws of a chain, of which fewer tell nothing of it."""
-ROUNDING = 1e-5
+SINGLE_ROUNDING = 1e-5
 """How far beyond its reach, in reaches, a joint may lie by the rounding of 32-bit numbers."""
-WHAT, ADVICE = "file of draws", "write one with numpy.savez('draws.npz', points=draws)"
+DRAWS_FILE, DRAWS_ADVICE = "file of draws", "write one with numpy.savez('draws.npz', points=draws)"
 
 
 @dataclass(frozen=True)
@@ -50,16 +53,16 @@ class Submission:
     seconds: float = math.nan
 
 
-def read_submission(path: str | os.PathLike, target: FrozenTarget) -> Submission:
+def read_submission(path: str | os.PathLike, target: SamplerTarget) -> Submission:
     """The draws in a file. Raises `BadInput` as `submit`, and where it is no such file."""
     if Path(path).suffix.lower() == ".npy":
-        return submit(target, points=read_array(path, WHAT, ADVICE), where=str(path))
+        return submit(target, points=read_array(path, DRAWS_FILE, DRAWS_ADVICE), where=str(path))
     if Path(path).suffix.lower() in NETCDF:
         return submit(target, **_posterior(Path(path)), where=str(path))
-    arrays = read_tables(path, WHAT, ADVICE)
-    unknown = sorted(set(arrays) - {*CHARTS, *WEIGHTS, *NUMBERS})
+    arrays = read_tables(path, DRAWS_FILE, DRAWS_ADVICE)
+    unknown = sorted(set(arrays) - {*CHARTS, *WEIGHTS, *STATED})
     if unknown:
-        known = ", ".join((*CHARTS, *WEIGHTS, *NUMBERS))
+        known = ", ".join((*CHARTS, *WEIGHTS, *STATED))
         raise BadInput(f"{path} has an array {shown(unknown[0])}; it may have {known}")
     return submit(target, **arrays, where=str(path))
 
@@ -67,11 +70,11 @@ def read_submission(path: str | os.PathLike, target: FrozenTarget) -> Submission
 def _posterior(path: Path) -> dict[str, np.ndarray]:
     """What the posterior of ArviZ's netCDF holds of the arrays that an .npz may have."""
     group = "posterior/"
-    with opened(path, WHAT, ADVICE) as file:
-        found = ArrayFile(file, str(path), WHAT, ADVICE)
+    with opened(path, DRAWS_FILE, DRAWS_ADVICE) as file:
+        found = ArrayFile(file, str(path), DRAWS_FILE, DRAWS_ADVICE)
         found.require(HDF5)
         names = [name.removeprefix(group) for name in found.names() if name.startswith(group)]
-        wanted = [name for name in (*CHARTS, *WEIGHTS, *NUMBERS) if name in names]
+        wanted = [name for name in (*CHARTS, *WEIGHTS, *STATED) if name in names]
         arrays = found.read([group + name for name in wanted])
     if not set(CHARTS) & set(wanted):
         raise BadInput(
@@ -81,7 +84,7 @@ def _posterior(path: Path) -> dict[str, np.ndarray]:
     return {name.removeprefix(group): values for name, values in arrays.items()}
 
 
-def submit(target: FrozenTarget, *, where: str = "the draws", **arrays: np.ndarray) -> Submission:
+def submit(target: SamplerTarget, *, where: str = "the draws", **arrays: np.ndarray) -> Submission:
     """Draws as arrays, by the names that they have in a file.
 
     Raises
@@ -91,29 +94,34 @@ def submit(target: FrozenTarget, *, where: str = "the draws", **arrays: np.ndarr
         have weights that cannot be any.
     """
     chart, values = _chart(arrays, target, where)
-    log_weights = _log_weights(arrays, values.shape[:-1], where)
-    numbers = {name: _number(arrays, name, where) for name in NUMBERS}
+    log_weights = weights_of(arrays, values.shape[:-1], where)
+    numbers = {name: _number(arrays, name, where) for name in STATED}
     if log_weights is not None:
-        values = values[np.isfinite(log_weights)][None]
-        log_weights = log_weights[np.isfinite(log_weights)]
+        counts = counting(log_weights)
+        given = int(counts.sum())
+        rows, log_weights = merged(values[counts], log_weights[counts])
+        values = rows[None]
+    else:
+        given = values.shape[0] * values.shape[1]
     points = _points(chart, values, target, where)
     _require_support(points, target, where)
-    given = points.shape[0] * points.shape[1]
     if log_weights is not None:
-        points = points[:, _let_pass(log_weights)]
+        points = points[:, let_pass(log_weights, np.random.default_rng(0))]
     _require_motion(points, where)
     return Submission(points, given, **numbers)
 
 
 def _chart(
-    arrays: dict[str, np.ndarray], target: FrozenTarget, where: str
+    arrays: dict[str, np.ndarray], target: SamplerTarget, where: str
 ) -> tuple[str, np.ndarray]:
     """The name of the chart, and the draws in it as `(chain, draw, d)`."""
     named = [name for name in CHARTS if name in arrays]
     if len(named) != 1:
         said = " and ".join(named) or "none"
-        raise BadInput(f"{where} must have one of {', '.join(CHARTS)}, but has {said}; {ADVICE}")
-    values = _numbers(arrays[named[0]], f"{named[0]} of {where}")
+        raise BadInput(
+            f"{where} must have one of {', '.join(CHARTS)}, but has {said}; {DRAWS_ADVICE}"
+        )
+    values = plain_numbers(arrays[named[0]], f"{named[0]} of {where}")
     values = values[None] if values.ndim == 2 else values
     if values.ndim != 3 or values.shape[-1] != target.dim or not values.size:
         raise BadInput(
@@ -129,57 +137,21 @@ def _chart(
     return named[0], values
 
 
-def _numbers(array: np.ndarray, where: str) -> np.ndarray:
-    found = np.asarray(array)
-    if found.dtype.kind not in "fiu":
-        raise BadInput(f"{where} holds {shown(str(found.dtype))} where numbers are needed")
-    return found.astype(float)
-
-
-def _log_weights(
-    arrays: dict[str, np.ndarray], shape: tuple[int, ...], where: str
-) -> np.ndarray | None:
-    """`(chain, draw)`: logs of the draws' weights; None where there are none."""
-    named = [name for name in WEIGHTS if name in arrays]
-    if not named:
-        return None
-    if len(named) > 1:
-        raise BadInput(f"{where} has both weights and log_weights; leave one out")
-    values = _numbers(arrays[named[0]], f"{named[0]} of {where}")
-    if values.size != math.prod(shape):
-        raise BadInput(
-            f"{named[0]} of {where} are {values.size:,} for {math.prod(shape):,} draws; give each"
-            " draw one"
-        )
-    values = values.reshape(shape)
-    if np.isnan(values).any() or (values == np.inf).any():
-        raise BadInput(f"{named[0]} of {where} hold a number that is not finite; leave it out")
-    if named[0] == "weights":
-        if (values < 0).any():
-            raise BadInput(
-                f"{int((values < 0).sum()):,} of {values.size:,} weights of {where} are negative; a"
-                " weight is 0 or more"
-            )
-        with np.errstate(divide="ignore"):
-            values = np.log(values)
-    if not np.isfinite(values).any():
-        raise BadInput(f"all weights of {where} are zero; no draw counts, so run the sampler anew")
-    return values
-
-
 def _number(arrays: dict[str, np.ndarray], name: str, where: str) -> float:
     if name not in arrays:
         return math.nan
-    value = _numbers(arrays[name], f"{name} of {where}")
+    value = plain_numbers(arrays[name], f"{name} of {where}")
     if value.size != 1:
         raise BadInput(f"{name} of {where} has shape {value.shape}; give one number")
     found = float(value.reshape(()))
-    if name != "log_evidence" and not (found > 0 and math.isfinite(found)):
+    if not math.isfinite(found):
+        raise BadInput(f"{name} of {where} is {found:g}; give a finite number, or leave it out")
+    if name != "log_evidence" and found <= 0:
         raise BadInput(f"{name} of {where} is {found:g}; it must be a number above 0")
     return found
 
 
-def _points(chart: str, values: np.ndarray, target: FrozenTarget, where: str) -> np.ndarray:
+def _points(chart: str, values: np.ndarray, target: SamplerTarget, where: str) -> np.ndarray:
     """The draws as points of R^d."""
     if chart == "points":
         return values
@@ -192,9 +164,9 @@ def _points(chart: str, values: np.ndarray, target: FrozenTarget, where: str) ->
     return target.points_of_box(values) if chart == "box" else target.prior_transform(values)
 
 
-def _require_support(points: np.ndarray, target: FrozenTarget, where: str) -> None:
+def _require_support(points: np.ndarray, target: SamplerTarget, where: str) -> None:
     misfits = target.misfits(points.reshape(-1, target.dim))
-    outside = (misfits > 1 + ROUNDING).any(axis=-1)
+    outside = (misfits > 1 + SINGLE_ROUNDING).any(axis=-1)
     if outside.any():
         worst = int(np.argmax(misfits.max(axis=0)))
         raise BadInput(
@@ -204,18 +176,11 @@ def _require_support(points: np.ndarray, target: FrozenTarget, where: str) -> No
         )
 
 
-def _let_pass(log_weights: np.ndarray) -> np.ndarray:
-    """`(n,)` bool: draws with weights, let pass with probability weight over largest weight, are
-    draws without: of independent ones, independent ones, and none of them twice."""
-    rng = np.random.default_rng(0)
-    return np.log(rng.uniform(size=len(log_weights))) < log_weights - log_weights.max()
-
-
 def _require_motion(points: np.ndarray, where: str) -> None:
-    if points.shape[1] < FEWEST:
+    if points.shape[1] < FEWEST_OF_CHAIN:
         raise BadInput(
             f"{where} come to {points.shape[1]} draws a chain, weights considered; the judge needs"
-            f" {FEWEST} at least, so run the sampler on"
+            f" {FEWEST_OF_CHAIN} at least, so run the sampler on"
         )
     still = (points == points[:, :1]).all(axis=(1, 2))
     if still.any():

@@ -37,14 +37,14 @@ from poseterior.probmodel.skeleton import (
     Limb,
 )
 
-COORDINATES = (
+FRACTIONS = (
     *(f"length of {group}" for group in LENGTH_GROUPS),
     *(f"{bone.name} {axis}" for bone in BONES for axis in "uv"),
 )
 """Names of the fractions of a pose."""
-LAWS = {"disc": (1.0, 0.0), "gaussian": (1.5, 2.0)}
+FROZEN_LAWS = {"disc": (1.0, 0.0), "gaussian": (1.5, 2.0)}
 """Error laws: the reach in spreads, and c in the log ratio -c·z² of the density to its peak."""
-CHUNK = 20_000
+TARGET_CHUNK = 20_000
 """Rows that are computed at once at most, so that memory stays small."""
 
 
@@ -59,7 +59,7 @@ class FrozenTarget:
     seen_at : `(15, 2)`, where joints were detected in the image, in its units; 0 where not.
     score : `(15,)`, the detector's scores; 0 where a joint was not detected.
     factor : the spread of a joint of average score, body units.
-    law : the errors' law, a key of `LAWS`.
+    law : the errors' law, a key of `FROZEN_LAWS`.
     """
 
     name: str
@@ -113,7 +113,7 @@ class FrozenTarget:
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Their names."""
-        return (*(COORDINATES[index] for index in self.active), *self.root.coordinates)
+        return (*(FRACTIONS[index] for index in self.active), *self.root.coordinates)
 
     @functools.cached_property
     def prior_shape(self) -> tuple[np.ndarray, np.ndarray]:
@@ -121,8 +121,10 @@ class FrozenTarget:
         uniform ones, which are Beta(1, 1), of all else."""
         lengths, free = self._lengths
         anatomy = FrozenAnatomy.default().lengths
-        alpha, beta = np.ones(self.dim), np.ones(self.dim)
-        alpha[free], beta[free] = anatomy.alpha[lengths], anatomy.beta[lengths]
+        alpha = np.ones(self.dim)
+        beta = np.ones(self.dim)
+        alpha[free] = anatomy.alpha[lengths]
+        beta[free] = anatomy.beta[lengths]
         return alpha, beta
 
     def log_prior(self, points: np.ndarray) -> np.ndarray:
@@ -150,7 +152,8 @@ class FrozenTarget:
         inside = np.all((box > 0) & (box < 1), axis=-1)
         safe = np.where(inside[..., None], box, 0.5)
         lengths, free = self._lengths
-        anatomy, fraction = FrozenAnatomy.default().lengths, safe[..., free]
+        anatomy = FrozenAnatomy.default().lengths
+        fraction = safe[..., free]
         prior = (anatomy.alpha[lengths] - 1) * np.log(fraction)
         prior = prior + (anatomy.beta[lengths] - 1) * np.log1p(-fraction)
         log_prior = np.sum(prior + anatomy.log_constants[lengths], axis=-1)
@@ -167,7 +170,7 @@ class FrozenTarget:
         """
         box = self.box_of(points)
         squares = self._squares_in_box(box)
-        reach, curvature = LAWS[self.law]
+        reach, curvature = FROZEN_LAWS[self.law]
         within = np.minimum(squares, reach**2)
         beyond = (squares - within) / reach**2
         return self._log_growth(box) - np.sum(curvature * within + hardness * beyond, axis=-1)
@@ -202,7 +205,7 @@ class FrozenTarget:
 
     def misfits(self, points: np.ndarray) -> np.ndarray:
         """`(..., k)`: distances of the seen joints from their detections, in reaches."""
-        return np.sqrt(self.squares(points)) / LAWS[self.law][0]
+        return np.sqrt(self.squares(points)) / FROZEN_LAWS[self.law][0]
 
     def misfit(self, points: np.ndarray) -> np.ndarray:
         """`(...)`: the largest of them: a point is inside the support iff it is at most 1."""
@@ -241,7 +244,7 @@ class FrozenTarget:
     def detections(self, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """`(n, k, 2)`: where the seen joints of poses at points `(n, d)` of R^d may be detected, in
         units of the image: their places with errors of the target's law."""
-        reach, curvature = LAWS[self.law]
+        reach, curvature = FROZEN_LAWS[self.law]
         share = rng.uniform(size=(len(points), len(self.seen)))
         if curvature:  # the size's law is cut off at the reach
             most = -np.expm1(-curvature * reach**2)
@@ -284,7 +287,10 @@ class FrozenTarget:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Joints and lengths at fractions `(n, 23)` of poses, and those of the root."""
         anatomy = FrozenAnatomy.default()
-        parts = (np.split(each, range(CHUNK, len(each), CHUNK)) for each in (fractions, of_root))
+        parts = (
+            np.split(each, range(TARGET_CHUNK, len(each), TARGET_CHUNK))
+            for each in (fractions, of_root)
+        )
         joints = np.concatenate(
             [
                 anatomy.joints(self.root.at(root).torso, part, limbs)
@@ -295,7 +301,7 @@ class FrozenTarget:
 
     def _squares_in_box(self, box: np.ndarray) -> np.ndarray:
         flat = box.reshape(-1, self.dim)
-        parts = np.split(flat, range(CHUNK, len(flat), CHUNK))
+        parts = np.split(flat, range(TARGET_CHUNK, len(flat), TARGET_CHUNK))
         found = np.concatenate([self._squares_of(part) for part in parts])
         return found.reshape(*box.shape[:-1], len(self.seen))
 
@@ -315,9 +321,9 @@ class FrozenTarget:
         return -2 * len(self.seen) * self.root.log_growth(self._parts(box)[1])
 
     def _log_ratio(self, squares: np.ndarray) -> np.ndarray:
-        reach, curvature = LAWS[self.law]
+        reach, curvature = FROZEN_LAWS[self.law]
         inside = np.all(squares <= reach**2, axis=-1)
         return np.where(inside, -curvature * np.sum(squares, axis=-1), -np.inf)
 
 
-assert len(COORDINATES) == CUBE_DIM == NUM_LENGTHS + 2 * (NUM_UPPER + NUM_LOWER)
+assert len(FRACTIONS) == CUBE_DIM == NUM_LENGTHS + 2 * (NUM_UPPER + NUM_LOWER)

@@ -136,7 +136,8 @@ class UncertainTarget:
         return self._root(point[len(self.active) :]), from_fractions(self.model, fractions)
 
     def _root(self, point: jax.Array) -> RootPoint:
-        box, number = jax.nn.sigmoid(point), len(self.model.torsos)
+        box = jax.nn.sigmoid(point)
+        number = len(self.model.torsos)
         torso = jnp.clip(jnp.floor(box[0] * number), 0, number - 1).astype(int)
         yaw, roll = (jnp.pi * (2 * box[one] - 1) for one in (1, 3))
         # The angle whose sine is 2·box - 1, without the arcsine's infinite slope at its ends.

@@ -16,7 +16,7 @@ from poseterior.inference.studies.comparison.distances import standardised, wass
 from poseterior.inference.studies.comparison.judge import Judgement, judge
 from poseterior.inference.studies.comparison.sample import Sample
 
-MOST = 20_000
+MOST_JUDGED = 20_000
 """Draws that are judged at most, taken evenly along every chain."""
 
 
@@ -79,7 +79,7 @@ def verdict(
     judgement = judge(
         sample,
         exact,
-        evidence=stated if math.isfinite(stated[1]) else (math.nan, math.nan),
+        evidence=stated,
         exact_evidence=(known.log_evidence, known.log_evidence_se),
     )
     distances = wasserstein(*standardised(sample.flat, exact.flat))
@@ -87,20 +87,20 @@ def verdict(
     varying = np.array(exact.names)[exact.flat.std(axis=0) > 1e-12]
     effective = judgement.mixing.worst
     return Assessment(
-        target.name,
-        judgement,
-        submission.given,
-        sample.num_draws,
-        str(varying[worst]),
-        float(distances[worst]),
-        stated[0] - known.log_evidence,
-        math.hypot(stated[1], known.log_evidence_se),
-        effective / submission.evaluations,
-        effective / submission.seconds,
+        target=target.name,
+        judgement=judgement,
+        draws=submission.given,
+        judged=sample.num_draws,
+        worst_coordinate=str(varying[worst]),
+        worst_w1=float(distances[worst]),
+        evidence_error=stated[0] - known.log_evidence,
+        evidence_error_se=math.hypot(stated[1], known.log_evidence_se),
+        per_evaluation=effective / submission.evaluations,
+        per_second=effective / submission.seconds,
     )
 
 
 def _thinned(points: np.ndarray) -> np.ndarray:
-    """At most `MOST` draws of `(chain, draw, d)`."""
+    """At most `MOST_JUDGED` draws of `(chain, draw, d)`."""
     chains, draws, _ = points.shape
-    return points[:, :: max(1, -(-chains * draws // MOST))]
+    return points[:, :: max(1, -(-chains * draws // MOST_JUDGED))]

@@ -74,14 +74,15 @@ def torso_problem(posterior: Posterior, faults: Faults) -> TorsoProblem:
         bias=np.ascontiguousarray(detected.bias[seen][order]),
         reach=np.ascontiguousarray(reach[order]),
         precision=np.asarray(law.precision * (law.reach / reach[order]) ** 2),
-        ray=np.ascontiguousarray(
-            np.asarray(detected.rays(posterior.model.lens))[seen][order], float
-        ),
+        ray=np.asarray(detected.rays(posterior.model.lens))[seen][order],
         # Every seen joint contributes scale⁻², and the translation takes one of them.
         power=2.0 * len(rows) - 2,
     )
     lowest = lowest_scale(joints)
-    joints = joints._replace(keypoints=np.ascontiguousarray(joints.keypoints / lowest))
+    joints = joints._replace(
+        keypoints=np.ascontiguousarray(joints.keypoints / lowest),
+        ray=np.ascontiguousarray(joints.ray, float),
+    )
     highest = math.exp(float(TorsoCameraPrior.of(posterior.model).highest_log_scale))
     return TorsoProblem(joints, law, float(posterior.model.upright), origin, lowest, highest)
 

@@ -19,7 +19,8 @@ def similarity_aligned(joints: ArrayLike, truth: ArrayLike) -> np.ndarray:
 
     Source: Umeyama (1991). Raises `ValueError` where shapes do not fit.
     """
-    joints, truth = np.asarray(joints, float), np.asarray(truth, float)
+    joints = np.asarray(joints, float)
+    truth = np.asarray(truth, float)
     if joints.shape[-2:] != truth.shape[-2:] or joints.shape[-1:] != (3,):
         raise ValueError(f"poses of shapes {joints.shape} and {truth.shape} cannot be compared")
     seen = np.isfinite(joints).all(axis=-1, keepdims=True) & np.isfinite(truth).all(
@@ -50,7 +51,8 @@ def limb_scaled(joints: ArrayLike, truth: ArrayLike) -> np.ndarray:
 
     Beyond a missing joint there is no direction: its limb ends there. Raises `BadInput` where a
     bone of `joints` has length zero."""
-    joints, truth = np.asarray(joints, float), np.asarray(truth, float)
+    joints = np.asarray(joints, float)
+    truth = np.asarray(truth, float)
     lost = ~np.isfinite(joints).all(axis=-1)
     for joint, parent in enumerate(PARENTS[1:], start=1):  # parents come before their children
         lost[..., joint] |= lost[..., parent]

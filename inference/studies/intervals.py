@@ -9,7 +9,7 @@ from scipy import stats
 RESAMPLES = 1000
 TAIL = 0.025
 """What a central interval of 95 % leaves on either side."""
-ROUNDING = 1e-12
+INTERVAL_ROUNDING = 1e-12
 
 
 class Interval(NamedTuple):
@@ -34,7 +34,7 @@ def of_share(held: np.ndarray, cluster: np.ndarray, seed: int = 0) -> Interval:
     """
     found = resampled(cluster, np.random.default_rng(seed), lambda rows: held[rows].mean())
     value = float(held.mean())
-    if np.ptp(found) > ROUNDING:
+    if np.ptp(found) > INTERVAL_ROUNDING:
         low, high = np.quantile(found, [TAIL, 1 - TAIL])
         return Interval(value, float(low), float(high))
     trials = len(np.unique(cluster))

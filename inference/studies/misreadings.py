@@ -32,7 +32,7 @@ from poseterior.probmodel.layouts import COCO_17, H36M_17, Layout
 from poseterior.probmodel.motion import read_motion
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 
-NOISE = 0.08
+MISREAD_NOISE = 0.08
 """Body units (2.6 cm): MMPose's joints lie so far from COCO's annotation on the one image that both
 are of."""
 FACE_NOISE = 0.03
@@ -44,7 +44,7 @@ SCALE, SCORE = 100, 0.8
 """Pixels a body unit, and the score of every point that is found."""
 NODS = (25, 15, 10)
 """Degrees, standard deviations of the head's turn against the chest."""
-RIGHT = "right"
+READ_RIGHT = "right"
 """The reading that is no mistake."""
 
 
@@ -58,7 +58,7 @@ class FileView:
     angle: float
 
 
-def views(motions: Path, count: int, seed: int, noise: float = NOISE) -> Iterator[FileView]:
+def views(motions: Path, count: int, seed: int, noise: float = MISREAD_NOISE) -> Iterator[FileView]:
     """Poses of all kinds of action, from random sides."""
     joints = np.concatenate([motion.joints[::7] for motion in read_motion(motions)])
     rng = np.random.default_rng(seed)
@@ -67,7 +67,7 @@ def views(motions: Path, count: int, seed: int, noise: float = NOISE) -> Iterato
         yield view_of(body, rng, noise)
 
 
-def view_of(body: np.ndarray, rng: np.random.Generator, noise: float = NOISE) -> FileView:
+def view_of(body: np.ndarray, rng: np.random.Generator, noise: float = MISREAD_NOISE) -> FileView:
     """`body` `(15, 3)` (body units) from a random side, tilted by up to 20°."""
     lens = camera(rng.uniform(0, 360), rng.uniform(-20, 20), SCALE)
     axes = _chest(body)
@@ -98,7 +98,8 @@ def view_of(body: np.ndarray, rng: np.random.Generator, noise: float = NOISE) ->
 def _chest(body: np.ndarray) -> np.ndarray:
     """`(3, 3)`: columns left, up and forward of a pose."""
     at = {name: body[index] for name, index in JOINT_INDEX.items()}
-    left, up = at["left_hip"] - at["right_hip"], _unit(at["thorax"] - at["pelvis"])
+    left = at["left_hip"] - at["right_hip"]
+    up = _unit(at["thorax"] - at["pelvis"])
     return np.stack([_unit(left - left @ up * up), up, _unit(np.cross(left, up))], axis=1)
 
 
@@ -109,7 +110,8 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 def mirrored(detection: Detection, axis: int, size: float = 640.0) -> Detection:
     """x counted from the other side (axis 0), or y (axis 1)."""
     turned = np.arange(2) == axis
-    sign, shift = np.where(turned, -1.0, 1.0), np.where(turned, size, 0.0)
+    sign = np.where(turned, -1.0, 1.0)
+    shift = np.where(turned, size, 0.0)
     face = detection.face
     if face is not None:
         face = np.column_stack([face[:, :2] * sign + shift, face[:, 2]])
@@ -162,13 +164,14 @@ def evidences(judge: Judge, person: Detection) -> Evidences:
 def exchanges(person: Detection, found: Evidences) -> dict[str, Verdict]:
     """Verdicts on the right reading and on every exchange within the body."""
     kinds = (*(reading.name for reading in READINGS), "whole")
-    right = {RIGHT: weigh(person, *found)}
+    right = {READ_RIGHT: weigh(person, *found)}
     return right | {kind: seen_as(kind, person, *found) for kind in kinds}
 
 
 def others(judge: Judge, view: FileView, found: Evidences) -> dict[str, Verdict]:
     """Verdicts on mistakes that are no exchange: mirrored images, other orders, other sizes."""
-    mirror, upside = mirrored(view.detection, 0), mirrored(view.detection, 1)
+    mirror = mirrored(view.detection, 0)
+    upside = mirrored(view.detection, 1)
     opposite = judge.evidence(exchanged(mirror, *BODY))
     verdicts = {
         "mirrored": weigh(mirror, judge.evidence(mirror), found.opposed, opposite),

@@ -24,7 +24,7 @@ from poseterior.probmodel.roots import Candidate
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from poseterior.probmodel.transport import CUBE_DIM, from_cube
 
-CENTRE = (320.0, 240.0)
+SCENE_CENTRE = (320.0, 240.0)
 """Pixels: where the pelvis is seen."""
 SCORE = 0.8
 HARDLY = 0.25
@@ -41,7 +41,7 @@ ALL_BUT_AN_ARM = (
     "left_ankle",
 )
 """Joints to leave out so that the right arm alone is seen."""
-NUMBER = 64
+SCENES = 64
 _MISSING = (
     (),
     (),
@@ -57,7 +57,7 @@ _MISSING = (
 def camera(yaw: float, tilt: float = 0.0, scale: float = 100.0) -> WeakPerspective:
     """A camera that sees a body turned by `yaw` and tilted by `tilt` degrees, facing it at 0, at
     `scale` pixels a body unit."""
-    return WeakPerspective(scale, View(yaw, tilt).camera.rotation, np.array(CENTRE))
+    return WeakPerspective(scale, View(yaw, tilt).camera.rotation, np.array(SCENE_CENTRE))
 
 
 def scene(
@@ -160,13 +160,13 @@ def hidden(index: int) -> tuple[str, ...]:
 
 def prior_frames(model: PoseModel) -> list[Estimate]:
     """Poses of the prior, seeds 0 to 63, each from its own side."""
-    return [prior_scene(model, seed, missing=hidden(seed)) for seed in range(NUMBER)]
+    return [prior_scene(model, seed, missing=hidden(seed)) for seed in range(SCENES)]
 
 
 def motion_frames(path: Path) -> list[Estimate]:
     """Poses of motion capture, evenly over the archive at `path`, from all sides in turn."""
     joints = np.concatenate([motion.joints for motion in read_motion(path)])
-    rows = np.linspace(0, len(joints) - 1, NUMBER).astype(int)
+    rows = np.linspace(0, len(joints) - 1, SCENES).astype(int)
     return [
         motion_scene(
             joints[row],

@@ -134,15 +134,14 @@ def _doubt(session: Session, view: JudgedView, axes: np.ndarray) -> np.ndarray:
 
 
 def _in_perspective(session: Session, view: JudgedView) -> tuple[np.ndarray, ...]:
-    """The same in the calibrated camera's axes, focal lengths and principal points besides. Pixels
-    that are not square are made so."""
+    """The same in the calibrated camera's axes, focal lengths and principal points besides."""
     keypoints, score, recording = _seen(session, view)
     camera, number = session.straight[view.camera], len(recording)
-    placed, focal = camera.view(view.world.points[view.whole]), float(camera.focal.mean())
+    placed, focal = camera.view(view.world.points[view.whole]), float(camera.focal[0])
     pelvis = placed[:, :1]
     return (
         placed - pelvis,
-        camera.principal + (keypoints - camera.principal) * (focal / camera.focal),
+        keypoints,
         score,
         focal / pelvis[:, 0, 2],
         camera.principal + focal * pelvis[:, 0, :2] / pelvis[:, 0, 2:],

@@ -34,6 +34,9 @@ OUTLIER_RADIUS = 5.0
 """Body units: a person's height, so that an outlier may be anywhere on the person."""
 LARGEST_LENGTH = 100.0
 """Body units; no spread, bias or radius is larger."""
+SHARPEST = 0.002
+"""Body units, less than a millimetre of a person: no detector is so exact that its sigma is
+smaller, and samplers would seek for ever for poses that agree with it."""
 _WHAT = "error law"
 _ADVICE = "give a file that `poseterior calibrate` wrote, or one like it"
 _PARAMETERS = {field.name for law in LAWS.values() for field in dataclasses.fields(law)}  # type: ignore[arg-type]
@@ -136,6 +139,7 @@ class DetectorErrors:
                 self._check_joint(joint)
         self._check_exchange()
         self._check_score()
+        self._check_sizes()
 
     @property
     def known(self) -> npt.NDArray[np.bool_]:
@@ -187,6 +191,22 @@ class DetectorErrors:
             raise BadInput(
                 f"bias of {name} must be two numbers within ±{LARGEST_LENGTH:g} body units, not"
                 f" {self.bias[joint].tolist()}"
+            )
+
+    def _check_sizes(self) -> None:
+        least = self.sigma * min(self.score.sigma_factor)
+        joint = int(np.nanargmin(least))
+        if least[joint] < SHARPEST:
+            raise BadInput(
+                f"sigma of {JOINTS[joint]} is {least[joint]:g} body units where its score is best,"
+                f" less than {SHARPEST:g}, which is under a millimetre of a person; no detector is"
+                " so exact: give its true error, in body units"
+            )
+        widest = int(np.nanargmax(self.sigma))
+        if self.outlier_radius < self.sigma[widest]:
+            raise BadInput(
+                f"the outlier_radius is {self.outlier_radius:g} body units, less than the sigma of"
+                f" {JOINTS[widest]} ({self.sigma[widest]:g}); outliers lie farther off than others"
             )
 
     def _check_exchange(self) -> None:

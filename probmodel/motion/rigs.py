@@ -136,7 +136,9 @@ def _limbs(plain: Mapping[str, int]) -> dict[str, int]:
     """Joints of arms and legs, each in the first naming of which most is there."""
     found: dict[str, int] = {}
     for ours, namings in _LIMBS.items():
-        found |= max((_limb(plain, ours, theirs) for theirs in namings), key=len)
+        each = [_limb(plain, ours, theirs) for theirs in namings]
+        longest: dict[str, int] = max(each, key=len)
+        found.update(longest)
     return found
 
 

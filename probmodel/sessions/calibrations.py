@@ -5,6 +5,7 @@ diag(1, -1, -1) R (X - c) in camera axes; `intrinsic` is in 64ths of a pixel. Po
 conventions, a Rodrigues vector and a translation in metres from the world to the camera."""
 
 import itertools
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,21 @@ from poseterior.probmodel.documents import read_text
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.sessions.pinhole import Pinhole
 
-LARGEST_CALIBRATION = 10_000_000
+LARGEST_CALIBRATION = 1_000_000
 """Bytes; a calibration has some thousand for each camera."""
+DEEPEST_KEY = 16
+"""Parts of a dotted key of TOML, of which the parser keeps a table each, and all their prefixes."""
+_PART = r"""[ \t]*+(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\."""
+_LONG_KEY = re.compile(rf"(?<![\w \t-])(?:{_PART}){{{DEEPEST_KEY}}}")
+NEAREST, FARTHEST = 1.0, 1e6
+"""Millimetres between cameras: less is one place, from which no depth is seen, and a kilometre is
+no room."""
+OBLONG = 2.0
+"""How much longer than wide a pixel may be, or wider than long; those of cameras are square, or by
+a third off."""
 SUFFIXES = (".qca.txt", ".toml")
 SUBPIXELS = 64
-FLIP = np.diag([1.0, -1.0, -1.0])
+FLIP = np.array([1.0, -1.0, -1.0])
 _PLACES = [f"r{row}{column}" for row, column in itertools.product("123", "123")]
 _WHAT, _ADVICE = "calibration", "give a Qualisys .qca.txt or a Pose2Sim .toml"
 
@@ -46,14 +57,37 @@ def read_cameras(path: Path) -> list[Pinhole]:
         raise BadInput(
             f"{path} calibrates {len(cameras)} cameras; two at least are needed to see depth"
         )
+    _require_room(cameras, path)
     return cameras
+
+
+def _require_room(cameras: list[Pinhole], path: Path) -> None:
+    """Raises `BadInput` where cameras stand at one place, or one stands where no other can see
+    what it sees."""
+    centres = np.stack([camera.centre for camera in cameras])
+    apart = np.linalg.norm(centres[:, None] - centres, axis=-1)
+    np.fill_diagonal(apart, np.inf)
+    nearest = apart.min(axis=1)
+    if nearest.max() > FARTHEST:
+        far = int(np.argmax(nearest))
+        raise BadInput(
+            f"camera {far + 1} of {path} stands {nearest[far] / 1e6:,.0f} km from every other;"
+            " check its position, and that lengths are in the calibration's unit"
+        )
+    if nearest.min() < NEAREST:
+        one = int(np.argmin(nearest))
+        other = int(np.argmin(apart[one]))
+        raise BadInput(
+            f"cameras {one + 1} and {other + 1} of {path} stand at one place, from where nobody"
+            " sees depth; check their positions, or leave one of them out"
+        )
 
 
 def _qualisys(text: str, path: Path) -> list[Pinhole]:
     if "<!" in text:  # entities, which could grow without end
         raise BadInput(f"{path} holds a declaration that a calibration does not need; {_ADVICE}")
     try:
-        root = ElementTree.fromstring(text.encode())
+        root = ElementTree.fromstring(text)  # decoded, whatever encoding it says it is in
     except (ElementTree.ParseError, RecursionError) as error:
         raise BadInput(f"{path} is no XML ({error}); {_ADVICE}") from None
     return [
@@ -69,7 +103,7 @@ def _qualisys_camera(camera: ElementTree.Element, where: str) -> Pinhole:
     bends = ["radialDistortion1", "radialDistortion2", "tangentalDistortion1"]
     bends += ["tangentalDistortion2", "radialDistortion3"]
     k1, k2, p1, p2, k3 = _numbers(camera, "intrinsic", bends, where, missing="0").tolist()
-    rotation = FLIP @ place[:9].reshape(3, 3)
+    rotation = FLIP[:, None] * place[:9].reshape(3, 3)
     return _camera(rotation, place[9:], inner[:2], inner[2:], (k1, k2, p1, p2, k3), where)
 
 
@@ -94,6 +128,8 @@ def _numbers(
 
 
 def _toml(text: str, path: Path) -> list[Pinhole]:
+    if _LONG_KEY.search(text):
+        raise BadInput(f"{path} has a key of more than {DEEPEST_KEY} parts; {_ADVICE}")
     try:
         tables = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
@@ -112,8 +148,15 @@ def _toml_camera(table: dict[str, Any], where: str) -> Pinhole:
             " first"
         )
     matrix = _array(table, "matrix", (3, 3), where)
-    rotation = Rotation.from_rotvec(_array(table, "rotation", (3,), where)).as_matrix()
-    centre = -1000 * rotation.T @ _array(table, "translation", (3,), where)
+    turn, shift = (_array(table, name, (3,), where) for name in ("rotation", "translation"))
+    with np.errstate(all="ignore"):  # `_camera` refuses what is not finite
+        rotation = Rotation.from_rotvec(turn).as_matrix()
+        centre = -1000 * rotation.T @ shift
+    if not np.array_equal(matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1]):
+        raise BadInput(
+            f"{where}: matrix must be [[f, 0, u], [0, g, v], [0, 0, 1]], focal lengths and"
+            " principal point in pixels; a skew is not known"
+        )
     bends = np.atleast_1d(np.asarray(table.get("distortions", [0.0] * 4), object))
     if bends.shape not in ((4,), (5,)):
         raise BadInput(f"{where}: distortions must be four or five numbers")
@@ -148,6 +191,11 @@ def _camera(
         raise BadInput(
             f"{where} has a number that is not finite, or a focal length that is not positive;"
             " calibrate anew"
+        )
+    if max(focal) > OBLONG * min(focal):
+        raise BadInput(
+            f"{where} has focal lengths of {focal[0]:g} pixels across and {focal[1]:g} down, as if"
+            f" its pixels were {max(focal) / min(focal):,.3g} times as long as wide; calibrate anew"
         )
     proper = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
     if not proper or np.linalg.det(rotation) < 0:

@@ -43,12 +43,13 @@ class Pinhole:
         return self.focal * self._distorted(plane) + self.principal
 
     def straighten(self, pixels: np.ndarray) -> np.ndarray:
-        """`(..., 2)` where pixels `(..., 2)` would be if the lens did not distort."""
+        """`(..., 2)` where pixels `(..., 2)` would be if the lens did not distort, and pixels were
+        square: what `straight` sees."""
         seen = (pixels - self.principal) / self.focal
         plane = seen
         for _ in range(_STEPS):
             plane = plane + seen - self._distorted(plane)
-        return self.focal * plane + self.principal
+        return self.straight.focal * plane + self.principal
 
     def slope(self, points: np.ndarray) -> np.ndarray:
         """`(..., 2, 3)` pixels a mm: how the straightened image of points `(..., 3)` of the world
@@ -62,8 +63,10 @@ class Pinhole:
 
     @property
     def straight(self) -> "Pinhole":
-        """The same camera without its lens' distortion."""
-        return dataclasses.replace(self, distortion=NO_DISTORTION)
+        """The same camera without its lens' distortion, with square pixels, so that errors to the
+        right and down are measured alike."""
+        focal = np.full(2, self.focal.mean())
+        return dataclasses.replace(self, focal=focal, distortion=NO_DISTORTION)
 
     def _distorted(self, plane: np.ndarray) -> np.ndarray:
         k1, k2, p1, p2, k3 = self.distortion

@@ -12,7 +12,7 @@ Frames are matched by the last number in their names.
 import dataclasses
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -78,12 +78,13 @@ class Session:
 
     @cached_property
     def straight(self) -> tuple[Pinhole, ...]:
-        """The cameras without their lenses' distortion, which `keypoints` lack too."""
+        """The cameras without their lenses' distortion, with square pixels, as `keypoints` have
+        them."""
         return tuple(camera.straight for camera in self.cameras)
 
     @cached_property
     def keypoints(self) -> np.ndarray:
-        """`(C, F, 15, 2)` straightened pixels, NaN where missing."""
+        """`(C, F, 15, 2)` straightened, square pixels, NaN where missing."""
         views = zip(self.cameras, self.people, strict=True)
         return np.stack([_straightened(camera, people) for camera, people in views])
 
@@ -225,10 +226,10 @@ def _joints(cameras: Sequence[Pinhole], xy: np.ndarray, score: np.ndarray) -> Tr
 
 
 def _scale(cameras: Sequence[Pinhole], points: np.ndarray) -> np.ndarray:
-    """`(C, F)` pixels a mm at the hips' midpoint of joints `(F, 15, 3)`; NaN where they are not
-    known, negative behind a camera."""
+    """`(C, F)` pixels a mm of straight cameras at the hips' midpoint of joints `(F, 15, 3)`; NaN
+    where they are not known, negative behind a camera."""
     middle = points[:, HIPS].mean(axis=1)
-    return np.stack([camera.focal.mean() / camera.view(middle)[:, 2] for camera in cameras])
+    return np.stack([camera.focal[0] / camera.view(middle)[:, 2] for camera in cameras])
 
 
 def _residuals(cameras: Sequence[Pinhole], points: np.ndarray, xy: np.ndarray) -> np.ndarray:
@@ -376,12 +377,21 @@ def _others(
     cameras: Sequence[Pinhole], there: list[list[Detection]]
 ) -> tuple[Detection, ...] | None:
     """The people, one a view, of the first combination that agrees; None where there is none."""
-    most = max(2, int(MOST_COMBINATIONS ** (1 / len(there))))
-    choices = itertools.product(*(range(min(len(people), most)) for people in there))
-    chosen = sorted(choices, key=sum)[:MOST_COMBINATIONS]
+    chosen = list(itertools.islice(_choices([len(view) for view in there]), MOST_COMBINATIONS))
     people = [[view[one[place]] for one in chosen] for place, view in enumerate(there)]
     agreed = np.flatnonzero(_agree(cameras, people))
     return tuple(view[agreed[0]] for view in people) if len(agreed) else None
+
+
+def _choices(numbers: list[int]) -> Iterator[tuple[int, ...]]:
+    """Which of so many people each view takes, those first that stand near the top of their files:
+    one by one, so that many cameras cost no more than their views."""
+    several = [view for view, number in enumerate(numbers) if number > 1]
+    for places in range(sum(numbers) - len(numbers) + 1):
+        for views in itertools.combinations_with_replacement(several, places):
+            chosen = np.bincount(np.array(views, int), minlength=len(numbers))
+            if (chosen < numbers).all():
+                yield tuple(chosen.tolist())
 
 
 def _agree(cameras: Sequence[Pinhole], people: Sequence[Sequence[Detection]]) -> np.ndarray:

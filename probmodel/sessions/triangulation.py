@@ -16,6 +16,9 @@ ROBUST = 50.0
 """Millimetres: residuals beyond it count less and less."""
 STEPS = 25
 """Of reweighting."""
+FLAT = 1e-14
+"""A normal matrix whose determinant is smaller, in cubes of its trace, fixes no point: its lines of
+sight are one."""
 LINEAR = 5
 """Of them, so many by the linear system, which needs no start; the rest by Gauss and Newton."""
 
@@ -26,7 +29,7 @@ class Triangulated(NamedTuple):
     Attributes
     ----------
     points
-        `(n, 3)` mm, NaN where fewer than two cameras saw one.
+        `(n, 3)` mm, NaN where fewer than two cameras saw one, or all from one line.
     covariance
         `(n, 3, 3)` of the points, for detections whose error has a standard deviation of one mm
         each way where the person is, and an average score; NaN likewise. It is that of weighted
@@ -72,6 +75,7 @@ def triangulate(
             far = np.linalg.norm(residuals(cameras, points, xy, scale), axis=-1)
             weight = np.where(seen & enough, trust / (1 + (far / ROBUST) ** 2), 0.0)
     _, normal = _newton(cameras, points, xy, weight, scale)
+    enough = enough & _regular(normal)
     covariance = np.full((len(points), 3, 3), np.nan)
     covariance[enough] = np.linalg.inv(normal[enough])
     points = np.where(enough[:, None], points, np.nan)
@@ -94,8 +98,7 @@ def _linear(
     lines = xy[..., None] * rows[:, None, 2:] - rows[:, None, :2]
     normal = np.einsum("cn,cnki,cnkj->nij", weight, lines[..., :3], lines[..., :3])
     right = -np.einsum("cn,cnki,cnk->ni", weight, lines[..., :3], lines[..., 3])
-    normal[~enough] = np.eye(3)
-    return np.linalg.solve(normal, right[..., None])[..., 0]
+    return _solved(normal, right, enough)
 
 
 def _newton(
@@ -110,9 +113,22 @@ def _newton(
     apart = residuals(cameras, points, xy, scale)
     normal = np.einsum("cn,cnki,cnkj->nij", weight, slopes, slopes)
     right = np.einsum("cn,cnki,cnk->ni", weight, slopes, apart)
-    bad = ~np.isfinite(normal).all(axis=(1, 2)) | (weight.astype(bool).sum(axis=0) < 2)
-    safe = np.where(bad[:, None, None], np.eye(3), normal)
-    return np.where(bad[:, None], 0.0, np.linalg.solve(safe, right[..., None])[..., 0]), normal
+    return _solved(normal, right, weight.astype(bool).sum(axis=0) >= 2), normal
+
+
+def _regular(normal: np.ndarray) -> np.ndarray:
+    """`(n,)` bool: which of the matrices `(n, 3, 3)` have an inverse that says something."""
+    finite = np.isfinite(normal).all(axis=(1, 2))
+    safe = np.where(finite[:, None, None], normal, 0.0)
+    return np.linalg.det(safe) > FLAT * np.trace(safe, axis1=1, axis2=2) ** 3
+
+
+def _solved(normal: np.ndarray, right: np.ndarray, enough: np.ndarray) -> np.ndarray:
+    """`(n, 3)`: solutions, 0 where there is none."""
+    good = enough & _regular(normal)
+    found = np.zeros(right.shape)
+    found[good] = np.linalg.solve(normal[good], right[good][..., None])[..., 0]
+    return found
 
 
 def matrix(camera: Pinhole) -> np.ndarray:

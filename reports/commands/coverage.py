@@ -9,7 +9,7 @@ from poseterior.inference.sampler import MAKERS
 from poseterior.inference.studies import calibration
 from poseterior.inference.studies.calibration.coverage import CoverageSummary
 from poseterior.inference.studies.calibration.record import instances_tree
-from poseterior.inference.studies.calibration.verdict import FEWEST
+from poseterior.inference.studies.calibration.verdict import FEWEST_SIMULATIONS
 from poseterior.probmodel import BadInput, Likelihood
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure
@@ -40,9 +40,10 @@ def simulated(settings: CoverageSettings, screen: Screen) -> None:
     """Calibration under the model: coverage.nc and coverage.png. A run that was stopped goes on.
     Raises `BadInput` on fewer simulations than the tests need, before any work is done."""
     num_simulations = settings.num_simulations
-    if num_simulations < FEWEST:
+    if num_simulations < FEWEST_SIMULATIONS:
         raise BadInput(
-            f"{num_simulations} simulations are too few: the tests need at least {FEWEST}"
+            f"{num_simulations} simulations are too few: the tests need at least"
+            f" {FEWEST_SIMULATIONS}"
         )
     out = console.output_folder(settings.out)
     model = settings.rooting.model(settings.prior)

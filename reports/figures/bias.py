@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from poseterior.inference.studies.evaluation.bias import ANGLES, Bias
 from poseterior.reports.figures.colours import PALETTE
-from poseterior.reports.figures.evaluation import DPI, whiskers
+from poseterior.reports.figures.evaluation import CURVE_DPI, whiskers
 from poseterior.reports.figures.style import FAINT, INK, Style, page, tidy
 
 LIGHT = "#BBBBBB"
@@ -18,7 +18,7 @@ ACTIONS = (*PALETTE, "#000000")
 def bias_figure(bias: Bias) -> Figure:
     """Three panels: bone directions of the data set and of the prior; how likely the actions are;
     how much of the prior is visited."""
-    figure = page(12.5, 4.2, dpi=DPI)
+    figure = page(12.5, 4.2, dpi=CURVE_DPI)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.3, 1, 1))
     _draw_picture(left, bias)
     _draw_actions(middle, bias)
@@ -46,7 +46,8 @@ def _draw_actions(axes: Axes, bias: Bias) -> None:
         (0.15, "uniform", FAINT, "uniform prior"),
     ):
         found = [getattr(one, field) for one in bias.actions]
-        around, means = np.nan_to_num(whiskers(found)), [one.value for one in found]
+        around = np.nan_to_num(whiskers(found))
+        means = [one.value for one in found]
         dots: Style = {"fmt": "o", "ms": 4, "capsize": 2, "color": colour, "label": label}
         axes.errorbar(means, place + shift, xerr=around, **dots)
     axes.axvline(0, color=LIGHT, lw=0.8)
@@ -60,7 +61,8 @@ def _draw_actions(axes: Axes, bias: Bias) -> None:
 def _draw_visits(axes: Axes, bias: Bias) -> None:
     parts = [one.part for one in bias.visits]
     for index, angle in enumerate(ANGLES):
-        at, shade = np.arange(len(parts)) + 0.27 * (index - 1), 1 - 0.3 * index
+        at = np.arange(len(parts)) + 0.27 * (index - 1)
+        shade = 1 - 0.3 * index
         blue = (0.0, 0.45 * shade, 0.70 * shade)
         shares = [one.data[index] for one in bias.visits]
         axes.barh(at, shares, 0.25, color=blue, label=f"within {angle:.0f}°")

@@ -38,7 +38,8 @@ def draw_detection(
                 gid=f"bone {JOINTS[joint]}",
             )
     for joint in np.flatnonzero(seen).tolist():
-        colour, name = COLOURS[joint], JOINTS[joint]
+        colour = COLOURS[joint]
+        name = JOINTS[joint]
         dot: Style = {
             "color": colour,
             "mec": "white",
@@ -48,7 +49,8 @@ def draw_detection(
         }
         axes.plot(*keypoints[joint], "o", ms=width + 1.9, **dot)
         if radius is not None and np.isfinite(radius[joint]):
-            centre, fill = tuple(keypoints[joint]), (*to_rgb(colour), 0.12)
+            centre = tuple(keypoints[joint])
+            fill = (*to_rgb(colour), 0.12)
             disc = Circle(centre, radius[joint], fc=fill, ec=colour, lw=0.8, zorder=2)
             disc.set_gid(f"disc {name}")
             axes.add_patch(disc)

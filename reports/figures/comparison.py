@@ -31,15 +31,15 @@ from poseterior.reports.figures.style import (
 )
 from poseterior.reports.tables.words import spoken
 
-EXACT = "#8A8A8A"
+EXACT_COLOUR = "#8A8A8A"
 MODES = 8
-LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+CONTOUR_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Quantiles of depth that are shown."""
 LATE = "(one flip)"
 """How the label of a run that started in one mode ends."""
 
 
-class Run(NamedTuple):
+class PlottedRun(NamedTuple):
     """How a run is drawn: its label, the colour of its sampler, and whether it started in one
     mode."""
 
@@ -78,7 +78,7 @@ def comparison_figure(tree: xr.DataTree) -> Figure:
         axis.xaxis.label.set(size=SMALL, color=INK)
         axis.yaxis.label.set(size=SMALL, color=INK)
     handles = [Line2D([], [], label=run.label, **run.line) for run in runs]
-    handles.append(Line2D([], [], color=EXACT, lw=4, label="exact draws"))
+    handles.append(Line2D([], [], color=EXACT_COLOUR, lw=4, label="exact draws"))
     figure.legend(
         handles=handles,
         loc="outside lower left",
@@ -90,7 +90,7 @@ def comparison_figure(tree: xr.DataTree) -> Figure:
     return figure
 
 
-def _runs(labels: Sequence[str]) -> list[Run]:
+def _runs(labels: Sequence[str]) -> list[PlottedRun]:
     names = list(dict.fromkeys(label.partition(" ")[0] for label in labels))
     light = [tuple(0.5 + 0.5 * part for part in to_rgb(colour)) for colour in PALETTE]
     colours = [
@@ -98,7 +98,10 @@ def _runs(labels: Sequence[str]) -> list[Run]:
         *("#{:02x}{:02x}{:02x}".format(*(round(255 * x) for x in one)) for one in light),
     ]
     of_name = {name: colours[index % len(colours)] for index, name in enumerate(names)}
-    return [Run(label, of_name[label.partition(" ")[0]], label.endswith(LATE)) for label in labels]
+    return [
+        PlottedRun(label, of_name[label.partition(" ")[0]], label.endswith(LATE))
+        for label in labels
+    ]
 
 
 def _title(axes: Axes, words: str) -> None:
@@ -110,7 +113,7 @@ def _shown(draws: xr.Dataset, label: str) -> np.ndarray:
     return values[np.isfinite(values).all(axis=1)]
 
 
-def _ranks(axes: Axes, draws: xr.Dataset, runs: Sequence[Run]) -> None:
+def _ranks(axes: Axes, draws: xr.Dataset, runs: Sequence[PlottedRun]) -> None:
     """How far the distribution of the ranks is from uniform, for each sampler's worst
     coordinate."""
     exact = np.sort(draws["exact"].values, axis=0)
@@ -125,12 +128,12 @@ def _ranks(axes: Axes, draws: xr.Dataset, runs: Sequence[Run]) -> None:
             off[:, column] = np.searchsorted(np.sort(rank), levels) / len(rank) - levels
         worst = int(np.abs(off[1:-1]).max(axis=0).argmax())
         axes.plot(levels, off[:, worst], **run.line)
-    axes.axhline(0, color=EXACT, lw=2, zorder=1)
+    axes.axhline(0, color=EXACT_COLOUR, lw=2, zorder=1)
     axes.set(xlabel="rank among the exact draws", ylabel="share of draws below − rank", xlim=(0, 1))
     _title(axes, "Ranks, worst coordinate")
 
 
-def _depth(axes: Axes, draws: xr.Dataset, tree: xr.DataTree, runs: Sequence[Run]) -> None:
+def _depth(axes: Axes, draws: xr.Dataset, tree: xr.DataTree, runs: Sequence[PlottedRun]) -> None:
     """Quantiles of the depth of the joint that is farthest off in any sampler, over those of the
     exact draws."""
     if "joints" not in tree.children:
@@ -138,16 +141,16 @@ def _depth(axes: Axes, draws: xr.Dataset, tree: xr.DataTree, runs: Sequence[Run]
         return
     joint = str(tree["joints"].w1_depth.max("sampler").idxmax("joint").item())
     low, lower, middle, upper, high = np.quantile(
-        draws["exact"].sel(coordinate=f"{joint} z").values, LEVELS
+        draws["exact"].sel(coordinate=f"{joint} z").values, CONTOUR_LEVELS
     )
-    axes.axvspan(low, high, color=EXACT, alpha=0.18, lw=0)
-    axes.axvspan(lower, upper, color=EXACT, alpha=0.3, lw=0)
-    axes.axvline(middle, color=EXACT, lw=2)
+    axes.axvspan(low, high, color=EXACT_COLOUR, alpha=0.18, lw=0)
+    axes.axvspan(lower, upper, color=EXACT_COLOUR, alpha=0.3, lw=0)
+    axes.axvline(middle, color=EXACT_COLOUR, lw=2)
     for row, run in enumerate(runs):
         values = _shown(draws.sel(coordinate=[f"{joint} z"]), run.label)
         if not len(values):
             continue
-        found = np.quantile(values[:, 0], LEVELS)
+        found = np.quantile(values[:, 0], CONTOUR_LEVELS)
         axes.plot(found[[0, 4]], [row, row], **run.line)
         axes.plot(found[[1, 3]], [row, row], **run.line | {"lw": 3.5, "ls": "-"})
         axes.plot(found[2], row, zorder=4, **run.dot)
@@ -157,13 +160,13 @@ def _depth(axes: Axes, draws: xr.Dataset, tree: xr.DataTree, runs: Sequence[Run]
     _title(axes, f"Depth of the {spoken(joint)}: median, half, 90 % of the draws")
 
 
-def _modes(axes: Axes, tree: xr.DataTree, runs: Sequence[Run]) -> None:
+def _modes(axes: Axes, tree: xr.DataTree, runs: Sequence[PlottedRun]) -> None:
     if "modes" not in tree.children:
         note(axes, "no draws to compare")
         return
     modes = tree["modes"].to_dataset().isel(mode=slice(0, MODES))
     place = np.arange(modes.sizes["mode"])
-    axes.bar(place, modes["exact_share"], color=EXACT, alpha=0.4, width=0.9)
+    axes.bar(place, modes["exact_share"], color=EXACT_COLOUR, alpha=0.4, width=0.9)
     there = {str(label) for label in modes.sampler.values}
     own = [run for run in runs if run.label in there]
     for index, run in enumerate(own):
@@ -174,7 +177,7 @@ def _modes(axes: Axes, tree: xr.DataTree, runs: Sequence[Run]) -> None:
     _title(axes, "Depth flips: each bone t(owards) the camera or a(way)")
 
 
-def _course(axes: Axes, course: xr.Dataset, epsilon: float, runs: Sequence[Run]) -> None:
+def _course(axes: Axes, course: xr.Dataset, epsilon: float, runs: Sequence[PlottedRun]) -> None:
     own = [run for run in runs if np.isfinite(course.seconds.sel(sampler=run.label)).any()]
     if not own:
         note(axes, "no draws to compare")
@@ -182,7 +185,7 @@ def _course(axes: Axes, course: xr.Dataset, epsilon: float, runs: Sequence[Run])
     for run in own:
         one = course.sel(sampler=run.label)
         axes.loglog(one.seconds, one.distance, **run.dot | run.line)
-    axes.axhline(epsilon, color=EXACT, lw=1, ls=":")
+    axes.axhline(epsilon, color=EXACT_COLOUR, lw=1, ls=":")
     axes.set(xlabel="seconds", ylabel="sliced Wasserstein distance, standard deviations")
     axes.minorticks_off()
     for axis in (axes.xaxis, axes.yaxis):

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from poseterior.inference.studies.intervals import Interval
 from poseterior.reports.figures.colours import PALETTE
-from poseterior.reports.figures.evaluation import DPI, whiskers
+from poseterior.reports.figures.evaluation import CURVE_DPI, whiskers
 from poseterior.reports.figures.style import FAINT, page, tidy
 
 
@@ -28,8 +28,9 @@ def gains_figure(gains: Mapping[str, Sequence[Interval]], ways: Sequence[str], k
     Figure
         A row of points for each way.
     """
-    figure = page(8.5, 0.8 + 0.75 * len(ways), dpi=DPI)
-    axes, place = figure.subplots(), np.arange(len(ways))
+    figure = page(8.5, 0.8 + 0.75 * len(ways), dpi=CURVE_DPI)
+    axes = figure.subplots()
+    place = np.arange(len(ways))
     shifts = np.linspace(-0.2, 0.2, len(gains))
     for shift, colour, (name, found) in zip(shifts, PALETTE, gains.items(), strict=False):
         axes.errorbar(

@@ -7,7 +7,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from poseterior.inference.studies.calibration.ece import LEVELS, shares
+from poseterior.inference.studies.calibration.ece import ECE_LEVELS, shares
 from poseterior.inference.studies.calibration.quantities import (
     ENERGY_BALL,
     HINGES,
@@ -17,8 +17,7 @@ from poseterior.inference.studies.calibration.quantities import (
     OF_ROOT,
     TARP,
 )
-from poseterior.inference.studies.calibration.uniformity import LEVELS as POINTS
-from poseterior.inference.studies.calibration.uniformity import band, difference
+from poseterior.inference.studies.calibration.uniformity import ECDF_LEVELS, band, difference
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import INK, page, tidy
 from poseterior.reports.tables.words import spoken
@@ -59,7 +58,7 @@ def ranks_figure(simulation: xr.Dataset, title: str = "") -> Figure:
                 few = len(quantities) <= MOST_NAMED
                 colour = PALETTE[column % len(PALETTE)]
                 axis.plot(
-                    POINTS,
+                    ECDF_LEVELS,
                     difference(values),
                     lw=1.1 if few else 0.7,
                     gid=f"ranks {quantity}",
@@ -79,7 +78,9 @@ def ranks_figure(simulation: xr.Dataset, title: str = "") -> Figure:
 
 def _band(axis: Axes, size: int) -> None:
     low, high = band(max(size, 1), PROBABILITY)
-    axis.fill_between(POINTS, low - POINTS, high - POINTS, color=BAND, alpha=0.5, lw=0, gid="band")
+    axis.fill_between(
+        ECDF_LEVELS, low - ECDF_LEVELS, high - ECDF_LEVELS, color=BAND, alpha=0.5, lw=0, gid="band"
+    )
     axis.axhline(0, color=INK, lw=0.6)
 
 
@@ -96,7 +97,7 @@ def controls_figure(found: Mapping[str, xr.Dataset], quantities: Sequence[str]) 
         _band(axis, len(table))
         for column, quantity in enumerate(quantities):
             axis.plot(
-                POINTS,
+                ECDF_LEVELS,
                 difference(table[:, column]),
                 lw=1.1,
                 label=spoken(quantity),
@@ -126,7 +127,7 @@ def coverage_figure(found: Mapping[str, xr.Dataset]) -> Figure:
         axis.plot([0, 1], [0, 1], color=INK, lw=0.6)
         for number, (name, simulation) in enumerate(found.items()):
             axis.plot(
-                LEVELS,
+                ECE_LEVELS,
                 shares(simulation[kind].values).mean(axis=1),
                 lw=1.4,
                 label=name,

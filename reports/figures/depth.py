@@ -89,7 +89,8 @@ def _draw_ridge(
     together they are the posterior's."""
     heavy, light = (_density(part, edges) for part in parts)
     height = 0.85 / max(1e-12, (heavy + light).max())
-    middle, base = (edges[1:] + edges[:-1]) / 2, row - height * heavy
+    middle = (edges[1:] + edges[:-1]) / 2
+    base = row - height * heavy
     own: Style = {"color": COLOURS[joint], "alpha": 0.55, "gid": f"depth {JOINTS[joint]}"}
     axis.fill_between(middle, row, base, lw=0, zorder=2, **own)
     other: Style = {"color": OTHER_COLOUR, "alpha": 0.8}
@@ -109,7 +110,8 @@ def _draw_spreads(axis: Axes, tree: xr.DataTree, joints: list[int]) -> None:
     if len(draws):
         spread = draws.std(axis=0)
         for row, joint in enumerate(joints):
-            across, depth = np.sqrt((spread[joint, :2] ** 2).mean()), spread[joint, 2]
+            across = np.sqrt((spread[joint, :2] ** 2).mean())
+            depth = spread[joint, 2]
             colour = COLOURS[joint]
             axis.plot([across, depth], [row, row], color=colour, lw=1, zorder=2)
             dot: Style = {"color": colour, "ms": 4, "zorder": 3}

@@ -11,11 +11,11 @@ from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, note, page, tidy
 
-LEVELS = (0.5, 0.95)
+REGION_LEVELS = (0.5, 0.95)
 """Of the inliers, within the circles."""
 REACH = 4.0
 """Spreads that are shown to each side; what lies beyond is counted."""
-LARGEST = 1e3
+FARTHEST_ERROR = 1e3
 """Spreads at which the histogram ends."""
 
 
@@ -45,14 +45,15 @@ def _draw_joint(axes: Axes, found: Learned, joint: int) -> None:
     if not found.errors.known[joint]:
         note(axes, "not seen", x=0.3, y=0.55)
         return
-    expected, pairs = found.fit.expected, found.pairs
+    expected = found.fit.expected
+    pairs = found.pairs
     seen = pairs.seen[:, joint]
     points = expected.left[0, seen, joint]
     inlier = expected.inlier[0, seen, joint] > 0.5
     reach = REACH * found.errors.sigma[joint]
     for rows, colour in ((inlier, PALETTE[0]), (~inlier, PALETTE[1])):
         axes.plot(*points[rows].T, ".", ms=1.5, color=colour, alpha=0.5)
-    for level in LEVELS:
+    for level in REGION_LEVELS:
         size = 2 * float(found.errors.law.distance(level)) * found.errors.sigma[joint]
         axes.add_patch(Circle((0, 0), size, fill=False, lw=0.9, color=INK))
     axes.set(xlim=(-reach, reach), ylim=(reach, -reach))
@@ -62,10 +63,11 @@ def _draw_joint(axes: Axes, found: Learned, joint: int) -> None:
 
 
 def _draw_sizes(axes: Axes, found: Learned) -> None:
-    errors, mixture = found.errors, found.fit.mixture
+    errors = found.errors
+    mixture = found.fit.mixture
     size = sizes(found)
     known = ~np.isnan(size)
-    top = min(max(float(np.nanmax(size)), REACH), LARGEST)
+    top = min(max(float(np.nanmax(size)), REACH), FARTHEST_ERROR)
     edges = np.concatenate([np.linspace(0, REACH, 41), np.geomspace(REACH, top + 1, 15)[1:]])
     axes.hist(
         np.minimum(size[known], top),

@@ -9,7 +9,7 @@ from poseterior.inference.studies.evaluation.scores import Interval
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, Style, page, tidy
 
-COLOURS = {
+BAR_COLOURS = {
     "mean pose": FAINT,
     "dictionary fit": PALETTE[4],
     "Akhter & Black": PALETTE[1],
@@ -45,21 +45,23 @@ def estimators_figure(
     for index, (name, found) in enumerate(by_noise.items()):
         at = 100 * np.array(noise) + 0.07 * (index - 1.5)
         means, halves = _means(found)
-        left.errorbar(at, means, halves, color=COLOURS[name], **BARS)
+        left.errorbar(at, means, halves, color=BAR_COLOURS[name], **BARS)
         place: Style = {"textcoords": "offset points", "va": "center", "fontsize": 8}
-        end, away = (100 * noise[-1], means[-1]), (10, NUDGES.get(name, 0))
-        left.annotate(name, end, away, color=COLOURS[name], annotation_clip=False, **place)
+        end = (100 * noise[-1], means[-1])
+        away = (10, NUDGES.get(name, 0))
+        left.annotate(name, end, away, color=BAR_COLOURS[name], annotation_clip=False, **place)
     left.set(xlabel="2D noise, % of the body height (no joint missing)", xlim=(-0.3, 7.2))
     left.set_ylabel("mean joint error, mm")
     left.set_xticks([100 * level for level in noise])
     poses = list(dict.fromkeys(pose for _, pose in by_missing))
     for index, ((name, pose), found) in enumerate(by_missing.items()):
         at = np.array(missing) + 0.04 * (index - 1.5)
-        colour, first = COLOURS[name], pose == poses[0]
+        colour = BAR_COLOURS[name]
+        first = pose == poses[0]
         line: Style = {"ls": "-" if first else "--", "mfc": colour if first else "white"}
         right.errorbar(at, *_means(found), color=colour, **BARS, **line)
     for name in dict.fromkeys(name for name, _ in by_missing):
-        right.plot([], [], "-", color=COLOURS[name], label=name)
+        right.plot([], [], "-", color=BAR_COLOURS[name], label=name)
     right.plot([], [], "-o", color=INK, ms=4, label=poses[0])
     right.plot([], [], "--o", color=INK, ms=4, mfc="white", label=poses[1])
     right.legend(frameon=False, fontsize=8, loc="upper left", ncols=2)

@@ -19,11 +19,11 @@ from poseterior.inference.studies.evaluation.scores import (
 )
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, Style, page, tidy
-from poseterior.reports.tables.evaluation import NAMES, Labels, rows_of
+from poseterior.reports.tables.evaluation import ESTIMATOR_NAMES, Labels, rows_of
 
-COLOURS = {"zhou": PALETTE[0], "akhter-black": PALETTE[1], "dictionary": PALETTE[2]}
+CURVE_COLOURS = {"zhou": PALETTE[0], "akhter-black": PALETTE[1], "dictionary": PALETTE[2]}
 GREY = "#444444"
-DPI = 150
+CURVE_DPI = 150
 FURTHEST = 200.0
 """mm: where the PCK curves end."""
 STYLES = (("-", 4.5, 0.3), ("--", 2.2, 0.8), (":", 1.2, 1.0), ("-.", 1.0, 1.0))
@@ -42,10 +42,10 @@ def errors_figure(
     levels = sorted({condition.missing for condition in results if condition.rotate == base.rotate})
     own = {one.way: results[one] for one in alike(results, base)}
     if len(levels) == 1:
-        figure = page(8.5, 4.2, dpi=DPI)
+        figure = page(8.5, 4.2, dpi=CURVE_DPI)
         _actions_panel(figure.subplots(), own, labels, ks)
         return figure
-    figure = page(11.0, 4.2, dpi=DPI)
+    figure = page(11.0, 4.2, dpi=CURVE_DPI)
     left, right = figure.subplots(1, 2, width_ratios=(2.2, 1))
     _actions_panel(left, own, labels, ks)
     by_level = {
@@ -62,14 +62,15 @@ def _actions_panel(
     actions = sorted(set(labels.action.tolist()))
     markers = dict(zip(rows_of(ks), ("s", "o", "^", "D", "v", "P"), strict=False))
     for index, (name, values) in enumerate(results.items()):
-        own, colour = usable(values), _colour(name)
+        own = usable(values)
+        colour = _colour(name)
         at = np.arange(len(actions)) + 0.24 * (index - (len(results) - 1) / 2)
         for row, marker in markers.items():
             errors = pose_errors(values, row)
             there = [own & (labels.action == action) for action in actions]
             means = [errors[rows].mean() if rows.any() else np.nan for rows in there]
             axes.plot(at, means, marker, ms=5, color=colour, mfc=_fill(row, colour))
-        axes.plot([], [], "-", lw=4, color=colour, label=NAMES.get(name, name))
+        axes.plot([], [], "-", lw=4, color=colour, label=ESTIMATOR_NAMES.get(name, name))
     for row, marker in markers.items():
         words = "best of all draws" if row == "all" else _label(row)
         axes.plot([], [], marker, ms=5, color=GREY, mfc=_fill(row, GREY), label=words)
@@ -88,12 +89,14 @@ def _missing_panel(
 ) -> None:
     """`results` by way, in the order of the `levels`."""
     for index, (name, many) in enumerate(results.items()):
-        own, colour = common(many), _colour(name)
+        own = common(many)
+        colour = _colour(name)
         at = np.array(levels) + 0.05 * (index - (len(results) - 1) / 2)
         for row, style in (("single", "-"), (k, "--")):
             found = [clustered(pose_errors(one, row)[own], labels.recording[own]) for one in many]
             bars: Style = {"capsize": 2, "lw": 1.2, "ls": style, "mfc": _fill(row, colour)}
-            means, around = [one.value for one in found], whiskers(found)
+            means = [one.value for one in found]
+            around = whiskers(found)
             axes.errorbar(at, means, around, marker="o", ms=4, color=colour, **bars)
     for row, style in (("single", "-o"), (k, "--o")):
         axes.plot([], [], style, color=GREY, mfc=_fill(row, GREY), ms=4, label=_label(row))
@@ -127,7 +130,8 @@ def pck_curves(
 ) -> dict[tuple[str, float, str], np.ndarray]:
     """Share of joints within 0, 1, … mm, by way, angle and row, over the frames that all angles
     share."""
-    curves, thresholds = {}, np.arange(FURTHEST + 1)
+    curves = {}
+    thresholds = np.arange(FURTHEST + 1)
     for name in dict.fromkeys(condition.way for condition in results):
         turned = {
             condition.rotate: values
@@ -145,7 +149,7 @@ def pck_curves(
 def pck_figure(curves: Mapping[tuple[str, float, str], np.ndarray]) -> Figure:
     """A panel for each estimator; colours tell rows, styles tell angles."""
     names = list(dict.fromkeys(name for name, _, _ in curves))
-    figure = page(3.8 * len(names), 3.6, dpi=DPI)
+    figure = page(3.8 * len(names), 3.6, dpi=CURVE_DPI)
     panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for axes, name in zip(panels, names, strict=True):
         angles = sorted({angle for own, angle, _ in curves if own == name})
@@ -155,7 +159,7 @@ def pck_figure(curves: Mapping[tuple[str, float, str], np.ndarray]) -> Figure:
                 style, width, alpha = STYLES[angles.index(angle) % len(STYLES)]
                 words = f"{label}, {_angle(angle)}"
                 axes.plot(curve, ls=style, color=colour, lw=width, alpha=alpha, label=words)
-        axes.set(title=NAMES.get(name, name), xlabel="threshold, mm")
+        axes.set(title=ESTIMATOR_NAMES.get(name, name), xlabel="threshold, mm")
         axes.set(xlim=(0, FURTHEST), ylim=(0, 1))
         axes.legend(frameon=False, fontsize=7, loc="lower right")
         _tidy(axes)
@@ -168,4 +172,4 @@ def _angle(angle: float) -> str:
 
 
 def _colour(name: str) -> str:
-    return COLOURS.get(name, PALETTE[4])
+    return CURVE_COLOURS.get(name, PALETTE[4])

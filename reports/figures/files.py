@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 # What Pillow finds in a damaged image stands in our own sentence; without a handler of the user's,
 # Python would print it beside that.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
-LEVEL = 3
+PNG_LEVEL = 3
 """Of a PNG's compression: a fourteenth larger than by the usual 6, in a third of the time."""
+FORMATS = ("PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP")
+"""Of images that are read; Pillow knows many more, some of which start other programs."""
 MAX_PIXELS = 60_000_000
 """Images above this are refused before they are decoded: a small file can claim any size."""
 
@@ -41,7 +43,7 @@ def save_figure(figure: "Figure", path: str | os.PathLike) -> None:
     with replacing(path) as partial:
         options: dict[str, Any] = {}
         if kind == "png":
-            options["pil_kwargs"] = {"compress_level": LEVEL}
+            options["pil_kwargs"] = {"compress_level": PNG_LEVEL}
         figure.savefig(partial, format=kind, **options)
 
 
@@ -51,7 +53,8 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
     Raises
     ------
     BadInput
-        Where there is no file, it is no image, is damaged, or has more than `MAX_PIXELS` pixels.
+        Where there is no file, it is no image of `FORMATS`, is damaged, or has more than
+        `MAX_PIXELS` pixels.
     """
     too_large = (
         f"{path} has more than {MAX_PIXELS // 1_000_000} million pixels; give a smaller image."
@@ -59,7 +62,10 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with opened(path, "image", "check its name.") as file, Image.open(file) as image:
+            with (
+                opened(path, "image", "check its name.") as file,
+                Image.open(file, formats=FORMATS) as image,
+            ):
                 if image.width * image.height > MAX_PIXELS:
                     raise BadInput(too_large)
                 return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
@@ -69,5 +75,6 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
         raise
     except Exception as error:  # Pillow meets damaged files with errors of many kinds.
         raise BadInput(
-            f"{path} is no image that can be read ({type(error).__name__}); give a PNG or JPEG."
+            f"{path} is no image that can be read ({type(error).__name__}); give a PNG or JPEG"
+            " (BMP, GIF, TIFF and WebP are read, too)."
         ) from None

@@ -17,8 +17,8 @@ from poseterior.reports.figures.colours import COLOURS
 from poseterior.reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, TITLE, page, tidy
 from poseterior.reports.tables.words import spoken
 
-ENDS = ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
-WIDTH, HEIGHT = 10.5, 5.2
+SHOWN_ENDS = ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
+FILM_WIDTH, HEIGHT = 10.5, 5.2
 """Inches."""
 MOST_PEOPLE = 3
 """Of whom there is a column each; those with the most poses."""
@@ -40,14 +40,14 @@ def film_figure(summary: xr.Dataset) -> Figure:
     places = [(number - min(numbers)) // step for number in numbers]
     place = dict(zip(frames, places, strict=True))
     people = _people(summary, [person for _, person in names])
-    figure = page(WIDTH, HEIGHT, dpi=DPI)
-    axes = figure.subplots(len(ENDS), len(people), sharex=True, sharey=True, squeeze=False)
+    figure = page(FILM_WIDTH, HEIGHT, dpi=DPI)
+    axes = figure.subplots(len(SHOWN_ENDS), len(people), sharex=True, sharey=True, squeeze=False)
     for column, person in enumerate(people):
         bands = np.full((max(places) + 1, *summary.depth.shape[1:]), np.nan)
         for row, (frame, one) in enumerate(names):
             if one == person:
                 bands[place[frame]] = summary.depth.values[row]
-        for axis, end in zip(axes[:, column], ENDS, strict=True):
+        for axis, end in zip(axes[:, column], SHOWN_ENDS, strict=True):
             _draw_bands(axis, bands[:, JOINT_INDEX[end]], end)
         said = f", person {person}" if len(people) > 1 else ""
         title = f"Depth behind the pelvis{said}"
@@ -57,7 +57,7 @@ def film_figure(summary: xr.Dataset) -> Figure:
             fontsize=SMALL,
             color=INK,
         )
-    for axis, end in zip(axes[:, 0], ENDS, strict=True):
+    for axis, end in zip(axes[:, 0], SHOWN_ENDS, strict=True):
         axis.set_ylabel(spoken(end), fontsize=TEXT, color=INK)
     return figure
 
@@ -78,7 +78,8 @@ def _people(summary: xr.Dataset, owners: list[str]) -> list[str]:
 
 def _draw_bands(axis: Axes, bands: np.ndarray, end: str) -> None:
     """Bands `(frames, 5)` of one joint, quantile by quantile."""
-    frames, colour = np.arange(len(bands)), COLOURS[JOINT_INDEX[end]]
+    frames = np.arange(len(bands))
+    colour = COLOURS[JOINT_INDEX[end]]
     for low, high, alpha in ((0, 4, 0.2), (1, 3, 0.4)):
         gid = f"band {end} {low}"
         axis.fill_between(

@@ -42,9 +42,9 @@ from poseterior.reports.figures.style import (
     note,
     page,
 )
-from poseterior.reports.figures.window import MAX_DRAWS, Window, cropped, window_of
+from poseterior.reports.figures.window import WINDOW_DRAWS, Window, cropped, window_of
 from poseterior.reports.tables.posterior import (
-    LIKELY,
+    LIKELY_FAULT,
     faults_of,
     heaviest,
     is_uncertain,
@@ -57,7 +57,7 @@ from poseterior.reports.tables.words import undetected
 if TYPE_CHECKING:
     from poseterior.inference.hypothesis import Hypothesis
 
-WIDTH, HIGHEST = 10.5, 4.2
+SHEET_WIDTH, HIGHEST = 10.5, 4.2
 """Inches: the width of the page, and the most that its panels are high."""
 GAP, TOP, NOTES, SIDE = 0.3, 0.33, 0.5, 0.12
 """Inches between panels, above them for a title, below for notes, and at the page's edges."""
@@ -105,7 +105,7 @@ class Flat(NamedTuple):
         return points.min(axis=0) - 0.15, points.max(axis=0) + 0.15
 
 
-VIEWS = (
+PANES = (
     Pane("From the camera", 0, 1, True, ""),
     Pane("From the side", 2, 1, True, "→ away from the camera"),
     Pane("From above", 0, 2, False, "↑ away from the camera"),
@@ -140,7 +140,7 @@ def hypotheses_figure(
         Where the image is not one, or shows none of the detected joints.
     """
     window = window_of(tree, image)
-    flats = [_flattened(tree, hypotheses, truth, view) for view in VIEWS]
+    flats = [_flattened(tree, hypotheses, truth, view) for view in PANES]
     colours = colour_handles(hypotheses)
     draws = len(flats[0].draws)
     styles = style_handles(truth is not None, draws)
@@ -150,12 +150,13 @@ def hypotheses_figure(
     )
     _draw_detections(axes[0], tree, window, image)
     if image is not None:
-        low, high = axes[1].get_xlim(), axes[1].get_ylim()
+        low = axes[1].get_xlim()
+        high = axes[1].get_ylim()
         part = cropped(image, window)
         camera = _heaviest_camera(tree)
         draw_image(axes[1], part.pixels, 0.35, (part.corners - camera.translation) / camera.scale)
         axes[1].set(xlim=low, ylim=high)
-    for axis, view, flat in zip(axes[1:], VIEWS, flats, strict=True):
+    for axis, view, flat in zip(axes[1:], PANES, flats, strict=True):
         _draw_view(axis, view, flat)
     _scale_bar(axes[1])
     for rank, (axis, one) in enumerate(zip(singles, alone, strict=True)):
@@ -187,7 +188,7 @@ def _flattened(
     """A view of a posterior. From the camera, every pose is where its own camera sees it, in units
     of the heaviest candidate's: there it lies over the image."""
     axes = [view.across, view.along]
-    if view is VIEWS[0]:
+    if view is PANES[0]:
         camera = _heaviest_camera(tree)
         drawn, chosen = (
             (points - camera.translation) / camera.scale
@@ -197,37 +198,37 @@ def _flattened(
         drawn = values(tree, "posterior", "joints")[..., axes]
         chosen = np.array([one.joints[:, axes] for one in hypotheses])
     chosen = chosen.reshape(-1, NUM_JOINTS, 2)
-    return Flat(drawn[:MAX_DRAWS], chosen, None if truth is None else truth[:, axes])
+    return Flat(drawn[:WINDOW_DRAWS], chosen, None if truth is None else truth[:, axes])
 
 
 def _panels(
     window: Window, boxes: list[tuple[np.ndarray, np.ndarray]], alone: int, below: float
 ) -> tuple[Figure, list[Axes], list[Axes]]:
     """Axes in a row, tops aligned, the last three to one scale; under them a row of `alone` axes,
-    all as the view from the side; `below` inches free for the legend. The page is `WIDTH` wide and
-    as high as what is shown then needs, within limits."""
+    all as the view from the side; `below` inches free for the legend. The page is `SHEET_WIDTH`
+    wide and as high as what is shown then needs, within limits."""
     spans = np.array([high - low for low, high in boxes])
     pixels = window.high - window.low
     # In units of the row's height.
     shapes = np.concatenate([[pixels / pixels[1]], spans / spans[:, 1].max()])
-    free = WIDTH - 2 * SIDE - 3 * GAP
+    free = SHEET_WIDTH - 2 * SIDE - 3 * GAP
     sizes = shapes * min(free / shapes[:, 0].sum(), HIGHEST)
     gap = GAP + max(0.0, free - sizes[:, 0].sum()) / 3
     small = spans[1] * min(HIGHEST_ALONE / spans[1, 1], WIDEST_ALONE / spans[1, 0])
-    small *= min(1.0, (WIDTH - 2 * SIDE) / max(1, alone) / (small[0] + GAP))
+    small *= min(1.0, (SHEET_WIDTH - 2 * SIDE) / max(1, alone) / (small[0] + GAP))
     second = small[1] + TOP + 0.1 if alone else 0.0
     total = TOP + sizes[0, 1] + NOTES + second + below
-    figure = page(WIDTH, total, dpi=DPI, layout=None)
+    figure = page(SHEET_WIDTH, total, dpi=DPI, layout=None)
     lefts = SIDE + np.concatenate([[0.0], np.cumsum(sizes[:-1, 0] + gap)])
-    titles = ("Detections", *(view.title for view in VIEWS))
+    titles = ("Detections", *(view.title for view in PANES))
     axes = [
         _panel(figure, (left, total - TOP - size[1]), size, title)
         for left, size, title in zip(lefts, sizes, titles, strict=True)
     ]
-    for axis, view, (low, high) in zip(axes[1:], VIEWS, boxes, strict=True):
+    for axis, view, (low, high) in zip(axes[1:], PANES, boxes, strict=True):
         axis.set_xlim(low[0], high[0])
         axis.set_ylim(*((high[1], low[1]) if view.flip else (low[1], high[1])))
-    step = (WIDTH - 2 * SIDE) / max(1, alone)
+    step = (SHEET_WIDTH - 2 * SIDE) / max(1, alone)
     singles = [_panel(figure, (SIDE + step * one, below), small, "") for one in range(alone)]
     for axis in singles:
         axis.set(xlim=axes[2].get_xlim(), ylim=axes[2].get_ylim())
@@ -252,7 +253,7 @@ def _draw_detections(
     if image is not None:
         part = cropped(image, window)
         draw_image(axis, part.pixels, 0.6, part.corners)
-    draws = values(tree, "posterior", "keypoints")[:MAX_DRAWS]
+    draws = values(tree, "posterior", "keypoints")[:WINDOW_DRAWS]
     # The torso's joints have clouds of their own only where they move.
     for joint in range(NUM_JOINTS) if is_uncertain(tree) else LIMB_OF:
         u, v = draws[:, joint].T
@@ -260,7 +261,9 @@ def _draw_detections(
         cloud.set(linewidths=0, gid=f"cloud {JOINTS[joint]}")
     draw_detection(axis, keypoints, radius, 1.3)
     faults = faults_of(tree)
-    wrong = [name for name, share in faults.outlier.items() if share > LIKELY] if faults else []
+    wrong = (
+        [name for name, share in faults.outlier.items() if share > LIKELY_FAULT] if faults else []
+    )
     for name in wrong:
         at = keypoints[JOINT_INDEX[name]]
         axis.plot(*at, "x", color=INK, ms=9, mew=1.6, zorder=6, gid=f"outlier {name}")
@@ -329,7 +332,8 @@ def _draw_pose(axis: Axes, points: np.ndarray, pen: Pen, gid: str, zorder: int) 
 
 
 def _scale_bar(axis: Axes) -> None:
-    left, bottom = axis.get_xlim()[0], max(axis.get_ylim())
+    left = axis.get_xlim()[0]
+    bottom = max(axis.get_ylim())
     bar: Style = {"color": INK, "lw": 1.2, "solid_capstyle": "butt", "gid": "scale bar"}
     axis.plot([left, left + 1], [bottom, bottom], clip_on=False, **bar)
     axis.annotate(

@@ -25,7 +25,7 @@ from poseterior.reports.tables.leaderboard import (
     verdict_of,
 )
 
-COLOURS = {AGREES: PALETTE[2], DIFFERS: PALETTE[1], UNMIXED: "#F0E442"}
+VERDICT_COLOURS = {AGREES: PALETTE[2], DIFFERS: PALETTE[1], UNMIXED: "#F0E442"}
 """Of the verdicts; any other is white."""
 DIMENSIONS = (4, 36)
 """Between which all targets are, with room for their names."""
@@ -57,7 +57,7 @@ def standings(lines: Sequence[Line]) -> Figure:
 
 def _cell(axes: Axes, column: int, row: int, line: Line) -> None:
     said = verdict_of(line)
-    colour = COLOURS.get(said, "white")
+    colour = VERDICT_COLOURS.get(said, "white")
     place = (column - 0.48, row - 0.46)
     axes.add_patch(Rectangle(place, 0.96, 0.92, color=colour, alpha=0.55, lw=0))
     number = "" if said in MARKS else _short(pace_of(line))

@@ -13,7 +13,7 @@ from poseterior.reports.tables.words import facing_words, pose_facing
 if TYPE_CHECKING:
     from poseterior.inference.hypothesis import Hypothesis
 
-LINE, COLUMNS = 0.19, 5
+LINE, FLIP_COLUMNS = 0.19, 5
 """Inches between lines, and columns."""
 
 
@@ -53,7 +53,7 @@ def _handle(label: str, **style: Any) -> Line2D:
 
 def legend_height(colours: list[Line2D]) -> float:
     """Inches that the legend needs: one line for styles, and what the colours take."""
-    return 0.12 + LINE * (1 - (-len(colours) // COLUMNS))
+    return 0.12 + LINE * (1 - (-len(colours) // FLIP_COLUMNS))
 
 
 def draw_legend(figure: Figure, colours: list[Line2D], styles: list[Line2D]) -> None:
@@ -76,7 +76,7 @@ def draw_legend(figure: Figure, colours: list[Line2D], styles: list[Line2D]) -> 
             bbox_to_anchor=(0.1 / width, bottom / height),
             frameon=False,
             fontsize=LEGEND,
-            ncols=COLUMNS,
+            ncols=FLIP_COLUMNS,
             handlelength=2.2,
             labelspacing=0.3,
             columnspacing=1.6,

@@ -63,13 +63,15 @@ def _draw(axes: Axes, values: np.ndarray, colours: str, norm: Normalize) -> Axes
 
 
 def _outline(axes: Axes, mask: np.ndarray) -> None:
-    azimuth, elevation = np.arange(GRID[0]) * 3 - 178.5, np.arange(GRID[1]) * 3 - 88.5
+    azimuth = np.arange(GRID[0]) * 3 - 178.5
+    elevation = np.arange(GRID[1]) * 3 - 88.5
     axes.contour(azimuth, elevation, mask.T.astype(float), [0.5], colors="black", linewidths=1.0)
 
 
 def solid_angles(limits: AnatomicalLimits) -> np.ndarray:
     """`(4, 120, 60)` steradians of valid lower directions, by cell of the parent."""
-    directions, triples = fibonacci(DIRECTIONS), np.asarray(limits.triples())
+    directions = fibonacci(DIRECTIONS)
+    triples = np.asarray(limits.triples())
     areas = np.full(limits.has_plane.shape, np.nan)
     for where in zip(*np.nonzero(limits.has_plane), strict=True):
         coordinate = directions @ triples[where].T

@@ -61,8 +61,10 @@ def misses_figure(misses: Sequence[Exclusion]) -> Figure:
         words = [textwrap.fill(reason.sentence, 34) for reason in miss.reasons[:2]]
         front.set_xlabel("\n".join(words), fontsize=6.5, loc="left")
         rows = np.concatenate([miss.truth[:, 1], miss.hung[:, 1], miss.keypoints[:, 1]])
-        low, high = np.nanmin(rows), np.nanmax(rows)
-        middle, half = (low + high) / 2, 0.55 * (high - low) + 10
+        low = np.nanmin(rows)
+        high = np.nanmax(rows)
+        middle = (low + high) / 2
+        half = 0.55 * (high - low) + 10
         for axis in (front, side):
             axis.set_ylim(middle + half, middle - half)
             axis.set_aspect("equal")
@@ -72,7 +74,8 @@ def misses_figure(misses: Sequence[Exclusion]) -> Figure:
 
 def _draw_detections(axes: Axes, miss: Exclusion, broken: set[int]) -> None:
     for joint in np.flatnonzero(np.isfinite(miss.keypoints).all(axis=1)).tolist():
-        bad, place = joint in broken, miss.keypoints[joint]
+        bad = joint in broken
+        place = miss.keypoints[joint]
         axes.plot(*place, "+", color=BROKEN if bad else INK, ms=5, mew=1)
         if np.isfinite(miss.radius[joint]):
             colour = BROKEN if bad else RING

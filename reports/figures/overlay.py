@@ -21,7 +21,7 @@ from poseterior.reports.figures.style import DPI, INK, LEGEND, TITLE, Style, bla
 from poseterior.reports.figures.window import corners_of
 from poseterior.reports.tables.words import spoken, undetected
 
-WIDTH = 8.0
+OVERLAY_WIDTH = 8.0
 """Inches, names on both sides included."""
 COLUMN = 1.75
 """Inches for the names on either side."""
@@ -63,11 +63,13 @@ def overlay_figure(
     """
     low, high = _window(detection, radius)
     wide, tall = high - low
-    inner = WIDTH - 2 * COLUMN
+    inner = OVERLAY_WIDTH - 2 * COLUMN
     height = float(np.clip(inner * tall / wide, 3.0, HIGHEST))
     whole = height + ABOVE + BELOW
-    figure = page(WIDTH, whole, dpi=DPI, layout=None)
-    axis = figure.add_axes((COLUMN / WIDTH, BELOW / whole, inner / WIDTH, height / whole))
+    figure = page(OVERLAY_WIDTH, whole, dpi=DPI, layout=None)
+    axis = figure.add_axes(
+        (COLUMN / OVERLAY_WIDTH, BELOW / whole, inner / OVERLAY_WIDTH, height / whole)
+    )
     blank(axis)
     axis.spines[:].set(visible=True, color="#CCCCCC", lw=0.6)
     if image is not None:
@@ -96,12 +98,15 @@ def _window(detection: Detection, radius: np.ndarray | None) -> tuple[np.ndarray
     reach = 0.0 if radius is None else float(np.nan_to_num(radius[seen]).max(initial=0.0))
     if not len(points):
         return np.zeros(2), np.ones(2)
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     # A joint that is hardly seen has a disc larger than the person.
     reach = min(reach, 0.3 * (high - low).max())
-    low, high = low - reach, high + reach
+    low = low - reach
+    high = high + reach
     margin = max(0.08 * (high - low).max(), 1.0)
-    middle, half = (low + high) / 2, (high - low) / 2 + margin
+    middle = (low + high) / 2
+    half = (high - low) / 2 + margin
     half = np.maximum(half, half[::-1] * np.array([0.5, 0.6]))
     return middle - half, middle + half
 

@@ -9,7 +9,7 @@ import xarray as xr
 from poseterior.probmodel.failures import BadInput
 from poseterior.reports.tables.posterior import heaviest, values
 
-MAX_DRAWS = 150
+WINDOW_DRAWS = 150
 """Draws shown in the background of a panel; more of them make a grey block."""
 
 
@@ -27,12 +27,14 @@ def window_of(tree: xr.DataTree, image: np.ndarray | None) -> Window:
     radius = np.nan_to_num(values(tree, "constant_data", "radius")[heaviest(tree)])[:, None]
     seen = np.isfinite(keypoints).all(axis=1)
     points = np.concatenate([(keypoints - radius)[seen], (keypoints + radius)[seen]])
-    projected = values(tree, "posterior", "keypoints")[:MAX_DRAWS].reshape(-1, 2)
+    projected = values(tree, "posterior", "keypoints")[:WINDOW_DRAWS].reshape(-1, 2)
     if len(projected):
         points = np.concatenate([points, np.quantile(projected, [0.01, 0.99], axis=0)])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     margin = 0.08 * (high - low).max()
-    low, high = low - margin, high + margin
+    low = low - margin
+    high = high + margin
     if image is not None:
         size = _image_size(image)
         if not ((keypoints[seen] >= 0) & (keypoints[seen] <= size)).all(axis=1).any():
@@ -44,7 +46,8 @@ def window_of(tree: xr.DataTree, image: np.ndarray | None) -> Window:
         high = np.minimum(high, np.maximum(size, points.max(axis=0)))
     # A panel of reasonable shape, whatever the pose: at least half as wide as high and as high as
     # wide.
-    middle, half = (low + high) / 2, (high - low) / 2
+    middle = (low + high) / 2
+    half = (high - low) / 2
     half = np.maximum(half, half[::-1] * np.array([0.55, 0.75]))
     return Window(middle - half, middle + half)
 

@@ -2,5 +2,5 @@
 
     python -m poseterior.reports.pages.NAME …
 
-`page` is what all of them share.
+`page` is what all of them share. They are of use in a checkout alone, and not installed.
 """

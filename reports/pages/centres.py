@@ -8,7 +8,6 @@ Some minutes. Frames and errors are like those of the relations in reports/motio
 """
 
 import dataclasses
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -25,7 +24,7 @@ from poseterior.inference.sampler import MANY_ROOTS as NUM_ROOTS
 from poseterior.inference.studies.calibration.real import TRUE, true_candidate
 from poseterior.inference.studies.errors import best_of, mean_joint_error
 from poseterior.inference.studies.evaluation.outcome import Protocol
-from poseterior.inference.studies.evaluation.relations import LEAST_GAIN
+from poseterior.inference.studies.evaluation.relations import RELATION_GAIN
 from poseterior.inference.studies.evaluation.scores import Interval
 from poseterior.probmodel import Likelihood
 from poseterior.probmodel.datasets import Case, read_data_set
@@ -34,19 +33,19 @@ from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import NUM_JOINTS
 from poseterior.reports.figures.composition import gains_figure
-from poseterior.reports.pages.evaluation import CLASSES, NOISE, gain, protocol_of
+from poseterior.reports.pages.evaluation import CLASSES, EVALUATION_NOISE, gain, protocol_of
 from poseterior.reports.pages.motion import ESTIMATOR
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, Values, run
 from poseterior.reports.tables import Sheet, sheet_of
 
-K, FRAMES = 5, 160
+K, CENTRE_FRAMES = 5, 160
 CHOSEN = ("draws", "composed", "centres, which are no poses")
-LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
-WAYS = ((CANDIDATES, "disc"), (UNCERTAIN, "disc"), (UNCERTAIN, "Gaussian"), (TRUE, "disc"))
-NAMES = {CANDIDATES: ESTIMATOR, UNCERTAIN: "uncertain", TRUE: "true"}
+CENTRE_LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
+CENTRE_WAYS = ((CANDIDATES, "disc"), (UNCERTAIN, "disc"), (UNCERTAIN, "Gaussian"), (TRUE, "disc"))
+ROOT_WORDS = {CANDIDATES: ESTIMATOR, UNCERTAIN: "uncertain", TRUE: "true"}
 
 
-class Errors(NamedTuple):
+class CentreErrors(NamedTuple):
     """Mean joint errors in mm: of the single estimate, and the best of k draws, k composed poses
     and k centres; the last three once more where a draw that was kept apart stands in for the
     truth."""
@@ -60,9 +59,10 @@ class Errors(NamedTuple):
     own_centres: float
 
 
-def judged(drawn: Draws, single: np.ndarray, case: Case) -> Errors:
+def judged(drawn: Draws, single: np.ndarray, case: Case) -> CentreErrors:
     """What draws in random order, and the single estimate `(15, 3)`, are worth."""
-    stand_in, rest = drawn.joints[0] * case.unit, drawn.take(slice(1, None))
+    stand_in = drawn.joints[0] * case.unit
+    rest = drawn.take(slice(1, None))
     some = (
         np.stack([one.joints for one in diverse(rest.joints, K)]),
         np.stack([one.joints for one in compose(rest, K)]),
@@ -71,16 +71,17 @@ def judged(drawn: Draws, single: np.ndarray, case: Case) -> Errors:
         ),
     )
     errors = [float(best_of(poses, truth)) for truth in (case.pose, stand_in) for poses in some]
-    return Errors(float(mean_joint_error(single, case.pose)), *errors)
+    return CentreErrors(float(mean_joint_error(single, case.pose)), *errors)
 
 
 def found_of(
     protocol: Protocol, cases: list[Case], frames: list[Estimate], root: str, law: str
-) -> list[Errors | None]:
+) -> list[CentreErrors | None]:
     """By frame; None where there are too few draws."""
-    draw, found = protocol.sampler(root), []
+    draw = protocol.sampler(root)
+    found = []
     for case, frame in zip(cases, frames, strict=True):
-        given = dataclasses.replace(frame, likelihood=LAWS[law])
+        given = dataclasses.replace(frame, likelihood=CENTRE_LAWS[law])
         if root == TRUE:
             given = dataclasses.replace(given, candidates=(true_candidate(case, protocol.model),))
         drawn = draw(given, jax.random.fold_in(jax.random.key(protocol.seed), case.number))
@@ -90,7 +91,7 @@ def found_of(
     return found
 
 
-class Row(NamedTuple):
+class CentreRow(NamedTuple):
     """A way to have a root: mean errors, gains on the single estimate of the three ways to choose,
     that of composed poses on draws where a draw stands in for the truth, and how many frames there
     are."""
@@ -102,19 +103,22 @@ class Row(NamedTuple):
     frames: int
 
     @classmethod
-    def of(cls, way: tuple[str, str], found: list[Errors | None], recording: np.ndarray) -> "Row":
+    def of(
+        cls, way: tuple[str, str], found: list[CentreErrors | None], recording: np.ndarray
+    ) -> "CentreRow":
         """The row of what was found by frame."""
         rows = [number for number, one in enumerate(found) if one is not None]
-        values, own = np.array([one for one in found if one is not None]), recording[rows]
+        values = np.array([one for one in found if one is not None])
+        own = recording[rows]
         gains = [gain(values[:, [0, column]], own) for column in (1, 2, 3)]
         means = values.mean(axis=0)[:4].tolist()
         return cls(way, means, gains, gain(values[:, [4, 5]], own), len(rows))
 
 
-def rows_of(data: Path, say: Callable[[str], None]) -> list[Row]:
+def rows_of(data: Path, say: Callable[[str], None]) -> list[CentreRow]:
     """Every way to have a root, with the errors of one set of frames."""
     protocol = protocol_of(data)
-    cases = list(read_data_set(data / CLASSES, frames=FRAMES, noise=NOISE))
+    cases = list(read_data_set(data / CLASSES, frames=CENTRE_FRAMES, noise=EVALUATION_NOISE))
     frames = estimate_torsos(
         [case.detection for case in cases],
         ESTIMATOR,
@@ -123,15 +127,16 @@ def rows_of(data: Path, say: Callable[[str], None]) -> list[Row]:
         poses=protocol.dictionary,
         num_candidates=1,
     )
-    recording, rows = np.array([case.recording for case in cases]), []
-    for root, law in WAYS:
+    recording = np.array([case.recording for case in cases])
+    rows = []
+    for root, law in CENTRE_WAYS:
         found = found_of(protocol, cases, frames, root, law)
-        rows.append(Row.of((NAMES[root], law), found, recording))
+        rows.append(CentreRow.of((ROOT_WORDS[root], law), found, recording))
         say(str(rows[-1]))
     return rows
 
 
-def table(rows: list[Row]) -> Sheet:
+def table(rows: list[CentreRow]) -> Sheet:
     """Errors and gains."""
     head = (
         "torso and camera",
@@ -164,21 +169,20 @@ def _words(one: Interval) -> str:
     return f"{one.value:+.1f} % ({one.low:+.1f} to {one.high:+.1f})"
 
 
-def main(data: Path) -> None:
+def main(data: Data) -> Page:
     """Runs the study and writes the page."""
-    in_doubles()
     rows = rows_of(data, print)
     values: Values = {
         "table": table(rows),
-        "frames": FRAMES,
+        "frames": CENTRE_FRAMES,
         "k": K,
-        "least": f"{100 * LEAST_GAIN:.0f} %",
+        "least": f"{100 * RELATION_GAIN:.0f} %",
         "roots": NUM_ROOTS,
     }
     gains = dict(zip(CHOSEN, zip(*(row.gains for row in rows), strict=True), strict=True))
     figure = gains_figure(gains, [", ".join(row.way) for row in rows], K)
-    write_page("centres", values, {"centres": figure})
+    return Page("centres", values, {"centres": figure})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

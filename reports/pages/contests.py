@@ -7,12 +7,13 @@ on. `--frames 1,2` and `--samplers` run some only, so that several processes can
 page is then made by `reports.pages.samplers`.
 """
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import jax
+import typer
 import xarray as xr
 
 from poseterior.inference.baselines.catalogue import BASELINES
@@ -30,7 +31,7 @@ from poseterior.inference.studies.scenes import (
 )
 from poseterior.probmodel import Estimate, PoseModel
 from poseterior.probmodel.root_priors import CANDIDATES
-from poseterior.reports.pages.page import in_doubles
+from poseterior.reports.pages.page import run
 
 CHECK = "one arm seen"
 """Six dimensions, for every sampler to show that it is right; not of the suite."""
@@ -39,10 +40,10 @@ CLOCKED = (10_000, 100_000)
 """Draws of exact rejection that are timed, set-up included."""
 CLOCK = time.process_time
 """Other work on the machine does not count."""
-PATIENCE = {"nuts": 15, "hmc": 15, "ess": 4, "smc": 8, "nss": 32, "nautilus": 12}
+LONGER = {"nuts": 15, "hmc": 15, "ess": 4, "smc": 8, "nss": 32, "nautilus": 12}
 """Times as long as the others these may take: they have nothing before a long warm-up, or before
 they have come from the prior to the posterior."""
-WORK = Path("build") / "samplers"
+CONTEST_WORK = Path("build") / "samplers"
 
 SUITE: dict[str, Callable[[PoseModel], Estimate]] = {
     "4 joints missing": lambda model: prior_scene(
@@ -95,7 +96,7 @@ def compare(
     names
         The baselines.
     seconds
-        For each, from each start, but for those with `PATIENCE`.
+        For each, from each start, but for those with `LONGER`.
     folder
         Where lines and runs are kept.
     """
@@ -123,7 +124,7 @@ def compare(
         keep(entry, path, 0.0)
     for name, start in [(one, start) for one in names for start in contest.starts_of(one)]:
         label = f"{name}-{start.replace(' ', '-')}".removesuffix("-")
-        allowed = seconds * PATIENCE.get(name, 1)
+        allowed = seconds * LONGER.get(name, 1)
         path = folder / f"{label}.nc"
         if path.exists() and xr.open_datatree(path).attrs["allowed"] >= allowed:
             continue
@@ -141,25 +142,20 @@ def compare(
         keep(entry, path, allowed)
 
 
-def main() -> None:
-    """The command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument(
-        "--seconds", type=float, default=60.0, help="for each baseline, from each start"
-    )
-    parser.add_argument("--samplers", default=",".join(BASELINES))
-    parser.add_argument("--frames", default=",".join(str(number) for number in range(len(SUITE))))
-    parser.add_argument("--work", type=Path, default=WORK)
-    options = parser.parse_args()
-    in_doubles()
-    jax.config.update("jax_compilation_cache_dir", str(options.work / "compiled"))
+def main(
+    seconds: Annotated[float, typer.Option(help="For each baseline, from each start.")] = 60.0,
+    samplers: str = ",".join(BASELINES),
+    frames: str = ",".join(map(str, range(len(SUITE)))),
+    work: Path = CONTEST_WORK,
+) -> None:
+    """Runs the contest on these frames, by their numbers."""
+    jax.config.update("jax_compilation_cache_dir", str(work / "compiled"))
     model = PoseModel.paper()
     for number, name in enumerate(SUITE):
-        if str(number) in options.frames.split(","):
+        if str(number) in frames.split(","):
             print(name, flush=True)
-            folder = options.work / str(number)
-            compare(model, number, options.samplers.split(","), options.seconds, folder)
+            compare(model, number, samplers.split(","), seconds, work / str(number))
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

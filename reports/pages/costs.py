@@ -19,7 +19,7 @@ from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
 from poseterior.reports.tables import Sheet, sheet_of
 
-NUMBERS = (250, 1000, 4000, 16_000)
+ROOT_NUMBERS = (250, 1000, 4000, 16_000)
 """Of roots, and of draws."""
 WANTED = 1000
 """Effective draws a second that a frame should have."""
@@ -50,7 +50,7 @@ def costs_of(
     found = []
     for law, likelihood in laws.items():
         frames = [Estimate(one, (), likelihood) for one in detections]
-        for number in NUMBERS:
+        for number in ROOT_NUMBERS:
             _drawn(model, frames[0], number, 0)
             pairs = [_drawn(model, frame, number, seed) for seed, frame in enumerate(frames, 1)]
             seconds, effective = np.array(pairs).T
@@ -105,7 +105,7 @@ def plot_costs(costs: Sequence[RootCost]) -> Figure:
         axes.errorbar(at, middle, beyond, color=colour, marker="o", ms=4, lw=1, label=name)
     axes.axhline(WANTED, color=INK, lw=0.8, ls=":")
     axes.set_xscale("log")
-    axes.set_xticks(NUMBERS, [f"{number:,}" for number in NUMBERS], fontsize=SMALL)
+    axes.set_xticks(ROOT_NUMBERS, [f"{number:,}" for number in ROOT_NUMBERS], fontsize=SMALL)
     axes.minorticks_off()
     axes.set_ylim(0)
     axes.tick_params(axis="y", labelsize=SMALL)

@@ -7,16 +7,17 @@ are there. With names of stages, only those are done. About half an hour on two 
 """
 
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 import xarray as xr
 
 from poseterior.inference.estimators import ESTIMATORS
 from poseterior.inference.studies.calibration import Instance, judge
-from poseterior.inference.studies.calibration.choices import WAYS
+from poseterior.inference.studies.calibration.choices import CHOICES
 from poseterior.inference.studies.calibration.coverage import summary
 from poseterior.inference.studies.calibration.ece import ece
 from poseterior.inference.studies.calibration.exclusions import (
@@ -32,12 +33,12 @@ from poseterior.inference.studies.calibration.real import TRUE, instances
 from poseterior.probmodel.datasets import Case
 from poseterior.reports.figures.coverage import controls_figure, coverage_figure, ranks_figure
 from poseterior.reports.figures.misses import Exclusion, misses_figure
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, Values, Work, run
 from poseterior.reports.pages.real import (
-    CELLS,
-    ESTIMATED,
+    BELIEFS,
     KS,
-    VARIANTS,
+    REAL_CELLS,
+    REAL_ROOTS,
     cases,
     cell_path,
     choices,
@@ -46,9 +47,9 @@ from poseterior.reports.pages.real import (
     sensitivity,
 )
 from poseterior.reports.pages.simulated import (
+    BASELINE_EVALUATIONS,
     CONTROLLED,
-    EVALUATIONS,
-    JUDGED,
+    JUDGED_SIMULATIONS,
     MEASURES,
     baselines,
     controls,
@@ -72,8 +73,9 @@ STAGES = {
     "sensitivity": sensitivity,
     "baselines": baselines,
 }
-SHOWN = ("right_wrist z", "left_knee x", LOG_DENSITY, ENERGY_BALL, TARP)
+SHOWN_QUANTITIES = ("right_wrist z", "left_knee x", LOG_DENSITY, ENERGY_BALL, TARP)
 """Quantities whose ranks are drawn for every control."""
+Stages = Annotated[list[str] | None, typer.Argument(help="Only these.")]
 Trees = Mapping[tuple[str, ...], xr.DataTree]
 """By torso and camera, 2D error, and how many joints are missing."""
 
@@ -166,7 +168,7 @@ def _miss(title: str, case: Case, instance: Instance, why: list[Reason], label: 
 def choices_table(found: xr.Dataset) -> Sheet:
     """Best-of-k errors by way of choosing, and modes represented."""
     rows = []
-    for way in WAYS:
+    for way in CHOICES:
         for name, words, form in (
             ("error", "the truth", "{:.0f} mm"),
             ("floor", "one more draw", "{:.0f} mm"),
@@ -178,8 +180,8 @@ def choices_table(found: xr.Dataset) -> Sheet:
     return sheet_of(["chosen by", against, *(f"k = {k}" for k in KS)], rows)
 
 
-def page(work: Path, data: Path) -> None:
-    """Writes the page and its pictures."""
+def page(work: Work, data: Data) -> Page:
+    """The page and its pictures, all stages done."""
     paths = [work / f"exact-{upper}-{lower}.nc" for upper, lower in MEASURES]
     exacts = {
         f"upper {upper}, lower {lower}": read(path)["simulation"].to_dataset()
@@ -187,16 +189,17 @@ def page(work: Path, data: Path) -> None:
     }
     costs = [json.loads(path.with_suffix(".json").read_text()) for path in paths]
     first = next(iter(exacts.values()))
-    wrong, others = simulations(work, "control-*.nc"), simulations(work, "baseline-*.nc")
+    wrong = simulations(work, "control-*.nc")
+    others = simulations(work, "baseline-*.nc")
     trees: Trees = {
         (estimator, error, str(missing)): read(cell_path(work, estimator, error, missing))
-        for estimator, error, missing in CELLS
+        for estimator, error, missing in REAL_CELLS
     }
-    variants = [read(work / f"variant-{number}.nc") for number in range(len(VARIANTS))]
+    variants = [read(work / f"variant-{number}.nc") for number in range(len(BELIEFS))]
     summaries = {key: summary(tree) for key, tree in trees.items()}
     estimated, own = (reasons_of(trees, estimated=whose) for whose in (True, False))
     controlled = {"exact rejection": first.isel(simulation=slice(CONTROLLED)), **wrong}
-    beside = {"exact rejection": first.isel(simulation=slice(JUDGED)), **others}
+    beside = {"exact rejection": first.isel(simulation=slice(JUDGED_SIMULATIONS)), **others}
     changed = [((tree.attrs["variant"],), summary(tree)) for tree in variants]
     values: Values = {
         "measures": judged_table(exacts),
@@ -211,30 +214,27 @@ def page(work: Path, data: Path) -> None:
         "reasons_true": reasons_table(*own),
         "choices": choices_table(read(work / "choices.nc")["choices"].to_dataset()),
         "sensitivity": settings_table(changed, ("variant",)),
-        "judged": JUDGED,
-        "evaluations": f"{EVALUATIONS:,}",
+        "judged": JUDGED_SIMULATIONS,
+        "evaluations": f"{BASELINE_EVALUATIONS:,}",
         "poses": summaries[TRUE, "detector", "0"].size,
     }
-    curves = {name: trees[name, "detector", "0"]["simulation"].to_dataset() for name in ESTIMATED}
+    curves = {name: trees[name, "detector", "0"]["simulation"].to_dataset() for name in REAL_ROOTS}
     commonest = [rank.label for rank in estimated[0][:3]]
     pictures = {
         "coverage": ranks_figure(first),
-        "coverage_controls": controls_figure({"exact": first, **wrong}, SHOWN),
+        "coverage_controls": controls_figure({"exact": first, **wrong}, SHOWN_QUANTITIES),
         "coverage_real": coverage_figure(curves),
         "coverage_misses": misses_figure(misses(work, data, commonest)),
     }
-    write_page("coverage", values, pictures)
+    return Page("coverage", values, pictures)
 
 
-def main(data: Path, work: Path, stages: Sequence[str]) -> None:
-    """Does what is left of the stages, then writes the page."""
-    in_doubles()
-    work.mkdir(parents=True, exist_ok=True)
+def main(data: Data, work: Work, stages: Stages = None) -> Page | None:
+    """Does what is left of the stages (all, if none is named), and fills the page from them."""
     for name in stages or STAGES:
         STAGES[name](work, data)
-    if not stages:
-        page(work, data)
+    return None if stages else page(work, data)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:])
+    run(main)

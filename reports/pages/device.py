@@ -7,10 +7,8 @@ time is taken; what a user waits for that is a column of its own.
 """
 
 import os
-import sys
 import time
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -25,19 +23,18 @@ from poseterior.inference.exact.loops.tables import LimbProblem
 from poseterior.inference.exact.mixture import RootSampler, root_samplers
 from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget
-from poseterior.inference.studies.scenes import motion_frames, prior_frames
 from poseterior.probmodel import Estimate, PoseModel
 from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import page as blank_page
-from poseterior.reports.figures.style import tidy
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.clocks import digits, finish, frames_of, quartiles, timed, titled
+from poseterior.reports.pages.page import SHARED, Data, Page, Values, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
-DRAWS = 10_000_000
+DEVICE_DRAWS = 10_000_000
 COUNTS = (10_000, 100_000, 1_000_000, 10_000_000, 100_000_000)
 """Draws of the curve's frame."""
-FRAMES = slice(None, None, 8)
+DEVICE_FRAMES = slice(None, None, 8)
 """Of the 64."""
 COMPARED, CHECKED = 200_000, slice(None, None, 4)
 """Draws that are compared with the processor's, and in which of the frames."""
@@ -67,12 +64,6 @@ class DeviceCost(NamedTuple):
     processor: float
 
 
-def _seconds(action: Callable[[], object]) -> float:
-    started = time.perf_counter()
-    action()
-    return time.perf_counter() - started
-
-
 def _body(model: PoseModel, frame: Estimate, seed: int) -> tuple[RootSampler, list[DeviceGroup]]:
     groups = device_groups(jax.random.key(seed), model, frame.observation)
     return RootSampler(model, frame.observation, groups), groups
@@ -80,7 +71,8 @@ def _body(model: PoseModel, frame: Estimate, seed: int) -> tuple[RootSampler, li
 
 def draw(model: PoseModel, frame: Estimate, seed: int, number: int) -> tuple[float, float]:
     """Seconds of so many whole bodies that stay on the device, and of those for each attempt."""
-    budget, started = Budget(10**15), time.perf_counter()
+    budget = Budget(10**15)
+    started = time.perf_counter()
     body, groups = _body(model, frame, seed)
     assert body.more(number, budget)
     jax.block_until_ready([group.room for group in groups])
@@ -90,13 +82,14 @@ def draw(model: PoseModel, frame: Estimate, seed: int, number: int) -> tuple[flo
 
 def cost(model: PoseModel, frame: Estimate) -> DeviceCost:
     """Times one frame, its one candidate known."""
-    first, _ = draw(model, frame, 0, DRAWS)
-    seconds, attempt = draw(model, frame, 1, DRAWS)
+    first, _ = draw(model, frame, 0, DEVICE_DRAWS)
+    seconds, attempt = draw(model, frame, 1, DEVICE_DRAWS)
     body, groups = _body(model, frame, 2)
-    assert body.more(DRAWS, Budget(10**15))
+    assert body.more(DEVICE_DRAWS, Budget(10**15))
     levels = {group.name: group.level for group in groups}
     del body, groups
-    tables, problems = group_tables(model), limb_problems(frame.observation)
+    tables = group_tables(model)
+    problems = limb_problems(frame.observation)
 
     def set_up() -> None:
         for name, level in levels.items():
@@ -106,9 +99,9 @@ def cost(model: PoseModel, frame: Estimate) -> DeviceCost:
         (candidate,) = root_samplers(
             frame.posterior(model, CANDIDATES), jax.random.key(3), "rejection"
         )
-        assert candidate.more(DRAWS // 10, Budget(10**15))
+        assert candidate.more(DEVICE_DRAWS // 10, Budget(10**15))
 
-    return DeviceCost(first, seconds, _seconds(set_up), attempt, 10 * _seconds(processor))
+    return DeviceCost(first, seconds, timed(set_up, 1), attempt, 10 * timed(processor, 1))
 
 
 def _handed(name: str, level: int, tables: GroupTables, limbs: tuple[LimbProblem, ...]) -> object:
@@ -121,7 +114,8 @@ def compared(model: PoseModel, frame: Estimate) -> list[tuple[float, float]]:
     """Group by group, draws of the device beside those of the processor: the smallest p-value of
     two-sample Kolmogorov–Smirnov tests of all coordinates, times their number; and the difference
     of log evidences over its standard error."""
-    found, problems = [], limb_problems(frame.observation)
+    found = []
+    problems = limb_problems(frame.observation)
     for device in device_groups(jax.random.key(4), model, frame.observation):
         name = device.name
         tables = group_tables(model)[name]
@@ -135,7 +129,8 @@ def compared(model: PoseModel, frame: Estimate) -> list[tuple[float, float]]:
             for sampler in (device, loops)
         )
         values = [stats.ks_2samp(*pair).pvalue for pair in zip(ours.T, theirs.T, strict=True)]
-        one, other = device.rates[0], loops.rates[0]
+        one = device.rates[0]
+        other = loops.rates[0]
         error = np.sqrt(one.variance + other.variance)
         found.append(
             (
@@ -146,25 +141,17 @@ def compared(model: PoseModel, frame: Estimate) -> list[tuple[float, float]]:
     return found
 
 
-def _digits(value: float) -> str:
-    return f"{value:,.3g}" if value < 1000 else f"{value:,.0f}"
-
-
 def costs_table(costs: Sequence[DeviceCost]) -> Sheet:
     """Costs over the frames: smallest, quartiles, largest."""
     seconds = np.array([item.seconds for item in costs])
     lines = {
-        "whole bodies a second": DRAWS / seconds,
+        "whole bodies a second": DEVICE_DRAWS / seconds,
         "times this machine's processor": np.array([item.processor for item in costs]) / seconds,
         "set-up, ms": 1e3 * np.array([item.set_up for item in costs]),
         "ns an attempt, all included": 1e9 * np.array([item.attempt for item in costs]),
         "s of the first call": np.array([item.first for item in costs]),
     }
-    rows = [(what, *np.quantile(line, [0, 0.25, 0.5, 0.75, 1])) for what, line in lines.items()]
-    heads = ("min", "¼", "median", "¾", "max")
-    return sheet_of(
-        [f"over {len(costs)} frames", *(Column(head, form=_digits) for head in heads)], rows
-    )
+    return quartiles(f"over {len(costs)} frames", lines)
 
 
 def picture(rates: Sequence[float]) -> Figure:
@@ -173,19 +160,14 @@ def picture(rates: Sequence[float]) -> Figure:
     axis = figure.subplots()
     axis.loglog(COUNTS, rates, "o-", color=PALETTE[0])
     axis.set(xlabel="draws of one frame", ylabel="whole bodies a second, set-up included")
-    axis.grid(alpha=0.3)
-    tidy(axis)
+    finish([axis])
     return figure
 
 
-def main(data: Path) -> None:
+def main(data: Data = SHARED) -> Page:
     """Measures, writes, and prints the page."""
-    in_doubles()
     model = PoseModel.paper()
-    sets = {"Poses of the prior, by their seeds": prior_frames(model)[FRAMES]}
-    archive = data / "cmu" / "actions_train.npz"
-    if archive.exists():
-        sets["Poses of CMU motion capture"] = motion_frames(archive)[FRAMES]
+    sets = frames_of(model, data, DEVICE_FRAMES)
     costs = {title: [cost(model, frame) for frame in frames] for title, frames in sets.items()}
     frames = list(sets.values())[-1]
     checks = [check for frame in frames[CHECKED] for check in compared(model, frame)]
@@ -198,12 +180,10 @@ def main(data: Path) -> None:
         "device": jax.devices()[0].device_kind,
         "cores": os.cpu_count() or 1,
         "jax": jax.__version__,
-        "draws": f"{DRAWS:,}",
-        "tables": "\n\n".join(
-            f"## {title}\n\n{costs_table(own).markdown()}" for title, own in costs.items()
-        ),
+        "draws": f"{DEVICE_DRAWS:,}",
+        "tables": titled({title: costs_table(own) for title, own in costs.items()}),
         "curve": sheet_of(
-            ["draws of one frame", Column("whole bodies a second", form=_digits)],
+            ["draws of one frame", Column("whole bodies a second", form=digits)],
             [(f"{count:,}", rate) for count, rate in zip(COUNTS, rates, strict=True)],
         ),
         "compared": f"{COMPARED:,}",
@@ -212,8 +192,8 @@ def main(data: Path) -> None:
         "chance": f"{1 - (1 - smallest) ** len(checks):.2g}",
         "largest": f"{max(abs(score) for _, score in checks):.2f}",
     }
-    print(write_page("device", values, {"device": picture(rates)}))
+    return Page("device", values, {"device": picture(rates)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))
+    run(main)

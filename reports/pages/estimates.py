@@ -24,15 +24,15 @@ from poseterior.probmodel.skeleton import LIMB_JOINTS, NUM_JOINTS
 from poseterior.reports.pages.people import without
 
 PER_TRIAL, DRAWN_PER_TRIAL = 3, 2
-NOISE = (0.0, 0.02, 0.05)
+RECOVERY_NOISE = (0.0, 0.02, 0.05)
 """Standard deviation of the 2D noise, each way, as a share of the body height."""
 MISSING = (0, 1, 2)
-DRAWS, HYPOTHESES, BUDGET = 2000, 5, 20_000_000
+ESTIMATE_DRAWS, HYPOTHESES, ESTIMATE_BUDGET = 2000, 5, 20_000_000
 MEAN = "mean"
 """The mean pose, as if it were an estimate."""
 METHODS = ("dictionary", "akhter-black", "zhou")
 DRAWN_METHODS = METHODS[1:]
-SCORE, MIDDLE = 0.8, 320
+SCORE, RECOVERY_CENTRE = 0.8, 320
 PIXELS = 0.2
 """Pixels a millimetre."""
 
@@ -51,7 +51,8 @@ def hold_out(motions: Sequence[Motion], subject: str) -> HeldOut:
     """Some poses of a person, and what is learned without that person."""
     own = [motion for motion in motions if motion.subject == subject]
     others = without(motions, [subject])
-    poses, trial = [], []
+    poses = []
+    trial = []
     for motion in own:
         joints = motion.without_jumps().joints
         chosen = np.linspace(0, len(joints) - 1, PER_TRIAL + 2).astype(int)[1:-1]
@@ -96,7 +97,7 @@ def cases(
             offset = rng.normal(size=(NUM_JOINTS, 2)) * noise * body_height(pose)
             score = np.full(NUM_JOINTS, SCORE)
             score[rng.permutation(LIMB_JOINTS)[:missing]] = 0
-            points = PIXELS * (truth[:, :2] + offset) + MIDDLE
+            points = PIXELS * (truth[:, :2] + offset) + RECOVERY_CENTRE
             keypoints = np.where(score[:, None] > 0, points, np.nan)
             found.append(
                 NoisyPose(truth, Detection(keypoints, score, "synthetic", "a pose", 0), number)
@@ -143,8 +144,8 @@ def sampled_errors(held: HeldOut, some: Sequence[NoisyPose], method: str) -> lis
             frame,
             root=CANDIDATES,
             key=jax.random.key(number),
-            num_samples=DRAWS,
-            max_proposals=BUDGET,
+            num_samples=ESTIMATE_DRAWS,
+            max_proposals=ESTIMATE_BUDGET,
         )
         if result.num_draws < HYPOTHESES:
             found.append(None)
@@ -168,7 +169,7 @@ class Singles(NamedTuple):
 def study_singles(people: Mapping[str, HeldOut]) -> Singles:
     """Four views of every pose, with all noise and missing joints."""
     errors: dict[tuple[str, float, int], np.ndarray] = {}
-    for noise in NOISE:
+    for noise in RECOVERY_NOISE:
         for missing in MISSING:
             parts = {name: cases(held, noise, missing, four_views) for name, held in people.items()}
             for method in (MEAN, *METHODS):
@@ -197,7 +198,9 @@ def study_draws(people: Mapping[str, HeldOut]) -> Scores:
     drawn = Scores({}, {}, {})
     for at in [(method, missing) for method in DRAWN_METHODS for missing in MISSING]:
         method, missing = at
-        errors, trial, lost = [], [], 0
+        errors = []
+        trial = []
+        lost = 0
         for held in people.values():
             some = cases(held, 0.0, missing, one_view_of_some)
             for case, found in zip(some, sampled_errors(held, some, method), strict=True):
@@ -206,7 +209,9 @@ def study_draws(people: Mapping[str, HeldOut]) -> Scores:
                 else:
                     errors.append(found)
                     trial.append(held.trial[case.pose])
-        drawn.errors[at], drawn.trial[at], drawn.lost[at] = np.array(errors), np.array(trial), lost
+        drawn.errors[at] = np.array(errors)
+        drawn.trial[at] = np.array(trial)
+        drawn.lost[at] = lost
         print(at, drawn.errors[at].mean(axis=0), lost, flush=True)
     return drawn
 
@@ -214,5 +219,5 @@ def study_draws(people: Mapping[str, HeldOut]) -> Scores:
 def turned(case: NoisyPose, angle: float) -> NoisyPose:
     """The detection after a rotation of the image about its middle, degrees."""
     turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()[:2, :2]
-    keypoints = (case.detection.keypoints - MIDDLE) @ turn.T + MIDDLE
+    keypoints = (case.detection.keypoints - RECOVERY_CENTRE) @ turn.T + RECOVERY_CENTRE
     return case._replace(detection=dataclasses.replace(case.detection, keypoints=keypoints))

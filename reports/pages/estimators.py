@@ -8,10 +8,8 @@ without that person; the page says what is held out and how. Half an hour.
 """
 
 import functools
-import sys
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,7 +29,7 @@ from poseterior.reports.figures.estimators import estimators_figure
 from poseterior.reports.pages.estimates import (
     METHODS,
     MISSING,
-    NOISE,
+    RECOVERY_NOISE,
     SCORE,
     HeldOut,
     Scores,
@@ -46,11 +44,11 @@ from poseterior.reports.pages.estimates import (
     study_singles,
     turned,
 )
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, Values, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
-SUBJECTS = ("01", "02", "03")
-NAMES = {
+HELD_OUT = ("01", "02", "03")
+ESTIMATE_NAMES = {
     "mean": "mean pose",
     "dictionary": "dictionary fit",
     "akhter-black": "Akhter & Black",
@@ -58,7 +56,7 @@ NAMES = {
 }
 SEVERAL, RUNS = 64, 5
 """Frames that are estimated together, and how often that is timed."""
-LEVELS = [(noise, missing) for noise in NOISE for missing in MISSING]
+ESTIMATE_LEVELS = [(noise, missing) for noise in RECOVERY_NOISE for missing in MISSING]
 
 
 def singles_table(singles: Singles) -> Sheet:
@@ -67,32 +65,38 @@ def singles_table(singles: Singles) -> Sheet:
         (
             f"{noise:.0%}",
             str(missing),
-            *(clustered(singles.errors[method, noise, missing], singles.trial) for method in NAMES),
+            *(
+                clustered(singles.errors[method, noise, missing], singles.trial)
+                for method in ESTIMATE_NAMES
+            ),
         )
-        for noise, missing in LEVELS
+        for noise, missing in ESTIMATE_LEVELS
     ]
-    return sheet_of(("noise", "missing", *NAMES.values()), rows)
+    return sheet_of(("noise", "missing", *ESTIMATE_NAMES.values()), rows)
 
 
 def subjects_table(singles: Singles) -> Sheet:
     """Errors by person, true 2D, every joint seen."""
     rows = []
-    for subject in SUBJECTS:
+    for subject in HELD_OUT:
         mine = singles.subject == subject
-        means = (float(singles.errors[method, 0.0, 0][mine].mean()) for method in NAMES)
+        means = (float(singles.errors[method, 0.0, 0][mine].mean()) for method in ESTIMATE_NAMES)
         rows.append((subject, int(mine.sum()), *means))
-    return sheet_of(("subject", "views of poses", *NAMES.values()), rows)
+    return sheet_of(("subject", "views of poses", *ESTIMATE_NAMES.values()), rows)
 
 
 def differences_table(singles: Singles) -> Sheet:
     """Paired differences between neighbours in the order that the paper has."""
     pairs = [("mean", "akhter-black"), ("akhter-black", "zhou"), ("dictionary", "zhou")]
     rows = []
-    for noise, missing in LEVELS:
-        error = {method: singles.errors[method, noise, missing] for method in NAMES}
+    for noise, missing in ESTIMATE_LEVELS:
+        error = {method: singles.errors[method, noise, missing] for method in ESTIMATE_NAMES}
         apart = (clustered(error[worse] - error[better], singles.trial) for worse, better in pairs)
         rows.append((f"{noise:.0%}", str(missing), *apart))
-    return sheet_of(("noise", "missing", *(f"{NAMES[a]} − {NAMES[b]}" for a, b in pairs)), rows)
+    return sheet_of(
+        ("noise", "missing", *(f"{ESTIMATE_NAMES[a]} − {ESTIMATE_NAMES[b]}" for a, b in pairs)),
+        rows,
+    )
 
 
 def draws_table(drawn: Scores) -> Sheet:
@@ -102,7 +106,7 @@ def draws_table(drawn: Scores) -> Sheet:
         single, best, any_draw = errors.T
         columns = (single, best, single - best, any_draw)
         found = (clustered(column, drawn.trial[method, missing]) for column in columns)
-        rows.append((NAMES[method], str(missing), *found, drawn.lost[method, missing]))
+        rows.append((ESTIMATE_NAMES[method], str(missing), *found, drawn.lost[method, missing]))
     head = (
         "estimator",
         "missing",
@@ -126,7 +130,7 @@ def _zhou(held: HeldOut, seen: list[Detection], **options: Any) -> Fits:
     return fit_zhou(seen, held.dictionary, **options)
 
 
-VARIANTS: dict[str, Callable[[HeldOut, list[Detection]], Fits]] = {
+ABLATIONS: dict[str, Callable[[HeldOut, list[Detection]], Fits]] = {
     "Akhter & Black": _akhter_black,
     "… without limits (C_p)": functools.partial(_akhter_black, limit_weight=0.0),
     "… without bone lengths (C_l)": functools.partial(_akhter_black, bones_weight=0.0),
@@ -138,15 +142,17 @@ VARIANTS: dict[str, Callable[[HeldOut, list[Detection]], Fits]] = {
 def ablation_table(people: Mapping[str, HeldOut]) -> Sheet:
     """What the parts of the two estimators are worth: every joint seen, by noise."""
     rows = [
-        (name, *(_ablated(people, fit, noise) for noise in NOISE)) for name, fit in VARIANTS.items()
+        (name, *(_ablated(people, fit, noise) for noise in RECOVERY_NOISE))
+        for name, fit in ABLATIONS.items()
     ]
-    return sheet_of(("estimator", *(f"{noise:.0%} noise" for noise in NOISE)), rows)
+    return sheet_of(("estimator", *(f"{noise:.0%} noise" for noise in RECOVERY_NOISE)), rows)
 
 
 def _ablated(
     people: Mapping[str, HeldOut], fit: Callable[[HeldOut, list[Detection]], Fits], noise: float
 ) -> Interval:
-    errors, trial = [], []
+    errors = []
+    trial = []
     for held in people.values():
         some = cases(held, noise, 0, four_views)
         fits = fit(held, [case.detection for case in some])
@@ -173,7 +179,7 @@ def rotation_table(people: Mapping[str, HeldOut]) -> Sheet:
         mean = [float(errors.mean()) for errors in by_angle]
         change = [abs(mean[i] / mean[0] - 1) for i in (1, 2)]
         most = [float(np.max(np.abs(by_angle[i] / by_angle[0] - 1))) for i in (1, 2)]
-        rows.append((NAMES[method], *mean, *change, *most))
+        rows.append((ESTIMATE_NAMES[method], *mean, *change, *most))
     head: tuple[str | Column, ...] = (
         "estimator",
         *(Column(f"{angle}°", form="{:.2f}".format) for angle in (0, 30, 60)),
@@ -197,7 +203,7 @@ def speed_table(held: HeldOut) -> Sheet:
                 estimates(held, some[:count], method)
                 runs.append((time.perf_counter() - started[0], time.process_time() - started[1]))
             columns += [1000 * float(best) / count for best in np.min(runs, axis=0)]
-        rows.append((NAMES[method], *columns))
+        rows.append((ESTIMATE_NAMES[method], *columns))
     head = (
         "estimator",
         f"{SEVERAL} together: ms a frame",
@@ -211,7 +217,8 @@ def speed_table(held: HeldOut) -> Sheet:
 def recovery_table() -> Sheet:
     """Share of noise-free poses in the span of the embedded dictionary that are recovered to
     1e-3."""
-    whole, rng = PoseDictionary.default(), np.random.default_rng(0)
+    whole = PoseDictionary.default()
+    rng = np.random.default_rng(0)
     limits = Anatomy.default().limits
     rows = []
     for terms in (1, 2, 3):
@@ -226,7 +233,7 @@ def recovery_table() -> Sheet:
             right = [recovered(fit[0], truth) for fit, truth in zip(fits, truths, strict=True)]
             shares.append(float(np.mean(right)))
         rows.append((str(terms), *shares))
-    heads = (Column(NAMES[method], form="{:.0%}".format) for method in METHODS[1:])
+    heads = (Column(ESTIMATE_NAMES[method], form="{:.0%}".format) for method in METHODS[1:])
     return sheet_of(("terms", *heads), rows)
 
 
@@ -244,7 +251,8 @@ def _in_the_span(
 
 def _seen(truth: np.ndarray) -> Detection:
     view = WeakPerspective(100.0, np.eye(3), np.array([320.0, 320.0]))
-    points, score = np.asarray(view.project(truth)), np.full(NUM_JOINTS, SCORE)
+    points = np.asarray(view.project(truth))
+    score = np.full(NUM_JOINTS, SCORE)
     return Detection(points, score, "synthetic", "a pose", 0)
 
 
@@ -257,29 +265,30 @@ def recovered(candidate: Candidate, truth: np.ndarray) -> bool:
 
 def picture(singles: Singles, drawn: Scores) -> Figure:
     """Single estimates under noise; beside the best of five, with joints missing."""
-    errors, trial = singles.errors, singles.trial
+    errors = singles.errors
+    trial = singles.trial
     by_noise = {
-        name: [clustered(errors[method, noise, 0], trial) for noise in NOISE]
-        for method, name in NAMES.items()
+        name: [clustered(errors[method, noise, 0], trial) for noise in RECOVERY_NOISE]
+        for method, name in ESTIMATE_NAMES.items()
     }
     by_missing = {
-        (NAMES[method], words): [
+        (ESTIMATE_NAMES[method], words): [
             clustered(drawn.errors[method, missing][:, column], drawn.trial[method, missing])
             for missing in MISSING
         ]
         for method in METHODS[1:]
         for column, words in enumerate(("single estimate", "best of five hypotheses"))
     }
-    return estimators_figure(NOISE, by_noise, MISSING, by_missing)
+    return estimators_figure(RECOVERY_NOISE, by_noise, MISSING, by_missing)
 
 
-def main(data: Path) -> None:
+def main(data: Data) -> Page:
     """Runs all studies and writes the page and its picture."""
-    in_doubles()
     motions = read_all([data / "cmu" / "asfamc", data / "cmu" / "actions_train.npz", data / "bvh"])
-    people = {subject: hold_out(motions, subject) for subject in SUBJECTS}
-    speed = speed_table(people[SUBJECTS[0]])
-    singles, drawn = study_singles(people), study_draws(people)
+    people = {subject: hold_out(motions, subject) for subject in HELD_OUT}
+    speed = speed_table(people[HELD_OUT[0]])
+    singles = study_singles(people)
+    drawn = study_draws(people)
     values: Values = {
         "poses": sum(len(held.poses) for held in people.values()),
         "singles": singles_table(singles),
@@ -291,8 +300,8 @@ def main(data: Path) -> None:
         "speed": speed,
         "recovery": recovery_table(),
     }
-    write_page("estimators", values, {"estimators": picture(singles, drawn)})
+    return Page("estimators", values, {"estimators": picture(singles, drawn)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

@@ -6,8 +6,6 @@
 processor time.
 """
 
-import json
-import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -37,7 +35,7 @@ from poseterior.probmodel.learning.poses import read_all
 from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.figures.bias import bias_figure
 from poseterior.reports.figures.evaluation import errors_figure, pck_curves, pck_figure
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, Values, Work, kept_json, run
 from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.bias import actions_table, visits_table
 from poseterior.reports.tables.evaluation import (
@@ -52,10 +50,10 @@ from poseterior.reports.tables.evaluation import (
 )
 from poseterior.reports.tables.words import duration
 
-OTHERS = ("cmu/asfamc/01", "cmu/asfamc/03", "bvh/cmu_131_03.bvh")
+OTHER_RECORDINGS = ("cmu/asfamc/01", "cmu/asfamc/03", "bvh/cmu_131_03.bvh")
 """Recordings of people who are not in the eight classes of action."""
 CLASSES = "cmu/actions_train.npz"
-NOISE = Noise("gaussian", 0.02)
+EVALUATION_NOISE = Noise("gaussian", 0.02)
 NOISY_FRAMES, TRUE_FRAMES, TRIED_FRAMES, SPEED_FRAMES = 2000, 400, 96, 320
 ESTIMATORS = ("akhter-black", "zhou", "dictionary")
 BASE = Condition(ESTIMATORS[0])
@@ -73,11 +71,11 @@ class Runs(NamedTuple):
 
 def protocol_of(data: Path) -> Protocol:
     """What the others' recordings teach, and the paper's way with it."""
-    motions = read_all([data / name for name in OTHERS])
+    motions = read_all([data / name for name in OTHER_RECORDINGS])
     return Protocol(learn(motions), learn_dictionary(motions))
 
 
-def run(data: Path, protocol: Protocol, work: Path) -> Runs:
+def runs_of(data: Path, protocol: Protocol, work: Path) -> Runs:
     """Everything, or what is left of it."""
 
     def judged(name: str, cases: DataSet, wanted: list[Condition]) -> Results:
@@ -88,7 +86,7 @@ def run(data: Path, protocol: Protocol, work: Path) -> Runs:
         out.mkdir(parents=True, exist_ok=True)
         return evaluate(cases, wanted, protocol, out, machines=Machines(WORKERS), progress=say)
 
-    noisy = read_data_set(data / CLASSES, frames=NOISY_FRAMES, noise=NOISE)
+    noisy = read_data_set(data / CLASSES, frames=NOISY_FRAMES, noise=EVALUATION_NOISE)
     true = read_data_set(data / CLASSES, frames=TRUE_FRAMES, noise=EXACT)
     return Runs(
         noisy,
@@ -132,7 +130,7 @@ def by_noise_and_discs(data: Path, protocol: Protocol, work: Path) -> Sheet:
     for name, noise, factor in (
         ("true 2D", EXACT, 0.25),
         ("true 2D", EXACT, 0.1),
-        ("noise 2 %", NOISE, 0.25),
+        ("noise 2 %", EVALUATION_NOISE, 0.25),
         ("noise 4 %", Noise("gaussian", 0.04), 0.25),
     ):
         cases = read_data_set(data / CLASSES, frames=TRIED_FRAMES, noise=noise)
@@ -157,12 +155,10 @@ def by_noise_and_discs(data: Path, protocol: Protocol, work: Path) -> Sheet:
 
 
 def measured(data: Path, protocol: Protocol, work: Path) -> dict[int, float]:
-    """Frames a second with one and with two workers, measured once: the slope of blocks of 32
-    frames as they come in, but for each worker's first, in which it compiles."""
-    kept = work / "speed.json"
-    if kept.exists():
-        return {int(workers): rate for workers, rate in json.loads(kept.read_text()).items()}
-    cases, rates = read_data_set(data / CLASSES, frames=SPEED_FRAMES, noise=NOISE), {}
+    """Frames a second with one and with two workers: the slope of blocks of 32 frames as they come
+    in, but for each worker's first, in which it compiles."""
+    cases = read_data_set(data / CLASSES, frames=SPEED_FRAMES, noise=EVALUATION_NOISE)
+    rates = {}
     for workers in (1, 2):
         came: list[tuple[float, int]] = []
 
@@ -170,11 +166,11 @@ def measured(data: Path, protocol: Protocol, work: Path) -> dict[int, float]:
             came.append((time.perf_counter(), done))
 
         with tempfile.TemporaryDirectory(dir=work) as out:
-            one, folder = [Condition("zhou")], Path(out)
+            one = [Condition("zhou")]
+            folder = Path(out)
             evaluate(cases, one, protocol, folder, machines=Machines(workers), progress=note)
         seconds, frames = np.array(came[1 + workers :]).T
         rates[workers] = float(np.polyfit(seconds - seconds[0], frames, 1)[0])
-    kept.write_text(json.dumps(rates))
     return rates
 
 
@@ -231,12 +227,12 @@ TABLE_2 = (
 )
 
 
-def main(data: Path, work: Path) -> None:
+def main(data: Data, work: Work) -> Page:
     """Runs all of it and writes the page and its pictures."""
-    in_doubles()
     protocol = protocol_of(data)
-    runs = run(data, protocol, work)
+    runs = runs_of(data, protocol, work)
     bias = bias_study(read_data_set(data / CLASSES), protocol.anatomy)
+    rates = kept_json(work / "speed.json", measured, data, protocol, work)
     possible = protocol.anatomy.limits.check(runs.noisy.poses).pose_valid.mean()
     labels = Labels(runs.noisy.action, runs.noisy.recording)
     values: Values = {
@@ -245,7 +241,7 @@ def main(data: Path, work: Path) -> None:
         "visits": visits_table(bias),
         "difficulty": by_difficulty(runs),
         "discs": by_noise_and_discs(data, protocol, work),
-        "speed": speed(measured(data, protocol, work)),
+        "speed": speed({int(workers): rate for workers, rate in rates.items()}),
         "valid": f"{100 * possible:.0f} %",
     }
     pictures = {
@@ -253,8 +249,8 @@ def main(data: Path, work: Path) -> None:
         "evaluation-pck": pck_figure(pck_curves(runs.true_results, BASE, 5)),
         "evaluation-bias": bias_figure(bias),
     }
-    write_page("evaluation", values, pictures)
+    return Page("evaluation", values, pictures)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    run(main)

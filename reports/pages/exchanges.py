@@ -13,7 +13,6 @@ so it says too what any other way to find out could reach.
 import dataclasses
 import functools
 import itertools
-import sys
 from typing import NamedTuple
 
 import jax
@@ -32,16 +31,22 @@ from poseterior.probmodel.errors.faults import (
     FaultPrior,
 )
 from poseterior.probmodel.skeleton import JOINT_INDEX
-from poseterior.reports.pages.faults import EXCHANGED, LEGS, SURE, exchanged, with_detection
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.faults import (
+    EXCHANGED,
+    LEGS_EXCHANGED,
+    SURE,
+    exchanged,
+    with_detection,
+)
+from poseterior.reports.pages.page import Page, People, Values, run
 from poseterior.reports.tables import Sheet, sheet_of
 
-PEOPLE, ROOTS = 200, 250
-BUDGET = 10_000_000
+EXCHANGE_PEOPLE, EXCHANGE_ROOTS = 200, 250
+EXCHANGE_BUDGET = 10_000_000
 """Proposals for a reading, which may have no torso at all."""
 ALARMS = (0.02, 0.05, 0.1, 0.2)
 """How often legs that are not exchanged may be called so."""
-APART = (2.0, 5.0)
+RADIUS_ENDS = (2.0, 5.0)
 """Radii: where groups of people end, by how far apart their legs' joints were detected."""
 
 
@@ -56,7 +61,7 @@ class Told(NamedTuple):
     @property
     def gain(self) -> float:
         """By how many nats exchanged legs explain the detection better than no exchange."""
-        return float(self.log_evidence[LEGS] - self.log_evidence[0])
+        return float(self.log_evidence[LEGS_EXCHANGED] - self.log_evidence[0])
 
     @property
     def probability(self) -> np.ndarray:
@@ -83,8 +88,8 @@ def tell(model: PoseModel, frame: Estimate, seed: int) -> Told:
         roots = weigh_roots(
             reading.posterior(model),
             key=jax.random.key(seed),
-            num_roots=ROOTS,
-            max_proposals=BUDGET,
+            num_roots=EXCHANGE_ROOTS,
+            max_proposals=EXCHANGE_BUDGET,
         )
         found.append((roots.log_evidence, roots.log_evidence_se))
     evidence, error = np.array(found).T
@@ -93,14 +98,15 @@ def tell(model: PoseModel, frame: Estimate, seed: int) -> Told:
     keypoints = frame.detection.keypoints
     gaps = []
     for name in ("knee", "ankle"):
-        one, other = JOINT_INDEX[f"left_{name}"], JOINT_INDEX[f"right_{name}"]
+        one = JOINT_INDEX[f"left_{name}"]
+        other = JOINT_INDEX[f"right_{name}"]
         gaps.append(np.linalg.norm(keypoints[one] - keypoints[other]) / radius[one])
     return Told(evidence, error, float(max(gaps)))
 
 
 def table(people: list[Told]) -> Sheet:
     """A line a group of people, by how far apart their legs are, and one for all."""
-    edges = [0.0, *APART, np.inf]
+    edges = [0.0, *RADIUS_ENDS, np.inf]
     lines = [
         _line(
             f"{low:g} to {high:g}" if np.isfinite(high) else f"over {low:g}",
@@ -124,7 +130,7 @@ def _line(name: str, people: list[Told]) -> tuple[str | int, ...]:
     if not people:
         return (name, 0, "–", "–", "–", "–", "–")
     probability = np.stack([one.probability for one in people])
-    legs = probability[:, LEGS]
+    legs = probability[:, LEGS_EXCHANGED]
     return (
         name,
         len(people),
@@ -148,7 +154,8 @@ def found(gain: np.ndarray, alarms: float, axis: int = -1) -> np.ndarray:
 
 def best_tests(people: list[Told]) -> Sheet:
     """What the best test finds, with an interval of 95 % from drawing people anew."""
-    gain, lines = np.array([one.gain for one in people]), []
+    gain = np.array([one.gain for one in people])
+    lines = []
     for alarms in ALARMS:
         of = functools.partial(found, alarms=alarms)
         drawn = bootstrap((gain,), of, method="percentile", rng=0).confidence_interval
@@ -157,30 +164,30 @@ def best_tests(people: list[Told]) -> Sheet:
     return sheet_of(("called exchanged where they are not", "found where they are"), lines)
 
 
-def main(people: int) -> None:
+def main(people: People = EXCHANGE_PEOPLE) -> Page:
     """Runs the study and writes the page."""
-    in_doubles()
-    model, told = PoseModel.paper(), []
+    model = PoseModel.paper()
+    told = []
     for seed in range(people):
         told.append(tell(model, prior_scene(model, 500 + seed, missing=()), seed))
         print(seed, told[-1], flush=True)
     prior = FaultPrior.of(0.0, EXCHANGED).exchange
     needed = np.log(SURE / (1 - SURE) * (1 - sum(prior)) / prior[0])
-    known = np.concatenate([one.error[[0, LEGS]] for one in told])
+    known = np.concatenate([one.error[[0, LEGS_EXCHANGED]] for one in told])
     sure = np.array([one.gain for one in told]) >= np.log(SURE / (1 - SURE))
     values: Values = {
         "tests": best_tests(told),
         "even": f"{sure.mean():.0%}",
         "people": people,
-        "roots": ROOTS,
+        "roots": EXCHANGE_ROOTS,
         "exchanges": f"{100 * EXCHANGED:.0f} %",
         "needed": f"{needed:.1f}",
         "sure": f"{SURE}",
         "error": f"{np.median(known[np.isfinite(known)]):.2f}",
         "table": table(told),
     }
-    print(write_page("exchanges", values, {}))
+    return Page("exchanges", values)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else PEOPLE)
+    run(main)

@@ -9,8 +9,6 @@ true facing has the larger share.
 
 import dataclasses
 import itertools
-import sys
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -23,17 +21,17 @@ from poseterior.probmodel import Anatomy, Detection, PoseModel
 from poseterior.probmodel.motion import read_motion
 from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import TORSO_INDEX
-from poseterior.reports.pages.page import in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
-POSES = 200
-DRAWS, BUDGET = 200, 30_000_000
-NOISE = 5.0
+FACING_POSES = 200
+FACING_DRAWS, FACING_BUDGET = 200, 30_000_000
+FACING_NOISE = 5.0
 """Pixels at 100 pixels a body unit: 0.05 limb lengths, about 17 mm on a person of 1.7 m."""
-BINS = (0, 15, 30, 45, 60, 75, 90)
+ANGLE_BINS = (0, 15, 30, 45, 60, 75, 90)
 
 
-class Row(NamedTuple):
+class FacingRow(NamedTuple):
     """One pose.
 
     Attributes
@@ -75,11 +73,11 @@ def disturbed(detection: Detection, rng: np.random.Generator) -> Detection:
     """The detection with Gaussian noise on the torso joints; the limbs have theirs from the discs
     already."""
     keypoints = np.array(detection.keypoints)
-    keypoints[list(TORSO_INDEX)] += rng.normal(size=(len(TORSO_INDEX), 2)) * NOISE
+    keypoints[list(TORSO_INDEX)] += rng.normal(size=(len(TORSO_INDEX), 2)) * FACING_NOISE
     return dataclasses.replace(detection, keypoints=keypoints)
 
 
-def study(model: PoseModel, poses: np.ndarray, seed: int) -> list[Row]:
+def study(model: PoseModel, poses: np.ndarray, seed: int) -> list[FacingRow]:
     """Estimates torso and camera of every pose, and weighs the candidates."""
     rng = np.random.default_rng(seed)
     rows = []
@@ -93,12 +91,12 @@ def study(model: PoseModel, poses: np.ndarray, seed: int) -> list[Row]:
             frame,
             root=CANDIDATES,
             key=jax.random.key(number),
-            num_samples=DRAWS,
-            max_proposals=BUDGET,
+            num_samples=FACING_DRAWS,
+            max_proposals=FACING_BUDGET,
         )
         nearest = int(np.argmax([candidate.facing @ true for candidate in frame.candidates]))
         rows.append(
-            Row(
+            FacingRow(
                 angle=float(np.degrees(np.arcsin(min(1.0, abs(true[0]))))),
                 candidates=len(frame.candidates),
                 share=float(result.tree["constant_data"].weight.values[nearest]),
@@ -110,10 +108,10 @@ def study(model: PoseModel, poses: np.ndarray, seed: int) -> list[Row]:
     return rows
 
 
-def table(rows: list[Row]) -> Sheet:
+def table(rows: list[FacingRow]) -> Sheet:
     """The rows by view angle."""
     lines: list[tuple[Any, ...]] = []
-    for low, high in [*itertools.pairwise(BINS), (0, 90)]:
+    for low, high in [*itertools.pairwise(ANGLE_BINS), (0, 90)]:
         inside = [row for row in rows if low <= row.angle <= high and row.complete]
         two = [row for row in inside if row.candidates == 2]
         if two:
@@ -146,21 +144,20 @@ def section(anatomy: Anatomy, poses: np.ndarray) -> str:
         [
             f"## {anatomy.limits.name} limits",
             table(rows).markdown(),
-            f"No pose was possible within the budget in {lost} of {POSES}.",
+            f"No pose was possible within the budget in {lost} of {FACING_POSES}.",
         ]
     )
 
 
-def main(data: Path) -> None:
+def main(data: Data) -> Page:
     """Runs the study under the published and the embedded limits, and writes the page."""
-    in_doubles()
     motions = read_motion(data / "cmu" / "actions_train.npz")
     joints = np.concatenate([motion.joints[::7] for motion in motions])
-    poses = joints[np.random.default_rng(1).choice(len(joints), POSES, replace=False)]
+    poses = joints[np.random.default_rng(1).choice(len(joints), FACING_POSES, replace=False)]
     published = Anatomy.load(data / "akhter_black" / "jointAngleModel_v2.mat")
     sections = [section(anatomy, poses) for anatomy in (published, Anatomy.default())]
-    print(write_page("facing", {"sections": "\n\n".join(sections)}, {}))
+    return Page("facing", {"sections": "\n\n".join(sections)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

@@ -7,7 +7,6 @@ by the person's height, and with the legs' keypoints exchanged.
 """
 
 import dataclasses
-import sys
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -24,19 +23,21 @@ from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
-from poseterior.reports.pages.page import in_doubles, write_page
+from poseterior.reports.pages.page import Page, People, run
 from poseterior.reports.tables import Sheet, sheet_of
 
-PEOPLE, ROOTS, DRAWS = 40, 400, 1000
+FAULT_PEOPLE, FAULT_ROOTS, FAULT_DRAWS = 40, 400, 1000
 OUTLIERS, EXCHANGED = 0.05, 0.05
 """Prior probabilities of a keypoint's being an outlier, and of an exchange."""
 SURE = 0.95
-WRIST, LEGS = JOINT_INDEX["left_wrist"], EXCHANGE_INDEX["legs"]
-OTHERS = [JOINT_INDEX[name] for name in ("right_elbow", "right_wrist", "right_knee", "right_ankle")]
+WRIST, LEGS_EXCHANGED = JOINT_INDEX["left_wrist"], EXCHANGE_INDEX["legs"]
+OTHER_JOINTS = [
+    JOINT_INDEX[name] for name in ("right_elbow", "right_wrist", "right_knee", "right_ankle")
+]
 """Joints that no fault of this page touches but the exchange of the legs."""
 
 
-class Judged(NamedTuple):
+class JudgedFaults(NamedTuple):
     """One person under one fault: posterior probabilities of outliers `(15,)` and exchanges `(6,)`,
     the mean of the joints `(15, 3)`, rooted at the pelvis, how many effective roots there were."""
 
@@ -57,7 +58,7 @@ def moved(detection: Detection) -> Detection:
 
 def exchanged(detection: Detection) -> Detection:
     """Knees and ankles, left for right."""
-    order = ORDERS[LEGS]
+    order = ORDERS[LEGS_EXCHANGED]
     return dataclasses.replace(
         detection, keypoints=detection.keypoints[order], score=detection.score[order]
     )
@@ -70,7 +71,7 @@ FAULTS: dict[str, Callable[[Detection], Detection]] = {
 }
 
 
-def judge(model: PoseModel, frame: Estimate, seed: int, faulty: bool = True) -> Judged:
+def judge(model: PoseModel, frame: Estimate, seed: int, faulty: bool = True) -> JudgedFaults:
     """Draws for one detection."""
     faults = FaultPrior.of(OUTLIERS, EXCHANGED) if faulty else FaultPrior()
     frame = dataclasses.replace(
@@ -80,20 +81,22 @@ def judge(model: PoseModel, frame: Estimate, seed: int, faulty: bool = True) -> 
         model,
         frame,
         key=jax.random.key(seed),
-        num_samples=DRAWS,
+        num_samples=FAULT_DRAWS,
         root=UNCERTAIN,
-        num_roots=ROOTS,
+        num_roots=FAULT_ROOTS,
         max_proposals=200_000_000,
     )
     if not result.num_draws:
         nothing = np.full((len(JOINTS), 3), np.nan)
-        return Judged(np.zeros(len(JOINTS)), np.zeros(len(EXCHANGES)), nothing, 0.0)
+        return JudgedFaults(np.zeros(len(JOINTS)), np.zeros(len(EXCHANGES)), nothing, 0.0)
     draws = result.tree["posterior"]
     joints = draws.joints.values[0]
-    outlier, exchange = np.zeros(joints.shape[:2]), np.zeros(len(joints), int)
+    outlier = np.zeros(joints.shape[:2])
+    exchange = np.zeros(len(joints), int)
     if faulty:
-        outlier, exchange = draws.outlier.values[0], draws.exchange.values[0]
-    return Judged(
+        outlier = draws.outlier.values[0]
+        exchange = draws.exchange.values[0]
+    return JudgedFaults(
         np.mean(outlier, axis=0),
         np.bincount(exchange, minlength=len(EXCHANGES)) / len(exchange),
         np.mean(joints - joints[:, :1], axis=0),
@@ -106,14 +109,14 @@ def with_detection(frame: Estimate, change: Callable[[Detection], Detection]) ->
     return dataclasses.replace(frame, detection=change(frame.detection))
 
 
-def found(name: str, one: Judged) -> float:
+def found(name: str, one: JudgedFaults) -> float:
     """The posterior probability of what is wrong; of anything at all where nothing is."""
     if name == "none":
         return float(max(one.outlier.max(), one.exchange[1:].max()))
-    return float(one.exchange[LEGS] if name == "legs exchanged" else one.outlier[WRIST])
+    return float(one.exchange[LEGS_EXCHANGED] if name == "legs exchanged" else one.outlier[WRIST])
 
 
-def table(outcomes: dict[str, list[Judged]], without: dict[str, list[Judged]]) -> Sheet:
+def table(outcomes: dict[str, list[JudgedFaults]], without: dict[str, list[JudgedFaults]]) -> Sheet:
     """A line a fault: how often it was found, and how far it moved the means of the other limbs,
     with a likelihood that has faults and with one that has none."""
     lines = []
@@ -146,16 +149,16 @@ def table(outcomes: dict[str, list[Judged]], without: dict[str, list[Judged]]) -
     return sheet_of(head, lines)
 
 
-def _shift(people: list[Judged], calm: np.ndarray) -> float:
+def _shift(people: list[JudgedFaults], calm: np.ndarray) -> float:
     """Body units: the median distance of the other limbs' means from those of the detection as it
     was; NaN where nobody has draws."""
     apart = np.linalg.norm(
-        np.stack([one.mean for one in people])[:, OTHERS] - calm[:, OTHERS], axis=-1
+        np.stack([one.mean for one in people])[:, OTHER_JOINTS] - calm[:, OTHER_JOINTS], axis=-1
     )
     return float(np.nanmedian(apart)) if np.isfinite(apart).any() else np.nan
 
 
-def probabilities_figure(outcomes: dict[str, list[Judged]]) -> Figure:
+def probabilities_figure(outcomes: dict[str, list[JudgedFaults]]) -> Figure:
     """Everybody's posterior probability of the fault, in order."""
     figure = page(7.4, 3.0, dpi=150)
     axis = figure.subplots()
@@ -180,9 +183,8 @@ def probabilities_figure(outcomes: dict[str, list[Judged]]) -> Figure:
     return figure
 
 
-def main(people: int) -> None:
+def main(people: People = FAULT_PEOPLE) -> Page:
     """Runs the study and writes the page."""
-    in_doubles()
     model = PoseModel.paper()
     frames = [prior_scene(model, 500 + seed, missing=()) for seed in range(people)]
     outcomes, without = (
@@ -197,13 +199,13 @@ def main(people: int) -> None:
     )
     values: dict[str, str | int | Sheet] = {
         "people": people,
-        "roots": ROOTS,
+        "roots": FAULT_ROOTS,
         "outliers": f"{100 * OUTLIERS:.0f} %",
         "exchanges": f"{100 * EXCHANGED:.0f} %",
         "table": table(outcomes, without),
     }
-    print(write_page("faults", values, {"faults": probabilities_figure(outcomes)}))
+    return Page("faults", values, {"faults": probabilities_figure(outcomes)})
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else PEOPLE)
+    run(main)

@@ -35,8 +35,8 @@ from poseterior.probmodel.sessions.session import HIPS
 from poseterior.probmodel.skeleton import NUM_JOINTS
 from poseterior.reports.pages.page import in_doubles
 
-DRAWS, ROOTS = 4000, 1000
-BUDGET = 300_000_000
+FILM_DRAWS, FILM_ROOTS = 4000, 1000
+FILM_BUDGET = 300_000_000
 """Most proposals for a case."""
 DISC, LEARNED = "disc", "learned"
 GOLDEN = (5**0.5 - 1) / 2
@@ -54,7 +54,7 @@ class Way(NamedTuple):
     moved: bool = True
     focal: bool = False
     frames: int = 100
-    roots: int = ROOTS
+    roots: int = FILM_ROOTS
 
     def __str__(self) -> str:
         given = "" if self.moved else ", `--as-detected`"
@@ -67,13 +67,13 @@ class Way(NamedTuple):
         return f"{self.root}-{self.errors}{given}{'-focal' if self.focal else ''}".lower()
 
 
-WAYS = (
+FILM_WAYS = (
     Way(CANDIDATES, moved=False),
     Way(CANDIDATES),
     Way(UNCERTAIN),
     Way(UNCERTAIN, focal=True, frames=25),
     Way(UNCERTAIN, LEARNED),
-    Way(UNCERTAIN, LEARNED, focal=True, roots=4 * ROOTS),
+    Way(UNCERTAIN, LEARNED, focal=True, roots=4 * FILM_ROOTS),
     Way(TRUE),
     Way(TRUE, LEARNED, frames=10),
 )
@@ -114,7 +114,7 @@ class FilmedCase(NamedTuple):
         return without_midpoints(self.truth, MIDPOINTS)
 
 
-class Drawn(NamedTuple):
+class FilmedDraws(NamedTuple):
     """What came out of a case: `joints` `(draws, 15, 3)` in body units, rooted and turned as the
     truth is, the effective number of `roots` behind them, NaN where the root is fixed, and the
     `seconds` it took."""
@@ -160,7 +160,8 @@ class Film:
         doubt = axes @ world.covariance @ np.swapaxes(axes, -1, -2)
         sigma = np.stack([self._truth_sigma[self.part_of(row)] for row in range(len(session))])
         doubt = doubt * sigma[:, :, None, None] ** 2
-        seen_by, people = session.straight[camera], session.people[camera]
+        seen_by = session.straight[camera]
+        people = session.people[camera]
         straight = [
             dataclasses.replace(person, keypoints=keypoints)
             for person, keypoints in zip(people, session.keypoints[camera], strict=True)
@@ -169,7 +170,16 @@ class Film:
         lens = Lens(float(seen_by.focal.mean()), seen_by.principal)
         rows = zip(people, truth, doubt, straight, turns, strict=True)
         cases = [
-            FilmedCase(camera, row, person, where, errs, plain, lens, turned)
+            FilmedCase(
+                camera=camera,
+                frame=row,
+                detection=person,
+                truth=where,
+                doubt=errs,
+                straight=plain,
+                lens=lens,
+                turns=turned,
+            )
             for row, (person, where, errs, plain, turned) in enumerate(rows)
         ]
         for row, (known, rotation) in self._known[camera].items():
@@ -231,10 +241,15 @@ def film(data: Path) -> Film:
     return Film(read_session(data / "multicamera"))
 
 
-def drawn(seen: Film, way: Way, work: Path) -> Iterator[tuple[FilmedCase, Drawn]]:
+def drawn(seen: Film, way: Way, work: Path) -> Iterator[tuple[FilmedCase, FilmedDraws]]:
     """The draws of a way in its cases; those that are not in the folder `work` are made."""
     cases = seen.cases[: way.frames * len(seen.session.cameras)]
-    settings = {"way": str(way), "session": seen.session.name, "draws": DRAWS, "roots": way.roots}
+    settings = {
+        "way": str(way),
+        "session": seen.session.name,
+        "draws": FILM_DRAWS,
+        "roots": way.roots,
+    }
     with locked(work / way.folder):
         store = Store.begin(work / way.folder, settings)
         blocks = [_block(seen, way, number, case) for number, case in enumerate(cases)]
@@ -242,7 +257,7 @@ def drawn(seen: Film, way: Way, work: Path) -> Iterator[tuple[FilmedCase, Drawn]
         for block, case in zip(blocks, cases, strict=True):
             found = store.read(block.number, "draws")
             about = found.attrs["roots"], found.attrs["seconds"]
-            yield case, Drawn(found.joints.values.astype(float), *map(float, about))
+            yield case, FilmedDraws(found.joints.values.astype(float), *map(float, about))
 
 
 class Asked(NamedTuple):
@@ -264,13 +279,22 @@ def _block(seen: Film, way: Way, number: int, case: FilmedCase) -> Block:
     person = case.straight if way.focal else case.detection
     person = corrected(person) if way.moved else person
     lens, turns = (case.lens, case.turns) if way.focal else (None, np.eye(3))
-    known, units = None, 1.0
+    known = None
+    units = 1.0
     if way.root == TRUE and case.known is not None:
         known, turns = case.known
         units = known.unit / seen.session.unit
     seed = case.frame * len(seen.session.cameras) + case.camera
     made_of = {"camera": case.camera, "frame": case.frame, "law": likelihood.sha256}
-    asked = Asked(person, likelihood, lens, turns, known, units, seed)
+    asked = Asked(
+        detection=person,
+        likelihood=likelihood,
+        lens=lens,
+        turns=turns,
+        case=known,
+        units=units,
+        seed=seed,
+    )
     return Block(number, f"{way}, case {number}", made_of, 1, asked)
 
 
@@ -285,10 +309,10 @@ def _draw(way: Way, asked: Asked) -> Groups:
         model,
         frame,
         key=jax.random.key(asked.seed),
-        num_samples=DRAWS,
+        num_samples=FILM_DRAWS,
         root=CANDIDATES if way.root == TRUE else way.root,
         num_roots=way.roots,
-        max_proposals=BUDGET,
+        max_proposals=FILM_BUDGET,
     )
     joints = result.tree["posterior"].joints.values[0]
     joints = (joints - joints[:, HIPS].mean(axis=1, keepdims=True)) @ asked.turns.T
@@ -308,12 +332,13 @@ def _frame(way: Way, asked: Asked, model: PoseModel) -> Estimate | None:
         require_camera(asked.detection)
     except BadInput:
         return None
-    torsos, likelihood = np.asarray(model.torsos), asked.likelihood
+    torsos = np.asarray(model.torsos)
+    likelihood = asked.likelihood
     return inference.estimate_torso(asked.detection, torsos=torsos, likelihood=likelihood)
 
 
 def _kept(joints: np.ndarray, roots: float, seconds: float) -> Groups:
-    """What is kept of a case: see `Drawn`."""
+    """What is kept of a case: see `FilmedDraws`."""
     columns = {"joints": (("draw", "joint", "axis"), joints.astype(np.float32))}
     about = {"roots": float(roots), "seconds": float(seconds)}
     return {"draws": xr.Dataset(columns, attrs=about)}

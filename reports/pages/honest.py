@@ -8,9 +8,7 @@ stopped goes on there.
 """
 
 import dataclasses
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +17,7 @@ from scipy import stats
 
 from poseterior.inference.hypothesis import diverse
 from poseterior.inference.importance.weighted import FEWEST_EFFECTIVE
-from poseterior.inference.studies.calibration.assess import STAND_INS
+from poseterior.inference.studies.calibration.assess import ECE_STAND_INS
 from poseterior.inference.studies.calibration.ece import ece
 from poseterior.inference.studies.calibration.levels import median_levels, stand_in_levels
 from poseterior.inference.studies.errorlaws.judge import LEVELS, shares_within, standings
@@ -34,19 +32,19 @@ from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
 from poseterior.reports.pages.filmed import (
-    DRAWS,
+    FILM_DRAWS,
+    FILM_ROOTS,
+    FILM_WAYS,
     PARTS,
-    ROOTS,
-    WAYS,
-    Drawn,
     Film,
     FilmedCase,
+    FilmedDraws,
     Way,
     drawn,
     film,
     learn_as,
 )
-from poseterior.reports.pages.page import write_page
+from poseterior.reports.pages.page import Data, Page, Work, run
 from poseterior.reports.tables import Sheet, sheet_of
 
 BEST = 5
@@ -57,16 +55,16 @@ STRETCH = 10
 ORDER = ("first half", "second half")
 LIMB = 338.0
 """Millimetres: the person's mean limb bone."""
-JUDGED = [
+HONEST_JOINTS = [
     *LIMB_JOINTS,
     *(JOINT_INDEX[name] for name in ("right_shoulder", "left_shoulder", "right_hip", "left_hip")),
 ]
 """The joints of the errors: those that detector and skeleton define alike."""
-Found = dict[Way, list["Judged"]]
+Found = dict[Way, list["HonestCase"]]
 """By way, what was found in each case."""
 
 
-class Judged(NamedTuple):
+class HonestCase(NamedTuple):
     """One way on one case.
 
     Attributes
@@ -100,20 +98,22 @@ class Judged(NamedTuple):
 
 
 NOWHERE = np.full((8, 3), np.nan)
-NO_LEVELS = np.full(len(JUDGED_NAMES), np.nan), np.full((STAND_INS, len(JUDGED_NAMES)), np.nan)
+NO_LEVELS = np.full(len(JUDGED_NAMES), np.nan), np.full((ECE_STAND_INS, len(JUDGED_NAMES)), np.nan)
 
 
-def judge(case: FilmedCase, found: Drawn) -> Judged:
+def judge(case: FilmedCase, found: FilmedDraws) -> HonestCase:
     """Draws for one camera's detection, against the truth; NaN where there are none."""
-    joints, about = found.joints, (found.roots, found.seconds)
+    joints = found.joints
+    about = (found.roots, found.seconds)
     if not len(joints):
         nothing = NOWHERE, NOWHERE, NOWHERE, *NO_LEVELS, np.nan, np.nan
-        return Judged(case.camera, case.frame, *nothing, *about, False)
-    limbs, truth = joints[:, LIMB_JOINTS], case.truth[list(LIMB_JOINTS)]
+        return HonestCase(case.camera, case.frame, *nothing, *about, False)
+    limbs = joints[:, LIMB_JOINTS]
+    truth = case.truth[list(LIMB_JOINTS)]
     rng = np.random.default_rng([case.camera, case.frame])
     noise = case.errors(rng, len(joints))[:, LIMB_JOINTS]
     hypotheses = np.array([one.joints for one in diverse(joints, min(BEST, len(joints)))])
-    return Judged(
+    return HonestCase(
         case.camera,
         case.frame,
         np.mean(limbs + noise < truth, axis=0),
@@ -130,17 +130,17 @@ def judge(case: FilmedCase, found: Drawn) -> Judged:
 def levels(
     case: FilmedCase, joints: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`Judged.levels` and `Judged.stand_ins`, as `poseterior evaluate` has them."""
+    """`HonestCase.levels` and `HonestCase.stand_ins`, as `poseterior evaluate` has them."""
     few = joints[:ECE_SAMPLES]
     few = (few - few[:, :1] + case.skeletal_errors(rng, len(few)))[:, 1:]
     truth = case.skeletal_truth
-    rows = rng.integers(0, len(few), STAND_INS)
+    rows = rng.integers(0, len(few), ECE_STAND_INS)
     return median_levels((truth - truth[0])[1:], few), stand_in_levels(few, rows)
 
 
 def error(joints: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """`(n,)` mm: mean distance of poses `(n, 15, 3)` from the truth over `JUDGED`."""
-    apart = np.linalg.norm(joints[:, JUDGED] - truth[JUDGED], axis=-1)
+    """`(n,)` mm: mean distance of poses `(n, 15, 3)` from the truth over `HONEST_JOINTS`."""
+    apart = np.linalg.norm(joints[:, HONEST_JOINTS] - truth[HONEST_JOINTS], axis=-1)
     return LIMB * np.nanmean(apart, axis=1)
 
 
@@ -186,7 +186,7 @@ def table(outcomes: Found) -> Sheet:
     return sheet_of(head, lines)
 
 
-def by_axis(found: Sequence[Judged], column: str) -> list[str]:
+def by_axis(found: Sequence[HonestCase], column: str) -> list[str]:
     """Coverage in x, y and depth, cameras drawn anew."""
     standing = np.stack([getattr(one, column) for one in found])
     camera = np.array([one.camera for one in found])
@@ -243,7 +243,7 @@ def parts_of(outcomes: Found, seen: Film) -> Sheet:
     return sheet_of(head, lines)
 
 
-def part_line(some: Sequence[Judged]) -> tuple[Any, ...]:
+def part_line(some: Sequence[HonestCase]) -> tuple[Any, ...]:
     """How many cases, coverage by axis, and the draws' standard deviation to the side."""
     standing = np.stack([one.standing for one in some])
     stretch = np.array([one.frame // STRETCH for one in some])
@@ -307,7 +307,8 @@ def doubts(cases: Sequence[FilmedCase]) -> tuple[float, float]:
 
 def share(interval: Interval) -> str:
     """A share with its interval, in percent."""
-    low, high = 100 * interval.low, 100 * interval.high
+    low = 100 * interval.low
+    high = 100 * interval.high
     return f"{100 * interval.value:.0f} % ({low:.0f}–{high:.0f})"
 
 
@@ -362,16 +363,16 @@ def standings_figure(outcomes: Found) -> Figure:
     return figure
 
 
-def main(data: Path, work: Path) -> None:
+def main(data: Data, work: Work) -> Page:
     """Does what is left of the study, then writes the page."""
     seen = film(data)
-    outcomes = {way: [judge(*one) for one in drawn(seen, way, work)] for way in WAYS}
+    outcomes = {way: [judge(*one) for one in drawn(seen, way, work)] for way in FILM_WAYS}
     across, depth = doubts(seen.cases)
     whole = learn_as(seen.session, perspective=True)
     values: dict[str, str | int | Sheet] = {
-        "draws": f"{DRAWS:,}",
-        "roots": f"{ROOTS:,}",
-        "more": f"{max(way.roots for way in WAYS):,}",
+        "draws": f"{FILM_DRAWS:,}",
+        "roots": f"{FILM_ROOTS:,}",
+        "more": f"{max(way.roots for way in FILM_WAYS):,}",
         "table": table(outcomes),
         "paired": table(paired(outcomes)),
         "cameras": parts_of(outcomes, seen),
@@ -384,8 +385,8 @@ def main(data: Path, work: Path) -> None:
         "depth": f"{depth:.0f}",
         "costs": costs(outcomes),
     }
-    print(write_page("honest", values, {"honest": standings_figure(outcomes)}))
+    return Page("honest", values, {"honest": standings_figure(outcomes)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    run(main)

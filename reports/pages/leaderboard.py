@@ -7,9 +7,8 @@ Every line is kept in the folder `--work`, and what is there is not run again; t
 the lines that are there. `--samplers`, `--targets` and `--budgets` run some only. Then the judge is
 asked about `--sets` sets of exact draws of each of the targets `--alarms`."""
 
-import argparse
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +18,13 @@ import numpy as np
 from poseterior.inference.baselines.catalogue import BASELINES
 from poseterior.inference.baselines.run import Allowance
 from poseterior.inference.benchmark import exact_points, load, targets, verdict
-from poseterior.inference.benchmark.contestants import (
-    EXACT,
+from poseterior.inference.benchmark.entrants import (
+    EXACT_ENGINE,
     GIFT,
-    cannot,
-    check_name,
-    contestant,
-    starts_of,
+    entrant,
+    entrants,
 )
-from poseterior.inference.benchmark.guests import GUESTS
-from poseterior.inference.benchmark.guests.graded import Outcome
+from poseterior.inference.benchmark.external.entries import SamplerRun
 from poseterior.inference.benchmark.references import sample_at
 from poseterior.inference.benchmark.root import GivenRoot
 from poseterior.inference.benchmark.submission import Submission
@@ -39,7 +35,7 @@ from poseterior.inference.studies.comparison.sample import Sample
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.files import replacing
 from poseterior.reports.figures.leaderboard import growth, standings
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Page, Values, run
 from poseterior.reports.tables.benchmark import verdict_record
 from poseterior.reports.tables.leaderboard import (
     EVALUATIONS,
@@ -61,6 +57,11 @@ TARGETS = (
     *("arm-soft", "whole-soft"),
 )
 """All with hard walls, and two with soft ones."""
+EVERYONE = (
+    *(EXACT_ENGINE, "emcee", "emcee-de", "aies", "random-walk", "sa", "smc", "nss"),
+    *("dynesty", "ultranest", "reddemcee", "nrpt"),
+)
+"""Who is run where nothing else is said."""
 DEEP = ("arm", "legs", "whole", "cruel")
 """Targets on which chains also start in exact draws, and on which evaluations are made equal
 too."""
@@ -70,10 +71,10 @@ SETS, SET = 200, 500
 """Sets of exact draws that are judged at most, and draws of each."""
 FEW_SETS, SMALL_SET = 60, 160
 """The same where the root is uncertain, and draws are dear."""
-WORK = Path("build") / "leaderboard"
+LEADERBOARD_WORK = Path("build") / "leaderboard"
 
 
-def measured(target: FrozenTarget, exact: Sample, outcome: Outcome) -> dict[str, Any]:
+def measured(target: FrozenTarget, exact: Sample, outcome: SamplerRun) -> dict[str, Any]:
     """What is found of draws."""
     submission = outcome.submission
     found = verdict(target, submission, exact)
@@ -94,7 +95,7 @@ def _worst_rhat(found: Assessment) -> float | None:
     return float(np.nanmax(rhat)) if np.isfinite(rhat).any() else None
 
 
-def _time_to_distance(target: FrozenTarget, exact: Sample, outcome: Outcome) -> float | None:
+def _time_to_distance(target: FrozenTarget, exact: Sample, outcome: SamplerRun) -> float | None:
     """Seconds of the processor until the draws are within a distance of the exact ones. An ensemble
     is one chain, walker after walker: for its course its walkers are set apart."""
     points = outcome.submission.points
@@ -110,9 +111,9 @@ def line(
 ) -> dict[str, Any]:
     """One sampler on one target: what was found, and what it cost."""
     about: dict[str, Any] = {"target": target.name, "sampler": name, "start": start}
-    if why := cannot(target, name):
+    if why := entrant(name).cannot(target):
         return about | {"verdict": f"not run: {why}"}
-    found = contestant(target, name, start, allowance)
+    found = entrant(name).run(target, start, allowance)
     if found is None:
         return about | {"verdict": "no draws"}
     return about | measured(target, exact, found)
@@ -123,7 +124,8 @@ def measure(
 ) -> None:
     """Runs every line that is not yet in the folder."""
     for one in chosen:
-        target, exact = load(one), exact_sample(load(one))
+        target = load(one)
+        exact = exact_sample(load(one))
         for budget, name, start in _runs(one, names, budgets):
             label = f"{one} {budget} {name} {start}".strip().replace(" ", "-")
             path = work / f"{label}.json"
@@ -145,7 +147,7 @@ def _runs(
         if budget == EVALUATIONS and target not in DEEP:
             continue
         for name in names:
-            for start in starts_of(name):
+            for start in entrant(name).starts:
                 if start != GIFT or target in DEEP:
                     yield budget, name, start
 
@@ -154,9 +156,11 @@ def false_alarms(chosen: Iterable[str], most: int, work: Path) -> None:
     """Judges sets of exact draws, as many of every target as are not yet in the folder. They are of
     the first blocks, and the judge's of the last."""
     for one in chosen:
-        path, target = work / f"exact-{one}.txt", load(one)
+        path = work / f"exact-{one}.txt"
+        target = load(one)
         cheap = isinstance(target.root, GivenRoot)
-        sets, size = min(most, SETS if cheap else FEW_SETS), SET if cheap else SMALL_SET
+        sets = min(most, SETS if cheap else FEW_SETS)
+        size = SET if cheap else SMALL_SET
         said = path.read_text(encoding="utf-8").split("\n")[1:] if path.exists() else []
         if len(said) >= sets:
             continue
@@ -199,13 +203,17 @@ def values(lines: list[Line], work: Path) -> Values:
         "not_run": ", ".join(left) or "none",
         "seconds": _allowed(lines, SECONDS),
         "evaluations": _allowed(lines, EVALUATIONS),
-        "notes": "\n".join(f"- *{name}*: {row.note}." for name, row in _notes(ran).items()),
+        "notes": "\n".join(notes(ran)),
     }
 
 
-def _notes(ran: set[str]) -> dict[str, Any]:
+def notes(ran: Collection[str]) -> list[str]:
     """How those that ran are set up."""
-    return {name: row for name, row in (BASELINES | GUESTS).items() if name in ran}
+    return [
+        f"- *{name}*: {entrant(name).note}."
+        for name in entrants()
+        if name in ran and name != EXACT_ENGINE
+    ]
 
 
 def _run(lines: list[Line]) -> list[Line]:
@@ -228,53 +236,43 @@ def _allowed(lines: list[Line], budget: str) -> str:
     return " or ".join(f"{value:,.0f}" for value in found) or NOTHING
 
 
-def _options() -> argparse.Namespace:
-    """The command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--work", type=Path, default=WORK)
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--evaluations", type=int, default=50_000)
-    everyone = [EXACT, "emcee", "emcee-de", "aies", "random-walk", "sa", "smc", "nss", *GUESTS]
-    parser.add_argument("--samplers", default=",".join(everyone))
-    parser.add_argument("--targets", default=",".join(TARGETS))
-    parser.add_argument("--budgets", default=f"{SECONDS},{EVALUATIONS}")
-    parser.add_argument("--alarms", default=",".join(TARGETS))
-    parser.add_argument("--sets", type=int, default=SETS)
-    options = parser.parse_args()
-    for several in ("samplers", "targets", "budgets", "alarms"):
-        setattr(options, several, [one for one in getattr(options, several).split(",") if one])
-    try:
-        for name in (*options.targets, *options.alarms):
-            load(name)
-        for name in options.samplers:
-            check_name(name)
-    except BadInput as error:
-        parser.error(str(error))
-    if unknown := set(options.budgets) - {SECONDS, EVALUATIONS}:
-        parser.error(f"there is no budget {unknown.pop()!r}; choose {SECONDS} or {EVALUATIONS}")
-    return options
-
-
-def main() -> None:
-    """Runs what is missing, and writes the page."""
-    options = _options()
-    in_doubles()
-    options.work.mkdir(parents=True, exist_ok=True)
-    jax.config.update("jax_compilation_cache_dir", str(options.work / "compiled"))
+def main(
+    work: Path = LEADERBOARD_WORK,
+    seconds: float = 10.0,
+    evaluations: int = 50_000,
+    samplers: str = ",".join(EVERYONE),
+    targets: str = ",".join(TARGETS),
+    budgets: str = f"{SECONDS},{EVALUATIONS}",
+    alarms: str = ",".join(TARGETS),
+    sets: int = SETS,
+) -> Page:
+    """Runs what is missing, and fills the page from all that is there."""
+    jax.config.update("jax_compilation_cache_dir", str(work / "compiled"))
+    names, chosen, judged = map(_listed, (samplers, targets, alarms))
+    for target in (*chosen, *judged):
+        load(target)
+    for name in names:
+        entrant(name).require()
     given = {
-        SECONDS: Allowance(seconds=options.seconds),
-        EVALUATIONS: Allowance(evaluations=options.evaluations),
+        SECONDS: Allowance(seconds=seconds),
+        EVALUATIONS: Allowance(evaluations=evaluations),
     }
-    budgets = {name: given[name] for name in options.budgets}
-    measure(options.samplers, options.targets, budgets, options.work)
-    false_alarms(options.alarms, options.sets, options.work)
-    lines = lines_in(options.work)
+    if unknown := set(_listed(budgets)) - set(given):
+        raise BadInput(f"there is no budget {unknown.pop()!r}; choose from {', '.join(given)}")
+    measure(names, chosen, {name: given[name] for name in _listed(budgets)}, work)
+    false_alarms(judged, sets, work)
+    lines = lines_in(work)
     pictures = {
         "leaderboard": standings(_run(lines)),
         "leaderboard_growth": growth(_run(lines)),
     }
-    write_page("leaderboard", values(lines, options.work), pictures)
+    return Page("leaderboard", values(lines, work), pictures)
+
+
+def _listed(words: str) -> list[str]:
+    """What stands between commas."""
+    return [one for one in words.split(",") if one]
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

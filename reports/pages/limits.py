@@ -7,9 +7,7 @@ Ten minutes.
 """
 
 import dataclasses
-import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
@@ -27,11 +25,11 @@ from poseterior.probmodel.learning.tolerance import Tolerance
 from poseterior.probmodel.motion import Motion, read_motion
 from poseterior.probmodel.skeleton import BONE_NAMES, UPPER_BONES
 from poseterior.reports.figures.limits import limits_figure
-from poseterior.reports.pages.page import in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, run
 from poseterior.reports.tables import Column, Sheet, sheet_of, spoken
 
-SOURCES = ("cmu/asfamc", "cmu/actions_train.npz", "bvh")
-SUBJECTS = {
+LIMIT_SOURCES = ("cmu/asfamc", "cmu/actions_train.npz", "bvh")
+LIMIT_SUBJECTS = {
     "01": ("01",),
     "02 and the action set": ("02", "actions_train"),
     "03": ("03",),
@@ -56,7 +54,8 @@ def both(pair: tuple[float, float]) -> str:
 
 def comparison(limits: AnatomicalLimits, published: AnatomicalLimits) -> Sheet:
     """Areas of the tables, and what they have in common."""
-    given, joint = overlap(limits, published), overlap(limits, published, joint=True)
+    given = overlap(limits, published)
+    joint = overlap(limits, published, joint=True)
     rows = [
         (
             spoken(bone),
@@ -79,7 +78,8 @@ def shares(measure: Overlap, bone: int) -> tuple[float, float]:
 
 def upper_frontier(poses: Poses, published: AnatomicalLimits) -> Sheet:
     """Covered and outside of upper bones, for several radii."""
-    upper, area = upper_directions(poses.joints), cell_areas()
+    upper = upper_directions(poses.joints)
+    area = cell_areas()
     rows = []
     for radius in RADII:
         cells = [
@@ -124,7 +124,8 @@ def upper_directions(joints: np.ndarray) -> np.ndarray:
 def seen_beyond(poses: Poses, published: AnatomicalLimits) -> Sheet:
     """The area of cells in which a direction was seen, and the share of it that the published
     tables do not have."""
-    upper, area = upper_directions(poses.joints), cell_areas()
+    upper = upper_directions(poses.joints)
+    area = cell_areas()
     rows = []
     for index, bone in enumerate(UPPER_BONES):
         seen = np.zeros(GRID, bool)
@@ -146,7 +147,7 @@ def generalisation(
         ("all, learned from", len(everything), *valid(limits, everything)),
         ("all, published limits", len(everything), *valid(published, everything)),
     ]
-    for label, subjects in SUBJECTS.items():
+    for label, subjects in LIMIT_SUBJECTS.items():
         own = held_out(motions, lambda i, motion, who=subjects: motion.subject in who)
         rows.append((f"subject {label}", *own))
     folds = np.array(
@@ -171,10 +172,9 @@ def valid(limits: AnatomicalLimits, joints: np.ndarray) -> list[float]:
     return [float(check.pose_valid.mean()), *check.valid.mean(axis=0).tolist()]
 
 
-def main(data: Path) -> None:
+def main(data: Data) -> Page:
     """Learns and compares, and writes the page and its picture."""
-    in_doubles()
-    motions = [motion for source in SOURCES for motion in read_motion(data / source)]
+    motions = [motion for source in LIMIT_SOURCES for motion in read_motion(data / source)]
     # The tables of joint limits as they are embedded; the others are learned here.
     limits = Anatomy.default().limits
     published = read_published(data / "akhter_black" / "jointAngleModel_v2.mat")
@@ -187,8 +187,8 @@ def main(data: Path) -> None:
         "lower": lower_frontier(poses, published),
         "generalisation": generalisation(motions, limits, published),
     }
-    write_page("limits", values, {"limits": limits_figure(limits, upper)})
+    return Page("limits", values, {"limits": limits_figure(limits, upper)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

@@ -8,7 +8,6 @@ An hour on two cores; `work` keeps what is done, and a run that was stopped goes
 
 import dataclasses
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +16,6 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.machines import HERE
-from poseterior.inference.results import save_tree
 from poseterior.inference.studies.calibration.coverage import CoverageSummary, summary
 from poseterior.inference.studies.calibration.exclusions import Reason, exclusions
 from poseterior.inference.studies.calibration.posteriors import sampler_of
@@ -42,25 +40,24 @@ from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.roots import Candidate
 from poseterior.probmodel.skeleton import TORSO_INDEX
 from poseterior.reports.figures.coverage import coverage_figure
-from poseterior.reports.pages.coverage import read
-from poseterior.reports.pages.evaluation import CLASSES, NOISE, protocol_of
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.evaluation import CLASSES, EVALUATION_NOISE, protocol_of
+from poseterior.reports.pages.page import Data, Page, Values, Work, kept, run
 from poseterior.reports.pages.real import ERRORS, Held, hold_out, others
 from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.coverage import reasons_table, settings_table, share
 from poseterior.reports.tables.evaluation import RELATIONS_CAPTION, relations_table
 
-POSES, ROOTS = 48, 1000
-BUDGET = 100_000_000
-NEAREST = 8
+MOTION_POSES, MOTION_ROOTS = 48, 1000
+MOTION_BUDGET = 100_000_000
+LAID_TORSOS = 8
 """So many of the dictionary's torsos are laid on the true one."""
-FRAMES = 640
+RELATION_FRAMES = 640
 """Of the paper's relations."""
 ESTIMATOR = "akhter-black"
-ROOTED = (CANDIDATES, UNCERTAIN, TRUE)
-UPRIGHT = 20
+RELATION_ROOTS = (CANDIDATES, UNCERTAIN, TRUE)
+UPRIGHT_DEGREES = 20
 """Degrees by which backs are tilted, where that is believed."""
-LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
+MOTION_LAWS = {"disc": Likelihood(), "Gaussian": Likelihood(Gaussian())}
 
 
 class Given(NamedTuple):
@@ -84,16 +81,16 @@ class Given(NamedTuple):
         return f"motion-{self.root}-{self.errors}-{self.margin:g}-{self.draws}.nc".lower()
 
 
-KNOWN = Given(TRUE, "disc", draws=1000)
-FREE = KNOWN._replace(root=UNCERTAIN)
-BOTH = FREE._replace(errors="Gaussian")
+ROOT_KNOWN = Given(TRUE, "disc", draws=1000)
+ROOT_FREE = ROOT_KNOWN._replace(root=UNCERTAIN)
+ROOT_AND_LAW_FREE = ROOT_FREE._replace(errors="Gaussian")
 """Neither the root nor that a disc holds every error is taken for granted."""
 BY_LAW = (
-    KNOWN._replace(root="dictionary"),
-    FREE,
-    BOTH,
-    KNOWN,
-    KNOWN._replace(errors="Gaussian"),
+    ROOT_KNOWN._replace(root="dictionary"),
+    ROOT_FREE,
+    ROOT_AND_LAW_FREE,
+    ROOT_KNOWN,
+    ROOT_KNOWN._replace(errors="Gaussian"),
 )
 BY_MARGIN = (
     *(Given(TRUE, margin=margin) for margin in (1.0, 1.5, 2.0, 3.0)),
@@ -103,27 +100,32 @@ BY_MARGIN = (
 
 def detections(held: Held) -> list[Case]:
     """Poses evenly over people and recordings, with a detector's errors."""
-    return list(from_motions(held.motions, "CMU", frames=POSES, noise=ERRORS["detector"]))
+    return list(from_motions(held.motions, "CMU", frames=MOTION_POSES, noise=ERRORS["detector"]))
 
 
 def stood(work: Path, data: Path, held: Held, given: Given) -> xr.DataTree:
     """Where the truths stand among the draws, why they are excluded where they are, and the share
     of all the people's poses that the limits allow."""
-    path = work / given.path
-    if not path.exists():
-        model, some = with_margin(work, data, held, given.margin), detections(held)
-        likelihood = LAWS[given.errors]
-        root = TRUE if given.root == UNCERTAIN else given.root
-        known = instances(some, model, root, likelihood=likelihood)
-        draw = sampler_of(
-            None, model, given.draws, max_proposals=BUDGET, root=given.kind, num_roots=ROOTS
-        )
-        columns = case_columns(some, excluded(model, some, known, given.kind))
-        check = model.limits.check(gather(held.motions).joints)
-        possible = {"possible": float(check.pose_valid.mean())}
-        save_tree(standings_tree(stand(draw, known, seed=0), possible, columns), path)
-        print(*given, flush=True)
-    return read(path)
+    return kept(work / given.path, _stood, work, data, held, given)
+
+
+def _stood(work: Path, data: Path, held: Held, given: Given) -> xr.DataTree:
+    model = with_margin(work, data, held, given.margin)
+    some = detections(held)
+    root = TRUE if given.root == UNCERTAIN else given.root
+    known = instances(some, model, root, likelihood=MOTION_LAWS[given.errors])
+    draw = sampler_of(
+        None,
+        model,
+        given.draws,
+        max_proposals=MOTION_BUDGET,
+        root=given.kind,
+        num_roots=MOTION_ROOTS,
+    )
+    columns = case_columns(some, excluded(model, some, known, given.kind))
+    check = model.limits.check(gather(held.motions).joints)
+    possible = {"possible": float(check.pose_valid.mean())}
+    return standings_tree(stand(draw, known, seed=0), possible, columns)
 
 
 def excluded(
@@ -150,7 +152,7 @@ def laid(case: Case, model: PoseModel) -> tuple[Candidate, ...]:
     scales = np.sum(turned * view, axis=(1, 2)) / np.sum(turned**2, axis=(1, 2))
     left = view - scales[:, None, None] * turned
     moves = case.pixels[0, :2] + left[..., :2].mean(axis=1)
-    nearest = np.argsort(np.sum(left**2, axis=(1, 2)))[:NEAREST].tolist()
+    nearest = np.argsort(np.sum(left**2, axis=(1, 2)))[:LAID_TORSOS].tolist()
     return tuple(
         Candidate(k, torsos[k], WeakPerspective(scales[k], rotations[k], moves[k]), 0.0)
         for k in nearest
@@ -202,7 +204,7 @@ def compared(work: Path, data: Path) -> Values:
     """The paper's relations under every root; those of the single estimate where hypotheses are
     composed, and where backs are believed to be upright besides."""
     protocol = protocol_of(data)
-    cases = read_data_set(data / CLASSES, frames=FRAMES, noise=NOISE)
+    cases = read_data_set(data / CLASSES, frames=RELATION_FRAMES, noise=EVALUATION_NOISE)
 
     def found(name: str, protocol: Protocol, roots: Sequence[str]) -> list[Relation]:
         estimators = (ESTIMATOR, "zhou") if CANDIDATES in roots else (ESTIMATOR,)
@@ -214,12 +216,12 @@ def compared(work: Path, data: Path) -> Values:
         return relations(results, cases.recording, protocol.ks, base)
 
     composed = dataclasses.replace(protocol, composed=True)
-    upright = dataclasses.replace(composed, upright=math.radians(UPRIGHT) ** -2)
-    gaussian = dataclasses.replace(upright, likelihood=LAWS["Gaussian"])
+    upright = dataclasses.replace(composed, upright=math.radians(UPRIGHT_DEGREES) ** -2)
+    gaussian = dataclasses.replace(upright, likelihood=MOTION_LAWS["Gaussian"])
     ways = {
-        "": (composed, ROOTED),
-        f", upright within {UPRIGHT}°": (upright, ROOTED[1:2]),
-        f", upright within {UPRIGHT}°, Gaussian errors": (gaussian, ROOTED[1:2]),
+        "": (composed, RELATION_ROOTS),
+        f", upright within {UPRIGHT_DEGREES}°": (upright, RELATION_ROOTS[1:2]),
+        f", upright within {UPRIGHT_DEGREES}°, Gaussian errors": (gaussian, RELATION_ROOTS[1:2]),
     }
     against = [
         one._replace(words=one.words.replace(":", f"{words}:", 1))
@@ -228,35 +230,36 @@ def compared(work: Path, data: Path) -> Values:
         if "single" in one.words
     ]
     return {
-        "relations": relations_table(found("relations", protocol, ROOTED), RELATIONS_CAPTION),
+        "relations": relations_table(
+            found("relations", protocol, RELATION_ROOTS), RELATIONS_CAPTION
+        ),
         "composed": relations_table(against, RELATIONS_CAPTION),
-        "frames": FRAMES,
+        "frames": RELATION_FRAMES,
     }
 
 
 def widths(found: dict[Given, CoverageSummary]) -> Values:
     """How much wider intervals are, in depth and across, than where the root is known."""
-    known, free = found[KNOWN], found[FREE]
+    known = found[ROOT_KNOWN]
+    free = found[ROOT_FREE]
     return {
         "wider": f"{100 * (free.depth / known.depth - 1):.0f} %",
         "wider_across": f"{100 * (free.lateral / known.lateral - 1):.0f} %",
     }
 
 
-def main(data: Path, work: Path) -> None:
+def main(data: Data, work: Work) -> Page:
     """Does what is left, then writes the page."""
-    in_doubles()
-    work.mkdir(parents=True, exist_ok=True)
     held = hold_out(work, data)
     trees = {given: stood(work, data, held, given) for given in (*BY_LAW, *BY_MARGIN)}
     found = {given: summary(trees[given]) for given in BY_LAW}
     named = {given[:2]: one for given, one in found.items()}
     values: Values = {
         "table": settings_table(named.items(), ("torso and camera", "error law")),
-        "reasons": reasons_table(found[BOTH].reasons, found[BOTH].size),
-        "poses": POSES,
-        "roots": ROOTS,
-        "nearest": NEAREST,
+        "reasons": reasons_table(found[ROOT_AND_LAW_FREE].reasons, found[ROOT_AND_LAW_FREE].size),
+        "poses": MOTION_POSES,
+        "roots": MOTION_ROOTS,
+        "nearest": LAID_TORSOS,
         "margins": margins_table({given: trees[given] for given in BY_MARGIN}),
         **widths(found),
         **compared(work, data),
@@ -264,10 +267,10 @@ def main(data: Path, work: Path) -> None:
     curves = {
         ", ".join(given[:2]): trees[given]["simulation"].to_dataset()
         for given in BY_LAW
-        if given.errors == "disc" or given == BOTH
+        if given.errors == "disc" or given == ROOT_AND_LAW_FREE
     }
-    write_page("motion", values, {"motion": coverage_figure(curves)})
+    return Page("motion", values, {"motion": coverage_figure(curves)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    run(main)

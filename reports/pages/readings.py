@@ -8,7 +8,6 @@ read rightly and wrongly. Some twenty minutes.
 """
 
 import itertools
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +25,7 @@ from poseterior.inference.readings import (
     together,
 )
 from poseterior.inference.studies.misreadings import (
-    RIGHT,
+    READ_RIGHT,
     Study,
     evidences,
     exchanges,
@@ -37,14 +36,14 @@ from poseterior.probmodel import Anatomy, BadInput, Detection, PoseModel, read_d
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import INK
 from poseterior.reports.figures.style import page as blank_page
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Data, Page, Values, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
 FRESH = 200
 """Poses of another seed, for the thresholds were chosen on the first."""
-POSES, OTHERS = 500, 150
+READ_POSES, MISREAD_POSES = 500, 150
 """Poses in all, and those that are also misread in ways that are no exchange."""
-BINS = (0, 30, 60, 90)
+ASYMMETRY_BINS = (0, 30, 60, 90)
 WORDS = {
     "arms": "arms exchanged",
     "legs": "legs exchanged",
@@ -81,14 +80,15 @@ def _percent_only(counts: tuple[int, int]) -> str:
 
 def table(found: Study) -> Sheet:
     """Shares of doubted files by mistake, for files of one person, by view, and of ten."""
-    bins = list(itertools.pairwise(BINS))
+    bins = list(itertools.pairwise(ASYMMETRY_BINS))
     rows = []
     for kind, verdicts in found.verdicts.items():
         pairs = list(zip(verdicts, found.angles, strict=False))
         inside = [[one for one, angle in pairs if low <= angle < high] for low, high in bins]
         by_view = map(share, inside)
         rows.append((WORDS.get(kind, kind), share(verdicts), *by_view, share(verdicts, 10)))
-    one, ten = Column("one person", form=percent), Column("ten people", form=percent)
+    one = Column("one person", form=percent)
+    ten = Column("ten people", form=percent)
     angles = (Column(f"view {low}–{high}°", form=_percent_only) for low, high in bins)
     return sheet_of(["read", one, *angles, ten], rows)
 
@@ -138,8 +138,8 @@ def picture(found: Study) -> Figure:
     figure = blank_page(8, 4.2, dpi=150)
     axes = figure.add_subplot()
     for row, kind in enumerate(kinds):
-        column = found.verdicts[RIGHT][0].names.index(kind)
-        right = np.array([verdict.gains[0, column] for verdict in found.verdicts[RIGHT]])
+        column = found.verdicts[READ_RIGHT][0].names.index(kind)
+        right = np.array([verdict.gains[0, column] for verdict in found.verdicts[READ_RIGHT]])
         for values, colour, shift in ((right, PALETTE[0], 0.17), (-right, PALETTE[1], -0.17)):
             at = row + shift + np.random.default_rng(row).uniform(-0.12, 0.12, len(values))
             axes.plot(np.clip(values, -60, 60), at, ".", ms=2, color=colour, alpha=0.5)
@@ -153,27 +153,26 @@ def picture(found: Study) -> Figure:
     return figure
 
 
-def main(data: Path) -> None:
+def main(data: Data) -> Page:
     """Runs the study and writes page and picture."""
-    in_doubles()
     judge = Judge(PoseModel.from_anatomy(Anatomy.default()))
     motions = data / "cmu" / "actions_train.npz"
-    found = study(judge, views(motions, POSES, seed=5), first=OTHERS)
+    found = study(judge, views(motions, READ_POSES, seed=5), first=MISREAD_POSES)
     fresh = study(judge, views(motions, FRESH, seed=6), first=0)
     spread = np.abs(found.asymmetry)
     values: Values = {
         "table": table(found),
         "fresh_table": table(fresh),
         "fresh": FRESH,
-        "others": OTHERS,
-        "poses": POSES,
+        "others": MISREAD_POSES,
+        "poses": READ_POSES,
         "real": real_table(judge, real_people(data)),
         "symmetry": (
             f"{np.median(spread):.2f} nats in the median, {np.quantile(spread, 0.95):.1f} for 95 %"
         ),
     }
-    print(write_page("readings", values, {"readings": picture(found)}))
+    return Page("readings", values, {"readings": picture(found)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

@@ -6,7 +6,6 @@ Every stage leaves its result in a folder and is not done twice.
 
 import dataclasses
 import functools
-from collections import Counter
 from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
@@ -17,11 +16,10 @@ import xarray as xr
 
 from poseterior.inference.estimators import ESTIMATORS
 from poseterior.inference.hypothesis import grid_poses
-from poseterior.inference.results import save_tree
 from poseterior.inference.studies.calibration.choices import (
+    CHOICES,
     CHOOSE,
-    GRID,
-    WAYS,
+    POSE_GRID,
     best_error,
     modes_represented,
 )
@@ -39,6 +37,7 @@ from poseterior.probmodel.learning.learner import learn
 from poseterior.probmodel.learning.poses import read_all
 from poseterior.probmodel.motion import Motion
 from poseterior.probmodel.root_priors import CANDIDATES
+from poseterior.reports.pages.page import kept
 from poseterior.reports.pages.people import without
 
 DETECTOR = 0.08 / 4.85
@@ -51,16 +50,16 @@ ERRORS = {
     "Gaussian 3 %": Noise("gaussian", 0.03),
     "heavy-tailed": Noise("heavy-tailed", DETECTOR),
 }
-ESTIMATED = (TRUE, *ESTIMATORS)
-CELLS = [
-    *((estimator, error, 0) for error in ERRORS for estimator in ESTIMATED),
+REAL_ROOTS = (TRUE, *ESTIMATORS)
+REAL_CELLS = [
+    *((estimator, error, 0) for error in ERRORS for estimator in REAL_ROOTS),
     *((estimator, "detector", missing) for missing in (1, 2) for estimator in (TRUE, "zhou")),
 ]
 """Torso and camera, 2D error, and how many joints are missing: every error with none, and more with
 a detector's and one estimator."""
-POSES, REAL_DRAWS, BUDGET = 24, 200, 300_000
+REAL_POSES, REAL_DRAWS, REAL_BUDGET = 24, 200, 300_000
 KS = (1, 2, 5, 10, 20, 50)
-CHOSEN_DRAWS, STAND_INS = 500, 50
+CHOSEN_DRAWS, CHOICE_STAND_INS = 500, 50
 
 
 class Held(NamedTuple):
@@ -81,7 +80,8 @@ def others(data: Path, subjects: Collection[str]) -> list[Motion]:
 def hold_out(work: Path, data: Path) -> Held:
     """Learns from everybody but the three people; what was learned is kept in `work`."""
     own = read_all([data / "cmu" / "asfamc"])
-    limits, poses = work / "limits.npz", work / "poses.npz"
+    limits = work / "limits.npz"
+    poses = work / "poses.npz"
     if not (limits.exists() and poses.exists()):
         rest = others(data, {motion.subject for motion in own})
         learn_dictionary(rest).save(poses)
@@ -91,7 +91,7 @@ def hold_out(work: Path, data: Path) -> Held:
 
 def cases(held: Held, error: str, missing: int = 0, factor: float = 0.25) -> list[Case]:
     """Poses evenly over people and recordings, by one kind of 2D error."""
-    poses = from_motions(held.motions, "CMU", frames=POSES, noise=ERRORS[error])
+    poses = from_motions(held.motions, "CMU", frames=REAL_POSES, noise=ERRORS[error])
     some = [case.hiding(missing) for case in poses]
     return (
         [by_the_likelihood(case, Likelihood(factor=factor)) for case in some]
@@ -103,13 +103,14 @@ def cases(held: Held, error: str, missing: int = 0, factor: float = 0.25) -> lis
 def real(work: Path, data: Path) -> None:
     """Estimator × 2D error × missing joints: where the truth stands, and why it is excluded where
     it is."""
-    for cell in [cell for cell in CELLS if not cell_path(work, *cell).exists()]:
-        estimator, error, missing = cell
-        held = hold_out(work, data)
-        tree = _stand(held.model, held.dictionary, estimator, cases(held, error, missing))
-        tree.attrs.update(estimator=estimator, error=error, missing=missing)
-        save_tree(tree, cell_path(work, *cell))
-        print(*cell, Counter(tree["simulation"].status.values.tolist()), flush=True)
+    for cell in REAL_CELLS:
+        kept(cell_path(work, *cell), _cell, hold_out(work, data), *cell)
+
+
+def _cell(held: Held, estimator: str, error: str, missing: int) -> xr.DataTree:
+    tree = _stand(held.model, held.dictionary, estimator, cases(held, error, missing))
+    tree.attrs.update(estimator=estimator, error=error, missing=missing)
+    return tree
 
 
 def cell_path(work: Path, estimator: str, error: str, missing: int) -> Path:
@@ -127,7 +128,7 @@ def _stand(
     settings = {} if estimator == TRUE else {"poses": dictionary}
     likelihood = Likelihood(factor=factor)
     known = instances(some, model, estimator, likelihood=likelihood, **settings)
-    draw = sampler_of("rejection", model, REAL_DRAWS, root=CANDIDATES, max_proposals=BUDGET)
+    draw = sampler_of("rejection", model, REAL_DRAWS, root=CANDIDATES, max_proposals=REAL_BUDGET)
     columns = case_columns(some, exclusions(model, some, known))
     return standings_tree(stand(draw, known, seed=0), {}, columns)
 
@@ -135,23 +136,31 @@ def _stand(
 def choices(work: Path, data: Path) -> None:
     """Best-of-k error (mm) by way and k, of the truth and of held-out draws in its place, and modes
     represented."""
-    path = work / "choices.nc"
-    if path.exists():
-        return
+    kept(work / "choices.nc", _choices, hold_out(work, data))
+
+
+def _choices(held: Held) -> xr.DataTree:
     rows: dict[str, list] = {"error": [], "floor": [], "modes": [], "recording": []}
-    held = hold_out(work, data)
     some = cases(held, "detector")
     draw = sampler_of(
-        "rejection", held.model, CHOSEN_DRAWS + STAND_INS, root=CANDIDATES, max_proposals=BUDGET
+        "rejection",
+        held.model,
+        CHOSEN_DRAWS + CHOICE_STAND_INS,
+        root=CANDIDATES,
+        max_proposals=REAL_BUDGET,
     )
     for number, instance in enumerate(instances(some, held.model)):
         drawn = draw(number, instance, jax.random.key(number)).joints
-        if len(drawn) < CHOSEN_DRAWS + STAND_INS:
+        if len(drawn) < CHOSEN_DRAWS + CHOICE_STAND_INS:
             print("no draws for", some[number].recording, flush=True)
             continue
         observation = instance.frame.observation
-        chosen = _chosen(drawn[STAND_INS:], grid_poses(held.model, observation, most=CHOSEN_DRAWS))
-        mm, truth, held_out = some[number].unit, instance.joints, drawn[:STAND_INS]
+        chosen = _chosen(
+            drawn[CHOICE_STAND_INS:], grid_poses(held.model, observation, most=CHOSEN_DRAWS)
+        )
+        mm = some[number].unit
+        truth = instance.joints
+        held_out = drawn[:CHOICE_STAND_INS]
         rows["error"].append([[mm * _best(picked, truth) for picked in way] for way in chosen])
         rows["floor"].append([[mm * _best(picked, held_out) for picked in way] for way in chosen])
         rows["modes"].append(
@@ -162,16 +171,16 @@ def choices(work: Path, data: Path) -> None:
         name: (("pose", "way", "k"), np.array(rows[name], float))
         for name in ("error", "floor", "modes")
     }
-    found = xr.Dataset(variables, coords={"way": list(WAYS), "k": list(KS)})
+    found = xr.Dataset(variables, coords={"way": list(CHOICES), "k": list(KS)})
     found["recording"] = (("pose",), np.array(rows["recording"]))
-    save_tree(xr.DataTree.from_dict({"choices": found}), path)
+    return xr.DataTree.from_dict({"choices": found})
 
 
 def _chosen(draws: np.ndarray, grid: np.ndarray) -> list[list[np.ndarray]]:
     """By way and k; empty where the grid has no pose."""
     chosen = []
-    for way in WAYS:
-        source = grid if way == GRID else draws
+    for way in CHOICES:
+        source = grid if way == POSE_GRID else draws
         chosen.append([CHOOSE[way](source, k, 0) if len(source) else source for k in KS])
     return chosen
 
@@ -201,7 +210,7 @@ class Variant(NamedTuple):
         return PoseModel(*believed, upper=self.upper, lower=self.lower)
 
 
-VARIANTS = (
+BELIEFS = (
     Variant("as it is"),
     Variant("upper bones by area", upper="area"),
     Variant("lower bones by the box", lower="box"),
@@ -215,16 +224,16 @@ VARIANTS = (
 def sensitivity(work: Path, data: Path) -> None:
     """Each variant on the same poses and the same detections: errors of a detector, larger where
     scores are lower."""
-    paths = [work / f"variant-{number}.nc" for number in range(len(VARIANTS))]
-    for variant, path in zip(VARIANTS, paths, strict=True):
-        if not path.exists():
-            held = hold_out(work, data)
-            some = [_scored(case, variant.scores) for case in cases(held, "detector")]
-            model = variant.model(held.model, data)
-            tree = _stand(model, held.dictionary, TRUE, some, variant.factor)
-            tree.attrs["variant"] = variant.name
-            save_tree(tree, path)
-            print(variant.name, Counter(tree["simulation"].status.values.tolist()), flush=True)
+    held = hold_out(work, data)
+    for number, variant in enumerate(BELIEFS):
+        kept(work / f"variant-{number}.nc", _varied, held, variant, variant.model(held.model, data))
+
+
+def _varied(held: Held, variant: Variant, model: PoseModel) -> xr.DataTree:
+    some = [_scored(case, variant.scores) for case in cases(held, "detector")]
+    tree = _stand(model, held.dictionary, TRUE, some, variant.factor)
+    tree.attrs["variant"] = variant.name
+    return tree
 
 
 def _scored(case: Case, told: bool) -> Case:

@@ -9,10 +9,8 @@ Controls are the same weighted roots with weights that are wrong.
 import dataclasses
 import itertools
 import math
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -22,7 +20,13 @@ from matplotlib.figure import Figure
 from poseterior.inference.draws import COMPLETE, place
 from poseterior.inference.importance.rejection import RejectedRoots, reject_roots, verdict
 from poseterior.inference.importance.weighted import APART, WeightedRoots, weigh_roots
-from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS, LEVEL, Judgement, judge
+from poseterior.inference.studies.comparison.judge import (
+    AGREES,
+    DIFFERS,
+    JUDGE_LEVEL,
+    Judgement,
+    judge,
+)
 from poseterior.inference.studies.comparison.sample import Sample, sample_of
 from poseterior.probmodel import Detection, Estimate, Likelihood, PoseModel
 from poseterior.probmodel.detections import LIKELIHOOD_JOINTS
@@ -36,18 +40,18 @@ from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
 from poseterior.reports.pages.costs import WANTED, costs_of, plot_costs, table_of
 from poseterior.reports.pages.filmed import film
-from poseterior.reports.pages.page import write_page
+from poseterior.reports.pages.page import Data, Page, run
 from poseterior.reports.tables import Sheet, sheet_of
 
-FRAMES = (10, 30, 50, 70, 90)
+ROUTE_FRAMES = (10, 30, 50, 70, 90)
 """Of every camera."""
-EXACT, ROOTS = 120, 1500
-BUDGET = 100_000_000
+REJECTED_DRAWS, ROUTE_ROOTS = 120, 1500
+ROUTE_BUDGET = 100_000_000
 """Proposals for the exact draws of a case, which may be fewer then."""
-LIKELIHOODS = {name: Likelihood(law()) for name, law in LAWS.items()} | {
+ROUTE_LAWS = {name: Likelihood(law()) for name, law in LAWS.items()} | {
     "disc, faults": Likelihood(faults=FaultPrior.of(0.02, 0.02)),
 }
-TURNS = tuple(itertools.islice(itertools.cycle(LIKELIHOODS), len(FRAMES)))
+TURNS = tuple(itertools.islice(itertools.cycle(ROUTE_LAWS), len(ROUTE_FRAMES)))
 """The error law of each of the frames."""
 FAST = "weighted roots"
 COSTED = (50, 90)
@@ -93,7 +97,7 @@ def _alike(roots: WeightedRoots) -> np.ndarray:
     return np.where(np.isfinite(roots.log_weight), 0.0, -np.inf)
 
 
-WAYS: dict[str, Callable[[WeightedRoots], np.ndarray]] = {
+WEIGHINGS: dict[str, Callable[[WeightedRoots], np.ndarray]] = {
     FAST: lambda roots: roots.log_weight,
     "control: without scale⁻²": _without_scale,
     "control: every root alike": _alike,
@@ -109,7 +113,7 @@ def whole(roots: WeightedRoots, number: int, seed: int) -> Sample:
 
 
 def _posterior(model: PoseModel, case: JudgedFrame) -> Posterior:
-    return Estimate(case.detection, (), LIKELIHOODS[case.law]).posterior(model)
+    return Estimate(case.detection, (), ROUTE_LAWS[case.law]).posterior(model)
 
 
 def study(model: PoseModel, case: JudgedFrame, seed: int) -> Found:
@@ -117,14 +121,17 @@ def study(model: PoseModel, case: JudgedFrame, seed: int) -> Found:
     posterior = _posterior(model, case)
     exact_key, fast_key = jax.random.split(jax.random.key(seed))
     started = time.perf_counter()
-    exact = reject_roots(posterior, key=exact_key, num_samples=EXACT, max_proposals=BUDGET)
+    exact = reject_roots(
+        posterior, key=exact_key, num_samples=REJECTED_DRAWS, max_proposals=ROUTE_BUDGET
+    )
     between = time.perf_counter()
-    fast = weigh_roots(posterior, key=fast_key, num_roots=ROOTS)
+    fast = weigh_roots(posterior, key=fast_key, num_roots=ROUTE_ROOTS)
     seconds = between - started, time.perf_counter() - between
     if verdict(exact)[0] != COMPLETE:
         print(verdict(exact)[1])
-    known, judged = whole(exact, EXACT, seed), {}
-    for name, weigh in WAYS.items():
+    known = whole(exact, REJECTED_DRAWS, seed)
+    judged = {}
+    for name, weigh in WEIGHINGS.items():
         roots = dataclasses.replace(fast, log_weight=weigh(fast))
         sample = whole(roots, int(roots.effective / APART), seed)
         # The evidence of a control is not what it is wrong about.
@@ -181,7 +188,7 @@ def table(cases: list[JudgedFrame], found: list[Found]) -> Sheet:
 def counts(found: list[Found]) -> Sheet:
     """A line a way: how often it was said to differ."""
     lines = []
-    for name in WAYS:
+    for name in WEIGHINGS:
         said = [one.judged[name].verdict for one in found]
         other = len(said) - said.count(DIFFERS) - said.count(AGREES)
         lines.append((name, said.count(AGREES), said.count(DIFFERS), other))
@@ -193,10 +200,10 @@ def figure_of(cases: list[JudgedFrame], found: list[Found]) -> Figure:
     figure = page(8.4, 3.4, dpi=150)
     axes = figure.subplots()
     place = np.arange(len(cases))
-    for colour, marker, name in zip(PALETTE, "osD", WAYS, strict=False):
+    for colour, marker, name in zip(PALETTE, "osD", WEIGHINGS, strict=False):
         values = [max(smallest(one.judged[name]), 1e-12) for one in found]
         axes.semilogy(place, values, marker, color=colour, ms=5, label=name)
-    axes.axhline(LEVEL, color=INK, lw=0.8, ls=":")
+    axes.axhline(JUDGE_LEVEL, color=INK, lw=0.8, ls=":")
     axes.set_xticks(place, [case.name for case in cases], rotation=60, ha="right", fontsize=SMALL)
     axes.tick_params(axis="y", labelsize=SMALL)
     axes.set_ylabel("smallest p of all tests, corrected", fontsize=SMALL)
@@ -206,17 +213,20 @@ def figure_of(cases: list[JudgedFrame], found: list[Found]) -> Figure:
     return figure
 
 
-def main(data: Path) -> None:
+def main(data: Data) -> Page:
     """Runs the study and writes the page."""
     session = film(data).session
-    seen = {frame: [corrected(people[frame]) for people in session.people] for frame in FRAMES}
+    seen = {
+        frame: [corrected(people[frame]) for people in session.people] for frame in ROUTE_FRAMES
+    }
     cases = [
         JudgedFrame(f"{frame}, camera {number}", law, detection)
-        for frame, law in zip(FRAMES, TURNS, strict=True)
+        for frame, law in zip(ROUTE_FRAMES, TURNS, strict=True)
         for number, detection in enumerate(seen[frame], 1)
     ]
-    model, found = PoseModel.paper(), []
-    for law in LIKELIHOODS:  # compiled before times are taken
+    model = PoseModel.paper()
+    found = []
+    for law in ROUTE_LAWS:  # compiled before times are taken
         first = next(case for case in cases if case.law == law)
         reject_roots(_posterior(model, first), key=jax.random.key(0), num_samples=1)
     for seed, case in enumerate(cases):
@@ -225,13 +235,13 @@ def main(data: Path) -> None:
         print(case.name, found[-1].seconds, said, flush=True)
     detections = [detection for frame in COSTED for detection in seen[frame]]
     learned = Likelihood.of(DetectorErrors.default(), LIKELIHOOD_JOINTS)
-    costs = costs_of(model, detections, LIKELIHOODS | {"learned": learned}, print)
+    costs = costs_of(model, detections, ROUTE_LAWS | {"learned": learned}, print)
     rates = [len(one.exact.limbs) / one.seconds[0] for one in found]
     values: dict[str, str | int | Sheet] = {
         "cases": len(cases),
-        "exact": EXACT,
-        "budget": f"{BUDGET:,}",
-        "roots": f"{ROOTS:,}",
+        "exact": REJECTED_DRAWS,
+        "budget": f"{ROUTE_BUDGET:,}",
+        "roots": f"{ROUTE_ROOTS:,}",
         "slowest": f"{min(rates):.1f}",
         "middle": f"{np.median(rates):.1f}",
         "fastest": f"{max(rates):.1f}",
@@ -242,8 +252,8 @@ def main(data: Path) -> None:
         "wanted": f"{WANTED:,}",
     }
     figures = {"routes": figure_of(cases, found), "routes-costs": plot_costs(costs)}
-    print(write_page("routes", values, figures))
+    return Page("routes", values, figures)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

@@ -4,7 +4,6 @@ reports/samplers.md and its picture from what `reports.pages.contests` has left 
     python -m poseterior.reports.pages.samplers [WORK]
 """
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,8 +13,8 @@ import xarray as xr
 
 from poseterior.inference.baselines.catalogue import BASELINES
 from poseterior.reports.figures.comparison import comparison_figure
-from poseterior.reports.pages.contests import CHECK, CLOCKED, PATIENCE, SUITE, WORK
-from poseterior.reports.pages.page import Values, write_page
+from poseterior.reports.pages.contests import CHECK, CLOCKED, CONTEST_WORK, LONGER, SUITE
+from poseterior.reports.pages.page import Page, Values, Work, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.comparison import comparison_table
 
@@ -109,12 +108,14 @@ def _ratio(best: Best) -> str:
 
 def _summary_line(name: str, tree: xr.DataTree) -> list[Any]:
     found = tree["summary"].to_dataset()
-    exact, rest = found.isel(sampler=0), found.isel(sampler=slice(1, None))
+    exact = found.isel(sampler=0)
+    rest = found.isel(sampler=slice(1, None))
     few, many = exact_rates(tree)
     walks = rest.sel(sampler=~rest.sampler.isin(PATHLESS))
     earned = best_of(rest, "ess_per_second", many)
     settled = best_of(walks, "settled_per_second", many)
-    differ, judged = (rest.verdict.values == "differs"), (rest.verdict.values != "no draws")
+    differ = rest.verdict.values == "differs"
+    judged = rest.verdict.values != "no draws"
     return [
         name,
         tree.attrs["dim"],
@@ -152,7 +153,8 @@ def _evidence(found: xr.Dataset, sampler: str, known: tuple[float, float]) -> st
     if sampler not in found.sampler.values:
         return "–"
     one = found.sel(sampler=sampler)
-    value, error = float(one.log_evidence), float(one.log_evidence_se)
+    value = float(one.log_evidence)
+    error = float(one.log_evidence_se)
     if np.isnan(value):
         return f"none in {float(one.seconds):.0f} s"
     off = (value - known[0]) / np.hypot(error, known[1])
@@ -190,16 +192,16 @@ def values_of(trees: Mapping[str, xr.DataTree]) -> Values:
         "tables": "\n\n".join(tables),
         "seconds": f"{min(tree.attrs['allowed_least'] for tree in trees.values()):g}",
         "absent": absent(trees),
-        "patience": ", ".join(f"{name} {times}" for name, times in PATIENCE.items()),
+        "patience": ", ".join(f"{name} {times}" for name, times in LONGER.items()),
     }
 
 
-def main(work: Path) -> None:
+def main(work: Work = CONTEST_WORK) -> Page:
     """Writes the page and its picture from what is in the folder."""
     found = {name: joined(work / f"{number}") for number, name in enumerate(SUITE)}
     trees = {name: tree for name, tree in found.items() if tree is not None}
-    write_page("samplers", values_of(trees), {"samplers": comparison_figure(trees[PICTURED])})
+    return Page("samplers", values_of(trees), {"samplers": comparison_figure(trees[PICTURED])})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else WORK)
+    run(main)

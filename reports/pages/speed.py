@@ -11,7 +11,6 @@ import multiprocessing
 import os
 import platform
 import resource
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -36,24 +35,24 @@ from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget
 from poseterior.inference.sampler import sample
 from poseterior.inference.stream import Item, sample_frames
-from poseterior.inference.studies.scenes import motion_frames, prior_frames, prior_scene
+from poseterior.inference.studies.scenes import prior_scene
 from poseterior.probmodel import Anatomy, Estimate, PoseModel, read_detections
 from poseterior.probmodel.example import example
 from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import GROUPS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import page as blank_page
-from poseterior.reports.figures.style import tidy
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.clocks import digits, finish, frames_of, quartiles, timed, titled
+from poseterior.reports.pages.page import SHARED, Data, Page, Values, in_doubles, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.evaluation import PAPERS_FRAMES
 
-DRAWS = 100_000
+SPEED_DRAWS = 100_000
 MANY = 2_000_000
 """Draws of a photo's person."""
 FEW = 2000
 """After which a process has what it holds however many draws it makes."""
-NUMBERS = 23
+UNIFORMS = 23
 """Uniform numbers of a pose: the floor."""
 STREAM_FRAMES, STREAM_ROOTS = 32, 200
 STAGE_LEVEL, STAGE_ATTEMPTS = 2, 1 << 16
@@ -67,7 +66,7 @@ class FrameCost(NamedTuple):
     Attributes
     ----------
     set_up
-        Seconds to set up as finely as `DRAWS` draws deserve.
+        Seconds to set up as finely as `SPEED_DRAWS` draws deserve.
     seconds
         In all.
     arms, legs
@@ -88,7 +87,7 @@ class FrameCost(NamedTuple):
     @property
     def rate(self) -> float:
         """Whole bodies a second."""
-        return DRAWS / self.seconds
+        return SPEED_DRAWS / self.seconds
 
 
 class Curve(NamedTuple):
@@ -98,19 +97,10 @@ class Curve(NamedTuple):
     y: Sequence[float]
 
 
-def timed(action: Callable[[], object], repeats: int = 3) -> float:
-    """Seconds of the fastest of some runs."""
-    found = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        action()
-        found.append(time.perf_counter() - start)
-    return min(found)
-
-
 @compiled
 def _numbers(state, count):  # type: ignore[no-untyped-def]
-    stream, total = load(state), 0.0
+    stream = load(state)
+    total = 0.0
     for _ in range(count):
         value, stream = uniform(stream)
         total += value
@@ -120,13 +110,14 @@ def _numbers(state, count):  # type: ignore[no-untyped-def]
 
 def floors() -> dict[str, float]:
     """Seconds a pose for its random numbers alone."""
-    state, rng = seeded([0], 0), np.random.default_rng(0)
-    draw = jax.jit(lambda key: jax.random.uniform(key, (NUMBERS * BATCH,)))
+    state = seeded([0], 0)
+    rng = np.random.default_rng(0)
+    draw = jax.jit(lambda key: jax.random.uniform(key, (UNIFORMS * BATCH,)))
     _numbers(state, 10)
     jax.block_until_ready(draw(jax.random.key(0)))
     return {
-        "compiled SFC64": timed(lambda: _numbers(state, NUMBERS * BATCH)) / BATCH,
-        "NumPy PCG64": timed(lambda: rng.random(NUMBERS * BATCH)) / BATCH,
+        "compiled SFC64": timed(lambda: _numbers(state, UNIFORMS * BATCH)) / BATCH,
+        "NumPy PCG64": timed(lambda: rng.random(UNIFORMS * BATCH)) / BATCH,
         "JAX threefry": timed(lambda: jax.block_until_ready(draw(jax.random.key(1)))) / BATCH,
     }
 
@@ -144,9 +135,10 @@ def naive_proposal(model: PoseModel, frame: Estimate) -> float:
 
 def cost(model: PoseModel, frame: Estimate, naive: float) -> FrameCost:
     """Times one frame, its one candidate known."""
-    started, budget = time.perf_counter(), Budget(10**12)
+    started = time.perf_counter()
+    budget = Budget(10**12)
     (candidate,) = root_samplers(frame.posterior(model, CANDIDATES), jax.random.key(0), "rejection")
-    assert candidate.more(DRAWS, budget)
+    assert candidate.more(SPEED_DRAWS, budget)
     seconds = time.perf_counter() - started
     groups = {
         sampler.name: sampler
@@ -213,15 +205,20 @@ class StageCost(NamedTuple):
 
 def stages(model: PoseModel, frame: Estimate, name: str) -> StageCost:
     """Times a group's loops one after the other, by the processor's time of this thread."""
-    tables, limbs = group_tables(model)[name], limb_problems(frame.observation)[name]
-    clock, number = time.thread_time, STAGE_ATTEMPTS
+    tables = group_tables(model)[name]
+    limbs = limb_problems(frame.observation)[name]
+    clock = time.thread_time
+    number = STAGE_ATTEMPTS
     plan_group(tables, limbs, RESOLUTIONS[STAGE_LEVEL], alone=True)
     started = clock()
     plan = plan_group(tables, limbs, RESOLUTIONS[STAGE_LEVEL], alone=True)
-    set_up, workspaces = clock() - started, workspace_pair(number)
+    set_up = clock() - started
+    workspaces = workspace_pair(number)
     cut = [CutLimb(*parts) for parts in zip(limbs, tables.builds, plan.strata, strict=True)]
     counts = np.random.default_rng(0).multinomial(number, plan.share)
-    state, room, times = seeded([0], 0), blank_bodies(number, len(limbs)), []
+    state = seeded([0], 0)
+    room = blank_bodies(number, len(limbs))
+    times = []
 
     def stage(action: Callable[..., int], *given: object) -> int:
         start = clock()
@@ -237,13 +234,13 @@ def stages(model: PoseModel, frame: Estimate, name: str) -> StageCost:
         stage(add_bodies, state, both, workspaces, np.arange(2), room, 0)
     length, one, two, draw = times
     return StageCost(
-        1e9 * set_up / plan.size,
-        length / number,
-        (one + two) / (number + first),
-        draw / max(both, 1),
-        sum(times) / number,
-        first / number,
-        both / number,
+        stratum=1e9 * set_up / plan.size,
+        lengths=length / number,
+        limb=(one + two) / (number + first),
+        draw=draw / max(both, 1),
+        whole=sum(times) / number,
+        first=first / number,
+        both=both / number,
     )
 
 
@@ -268,11 +265,7 @@ def stages_table(costs: dict[str, list[StageCost]]) -> Sheet:
         scale = 100.0 if what.startswith("%") else 1.0
         each = ([scale * getattr(cost, field) for cost in own] for own in costs.values())
         rows.append((what, *map(np.median, each)))
-    return sheet_of(["medians", *(Column(name, form=_digits) for name in costs)], rows)
-
-
-def _digits(value: float) -> str:
-    return f"{value:,.3g}" if value < 1000 else f"{value:,.0f}"
+    return sheet_of(["medians", *(Column(name, form=digits) for name in costs)], rows)
 
 
 def costs_table(costs: Sequence[FrameCost], floor: float) -> Sheet:
@@ -290,9 +283,7 @@ def costs_table(costs: Sequence[FrameCost], floor: float) -> Sheet:
         "times faster than naive groups": columns["naive"] * rate,
         "times the floor (23 random numbers)": 1 / rate / floor,
     }
-    rows = [(what, *np.quantile(line, [0, 0.25, 0.5, 0.75, 1])) for what, line in lines.items()]
-    heads = ("min", "¼", "median", "¾", "max")
-    return sheet_of(["over 64 frames", *(Column(head, form=_digits) for head in heads)], rows)
+    return quartiles("over 64 frames", lines)
 
 
 def _nanoseconds(head: str) -> Column:
@@ -301,7 +292,7 @@ def _nanoseconds(head: str) -> Column:
 
 def floors_table(floor: dict[str, float]) -> Sheet:
     """What random numbers cost."""
-    head = (f"random numbers of a pose ({NUMBERS})", _nanoseconds("ns"))
+    head = (f"random numbers of a pose ({UNIFORMS})", _nanoseconds("ns"))
     return sheet_of(head, list(floor.items()))
 
 
@@ -315,12 +306,8 @@ def curves(model: PoseModel, frame: Estimate) -> dict[str, Curve]:
     of the prior, the radius of the discs."""
 
     def each(frame: Estimate, number: int) -> float:
-        draw = functools.partial(
-            ExactRejection().draw,
-            frame.posterior(model, CANDIDATES),
-            jax.random.key(1),
-            number,
-        )
+        posterior = frame.posterior(model, CANDIDATES)
+        draw = functools.partial(ExactRejection().draw, posterior, jax.random.key(1), number)
         return timed(draw, 2) / number * 1e6
 
     numbers = [100, 1000, 10_000, 100_000, 1_000_000]
@@ -367,18 +354,22 @@ class Million(NamedTuple):
 def million(to_file: bool, double: bool) -> Million:
     """Draws and saves them, in memory first or straight to the file, once a few have been drawn."""
     in_doubles()
-    model, frame, number = PoseModel.paper(), estimate_torso(example().detection), 1_000_000
+    model = PoseModel.paper()
+    frame = estimate_torso(example().detection)
+    number = 1_000_000
     draw = functools.partial(sample, model, frame, key=jax.random.key(0))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "posterior.nc"
         draw(num_samples=FEW).save(path)
-        start, started = _peak(), time.perf_counter()
+        start = _peak()
+        started = time.perf_counter()
         if to_file:
             key = jax.random.key(0)
             sample_to_file(path, model, frame, key=key, num_samples=number, double=double)
         else:
             draw(num_samples=number).save(path, double=double)
-        seconds, size = time.perf_counter() - started, path.stat().st_size
+        seconds = time.perf_counter() - started
+        size = path.stat().st_size
     words = f"{'straight to disk' if to_file else 'in memory'}, {'double' if double else 'single'}"
     return Million(words, seconds, _peak(), start, size / 1e6)
 
@@ -395,7 +386,7 @@ def millions() -> Sheet:
     with ProcessPoolExecutor(1, mp_context=spawn, max_tasks_per_child=1) as pool:
         rows = [pool.submit(million, *way).result() for way in ways]
     heads = ("seconds", "MB at most", f"MB, {FEW:,} draws", "MB on disk")
-    return sheet_of(["a million draws", *(Column(head, form=_digits) for head in heads)], rows)
+    return sheet_of(["a million draws", *(Column(head, form=digits) for head in heads)], rows)
 
 
 def picture(found: dict[str, Curve], stream: Curve) -> Figure:
@@ -407,37 +398,32 @@ def picture(found: dict[str, Curve], stream: Curve) -> Figure:
         axis.set(xlabel=name, ylabel="µs a draw, set-up included")
     axes[1].plot(*stream, "o-", color=PALETTE[0])
     axes[1].set(xlabel="frames × 10,000 draws, five hypotheses each", ylabel="seconds", ylim=0)
-    for axis in axes:
-        axis.grid(alpha=0.3)
-        tidy(axis)
+    finish(axes)
     return figure
 
 
-def main(data: Path) -> None:
+def main(data: Data = SHARED) -> Page:
     """Measures, writes, and prints the page."""
-    in_doubles()
     large = millions()  # first: a process starts with the peak of the one that it comes from
     model = PoseModel.paper()
-    sets = {"Poses of the prior, by their seeds": prior_frames(model)}
-    archive = data / "cmu" / "actions_train.npz"
-    if archive.exists():
-        sets["Poses of CMU motion capture"] = motion_frames(archive)
+    sets = frames_of(model, data)
     frames = list(sets.values())[-1]
-    ExactRejection().draw(
-        frames[0].posterior(model, CANDIDATES), jax.random.key(0), 2000
-    )  # compiles
-    floor, naive = floors(), naive_proposal(model, frames[0])
+    # Compiles.
+    ExactRejection().draw(frames[0].posterior(model, CANDIDATES), jax.random.key(0), 2000)
+    floor = floors()
+    naive = naive_proposal(model, frames[0])
     tables = {
         title: costs_table([cost(model, frame, naive) for frame in own], floor["compiled SFC64"])
         for title, own in sets.items()
     }
-    found, stream = curves(model, frames[0]), streams(model, frames)
+    found = curves(model, frames[0])
+    stream = streams(model, frames)
     memory = _peak() / 1e3
     slope = float(np.polyfit(*stream, 1)[0])
     uncertain = float(np.polyfit(*streams(model, frames, UNCERTAIN), 1)[0])
     values: Values = {
-        "tables": "\n\n".join(f"## {title}\n\n{own.markdown()}" for title, own in tables.items()),
-        "draws": f"{DRAWS:,}",
+        "tables": titled(tables),
+        "draws": f"{SPEED_DRAWS:,}",
         "published": published(data),
         "cores": str(os.cpu_count()),
         "machine": platform.machine(),
@@ -453,8 +439,8 @@ def main(data: Path) -> None:
         "memory": f"{memory:.2f}",
         "millions": large,
     }
-    print(write_page("speed", values, {"speed": picture(found, stream)}))
+    return Page("speed", values, {"speed": picture(found, stream)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))
+    run(main)

@@ -7,7 +7,6 @@ A thousand simulations from the model itself, about half an hour on one core; `w
 is done, and a run that was stopped goes on there.
 """
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +17,14 @@ from poseterior.inference.studies.calibration.quantities import OF_ROOT
 from poseterior.probmodel import PoseModel
 from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.reports.figures.coverage import ranks_figure
-from poseterior.reports.pages.page import Values, in_doubles, write_page
+from poseterior.reports.pages.page import Page, Values, Work, run
 from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.coverage import families_table, p_text
 from poseterior.reports.tables.words import spoken
 
-SIMULATIONS = 1000
-ROOTS, DRAWS, SEED = 300, 400, 7
-BUDGET = 30_000_000
+WHOLE_SIMULATIONS = 1000
+WHOLE_ROOTS, WHOLE_DRAWS, WHOLE_SEED = 300, 400, 7
+WHOLE_BUDGET = 30_000_000
 """Most proposals for a simulation."""
 
 
@@ -33,12 +32,12 @@ def simulated(work: Path) -> xr.Dataset:
     """The simulations by weighted roots."""
     tree = calibrate(
         PoseModel.paper(),
-        seed=SEED,
-        num_simulations=SIMULATIONS,
-        num_samples=DRAWS,
+        seed=WHOLE_SEED,
+        num_simulations=WHOLE_SIMULATIONS,
+        num_samples=WHOLE_DRAWS,
         root=UNCERTAIN,
-        num_roots=ROOTS,
-        max_proposals=BUDGET,
+        num_roots=WHOLE_ROOTS,
+        max_proposals=WHOLE_BUDGET,
         out=work / "coverage.nc",
     )
     return tree["simulation"].to_dataset()
@@ -55,25 +54,23 @@ def roots_table(tests: xr.Dataset) -> Sheet:
     return sheet_of(("of the root", "p", "p, corrected for all"), rows)
 
 
-def main(work: Path) -> None:
+def main(work: Work) -> Page:
     """Does what is left of the simulations, then writes the page."""
-    in_doubles()
-    work.mkdir(parents=True, exist_ok=True)
     right = simulated(work)
     verdict = judge(right)
     number = right.num_draws.values
     values: Values = {
-        "simulations": f"{SIMULATIONS:,}",
-        "roots": ROOTS,
-        "draws": DRAWS,
+        "simulations": f"{WHOLE_SIMULATIONS:,}",
+        "roots": WHOLE_ROOTS,
+        "draws": WHOLE_DRAWS,
         "fewest": int(number.min()),
         "middle": int(np.median(number)),
         "sentence": f"{verdict.verdict}: {verdict.sentence}",
         "families": families_table({"weighted roots": verdict}),
         "of_root": roots_table(verdict.tests),
     }
-    write_page("whole", values, {"whole": ranks_figure(right)})
+    return Page("whole", values, {"whole": ranks_figure(right)})
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

@@ -6,6 +6,7 @@ from typing import Any
 from poseterior.inference.benchmark.catalogue import targets
 from poseterior.inference.benchmark.references import reference
 from poseterior.inference.benchmark.verdicts import Assessment
+from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS, JUDGE_LEVEL
 from poseterior.reports.tables.sheet import Column, Sheet, number, plus_minus, significant
 
 CLEAR = 0.01
@@ -49,7 +50,7 @@ def _digits(both: tuple[float, float]) -> str:
 def tests_table(found: Assessment) -> Sheet:
     """The judge's tests of draws, those that decide first."""
     decisive = [{**test._asdict(), "decides": "yes"} for test in found.judgement.tests]
-    others = [{**test._asdict(), "decides": "no"} for test in found.judgement.others]
+    others = [{**test._asdict(), "decides": "no"} for test in found.judgement.beside]
     columns = (
         Column("test", "name", left=True),
         Column("p", "p_value", significant(2)),
@@ -77,12 +78,21 @@ def verdict_sentences(found: Assessment) -> list[str]:
         f" would miss {judgement.modes.expected_missed:.2%}",
     ]
     if math.isfinite(found.evidence_error):
-        error = number(found.evidence_error_se)
-        sentences.append(f"log evidence off by {plus_minus((found.evidence_error, error))} nats")
+        sentences.append(_evidence(found))
     for value, unit in ((found.per_evaluation, "evaluation"), (found.per_second, "second")):
         if math.isfinite(value):
             sentences.append(f"effective draws per {unit}: {value:.3g}")
     return sentences
+
+
+def _evidence(found: Assessment) -> str:
+    error = number(found.evidence_error_se)
+    off = f"log evidence off by {plus_minus((found.evidence_error, error))} nats"
+    test = found.judgement.evidence
+    if test is None:
+        return f"{off}, not judged without log_evidence_se"
+    p_value = significant(2)(test.p_value)
+    return f"{off}: {DIFFERS if test.p_value < JUDGE_LEVEL else AGREES}, p = {p_value}"
 
 
 def verdict_record(found: Assessment) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import xarray as xr
 
 from poseterior.inference.studies.comparison.distances import MILLIMETRES
 from poseterior.inference.studies.comparison.judge import AGREES, UNMIXED
-from poseterior.inference.studies.comparison.mixing import APART
+from poseterior.inference.studies.comparison.mixing import CHAINS_APART
 from poseterior.reports.tables.sheet import (
     NOTHING,
     Column,
@@ -40,7 +40,7 @@ def comparison_table(tree: xr.DataTree) -> Sheet:
         # In the record too, for who reads no table.
         records.append(record | _worst(tree, label) | {"by_its_start": gift_sentence(record)})
     gifts = [str(record["by_its_start"]) for record in records if record["by_its_start"]]
-    return Sheet(COLUMNS, records, caption=". ".join(gifts))
+    return Sheet(COMPARED_COLUMNS, records, caption=". ".join(gifts))
 
 
 def gift_sentence(record: Record) -> str:
@@ -62,8 +62,9 @@ def gift_sentence(record: Record) -> str:
     if record["verdict"] not in (AGREES, UNMIXED) or not record["start"]:
         return ""
     earned = (record["ess_per_second"] or 0.0) * record["seconds"]
-    apart, worth = record["rhat_worst"], record["ess_worst"]
-    far = apart is not None and apart > APART
+    apart = record["rhat_worst"]
+    worth = record["ess_worst"]
+    far = apart is not None and apart > CHAINS_APART
     if earned >= worth / 2 and not far:
         return ""
     said = f", and R-hat {apart:.2f} says that its chains are still far apart" if far else ""
@@ -105,7 +106,8 @@ def _reached(record: Record) -> str:
 
 
 def _evidence(record: Record) -> str:
-    value, error = record["log_evidence"], record["log_evidence_se"]
+    value = record["log_evidence"]
+    error = record["log_evidence_se"]
     return NOTHING if value is None else f"{value:.2f} ± {error:.2f}"
 
 
@@ -113,7 +115,7 @@ def _share(value: float | None) -> str:
     return NOTHING if value is None else f"{value:.1%}"
 
 
-COLUMNS: tuple[Column, ...] = (
+COMPARED_COLUMNS: tuple[Column, ...] = (
     Column("sampler", left=True, whole=True),
     Column("verdict", left=True, whole=True),
     Column("ESS", "ess_worst", _count),

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from poseterior.inference.studies.evaluation.conditions import Condition, alike
-from poseterior.inference.studies.evaluation.metrics import THRESHOLD
+from poseterior.inference.studies.evaluation.metrics import PCK_MM
 from poseterior.inference.studies.evaluation.relations import Relation
 from poseterior.inference.studies.evaluation.samples import BESTS
 from poseterior.inference.studies.evaluation.scores import (
@@ -28,7 +28,11 @@ PAPERS_FRAMES = 26_385
 """Of the paper's evaluation on Human3.6M."""
 MOST_COLUMNS = 6
 """Of a table on a terminal."""
-NAMES = {"akhter-black": "Akhter & Black", "zhou": "Zhou et al.", "dictionary": "dictionary fit"}
+ESTIMATOR_NAMES = {
+    "akhter-black": "Akhter & Black",
+    "zhou": "Zhou et al.",
+    "dictionary": "dictionary fit",
+}
 PAPER_TABLE_1 = {
     ("akhter-black", "single"): 134.48,
     ("akhter-black", 5): 109.79,
@@ -84,9 +88,9 @@ def row_name(way: Condition, row: str | int) -> str:
     """A row of a condition in words; beside a root that depends on no estimator stands an
     estimator's single estimate."""
     if row == "single" and way.root != CANDIDATES:
-        return f"{way.way} ({NAMES.get(way.estimator, way.estimator)}, single estimate)"
+        return f"{way.way} ({ESTIMATOR_NAMES.get(way.estimator, way.estimator)}, single estimate)"
     words = {"single": "single estimate", "all": "all samples"}
-    name = NAMES.get(way.way, way.way)
+    name = ESTIMATOR_NAMES.get(way.way, way.way)
     return f"{name}, {words[row] if isinstance(row, str) else f'best of {row}'}"
 
 
@@ -201,7 +205,7 @@ def metrics_table(results: Mapping[Condition, Values], base: Condition, ks: Sequ
         "unscaled",
         "per batch",
         "per joint",
-        f"PCK@{THRESHOLD:.0f} %",
+        f"PCK@{PCK_MM:.0f} %",
         "area %",
         "CPS mm",
         "flips",
@@ -219,7 +223,7 @@ def scores_of(
 ) -> dict[str, SampleScores]:
     """What the samples of every way are worth, and those of others' predictions, by name."""
     ours = {
-        NAMES.get(way.way, way.way): sample_scores(results[way], recording)
+        ESTIMATOR_NAMES.get(way.way, way.way): sample_scores(results[way], recording)
         for way in alike(results, base)
     }
     return ours | {name: sample_scores(values, recording) for name, values in external.items()}

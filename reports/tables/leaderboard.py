@@ -15,15 +15,15 @@ from typing import Any
 from scipy import stats
 
 from poseterior.inference.benchmark.catalogue import load, targets
-from poseterior.inference.benchmark.contestants import EXACT, GIFT
+from poseterior.inference.benchmark.entrants import EXACT_ENGINE, GIFT
 from poseterior.inference.studies.comparison.judge import (
     AGREES,
     CANNOT_TELL,
     DIFFERS,
-    FEWEST,
+    FEWEST_EFFECTIVE_DRAWS,
     UNMIXED,
 )
-from poseterior.inference.studies.comparison.mixing import APART
+from poseterior.inference.studies.comparison.mixing import CHAINS_APART
 from poseterior.reports.tables.comparison import gift_sentence
 from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, number
 
@@ -40,7 +40,7 @@ def pace_of(line: Line) -> float:
 def verdict_of(line: Line) -> str:
     """What the judge said; of lines that were kept from before it had a word for chains that are
     still apart, that word."""
-    apart = line["verdict"] == AGREES and (line.get("rhat_worst") or 0.0) > APART
+    apart = line["verdict"] == AGREES and (line.get("rhat_worst") or 0.0) > CHAINS_APART
     return UNMIXED if apart else line["verdict"]
 
 
@@ -49,7 +49,9 @@ def said_of(line: Line) -> str:
     said = verdict_of(line)
     if said != CANNOT_TELL or not line["effective_draws"]:
         return said
-    return f"{said}: run {math.ceil(FEWEST / line['effective_draws'])} times as long"
+    return (
+        f"{said}: run {math.ceil(FEWEST_EFFECTIVE_DRAWS / line['effective_draws'])} times as long"
+    )
 
 
 def entered(lines: Iterable[Line]) -> list[Line]:
@@ -61,7 +63,7 @@ def ranking(lines: Sequence[Line]) -> Sheet:
     """All samplers on all targets: those first that agree on most of them, then those that are
     least behind exact draws."""
     own = entered(lines)
-    exact = {one["target"]: pace_of(one) for one in own if one["sampler"] == EXACT}
+    exact = {one["target"]: pace_of(one) for one in own if one["sampler"] == EXACT_ENGINE}
     records = []
     for name in dict.fromkeys(one["sampler"] for one in own):
         mine = [one for one in own if one["sampler"] == name]
@@ -213,10 +215,10 @@ def contests(lines: Sequence[Line]) -> list[dict[str, Any]]:
     records = []
     for target in targets():
         own = [one for one in lines if one["target"] == target and one["budget"] == SECONDS]
-        exact = next((one for one in own if one["sampler"] == EXACT), None)
+        exact = next((one for one in own if one["sampler"] == EXACT_ENGINE), None)
         if exact is None:
             continue
-        others = [one for one in own if one["sampler"] != EXACT and one["start"] != GIFT]
+        others = [one for one in own if one["sampler"] != EXACT_ENGINE and one["start"] != GIFT]
         right = [one for one in others if verdict_of(one) == AGREES and one["earned"] > 0]
         best = max(right, key=pace_of, default=None)
         there = [one for one in others if one.get("to_distance") is not None]

@@ -40,7 +40,7 @@ UNIT_NOTE = f"1 body unit = mean limb length, about {MILLIMETRES:.0f} mm for a p
 STILL = 1e-9
 """Body units within which nothing moves: rounding, not spread."""
 HELD = "held fixed"
-LIKELY = 0.5
+LIKELY_FAULT = 0.5
 """Posterior probability above which a fault of the detector is spoken of."""
 _ENDS = ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
 
@@ -114,7 +114,8 @@ def posterior_table(tree: xr.DataTree) -> Sheet:
     radius = values(tree, "constant_data", "radius")[heaviest(tree)]
     spread = joints.std(axis=0) if len(joints) else np.full(joints.shape[1:], np.nan)
     lateral = np.sqrt((spread[:, :2] ** 2).mean(axis=1))
-    fixed_joints, faults = still(tree), faults_of(tree)
+    fixed_joints = still(tree)
+    faults = faults_of(tree)
     records = [
         {
             "joint": name,
@@ -164,12 +165,12 @@ class FaultProbabilities(NamedTuple):
         found = [
             f"the {spoken(joint)}'s keypoint is an outlier ({100 * share:.0f} %)"
             for joint, share in self.outlier.items()
-            if share > LIKELY
+            if share > LIKELY_FAULT
         ]
         return found + [
             f"left and right are exchanged: {name} ({100 * share:.0f} %)"
             for name, share in self.exchange.items()
-            if share > LIKELY and name != "none"
+            if share > LIKELY_FAULT and name != "none"
         ]
 
 
@@ -241,7 +242,8 @@ def sides_table(tree: xr.DataTree) -> Sheet:
         Column("log evidence", _evidence, plus_minus, whole=True),
         Column("share", "weight", percent),
     ]
-    effective, weighed = tree.attrs["effective_roots"], tree.attrs["num_roots"]
+    effective = tree.attrs["effective_roots"]
+    weighed = tree.attrs["num_roots"]
     done = "weighed" if "roots" in tree.children else "drawn"
     caption = (
         f"Torso and camera are uncertain: {effective:,.0f} effective of {weighed:,} roots {done},"
@@ -267,7 +269,8 @@ def _mean_facings(tree: xr.DataTree) -> np.ndarray:
 
 def _scale(row: Record) -> str:
     """Mean and standard deviation; a side without draws has no spread."""
-    mean, spread = fixed(0)(row["scale_px"]), row["scale_sd_px"]
+    mean = fixed(0)(row["scale_px"])
+    spread = row["scale_sd_px"]
     return mean if spread is None else f"{mean} ± {spread:.0f}"
 
 
@@ -360,7 +363,8 @@ def summary_lines(result: "Result") -> list[str]:
     """The summary as lines of at most 80 columns (the sentence of a run that is not complete may be
     longer)."""
     row = summary_json(result)
-    rate, digest = row["acceptance_rate"], row["limits_sha256"][:12]
+    rate = row["acceptance_rate"]
+    digest = row["limits_sha256"][:12]
     accepted = "" if rate is None else f", {100 * rate:.2g} % accepted"
     uncertain = row.get("root") == UNCERTAIN
     evidence = plus_minus(_evidence(row)) + ("" if uncertain else _odds(row["log_evidence"]))
@@ -396,6 +400,7 @@ def _odds(log_evidence: float | None) -> str:
     exponent = math.floor(power)
     mantissa = round(10 ** (power - exponent))
     if mantissa == 10:
-        mantissa, exponent = 1, exponent + 1
+        mantissa = 1
+        exponent = exponent + 1
     odds = f"{10**power:.0f}" if exponent < 3 else f"{mantissa}e{exponent}"
     return f": one possible pose in {odds} explains the joints seen"

@@ -30,9 +30,10 @@ from poseterior.inference.baselines.ensemble import NumPyroKernel
 from poseterior.inference.baselines.metropolis import ADAPTIVE_WALKERS, AdaptiveKernel
 from poseterior.inference.baselines.run import Allowance
 from poseterior.inference.baselines.target import Target
-from poseterior.inference.benchmark import catalogue, contestants, draws, references
+from poseterior.inference.benchmark import catalogue, draws, entrants, references
 from poseterior.inference.benchmark.draws import Blocks, blocks_of, exact_block
-from poseterior.inference.benchmark.guests import GUESTS, ladder
+from poseterior.inference.benchmark.external import ladder
+from poseterior.inference.benchmark.external.entries import external_sampler, external_samplers
 from poseterior.inference.benchmark.programs import in_jax
 from poseterior.inference.benchmark.references import SHIPPED, sample_at, shipped_points
 from poseterior.inference.benchmark.root import GivenRoot
@@ -445,8 +446,129 @@ def test_an_evidence_that_is_off_is_caught() -> None:
         log_evidence=np.array(stated),
         log_evidence_se=np.array(0.02),
     )
-    assert found.judgement.verdict == DIFFERS
-    assert "evidence" in found.judgement.sentence
+    assert found.judgement.verdict == AGREES  # the draws are right, whatever is said of them
+    assert found.judgement.evidence is not None
+    assert found.judgement.evidence.p_value < 1e-10
+
+
+def test_an_evidence_without_its_error_is_not_judged() -> None:
+    found = verdict("arm", points=drawn("arm")[:1500], log_evidence=np.array(-1.0))
+    assert found.judgement.verdict == AGREES
+    assert found.judgement.evidence is None
+
+
+@pytest.mark.parametrize("verdict_of_draws", [AGREES, CANNOT_TELL, DIFFERS])
+def test_the_evidence_decides_nothing_about_draws(verdict_of_draws: str) -> None:
+    """A wrong one and a right one leave the same verdict and sentence, whatever it is."""
+    points = {
+        AGREES: drawn("arm")[:600],
+        CANNOT_TELL: drawn("arm")[:60],
+        DIFFERS: np.repeat(drawn("arm")[:4], 60, axis=0)[None],
+    }[verdict_of_draws]
+    known = benchmark.reference("arm").log_evidence
+    found = [
+        verdict("arm", points=points, log_evidence=known + off, log_evidence_se=0.01).judgement
+        for off in (0.0, 2.0)
+    ]
+    assert [one.verdict for one in found] == [verdict_of_draws] * 2
+    assert found[0].sentence == found[1].sentence
+    right, wrong = (one.evidence for one in found)
+    assert right is not None
+    assert wrong is not None
+    assert wrong.p_value < 1e-10 < 0.5 < right.p_value
+
+
+def weighed(number: int = 50_000) -> tuple[np.ndarray, np.ndarray]:
+    """Draws of the prior of `arm-soft` and their log likelihood, those outside too."""
+    target = benchmark.load("arm-soft")
+    points = target.prior_points(np.random.default_rng(7), number)
+    return points, target.log_likelihood(points)
+
+
+ORDERS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "sorted, as nested samplers do": np.argsort,
+    "falling": lambda log_weights: np.argsort(-log_weights),
+    "shuffled": lambda log_weights: np.random.default_rng(3).permutation(len(log_weights)),
+    "backwards": lambda log_weights: np.arange(len(log_weights))[::-1],
+}
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_weighted_draws_have_no_order(order: str) -> None:
+    """Whatever order, chains, kind or unit of weights, the judge gets the same draws in the same
+    order. Negative control: draws without weights keep theirs."""
+    points, log_weights = weighed()
+    target, rows = benchmark.load("arm-soft"), ORDERS[order](log_weights)
+    plain = benchmark.submit(target, points=points, log_weights=log_weights)
+    assert 150 < plain.points.shape[1] < plain.given == np.isfinite(log_weights).sum()
+    for arrays in (
+        {"points": points[rows], "log_weights": log_weights[rows]},
+        {"points": points[rows], "log_weights": log_weights[rows] - 1000},
+        {"points": points[rows], "weights": 3 * np.exp(log_weights[rows])},
+        {
+            "points": points[rows].reshape(4, -1, target.dim),
+            "log_weights": log_weights[rows].reshape(4, -1),
+        },
+    ):
+        found = benchmark.submit(target, **arrays)
+        assert found.given == plain.given
+        assert np.array_equal(found.points, plain.points)
+    inside = rows[np.isfinite(log_weights[rows])]
+    assert np.array_equal(benchmark.submit(target, points=points[inside]).points[0], points[inside])
+
+
+def test_no_order_is_left_in_weighted_draws() -> None:
+    """The lag-1 correlation of sorted draws is that of independent ones; as a chain it is not.
+
+    A false alarm in a million at five standard errors."""
+    points, log_weights = weighed()
+    rows = np.argsort(log_weights)
+    target = benchmark.load("arm-soft")
+    found = benchmark.submit(target, points=points[rows], log_weights=log_weights[rows])
+    size = target.misfit(found.points[0])
+    assert abs(np.corrcoef(size[1:], size[:-1])[0, 1]) < 5 / np.sqrt(len(size))
+    size = np.sort(size)
+    assert np.corrcoef(size[1:], size[:-1])[0, 1] > 0.9
+
+
+def test_a_draw_twice_is_one_of_twice_the_weight() -> None:
+    """Four copies in pieces are what one of their sum is, so that copies are never counted as
+    independent draws."""
+    points, log_weights = weighed()
+    target = benchmark.load("arm-soft")
+    plain = benchmark.submit(target, points=points, log_weights=log_weights)
+    found = benchmark.submit(
+        target,
+        points=np.repeat(points, 4, axis=0),
+        log_weights=np.repeat(log_weights - np.log(4), 4),
+    )
+    assert np.array_equal(found.points, plain.points)
+
+
+@pytest.mark.parametrize("nothing", [-np.inf, -1e300, -1e30, -1e10, -1e5])
+def test_draws_of_no_weight_do_not_count(nothing: float) -> None:
+    """Nested samplers say of points without likelihood that its log is -1e300, or another number of
+    which nothing is left beside the others. Outside of the support they are nobody's draws;
+    negative control: with a weight they are refused."""
+    points, log_weights = weighed()
+    target, outside = benchmark.load("arm-soft"), np.isneginf(log_weights)
+    plain = benchmark.submit(target, points=points, log_weights=log_weights)
+    filled = np.where(outside, nothing, log_weights)
+    found = benchmark.submit(target, points=points, log_weights=filled)
+    assert (found.given, found.points.tolist()) == (plain.given, plain.points.tolist())
+    with pytest.raises(BadInput, match="lie outside of the support"):
+        benchmark.submit(target, points=points, log_weights=np.where(outside, -20.0, log_weights))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("dynesty_raw", AGREES), ("is_sorted", AGREES), ("is_random", AGREES)],
+)
+def test_files_of_nested_and_importance_samplers(name: str, expected: str, cases: Path) -> None:
+    target = benchmark.load("arm-soft")
+    found = benchmark.read_submission(cases / f"{name}.npz", target)
+    assert benchmark.verdict(target, found).judgement.verdict == expected
 
 
 @pytest.mark.slow
@@ -519,6 +641,18 @@ REFUSED: dict[str, tuple[Callable[[], dict[str, Any]], str]] = {
     "both weights": (
         lambda: {"points": good(), "weights": np.ones(400), "log_weights": np.ones(400)},
         "has both weights and log_weights",
+    ),
+    "evidence without a value": (
+        lambda: {"points": good(), "log_evidence": np.nan, "log_evidence_se": 0.1},
+        "log_evidence of it is nan; give a finite number, or leave it out",
+    ),
+    "evidence of nothing": (
+        lambda: {"points": good(), "log_evidence": -np.inf},
+        "log_evidence of it is -inf; give a finite number",
+    ),
+    "an error that is none": (
+        lambda: {"points": good(), "log_evidence": -1.0, "log_evidence_se": np.inf},
+        "log_evidence_se of it is inf; give a finite number",
     ),
     "free of charge": (
         lambda: {"points": good(), "seconds": np.array(0.0)},
@@ -668,13 +802,13 @@ ENOUGH = {"ultranest": 100_000, "nrpt": 1_500_000}
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("name", GUESTS)
-def test_guests_draw_from_the_target(name: str) -> None:
-    row = GUESTS[name]
-    if row.package:
-        pytest.importorskip(row.package)
+@pytest.mark.parametrize("name", external_samplers())
+def test_external_samplers_draw_from_the_target(name: str) -> None:
+    sampler = external_sampler(name)
+    if sampler.needs:
+        pytest.importorskip(sampler.needs)
     target = benchmark.load("single")
-    outcome = row.run(target, 3, Allowance(evaluations=ENOUGH.get(name, 20_000)))
+    outcome = sampler.run(name, target, 3, Allowance(evaluations=ENOUGH.get(name, 20_000)))
     assert outcome is not None
     found = outcome.submission
     assert found.evaluations >= 5_000
@@ -719,25 +853,27 @@ def test_exact_draws_are_seldom_said_to_differ(name: str) -> None:
     assert differ <= 11
 
 
-# --- contestants
+# --- entrants
 
 
 def test_who_cannot_be_held_to_a_target_is_not_run() -> None:
     arm, soft, scene = (benchmark.load(name) for name in ("arm", "arm-soft", "scene"))
-    assert [contestants.cannot(arm, name) for name in ("exact", "smc", "nuts", "nrpt")] == [""] * 4
-    assert "soft walls are none" in contestants.cannot(soft, "nss")
-    assert "one torso and camera only" in contestants.cannot(scene, "smc")
-    assert not contestants.cannot(scene, "emcee")
+    for name in ("exact", "smc", "nuts", "nrpt"):
+        assert entrants.entrant(name).cannot(arm) == ""
+    assert "soft walls are none" in entrants.entrant("nss").cannot(soft)
+    assert "one torso and camera only" in entrants.entrant("smc").cannot(scene)
+    assert not entrants.entrant("emcee").cannot(scene)
     with pytest.raises(BadInput, match="there is no sampler 'mcmc'; choose from exact, emcee"):
-        contestants.cannot(arm, "mcmc")
+        entrants.entrant("mcmc")
 
 
 @pytest.mark.slow
 def test_a_baseline_pays_for_its_way_from_the_prior() -> None:
     """Both starts, on one arm: what was given is told, and evaluations are those of both."""
     target, allowance = benchmark.load("arm"), Allowance(evaluations=60_000)
-    given = contestants.contestant(target, "emcee", contestants.GIFT, allowance)
-    own = contestants.contestant(target, "emcee", contestants.PRIOR, allowance)
+    emcee = entrants.entrant("emcee")
+    given = emcee.run(target, entrants.GIFT, allowance)
+    own = emcee.run(target, entrants.PRIOR, allowance)
     assert given is not None
     assert own is not None
     assert given.given > 0
@@ -752,10 +888,10 @@ def test_a_baseline_pays_for_its_way_from_the_prior() -> None:
 
 @pytest.mark.slow
 def test_exact_draws_are_timed_without_what_sets_them_up() -> None:
-    outcome = contestants.contestant(benchmark.load("single"), "exact", "", Allowance())
+    outcome = entrants.entrant("exact").run(benchmark.load("single"), "", Allowance())
     assert outcome is not None
     assert 0 < outcome.kept < 1
-    assert outcome.submission.given == contestants.DRAWS
+    assert outcome.submission.given == entrants.TIMED_DRAWS
 
 
 # --- the inference gym

@@ -10,7 +10,7 @@ from scipy import stats
 
 from poseterior.inference import benchmark
 from poseterior.inference.benchmark.root import GivenRoot
-from poseterior.inference.benchmark.target import LAWS
+from poseterior.inference.benchmark.target import FROZEN_LAWS
 from poseterior.probmodel import BadInput
 
 ODDS = 1e-4
@@ -30,7 +30,7 @@ def test_detections_have_the_law_of_the_errors(name: str) -> None:
         whole[target.seen] = seen_at
         squares.append(dataclasses.replace(target, seen_at=whole).squares(point))
     sizes = np.sqrt(np.ravel(squares))
-    reach, curvature = LAWS[target.law]
+    reach, curvature = FROZEN_LAWS[target.law]
     assert sizes.max() <= reach * (1 + 1e-9)
     grid = np.linspace(0, reach, 2001)
     mass = np.cumsum(grid * np.exp(-curvature * grid**2))

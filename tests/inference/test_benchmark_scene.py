@@ -290,7 +290,7 @@ def test_all_of_the_posterior_is_in_the_box(name: str) -> None:
 
 @pytest.mark.sweep
 def test_blocks_are_drawn_to_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(draws, "PILOT", 100)
+    monkeypatch.setattr(draws, "PILOT_ROOTS", 100)
     target = benchmark.load("scene")
     monkeypatch.setitem(draws.BLOCKS, (target.law, BoxedRoot), Blocks(20, 10, 1))
     steps: list[tuple[int, int]] = []
@@ -328,7 +328,7 @@ def test_evidence_and_moments_by_plain_monte_carlo(monkeypatch: pytest.MonkeyPat
     """The forms in NumPy alone, with no proposal but the prior of the box, against rejection in the
     engine, whose priors have no bounds; with every factor of the scale twice it is found out."""
     target = small_case()
-    monkeypatch.setattr(draws, "PILOT", 200)
+    monkeypatch.setattr(draws, "PILOT_ROOTS", 200)
     monkeypatch.setitem(draws.BLOCKS, (target.law, BoxedRoot), Blocks(1000, 10, 1))
     block = draw_block(target, 0)
     assert 300 < len(block.points) < 980, "some lie outside of the box"

@@ -11,11 +11,13 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
+from arviz_stats.base import array_stats
 from scipy import stats
 
+from poseterior.inference.draws import COMPLETE
 from poseterior.inference.exact.mixture import ExactRejection
 from poseterior.inference.machines import Machines
-from poseterior.inference.results import log_density
+from poseterior.inference.results import log_density, save_tree
 from poseterior.inference.studies.calibration import (
     assess,
     band,
@@ -37,7 +39,11 @@ from poseterior.inference.studies.calibration.levels import (
     rank_level,
     stand_in_levels,
 )
-from poseterior.inference.studies.calibration.posteriors import independent, sampler_of
+from poseterior.inference.studies.calibration.posteriors import (
+    FromFile,
+    independent,
+    sampler_of,
+)
 from poseterior.inference.studies.calibration.quantities import (
     HINGES,
     MISFIT,
@@ -49,7 +55,7 @@ from poseterior.inference.studies.calibration.quantities import (
 )
 from poseterior.inference.studies.calibration.simulations import HIDDEN, Instance
 from poseterior.inference.studies.calibration.toy import Toy, sizes
-from poseterior.inference.studies.calibration.uniformity import LEVELS, difference
+from poseterior.inference.studies.calibration.uniformity import ECDF_LEVELS, difference
 from poseterior.inference.studies.calibration.verdict import (
     CALIBRATED,
     CANNOT_TELL,
@@ -92,7 +98,7 @@ def test_the_band_and_the_test_say_the_same() -> None:
     low, high = band(200, 0.95)
     left = []
     for values in RNG(0).uniform(size=(600, 200)):
-        share = difference(values) + LEVELS
+        share = difference(values) + ECDF_LEVELS
         inside = (share >= low - 1e-12).all() and (share <= high + 1e-12).all()
         assert inside == (uniformity(values).p_value > 0.05)
         left.append(not inside)
@@ -112,6 +118,19 @@ def test_what_is_not_uniform_is_rejected(name: str, law: object) -> None:
     found = uniformity(law.rvs(1000, random_state=RNG(1)))  # type: ignore[attr-defined]
     assert found.p_value < 1e-4, (name, found)
     assert found.size == 1000
+
+
+@pytest.mark.parametrize("shape", [1.0, 1.3, 0.75])
+def test_arviz_decides_alike(shape: float) -> None:
+    """Another library's test of the same, on right, narrow and wide values (from its version 1.3.3
+    on: earlier ones scale by the range of the values, and take 0.9 times uniform ones for
+    uniform)."""
+    values = RNG(3).beta(shape, shape, size=(100, 300))
+    ours = np.array([uniformity(one).p_value for one in values])
+    theirs = np.array([float(array_stats.uniformity_test(one)[0]) for one in values])
+    assert np.mean((ours < 0.05) == (theirs < 0.05)) >= 0.85
+    assert stats.spearmanr(ours, theirs).statistic > 0.8
+    assert float(array_stats.uniformity_test(0.9 * RNG(4).uniform(size=300))[0]) < 1e-3
 
 
 def test_extreme_values_have_tiny_p_values() -> None:
@@ -518,6 +537,63 @@ def test_draws_of_a_file(model: PoseModel, tmp_path: Path) -> None:
         calibrate(model, str(tmp_path / "draws.npz"), num_simulations=7, root="candidates")
 
 
+@pytest.mark.parametrize("kind", ["weights", "log_weights"])
+@pytest.mark.parametrize("suffix", [".npz", ".nc"])
+def test_weights_of_a_file_count(model: PoseModel, tmp_path: Path, suffix: str, kind: str) -> None:
+    """Draws of zero weight are not there, whatever they are, and those of half the weight are half
+    as often taken; without their weights all are."""
+    rng = np.random.default_rng(0)
+    joints = rng.normal(size=(6, 400, 15, 3))
+    weights = np.tile(np.repeat([0.0, 1.0, 0.5], [100, 100, 200]), (6, 1))
+    joints[:, :100] = np.nan
+    weights[4] = 0.0
+    with np.errstate(divide="ignore"):
+        given = weights if kind == "weights" else np.log(weights) - 700
+    path = tmp_path / f"draws{suffix}"
+    if suffix == ".npz":
+        np.savez(path, joints=joints, **{kind: given})
+    else:
+        dims = ("chain", "draw")
+        named = {"joints": ((*dims, "joint", "axis"), joints), kind: (dims, given)}
+        save_tree(xr.DataTree.from_dict({"posterior": xr.Dataset(named)}), path)
+    draw = FromFile.read(path)
+    instance, key = simulate(model, 0, 0, 1)[0], jax.random.key(3)
+    whole, half = 0, 0
+    for index in (0, 1, 2, 3, 5):
+        answer = draw(index, instance, jax.random.fold_in(key, index))
+        assert answer.status == COMPLETE
+        taken = [np.flatnonzero((joints[index] == one).all(axis=(1, 2))) for one in answer.joints]
+        rows = np.concatenate(taken)
+        assert len(np.unique(rows)) == len(rows) == len(answer.joints)
+        whole, half = whole + int((rows < 200).sum()), half + int((rows >= 200).sum())
+    assert whole == 500
+    assert abs(half - 500) < 4 * np.sqrt(1000 / 4)  # binomial: 6 in 100,000
+    failed = draw(4, instance, key)
+    assert failed.status == FAILED
+    assert failed.sentence == f"all weights of simulation 4 in {path.name} are zero"
+    assert draw.sha256 != FromFile(path, draw.joints).sha256
+
+
+@pytest.mark.parametrize(
+    ("arrays", "match"),
+    [
+        ({"weights": np.ones((6, 19))}, r"weights of .* are 114 for 120 draws"),
+        ({"weights": -np.ones((6, 20))}, "120 of 120 weights of .* are negative"),
+        ({"log_weights": np.full((6, 20), np.nan)}, "hold a number that is not finite"),
+        ({"weights": np.ones((6, 20)), "log_weights": np.ones((6, 20))}, "has both weights and"),
+        ({"weights": np.zeros((6, 20))}, "all weights of .* are zero"),
+        ({"weight": np.ones((6, 20))}, r"has an array 'weight'; it may have joints, weights, log"),
+        ({"logwt": np.ones((6, 20))}, "has an array 'logwt'"),
+    ],
+)
+def test_weights_that_cannot_be_any_are_refused(
+    tmp_path: Path, arrays: dict[str, np.ndarray], match: str
+) -> None:
+    np.savez(tmp_path / "draws.npz", joints=np.zeros((6, 20, 15, 3)), **arrays)
+    with pytest.raises(BadInput, match=match):
+        FromFile.read(tmp_path / "draws.npz")
+
+
 @pytest.mark.parametrize(
     ("shape", "match"),
     [
@@ -613,7 +689,6 @@ def test_draws_of_another_file_of_that_name_are_another_run(
 
 @pytest.mark.slow
 def test_workers_calibrate_to_the_same_bits(model: PoseModel) -> None:
-    pytest.importorskip("distributed")
     settings = {"num_simulations": 55, "num_samples": 12, "root": "candidates"}
     here = calibrate(model, "rejection", **settings)  # type: ignore[arg-type]
     there = calibrate(model, "rejection", machines=Machines(2), **settings)  # type: ignore[arg-type]

@@ -13,16 +13,16 @@ from poseterior.inference.hypothesis import diverse
 from poseterior.inference.studies.calibration import assess, simulate
 from poseterior.inference.studies.calibration.assess import Answer, failure
 from poseterior.inference.studies.calibration.choices import (
+    CHOICES,
     CHOOSE,
-    GRID,
-    WAYS,
+    POSE_GRID,
     best_error,
     by_distance,
     modes_represented,
 )
 from poseterior.inference.studies.calibration.coverage import summary
 from poseterior.inference.studies.calibration.ece import (
-    LEVELS,
+    ECE_LEVELS,
     calibration_error,
     coverage,
     ece,
@@ -266,7 +266,7 @@ def test_shares_and_ece_by_hand() -> None:
     even = np.tile((np.arange(2000)[:, None] + 0.5) / 2000, (1, 3))
     assert calibration_error(even) < 1e-3
     assert calibration_error(np.zeros((50, 3))) == pytest.approx(
-        np.sum(1 - LEVELS[1:]) / 21, abs=1e-12
+        np.sum(1 - ECE_LEVELS[1:]) / 21, abs=1e-12
     )
 
 
@@ -373,7 +373,7 @@ def test_the_interval_of_the_ece_holds_the_truth(power: float) -> None:
     """Levels uniform to a power, so that the truth is known, 20 times: 95 % intervals hold it at
     least 14 times (false alarm 5e-5 for each power). Percentiles, the negative control, never hold
     an ECE of zero: that of a sample is larger than that of the law."""
-    truth = float(np.mean(np.abs(LEVELS ** (1 / power) - LEVELS)))
+    truth = float(np.mean(np.abs(ECE_LEVELS ** (1 / power) - ECE_LEVELS)))
     held = by_percentiles = 0
     for seed in range(20):
         levels, cluster = RNG(seed).uniform(size=(40, 1)) ** power, np.arange(40)
@@ -486,7 +486,7 @@ def cloud(number: int = 60) -> np.ndarray:
     return RNG(5).normal(size=(number, 15, 3))
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", CHOICES)
 def test_ways_choose_among_the_poses(way: str) -> None:
     poses = cloud()
     for k in (1, 5, 20):
@@ -495,7 +495,7 @@ def test_ways_choose_among_the_poses(way: str) -> None:
         rows = [int(np.argmin(np.abs(poses - one).sum(axis=(1, 2)))) for one in chosen]
         assert len(set(rows)) == k
         np.testing.assert_array_equal(poses[rows], chosen)
-    assert GRID in WAYS
+    assert POSE_GRID in CHOICES
 
 
 def test_the_farthest_points_are_far() -> None:

@@ -46,7 +46,12 @@ from poseterior.inference.studies.comparison.pace import autocorrelation_times, 
 from poseterior.inference.studies.comparison.permutation import classifier_test, permutation_tests
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate, scores
 from poseterior.inference.studies.comparison.record import Entry
-from poseterior.inference.studies.comparison.sample import NAMES, Sample, read_sample, sample_of
+from poseterior.inference.studies.comparison.sample import (
+    NAMES,
+    Sample,
+    read_sample,
+    sample_of,
+)
 from poseterior.inference.studies.flips import codes
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.root_priors import CANDIDATES
@@ -505,9 +510,13 @@ def test_evidence_is_judged_by_its_stated_error():
     one, other = exact_pair(DRAWS, 15_000, 5)
     good = judge(one, other, evidence=(-4.2, 0.1), exact_evidence=(-4.1, 0.01), permutations=FEW)
     bad = judge(one, other, evidence=(-4.2, 0.01), exact_evidence=(-4.1, 0.01), permutations=FEW)
-    assert good.verdict == AGREES
-    assert bad.verdict == DIFFERS
-    assert "evidence" in bad.sentence
+    assert good.verdict == bad.verdict == AGREES  # of draws
+    assert good.evidence is not None
+    assert bad.evidence is not None
+    assert bad.evidence.p_value < 0.01 < good.evidence.p_value
+    for known in ((math.nan, 0.1), (-4.2, math.nan)):
+        unknown = judge(one, other, evidence=known, exact_evidence=(-4.1, 0.01), permutations=FEW)
+        assert unknown.evidence is None
 
 
 def test_distances_against_closed_forms():

@@ -22,7 +22,7 @@ from poseterior.probmodel.errors.keypoints import DetectedKeypoint
 from poseterior.probmodel.errors.laws import LAWS, Gaussian, Student, law_of
 from poseterior.probmodel.skeleton import GROUPS
 from poseterior.reports.options import LearnedLaw
-from tests.brute_force import brute_force
+from tests.oracle import brute_force
 from tests.scenes import key, prior_scene
 
 FAMILY = 1e-3
@@ -86,7 +86,7 @@ def test_a_students_law_is_scipys_and_ends_where_a_gaussian_does():
     assert Student(1e7).precision == pytest.approx(Gaussian.precision, rel=1e-5)
 
 
-@pytest.mark.parametrize("law", [law() for law in LAWS.values()])
+@pytest.mark.parametrize("law", [law() for law in LAWS.values()], ids=list(LAWS))
 def test_no_law_lies_above_the_envelopes_by_which_samplers_propose(law):
     """Nor below them where it says that it is one; a narrower envelope must be noticed."""
     square = np.linspace(0, law.reach, 500) ** 2
@@ -98,7 +98,7 @@ def test_no_law_lies_above_the_envelopes_by_which_samplers_propose(law):
     assert np.max(law.log_over(square, 1.1 * law.precision + 0.1)) > 1e-3
 
 
-@pytest.mark.parametrize("law", [law() for law in LAWS.values()])
+@pytest.mark.parametrize("law", [law() for law in LAWS.values()], ids=list(LAWS))
 def test_a_law_is_read_as_it_was_written(law):
     again = law_of(law.name, law.parameters)
     assert again == law

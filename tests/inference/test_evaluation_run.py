@@ -21,7 +21,7 @@ from poseterior.inference.machines import Machines
 from poseterior.inference.studies.evaluation.conditions import Condition
 from poseterior.inference.studies.evaluation.outcome import Protocol
 from poseterior.inference.studies.evaluation.run import (
-    BLOCK,
+    FRAMES_PER_BLOCK,
     STORE,
     Results,
     evaluate,
@@ -77,7 +77,7 @@ class Here(Machines):
         return super().each(task, work)
 
 
-DATA = made(BLOCK + 5)
+DATA = made(FRAMES_PER_BLOCK + 5)
 
 
 def run_here(
@@ -110,7 +110,7 @@ def test_an_evaluation_is_opened_by_xarray(whole):
     assert tree[ONE.name]["hypotheses_5"].dims == ("frame", "hypothesis_5", "joint")
     assert tree.attrs["num_samples"] == 25
     with xr.open_datatree(out / STORE / ONE.name / "block-000000.nc") as block:
-        assert block["frames"].sizes["frame"] == BLOCK
+        assert block["frames"].sizes["frame"] == FRAMES_PER_BLOCK
 
 
 def zeroed(path: Path) -> None:
@@ -144,7 +144,10 @@ def test_progress_counts_what_was_there(whole, tmp_path):
     (tmp_path / STORE / ONE.name / "block-000001.nc").unlink()
     done: list[tuple[int, int]] = []
     run_here(tmp_path, progress=lambda *counts: done.append(counts))
-    assert done == [(BLOCK, BLOCK + 5), (BLOCK + 5, BLOCK + 5)]
+    assert done == [
+        (FRAMES_PER_BLOCK, FRAMES_PER_BLOCK + 5),
+        (FRAMES_PER_BLOCK + 5, FRAMES_PER_BLOCK + 5),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -305,7 +308,7 @@ def test_bad_input_is_a_sentence_and_nothing_is_overwritten(
     case, data, undisturbed, monkeypatch, capsys
 ):
     words, *more = REFUSED[case]
-    monkeypatch.setattr("poseterior.inference.machines.PATIENCE", "1s")
+    monkeypatch.setattr("poseterior.inference.machines.SCHEDULER_PATIENCE", "1s")
     before = contents(undisturbed)
     code, out, sentence = said(monkeypatch, capsys, *arguments(data, undisturbed, *more))
     assert (code, out) == (2, "")

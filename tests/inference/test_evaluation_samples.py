@@ -19,8 +19,8 @@ from poseterior.inference.studies.evaluation.conditions import Condition, alike,
 from poseterior.inference.studies.evaluation.outcome import Protocol, judge_block
 from poseterior.inference.studies.evaluation.samples import (
     BESTS,
-    JUDGED,
-    SHAPES,
+    JUDGED_JOINTS,
+    SAMPLE_SHAPES,
     first_bests,
     of_predictions,
     of_samples,
@@ -63,7 +63,7 @@ def scored(samples: np.ndarray, recordings: int = 50) -> SampleScores:
         )
         for number, (joints, truth) in enumerate(zip(samples, truths, strict=True))
     ]
-    values = {name: np.array([row[name] for row in rows]) for name in SHAPES}
+    values = {name: np.array([row[name] for row in rows]) for name in SAMPLE_SHAPES}
     return sample_scores(values, np.arange(len(rows)) % recordings)
 
 
@@ -108,8 +108,8 @@ def published_ece(truths: np.ndarray, samples: np.ndarray) -> float:
     """As the authors compute it: quantiles of the samples' distances from their coordinate-wise
     median at 21 levels, how often each lies beyond the truth's distance, median over joints."""
     levels = np.arange(0, 1.05, 0.05)
-    held = np.zeros((len(levels), len(JUDGED)))
-    for truth, joints in zip(truths[:, JUDGED], samples[:, :, JUDGED], strict=True):
+    held = np.zeros((len(levels), len(JUDGED_JOINTS)))
+    for truth, joints in zip(truths[:, JUDGED_JOINTS], samples[:, :, JUDGED_JOINTS], strict=True):
         middle = np.median(joints, axis=0)
         quantiles = np.quantile(np.linalg.norm(joints - middle, axis=-1), levels, axis=0)
         held += quantiles > np.linalg.norm(truth - middle, axis=-1)
@@ -191,9 +191,9 @@ def test_what_is_given_is_not_asked() -> None:
     rng = np.random.default_rng(0)
     off = (joints - truth)[..., :2]
     found = of_samples(joints, off, truth, np.ones(15, bool), rng, given=TORSO_INDEX)
-    told = [joint in TORSO_INDEX for joint in JUDGED]
+    told = [joint in TORSO_INDEX for joint in JUDGED_JOINTS]
     for name in ("level", "standing", "beyond", "width"):
-        unknown = np.isnan(found[name]).reshape(len(JUDGED), -1)
+        unknown = np.isnan(found[name]).reshape(len(JUDGED_JOINTS), -1)
         assert unknown.all(axis=1).tolist() == unknown.any(axis=1).tolist() == told
 
 
@@ -322,12 +322,12 @@ def test_an_uncertain_root_is_judged_by_the_same_scores(lens: Lens | None) -> No
     assert found["across"][1] == pytest.approx(pixels / case.scale)
     wrist = joints[:, LIMB_JOINTS[0]] * case.unit
     low, high = np.quantile(wrist, [0.025, 0.975], axis=0)
-    assert found["width"][1, JUDGED.index(LIMB_JOINTS[0])] == pytest.approx(high - low)
+    assert found["width"][1, JUDGED_JOINTS.index(LIMB_JOINTS[0])] == pytest.approx(high - low)
 
 
 def test_under_the_true_root_the_torso_is_the_truths() -> None:
     found = judged("true")
-    told = [JUDGED.index(joint) for joint in TORSO_INDEX if joint in JUDGED]
+    told = [JUDGED_JOINTS.index(joint) for joint in TORSO_INDEX if joint in JUDGED_JOINTS]
     assert np.isnan(found["standing"][:, told]).all()
     assert np.isfinite(np.delete(found["standing"], told, axis=1)).all()
     assert np.isnan(found["effective_roots"]).all()

@@ -1,12 +1,19 @@
 """Worker processes: who listens where, what they are told, and what if there are none."""
 
+import json
 import os
+import signal
 import socket
+import subprocess
+import sys
+import time
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from poseterior.inference import machines
 from poseterior.inference.machines import HERE, Machines, calm_blas, in_threads
 from poseterior.probmodel import BadInput
 
@@ -71,52 +78,17 @@ def listening(pid: int) -> set[tuple[str, int]]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="sockets are found through /proc")
-def test_workers_are_listened_to_by_this_machine_alone_and_only_with_certificates():
-    """Dask's pages ask nobody who they are: none is to be reached from elsewhere; and who shares
-    the machine reaches every port, but is not let in."""
-    pytest.importorskip("distributed")
-    found, doors = [], set()
+def test_workers_of_this_machine_listen_nowhere() -> None:
+    """Nobody else can reach them; negative control: a socket that listens is found. 64-bit floats
+    are set before anything is made."""
+    found, before = [], listening(os.getpid())
     for label, (payload, process, kind) in Machines(2).each(what_it_is, WORK):
         found.append((label, payload, kind))
         assert process != os.getpid()
-        if not doors:
-            doors = listening(os.getpid())
-            said = [greeting(port) for _, port in doors if not is_locked(port)]
-            assert len(doors) - len(said) >= 5  # a scheduler, two workers and their nannies
-            assert {*said} <= {b"HTTP/"}  # pages of workers, which do nothing for anybody
+        assert listening(os.getpid()) == before
     assert sorted(found) == [(number, 10 * number, "float64") for number in range(4)]
-    assert {address for address, _ in doors} == {"0100007F"}
-
-
-def greeting(port: int) -> bytes:
-    """What somebody without a certificate is told at a port: dask's own words, a page, or (of who
-    speaks TLS alone) nothing or an alert."""
-    with socket.create_connection(("127.0.0.1", port), timeout=60) as line:
-        try:
-            line.sendall(b"GET / HTTP/1.0\r\n\r\n")
-            return line.recv(5)
-        except ConnectionError:
-            return b""
-
-
-def is_locked(port: int) -> bool:
-    return greeting(port)[:1] in (b"", b"\x15")
-
-
-def test_a_door_without_a_lock_is_found_out():
-    """The same question put to dask without certificates."""
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=0,
-        processes=False,
-        host="127.0.0.1",
-        protocol="tcp://",
-        dashboard_address="127.0.0.1:0",
-        scheduler_kwargs={"dashboard": False},
-    ) as cluster:
-        port = int(cluster.scheduler_address.rsplit(":", 1)[1])
-        assert not is_locked(port)
-        assert greeting(port) != b"HTTP/"
+    with socket.create_server(("127.0.0.1", 0)):
+        assert len(listening(os.getpid())) == len(before) + 1
 
 
 def fails(payload: int) -> int:
@@ -124,23 +96,157 @@ def fails(payload: int) -> int:
 
 
 @pytest.mark.slow
-def test_what_workers_refuse_is_refused_here():
-    pytest.importorskip("distributed")
+def test_what_workers_refuse_is_refused_here() -> None:
     with pytest.raises(BadInput, match="0 is no good; choose another"):
         list(Machines(2).each(fails, WORK))
 
 
+def dies(payload: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return payload
+
+
+class Once(NamedTuple):
+    """Kills the worker of each block the first time, and does it the second."""
+
+    folder: Path
+
+    def __call__(self, payload: int) -> int:
+        seen = self.folder / str(payload)
+        if not seen.exists():
+            seen.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return payload + 1
+
+
+def killed_at_their_start(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    """So many workers die before they have begun."""
+    left, start = [number], machines._Worker.start
+
+    def killed(task: bytes) -> machines._Worker:
+        worker = start(task)
+        if left[0]:
+            left[0] -= 1
+            worker.process.kill()
+        return worker
+
+    monkeypatch.setattr(machines._Worker, "start", killed)
+
+
 @pytest.mark.slow
-def test_a_block_that_kills_its_workers_is_named(monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr("poseterior.inference.machines.DEATHS", 0)
-    with pytest.raises(BadInput, match="workers died over block 0"):
-        list(Machines(1).each(lambda payload: os._exit(1), WORK[:1], apart=True))
+def test_a_block_that_kills_its_workers_is_named(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr(machines, "DEATHS", 1)
+    with pytest.raises(BadInput, match="more than 1 workers died over block 0; give them more"):
+        list(Machines(1).each(dies, WORK[:1], apart=True))
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.slow
+def test_blocks_of_killed_workers_go_to_others(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
+    """Killed at their start, or within a block: all is done, once, and nothing is said."""
+    killed_at_their_start(monkeypatch, 2)
+    found = sorted(Machines(2).each(Once(tmp_path), WORK[:3]))
+    assert found == [(number, 10 * number + 1) for number in range(3)]
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.slow
+def test_workers_that_all_die_at_their_start_are_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr(machines, "DEATHS", 2)
+    killed_at_their_start(monkeypatch, 100)
+    with pytest.raises(BadInput, match="more than 2 workers died over block"):
+        list(Machines(2).each(what_it_is, WORK))
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.slow
+def test_workers_end_with_whoever_started_them(tmp_path: Path) -> None:
+    """Also where that one is killed, and where nobody asks for the rest."""
+    some = Machines(2).each(what_it_is, WORK)
+    pids = [next(some)[1][1]]
+    some.close()
+    script = tmp_path / "start.py"
+    script.write_text(STARTS)
+    starter = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
+    assert starter.stdout is not None
+    pids.append(int(starter.stdout.readline()))
+    starter.kill()
+    starter.wait()
+    starter.stdout.close()
+    ends = time.monotonic() + 60
+    while any(map(alive, pids)) and time.monotonic() < ends:
+        time.sleep(0.1)
+    assert not any(map(alive, pids))
+    assert alive(os.getpid())
+
+
+STARTS = """
+import time
+
+from poseterior.inference.machines import Machines
+from tests.inference.test_machines import WORK, what_it_is
+
+if __name__ == "__main__":
+    some = Machines(2).each(what_it_is, WORK)
+    print(next(some)[1][1], flush=True)
+    time.sleep(600)
+"""
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_dies_is_one_sentence(
+    tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    file = tmp_path / "scheduler.json"
+    start = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard"]
+    options = ["--scheduler-file", str(file), "--host", "127.0.0.1", "--port", "0"]
+    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    scheduler = subprocess.Popen([*start, *options], **quiet)
+    worker = None
+    try:
+        while not file.exists():
+            assert scheduler.poll() is None
+            time.sleep(0.1)
+        address = json.loads(file.read_text())["address"]
+        ours = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-nanny"]
+        worker = subprocess.Popen([*ours, "--no-dashboard"], **quiet)
+        with distributed.Client(address) as client:
+            client.wait_for_workers(1)
+        work = iter(Machines(scheduler=address).each(sleeps, WORK))
+        next(work)
+        scheduler.kill()
+        with pytest.raises(BadInput, match=f"the scheduler at {address} is gone"):
+            list(work)
+    finally:
+        for process in (scheduler, worker):
+            if process is not None:
+                process.kill()
+                process.wait()
+    assert capfd.readouterr().err == ""
+
+
+def sleeps(payload: int) -> int:
+    time.sleep(0.3)
+    return payload
 
 
 def test_nobody_is_asked_where_there_is_nothing_to_do(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("poseterior.inference.machines.PATIENCE", "1s")
+    monkeypatch.setattr("poseterior.inference.machines.SCHEDULER_PATIENCE", "1s")
     nobody = Machines(scheduler="tcp://127.0.0.1:9")
     assert list(nobody.each(what_it_is, [])) == []
     with pytest.raises(BadInput, match=r"no scheduler answers at 'tcp://127.0.0.1:9'"):
@@ -149,7 +255,14 @@ def test_nobody_is_asked_where_there_is_nothing_to_do(monkeypatch):
         list(Machines(0).each(what_it_is, WORK))
 
 
-def test_without_dask_it_is_said_what_to_install(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(BadInput, match=r"pip install '\.\[evaluate\]' in a clone"):
-        list(Machines(2).each(what_it_is, WORK))
+def test_without_dask_one_machine_does_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By this process, and by one of its own; a scheduler is what needs dask."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert [label for label, _ in HERE.each(what_it_is, WORK)] == [0, 1, 2, 3]
+    ((label, (payload, process, _)),) = HERE.each(what_it_is, WORK[1:2], apart=True)
+    assert (label, payload) == (1, 10)
+    assert process != os.getpid()
+    with pytest.raises(
+        BadInput, match=r"a scheduler needs distributed; .*pip install '\.\[evaluate\]'"
+    ):
+        list(Machines(scheduler="tcp://127.0.0.1:9").each(what_it_is, WORK))

@@ -123,6 +123,21 @@ def test_arviz_leaves_detections_out(
     assert np.isfinite(az.loo(xr.DataTree.from_dict(groups)).elpd)
 
 
+@pytest.mark.parametrize("function", ["loo", "loo_expectations", "loo_pit"])
+def test_arviz_leaves_nothing_out_under_a_flat_law(
+    function: str, chains: Result, example_result: Result
+) -> None:
+    """All draws would weigh the same: an estimate with an error of 0. There is no likelihood to
+    leave anything out of, and it is said why; under a law that is not flat there is."""
+    for result in (chains, example_result):
+        with pytest.raises((TypeError, ValueError, KeyError, AttributeError)):
+            getattr(az, function)(result.tree)
+        assert "log_likelihood" not in result.tree.children
+        assert (
+            "flat within its reach" in result.tree["posterior_predictive"].attrs["log_likelihood"]
+        )
+
+
 def test_chains_are_independent_runs_with_keys_of_their_own(
     chains: Result, example_estimate: Estimate
 ) -> None:

@@ -24,7 +24,7 @@ from poseterior.probmodel import Anatomy, PoseModel
 from poseterior.probmodel.anatomy.limits import NUM_ELEVATION, cell_of
 from poseterior.probmodel.kinematics import lower_axes
 from poseterior.probmodel.skeleton import GROUPS, JOINTS, LENGTH_GROUPS, TORSO_INDEX
-from tests.brute_force import brute_force
+from tests.oracle import brute_force
 from tests.scenes import ALL_BUT_AN_ARM, key, moved, prior_scene
 from tests.sweeps import sweep
 from tests.witnesses.limbs import Draws, build_groups

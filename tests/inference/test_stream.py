@@ -10,7 +10,6 @@ import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
-from poseterior.inference.drawers import drawer
 
 from poseterior import inference
 from poseterior.inference import (
@@ -25,7 +24,7 @@ from poseterior.inference import (
 from poseterior.probmodel import Anatomy, BadInput, Lens, Likelihood, PoseModel
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from poseterior.probmodel.root_priors import CANDIDATES
-from tests.scenes import key, prior_scene
+from tests.scenes import drawer, key, prior_scene
 
 SETTINGS = {"num_samples": 40, "k": 3, "keep": 40, "root": "candidates"}
 
@@ -387,11 +386,41 @@ def test_a_stream_grows(model, items, written, tmp_path):
 
 @pytest.mark.slow
 def test_workers_draw_the_same_bits(model, items, written, tmp_path):
-    pytest.importorskip("distributed")
     sample_frames(
         model, items, key=key(0), out=tmp_path, machines=inference.Machines(2), **SETTINGS
     )
     assert content(tmp_path) == content(written)
+
+
+LENS = Lens(1000.0001, np.array([320.0, 240.0]))
+OTHERWISE = {
+    "focal": {"lens": Lens(np.nextafter(LENS.focal, 2000), LENS.principal)},
+    "principal": {"lens": Lens(LENS.focal, np.nextafter(LENS.principal, [999, 0]))},
+    "upright": {"upright": np.nextafter(20.0, 21)},
+    "likelihood": {"factor": np.nextafter(0.25, 1)},
+}
+
+
+@pytest.mark.parametrize("name", OTHERWISE)
+def test_settings_are_compared_to_the_last_bit(name, tmp_path):
+    """A run is gone on with by the same numbers alone; the same ones are."""
+
+    def go(lens=LENS, upright=20.0, factor=0.25):
+        estimating = Estimating("dictionary", likelihood=Likelihood(factor=factor))
+        sample_frames(
+            PoseModel.paper(lens=lens, upright=upright),
+            [Item("a", "nobody")],
+            key=key(0),
+            out=tmp_path,
+            estimating=estimating,
+            root="uncertain",
+            **SETTINGS,
+        )
+
+    go()
+    go()
+    with pytest.raises(BadInput, match=rf"holds another run \(its {name} is"):
+        go(**OTHERWISE[name])
 
 
 def test_two_processes_do_not_write_to_one_folder(model, items, tmp_path):

@@ -1,6 +1,6 @@
 """A detector's faults, outliers and exchanged sides, in the posterior with an uncertain root:
-against brute force in NumPy, which sums over no patterns but integrates mixtures, and shares no
-code with it; by simulation; and on detections that were spoilt.
+by simulation, and on detections that were spoilt; against brute force it is held by
+`tests/inference/test_oracle.py`.
 
 False alarms: evidence and every moment are held to 4 standard errors, 6e-5 each; seeds are fixed.
 """
@@ -14,7 +14,6 @@ import jax
 import numpy as np
 import pytest
 from numpyro.infer.util import log_density
-from scipy.spatial.transform import Rotation
 
 from poseterior import inference
 from poseterior.inference.importance.weighted import WeightedRoots, log_mean, weigh_roots
@@ -31,7 +30,6 @@ from poseterior.probmodel.errors.faults import (
 )
 from poseterior.probmodel.errors.laws import Gaussian, Student
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
-from tests.brute_force import propose_group
 from tests.scenes import key, prior_scene
 
 FACTOR = 0.5
@@ -39,7 +37,6 @@ TORSO = ("right_hip", "right_shoulder", "left_shoulder", "left_hip")
 ARM = ("right_elbow", "right_wrist")
 OUTLIER = {"right_shoulder": 0.1, "left_hip": 0.2, "right_elbow": 0.3, "right_wrist": 0.2}
 ARMS_EXCHANGED = 0.25
-ARMS_EACH = 60
 
 
 def faults() -> FaultPrior:
@@ -60,92 +57,6 @@ def small_case() -> tuple[PoseModel, Estimate]:
     return model, dataclasses.replace(
         scene, detection=detection, likelihood=Likelihood(factor=FACTOR, faults=faults())
     )
-
-
-def density(gap: np.ndarray, radius: float) -> np.ndarray:
-    """`(n,)`: uniform in a disc, per square body unit, at errors `(n, 2)`."""
-    return (np.sum(gap**2, axis=-1) <= radius**2) / (math.pi * radius**2)
-
-
-def mixture(gap: np.ndarray, outlier: float) -> np.ndarray:
-    """The same with outliers, whose disc is large."""
-    return (1 - outlier) * density(gap, FACTOR) + outlier * density(gap, OUTLIER_REACH)
-
-
-def torso_mixture(gaps: dict[str, np.ndarray]) -> np.ndarray:
-    """`(n,)`: the torso's density, one outlier at most."""
-    near = {name: density(gap, FACTOR) for name, gap in gaps.items()}
-    total = np.prod(list(near.values()), axis=0)
-    odds = {name: OUTLIER.get(name, 0.0) / (1 - OUTLIER.get(name, 0.0)) for name in gaps}
-    for name, gap in gaps.items():
-        others = np.prod([near[other] for other in near if other != name], axis=0)
-        total = total + odds[name] * density(gap, OUTLIER_REACH) * others
-    return total / (1 + sum(odds.values()))
-
-
-@functools.cache
-def brute_force(attempts: int = 1_500_000, seed: int = 5) -> dict:
-    """Log evidence with its standard error; posterior probabilities that the wrist is an outlier,
-    that the left hip is, and that the arms are exchanged, and the mean log scale, with theirs."""
-    model, frame = small_case()
-    rng, at = np.random.default_rng(seed), frame.detection.keypoints
-    torsos = np.asarray(model.torsos)
-    row = {name: TORSO_INDEX.index(JOINT_INDEX[name]) for name in TORSO}
-    low, high = math.log(15.0), math.log(800.0)
-    pools = [
-        propose_group(model.limits, model.lengths, torso, "arms", 20_000, rng)[1]
-        for torso in torsos
-    ]
-    weights, values = [], []
-    number = 500_000
-    for _ in range(attempts // number):
-        torso = rng.integers(len(torsos), size=number)
-        rotation = Rotation.random(number, rng=rng).as_matrix()
-        scale = np.exp(rng.uniform(low, high, number))
-        hip = np.einsum("nij,nj->ni", rotation[:, :2], torsos[torso, row["right_hip"]])
-        error = rng.uniform(-FACTOR, FACTOR, (number, 2))
-        shift = at[JOINT_INDEX["right_hip"]] / scale[:, None] - hip + error
-        gaps = {}
-        for name in TORSO:
-            image = np.einsum("nij,nj->ni", rotation[:, :2], torsos[torso, row[name]]) + shift
-            gaps[name] = image - at[JOINT_INDEX[name]] / scale[:, None]
-        fit = torso_mixture(gaps)
-        near = np.prod([density(gaps[name], FACTOR) for name in TORSO if name != "left_hip"], 0)
-        odds = OUTLIER["left_hip"] / (1 - OUTLIER["left_hip"])
-        odd = sum(OUTLIER.get(name, 0) / (1 - OUTLIER.get(name, 0)) for name in TORSO)
-        hip_out = odds * density(gaps["left_hip"], OUTLIER_REACH) * near / (1 + odd)
-        weight = (high - low) * (2 * FACTOR * scale) ** 2 * scale ** (-2.0 * 6)
-        for n in np.flatnonzero(fit):
-            pool, pick = pools[torso[n]], rng.integers(20_000, size=ARMS_EACH)
-            sides = {}
-            for side in ("right", "left"):
-                near_wrist = 1.0
-                ends = {}
-                for part in ("elbow", "wrist"):
-                    point = pool[JOINT_INDEX[f"{side}_{part}"]][pick] @ rotation[n].T
-                    ends[part] = (
-                        point[:, :2] + shift[n] - at[JOINT_INDEX[f"right_{part}"]] / scale[n]
-                    )
-                elbow = mixture(ends["elbow"], OUTLIER["right_elbow"])
-                wrist = mixture(ends["wrist"], OUTLIER["right_wrist"])
-                near_wrist = (1 - OUTLIER["right_wrist"]) * density(ends["wrist"], FACTOR)
-                sides[side] = (elbow * wrist).mean(), (elbow * (wrist - near_wrist)).mean()
-            right, left = sides["right"], sides["left"]
-            arm = (1 - ARMS_EXCHANGED) * right[0] + ARMS_EXCHANGED * left[0]
-            arm_out = (1 - ARMS_EXCHANGED) * right[1] + ARMS_EXCHANGED * left[1]
-            weights.append(weight[n] * fit[n] * arm)
-            values.append(
-                [
-                    arm_out / arm if arm else 0.0,
-                    hip_out[n] / fit[n],
-                    ARMS_EXCHANGED * left[0] / arm if arm else 0.0,
-                    math.log(scale[n]),
-                ]
-            )
-    weight, total = np.array(weights), attempts // number * number
-    mean = weight.sum() / total
-    error = math.sqrt((np.sum(weight**2) / total - mean**2) / total)
-    return {"log": math.log(mean), "se": error / mean, **moments(weight, np.array(values))}
 
 
 def moments(weight: np.ndarray, values: np.ndarray) -> dict:
@@ -182,25 +93,17 @@ def off(one: dict, other: dict) -> float:
 
 
 @pytest.mark.slow
-def test_patterns_against_brute_force():
-    brute, roots = brute_force(), weighed()
-    error = math.hypot(brute["se"], roots.log_evidence_se)
-    assert error < 0.15
-    assert abs(roots.log_evidence - brute["log"]) < 4 * error
-    fast = fast_moments(roots, roots.log_weight)
-    assert 0.02 < brute["mean"][0] < 0.98  # there is something to be told
-    assert off(fast, brute) < 4
-
-
-@pytest.mark.slow
 def test_patterns_weighed_by_their_prior_alone_are_found_out():
-    """Negative control: the proposal's probabilities left out of the weights."""
-    brute, roots = brute_force(), weighed()
+    """Negative control beside the oracle's table, which holds the right weights: the proposal's
+    probabilities left out of them."""
+    roots = weighed()
     posterior, pattern = roots.posterior, roots.proposed.faults
     prior = np.array([_log_prior(posterior, pattern.take(row)) for row in range(len(roots.limbs))])
     wrong = roots.log_weight - prior
-    assert off(fast_moments(roots, wrong), brute) > 5
-    assert abs(log_mean(wrong) - brute["log"]) > 12 * math.hypot(brute["se"], roots.log_evidence_se)
+    right = fast_moments(roots, roots.log_weight)
+    assert 0.02 < right["mean"][0] < 0.98  # there is something to be told
+    assert off(fast_moments(roots, wrong), right) > 5
+    assert abs(log_mean(wrong) - roots.log_evidence) > 12 * roots.log_evidence_se
 
 
 def _log_prior(posterior, pattern: Faults) -> float:

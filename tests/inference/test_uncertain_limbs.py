@@ -123,9 +123,11 @@ def test_weighted_proposals_have_the_evidence_and_draws_of_exact_ones():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", [*(law() for law in LAWS.values()), CutGaussian()])
-def test_under_laws_that_are_not_flat(law):
-    """The Gaussian by discs of random radii, another law by its density at what was found."""
+@pytest.mark.parametrize(
+    "law", [*(law() for law in LAWS.values()), CutGaussian()], ids=lambda law: law.name
+)
+def test_under_every_law(law):
+    """A Gaussian by discs of random radii, others by their density at what was found."""
     worst, relative = off(*scene(), law)
     assert (worst < 4.5).all()
     assert np.median(relative) < 0.1

@@ -1,5 +1,5 @@
-"""A known focal length against brute force in NumPy with a pinhole camera, which shares no code
-with the product: evidence and moments of a small case, torso and one arm; controls that must fail.
+"""A known focal length: densities of a pinhole camera, written out, simulations, and controls that
+must fail against the oracle's posterior (`tests/inference/test_oracle.py` holds the right ones).
 
 False alarms: evidence and every moment are held to 4 standard errors, 6e-5 each; seeds are fixed.
 """
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from poseterior import inference
 from poseterior.inference.importance import limbs, weighted
-from poseterior.inference.importance.torsos import log_nearness, torso_problem
+from poseterior.inference.importance.torsos import log_nearness
 from poseterior.inference.importance.weighted import WeightedRoots, weigh_roots
 from poseterior.probmodel import (
     BadInput,
@@ -30,21 +30,16 @@ from poseterior.probmodel import (
 )
 from poseterior.probmodel.camera import Lens, Perspective, WeakPerspective
 from poseterior.probmodel.errors.detector import Exchange
-from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.pose import Pose
-from poseterior.probmodel.root_priors import CANDIDATES, NEAREST
+from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
-from tests.brute_force import propose_group
+from tests import oracle
 from tests.inference import test_uncertain_root as sound
 from tests.scenes import drawer, key, placed
 
 FOCAL, PRINCIPAL = 650.0, np.array([250.0, 420.0])
 """Pixels: some seven body units away, well beside the axis."""
-BATCH = 250_000
-LOWEST, WIDEST = 40.0, 1.6
-"""What brute force proposes: scales from there on, and a pelvis within so many body units of the
-hip's detection, either way."""
 BIAS = np.array([0.2, -0.15])
 
 
@@ -74,8 +69,8 @@ class Errors:
         place, radius = points + pelvis, self.radius[joint]
         unit = FOCAL / place[:, 2]
         gap = (PRINCIPAL + unit[:, None] * place[:, :2] - at) / unit[:, None] + self.bias[joint]
-        ratio = sound.likelihood_ratio(self.law, gap, radius)
-        return sound.PEAKS[self.law] * ratio / (radius * unit) ** 2
+        square = np.sum(gap**2, axis=1) / radius**2
+        return oracle.DENSITIES[self.law](square) / (radius * unit) ** 2
 
     @property
     def likelihood(self) -> Likelihood:
@@ -89,49 +84,6 @@ class Errors:
         sigma = np.full(NUM_JOINTS, sound.FACTOR / 2)
         certain = DetectorErrors(Gaussian(), sigma, np.ones(NUM_JOINTS), bias, exchange=Exchange())
         return Likelihood.of(certain)
-
-
-@functools.cache
-def brute_force(name: str, attempts: int = 8_000_000) -> dict:
-    """Evidence and moments by importance sampling from a plain proposal: rotation uniform, log
-    scale uniform on a wide interval, the pelvis' image uniform in a square around the right hip's.
-    """
-    (model, frame), errors, rng = small_case(), Errors(name), np.random.default_rng(5)
-    names, torsos = sound.SEEN, np.asarray(model.torsos)
-    at = {joint: frame.detection.keypoints[JOINT_INDEX[joint]] for joint in names}
-    row = {joint: TORSO_INDEX.index(JOINT_INDEX[joint]) for joint in names[:4]}
-    low, high = math.log(LOWEST), math.log(FOCAL / NEAREST)
-    pools = [
-        propose_group(model.limits, model.lengths, torso, "arms", 20_000, rng)[1]
-        for torso in torsos
-    ]
-    weights, values = [], []
-    for _ in range(attempts // BATCH):
-        torso = rng.integers(len(torsos), size=BATCH)
-        rotation = Rotation.random(BATCH, rng=rng).as_matrix()
-        scale = np.exp(rng.uniform(low, high, BATCH))
-        half, away = WIDEST * scale[:, None], FOCAL / scale
-        moved = at["right_hip"] + rng.uniform(-half, half, (BATCH, 2))
-        pelvis = np.column_stack([(moved - PRINCIPAL) / FOCAL * away[:, None], away])
-        weight = (high - low) * (2 * half[:, 0]) ** 2
-        for joint in names[:4]:
-            points = np.einsum("nij,nj->ni", rotation, torsos[torso, row[joint]])
-            weight *= errors.density(joint, points, pelvis, at[joint])
-        for n in np.flatnonzero(weight):
-            pick = rng.integers(20_000, size=sound.ARMS_EACH)
-            ends = [pools[torso[n]][JOINT_INDEX[end]][pick] @ rotation[n].T for end in names[4:]]
-            keep = np.ones(sound.ARMS_EACH)
-            for joint, points in zip(names[4:], ends, strict=True):
-                keep *= errors.density(joint, points, pelvis[n][None], at[joint])
-            weights.append(weight[n] * keep.mean())
-            share = keep / keep.sum() if keep.any() else keep
-            root = [math.log(scale[n]), moved[n, 0], rotation[n, 2, 2], rotation[n, 2, 1]]
-            values.append([*root, share @ ends[0][:, 2], *(share @ ends[1][:, [0, 2]])])
-    weight, total = np.array(weights), attempts // BATCH * BATCH
-    mean = weight.sum() / total
-    error = math.sqrt((np.sum(weight**2) / total - mean**2) / total)
-    known = {"log": math.log(mean), "se": error / mean}
-    return known | sound.moments(weight, np.array(values))
 
 
 def under(name: str) -> tuple[PoseModel, Estimate]:
@@ -148,25 +100,11 @@ def apart(roots: WeightedRoots, brute: dict) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["disc", "gaussian", "biased"])
-def test_evidence_and_moments_against_a_pinhole_camera(name: str) -> None:
-    """The lowest scale that brute force proposes is lower than any that explains the torso."""
-    model, frame = under(name)
-    posterior = frame.posterior(model)
-    assert torso_problem(posterior, Faults.none()).lowest > LOWEST
-    roots = weigh_roots(posterior, key=key(3), num_roots=1500)
-    assert math.hypot(brute_force(name)["se"], roots.log_evidence_se) < 0.1
-    evidence, moments = apart(roots, brute_force(name))
-    assert evidence < 4
-    assert moments < 4
-
-
-@pytest.mark.slow
 def test_what_perspective_does_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Negative controls: weak perspective; limbs projected as if all lines of sight were parallel;
     errors of the limbs as large as at the pelvis' depth."""
     model, frame = under("disc")
-    brute = brute_force("disc")
+    brute = sound.truth(lens=True)
 
     def off(seen_by: PoseModel = model) -> tuple[float, float]:
         return apart(weigh_roots(frame.posterior(seen_by), key=key(3), num_roots=1500), brute)

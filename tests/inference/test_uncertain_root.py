@@ -1,5 +1,5 @@
-"""The posterior with an uncertain root against brute force in NumPy, which shares no code with it:
-evidence and moments of a small case, torso and one arm; and controls that must fail.
+"""The posterior with an uncertain root: what is not held against brute force by
+`tests/inference/test_oracle.py`, and controls that must fail beside it.
 
 False alarms: evidence and every moment are held to 4 standard errors, 6e-5 each; seeds are fixed.
 """
@@ -41,21 +41,20 @@ from poseterior.inference.importance.weighted import (
     weigh_roots,
 )
 from poseterior.inference.resampling import shares, times
+from poseterior.inference.sampler import WEIGHTED
 from poseterior.probmodel import BadInput, Detection, Estimate, Likelihood, PoseModel, RootPoint
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.errors.faults import Faults
-from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.pose import Pose
-from poseterior.probmodel.root_priors import CANDIDATES
-from poseterior.probmodel.rotations import UprightRotation
-from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
-from tests.brute_force import propose_group
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
+from poseterior.probmodel.skeleton import GROUPS, JOINT_INDEX, JOINTS, NUM_JOINTS
+from tests import oracle
+from tests.inference.test_oracle import Row, beliefs
+from tests.inference.test_oracle import case as oracle_case
 from tests.scenes import key, moved, placed, prior_scene
 
 FACTOR = 0.5
 SEEN = ("right_shoulder", "left_shoulder", "right_hip", "left_hip", "right_elbow", "right_wrist")
-ARMS_EACH = 40
-"""Arms of the prior that brute force tries under each root which explains the torso."""
 MOMENTS = ("log scale", "pelvis x", "chest z", "back z", "elbow z", "wrist x", "wrist z")
 
 
@@ -67,74 +66,6 @@ def small_case() -> tuple[PoseModel, Estimate]:
     missing = tuple(name for name in JOINTS if name not in SEEN)
     scores = np.linspace(0.6, 1.0, NUM_JOINTS)
     return model, prior_scene(model, 11, factor=FACTOR, missing=missing, scores=scores)
-
-
-def likelihood_ratio(law: str, gap: np.ndarray, radius: float) -> np.ndarray:
-    """`(n,)`: the density of errors `(n, 2)` over its peak, written out."""
-    square = np.sum(gap**2, axis=1) / radius**2
-    if law == "disc":
-        return (square <= 1).astype(float)
-    return np.where(square <= 1.5**2, np.exp(-2 * square), 0.0)  # sigma = radius / 2, cut at three
-
-
-PEAKS = {"disc": 1 / math.pi, "gaussian": 2 / math.pi / (1 - math.exp(-4.5))}
-"""Largest densities for a radius of one."""
-
-
-def brute_force_roots(
-    model: PoseModel, frame: Estimate, attempts: int, seed: int, law: str = "disc"
-) -> dict:
-    """Evidence and moments by importance sampling from a plain proposal: rotation uniform (SciPy),
-    log scale uniform on a wide interval, the right hip uniform in a square around its detection."""
-    rng, detection = np.random.default_rng(seed), frame.detection
-    seen = [JOINT_INDEX[name] for name in SEEN]
-    score = detection.score[seen]
-    radius = dict(zip(SEEN, FACTOR * score.mean() / score, strict=True))  # body units
-    at = {name: detection.keypoints[JOINT_INDEX[name]] for name in SEEN}
-    torsos = np.asarray(model.torsos)
-    row = {name: TORSO_INDEX.index(JOINT_INDEX[name]) for name in SEEN[:4]}
-    low, high = math.log(25.0), math.log(800.0)
-    pools = [
-        propose_group(model.limits, model.lengths, torso, "arms", 20_000, rng)[1]
-        for torso in torsos
-    ]
-    weights, values = [], []
-    for _ in range(attempts // 250_000):
-        number = 250_000
-        torso = rng.integers(len(torsos), size=number)
-        rotation = Rotation.random(number, rng=rng).as_matrix()
-        scale = np.exp(rng.uniform(low, high, number))
-        half = 1.5 * radius["right_hip"]
-        hip = np.einsum("nij,nj->ni", rotation[:, :2], torsos[torso, row["right_hip"]])
-        shift = at["right_hip"] / scale[:, None] - hip + rng.uniform(-half, half, (number, 2))
-        fit = np.ones(number)
-        for name in SEEN[:4]:
-            image = np.einsum("nij,nj->ni", rotation[:, :2], torsos[torso, row[name]]) + shift
-            gap = image - at[name] / scale[:, None]
-            fit *= likelihood_ratio(law, gap, radius[name])
-        peak = np.prod([PEAKS[law] / size**2 for size in radius.values()])
-        weight = (high - low) * (2 * half * scale) ** 2 * scale ** (-2 * len(SEEN)) * peak * fit
-        for n in np.flatnonzero(fit):
-            pool = pools[torso[n]]
-            pick = rng.integers(20_000, size=ARMS_EACH)
-            elbow, wrist = (pool[JOINT_INDEX[name]][pick] @ rotation[n].T for name in SEEN[4:])
-            keep = np.ones(ARMS_EACH)
-            for name, points in zip(SEEN[4:], (elbow, wrist), strict=True):
-                gap = points[:, :2] + shift[n] - at[name] / scale[n]
-                keep *= likelihood_ratio(law, gap, radius[name])
-            weights.append(weight[n] * keep.mean())
-            if keep.any():
-                pelvis, turned = scale[n] * shift[n, 0], rotation[n]
-                root = [math.log(scale[n]), pelvis, turned[2, 2], turned[2, 1]]
-                share = keep / keep.sum()
-                limbs = [share @ elbow[:, 2], *(share @ wrist[:, [0, 2]])]
-                values.append([*root, *limbs])
-            else:
-                values.append([0.0] * len(MOMENTS))
-    weight, total = np.array(weights), attempts // 250_000 * 250_000
-    mean = weight.sum() / total
-    error = math.sqrt((np.sum(weight**2) / total - mean**2) / total)
-    return {"log": math.log(mean), "se": error / mean, **moments(weight, np.array(values))}
 
 
 def moments(weight: np.ndarray, values: np.ndarray) -> dict:
@@ -180,12 +111,13 @@ def scales_apart(one: WeightedRoots, other: WeightedRoots) -> float:
 
 
 @functools.cache
-def both_routes() -> tuple[dict, WeightedRoots]:
-    model, frame = small_case()
-    return (
-        brute_force_roots(model, frame, 3_000_000, 5),
-        weigh_roots(frame.posterior(model), key=key(3), num_roots=1500),
-    )
+def truth(lens: bool = False) -> dict:
+    """Evidence and moments of the small case under discs by the oracle of the tests."""
+    row = Row(UNCERTAIN, WEIGHTED, "disc", lens)
+    found = oracle.under_roots(oracle_case(lens), {"": beliefs(row)}, 5)[""]
+    columns = [oracle.NAMES.index(name) for name in MOMENTS]
+    told = {"mean": found.mean[columns], "mean_se": found.mean_se[columns]}
+    return told | {"log": found.log_evidence, "se": found.log_evidence_se}
 
 
 @functools.cache
@@ -198,36 +130,11 @@ def as_they_come() -> WeightedRoots:
 
 
 @pytest.mark.slow
-def test_evidence_and_moments_against_brute_force():
-    brute, roots = both_routes()
-    error = math.hypot(brute["se"], roots.log_evidence_se)
-    assert error < 0.1
-    assert abs(roots.log_evidence - brute["log"]) < 4 * error
-    assert off(fast_moments(roots, roots.share), brute) < 4
-
-
-@pytest.mark.slow
-def test_another_error_law_against_brute_force():
-    """A Gaussian: torso and arm are thinned by it. The disc of the same reach is found out."""
-    model, frame = small_case()
-    law = Likelihood(Gaussian(), factor=FACTOR)
-    brute = brute_force_roots(model, frame, 3_000_000, 6, "gaussian")
-    posterior = dataclasses.replace(frame, likelihood=law).posterior(model)
-    roots = weigh_roots(posterior, key=key(4), num_roots=1500)
-    error = math.hypot(brute["se"], roots.log_evidence_se)
-    assert abs(roots.log_evidence - brute["log"]) < 4 * error < 0.5
-    assert off(fast_moments(roots, roots.share), brute) < 4
-    wide = dataclasses.replace(frame, likelihood=Likelihood(factor=1.5 * FACTOR))
-    wrong = weigh_roots(wide.posterior(model), key=key(4), num_roots=800)
-    assert abs(wrong.log_evidence - brute["log"]) > 8 * error
-
-
-@pytest.mark.slow
 def test_a_biased_evidence_is_found_out():
     """Negative controls, of roots as they come (promises leave weights so even that their mean log
     would nearly do): the mean of logs instead of the log of the mean; and every root that has a
     draw counted alike, as if a draw had been waited for."""
-    (brute, _), roots = both_routes(), as_they_come()
+    brute, roots = truth(), as_they_come()
     alive = np.isfinite(roots.log_weight)
     wrong = roots.log_evidence - log_mean(roots.log_weight) + roots.log_weight[alive].mean()
     assert abs(wrong - brute["log"]) > 7 * math.hypot(brute["se"], roots.log_evidence_se)
@@ -239,29 +146,9 @@ def test_a_biased_evidence_is_found_out():
 @pytest.mark.slow
 def test_the_factors_of_the_scale_are_missed():
     """Negative control: weights without scale⁻² for every seen joint."""
-    (brute, _), roots = both_routes(), as_they_come()
+    brute, roots = truth(), as_they_come()
     wrong = shares(roots.log_weight + 2 * len(SEEN) * roots.points.log_scale)
     assert off(fast_moments(roots, wrong), brute) > 8
-
-
-@pytest.mark.slow
-def test_who_is_believed_upright_weighs_as_much_more():
-    """Roots of a prior of upright people against those of the uniform one, weighed by its density
-    afterwards: evidence and moments. Those without it are found out."""
-    model, frame = small_case()
-    _, plain = both_routes()
-    upright = PoseModel.paper(torsos=model.torsos, upright=40.0)
-    roots = weigh_roots(frame.posterior(upright), key=key(6), num_roots=1500)
-    density = UprightRotation(40.0).log_prob(np.asarray(plain.points.rotation))
-    weighed = dataclasses.replace(plain, log_weight=plain.log_weight + np.asarray(density))
-    error = math.hypot(roots.log_evidence_se, weighed.log_evidence_se)
-    assert abs(roots.log_evidence - weighed.log_evidence) < 4 * error < 0.5
-    found = fast_moments(roots, roots.share)
-    assert off(found, fast_moments(weighed, weighed.share)) < 4
-    assert abs(roots.log_evidence - plain.log_evidence) > 16 * error
-    assert off(found, fast_moments(plain, plain.share)) > 4.5
-    program = frame.posterior(upright).log_joint(*roots.draw(np.random.default_rng(0), 5)[:2])
-    assert np.isfinite(program).all()
 
 
 def test_a_fixed_root_has_no_belief_of_its_rotation():

@@ -135,6 +135,19 @@ REFUSALS = [
     (("score", "sigma_factor"), [1, 0, 1], "must be positive and at most 100"),
     (("score", "sigma_factor"), ..., "score sigma_factor must be a list of numbers, not None"),
     (("outlier_radius",), 0, "outlier_radius must lie between 0 and 100 body units, not 0"),
+    (
+        ("outlier_radius",),
+        1e-300,
+        "outlier_radius is 1e-300 body units, less than the sigma of head",
+    ),
+    (("outlier_radius",), 0.09, r"less than the sigma of head \(0.1\); outliers lie farther off"),
+    (
+        (*WRIST_PATH, "sigma"),
+        1e-3,
+        "sigma of left_wrist is 0.001 body units where its score is best",
+    ),
+    ((*WRIST_PATH, "sigma"), 1e-300, "less than 0.002, which is under a millimetre of a person"),
+    (("score", "sigma_factor"), [2, 1, 1e-3], "sigma of left_wrist is 6e-05 body units"),
     (("learned",), "here", "learned must be an object, not 'here'"),
 ]
 
@@ -144,6 +157,22 @@ def test_what_is_no_error_law_is_refused(path: tuple[str, ...], value: Any, word
     with pytest.raises(BadInput, match=words) as refusal:
         DetectorErrors.from_document(changed(path, value), "law.json")
     assert str(refusal.value).startswith("law.json")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"format": "a", "format": "b"}',
+        json.dumps(DOCUMENT).replace('"head": {', '"head": {"sigma": 9, '),
+        json.dumps(DOCUMENT)[:-1] + ', "law": "disc"}',
+    ],
+)
+def test_names_that_stand_twice_are_refused(text: str, tmp_path: Path):
+    (tmp_path / "law.json").write_text(text)
+    with pytest.raises(
+        BadInput, match=r"law\.json has '\w+' twice in one object; keep one of them"
+    ):
+        DetectorErrors.read(tmp_path / "law.json")
 
 
 def test_files_that_are_none_are_refused(tmp_path: Path):

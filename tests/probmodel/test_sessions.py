@@ -2,8 +2,11 @@
 are read as they were written, and calibrations that do not fit are refused."""
 
 import dataclasses
+import itertools
 import json
 import shutil
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -31,9 +34,19 @@ from poseterior.probmodel.layouts import (
     without_midpoints,
 )
 from poseterior.probmodel.sessions import Pinhole, Session, is_session, read_session
-from poseterior.probmodel.sessions.session import HIPS
+from poseterior.probmodel.sessions.calibrations import read_cameras
+from poseterior.probmodel.sessions.session import HIPS, MOST_COMBINATIONS, _choices
+from poseterior.probmodel.sessions.triangulation import triangulate
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
-from tests.filmed import cameras, filmed, moving, openpose, write_qualisys, write_session
+from tests.filmed import (
+    cameras,
+    filmed,
+    moving,
+    openpose,
+    write_qualisys,
+    write_session,
+    write_toml,
+)
 
 HEAD = JOINT_INDEX["head"]
 JOINTS_3D = moving(30)
@@ -84,7 +97,8 @@ def test_distortion_is_taken_away_again_and_is_opencvs():
     assert seen == pytest.approx(camera.focal * [x, y] + camera.principal)
     grid = np.stack(np.meshgrid(np.linspace(0, 1080, 9), np.linspace(0, 1920, 9)), axis=-1)
     straight = camera.straighten(grid)
-    rays = np.concatenate([(straight - camera.principal) / camera.focal, np.ones((9, 9, 1))], -1)
+    plane = (straight - camera.principal) / camera.straight.focal
+    rays = np.concatenate([plane, np.ones((9, 9, 1))], -1)
     assert camera.project(camera.centre + rays @ camera.rotation) == pytest.approx(grid, abs=1e-6)
     assert np.abs(straight - grid).max() > 5
 
@@ -458,6 +472,8 @@ TOML = [
     (CAMERA.replace("[[1500.0", "[[-1500.0"), "a focal length that is not positive"),
     (CAMERA.replace("[0.0, 0.0, 0.0, 0.0]", "[0.0]"), "distortions must be four or five numbers"),
     (CAMERA.replace("[[1500.0, 0.0, 500.0]", "[[1500.0, 0.0]"), "matrix must be 3 × 3 numbers"),
+    (CAMERA.replace("[[1500.0, 0.0, 500.0]", "[[1500.0, 9.0, 500.0]"), "a skew is not known"),
+    (CAMERA.replace("[0.0, 0.0, 1.0]]", "[0.0, 0.0, 2.0]]"), "a skew is not known"),
 ]
 
 
@@ -476,6 +492,150 @@ def test_numbers_that_are_no_rotation_are_refused(exact: Session, tmp_path: Path
     write_qualisys(tuple(mirrored), tmp_path / "c.qca.txt")
     with pytest.raises(BadInput, match="its rotation is none"):
         read_session(tmp_path)
+
+
+def with_camera(exact: Session, number: int, **changes: object) -> tuple[Pinhole, ...]:
+    """The cameras, one of them changed."""
+    views = list(exact.cameras)
+    views[number] = dataclasses.replace(views[number], **changes)
+    return tuple(views)
+
+
+ABSURD: dict[str, tuple[Callable[[Session], tuple[Pinhole, ...]], str]] = {
+    "pixels as long as roads": (
+        lambda exact: with_camera(exact, 1, focal=exact.cameras[1].focal * [1e5, 1.0]),
+        "has focal lengths of 1.5e[+]08 pixels across and 1490 down",
+    ),
+    "pixels three times as tall as wide": (
+        lambda exact: with_camera(exact, 1, focal=exact.cameras[1].focal * [1.0, 1 / 3]),
+        r"as if its pixels were 3\.02 times as long as wide",
+    ),
+    "on the moon": (
+        lambda exact: with_camera(exact, 2, centre=np.array([1e9, 0.0, 0.0])),
+        r"camera 3 of .* stands 1,000 km from every other",
+    ),
+    "all at one place": (
+        lambda exact: tuple(
+            dataclasses.replace(one, centre=exact.cameras[0].centre) for one in exact.cameras
+        ),
+        r"cameras \d and \d of .* stand at one place",
+    ),
+    "two at one place": (
+        lambda exact: with_camera(exact, 3, centre=exact.cameras[1].centre + 1e-3),
+        "cameras 2 and 4 of .* stand at one place",
+    ),
+}
+
+
+@pytest.mark.parametrize("write", [write_qualisys, write_toml])
+@pytest.mark.parametrize("case", ABSURD)
+def test_cameras_that_cannot_be_are_refused(
+    case: str, write: Callable, exact: Session, tmp_path: Path
+) -> None:
+    cameras_of, words = ABSURD[case]
+    path = tmp_path / ("c.toml" if write is write_toml else "c.qca.txt")
+    write(exact.cameras, path)
+    assert len(read_cameras(path)) == 4
+    write(cameras_of(exact), path)
+    with pytest.raises(BadInput, match=words):
+        read_cameras(path)
+
+
+@pytest.mark.parametrize("ratio", [0.75, 4 / 3])
+def test_pixels_that_are_not_square_leave_no_trace(ratio: float):
+    """Errors of the same size each way are found to be so, whatever a camera's pixels are: as large
+    as with square ones, to the last digits."""
+    errors = 5.0 * np.random.default_rng(3).normal(size=(4, 30, NUM_JOINTS, 2))
+    views = [dataclasses.replace(one, focal=np.array([1500.0, 1500.0])) for one in cameras()]
+    oblong = [dataclasses.replace(one, focal=np.array([1500 * ratio, 1500.0])) for one in views]
+    squeezed = [dataclasses.replace(one, focal=np.array([750 * (ratio + 1)] * 2)) for one in views]
+    found, wanted = filmed(JOINTS_3D, errors, oblong), filmed(JOINTS_3D, errors, squeezed)
+    assert found.world.points == pytest.approx(wanted.world.points, abs=1e-6)
+    assert found.stray == pytest.approx(wanted.stray, rel=1e-9)
+
+
+def test_a_point_between_two_cameras_is_not_known():
+    """Two cameras that look at each other see a point on the line between them from one line: it is
+    NaN, and the others are found."""
+    left, right = (
+        Pinhole(np.array(turn, float), np.array([0.0, 0.0, place]), np.full(2, 1e3), np.zeros(2))
+        for turn, place in (
+            ([[1, 0, 0], [0, 1, 0], [0, 0, 1]], -3e3),
+            ([[-1, 0, 0], [0, 1, 0], [0, 0, -1]], 3e3),
+        )
+    )
+    points = np.array([[0.0, 0.0, 100.0], [300.0, 200.0, 100.0]])
+    xy = np.stack([one.project(points) for one in (left, right)])
+    found = triangulate([left, right], xy, np.ones((2, 2)), np.full((2, 2), 0.4))
+    assert np.isnan(found.points[0]).all()
+    assert np.isnan(found.covariance[0]).all()
+    assert found.points[1] == pytest.approx(points[1])
+
+
+def test_people_are_tried_in_the_order_of_files():
+    """All combinations, once each, by how far down the files they stand: against all of them,
+    sorted."""
+    for numbers in ([2, 2], [3, 1, 2], [4, 4, 4], [1, 1], [2] * 8):
+        found = list(_choices(numbers))
+        every = sorted(itertools.product(*map(range, numbers)), key=sum)
+        assert sorted(found) == sorted(every)
+        assert [sum(one) for one in found] == [sum(one) for one in every]
+
+
+def test_many_cameras_cost_no_more_than_their_views():
+    """Of 10^120 combinations the first 256 are there at once."""
+    found = list(itertools.islice(_choices([2] * 400), MOST_COMBINATIONS))
+    assert len(set(found)) == MOST_COMBINATIONS
+    assert found[0] == (0,) * 400
+    assert max(map(sum, found)) == 1
+
+
+def test_twenty_six_cameras_with_a_bystander(tmp_path: Path):
+    """Of 67 million combinations in a frame the right one is the cheapest but the first."""
+    views = cameras(26)
+    errors = np.zeros((26, 2, NUM_JOINTS, 2))
+    session, beside = (filmed(moving(2) + shift, errors, views) for shift in (0.0, 2000.0))
+    write_session(session, tmp_path)
+    for camera, label in enumerate(session.labels):
+        own, other = (one.people[camera][1].keypoints for one in (session, beside))
+        people = [other, own] if camera == 7 else [own, other]
+        path = tmp_path / "pose" / f"{label}_json" / f"{label}_000001.json"
+        path.write_text(json.dumps(openpose(people)))
+    found = read_session(tmp_path)
+    assert [view[1].person for view in found.people] == [int(n == 7) for n in range(26)]
+
+
+@pytest.mark.parametrize("encoding", ["nonsense", "utf-16", "ebcdic-cp-us", "x" * 1000, "utf-7"])
+def test_a_qualisys_file_is_text_whatever_it_says_of_itself(
+    encoding: str, exact: Session, tmp_path: Path
+):
+    path = tmp_path / "c.qca.txt"
+    write_qualisys(exact.cameras, path)
+    text = path.read_text().replace('version="1.0"', f'version="1.0" encoding="{encoding}"')
+    path.write_text(text)
+    assert len(read_cameras(path)) == 4
+    path.write_bytes(text.encode("utf-16"))
+    with pytest.raises(BadInput, match="is not UTF-8 text"):
+        read_cameras(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ".".join(["a"] * 20_000) + " = 1",
+        "[" + ".".join(["a"] * 20_000) + "]",
+        "[[" + " . ".join(['"a"'] * 20_000) + "]]",
+        "x = {" + ".".join(["a"] * 20_000) + " = 1}",
+        "a = " + "[" * 20_000,
+        "a = " + "{b = " * 20_000,
+    ],
+)
+def test_keys_without_end_are_refused_at_once(text: str, tmp_path: Path):
+    (tmp_path / "c.toml").write_text(CAMERA + "\n" + text)
+    started = time.process_time()
+    with pytest.raises(BadInput, match=r"has a key of more than 16 parts|is no TOML"):
+        read_cameras(tmp_path / "c.toml")
+    assert time.process_time() - started < 2
 
 
 # --- shared data

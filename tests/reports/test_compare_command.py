@@ -18,7 +18,7 @@ from poseterior.reports.commands import compare
 from poseterior.reports.figures.comparison import comparison_figure
 from poseterior.reports.options import Person, RootKind, Screen, Viewing
 from poseterior.reports.settings import CompareSettings
-from poseterior.reports.tables.comparison import COLUMNS, NARROW, comparison_table
+from poseterior.reports.tables.comparison import COMPARED_COLUMNS, NARROW, comparison_table
 from tests.scenes import ALL_BUT_AN_ARM, prior_scene
 
 JSON = Screen(quiet=True, json=True)
@@ -100,7 +100,7 @@ def test_the_table_and_the_picture(done: tuple[Path, str]) -> None:
     sheet = comparison_table(tree)
     rows = sheet.texts()
     assert [row[0] for row in rows] == ["rejection", "emcee (dispersed)", "emcee (one flip)"]
-    assert all(len(row) == len(COLUMNS) for row in rows)
+    assert all(len(row) == len(COMPARED_COLUMNS) for row in rows)
     assert "±" in rows[0][-1]
     assert sheet.markdown().split("\n\n")[0].count("\n") == 4
     for width, shown in ((80, sheet.only(NARROW)), (160, sheet)):

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 import rich.console
@@ -273,3 +274,46 @@ def test_compiled_code_that_was_cut_off_is_made_anew(
     assert said == (
         "poseterior: compiled code that was kept of jit_one is damaged; it is made anew\n"
     )
+
+
+@pytest.mark.parametrize("asked", ["cuda", "tpu", "nonsense"])
+def test_a_device_that_is_not_there_is_one_sentence(
+    asked: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """JAX raises an AssertionError, or a RuntimeError; others of these kinds stay bugs."""
+    monkeypatch.setenv("JAX_PLATFORMS", asked)
+    with pytest.raises((RuntimeError, AssertionError)) as failed:
+        jax.devices(asked)
+    sentence, code = console._verdict(failed.value)
+    assert code == 2
+    assert sentence.startswith(f"JAX cannot compute on '{asked}', as JAX_PLATFORMS says")
+    for bug in (RuntimeError("none of JAX's"), AssertionError()):
+        assert console._verdict(bug) == ("", 1)
+
+
+@pytest.mark.parametrize(
+    "compute",
+    [
+        lambda: np.ones(1) / np.zeros(1),
+        lambda: np.zeros(1) / np.zeros(1),
+        lambda: np.full(1, 1e308) * 10,
+        lambda: np.nanmean(np.full(2, np.nan)),
+        lambda: np.nanmedian(np.full(2, np.nan)),
+        lambda: np.nanmax(np.full(2, np.nan)),
+        lambda: np.var(np.ones(1), ddof=1),
+        lambda: np.mean(np.ones(0)),
+    ],
+)
+def test_arithmetic_of_numpy_is_no_users_business(
+    compute: Callable, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where it warns, nothing is said; of other warnings, all is."""
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        compute()
+    assert heard
+    for warning in heard:
+        console._heed(str(warning.message))
+    assert capsys.readouterr().err == ""
+    console._heed("a file is older than its source")
+    assert capsys.readouterr().err == "poseterior: a file is older than its source\n"

@@ -525,7 +525,7 @@ def gap(example_estimate: Estimate, tmp_path_factory: pytest.TempPathFactory) ->
     folder = tmp_path_factory.mktemp("gap") / "s"
     items = [Item(name, example_estimate) for name in GAP[:-1]]
     items.append(Item(GAP[-1], "nothing is seen"))
-    sample_frames(PoseModel(), items, key=key(0), out=folder, num_samples=30, k=2)
+    sample_frames(PoseModel.paper(), items, key=key(0), out=folder, num_samples=30, k=2)
     return folder
 
 
@@ -629,7 +629,7 @@ def test_names_that_do_not_count_are_taken_in_their_order(
     example_estimate: Estimate, tmp_path: Path, poseterior: Cli
 ) -> None:
     items = [Item(f"{name}/0", example_estimate) for name in ("left", "right", "above")]
-    sample_frames(PoseModel(), items, key=key(0), out=tmp_path / "s", num_samples=30, k=2)
+    sample_frames(PoseModel.paper(), items, key=key(0), out=tmp_path / "s", num_samples=30, k=2)
     assert clip_of(tmp_path / "s").names == ["left", "right", "above"]
     assert clip_of(tmp_path / "s").times == pytest.approx(np.arange(3) / 30)
     run = poseterior("export", tmp_path / "s", "--to", "csv", "--out", tmp_path / "x.csv")

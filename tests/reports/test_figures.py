@@ -1,6 +1,7 @@
 """Figures: what is drawn is what the tree holds, on every case of the contract; files appear whole
 or not at all."""
 
+import contextlib
 import os
 import struct
 import subprocess
@@ -27,7 +28,8 @@ from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, JOINTS
 from poseterior.reports import figures
 from poseterior.reports.figures.colours import LIMB_OF, MAX_NAMED
 from poseterior.reports.figures.depth import _density
-from poseterior.reports.figures.window import MAX_DRAWS, Window, cropped
+from poseterior.reports.figures.files import FORMATS
+from poseterior.reports.figures.window import WINDOW_DRAWS, Window, cropped
 from poseterior.reports.tables import heaviest, values
 from tests.reports.test_interactive import film_tree
 
@@ -99,13 +101,13 @@ def test_cloud_lies_in_the_discs_where_a_joint_was_seen(
     result: Result, five: list[Hypothesis]
 ) -> None:
     axis = figures.hypotheses_figure(result.tree, five).axes[0]
-    draws = values(result.tree, "posterior", "candidate")[:MAX_DRAWS] == heaviest(result.tree)
+    draws = values(result.tree, "posterior", "candidate")[:WINDOW_DRAWS] == heaviest(result.tree)
     for disc in named(axis, Circle, "disc"):
         (cloud,) = [
             c for c in axis.collections if c.get_gid() == disc.get_gid().replace("disc", "cloud")
         ]
         points = np.asarray(cloud.get_offsets())
-        assert len(points) == MAX_DRAWS
+        assert len(points) == WINDOW_DRAWS
         distance = np.linalg.norm(points - disc.center, axis=1)
         assert (distance[draws] <= disc.radius * (1 + 1e-6)).all()
 
@@ -225,7 +227,7 @@ def test_draws_are_thinned(result: Result, five: list[Hypothesis]) -> None:
     figure = figures.hypotheses_figure(result.tree, five)
     (lines,) = named(figure.axes[2], LineCollection, "draws")
     drawn = np.array([path.vertices for path in lines.get_paths()])
-    bones = drawn.reshape(MAX_DRAWS, len(JOINTS) - 1, 3, 2)
+    bones = drawn.reshape(WINDOW_DRAWS, len(JOINTS) - 1, 3, 2)
     assert np.isfinite(bones[:, :, :2]).all()
     assert np.isnan(bones[:, :, 2]).all()  # gaps
 
@@ -465,6 +467,33 @@ def test_images_that_cannot_be_read(tmp_path: Path) -> None:
     }.items():
         with pytest.raises(BadInput, match=match):
             figures.read_image(tmp_path / name)
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP", "MPO"])
+def test_images_of_the_list_are_read(tmp_path: Path, kind: str) -> None:
+    Image.new("RGB", (5, 4)).save(tmp_path / "image", kind)
+    assert figures.read_image(tmp_path / "image").shape == (4, 5, 3)
+
+
+def pillows() -> list[str]:
+    """All formats that Pillow writes, and so could read, but those of the list."""
+    Image.init()
+    return sorted(set(Image.SAVE) & set(Image.OPEN) - set(FORMATS))
+
+
+@pytest.mark.parametrize("kind", pillows())
+def test_images_of_other_kinds_are_refused(tmp_path: Path, kind: str) -> None:
+    """Of every format that Pillow knows, EPS among them, which starts Ghostscript."""
+    path, written = tmp_path / "image.png", False
+    for mode in ("RGB", "L", "1", "F"):
+        with contextlib.suppress(OSError, ValueError, KeyError, RuntimeError, SystemError):
+            Image.new(mode, (16, 16)).save(path, kind)
+            written = True
+            break
+    if not written:
+        pytest.skip(f"Pillow writes {kind} by another library alone")
+    with pytest.raises(BadInput, match="is no image that can be read"):
+        figures.read_image(path)
 
 
 def test_the_library_says_nothing_beside_our_sentence(tmp_path: Path) -> None:

@@ -56,7 +56,7 @@ def test_draws_are_judged_in_spreads_and_millimetres() -> None:
     lens = Lens(1000.0, np.zeros(2))
     case = pages.FilmedCase(1, 2, detection, truth, doubt, detection, lens, np.eye(3))
     joints = rng.normal(size=(4000, NUM_JOINTS, 3))
-    found = honest.judge(case, pages.Drawn(joints, 50.0, 2.0))
+    found = honest.judge(case, pages.FilmedDraws(joints, 50.0, 2.0))
     assert found.bare[:, 0] == pytest.approx(np.full(8, 0.5), abs=0.05)
     assert (found.bare[:, 1] == 1).all()
     assert found.standing[:, 1] == pytest.approx(np.full(8, 0.84), abs=0.03)
@@ -67,9 +67,9 @@ def test_draws_are_judged_in_spreads_and_millimetres() -> None:
     # A limb joint of the truth lies beyond all draws, but for the errors that it may have.
     limbs = np.array(LIMB_JOINTS) - 1
     assert (found.levels[limbs] < 0.5).all()
-    exact = honest.judge(case._replace(doubt=0 * doubt), pages.Drawn(joints, 50.0, 2.0))
+    exact = honest.judge(case._replace(doubt=0 * doubt), pages.FilmedDraws(joints, 50.0, 2.0))
     assert (exact.levels[limbs] > 0.99).all()
     assert found.stand_ins.shape == (10, NUM_JOINTS - 1)
-    nothing = honest.judge(case, pages.Drawn(joints[:0], np.nan, 1.0))
+    nothing = honest.judge(case, pages.FilmedDraws(joints[:0], np.nan, 1.0))
     assert not nothing.drawn
     assert np.isnan(nothing.standing).all()

@@ -85,7 +85,7 @@ def test_a_fragment_of_a_second_person_is_left_out_in_one_line(
 def film(path: Path, names: list[str], *, tracked: bool = True) -> Path:
     """One file, sorted by tracks: somebody in all frames, and a bystander, two metres to the right,
     in all but the last, who comes first in the file."""
-    model = PoseModel()
+    model = PoseModel.paper()
     one, other = (prior_scene(model, seed, factor=0.8, missing=FEW).detection for seed in (0, 2))
     people = []
     for track, person, seen in (("9", other, names[:-1]), ("4", one, names)):

@@ -98,7 +98,7 @@ def test_results_open_in_xarray_and_arviz(model, shared_data, tmp_path):
     result.save(tmp_path / "posterior.nc", double=True)
     with xr.open_datatree(tmp_path / "posterior.nc", engine="netcdf4") as tree:
         assert set(tree.children) == {
-            *("posterior", "sample_stats", "posterior_predictive", "log_likelihood"),
+            *("posterior", "sample_stats", "posterior_predictive"),
             *("observed_data", "constant_data"),
         }
         assert np.array_equal(tree["posterior"].joints, result.tree["posterior"].joints)

@@ -12,9 +12,10 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from poseterior.inference.baselines.run import Allowance
-from poseterior.inference.benchmark import contestants, exact_points, load
+from poseterior.inference.benchmark import entrants, exact_points, load
 from poseterior.inference.readings import READINGS, Verdict
 from poseterior.inference.studies.misreadings import Study
+from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from poseterior.reports.figures import leaderboard as pictures
 from poseterior.reports.pages import (
@@ -103,11 +104,55 @@ def test_a_page_is_written_with_its_pictures(
 ) -> None:
     monkeypatch.setattr(page, "REPORTS", tmp_path)
     monkeypatch.setattr(page, "template_of", lambda name: f"# {name}\n\n{{{{table}}}}\n")
-    text = page.write_page("errors", {"table": SHEET}, {"curves": Figure(figsize=(1, 1))})
+    text = page.Page("errors", {"table": SHEET}, {"curves": Figure(figsize=(1, 1))}).write()
     assert text == f"# errors\n\n{SHEET.markdown()}\n"
     assert (tmp_path / "errors.md").read_text(encoding="utf-8") == text
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["curves.png", "errors.md"]
+
+
+def test_the_runner_takes_the_arguments_of_a_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By their names and kinds; it makes the folder, writes, prints and times."""
+    monkeypatch.setattr(page, "REPORTS", tmp_path)
+    monkeypatch.setattr(page, "template_of", lambda name: "{{data}} {{people}}\n")
+    work = tmp_path / "deep" / "work"
+
+    def main(data: page.Data, work: page.Work, people: page.People = 3) -> page.Page | None:
+        assert work.is_dir()
+        if people < 0:
+            raise BadInput("nobody is there; ask for somebody")
+        return page.Page("errors", {"data": str(data), "people": people}) if people else None
+
+    def run(*words: str) -> tuple[int, str]:
+        monkeypatch.setattr("sys.argv", ["errors", *words])
+        with pytest.raises(SystemExit) as ended:
+            page.run(main)
+        return int(ended.value.code or 0), "".join(capsys.readouterr())
+
+    status, said = run("pack", str(work), "0")
+    assert (status, said) == (0, "0 seconds\n")
+    assert not (tmp_path / "errors.md").exists()
+    assert run("pack", str(work)) == (0, "pack 3\n\n0 seconds\n")
+    assert (tmp_path / "errors.md").read_text(encoding="utf-8") == "pack 3\n"
+    assert run("pack", str(work), "--", "-1") == (2, "nobody is there; ask for somebody\n")
+    assert run("pack")[0] == 2, "a folder is missing"
+
+
+def test_what_is_kept_is_not_made_again(tmp_path: Path) -> None:
+    asked: list[int] = []
+
+    def make(number: int) -> xr.DataTree:
+        asked.append(number)
+        return xr.DataTree(xr.Dataset({"number": number}))
+
+    for _ in range(2):
+        assert int(page.kept(tmp_path / "a.nc", make, 7)["number"]) == 7
+        assert page.kept_json(tmp_path / "a.json", lambda: asked.append(1) or {"1": 2.5}) == {
+            "1": 2.5
+        }
+    assert asked == [7, 1]
 
 
 # --- rendering of small studies
@@ -115,7 +160,9 @@ def test_a_page_is_written_with_its_pictures(
 
 def test_facing_counts_by_angle() -> None:
     near, far = (
-        facing.Row(angle=angle, candidates=2, share=0.75, complete=True, apart=50.0, first=False)
+        facing.FacingRow(
+            angle=angle, candidates=2, share=0.75, complete=True, apart=50.0, first=False
+        )
         for angle in (10.0, 80.0)
     )
     rows = [near, near._replace(share=0.25, first=True), far, far._replace(complete=False)]
@@ -271,9 +318,9 @@ def test_the_leaderboard_s_pictures() -> None:
 
 
 def test_walking_downhill_comes_inside_at_a_price(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(contestants, "PATIENCE", 200)
+    monkeypatch.setattr(entrants, "DOWNHILL_STEPS", 200)
     target = load("arm")
-    points, spent = contestants.downhill(target, np.random.default_rng(0), 20, Allowance())
+    points, spent = entrants.downhill(target, np.random.default_rng(0), 20, Allowance())
     assert len(points) >= 5
     assert (target.misfit(points) <= 1).all()
     assert spent > 2 * len(points)
@@ -283,12 +330,12 @@ def test_walkers_are_spread_where_few_starts_were_found() -> None:
     """All inside, none where another is, the found ones first, and every evaluation counted."""
     target, rng = load("single"), np.random.default_rng(0)
     few = exact_points(target, 3)
-    points, spent = contestants.filled(target, rng, few, 40)
+    points, spent = entrants.filled(target, rng, few, 40)
     np.testing.assert_array_equal(points[:3], few)
     assert len(np.unique(points, axis=0)) == 40
     assert (target.misfit(points) <= 1).all()
     assert spent >= 37
-    same, nothing = contestants.filled(target, rng, few, 3)
+    same, nothing = entrants.filled(target, rng, few, 3)
     np.testing.assert_array_equal(same, few)
     assert nothing == 0
 

@@ -39,7 +39,7 @@ FEWEST_DRAWS = 9
 nothing."""
 
 
-STAND_INS = 10
+ECE_STAND_INS = 10
 """Draws of each posterior that stand in for the truth, to see what a right posterior would look
 like."""
 
@@ -84,20 +84,21 @@ def failure(
     status: str, sentence: str, num_draws: int = 0, log_evidence: float = np.nan
 ) -> Standing:
     """The standing of an instance whose posterior brought too few draws."""
-    blank, level = np.full(len(MOVING), np.nan), np.full(len(QUANTITIES), np.nan)
-    stand_in = np.full((STAND_INS, len(MOVING)), np.nan)
+    blank = np.full(len(MOVING), np.nan)
+    level = np.full(len(QUANTITIES), np.nan)
+    stand_in = np.full((ECE_STAND_INS, len(MOVING)), np.nan)
     return Standing(
-        status,
-        sentence,
-        num_draws,
-        log_evidence,
-        level,
-        blank,
-        blank,
-        blank,
-        stand_in,
-        blank,
-        blank,
+        status=status,
+        sentence=sentence,
+        num_draws=num_draws,
+        log_evidence=log_evidence,
+        level=level,
+        whole=blank,
+        lateral=blank,
+        depth=blank,
+        stand_in=stand_in,
+        spread_lateral=blank,
+        spread_depth=blank,
     )
 
 
@@ -152,20 +153,21 @@ def assess(
     level[ENERGY_BALL] = energy_level(flat[0], flat[1:], rng)
     if reference is not None:
         level[TARP] = distance_level(flat[0], flat[1:], reference[list(MOVING)].ravel(), rng)
-    truth, cloud = moving[0], moving[1:]
+    truth = moving[0]
+    cloud = moving[1:]
     spread = draws[:, MOVING].std(axis=0)
     return Standing(
-        posterior.status,
-        posterior.sentence,
-        len(draws),
-        posterior.log_evidence,
-        np.array([*level.values()]),
-        median_levels(truth, cloud),
-        median_levels(truth[:, :2], cloud[..., :2]),
-        median_levels(truth[:, 2:], cloud[..., 2:]),
-        stand_in_levels(cloud, rng.integers(0, len(cloud), STAND_INS)),
-        np.sqrt(np.mean(spread[:, :2] ** 2, axis=1)),
-        spread[:, 2],
+        status=posterior.status,
+        sentence=posterior.sentence,
+        num_draws=len(draws),
+        log_evidence=posterior.log_evidence,
+        level=np.array([*level.values()]),
+        whole=median_levels(truth, cloud),
+        lateral=median_levels(truth[:, :2], cloud[..., :2]),
+        depth=median_levels(truth[:, 2:], cloud[..., 2:]),
+        stand_in=stand_in_levels(cloud, rng.integers(0, len(cloud), ECE_STAND_INS)),
+        spread_lateral=np.sqrt(np.mean(spread[:, :2] ** 2, axis=1)),
+        spread_depth=spread[:, 2],
     )
 
 

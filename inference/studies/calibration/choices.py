@@ -12,7 +12,12 @@ import numpy as np
 from poseterior.inference.hypothesis import diverse
 from poseterior.inference.studies.flips import away, codes
 
-KMEANS, GRID, RANDOM, FARTHEST = WAYS = ("k-means++", "grid", "random draws", "farthest point")
+KMEANS, POSE_GRID, RANDOM, FARTHEST = CHOICES = (
+    "k-means++",
+    "grid",
+    "random draws",
+    "farthest point",
+)
 Way = Callable[[np.ndarray, int, int], np.ndarray]
 """Poses `(n, 15, 3)`, k, seed → `(k, 15, 3)`."""
 
@@ -40,7 +45,7 @@ def by_distance(joints: np.ndarray, k: int, seed: int = 0) -> np.ndarray:
 
 CHOOSE: dict[str, Way] = {
     KMEANS: by_kmeans,
-    GRID: by_kmeans,
+    POSE_GRID: by_kmeans,
     RANDOM: at_random,
     FARTHEST: by_distance,
 }

@@ -46,7 +46,8 @@ def swapped_axes(joints: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def some_joints_narrower(joints: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Seven of the fifteen joints ten times too narrow."""
-    middle, spoilt = joints.mean(axis=0), joints.copy()
+    middle = joints.mean(axis=0)
+    spoilt = joints.copy()
     some = list(NARROWED)
     spoilt[:, some] = middle[some] + 0.1 * (joints - middle)[:, some]
     return spoilt
@@ -65,7 +66,7 @@ DISTORTIONS: dict[str, Distortion] = {
     "7 of 15 joints ten times too narrow": some_joints_narrower,
     "joints uncorrelated": uncorrelated,
 }
-IGNORING, RECIPE = "ignores the image", "the paper's literal recipe"
+IGNORING, LITERAL_RECIPE = "ignores the image", "the paper's literal recipe"
 
 
 def distorted(sampler: Sampler, distortion: Distortion) -> Sampler:
@@ -139,9 +140,11 @@ def _without_lower(frame: Estimate) -> Estimate:
     """The frame whose likelihood looks at head, elbows and knees alone; their radii are those of
     the whole."""
     lower = [bone.end for bone in LOWER_BONES]
-    keypoints, score = frame.detection.keypoints.copy(), frame.detection.score.copy()
+    keypoints = frame.detection.keypoints.copy()
+    score = frame.detection.score.copy()
     mean = score[[joint for joint in frame.likelihood.joints if score[joint] > 0]].mean()
-    keypoints[lower], score[lower] = np.nan, 0.0
+    keypoints[lower] = np.nan
+    score[lower] = 0.0
     upper = [bone.end for bone in UPPER_BONES if score[bone.end] > 0]
     factor = (
         frame.likelihood.factor * mean / score[upper].mean()

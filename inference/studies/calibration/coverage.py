@@ -13,7 +13,7 @@ from poseterior.inference.studies.calibration.ece import Ece, Interval, coverage
 from poseterior.inference.studies.calibration.exclusions import Rank, from_text, ranking
 
 NOMINAL = (0.5, 0.8, 0.95)
-KINDS = ("lateral", "depth", "whole")
+COVERED_KINDS = ("lateral", "depth", "whole")
 
 
 class CoverageSummary(NamedTuple):
@@ -39,8 +39,9 @@ def summary(tree: xr.DataTree) -> CoverageSummary:
     Intervals draw whole recordings anew."""
     found = tree["simulation"].to_dataset()
     recording = found.recording.values
-    covered, by_joint = {}, {}
-    for kind in KINDS:
+    covered = {}
+    by_joint = {}
+    for kind in COVERED_KINDS:
         for nominal in NOMINAL:
             covered[kind, nominal] = coverage(found[kind].values, nominal, recording)
             by_joint[kind, nominal] = [
@@ -50,20 +51,18 @@ def summary(tree: xr.DataTree) -> CoverageSummary:
     held = np.array([0.0 if one else 1.0 for one in reasons])
     inside = coverage(np.where(held > 0, 0.0, np.nan), 0.5, recording)
     return CoverageSummary(
-        len(recording),
-        covered,
-        by_joint,
-        ece(found.whole.values, found.stand_in.values, recording),
-        _spread(found.spread_lateral, found.unit_mm),
-        _spread(found.spread_depth, found.unit_mm),
-        (
-            float(np.median(found.log_evidence.values[_drawn(found)]))
-            if _drawn(found).any()
-            else np.nan
-        ),
-        int((~_drawn(found)).sum()),
-        Interval(1 - inside.value, 1 - inside.high, 1 - inside.low),
-        ranking(reasons),
+        size=len(recording),
+        covered=covered,
+        by_joint=by_joint,
+        ece=ece(found.whole.values, found.stand_in.values, recording),
+        lateral=_spread(found.spread_lateral, found.unit_mm),
+        depth=_spread(found.spread_depth, found.unit_mm),
+        evidence=float(np.median(found.log_evidence.values[_drawn(found)]))
+        if _drawn(found).any()
+        else np.nan,
+        without_draws=int((~_drawn(found)).sum()),
+        excluded=Interval(1 - inside.value, 1 - inside.high, 1 - inside.low),
+        reasons=ranking(reasons),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from poseterior.inference.studies.intervals import Interval, of_mean_size, of_share
 
-LEVELS = np.linspace(0, 1, 21)
+ECE_LEVELS = np.linspace(0, 1, 21)
 
 
 class Ece(NamedTuple):
@@ -25,7 +25,7 @@ class Ece(NamedTuple):
     joint: np.ndarray
 
 
-def shares(levels: np.ndarray, nominal: np.ndarray = LEVELS) -> np.ndarray:
+def shares(levels: np.ndarray, nominal: np.ndarray = ECE_LEVELS) -> np.ndarray:
     """`(len(nominal), j)`: how often the region of each nominal level holds the truth, from levels
     `(n, j)`; NaN: never, as there was no region."""
     known = np.where(np.isnan(levels), np.inf, levels)
@@ -38,7 +38,7 @@ def calibration_error(levels: np.ndarray) -> float:
 
 
 def _deviation(levels: np.ndarray) -> np.ndarray:
-    return np.median(shares(levels), axis=1) - LEVELS
+    return np.median(shares(levels), axis=1) - ECE_LEVELS
 
 
 def ece(levels: np.ndarray, stand_in: np.ndarray, cluster: np.ndarray, seed: int = 0) -> Ece:
@@ -53,7 +53,7 @@ def ece(levels: np.ndarray, stand_in: np.ndarray, cluster: np.ndarray, seed: int
         if len(right)
         else [np.nan]
     )
-    joint = np.abs(shares(levels) - LEVELS[:, None]).mean(axis=0)
+    joint = np.abs(shares(levels) - ECE_LEVELS[:, None]).mean(axis=0)
     return Ece(whole, float(floors.mean()), float(np.quantile(floors, 0.95)), joint)
 
 

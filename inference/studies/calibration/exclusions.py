@@ -32,7 +32,7 @@ from poseterior.probmodel.skeleton import (
     TORSO_INDEX,
 )
 
-LIMIT, LENGTH, TAU, TORSO, CAMERA, BOTH = SOURCES = (
+LIMIT, LENGTH, TAU, TORSO, CAMERA, BOTH = REASON_SOURCES = (
     "limit",
     "length",
     "τ",
@@ -53,7 +53,7 @@ class Break(NamedTuple):
 
 
 class Reason(NamedTuple):
-    """Why a truth is excluded: the `source` (`SOURCES`), and what it breaks."""
+    """Why a truth is excluded: the `source` (`REASON_SOURCES`), and what it breaks."""
 
     source: str
     broken: Break
@@ -87,7 +87,8 @@ def exclusions(
     """The reasons why each case's posterior excludes its truth, none where it does not. Where there
     are several candidates each has to exclude it, and the one with the fewest reasons gives
     them. Where the `root` is uncertain the torso's detections count too."""
-    places, rows = [], []
+    places = []
+    rows = []
     for number, (case, instance) in enumerate(zip(cases, known, strict=True)):
         right = true_candidate(case, model)
         for mine in instance.frame.candidates:
@@ -122,7 +123,8 @@ def _broken(
     joints = np.stack([hung(case, candidate) for case, _, candidate in places])
     check = model.limits.check(joints)
     length = lengths(joints)
-    low, high = np.asarray(model.lengths.low), np.asarray(model.lengths.high)
+    low = np.asarray(model.lengths.low)
+    high = np.asarray(model.lengths.high)
     beyond = np.maximum(low / length, length / high) - 1
     found = []
     for row, (_, frame, candidate) in enumerate(places):

@@ -20,11 +20,13 @@ def rank_level(truth: np.ndarray, draws: np.ndarray, rng: np.random.Generator) -
 
     Ties are broken at random, so that also discrete quantities have uniform levels. NaN counts as a
     value below all. Raises `ValueError` where the shapes do not fit."""
-    truth, draws = np.asarray(truth, float), np.asarray(draws, float)
+    truth = np.asarray(truth, float)
+    draws = np.asarray(draws, float)
     if draws.ndim != truth.ndim + 1 or draws.shape[1:] != truth.shape or not len(draws):
         raise ValueError(f"draws of shape {draws.shape} cannot rank a truth of shape {truth.shape}")
     truth, draws = (np.where(np.isnan(part), -np.inf, part) for part in (truth, draws))
-    below, ties = (draws < truth).sum(axis=0), (draws == truth).sum(axis=0)
+    below = (draws < truth).sum(axis=0)
+    ties = (draws == truth).sum(axis=0)
     return (below + rng.uniform(size=truth.shape) * (ties + 1)) / (len(draws) + 1)
 
 
@@ -43,7 +45,8 @@ def energy_level(truth: np.ndarray, draws: np.ndarray, rng: np.random.Generator)
     `draws` `(n, d)`, three at least."""
     number = min(CENTRES, len(draws) // 3)
     order = rng.permutation(len(draws))
-    centres, rest = draws[order[:number]], draws[order[number:]]
+    centres = draws[order[:number]]
+    rest = draws[order[number:]]
     far = cdist(np.vstack([truth, rest]), centres).mean(axis=1)
     return float(rank_level(far[0], far[1:], rng))
 

@@ -27,6 +27,7 @@ from poseterior.inference.baselines.target import Target
 from poseterior.inference.draws import COMPLETE, MAX_PROPOSALS, place
 from poseterior.inference.exact.loops.numbers import words_of
 from poseterior.inference.importance.weighted import APART, WeightedRoots, verdict, weigh_roots
+from poseterior.inference.resampling import WEIGHTS, counting, let_pass, merged, weights_of
 from poseterior.inference.sampler import MANY_ROOTS, DetectionSampler, sample
 from poseterior.inference.sampler import sampler_of as core_sampler_of
 from poseterior.inference.studies.calibration.assess import FAILED, Answer
@@ -34,14 +35,14 @@ from poseterior.inference.studies.calibration.quantities import of_pose
 from poseterior.inference.studies.calibration.simulations import Instance
 from poseterior.inference.studies.comparison.mixing import mean_ess, mixing
 from poseterior.probmodel.arrays import read_array, read_netcdf, read_tables
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import NUM_JOINTS
 
 Sampler = Callable[[int, Instance, jax.Array], Answer]
 """The number of the instance, the instance, a key of its own."""
-SUFFIXES = (".nc", ".npz", ".npy")
+DRAWS_SUFFIXES = (".nc", ".npz", ".npy")
 
 
 def sampler_of(
@@ -58,7 +59,7 @@ def sampler_of(
     its package is missing, or it holds the root fixed where it shall be uncertain."""
     if num_samples < 1:
         raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
-    if name is not None and Path(name).suffix.lower() in SUFFIXES:
+    if name is not None and Path(name).suffix.lower() in DRAWS_SUFFIXES:
         return FromFile.read(Path(name))
     if name in BASELINES and root == CANDIDATES:
         check_packages(name, BASELINES[name])
@@ -66,7 +67,7 @@ def sampler_of(
     try:
         chosen = core_sampler_of(root, name, num_roots=num_roots, max_proposals=max_proposals)
     except BadInput as error:
-        raise BadInput(f"{error}, or a file of draws ({', '.join(SUFFIXES)})") from None
+        raise BadInput(f"{error}, or a file of draws ({', '.join(DRAWS_SUFFIXES)})") from None
     return functools.partial(_drawn, DetectionSampler(model, root, chosen, num_samples))
 
 
@@ -80,7 +81,7 @@ def _drawn(draw: DetectionSampler, index: int, instance: Instance, key: jax.Arra
     return Answer(draws.joints * scale[:, None, None], *told)
 
 
-ROUNDS = (1, 4, 16, 64)
+ROOT_FACTORS = (1, 4, 16, 64)
 """How many times as many roots are tried where fewer bring too few effective ones."""
 Reweigh = Callable[[WeightedRoots], WeightedRoots]
 
@@ -103,7 +104,9 @@ def independent_roots(
 
     def draw(index: int, instance: Instance, key: jax.Array) -> Answer:
         posterior = instance.frame.posterior(model)
-        for round_key, times in zip(jax.random.split(key, len(ROUNDS)), ROUNDS, strict=True):
+        for round_key, times in zip(
+            jax.random.split(key, len(ROOT_FACTORS)), ROOT_FACTORS, strict=True
+        ):
             roots_key, draws_key = jax.random.split(round_key)
             roots = reweigh(
                 weigh_roots(
@@ -139,7 +142,8 @@ def _baseline(
     key: jax.Array,
 ) -> Answer:
     given = instance.frame.posterior(model, CANDIDATES)
-    target, baseline = Target.of(given), BASELINES[name]
+    target = Target.of(given)
+    baseline = BASELINES[name]
     places = None
     if baseline.starts:
         exact = _exact_tree(model, instance, jax.random.fold_in(key, 0))
@@ -184,21 +188,36 @@ def independent(joints: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class FromFile:
-    """Draws made elsewhere: `joints` `(instances, draws, 15, 3)`, camera axes, body units, pelvis
-    at the origin; an instance with NaN in a draw has failed."""
+    """Draws made elsewhere.
+
+    Attributes
+    ----------
+    path
+        The file.
+    joints : `(instances, draws, 15, 3)`
+        Camera axes, body units, pelvis at the origin; an instance with NaN in a draw that counts
+        has failed.
+    log_weights : `(instances, draws)`
+        Of independent draws; None where they are of equal weight.
+    """
 
     path: Path
     joints: np.ndarray
+    log_weights: np.ndarray | None = None
 
     @property
     def sha256(self) -> str:
-        """Of the draws."""
-        return hashlib.sha256(np.ascontiguousarray(self.joints, "<f8").data).hexdigest()
+        """Of the draws, and of their weights."""
+        digest = hashlib.sha256(np.ascontiguousarray(self.joints, "<f8").data)
+        if self.log_weights is not None:
+            digest.update(np.ascontiguousarray(self.log_weights, "<f8").data)
+        return digest.hexdigest()
 
     @classmethod
     def read(cls, path: Path) -> "FromFile":
-        """Raises `BadInput` on a file without such joints."""
-        joints = _read(path)
+        """Raises `BadInput` on a file without such joints, or with weights that cannot be any."""
+        arrays = _read(path)
+        joints = arrays["joints"]
         if (
             joints.ndim != 4
             or joints.shape[2:] != (NUM_JOINTS, 3)
@@ -208,7 +227,7 @@ class FromFile:
                 f"the joints in {path} have shape {joints.shape}; they need (simulations, draws,"
                 f" {NUM_JOINTS}, 3)"
             )
-        return cls(path, joints.astype(float))
+        return cls(path, joints.astype(float), weights_of(arrays, joints.shape[:2], str(path)))
 
     def __call__(self, index: int, instance: Instance, key: jax.Array) -> Answer:
         if index >= len(self.joints):
@@ -217,6 +236,14 @@ class FromFile:
                 " for more"
             )
         draws = self.joints[index]
+        if self.log_weights is not None:
+            log_weights = self.log_weights[index]
+            counts = counting(log_weights)
+            if not counts.any():
+                said = f"all weights of simulation {index} in {self.path.name} are zero"
+                return Answer(draws[:0], np.nan, FAILED, said)
+            draws, log_weights = merged(draws[counts], log_weights[counts])
+            draws = draws[let_pass(log_weights, np.random.default_rng(words_of(key)))]
         given = np.isfinite(draws).all(axis=(1, 2))
         if given.all():
             return Answer(draws)
@@ -224,17 +251,25 @@ class FromFile:
         return Answer(draws[:0], np.nan, FAILED, said)
 
 
-def _read(path: Path) -> np.ndarray:
-    advice = "write one with numpy.savez(path, joints=joints)"
+_ADVICE = "write one with numpy.savez(path, joints=joints)"
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    """The joints of a file, and weights where it has any."""
     what, suffix = "file of draws", path.suffix.lower()
     if suffix not in (".nc", ".npz"):
-        return read_array(path, what, advice)
-    name = "joints" if suffix == ".npz" else "posterior/joints"
-    found = (
-        read_tables(path, what, advice)
-        if suffix == ".npz"
-        else read_netcdf(path, [name], what, advice)
-    )
-    if name not in found:
-        raise BadInput(f"{path} has no array `{name}`; {advice}")
-    return found[name]
+        return {"joints": read_array(path, what, _ADVICE)}
+    names = {name: name for name in ("joints", *WEIGHTS)}
+    if suffix == ".nc":
+        names = {name: f"posterior/{name}" for name in names}
+        found = read_netcdf(path, list(names.values()), what, _ADVICE)
+    else:
+        found = read_tables(path, what, _ADVICE)
+    if names["joints"] not in found:
+        raise BadInput(f"{path} has no array `{names['joints']}`; {_ADVICE}")
+    unknown = sorted(set(found) - set(names.values()))
+    if unknown:
+        raise BadInput(
+            f"{path} has an array {shown(unknown[0])}; it may have {', '.join(names.values())}"
+        )
+    return {name: found[inside] for name, inside in names.items() if inside in found}

@@ -43,7 +43,7 @@ OF_ROOT = (
 """Known where the root is uncertain: how large and where the person is seen, and the ways back and
 chest point."""
 QUANTITIES = (*OF_POSE, *OF_BOTH, *OF_ROOT)
-CHUNK = 512
+RANKED_TOGETHER = 512
 
 
 def of_pose(joints: np.ndarray) -> np.ndarray:
@@ -67,7 +67,10 @@ def of_both(model: PoseModel, observation: Observation, joints: np.ndarray) -> n
     sines of the lower bones from their planes, log joint density (-inf outside), and the largest
     distance of a seen joint from its detection, in radii τ."""
     rows = in_chunks(
-        functools.partial(_of_both, model, observation), joints, lengths(joints), size=CHUNK
+        functools.partial(_of_both, model, observation),
+        joints,
+        lengths(joints),
+        size=RANKED_TOGETHER,
     )
     return np.concatenate([rows[0], np.stack(rows[1:], axis=1)], axis=1)
 
@@ -89,7 +92,7 @@ def of_rooted(posterior: Posterior, points: RootPoint, joints: np.ndarray) -> np
     """`(n, 6)`: as `of_both`, of poses `(n, 15, 3)` each with its own root `(n, ...)`: the log
     joint density is that of root and pose, without any fault of the detector."""
     look = functools.partial(_of_rooted, posterior.model, posterior.detected)
-    rows = in_chunks(look, *map(np.asarray, points), joints, lengths(joints), size=CHUNK)
+    rows = in_chunks(look, *map(np.asarray, points), joints, lengths(joints), size=RANKED_TOGETHER)
     return np.concatenate([rows[0], np.stack(rows[1:], axis=1)], axis=1)
 
 

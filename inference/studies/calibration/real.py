@@ -27,7 +27,7 @@ from poseterior.probmodel.skeleton import TORSO_INDEX
 TRUE = "true"
 """In place of an estimator's name: the true torso in front of the true camera."""
 NUM_SAMPLES = 500
-MAX_PROPOSALS = 3_000_000
+INSTANCE_PROPOSALS = 3_000_000
 """Where no draw comes in so many proposals, none is waited for: some truths are far outside what is
 possible."""
 LIKELIHOOD = "likelihood"
@@ -97,7 +97,8 @@ def by_the_likelihood(
     """The case with its detection drawn from the likelihood instead, scores and missing joints as
     they are."""
     rng = np.random.default_rng([seed, 2, case.number])
-    exact, score = case.image(case.pose), case.detection.score
+    exact = case.image(case.pose)
+    score = case.detection.score
     unit = case.scale * case.unit * case.magnification(case.pose)
     spread = unit * SPREADS[root](score, likelihood)
     found = detected(exact, score, spread, likelihood, rng, source="likelihood")

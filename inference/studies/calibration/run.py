@@ -43,7 +43,11 @@ from poseterior.inference.studies.calibration.record import (
     coverage_tree,
     standings_table,
 )
-from poseterior.inference.studies.calibration.simulations import BLOCK, Instance, simulate
+from poseterior.inference.studies.calibration.simulations import (
+    SIMULATIONS_PER_BLOCK,
+    Instance,
+    simulate,
+)
 from poseterior.probmodel.datasets import Case
 from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.failures import BadInput
@@ -52,9 +56,9 @@ from poseterior.probmodel.posterior import require_root_prior
 from poseterior.probmodel.root_priors import UNCERTAIN
 
 NUM_SAMPLES = 1000
-REFERENCE = "zhou"
+COMPARED_ESTIMATOR = "zhou"
 """The estimator whose pose is TARP's reference: it looks at every joint."""
-GROUP = "simulation"
+SIMULATION_GROUP = "simulation"
 Progress = Callable[[int, int], None]
 
 
@@ -65,7 +69,7 @@ def calibrate(
     seed: int = 0,
     num_simulations: int = 1000,
     num_samples: int = NUM_SAMPLES,
-    reference: str = REFERENCE,
+    reference: str = COMPARED_ESTIMATOR,
     likelihood: Likelihood = PAPER,
     root: str = UNCERTAIN,
     num_roots: int = MANY_ROOTS,
@@ -121,7 +125,9 @@ def calibrate(
         draw = independent_roots(model, num_samples, num_roots, max_proposals=max_proposals)
     else:
         draw = _sampler(sampler, model, num_samples, max_proposals, root, num_roots)
-    settings = _settings(model, sampler, draw, seed, num_samples, likelihood, max_proposals) | {
+    settings = {
+        **_asked(sampler, draw),
+        **_common(model, seed, num_samples, likelihood, max_proposals),
         "study": "calibration",
         **_rooted(root, num_roots),
         "reference": reference,
@@ -130,12 +136,12 @@ def calibrate(
     blocks = [
         Block(
             number,
-            f"simulations {first} to {min(first + BLOCK, num_simulations) - 1}",
+            f"simulations {first} to {min(first + SIMULATIONS_PER_BLOCK, num_simulations) - 1}",
             {},
-            min(BLOCK, num_simulations - first),
-            range(first, min(first + BLOCK, num_simulations)),
+            min(SIMULATIONS_PER_BLOCK, num_simulations - first),
+            range(first, min(first + SIMULATIONS_PER_BLOCK, num_simulations)),
         )
-        for number, first in enumerate(range(0, num_simulations, BLOCK))
+        for number, first in enumerate(range(0, num_simulations, SIMULATIONS_PER_BLOCK))
     ]
     task = _Simulated(model, draw, seed, reference, likelihood, root)
     return _run(task, blocks, settings, out, machines, progress)
@@ -152,7 +158,7 @@ def cover(
     likelihood: Likelihood = PAPER,
     root: str = UNCERTAIN,
     num_roots: int = MANY_ROOTS,
-    max_proposals: int = real.MAX_PROPOSALS,
+    max_proposals: int = real.INSTANCE_PROPOSALS,
     source: Mapping[str, Any] | None = None,
     out: Path | None = None,
     machines: Machines = HERE,
@@ -201,7 +207,9 @@ def cover(
         )
     sampler = _named(sampler, root)
     draw = _sampler(sampler, model, num_samples, max_proposals, root, num_roots)
-    settings = _settings(model, sampler, draw, seed, num_samples, likelihood, max_proposals) | {
+    settings = {
+        **_asked(sampler, draw),
+        **_common(model, seed, num_samples, likelihood, max_proposals),
         "study": "coverage of real poses",
         "estimator": estimator,
         **_rooted(root, num_roots),
@@ -209,8 +217,8 @@ def cover(
         **(source or {}),
     }
     blocks = []
-    for number, first in enumerate(range(0, len(cases), BLOCK)):
-        some = cases[first : first + BLOCK]
+    for number, first in enumerate(range(0, len(cases), SIMULATIONS_PER_BLOCK)):
+        some = cases[first : first + SIMULATIONS_PER_BLOCK]
         words = f"poses {first} to {first + len(some) - 1}"
         made_of = {"poses": _fingerprint(some)}
         blocks.append(Block(number, words, made_of, len(some), (first, some)))
@@ -240,7 +248,7 @@ class _Simulated:
         )
         poses = references(some, self.reference)
         found = stand(self.draw, some, self.seed, numbers.start, model=self.model, poses=poses)
-        return {GROUP: standings_table(found, numbers.start)}
+        return {SIMULATION_GROUP: standings_table(found, numbers.start)}
 
 
 @dataclass(frozen=True)
@@ -259,7 +267,7 @@ class _Covered:
         known = real.instances(cases, self.model, self.estimator, likelihood=self.likelihood)
         found = stand(self.draw, known, self.seed, first)
         reasons = exclusions(self.model, cases, known, self.root)
-        return {GROUP: standings_table(found, first, case_columns(cases, reasons))}
+        return {SIMULATION_GROUP: standings_table(found, first, case_columns(cases, reasons))}
 
 
 def stand(
@@ -307,11 +315,12 @@ def _run(
 ) -> xr.DataTree:
     """The tree of all blocks, kept beside `out` where that is given, and written to it."""
     found: dict[int, xr.Dataset] = {}
-    done, wanted = 0, sum(block.size for block in blocks)
+    done = 0
+    wanted = sum(block.size for block in blocks)
 
     def take(block: Block, groups: Groups) -> None:
         nonlocal done
-        found[block.number] = groups[GROUP].isel(simulation=slice(block.size))
+        found[block.number] = groups[SIMULATION_GROUP].isel(simulation=slice(block.size))
         done += block.size
         if progress:
             progress(done, wanted)
@@ -354,20 +363,17 @@ def _rooted(root: str, num_roots: int) -> dict[str, Any]:
     return {"root": root} | ({"num_roots": num_roots} if root == UNCERTAIN else {})
 
 
-def _settings(
-    model: PoseModel,
-    sampler: str | Sampler,
-    draw: Sampler,
-    seed: int,
-    num_samples: int,
-    likelihood: Likelihood,
-    max_proposals: int,
-) -> dict[str, Any]:
-    """What both studies are asked for; draws of a file are known by their content."""
+def _asked(sampler: str | Sampler, draw: Sampler) -> dict[str, Any]:
+    """Who draws; draws of a file are known by their content."""
     name = sampler if isinstance(sampler, str) else getattr(sampler, "__name__", "a function")
+    return {"sampler": name} | ({"draws": draw.sha256} if isinstance(draw, FromFile) else {})
+
+
+def _common(
+    model: PoseModel, seed: int, num_samples: int, likelihood: Likelihood, max_proposals: int
+) -> dict[str, Any]:
+    """What both studies are asked for besides."""
     return {
-        "sampler": name,
-        **({"draws": draw.sha256} if isinstance(draw, FromFile) else {}),
         "seed": seed,
         "num_samples": num_samples,
         "likelihood": f"{likelihood.words} {likelihood.sha256}",

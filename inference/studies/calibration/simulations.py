@@ -32,22 +32,22 @@ from poseterior.probmodel.rotations import UprightRotation
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from poseterior.probmodel.transport import CUBE_DIM, from_cube
 
-UPRIGHT = np.diag([1.0, -1.0, -1.0])
+FACING_UPRIGHT = np.diag([1.0, -1.0, -1.0])
 """Turns axes (left, up, forward) into the camera's, the person facing the camera."""
-SCALE, MIDDLE = 100.0, np.array([320.0, 240.0])
+SCALE, IMAGE_CENTRE = 100.0, np.array([320.0, 240.0])
 TILT = 30.0
 """Degrees up and down from which the camera looks."""
 LEAST_SCORE = 0.5
 HIDDEN = (("head",), (), ("head", "right_wrist"), ("left_elbow", "left_wrist", "right_knee"))
 """Joints that are missing, in turn. Few patterns: some samplers are compiled for each."""
-BLOCK = 50
+SIMULATIONS_PER_BLOCK = 50
 """Simulations made, and saved, at once."""
 
 
 def _sideways(rng: np.random.Generator, model: PoseModel) -> np.ndarray:
     """A rotation under which an upright person is seen from some side."""
     turn = Rotation.from_euler("yx", [rng.uniform(0, 360), rng.uniform(-TILT, TILT)], degrees=True)
-    return UPRIGHT @ turn.as_matrix()
+    return FACING_UPRIGHT @ turn.as_matrix()
 
 
 def _believed(rng: np.random.Generator, model: PoseModel) -> np.ndarray:
@@ -92,10 +92,10 @@ def simulate(
     cubes = np.stack([rng.uniform(size=CUBE_DIM) for rng in rngs])
     indices = [int(rng.integers(len(model.torsos))) for rng in rngs]
     torsos = np.asarray(model.torsos)[indices]
-    joints = in_chunks(functools.partial(_poses, model), cubes, torsos, size=BLOCK)
+    joints = in_chunks(functools.partial(_poses, model), cubes, torsos, size=SIMULATIONS_PER_BLOCK)
     some = []
     for row, (rng, index, torso) in enumerate(zip(rngs, indices, torsos, strict=True)):
-        camera = WeakPerspective(SCALE, ROTATIONS[root](rng, model), MIDDLE)
+        camera = WeakPerspective(SCALE, ROTATIONS[root](rng, model), IMAGE_CENTRE)
         missing = HIDDEN[(first + row) % len(HIDDEN)]
         candidate = Candidate(index, torso, camera, 0.0)
         some.append(_instance(joints[row], candidate, missing, likelihood, SPREADS[root], rng))

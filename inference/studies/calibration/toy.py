@@ -7,7 +7,7 @@ from poseterior.inference.studies.calibration.levels import distance_level, ener
 from poseterior.inference.studies.calibration.uniformity import uniformity
 
 TESTS = ("ranks", "highest density", "energy balls", "TARP")
-SEED = 7
+TOY_SEED = 7
 
 
 class Toy:
@@ -46,7 +46,7 @@ def sizes(repetitions: int, number: int, draws: int) -> dict[str, np.ndarray]:
     """p-values `(repetitions,)` of right posteriors, by kind of test."""
     found: dict[str, list[float]] = {}
     for repetition in range(repetitions):
-        rng = np.random.default_rng([SEED, repetition])
+        rng = np.random.default_rng([TOY_SEED, repetition])
         toy = Toy(number, draws, rng)
         for name, p_value in toy.p_values(toy.draws, rng).items():
             found.setdefault(name, []).append(p_value)

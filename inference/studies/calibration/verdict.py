@@ -21,7 +21,7 @@ from poseterior.probmodel.failures import BadInput
 
 FALSE_ALARM = 0.01
 """Chance that a right posterior is said to be miscalibrated, over all tests together."""
-FEWEST = 100
+FEWEST_SIMULATIONS = 100
 """Simulations below which nothing is said: fewer would not notice draws of 0.8 times the spread."""
 FEW_FAILURES = 0.01
 """With a larger share of failures the others prove nothing: which ones fail may depend on the
@@ -59,7 +59,7 @@ class Calibration(NamedTuple):
 
 
 def judge(
-    simulation: xr.Dataset, *, false_alarm: float = FALSE_ALARM, fewest: int = FEWEST
+    simulation: xr.Dataset, *, false_alarm: float = FALSE_ALARM, fewest: int = FEWEST_SIMULATIONS
 ) -> Calibration:
     """The verdict on levels by (simulation, quantity), NaN where an instance failed.
 
@@ -67,7 +67,8 @@ def judge(
     quantity counts against the sampler only if it did so whatever the levels of the failed ones.
     Raises `BadInput` where there are fewer than `fewest` judged simulations."""
     table = simulation["level"]
-    total, failed = len(table), int((~np.isfinite(table.values).any(axis=1)).sum())
+    total = len(table)
+    failed = int((~np.isfinite(table.values).any(axis=1)).sum())
     if total - failed < fewest:
         lost = f", {failed} of them failed" if failed else ""
         raise BadInput(

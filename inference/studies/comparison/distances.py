@@ -11,7 +11,7 @@ MILLIMETRES = 350.0
 """One body unit, the mean limb length, of a person of 1.7 m: 0.206 of the stature (Drillis &
 Contini 1966)."""
 DIRECTIONS = 100
-MOST = 20_000
+MOST_PROJECTED = 20_000
 """Draws of either side in a sliced Wasserstein distance at most, taken evenly."""
 
 
@@ -65,7 +65,9 @@ def wasserstein(one: np.ndarray, other: np.ndarray, points: int = 512) -> np.nda
 def sliced_wasserstein(draws: np.ndarray, exact: np.ndarray, seed: int = 0) -> float:
     """Mean W1 along random directions, in standard deviations of the exact draws (Bonneel et al.
     2015)."""
-    one, other = standardised(*(part[:: -(-len(part) // MOST)] for part in (draws, exact)))
+    one, other = standardised(
+        *(part[:: -(-len(part) // MOST_PROJECTED)] for part in (draws, exact))
+    )
     directions = np.random.default_rng(seed).normal(size=(one.shape[1], DIRECTIONS))
     directions /= np.linalg.norm(directions, axis=0)
     return float(wasserstein(one @ directions, other @ directions).mean())

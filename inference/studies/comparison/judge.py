@@ -5,7 +5,8 @@ Tests that need independent draws are given draws thinned by their measured auto
 verdict holds all of them to one level (Holm's procedure): "differs", "agrees" (as far as the draws
 can tell), "unmixed" where no test rejects but the chains are still apart, so that their starts
 agree rather than they, or "cannot tell" where there are too few effective draws to see anything.
-Chains that did not move differ without a test."""
+Chains that did not move differ without a test. A stated evidence is judged beside the draws: it is
+another number, with an error of its own, and neither makes the other right or wrong."""
 
 import math
 from typing import NamedTuple
@@ -18,7 +19,7 @@ from poseterior.inference.studies.comparison.distances import (
     sliced_wasserstein,
     wasserstein,
 )
-from poseterior.inference.studies.comparison.mixing import APART, Mixing, mean_ess, mixing
+from poseterior.inference.studies.comparison.mixing import CHAINS_APART, Mixing, mean_ess, mixing
 from poseterior.inference.studies.comparison.modes import Modes, modes, same_shares
 from poseterior.inference.studies.comparison.permutation import (
     PERMUTATIONS,
@@ -28,9 +29,9 @@ from poseterior.inference.studies.comparison.permutation import (
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate
 from poseterior.inference.studies.comparison.sample import NAMES, Sample
 
-LEVEL = 0.01
+JUDGE_LEVEL = 0.01
 """Chance that a sampler without fault is said to differ."""
-FEWEST = 100
+FEWEST_EFFECTIVE_DRAWS = 100
 """Effective draws below which no agreement is claimed: a shift of 0.3 standard deviations would go
 unseen."""
 INDEPENDENT = 0.5
@@ -51,7 +52,8 @@ class Test(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """All that the judge found. `tests` decide the verdict; `others` are reported beside it.
+    """All that the judge found. `tests` of draws decide the verdict; `others` stand beside it.
+    `evidence` is the test of the stated one, None where none was stated with its error.
     `coordinate_p` `(c, 2)`: rank tests of shift and spread; `joint_w1` `(9,)`: W1 of the joints'
     depth in body units (× 350: millimetres of a person of 1.7 m); `distance`: sliced Wasserstein in
     standard deviations; `sentence` says why."""
@@ -65,6 +67,12 @@ class Judgement(NamedTuple):
     coordinate_p: np.ndarray
     joint_w1: np.ndarray
     distance: float
+    evidence: Test | None = None
+
+    @property
+    def beside(self) -> tuple[Test, ...]:
+        """The tests that do not decide."""
+        return self.others if self.evidence is None else (*self.others, self.evidence)
 
     @property
     def worst_millimetres(self) -> float:
@@ -79,7 +87,7 @@ def judge(
     seed: int = 0,
     evidence: tuple[float, float] = (math.nan, math.nan),
     exact_evidence: tuple[float, float] = (math.nan, math.nan),
-    level: float = LEVEL,
+    level: float = JUDGE_LEVEL,
     permutations: int = PERMUTATIONS,
 ) -> Judgement:
     """Judges draws against exact, independent ones of the same posterior.
@@ -87,7 +95,8 @@ def judge(
     Parameters
     ----------
     evidence, exact_evidence
-        Log evidence and its standard error, NaN where there is none.
+        Log evidence and its standard error, NaN where there is none; an evidence without an error
+        is not judged.
     level
         Chance that a sampler without fault is said to differ.
     permutations
@@ -99,12 +108,10 @@ def judge(
     coordinate_p, ess = each_coordinate(sample.values, exact.flat)
     tests: list[Test] = []
     others: list[Test] = []
-    if not mixed.stuck and worst >= FEWEST:
+    if not mixed.stuck and worst >= FEWEST_EFFECTIVE_DRAWS:
         thinned = sample if _independent(sample, worst) else sample.rows(_stride(sample, worst))
         tests, others = _tests(thinned, exact, rng, permutations)
         tests.append(_coordinates(coordinate_p, ess, sample.names))
-    if math.isfinite(evidence[0]) and math.isfinite(exact_evidence[0]):
-        tests.append(_evidence(evidence, exact_evidence))
     found = modes(
         sample.away.reshape(-1, sample.away.shape[-1]),
         exact.away.reshape(-1, exact.away.shape[-1]),
@@ -115,15 +122,16 @@ def judge(
     joint_w1 = wasserstein(sample.flat[:, depth], exact.flat[:, depth])
     distance = sliced_wasserstein(sample.flat, exact.flat)
     return Judgement(
-        verdict,
-        sentence,
-        tuple(tests),
-        tuple(others),
-        mixed,
-        found,
-        coordinate_p,
-        joint_w1,
-        distance,
+        verdict=verdict,
+        sentence=sentence,
+        tests=tuple(tests),
+        others=tuple(others),
+        mixing=mixed,
+        modes=found,
+        coordinate_p=coordinate_p,
+        joint_w1=joint_w1,
+        distance=distance,
+        evidence=_evidence(evidence, exact_evidence),
     )
 
 
@@ -155,7 +163,9 @@ def _stride(sample: Sample, worst: float) -> int:
 def _tests(
     thinned: Sample, exact: Sample, rng: np.random.Generator, permutations: int
 ) -> tuple[list[Test], list[Test]]:
-    draws, known, number = thinned.flat, exact.flat, thinned.num_draws
+    draws = thinned.flat
+    known = exact.flat
+    number = thinned.num_draws
     lengths = thinned.lengths
     rest = slice(lengths.stop, None)
     independent = "thinned draws are independent"
@@ -190,7 +200,10 @@ def _coordinates(p_values: np.ndarray, ess: np.ndarray, names: tuple[str, ...]) 
     )
 
 
-def _evidence(evidence: tuple[float, float], exact: tuple[float, float]) -> Test:
+def _evidence(evidence: tuple[float, float], exact: tuple[float, float]) -> Test | None:
+    """Of log evidences with their standard errors; None where one of the four is not known."""
+    if not np.isfinite([*evidence, *exact]).all():
+        return None
     z = (evidence[0] - exact[0]) / math.hypot(evidence[1], exact[1])
     assumption = "log evidences are normal with the standard errors that they state"
     return Test("evidence", z, float(2 * stats.norm.sf(abs(z))), math.nan, assumption)
@@ -213,16 +226,16 @@ def _verdict(
     ):  # Holm's first step decides whether anything differs
         test = worse[0]
         return DIFFERS, f"{test.name}: p = {test.p_value:.2g} of {len(worse)} tests{_missed(found)}"
-    if worst < FEWEST:
+    if worst < FEWEST_EFFECTIVE_DRAWS:
         return (
             CANNOT_TELL,
             (
-                f"only {worst:.0f} effective draws in the worst coordinate; at least {FEWEST} are"
-                f" needed: run some {_more(number, worst):,} more"
+                f"only {worst:.0f} effective draws in the worst coordinate; at least"
+                f" {FEWEST_EFFECTIVE_DRAWS} are needed: run some {_more(number, worst):,} more"
             ),
         )
     said = f"no test of {len(worse)} rejects at {level:g} with {worst:.0f} effective draws"
-    if mixed.worst_rhat > APART:
+    if mixed.worst_rhat > CHAINS_APART:
         apart = f"R-hat {mixed.worst_rhat:.2f} says that the chains are still apart, run longer"
         return UNMIXED, f"{said}, but {apart}{_missed(found)}"
     return AGREES, f"{said}{_missed(found)}"
@@ -231,7 +244,7 @@ def _verdict(
 def _more(number: int, worst: float) -> int:
     """How many draws more would be effective enough, if they are worth what the first ones are: two
     digits, rounded up."""
-    more = number * (FEWEST / worst - 1)
+    more = number * (FEWEST_EFFECTIVE_DRAWS / worst - 1)
     unit = 10 ** max(0, math.floor(math.log10(more)) - 1)
     return unit * math.ceil(more / unit)
 

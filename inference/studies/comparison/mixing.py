@@ -19,7 +19,7 @@ CONSTANT = 1e-9
 """A coordinate that varies by less, in standard deviations of the exact draws, does not vary but by
 rounding."""
 
-APART = 1.1
+CHAINS_APART = 1.1
 """R-hat beyond which chains are not yet one sample (Gelman & Rubin 1992)."""
 SCATTER = 0.1
 """How seldom chains that are as good as ArviZ says scatter more than they are allowed to."""

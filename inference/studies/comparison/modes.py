@@ -11,7 +11,7 @@ from scipy import stats
 
 from poseterior.inference.studies.flips import codes
 
-LEAST = 5.0
+LEAST_EXPECTED = 5.0
 """Expected count below which modes are put together for the chi-square test."""
 
 
@@ -39,8 +39,10 @@ def modes(away: np.ndarray, exact: np.ndarray, independent: float) -> Modes:
     """Of draws `(n, bones)`, worth `independent` independent ones, and exact draws `(m, bones)`."""
     found, counts = _counts(away, exact)
     order = np.argsort(-counts[1], kind="stable")
-    found, counts = found[order], counts[:, order]
-    share, known = counts[0] / len(away), counts[1] / len(exact)
+    found = found[order]
+    counts = counts[:, order]
+    share = counts[0] / len(away)
+    known = counts[1] / len(exact)
     missed = float(known[counts[0] == 0].sum())
     expected = float(np.sum(known * (1 - known) ** independent))
     patterns = (found[:, None] >> np.arange(away.shape[1])) % 2 > 0
@@ -52,7 +54,7 @@ def same_shares(away: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
     into the modes alike (homogeneity of two samples); rare modes are put together."""
     _, counts = _counts(away, exact)
     pooled = counts.sum(axis=0) / counts.sum()
-    rare = pooled * min(len(away), len(exact)) < LEAST
+    rare = pooled * min(len(away), len(exact)) < LEAST_EXPECTED
     if rare.any():
         counts = np.concatenate(
             [counts[:, ~rare], counts[:, rare].sum(axis=1, keepdims=True)], axis=1

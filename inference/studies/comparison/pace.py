@@ -22,11 +22,11 @@ WINDOW = 5.0
 ENOUGH = 50.0
 """A path of fewer autocorrelation times bounds them, and no more (the rule of emcee's
 documentation)."""
-APART = 2.0
+MOST_PROMISED = 2.0
 """How many times as many effective draws paths may promise as ArviZ finds, whose figure is of tails
 too."""
-ROUNDING = 1e-9
-GROUPS = 16
+SERIES_ROUNDING = 1e-9
+WALKER_GROUPS = 16
 """Groups of walkers, from whose differences standard errors come."""
 
 
@@ -53,8 +53,10 @@ def pace(sample: Sample, exact: Sample, *, effective: float, given: int, steps: 
     steps
         How many draws in a row are the path of one walker.
     """
-    series, truth = _series(sample), _series(exact)
-    centre, spread = truth.mean(axis=0), truth.std(axis=0)
+    series = _series(sample)
+    truth = _series(exact)
+    centre = truth.mean(axis=0)
+    spread = truth.std(axis=0)
     varies = spread > CONSTANT
     paths = ((series[:, varies] - centre[varies]) / spread[varies]).reshape(
         -1, steps, int(varies.sum())
@@ -64,12 +66,14 @@ def pace(sample: Sample, exact: Sample, *, effective: float, given: int, steps: 
         bounds = np.zeros(len(varies))
         bounds[-sample.away.shape[-1] :] = uncrossed(sample.away, exact.away, steps)
         never = bounds[varies] > 0
-        times, closed = np.where(never, bounds[varies], times), closed & ~never
+        times = np.where(never, bounds[varies], times)
+        closed = closed & ~never
     time = max(1.0, float(times.max()))
     settled = sample.num_draws / time
     known = bool(closed.all()) and steps >= ENOUGH * time
-    if settled > APART * effective:
-        settled, known = effective, False
+    if settled > MOST_PROMISED * effective:
+        settled = effective
+        known = False
     return Pace(max(0.0, effective - given), time, settled, known)
 
 
@@ -100,9 +104,10 @@ def autocorrelation_times(paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     variance 1 in the limit, and whether the sum came to its end within half a path; where it did
     not, it is a lower bound."""
     steps = paths.shape[1]
-    times, closed = np.empty(paths.shape[2]), np.empty(paths.shape[2], bool)
+    times = np.empty(paths.shape[2])
+    closed = np.empty(paths.shape[2], bool)
     lags = np.arange(steps // 2 + 1)
-    groups = np.array_split(np.arange(len(paths)), min(GROUPS, len(paths)))
+    groups = np.array_split(np.arange(len(paths)), min(WALKER_GROUPS, len(paths)))
     for column in range(paths.shape[2]):
         power = np.abs(np.fft.rfft(paths[..., column], 2 * steps, axis=1)) ** 2
         products = np.fft.irfft(np.stack([power[group].mean(axis=0) for group in groups]))[
@@ -125,9 +130,10 @@ def _rest(found: np.ndarray) -> float:
     standard errors (jackknife) added."""
     last = found.shape[1] - 1
     width = last // 8
-    if len(found) < GROUPS or not width:
+    if len(found) < WALKER_GROUPS or not width:
         return 0.0
-    half, end = last // 2, last
+    half = last // 2
+    end = last
     early, late = (found[:, at - width : at + 1].mean(axis=1) for at in (half, end))
     left_out = np.array(
         [[np.delete(part, group).mean() for group in range(len(found))] for part in (early, late)]
@@ -138,4 +144,4 @@ def _rest(found: np.ndarray) -> float:
     error = np.sqrt((len(falls) - 1) * falls.var())
     fall = (max(falls.mean(), 0.0) + 2 * error) / (end - half)
     # A slope of nothing but rounding says nothing: the sum so far is a bound as well.
-    return float(late.mean() / fall) if fall * (end - half) > ROUNDING else 0.0
+    return float(late.mean() / fall) if fall * (end - half) > SERIES_ROUNDING else 0.0

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from poseterior.inference.studies.comparison.distances import energy, mmd, pairwise, standardised
 
 PERMUTATIONS = 999
-MOST = 2000
+MOST_PERMUTED = 2000
 """Draws of either side that take part at most; the cost grows with the square."""
 
 
@@ -38,7 +38,7 @@ def classifier_test(
     it."""
     from sklearn.ensemble import HistGradientBoostingClassifier
 
-    number = min(len(draws), len(exact), MOST)
+    number = min(len(draws), len(exact), MOST_PERMUTED)
     rows = np.concatenate([_some(draws, rng, number), _some(exact, rng, number)])
     labels = np.arange(len(rows)) < number
     order = rng.permutation(len(rows))
@@ -53,5 +53,5 @@ def classifier_test(
     return right / len(held_out), float(stats.binom.sf(right - 1, len(held_out), 0.5))
 
 
-def _some(draws: np.ndarray, rng: np.random.Generator, most: int = MOST) -> np.ndarray:
+def _some(draws: np.ndarray, rng: np.random.Generator, most: int = MOST_PERMUTED) -> np.ndarray:
     return draws if len(draws) <= most else draws[rng.choice(len(draws), most, replace=False)]

@@ -50,7 +50,8 @@ def all_together(draws: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
     theirs = scores(exact[:, varies], exact[:, varies]).reshape(len(exact), -1)
     covariance = np.cov(theirs, rowvar=False)
     shift = ours.mean(axis=0)
-    dim, freedom = len(shift), len(exact) - 1
+    dim = len(shift)
+    freedom = len(exact) - 1
     square = float(shift @ np.linalg.solve(covariance, shift)) / (1 / len(draws) + 1 / len(exact))
     return square, float(
         stats.f.sf(square * (freedom - dim + 1) / (dim * freedom), dim, freedom - dim + 1)

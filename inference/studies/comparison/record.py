@@ -1,20 +1,20 @@
 """Judgements of several samplers as one DataTree with a sampler dimension: `comparison.nc`."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from poseterior.inference.results import versions
 from poseterior.inference.studies.comparison.cost import EPSILON, SHARES, Course
-from poseterior.inference.studies.comparison.judge import Judgement
+from poseterior.inference.studies.comparison.judge import Judgement, Test
 from poseterior.inference.studies.comparison.pace import Pace
 from poseterior.inference.studies.comparison.sample import NAMES, Sample
 from poseterior.inference.studies.flips import FLIPPING
 from poseterior.probmodel.skeleton import BONES, JOINTS
 
-SHOWN, EXACT_SHOWN = 1000, 4000
+SHOWN_DRAWS, EXACT_SHOWN = 1000, 4000
 """Draws that are kept for pictures, of each sampler and exact ones."""
 
 
@@ -28,13 +28,37 @@ class Entry(NamedTuple):
     judgement: Judgement | None
     sentence: str
     num_draws: int
-    evaluations: int
+    evaluations: float
     seconds: float
     course: Course | None
     pace: Pace | None
     log_evidence: float
     log_evidence_se: float
     draws: np.ndarray = np.empty((0, len(NAMES)))
+
+    @classmethod
+    def without_draws(
+        cls,
+        sampler: str,
+        start: str,
+        sentence: str,
+        cost: tuple[float, float],
+        evidence: tuple[float, float] = (np.nan, np.nan),
+    ) -> "Entry":
+        """The line of a sampler that brought none, for so many evaluations and seconds."""
+        return cls(
+            sampler=sampler,
+            start=start,
+            judgement=None,
+            sentence=sentence,
+            num_draws=0,
+            evaluations=cost[0],
+            seconds=cost[1],
+            course=None,
+            pace=None,
+            log_evidence=evidence[0],
+            log_evidence_se=evidence[1],
+        )
 
     @property
     def label(self) -> str:
@@ -63,6 +87,8 @@ class Entry(NamedTuple):
         `Pace.settled`."""
         if self.pace is None or self.course is None:
             return 0.0
+        if self.course.kept == 0:  # its draws come at the end: there is no burn-in to leave out
+            return self.ess_per_second
         return self.pace.settled / (self.seconds * self.course.kept)
 
     @property
@@ -105,60 +131,63 @@ def comparison_tree(
     return tree
 
 
+def _column(entries: list[Entry], part: str, what: Callable[[Any], Any], without: Any) -> list[Any]:
+    """Something of a part of every line; where a line lacks that part, what stands `without` it."""
+    parts = (getattr(entry, part) for entry in entries)
+    return [without if one is None else what(one) for one in parts]
+
+
+def _judged(entries: list[Entry], what: Callable[[Judgement], Any], size: int = 1) -> np.ndarray:
+    """`(sampler, size)`: something of every judgement, NaN where there is none."""
+    return np.stack(_column(entries, "judgement", what, np.full(size, np.nan)))
+
+
 def _summary(entries: list[Entry]) -> xr.Dataset:
-    numbers = {
-        "num_draws": [entry.num_draws for entry in entries],
-        "num_evaluations": [entry.evaluations for entry in entries],
-        "seconds": [entry.seconds for entry in entries],
-        "ess_worst": [entry.worst_ess for entry in entries],
-        "ess_per_second": [entry.ess_per_second for entry in entries],
-        "settled_per_second": [entry.settled_per_second for entry in entries],
-        "autocorrelation_time": [
-            np.nan if entry.pace is None else entry.pace.time for entry in entries
-        ],
-        "time_known": [float(entry.pace is not None and entry.pace.known) for entry in entries],
-        "rhat_worst": [entry.worst_rhat for entry in entries],
-        "seconds_to_distance": [entry.seconds_to_distance for entry in entries],
-        "log_evidence": [entry.log_evidence for entry in entries],
-        "log_evidence_se": [entry.log_evidence_se for entry in entries],
+    own = {
+        "verdict": "verdict",
+        "sentence": "sentence",
+        "start": "start",
+        "num_draws": "num_draws",
+        "num_evaluations": "evaluations",
+        "seconds": "seconds",
+        "ess_worst": "worst_ess",
+        "ess_per_second": "ess_per_second",
+        "settled_per_second": "settled_per_second",
+        "rhat_worst": "worst_rhat",
+        "seconds_to_distance": "seconds_to_distance",
+        "log_evidence": "log_evidence",
+        "log_evidence_se": "log_evidence_se",
     }
-    words = {
-        "verdict": [entry.verdict for entry in entries],
-        "sentence": [entry.sentence for entry in entries],
-        "start": [entry.start for entry in entries],
+    columns = {name: [getattr(entry, field) for entry in entries] for name, field in own.items()}
+    columns |= {
+        "autocorrelation_time": _column(entries, "pace", lambda pace: pace.time, np.nan),
+        "time_known": _column(entries, "pace", lambda pace: float(pace.known), 0.0),
+        "distance": _column(entries, "judgement", lambda one: one.distance, np.nan),
+        "missed_mass": _column(entries, "judgement", lambda one: one.modes.missed, np.nan),
+        "expected_missed_mass": _column(
+            entries, "judgement", lambda one: one.modes.expected_missed, np.nan
+        ),
+        "unique": _column(entries, "judgement", lambda one: one.mixing.unique, np.nan),
     }
-    judged = {
-        "distance": _each(entries, lambda found: found.distance),
-        "missed_mass": _each(entries, lambda found: found.modes.missed),
-        "expected_missed_mass": _each(entries, lambda found: found.modes.expected_missed),
-        "unique": _each(entries, lambda found: found.mixing.unique),
-    }
-    return xr.Dataset(
-        {name: ("sampler", values) for name, values in {**words, **numbers, **judged}.items()}
-    )
-
-
-def _each(entries: list[Entry], what: Callable[[Judgement], float]) -> list[float]:
-    return [np.nan if entry.judgement is None else what(entry.judgement) for entry in entries]
+    return xr.Dataset({name: ("sampler", values) for name, values in columns.items()})
 
 
 def _course(entries: list[Entry]) -> xr.Dataset:
     blank = np.full(len(SHARES), np.nan)
-    seconds = [blank if one.course is None else one.course.seconds for one in entries]
-    distance = [blank if one.course is None else one.course.distance for one in entries]
+    columns = {
+        "seconds": _column(entries, "course", lambda course: course.seconds, blank),
+        "distance": _column(entries, "course", lambda course: course.distance, blank),
+    }
     return xr.Dataset(
-        {
-            "seconds": (("sampler", "part"), np.stack(seconds)),
-            "distance": (("sampler", "part"), np.stack(distance)),
-        }
+        {name: (("sampler", "part"), np.stack(values)) for name, values in columns.items()}
     )
 
 
 def _draws(entries: list[Entry], exact: Sample) -> xr.Dataset:
     """Some draws of every sampler, NaN where it has fewer, and some exact ones."""
-    table = np.full((len(entries), SHOWN, len(exact.names)), np.nan, np.float32)
+    table = np.full((len(entries), SHOWN_DRAWS, len(exact.names)), np.nan, np.float32)
     for row, entry in enumerate(entries):
-        table[row, : len(entry.draws)] = entry.draws[:SHOWN]
+        table[row, : len(entry.draws)] = entry.draws[:SHOWN_DRAWS]
     known = exact.flat[:: max(1, exact.num_draws // EXACT_SHOWN)][:EXACT_SHOWN].astype(np.float32)
     return xr.Dataset(
         {
@@ -177,80 +206,58 @@ def _tests(entries: list[Entry]) -> xr.Dataset:
     def kind(name: str) -> str:
         return "coordinates" if name.endswith((", shift", ", spread")) else name
 
-    found = [
-        {
-            kind(test.name): test
-            for test in ((*one.judgement.tests, *one.judgement.others) if one.judgement else ())
-        }
-        for one in entries
-    ]
+    def by_kind(judgement: Judgement) -> dict[str, Test]:
+        return {kind(test.name): test for test in (*judgement.tests, *judgement.beside)}
+
+    found = _column(entries, "judgement", by_kind, {})
     names = list(dict.fromkeys(name for tests in found for name in tests))
+    fields = ("statistic", "p_value", "size")
+    values = {
+        field: [[getattr(tests.get(name), field, np.nan) for name in names] for tests in found]
+        for field in fields
+    }
     return xr.Dataset(
-        {
-            field: (
-                ("sampler", "test"),
-                [
-                    [getattr(tests[name], field) if name in tests else np.nan for name in names]
-                    for tests in found
-                ],
-            )
-            for field in ("statistic", "p_value", "size")
-        },
-        coords={"test": names},
+        {field: (("sampler", "test"), values[field]) for field in fields}, coords={"test": names}
     )
 
 
 def _coordinates(entries: list[Entry], names: tuple[str, ...]) -> xr.Dataset:
-    blank = np.full(len(names), np.nan)
-    columns = {
-        "ess_bulk": [
-            blank if one.judgement is None else one.judgement.mixing.bulk for one in entries
-        ],
-        "ess_tail": [
-            blank if one.judgement is None else one.judgement.mixing.tail for one in entries
-        ],
-        "rhat": [blank if one.judgement is None else one.judgement.mixing.rhat for one in entries],
-        "p_shift": [
-            blank if one.judgement is None else one.judgement.coordinate_p[:, 0] for one in entries
-        ],
-        "p_spread": [
-            blank if one.judgement is None else one.judgement.coordinate_p[:, 1] for one in entries
-        ],
+    columns: dict[str, Callable[[Judgement], np.ndarray]] = {
+        "ess_bulk": lambda one: one.mixing.bulk,
+        "ess_tail": lambda one: one.mixing.tail,
+        "rhat": lambda one: one.mixing.rhat,
+        "p_shift": lambda one: one.coordinate_p[:, 0],
+        "p_spread": lambda one: one.coordinate_p[:, 1],
     }
-    data = {name: (("sampler", "coordinate"), np.stack(values)) for name, values in columns.items()}
+    data = {
+        name: (("sampler", "coordinate"), _judged(entries, what, len(names)))
+        for name, what in columns.items()
+    }
     return xr.Dataset(data, coords={"coordinate": list(names)})
 
 
 def _joints(entries: list[Entry]) -> xr.Dataset:
-    blank = np.full(len(BONES), np.nan)
-    depth = np.stack(
-        [blank if one.judgement is None else one.judgement.joint_w1 for one in entries]
-    )
-    coords = {"joint": [JOINTS[bone.end] for bone in BONES]}
+    depth = _judged(entries, lambda one: one.joint_w1, len(BONES))
     return xr.Dataset(
-        {"w1_depth": (("sampler", "joint"), depth, {"units": "body units"})}, coords=coords
+        {"w1_depth": (("sampler", "joint"), depth, {"units": "body units"})},
+        coords={"joint": [JOINTS[bone.end] for bone in BONES]},
     )
 
 
 def _modes(judged: list[Entry]) -> xr.Dataset:
     """Shares of the depth flips, commonest first; a pattern is written as one letter a bone,
     t(owards) or a(way)."""
-    tables = []
-    for entry in judged:
-        assert entry.judgement is not None
-        found = entry.judgement.modes
+    shares: list[dict[str, float]] = []
+    exact: dict[str, float] = {}
+    for found in _column(judged, "judgement", lambda one: one.modes, None):
         names = ["".join("ta"[away] for away in pattern.astype(int)) for pattern in found.patterns]
-        tables.append(
-            (dict(zip(names, found.share, strict=True)), dict(zip(names, found.exact, strict=True)))
-        )
-    exact = {name: share for _, known in tables for name, share in known.items() if share > 0}
+        shares.append(dict(zip(names, found.share, strict=True)))
+        exact |= {name: share for name, share in zip(names, found.exact, strict=True) if share > 0}
     order = sorted(exact, key=lambda name: -exact[name])
+    of_mode = [[share.get(name, 0.0) for name in order] for share in shares]
     return xr.Dataset(
         {
-            "share": (
-                ("sampler", "mode"),
-                [[share.get(name, 0.0) for name in order] for share, _ in tables],
-            ),
+            "share": (("sampler", "mode"), of_mode),
             "exact_share": (("mode",), [exact[name] for name in order]),
         },
         coords={"sampler": [entry.label for entry in judged], "mode": order},

@@ -45,7 +45,7 @@ from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate, require_root_prior
 from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 
-REFERENCE = 1000
+ROUTE_REFERENCE = 1000
 """Draws by rejection that the judge compares with: some minutes."""
 
 
@@ -93,14 +93,14 @@ def compare(
     require_root_prior(root)
     if root == CANDIDATES:
         names = ("rejection",) if samplers is None else samplers
-        number = contest.REFERENCE if exact_draws is None else exact_draws
+        number = contest.EXACT_REFERENCE if exact_draws is None else exact_draws
         return compare_candidate(model, frame, names, exact_draws=number, **settings)
     return compare_routes(
         model,
         frame,
         (WEIGHTED,) if samplers is None else samplers,
         num_roots=num_roots,
-        exact_draws=REFERENCE if exact_draws is None else exact_draws,
+        exact_draws=ROUTE_REFERENCE if exact_draws is None else exact_draws,
         **settings,
     )
 
@@ -115,7 +115,7 @@ def compare_routes(
     max_evaluations: int | None = None,
     num_samples: int = 10_000,
     num_roots: int = NUM_ROOTS,
-    exact_draws: int = REFERENCE,
+    exact_draws: int = ROUTE_REFERENCE,
     out: Path | None = None,
     stage: Stage = contextlib.nullcontext,
 ) -> Comparison:
@@ -152,7 +152,8 @@ def compare_routes(
         Where the exact draws are not complete.
     """
     check_routes(samplers)
-    posterior, allowance = frame.posterior(model), Allowance(max_evaluations, seconds)
+    posterior = frame.posterior(model)
+    allowance = Allowance(max_evaluations, seconds)
     # Before any work is done.
     target = RootedTarget.of(posterior) if {*samplers} & {*ROOTED} else None
     key = jax.random.key(seed)
@@ -203,12 +204,12 @@ def _enter_route(known: Truth, name: str, result: Result) -> Entry:
     evidence = attributes["log_evidence"], attributes["log_evidence_se"]
     cost = attributes["num_proposals"], attributes["wall_time_s"]
     if not result.num_draws:
-        return Entry(name, "", None, result.sentence, 0, *cost, None, None, *evidence)
+        return Entry.without_draws(name, "", result.sentence, cost, evidence)
     found = read_sample(result.tree, f"the draws of {name}")
     if name == WEIGHTED:
         found = found.first(min(1.0, attributes["effective_roots"] / APART / found.num_draws))
     work = Work(*cost, 1.0, found.num_draws, 0)
-    return entry_of(name, "", found, known, result.sentence, work, evidence)
+    return entry_of(name, "", found, known, work=work, evidence=evidence, sentence=result.sentence)
 
 
 def check_routes(names: Sequence[str]) -> None:

@@ -75,7 +75,8 @@ class Sample:
 def sample_of(joints: np.ndarray, bone_length: np.ndarray, where: str = "the draws") -> Sample:
     """From joints `(chain, draw, 15, 3)` in camera axes and lengths `(chain, draw, 5)`, body units.
     Raises `BadInput` where a number is not finite or there is no draw."""
-    joints, bone_length = np.asarray(joints, float), np.asarray(bone_length, float)
+    joints = np.asarray(joints, float)
+    bone_length = np.asarray(bone_length, float)
     if not joints.size:
         raise BadInput(f"{where} are none; allow the sampler more")
     broken = ~(np.isfinite(joints).all(axis=(-1, -2)) & np.isfinite(bone_length).all(axis=-1))

@@ -29,11 +29,11 @@ MOST_POSES = 20_000
 LEAST_POSES = 200
 PICTURED = 600
 """Poses of each kind in the picture: more of them hide each other."""
-JUDGED = 1000
+BIAS_POSES = 1000
 """Draws of the prior of which it is asked whether they were visited."""
 ANGLES = (10.0, 20.0, 30.0)
 """Degrees within which a pose counts as visited."""
-LIMBS = {
+LIMB_ENDS = {
     "head": ("head",),
     "right arm": ("right_upper_arm", "right_forearm"),
     "left arm": ("left_upper_arm", "left_forearm"),
@@ -99,7 +99,7 @@ def bias_study(data: DataSet, anatomy: Anatomy, *, seed: int = 0) -> Bias:
     poses = data.corrected(data.poses)
     own = directions(poses, torso)
     model = PoseModel.from_anatomy(anatomy, upper="area", lower="area")
-    number = JUDGED + len(data)
+    number = BIAS_POSES + len(data)
     drawn = np.asarray(
         sample_prior(model, key=jax.random.key(seed), num_samples=number)["prior"].joints
     )[0]
@@ -108,7 +108,7 @@ def bias_study(data: DataSet, anatomy: Anatomy, *, seed: int = 0) -> Bias:
     mixture = held_out_likelihood(own.reshape(len(own), -1), data, components, seed)
     picture, action = _picture(own, prior, data.action, seed)
     actions = _actions(data, mixture, log_prior(model, poses))
-    found = visits(own, prior[:JUDGED], prior[JUDGED:])
+    found = visits(own, prior[:BIAS_POSES], prior[BIAS_POSES:])
     return Bias(actions, found, picture, action, len(data), components)
 
 
@@ -162,8 +162,10 @@ def _halves(data: DataSet) -> np.ndarray:
 def log_prior(model: PoseModel, joints: np.ndarray) -> np.ndarray:
     """`(N,)`: log density of the bones' directions under the uniform prior, but for a constant;
     -inf where a pose is impossible."""
-    reference, fallback = np.asarray(model.limits.reference), np.asarray(model.limits.fallback)
-    low, high = np.asarray(model.lengths.low), np.asarray(model.lengths.high)
+    reference = np.asarray(model.limits.reference)
+    fallback = np.asarray(model.limits.fallback)
+    low = np.asarray(model.lengths.low)
+    high = np.asarray(model.lengths.high)
 
     def one(poses: jax.Array) -> jax.Array:
         local = articulation(poses, reference, fallback)
@@ -181,18 +183,19 @@ def visits(own: np.ndarray, judged: np.ndarray, rivals: np.ndarray) -> list[Visi
     def shares(nearest: np.ndarray) -> tuple[float, ...]:
         return tuple(float(np.mean(nearest >= np.cos(np.radians(angle)))) for angle in ANGLES)
 
-    data, prior = _nearest(judged, own), _nearest(judged, rivals)
-    return [Visits(part, shares(data[part]), shares(prior[part])) for part in LIMBS]
+    data = _nearest(judged, own)
+    prior = _nearest(judged, rivals)
+    return [Visits(part, shares(data[part]), shares(prior[part])) for part in LIMB_ENDS]
 
 
 def _nearest(judged: np.ndarray, many: np.ndarray) -> dict[str, np.ndarray]:
     """By part, `(M,)`: of each the cosine of the least angle within which all bones of one of the
     `many` poses lie."""
-    found = {part: np.full(len(judged), -1.0) for part in LIMBS}
+    found = {part: np.full(len(judged), -1.0) for part in LIMB_ENDS}
     for start in range(0, len(many), 1000):
         block = many[start : start + 1000]
         cosines = {name: judged[:, bone] @ block[:, bone].T for bone, name in enumerate(BONE_NAMES)}
-        for part, names in LIMBS.items():
+        for part, names in LIMB_ENDS.items():
             worst = np.minimum.reduce([cosines[name] for name in names])
             found[part] = np.maximum(found[part], worst.max(axis=1))
     return found

@@ -6,17 +6,18 @@ from typing import NamedTuple
 
 from poseterior.inference.estimators import ESTIMATORS
 from poseterior.inference.studies.calibration.real import TRUE
+from poseterior.probmodel.documents import shortest
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.root_priors import CANDIDATES, ROOT_PRIORS, UNCERTAIN
 from poseterior.probmodel.skeleton import LIMB_JOINTS
 
-ROOTS = (*ROOT_PRIORS, TRUE)
+EVALUATED_ROOTS = (*ROOT_PRIORS, TRUE)
 """What torso and camera may be: the estimator's, drawn with the pose, or the truth's own."""
 
 
 class Condition(NamedTuple):
     """What a data set is evaluated under. `missing`: limb joints, at random; `rotate`: degrees, in
-    the image; `root`: one of `ROOTS`."""
+    the image; `root`: one of `EVALUATED_ROOTS`."""
 
     estimator: str
     missing: int = 0
@@ -31,7 +32,7 @@ class Condition(NamedTuple):
     @property
     def name(self) -> str:
         """As files call it."""
-        name = f"{self.estimator}-missing-{self.missing}-rotate-{self.rotate:g}"
+        name = f"{self.estimator}-missing-{self.missing}-rotate-{shortest(self.rotate)}"
         return name if self.root == CANDIDATES else f"{name}-root-{self.root}"
 
 
@@ -76,8 +77,8 @@ def conditions(
             f" {', '.join(ESTIMATORS)}"
         )
     for root in roots:
-        if root not in ROOTS:
-            raise BadInput(f"there is no root {root!r}; choose among {', '.join(ROOTS)}")
+        if root not in EVALUATED_ROOTS:
+            raise BadInput(f"there is no root {root!r}; choose among {', '.join(EVALUATED_ROOTS)}")
     for number in missing:
         if not 0 <= number <= len(LIMB_JOINTS):
             raise BadInput(f"{number} limb joints cannot be missing; there are {len(LIMB_JOINTS)}")

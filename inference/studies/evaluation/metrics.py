@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from poseterior.inference.studies.flips import away, codes
 
-THRESHOLD = 150.0
+PCK_MM = 150.0
 """mm: the usual threshold of PCK, and where the area under its curve ends."""
 FARTHEST = 300.0
 """mm: where the area under the curve of correct poses ends."""
@@ -41,7 +41,7 @@ def pck(errors: ArrayLike, thresholds: ArrayLike) -> np.ndarray:
     return np.searchsorted(flat, np.asarray(thresholds, float), side="right") / max(len(flat), 1)
 
 
-def pck_area(errors: ArrayLike, limit: float = THRESHOLD) -> float:
+def pck_area(errors: ArrayLike, limit: float = PCK_MM) -> float:
     """The area under the curve of `pck` from 0 to `limit`, as a share of it: exact, not a sum over
     thresholds."""
     return float(np.nanmean(np.maximum(0.0, 1.0 - np.asarray(errors, float) / limit)))

@@ -24,7 +24,7 @@ from poseterior.inference.studies.calibration.real import TRUE, true_candidate
 from poseterior.inference.studies.errors import aligned_errors, joint_errors
 from poseterior.inference.studies.evaluation.conditions import Condition
 from poseterior.inference.studies.evaluation.metrics import distinct_flips, spread
-from poseterior.inference.studies.evaluation.samples import SHAPES, of_samples
+from poseterior.inference.studies.evaluation.samples import SAMPLE_SHAPES, of_samples
 from poseterior.probmodel.anatomy.population import Anatomy
 from poseterior.probmodel.datasets import Case, DataSet
 from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
@@ -36,7 +36,7 @@ from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
 
 BAD_INPUT, FAILED = "bad input", "failed"
-LONGEST = 400
+LONGEST_SENTENCE = 400
 """Letters of a reason that are kept."""
 BLANK = {"O": "", "f": np.nan, "i": 0, "u": 0}
 """What stands where nothing is known, by kind of number."""
@@ -46,7 +46,8 @@ class Field:
     """What is kept of a frame under one name: its type and, by dimension, its sizes."""
 
     def __init__(self, kind: str, **sizes: int) -> None:
-        self.kind, self.sizes = kind, sizes
+        self.kind = kind
+        self.sizes = sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +146,7 @@ class Protocol:
             "spread": Field("f4"),
             "flips": Field("i4"),
             "seconds": Field("f4"),
-            **{name: Field("f8", **sizes) for name, sizes in SHAPES.items()},
+            **{name: Field("f8", **sizes) for name, sizes in SAMPLE_SHAPES.items()},
         }
         for k in self.ks:
             found |= {
@@ -184,7 +185,7 @@ def judge_block(
         started = time.perf_counter()
         status, sentence, values = _judged(protocol, condition.root, case, frame)
         values["seconds"] = time.perf_counter() - started
-        values |= {"status": status, "sentence": sentence[:LONGEST]}
+        values |= {"status": status, "sentence": sentence[:LONGEST_SENTENCE]}
         for name, value in values.items():
             found[name][row] = value
     return found
@@ -295,7 +296,8 @@ def _drawn(
         given=TORSO_INDEX if root == TRUE else (),
         strays=case.strays(rng, len(joints)),
     )
-    scaled, plain = joint_errors(joints, case.pose), aligned_errors(joints, case.pose).mean(axis=-1)
+    scaled = joint_errors(joints, case.pose)
+    plain = aligned_errors(joints, case.pose).mean(axis=-1)
     means = scaled.mean(axis=-1)
     values |= {
         "all": scaled[means.argmin()],

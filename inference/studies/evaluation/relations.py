@@ -22,7 +22,7 @@ from poseterior.inference.studies.evaluation.scores import (
 from poseterior.probmodel.root_priors import CANDIDATES
 
 HOLDS, FAILS, OPEN = "holds", "does not hold", "undecided"
-LEAST_GAIN = 0.15
+RELATION_GAIN = 0.15
 """What the best of five must gain on Akhter & Black's single estimate."""
 ABOUT = 0.05
 """How far apart errors are, relatively, that are "about equal"."""
@@ -56,7 +56,8 @@ def relations(
 ) -> list[Relation]:
     """Those relations that the conditions at hand allow; `base` is the first of them, its estimator
     aside."""
-    few, many = min(ks), max(ks)
+    few = min(ks)
+    many = max(ks)
     ways = alike(results, base)
     found = [_against_single(way, results[way], recording, few) for way in ways]
     for way in ways:
@@ -81,7 +82,7 @@ def _against_single(way: Condition, values: Values, recording: np.ndarray, k: in
         single = f"the single estimate of {way.estimator}"
     if way.estimator == "akhter-black":
         words = f"{way.way}: the best of {k} beats {single} by 15 % or more"
-        return gain._replace(words=words, paper="18 %", low=LEAST_GAIN)
+        return gain._replace(words=words, paper="18 %", low=RELATION_GAIN)
     if way == way._replace(estimator="zhou", root=CANDIDATES):
         words = f"{way.way}: the best of {k} about equals {single} (within 5 %)"
         return gain._replace(words=words, paper="0.3 %", low=-ABOUT, high=ABOUT)
@@ -103,7 +104,15 @@ def _gain(
         [pose_errors(values, before)[rows], pose_errors(values, after)[rows]], axis=1
     )
     estimate = clustered(columns, recording[rows], lambda means: 1 - means[..., 1] / means[..., 0])
-    return Relation(words, paper, estimate, 0.0, INF, "share", int(rows.sum()))
+    return Relation(
+        words=words,
+        paper=paper,
+        found=estimate,
+        low=0.0,
+        high=INF,
+        unit="share",
+        frames=int(rows.sum()),
+    )
 
 
 _PAPER_GAIN = {(0, 1): "+21.5 mm", (1, 2): "+13.4 mm", (0, 2): "+34.9 mm"}
@@ -118,4 +127,12 @@ def _growth(
     estimate = clustered(gains[1] - gains[0], recording[rows])
     words = f"{way}: the gain of the best of {k} grows from {one} to {more} missing joints"
     paper = f"{_PAPER_GAIN[one, more]} (A&B)" if (one, more) in _PAPER_GAIN else "–"
-    return Relation(words, paper, estimate, 0.0, INF, "mm", int(rows.sum()))
+    return Relation(
+        words=words,
+        paper=paper,
+        found=estimate,
+        low=0.0,
+        high=INF,
+        unit="mm",
+        frames=int(rows.sum()),
+    )

@@ -24,9 +24,9 @@ from poseterior.inference.studies.evaluation.conditions import Condition
 from poseterior.inference.studies.evaluation.outcome import Protocol, judge_block
 from poseterior.probmodel.datasets import DataSet
 
-STORE, GROUP = "frames", "frames"
+STORE, FRAMES_GROUP = "frames", "frames"
 """The store's folder, with a folder in it for each condition, and what a block of it holds."""
-BLOCK = 32
+FRAMES_PER_BLOCK = 32
 """Frames that are estimated together, sent to a worker together, and lost together when it dies."""
 Progress = Callable[[int, int], None]
 Results = dict[Condition, dict[str, np.ndarray]]
@@ -67,12 +67,14 @@ def evaluate(
         there = {
             (one.name, number) for one in conditions for number in store.part(one.name).numbers()
         }
-        done = sum(min(BLOCK, len(data) - BLOCK * number) for _, number in there)
+        done = sum(
+            min(FRAMES_PER_BLOCK, len(data) - FRAMES_PER_BLOCK * number) for _, number in there
+        )
         said(done, wanted)
 
         def take(block: Block, groups: Groups) -> None:
             nonlocal done
-            found[block.part, block.number] = groups[GROUP]
+            found[block.part, block.number] = groups[FRAMES_GROUP]
             if (block.part, block.number) not in there:
                 done += block.size
                 said(done, wanted)
@@ -103,7 +105,7 @@ def open_evaluation(folder: str | os.PathLike) -> xr.DataTree:
     tree = xr.DataTree.from_dict(
         {
             part.folder.name: xr.concat(
-                [part.read(number, GROUP) for number in part.whole(blocks)], dim="frame"
+                [part.read(number, FRAMES_GROUP) for number in part.whole(blocks)], dim="frame"
             )
             for part in parts
         }
@@ -132,13 +134,13 @@ class _Judging:
 
     def __call__(self, work: _Work) -> Groups:
         values = judge_block(self.protocol, work.condition, work.data, work.first)
-        return {GROUP: self.protocol.dataset(values)}
+        return {FRAMES_GROUP: self.protocol.dataset(values)}
 
 
 def _blocks(data: DataSet, conditions: Sequence[Condition]) -> Iterator[Block]:
     for condition in conditions:
-        for number, first in enumerate(range(0, len(data), BLOCK)):
-            rows = np.arange(first, min(first + BLOCK, len(data)))
+        for number, first in enumerate(range(0, len(data), FRAMES_PER_BLOCK)):
+            rows = np.arange(first, min(first + FRAMES_PER_BLOCK, len(data)))
             words = f"frames {first} to {rows[-1]} ({condition.name})"
             work = _Work(condition, first, data.take(rows))
             yield Block(number, words, {}, len(rows), work, condition.name)
@@ -151,7 +153,7 @@ def settings(data: DataSet, protocol: Protocol) -> dict[str, Any]:
         "study": "evaluation",
         "data set": f"{data.name} {data.sha256}",
         "frames": len(data),
-        "block": BLOCK,
+        "block": FRAMES_PER_BLOCK,
         "limits": f"{protocol.anatomy.limits.name} {protocol.anatomy.limits.sha256}",
         **(
             {"limits under an uncertain root": f"{rooted.name} {rooted.sha256}"}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from poseterior.inference.studies.calibration.assess import FEWEST_DRAWS, STAND_INS
+from poseterior.inference.studies.calibration.assess import ECE_STAND_INS, FEWEST_DRAWS
 from poseterior.inference.studies.calibration.levels import (
     median_levels,
     rank_level,
@@ -29,16 +29,16 @@ WITHOUT_UNIT = ("best_procrustes",)
 """What can be said of samples that are not in millimetres."""
 ECE_SAMPLES = 200
 """Samples of which the field's calibration error is made."""
-JUDGED = tuple(range(1, NUM_JOINTS))
+JUDGED_JOINTS = tuple(range(1, NUM_JOINTS))
 """All joints but the pelvis, which is the origin of both."""
-JUDGED_NAMES = tuple(JOINTS[joint] for joint in JUDGED)
-_BY_AXIS = {"judged": len(JUDGED), "axis": 3}
-SHAPES: dict[str, dict[str, int]] = {
+JUDGED_NAMES = tuple(JOINTS[joint] for joint in JUDGED_JOINTS)
+_BY_AXIS = {"judged": len(JUDGED_JOINTS), "axis": 3}
+SAMPLE_SHAPES: dict[str, dict[str, int]] = {
     "best_root": {"best": len(BESTS)},
     "best_procrustes": {"best": len(BESTS)},
     "across": {},
-    "level": {"judged": len(JUDGED)},
-    "stand_in": {"replicate": STAND_INS, "judged": len(JUDGED)},
+    "level": {"judged": len(JUDGED_JOINTS)},
+    "stand_in": {"replicate": ECE_STAND_INS, "judged": len(JUDGED_JOINTS)},
     "standing": _BY_AXIS,
     "beyond": _BY_AXIS,
     "width": _BY_AXIS,
@@ -72,15 +72,16 @@ def of_samples(
 
     Returns
     -------
-    By the names of `SHAPES`: `best_root` and `best_procrustes`, mm, the least mean joint error of
-    the first N of `BESTS`; `across`, mm, the mean distance of samples of seen joints from the truth
-    in the image; `level`, by joint, the share of samples nearer to their median than the truth is
-    (Pierzchlewicz et al. 2022), and `stand_in`, the same of samples in place of the truth;
+    By the names of `SAMPLE_SHAPES`: `best_root` and `best_procrustes`, mm, the least mean joint
+    error of the first N of `BESTS`; `across`, mm, the mean distance of samples of seen joints from
+    the truth in the image; `level`, by joint, the share of samples nearer to their median than the
+    truth is (Pierzchlewicz et al. 2022), and `stand_in`, the same of samples in place of the truth;
     `standing`, by joint and axis, the truth's rank among the samples, uniform if these are right;
     `beyond`, 1 where the truth lies beyond all of them; `width`, mm, of central intervals of 95 %.
     NaN where samples are too few to say.
     """
-    rooted, truth = joints - joints[:, :1], truth - truth[:1]
+    rooted = joints - joints[:, :1]
+    truth = truth - truth[:1]
     far = np.linalg.norm(rooted - truth, axis=-1).mean(axis=-1)
     turned = aligned_errors(joints[: max(BESTS)], truth).mean(axis=-1)
     apart = np.linalg.norm(off, axis=-1)[:, seen]
@@ -92,21 +93,22 @@ def of_samples(
     if len(joints) < FEWEST_DRAWS:
         return found | {
             name: np.full([*sizes.values()], np.nan)
-            for name, sizes in SHAPES.items()
+            for name, sizes in SAMPLE_SHAPES.items()
             if name not in found
         }
-    judged, at = (rooted + strays)[:, JUDGED], truth[list(JUDGED)]
+    judged = (rooted + strays)[:, JUDGED_JOINTS]
+    at = truth[list(JUDGED_JOINTS)]
     few = judged[:ECE_SAMPLES]
-    low, high = np.quantile(rooted[:, JUDGED], [TAIL, 1 - TAIL], axis=0)
+    low, high = np.quantile(rooted[:, JUDGED_JOINTS], [TAIL, 1 - TAIL], axis=0)
     standing = rank_level(at, judged, rng)
     found |= {
         "level": median_levels(at, few),
-        "stand_in": stand_in_levels(few, rng.integers(0, len(few), STAND_INS)),
+        "stand_in": stand_in_levels(few, rng.integers(0, len(few), ECE_STAND_INS)),
         "standing": standing,
         "beyond": ((at < judged.min(axis=0)) | (at > judged.max(axis=0))).astype(float),
         "width": high - low,
     }
-    told = [JUDGED.index(joint) for joint in given if joint in JUDGED]
+    told = [JUDGED_JOINTS.index(joint) for joint in given if joint in JUDGED_JOINTS]
     for name in ("level", "stand_in"):
         found[name][..., told] = np.nan
     for name in ("standing", "beyond", "width"):
@@ -132,9 +134,10 @@ def of_predictions(poses: np.ndarray, data: DataSet, seed: int = 0) -> dict[str,
         image = case.image(joints - joints[:, :1])
         off = (image - case.image(case.pose)) / case.scale
         rng = np.random.default_rng([seed, 3, number])
-        seen, errors = case.detection.score > 0, case.strays(rng, len(joints))
+        seen = case.detection.score > 0
+        errors = case.strays(rng, len(joints))
         rows.append(of_samples(joints, off, case.pose, seen, rng, strays=errors))
-    found = {name: np.array([row[name] for row in rows]) for name in SHAPES}
+    found = {name: np.array([row[name] for row in rows]) for name in SAMPLE_SHAPES}
     if not metric:
         found |= {
             name: np.full_like(values, np.nan)

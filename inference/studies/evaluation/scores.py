@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from poseterior.inference.studies.calibration.ece import Ece, ece
 from poseterior.inference.studies.evaluation import metrics
-from poseterior.inference.studies.evaluation.samples import JUDGED
+from poseterior.inference.studies.evaluation.samples import JUDGED_JOINTS
 from poseterior.inference.studies.intervals import TAIL, Interval, of_share
 from poseterior.probmodel.skeleton import LIMB_JOINTS
 
@@ -104,26 +104,25 @@ def summary(values: Values, row: str | int) -> Metrics:
         valid = float(values["single_valid"][rows].all(axis=-1).mean())
     elif row == "all":
         per_joint = float(values["all_by_joint"][rows].mean())
-        flips, spread = float(values["flips"][rows].mean()), float(values["spread"][rows].mean())
+        flips = float(values["flips"][rows].mean())
+        spread = float(values["spread"][rows].mean())
     else:
         many = values[f"hypotheses_{row}"][rows].astype(float)
-        per_batch, per_joint = (
-            metrics.best_per_batch(many),
-            float(metrics.best_per_joint(many).mean()),
-        )
+        per_batch = metrics.best_per_batch(many)
+        per_joint = float(metrics.best_per_joint(many).mean())
         flips = float(values[f"flips_{row}"][rows].mean())
-    pck = float(metrics.pck(errors, [metrics.THRESHOLD])[0])
+    pck = float(metrics.pck(errors, [metrics.PCK_MM])[0])
     return Metrics(
-        float(errors.mean()),
-        float(unscaled_errors(values, row)[rows].mean()),
-        per_batch,
-        per_joint,
-        pck,
-        metrics.pck_area(errors),
-        metrics.cps(errors),
-        flips,
-        spread,
-        valid,
+        per_pose=float(errors.mean()),
+        unscaled=float(unscaled_errors(values, row)[rows].mean()),
+        per_batch=per_batch,
+        per_joint=per_joint,
+        pck=pck,
+        pck_area=metrics.pck_area(errors),
+        cps=metrics.cps(errors),
+        flips=flips,
+        spread=spread,
+        valid=valid,
     )
 
 
@@ -154,22 +153,24 @@ class SampleScores(NamedTuple):
     effective: float
 
 
-LIMBS = [JUDGED.index(joint) for joint in LIMB_JOINTS]
+SCORED_LIMBS = [JUDGED_JOINTS.index(joint) for joint in LIMB_JOINTS]
 """Where the limb joints stand among the judged ones."""
 
 
 def sample_scores(values: Values, recording: np.ndarray) -> SampleScores:
     """Of the frames `(n,)` of whose samples something is known, with intervals over recordings."""
     rows = np.isfinite(values["best_procrustes"][:, 0])
-    found, recording = {name: values[name][rows] for name in values}, recording[rows]
+    found = {name: values[name][rows] for name in values}
+    recording = recording[rows]
     bests = {
         name: tuple(clustered(column, recording) for column in found[name].T)
         for name in ("best_root", "best_procrustes")
     }
-    judged = np.isfinite(found["standing"][:, LIMBS]).all(axis=(1, 2))
-    standing, width = (found[name][judged][:, LIMBS] for name in ("standing", "width"))
+    judged = np.isfinite(found["standing"][:, SCORED_LIMBS]).all(axis=(1, 2))
+    standing, width = (found[name][judged][:, SCORED_LIMBS] for name in ("standing", "width"))
     held = (standing >= TAIL) & (standing <= 1 - TAIL)
-    clusters, some = recording[judged], bool(judged.any())
+    clusters = recording[judged]
+    some = bool(judged.any())
     effective = found.get("effective_roots", np.full(len(recording), np.nan))
     return SampleScores(
         len(recording),
@@ -177,7 +178,7 @@ def sample_scores(values: Values, recording: np.ndarray) -> SampleScores:
         best_procrustes=bests["best_procrustes"],
         ece=_ece(found["level"][judged], found["stand_in"][judged], clusters) if some else None,
         axes=tuple(of_share(held[..., axis], clusters) for axis in range(3)) if some else None,
-        beyond=float(found["beyond"][judged][:, LIMBS].mean()) if some else np.nan,
+        beyond=float(found["beyond"][judged][:, SCORED_LIMBS].mean()) if some else np.nan,
         across=clustered(found["across"], recording),
         width=tuple(width.mean(axis=(0, 1)).tolist()) if some else (np.nan,) * 3,
         effective=float(np.median(effective)) if len(effective) else np.nan,

@@ -24,13 +24,14 @@ from poseterior.inference.baselines.metropolis import (
 )
 from poseterior.inference.baselines.run import Allowance
 from poseterior.inference.baselines.target import Target
-from poseterior.inference.benchmark.guests.graded import CLOCK, HARDNESS, Outcome
+from poseterior.inference.benchmark.external.entries import CLOCK, ExternalSampler, SamplerRun
+from poseterior.inference.benchmark.external.graded import HARDNESS
+from poseterior.inference.benchmark.forms import SamplerTarget
 from poseterior.inference.benchmark.programs import in_jax
-from poseterior.inference.benchmark.submission import FEWEST, Submission
-from poseterior.inference.benchmark.target import FrozenTarget
+from poseterior.inference.benchmark.submission import FEWEST_OF_CHAIN, Submission
 from poseterior.inference.benchmark.uncertain import UncertainTarget
 
-LADDERS, LEVELS = 4, 24
+LADDERS, RUNGS = 4, 24
 """Ladders apart from each other, each one chain; and levels of a ladder."""
 MOVES = 5
 """Metropolis steps of every level in a sweep."""
@@ -60,21 +61,22 @@ class Settings(NamedTuple):
     @classmethod
     def first(cls, dim: int) -> "Settings":
         """Geometric levels, and proposals as wide as the prior."""
-        inverse = jnp.array([0.0, *np.geomspace(COLDEST, 1, LEVELS - 2), 1.0])
-        root = jnp.tile(jnp.eye(dim), (LEVELS, 1, 1))
-        return cls(inverse, jnp.full(LEVELS, np.log(2.38 / np.sqrt(dim))), root)
+        inverse = jnp.array([0.0, *np.geomspace(COLDEST, 1, RUNGS - 2), 1.0])
+        root = jnp.tile(jnp.eye(dim), (RUNGS, 1, 1))
+        return cls(inverse, jnp.full(RUNGS, np.log(2.38 / np.sqrt(dim))), root)
 
     def tuned(self, batches: "list[Batch]") -> "Settings":
         """The next ones, by what happened under these."""
         refused = np.mean([1 - batch.swapped for batch in batches], axis=0)[:-1] + 1e-3
         barrier = np.concatenate([[0.0], np.cumsum(refused)])
         height = np.log(np.asarray(self.inverse)[:-1] + COLDEST)
-        spaced = np.exp(np.interp(np.linspace(0, barrier[-1], LEVELS - 1), barrier, height))
+        spaced = np.exp(np.interp(np.linspace(0, barrier[-1], RUNGS - 1), barrier, height))
         inverse = np.concatenate([np.maximum(spaced - COLDEST, 0), [1.0]])
-        inverse[0], inverse[-2] = 0.0, 1.0
+        inverse[0] = 0.0
+        inverse[-2] = 1.0
         moved = np.mean([batch.moved for batch in batches], axis=0)
         points = np.concatenate([batch.points for batch in batches])
-        points = np.moveaxis(points, 2, 0).reshape(LEVELS, -1, points.shape[-1])
+        points = np.moveaxis(points, 2, 0).reshape(RUNGS, -1, points.shape[-1])
         root = _roots(jnp.asarray(points[:, -COVARIANCE:]))
         return Settings(jnp.asarray(inverse), self.log_scale + GAIN * (moved - ACCEPTANCE), root)
 
@@ -91,10 +93,12 @@ class Batch(NamedTuple):
 class Ladders:
     """The ladders at work, and the evaluations that they have cost."""
 
-    def __init__(self, target: FrozenTarget, seed: int) -> None:
-        self._target, self._rng = target, np.random.default_rng(seed)
-        self._density, self._key = in_jax(target), jax.random.key(seed)
-        self._points = self._prior(LEVELS)
+    def __init__(self, target: SamplerTarget, seed: int) -> None:
+        self._target = target
+        self._rng = np.random.default_rng(seed)
+        self._density = in_jax(target)
+        self._key = jax.random.key(seed)
+        self._points = self._prior(RUNGS)
         self._batches = self.evaluations = 0
         self.settings = Settings.first(target.dim)
 
@@ -111,15 +115,16 @@ class Ladders:
         batch = Batch(*map(np.asarray, found))
         self._points = batch.points[-1]
         self._batches += 1
-        self.evaluations += SWEEPS * LADDERS * LEVELS * (MOVES + 2)
+        self.evaluations += SWEEPS * LADDERS * RUNGS * (MOVES + 2)
         return batch
 
 
-def nrpt(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome | None:
+def nrpt(target: SamplerTarget, seed: int, allowance: Allowance) -> SamplerRun | None:
     """Non-reversible parallel tempering. None where no ladder's last rung came inside for good, or
     the allowance ends with the tuning."""
     Ladders(target, seed).sweep()  # compiled before the clock runs
-    ladders, started = Ladders(target, seed), CLOCK()
+    ladders = Ladders(target, seed)
+    started = CLOCK()
     tuning = Allowance(_part(allowance.evaluations), _part(allowance.seconds))
     for number in itertools.count():
         batches: list[Batch] = []
@@ -128,7 +133,8 @@ def nrpt(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome | Non
         if not batches:
             break
         ladders.settings = ladders.settings.tuned(batches)
-    before, last = CLOCK() - started, []
+    before = CLOCK() - started
+    last = []
     while allowance.allows(ladders.evaluations, CLOCK() - started):
         last.append(ladders.sweep().points[:, :, -1])
     seconds = CLOCK() - started
@@ -136,12 +142,12 @@ def nrpt(target: FrozenTarget, seed: int, allowance: Allowance) -> Outcome | Non
     outside = target.misfit(paths).max(axis=1) > 1  # of any ladder
     begun = max(int(BURN_IN * len(paths)), *(1 + np.flatnonzero(outside)[-1:]), 0)
     points = np.moveaxis(paths[begun:], 1, 0)
-    if points.shape[1] < FEWEST:
+    if points.shape[1] < FEWEST_OF_CHAIN:
         return None
     costs = {"evaluations": float(ladders.evaluations), "seconds": seconds}
     kept = (1 - before / seconds) * points.shape[1] / len(paths)
     number = points.shape[0] * points.shape[1]
-    return Outcome(Submission(points, number, **costs), kept=kept, steps=points.shape[1])
+    return SamplerRun(Submission(points, number, **costs), kept=kept, steps=points.shape[1])
 
 
 def _part(allowed: float | None) -> Any:
@@ -204,7 +210,7 @@ def _moved(
 
     levels = jax.vmap(one)
     keys = jax.random.split(key, points.shape[:2])
-    points, accepted = jax.vmap(levels, in_axes=(None, 0, 0))(jnp.arange(LEVELS), points, keys)
+    points, accepted = jax.vmap(levels, in_axes=(None, 0, 0))(jnp.arange(RUNGS), points, keys)
     return points, accepted.mean(axis=0)
 
 
@@ -225,8 +231,15 @@ def _swapped(
     down = jnp.diagonal(heights, offset=-1, axis1=1, axis2=2)
     gain = up + down - own[:, :-1] - own[:, 1:]
     chance = chance_of(gain)
-    levels = jnp.arange(LEVELS)[None]
+    levels = jnp.arange(RUNGS)[None]
     chosen = (jax.random.uniform(key, chance.shape) < chance) & (levels[:, :-1] % 2 == turn)
     step = jnp.pad(chosen.astype(int), ((0, 0), (0, 1)))
     order = levels + step - jnp.roll(step, 1, axis=1)
     return jnp.take_along_axis(points, order[..., None], axis=1), chance.mean(axis=0)
+
+
+NRPT = ExternalSampler(
+    nrpt,
+    "non-reversible parallel tempering, ours: 4 × 24 levels, random-walk Metropolis, swaps of even"
+    " and odd pairs in turn, levels spaced by the rejections of swaps",
+)

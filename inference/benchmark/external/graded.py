@@ -1,49 +1,21 @@
-"""What guests share: the graded likelihood that they climb, and how its draws become draws of the
-target."""
+"""What our external samplers share: the graded likelihood that they climb, and how its draws become
+draws of the target."""
 
-import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 
-from poseterior.inference.baselines.run import Allowance
+from poseterior.inference.benchmark.forms import SamplerTarget
 from poseterior.inference.benchmark.programs import in_jax
 from poseterior.inference.benchmark.submission import Submission, submit
-from poseterior.inference.benchmark.target import FrozenTarget
 
 HARDNESS = 50.0
 """Of the walls: a joint's area grows by a fiftieth, which leaves most draws inside."""
-CLOCK = time.process_time
 
 
-class Outcome(NamedTuple):
-    """What a sampler brought.
-
-    Attributes
-    ----------
-    submission
-        Its draws.
-    given
-        How many exact draws it was started with.
-    kept
-        The share of the work that brought draws, evenly; 0 where all of them come at the end.
-    steps
-        How many draws in a row are the path of one walker; 1 where they are no paths.
-    """
-
-    submission: Submission
-    given: int = 0
-    kept: float = 0.0
-    steps: int = 1
-
-
-Guest = Callable[[FrozenTarget, int, Allowance], Outcome | None]
-"""Draws of a target, by a seed, at most so dear; None where none came inside the walls."""
-
-
-def graded(target: FrozenTarget) -> Callable[[np.ndarray], float]:
+def graded(target: SamplerTarget) -> Callable[[np.ndarray], float]:
     """The graded likelihood of one point in JAX, compiled."""
     density = in_jax(target)
     compiled = jax.jit(lambda point: density.log_graded(point, HARDNESS))
@@ -52,7 +24,7 @@ def graded(target: FrozenTarget) -> Callable[[np.ndarray], float]:
 
 
 def inside(
-    target: FrozenTarget,
+    target: SamplerTarget,
     points: np.ndarray,
     log_weights: np.ndarray,
     error: float,

@@ -553,7 +553,7 @@ def test_strata_are_the_same_however_many_threads_find_them():
         spans = found.spans(parts)
         assert len(spans) == parts
         for span in spans:
-            fill_in(found, span)
+            fill_in(found, *span)
         assert same_strata(found.strata, whole)
     assert same_strata(plan.strata[0], whole)
 

@@ -225,7 +225,7 @@ def walked(free: bool, name: str, *more: float) -> "Prepare":
 
 Prepare = Callable[[PoseModel, Case], Prepared]
 HELD: dict[str, Prepare] = {
-    "program of a mixture": program_of(mixture, "observations", "log_root_weights"),
+    "program of a mixture": program_of(mixture, "detected"),
     "Target.log_density": walked(False, "log_density"),
     "Target.log_smooth": walked(False, "log_smooth", 20.0),
     "Target.log_graded": walked(False, "log_graded", 5.0),

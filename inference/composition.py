@@ -29,7 +29,7 @@ from poseterior.probmodel.root_priors import CANDIDATES, RootPrior
 from poseterior.probmodel.roots import RootPoint, nearest_rotation
 from poseterior.probmodel.skeleton import GROUPS, NUM_JOINTS, PARENTS, TORSO_INDEX
 
-ROOTS = 8
+TRIED_ROOTS = 8
 """Roots that are tried for each hypothesis, of each kind: draws' own, and the mean camera's."""
 LIMBS = 10_000
 """Draws whose limbs are tried: of more, the nearest is hardly nearer."""
@@ -168,7 +168,7 @@ def _of_candidates(
 ) -> tuple[np.ndarray, _Roots]:
     """The draws nearest to the centre, and their candidates."""
     posterior = drawn.posterior
-    bases = np.resize(_nearest(drawn.joints[members], centre, members)[:ROOTS], ROOTS)
+    bases = np.resize(_nearest(drawn.joints[members], centre, members)[:TRIED_ROOTS], TRIED_ROOTS)
     seen = _under(posterior.detected, posterior.root_prior, drawn.points[bases], None)
     return bases, _Roots(seen, drawn.bone_length[bases], _own(drawn))
 
@@ -181,15 +181,15 @@ def _of_points(
     posterior, points, faults = drawn.posterior, drawn.points, drawn.faults
     order = _nearest(drawn.joints[members][:, _TORSO], centre[_TORSO], members)
     _, first = np.unique(points.log_scale[order], return_index=True)  # each root once
-    bases = np.resize(order[np.sort(first)][:ROOTS], ROOTS)
+    bases = np.resize(order[np.sort(first)][:TRIED_ROOTS], TRIED_ROOTS)
     like = members[_same(faults.take(members), faults.take(bases[0]))]
     middle = _mean_camera(posterior, points.take(like), centre)
     roots = jax.tree.map(lambda *parts: np.concatenate(parts), points.take(bases), middle)
-    patterns = faults.take(np.append(bases, np.full(ROOTS, bases[0])))
-    mean = np.tile(drawn.bone_length[like].mean(axis=0), (ROOTS, 1))
+    patterns = faults.take(np.append(bases, np.full(TRIED_ROOTS, bases[0])))
+    mean = np.tile(drawn.bone_length[like].mean(axis=0), (TRIED_ROOTS, 1))
     length = np.concatenate([drawn.bone_length[bases], mean])
     seen = _under(posterior.detected, posterior.root_prior, roots, patterns)
-    return bases, _Roots(seen, length, np.append(_own(drawn), np.full(ROOTS, -1)))
+    return bases, _Roots(seen, length, np.append(_own(drawn), np.full(TRIED_ROOTS, -1)))
 
 
 def _nearest(poses: np.ndarray, centre: np.ndarray, names: np.ndarray) -> np.ndarray:
@@ -199,7 +199,7 @@ def _nearest(poses: np.ndarray, centre: np.ndarray, names: np.ndarray) -> np.nda
 
 def _own(drawn: Drawn | Draws) -> np.ndarray:
     """Where the limbs of the draws whose roots are tried stand: behind all others."""
-    return min(len(drawn.joints), LIMBS) + np.arange(ROOTS)
+    return min(len(drawn.joints), LIMBS) + np.arange(TRIED_ROOTS)
 
 
 def _same(patterns: Faults, one: Faults) -> np.ndarray:
@@ -208,17 +208,17 @@ def _same(patterns: Faults, one: Faults) -> np.ndarray:
 
 
 def _mean_camera(posterior: Posterior, points: RootPoint, centre: np.ndarray) -> RootPoint:
-    """`(ROOTS, ...)`: the mean of some roots' cameras, before it those of their torsos that are
-    nearest to the centre's."""
+    """`(TRIED_ROOTS, ...)`: the mean of some roots' cameras, before it those of their torsos that
+    are nearest to the centre's."""
     torsos = np.unique(points.torso)
     rotation = nearest_rotation(points.rotation.mean(axis=0))
     view = np.einsum("ab,njb->nja", rotation, np.asarray(posterior.model.torsos)[torsos])
-    chosen = np.resize(_nearest(view, centre[_TORSO], torsos)[:ROOTS], ROOTS)
+    chosen = np.resize(_nearest(view, centre[_TORSO], torsos)[:TRIED_ROOTS], TRIED_ROOTS)
     return RootPoint(
         chosen,
-        np.tile(rotation, (ROOTS, 1, 1)),
-        np.full(ROOTS, np.log(np.exp(points.log_scale).mean())),
-        np.tile(points.translation.mean(axis=0), (ROOTS, 1)),
+        np.tile(rotation, (TRIED_ROOTS, 1, 1)),
+        np.full(TRIED_ROOTS, np.log(np.exp(points.log_scale).mean())),
+        np.tile(points.translation.mean(axis=0), (TRIED_ROOTS, 1)),
     )
 
 

@@ -350,7 +350,7 @@ def _library() -> Any:
         import distributed
     except ImportError:
         raise BadInput(
-            f"a scheduler needs distributed; {installing('evaluate')}; or leave"
-            " --scheduler out: workers of this machine need none"
+            f"a scheduler needs distributed; {installing('evaluate')}; or leave the scheduler out:"
+            " workers of this machine need none"
         ) from None
     return distributed

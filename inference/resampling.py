@@ -11,7 +11,7 @@ from poseterior.probmodel.failures import BadInput
 
 WEIGHTS = ("weights", "log_weights")
 """What the weights of draws are called in a file."""
-NOTHING = math.log(np.finfo(float).tiny)
+NEGLIGIBLE = math.log(np.finfo(float).tiny)
 """Log of the smallest share of the largest weight that counts. Nested samplers give points of no
 likelihood a log weight that is finite, such as -1e300."""
 
@@ -71,7 +71,7 @@ def weights_of(
 def counting(log_weights: np.ndarray) -> np.ndarray:
     """Which draws count at all: bool, of the same shape."""
     with np.errstate(invalid="ignore"):  # where all are zero: -inf - -inf
-        return log_weights - log_weights.max(initial=-np.inf) > NOTHING
+        return log_weights - log_weights.max(initial=-np.inf) > NEGLIGIBLE
 
 
 def merged(draws: np.ndarray, log_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -254,7 +254,8 @@ def _in_chains(group: xr.Dataset, chains: int) -> xr.Dataset:
         for name, variable in group.data_vars.items()
     }
     coords = {name: group.coords[name] for name in group.coords if name not in ("chain", "draw")}
-    return xr.Dataset(found, coords | {"chain": np.arange(chains), "draw": np.arange(draws)})
+    coords |= {"chain": np.arange(chains), "draw": np.arange(draws)}
+    return xr.Dataset(found, coords, group.attrs)
 
 
 def columns_of(draws: Draws) -> dict[str, np.ndarray]:

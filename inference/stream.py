@@ -57,7 +57,7 @@ MOST_FRAMES = 64
 BAD_INPUT = "bad input"
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Of the quantiles of depth that are kept of every frame."""
-MOST_NAMED = 12
+MOST_TRACKS_NAMED = 12
 """People of a film that are described one by one."""
 _STREAM = "a stream of frames"
 Progress = Callable[[int], None]
@@ -352,9 +352,9 @@ class People:
             f"{number} ({'' if track is None else f'track {track}, '}{count} frames)"
             for number, (track, count) in enumerate(people)
         ]
-        more = f" and {len(each) - MOST_NAMED} more" if len(each) > MOST_NAMED else ""
+        more = f" and {len(each) - MOST_TRACKS_NAMED} more" if len(each) > MOST_TRACKS_NAMED else ""
         plural = "1 person" if len(each) == 1 else f"{len(each)} people"
-        return f"{plural}: {', '.join(each[:MOST_NAMED])}{more}"
+        return f"{plural}: {', '.join(each[:MOST_TRACKS_NAMED])}{more}"
 
     def _kept(self, frame: DetectedFrame) -> list[Detection]:
         places = self._places(frame)

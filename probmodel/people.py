@@ -17,12 +17,12 @@ import numpy as np
 
 from poseterior.probmodel.detections import Detection, FloatArray
 
-FARTHEST = 1.0
+FARTHEST_MATCH = 1.0
 """How far, in sizes of a body, people come between two frames: a runner filmed five times a
 second comes about as far."""
 MOST_KNOWN = 64
 """People among whom somebody without a track is looked for: those who were seen last."""
-MOST_NAMED = 3
+MOST_PEOPLE_NAMED = 3
 """Frames that a doubt names."""
 
 
@@ -92,7 +92,7 @@ def cast_of(frames: Iterable[tuple[str, Sequence[Detection]]]) -> Cast:
         ]
     tracked = any(seen.track is not None for _, people in film for seen in people)
     alone = not tracked and max((len(people) for _, people in film), default=0) <= 1
-    followed = _Followed(np.inf if alone else FARTHEST)
+    followed = _Followed(np.inf if alone else FARTHEST_MATCH)
     numbers = [followed.frame(frame) for frame in film]
     counts = Counter(number for people in numbers for number in people)
     doubts += _said(film, followed, alone)
@@ -240,7 +240,7 @@ class _Followed:
             if not (tracked[a] and tracked[b]) and 2 * kept >= exchanged:
                 _note(self.near, frame.name)
         leaps = np.diag(away)
-        if ((leaps > FARTHEST) & np.isfinite(leaps)).any():
+        if ((leaps > FARTHEST_MATCH) & np.isfinite(leaps)).any():
             _note(self.far, frame.name)
 
 
@@ -269,6 +269,6 @@ def _said(film: Sequence[_Frame], followed: _Followed, alone: bool) -> Iterator[
 
 
 def _frames(names: list[str]) -> str:
-    more = len(names) - MOST_NAMED
-    said = ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+    more = len(names) - MOST_PEOPLE_NAMED
+    said = ", ".join(names[:MOST_PEOPLE_NAMED]) + (f" and {more} more" if more > 0 else "")
     return f"frame {said}" if len(names) == 1 else f"frames {said}"

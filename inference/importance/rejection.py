@@ -52,7 +52,7 @@ from poseterior.inference.importance.limbs import (
     proposals_of,
 )
 from poseterior.inference.importance.torso_proposals import (
-    ZERO_ACCEPTANCE_LIMIT,
+    TORSO_ZERO_ACCEPTANCE_LIMIT,
     TorsoProposal,
     exact_proposal,
     proposed_roots,
@@ -123,7 +123,7 @@ class RejectedRoots(WeightedRoots):
         return super().draw(rng, min(number, len(self.limbs)))
 
 
-NOWHERE = RootPoint(np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 2)))
+NO_ROOTS = RootPoint(np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 2)))
 """No roots."""
 
 
@@ -237,7 +237,7 @@ class _Rounds:
                 parts.append(self._asked(rng, one, points))
         parts = [part for part in parts if len(part[2])]
         if not parts:
-            return Round(NOWHERE, Faults.none(0), [], np.zeros(0), self.attempts, {})
+            return Round(NO_ROOTS, Faults.none(0), [], np.zeros(0), self.attempts, {})
         points, faults, weight = (
             jax.tree.map(lambda *rows: np.concatenate(rows), *column)
             for column in zip(*parts, strict=True)
@@ -253,7 +253,7 @@ class _Rounds:
     ) -> tuple[RootPoint, Faults, np.ndarray]:
         """The roots whose limbs are asked, with patterns, and the log of what each counts."""
         if not len(points.torso):
-            return NOWHERE, Faults.none(0), np.zeros(0)
+            return NO_ROOTS, Faults.none(0), np.zeros(0)
         fit = fit_score(self.posterior, pool_of(self.posterior.model), one.stratum, points)
         promise = log_first_stage(self.posterior, fit, one.stratum, points)
         if math.isinf(self.promising):
@@ -261,7 +261,7 @@ class _Rounds:
         chance = np.clip(np.exp(FIRST_STAGE_POWER * (promise - self.promising)), CHANCE, 1.0)
         rows = np.flatnonzero(rng.uniform(size=len(chance)) < chance)
         if not len(rows):
-            return NOWHERE, Faults.none(0), np.zeros(0)
+            return NO_ROOTS, Faults.none(0), np.zeros(0)
         faults, log_proposal = propose_faults(fit.take(rows), one.stratum, rng)
         weight = log_priors(self.posterior, faults) - log_proposal - np.log(chance[rows])
         mass = log_mass(one.posed, one.proposal.mass) - math.log(one.share)
@@ -376,7 +376,9 @@ def _bound(rounds: _Rounds, num_roots: int) -> float:
         largest = max(largest, float(found.log_weight.max(initial=-math.inf)))
         if weighed >= num_roots and math.isfinite(largest):
             break
-        if (attempts >= ZERO_ACCEPTANCE_LIMIT and not weighed) or weighed >= PATIENCE * num_roots:
+        if not weighed and attempts >= TORSO_ZERO_ACCEPTANCE_LIMIT:
+            break
+        if weighed >= PATIENCE * num_roots:
             break
     return largest + math.log(ROOM)
 
@@ -395,7 +397,7 @@ def _result(
     total = float(weight.sum())
     parts = [part for part in parts if part.limbs]
     if not parts:
-        points, faults = NOWHERE, Faults.none(0)
+        points, faults = NO_ROOTS, Faults.none(0)
         evidence, scatter, cut_off = -math.inf, 0.0, 0.0
     else:
         points, faults = (

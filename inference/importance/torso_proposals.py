@@ -57,7 +57,7 @@ which are all that most fault patterns are asked for, often come with few propos
 TORSO_PROPOSALS = 8192
 """Proposals for each root that is wanted, in search of more: where they are all made,
 they take three times as long as a root's limbs."""
-ZERO_ACCEPTANCE_LIMIT = 1 << 26
+TORSO_ZERO_ACCEPTANCE_LIMIT = 1 << 26
 """Proposals without one acceptance after which a torso is given up."""
 PROBE = 1 << 12
 """Weighted proposals by which is found how many are needed."""
@@ -250,7 +250,7 @@ def draw_torso(batches: Batches, number: int, budget: Budget, *, most: int) -> T
     parts = [np.zeros(0, ROOTS)]
     accepted = made = batch = 0
     while batches.proposal.mass and accepted < (most if made < limit else number):
-        if not accepted and made >= ZERO_ACCEPTANCE_LIMIT:
+        if not accepted and made >= TORSO_ZERO_ACCEPTANCE_LIMIT:
             break
         numbers = range(batch, batch + (os.cpu_count() or 1))
         sizes = [min(FIRST_BATCH << min(one // 2, 10), BATCH) for one in numbers]

@@ -193,7 +193,9 @@ class DetectorErrors:
                 f" {self.bias[joint].tolist()}"
             )
 
-    def _check_sizes(self) -> None:
+    def require_attainable(self) -> None:
+        """Raises `BadInput` where a detector would be exact beyond belief, so that samplers would
+        seek for ever."""
         least = self.sigma * min(self.score.sigma_factor)
         joint = int(np.nanargmin(least))
         if least[joint] < SHARPEST:
@@ -202,6 +204,8 @@ class DetectorErrors:
                 f" less than {SHARPEST:g}, which is under a millimetre of a person; no detector is"
                 " so exact: give its true error, in body units"
             )
+
+    def _check_sizes(self) -> None:
         widest = int(np.nanargmax(self.sigma))
         if self.outlier_radius < self.sigma[widest]:
             raise BadInput(
@@ -291,7 +295,9 @@ class DetectorErrors:
         )
         try:
             law = law_of(document["law"], parameters)
-            return read(law, joints.sigma, joints.inlier, joints.bias)
+            found = read(law, joints.sigma, joints.inlier, joints.bias)
+            found.require_attainable()
+            return found
         except BadInput as error:
             raise BadInput(f"{source}: {error}") from None
 

@@ -93,8 +93,9 @@ class Likelihood:
         Raises
         ------
         BadInput
-            On a law that reaches too far for samplers.
+            On a law that reaches too far for samplers, or is exact beyond belief.
         """
+        errors.require_attainable()
         outlier = np.where(errors.known, 1 - errors.inlier, 0.0)
         exchange = [getattr(errors.exchange, name, 0.0) for name in EXCHANGES if name != "none"]
         faults = FaultPrior(tuple(outlier.tolist()), tuple(exchange), errors.outlier_radius)

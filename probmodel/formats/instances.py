@@ -62,7 +62,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
         )
 
 
-class Person(NamedTuple):
+class ListedPerson(NamedTuple):
     """Image, the person in words, points, scores, labels and track, unchecked; and what the file
     says of the image's size, and which layouts it may have."""
 
@@ -76,7 +76,7 @@ class Person(NamedTuple):
     known: tuple[Layout, ...] = BY_COUNT
 
 
-def _people(content: Content) -> Iterator[Person]:
+def _people(content: Content) -> Iterator[ListedPerson]:
     source = content.source
     if isinstance(content.first, dict):
         yield from _document(mapping(content.json, source), source)
@@ -92,7 +92,7 @@ def _people(content: Content) -> Iterator[Person]:
             yield _record(value, None, where)
 
 
-def _document(document: dict[str, Any], source: str) -> Iterator[Person]:
+def _document(document: dict[str, Any], source: str) -> Iterator[ListedPerson]:
     """The people of one object: EasyMocap's, of all people, or of one alone."""
     rows = document.get("keypoints")
     if "annots" in document:
@@ -123,7 +123,7 @@ def _size(record: dict[str, Any], where: str) -> tuple[int, int] | None:
     return width, height
 
 
-def _columns(document: dict[str, Any], source: str) -> Iterator[Person]:
+def _columns(document: dict[str, Any], source: str) -> Iterator[ListedPerson]:
     """People of a record that has all of them."""
     key = next((key for key in _KEYS if key in document), _KEYS[0])
     people = sequence(document.get(key), f"'{key}' of {source}")
@@ -135,17 +135,17 @@ def _columns(document: dict[str, Any], source: str) -> Iterator[Person]:
         )
     each = [None] * len(people) if scores is None else scores
     for index, (rows, row) in enumerate(zip(people, each, strict=True)):
-        yield Person(None, f"person {index} of {source}", rows, row)
+        yield ListedPerson(None, f"person {index} of {source}", rows, row)
 
 
-def _record(value: object, image: str | None, where: str) -> Person:
+def _record(value: object, image: str | None, where: str) -> ListedPerson:
     record = mapping(value, where)
     image = image if image is not None else _image(record, where)
     rows, scores, labels = (record.get(key) for key in ("keypoints", "scores", "labels"))
-    return Person(image, where, rows, scores, labels, track_of(record))
+    return ListedPerson(image, where, rows, scores, labels, track_of(record))
 
 
-def _points(person: Person, content: Content) -> tuple[FloatArray, Layout]:
+def _points(person: ListedPerson, content: Content) -> tuple[FloatArray, Layout]:
     """`(count, 3)` points in the layout's order."""
     where, scores, labels = person.where, person.scores, person.labels
     listed = sequence(person.rows, f"'keypoints' of {where}")

@@ -63,7 +63,7 @@ _CAMEL = {
 """Names in Swift that no other detector's points have in an object of objects."""
 
 
-class Pose(NamedTuple):
+class NamedPose(NamedTuple):
     """A person's points, unchecked, and image and track, if the file says them."""
 
     points: Any
@@ -97,13 +97,13 @@ def read_listed(content: Content, threshold: float) -> Iterator[Detection]:
         yield _detection([str(name) for name in names], points, content, threshold, person, pose)
 
 
-def _poses(value: object, image: str | None, depth: int = 0) -> Iterator[Pose]:
+def _poses(value: object, image: str | None, depth: int = 0) -> Iterator[NamedPose]:
     """The poses in a document, in its order."""
     if isinstance(value, dict):
         key = next((key for key in _LISTS if key in value), None)
         inner = next((key for key in _PEOPLE if isinstance(value.get(key), list | dict)), None)
         if key is not None or inner is None:
-            yield Pose(None if key is None else value[key], image, track_of(value))
+            yield NamedPose(None if key is None else value[key], image, track_of(value))
         elif depth < 4:
             yield from _poses(value[inner], image, depth + 1)
     elif isinstance(value, list | Iterator) and depth < 4:
@@ -113,7 +113,7 @@ def _poses(value: object, image: str | None, depth: int = 0) -> Iterator[Pose]:
             )
             yield from _poses(inner, str(index) if frame else image, depth + 1)
     else:
-        yield Pose(value, image)
+        yield NamedPose(value, image)
 
 
 def _name(point: dict[str, Any]) -> str | None:
@@ -164,7 +164,7 @@ def read_named(content: Content, threshold: float) -> Iterator[Detection]:
     for person, (image, record) in enumerate(_named(content)):
         where = f"person {person} of {content.source}"
         points = [_named_point(value, f"{name} of {where}") for name, value in record.items()]
-        yield _detection([*record], points, content, threshold, person, Pose(None, image))
+        yield _detection([*record], points, content, threshold, person, NamedPose(None, image))
 
 
 def _is_named(record: dict[str, Any], content: Content) -> bool:
@@ -208,7 +208,7 @@ def _detection(
     content: Content,
     threshold: float,
     person: int,
-    pose: Pose | None = None,
+    pose: NamedPose | None = None,
     *,
     upwards: bool = False,
 ) -> Detection:

@@ -17,12 +17,12 @@ from poseterior.probmodel.formats.common import Content, cell_number, chosen_lay
 from poseterior.probmodel.formats.openpose import body_order
 from poseterior.probmodel.layouts import BODY_25, Layout
 
-_NUMBERS = r"""["']?\s*[:>]\s*\[?(?P<{0}>[^\[\]<]*)"""
+_OPENCV_NUMBERS = r"""["']?\s*[:>]\s*\[?(?P<{0}>[^\[\]<]*)"""
 _ARRAY = re.compile(
     r"\bpose_\d+\b.{0,200}?\bsizes"
-    + _NUMBERS.format("sizes")
+    + _OPENCV_NUMBERS.format("sizes")
     + r".{0,200}?\bdata"
-    + _NUMBERS.format("data"),
+    + _OPENCV_NUMBERS.format("data"),
     re.DOTALL,
 )
 

@@ -78,7 +78,7 @@ dropped at random: none was read in the wrong order, and 3 of 100 with enough bo
 The people of real files have 1.3 and more. """
 
 
-class Body(NamedTuple):
+class BodyPoints(NamedTuple):
     """A person's numbers, unchecked; their key; words that name the person; image, its size, and
     the person's track, if known."""
 
@@ -156,7 +156,7 @@ def _relative_lengths(points: FloatArray, layout: Layout) -> FloatArray:
     return np.array([np.linalg.norm(points[a, :2] - points[b, :2]) / cm for a, b, cm in bones])
 
 
-def _bodies(content: Content) -> Iterator[Body]:
+def _bodies(content: Content) -> Iterator[BodyPoints]:
     """Everyone in the file, frame after frame."""
     source, person = content.source, 0
     listed = isinstance(content.first, list)
@@ -168,7 +168,7 @@ def _bodies(content: Content) -> Iterator[Body]:
             fields = mapping(record, where)
             flat, key = _flat_list(fields, where)
             image, size = str(frame) if listed else None, _canvas(document, source)
-            yield Body(flat, key, where, image, size, track_of(fields))
+            yield BodyPoints(flat, key, where, image, size, track_of(fields))
             person += 1
 
 

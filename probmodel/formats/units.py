@@ -16,7 +16,7 @@ from poseterior.probmodel.failures import BadInput
 
 OUTSIDE = 0.5
 """How far outside of the image, in images, a fraction may still lie."""
-FARTHEST = 10.0
+FARTHEST_FRACTION = 10.0
 """Fractions beyond this are pixels that someone converted already: joints do not lie ten images
 away."""
 SMALLEST_BODY = 3.0
@@ -131,7 +131,7 @@ def _scaled(person: Detection, unit: Unit, size: tuple[int, int] | None) -> Dete
             " or --image-size 640x480."
         )
     farthest = np.abs(_points(person)).max(initial=0.0)
-    if farthest > FARTHEST:
+    if farthest > FARTHEST_FRACTION:
         raise BadInput(
             f"{person.where} has a point {farthest:g} images from the corner, where fractions of"
             " the image are needed; leave them as the detector wrote them."

@@ -24,7 +24,7 @@ _CENTRES = {
 }
 _RIGIFY = {"pelvis": "spine", "thorax": "spine004", "head": "spine006end"}
 """Where the spine is numbered from the hips to the head."""
-_LIMBS = {
+_LIMB_NAMES = {
     ("shoulder", "elbow", "wrist"): (
         ("arm", "forearm", "hand"),
         ("upperarm", "lowerarm", "hand"),
@@ -135,7 +135,7 @@ def _centres(plain: Mapping[str, int]) -> dict[str, int]:
 def _limbs(plain: Mapping[str, int]) -> dict[str, int]:
     """Joints of arms and legs, each in the first naming of which most is there."""
     found: dict[str, int] = {}
-    for ours, namings in _LIMBS.items():
+    for ours, namings in _LIMB_NAMES.items():
         each = [_limb(plain, ours, theirs) for theirs in namings]
         longest: dict[str, int] = max(each, key=len)
         found.update(longest)

@@ -25,7 +25,7 @@ DEEPEST_KEY = 16
 """Parts of a dotted key of TOML, of which the parser keeps a table each, and all their prefixes."""
 _PART = r"""[ \t]*+(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\."""
 _LONG_KEY = re.compile(rf"(?<![\w \t-])(?:{_PART}){{{DEEPEST_KEY}}}")
-NEAREST, FARTHEST = 1.0, 1e6
+NEAREST_CAMERA, FARTHEST_CAMERA = 1.0, 1e6
 """Millimetres between cameras: less is one place, from which no depth is seen, and a kilometre is
 no room."""
 OBLONG = 2.0
@@ -68,13 +68,13 @@ def _require_room(cameras: list[Pinhole], path: Path) -> None:
     apart = np.linalg.norm(centres[:, None] - centres, axis=-1)
     np.fill_diagonal(apart, np.inf)
     nearest = apart.min(axis=1)
-    if nearest.max() > FARTHEST:
+    if nearest.max() > FARTHEST_CAMERA:
         far = int(np.argmax(nearest))
         raise BadInput(
             f"camera {far + 1} of {path} stands {nearest[far] / 1e6:,.0f} km from every other;"
             " check its position, and that lengths are in the calibration's unit"
         )
-    if nearest.min() < NEAREST:
+    if nearest.min() < NEAREST_CAMERA:
         one = int(np.argmin(nearest))
         other = int(np.argmin(apart[one]))
         raise BadInput(

@@ -9,8 +9,8 @@ import numpy as np
 
 from poseterior.probmodel.skeleton import JOINT_INDEX, PARENTS, TORSO_INDEX
 
-_TORSO = [joint for joint in TORSO_INDEX if joint != JOINT_INDEX["pelvis"]]
-_FREE = [joint for joint in range(1, len(PARENTS)) if joint not in _TORSO]
+_RIGID = [joint for joint in TORSO_INDEX if joint != JOINT_INDEX["pelvis"]]
+_FREE = [joint for joint in range(1, len(PARENTS)) if joint not in _RIGID]
 _ROUNDS = 5
 """Of alignment of torsos to their mean."""
 
@@ -39,7 +39,7 @@ class Body:
         parents = [PARENTS[joint] for joint in _FREE]
         bones = np.linalg.norm(poses[:, _FREE] - poses[:, parents], axis=-1)
         length[_FREE] = np.median(bones, axis=0)
-        torsos = poses[:, _TORSO] - poses[:, :1]
+        torsos = poses[:, _RIGID] - poses[:, :1]
         mean = torsos[0]
         for _ in range(_ROUNDS):
             mean = (torsos @ turns(torsos, mean)).mean(axis=0)
@@ -56,8 +56,8 @@ class Body:
         body = np.full(poses.shape, np.nan)
         there = np.isfinite(poses).all(axis=(1, 2))
         given, found = poses[there], poses[there].copy()
-        torsos = given[:, _TORSO] - given[:, :1]
-        found[:, _TORSO] = given[:, :1] + self.torso @ turns(self.torso[None], torsos)
+        torsos = given[:, _RIGID] - given[:, :1]
+        found[:, _RIGID] = given[:, :1] + self.torso @ turns(self.torso[None], torsos)
         for joint in _FREE:
             bone = given[:, joint] - given[:, PARENTS[joint]]
             size = np.linalg.norm(bone, axis=-1, keepdims=True)

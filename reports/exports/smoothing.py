@@ -66,7 +66,7 @@ class _Kind(NamedTuple):
     usual: float
 
 
-KINDS = {
+FILTERS = {
     "butterworth": _Kind(butterworth, "Hz", 6.0),
     "savgol": _Kind(savgol, "frames, odd", 15.0),
     "one-euro": _Kind(one_euro, "Hz", 1.0),
@@ -99,7 +99,7 @@ class Smoother:
         there = np.flatnonzero(np.isfinite(values).reshape(len(values), -1).all(axis=1))
         for stretch in np.split(there, np.flatnonzero(np.diff(places[there]) > 1) + 1):
             if len(stretch) > 1:
-                found[stretch] = KINDS[self.name].run(values[stretch], rate, self.parameter)
+                found[stretch] = FILTERS[self.name].run(values[stretch], rate, self.parameter)
         return found
 
 
@@ -107,9 +107,9 @@ def smoother_of(text: str) -> Smoother:
     """A filter from its name and, after a colon, its parameter. Raises `BadInput` on any other
     text."""
     name, colon, given = text.partition(":")
-    kind = KINDS.get(name)
+    kind = FILTERS.get(name)
     if kind is None:
-        raise BadInput(f"there is no filter {name!r}; choose one of {', '.join(KINDS)}")
+        raise BadInput(f"there is no filter {name!r}; choose one of {', '.join(FILTERS)}")
     try:
         value = float(given) if colon else kind.usual
     except ValueError:

@@ -3,6 +3,7 @@
 import logging
 import os
 import warnings
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,8 @@ PNG_LEVEL = 3
 """Of a PNG's compression: a fourteenth larger than by the usual 6, in a third of the time."""
 FORMATS = ("PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP")
 """Of images that are read; Pillow knows many more, some of which start other programs."""
+PLUGINS = {"WEBP": "WebP"}
+"""Of Pillow, where their names are spelled otherwise."""
 MAX_PIXELS = 60_000_000
 """Images above this are refused before they are decoded: a small file can claim any size."""
 
@@ -56,6 +59,9 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
         Where there is no file, it is no image of `FORMATS`, is damaged, or has more than
         `MAX_PIXELS` pixels.
     """
+    # Loaded one by one: else Pillow loads all plugins that it has where one of these is missing.
+    for name in FORMATS:
+        import_module(f"PIL.{PLUGINS.get(name, name.title())}ImagePlugin")
     too_large = (
         f"{path} has more than {MAX_PIXELS // 1_000_000} million pixels; give a smaller image."
     )

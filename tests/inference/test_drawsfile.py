@@ -199,6 +199,8 @@ def test_a_file_has_the_numbers_that_it_says(to_file, model, tmp_path, monkeypat
     exact = to_file("b.nc", 5, number, double=True)
     with xr.open_datatree(path, engine="netcdf4") as tree:
         for group, names in SINGLE.items():
+            if group not in tree.children:  # discs have no log likelihood
+                continue
             assert {tree[group][name].dtype for name in names} == {
                 np.dtype("f8" if double else "f4")
             }

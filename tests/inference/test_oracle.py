@@ -193,7 +193,9 @@ def told(draws: Draws, truth: Moments) -> Moments:
         truth.centre,
     )
     centre, mean, error = moments
-    effective = len(joints) if draws.points is None else min(draws.effective_roots, len(joints))
+    effective = len(joints)
+    if draws.prior.name == UNCERTAIN:
+        effective = min(draws.effective_roots, effective)
     share = truth.mean[-len(flags) :]
     rare = np.sqrt(share * (1 - share) / effective)
     error[-len(flags) :] = np.maximum(error[-len(flags) :], rare)

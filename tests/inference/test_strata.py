@@ -549,11 +549,11 @@ def test_strata_are_the_same_however_many_threads_find_them():
     (whole, _) = plan_group(tables, limbs, RESOLUTIONS[2], alone=True).strata
     edges = [bins.edges for bins in plan.bins]
     for parts in (1, 2, 3, 40):
-        found = strata_buffer(limbs[0], tables.builds[0], *edges, RESOLUTIONS[2].sub)
+        found = strata_buffer(limbs[0], tables.builds[0], tuple(edges), RESOLUTIONS[2].sub)
         spans = found.spans(parts)
         assert len(spans) == parts
         for span in spans:
-            fill_in(found, span)
+            fill_in(found, *span)
         assert same_strata(found.strata, whole)
     assert same_strata(plan.strata[0], whole)
 

@@ -413,8 +413,7 @@ def test_settings_are_compared_to_the_last_bit(name, tmp_path):
             key=key(0),
             out=tmp_path,
             estimating=estimating,
-            root="uncertain",
-            **SETTINGS,
+            **SETTINGS | {"root": "uncertain"},
         )
 
     go()

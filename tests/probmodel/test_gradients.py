@@ -195,13 +195,13 @@ def potential(known: PoseModel, one: Case) -> Prepared:
 def summed(known: PoseModel, one: Case) -> Prepared:
     """Faults summed out, by root and joints."""
     posterior = one.frame.posterior(known)
-    likelihood = SummedFaults(posterior.detected, posterior.faults, posterior.prior)
+    likelihood = SummedFaults(posterior.detected, posterior.faults, posterior.root_prior)
 
     def log(data: Any, at: Any) -> jax.Array:
         point = data["point"]._replace(log_scale=at["log_scale"], translation=at["place"])
         return data["likelihood"].log_likelihood(point, at["joints"])
 
-    joints = known.joints(posterior.prior.root(one.point).view, *one.pose)
+    joints = known.joints(posterior.root_prior.root(one.point).view, *one.pose)
     at = {"joints": joints, "log_scale": one.point.log_scale, "place": one.point.translation}
     return Prepared(log, {"likelihood": likelihood, "point": one.point}, at)
 
@@ -225,7 +225,7 @@ def walked(free: bool, name: str, *more: float) -> "Prepare":
 
 Prepare = Callable[[PoseModel, Case], Prepared]
 HELD: dict[str, Prepare] = {
-    "program of a mixture": program_of(mixture, "observations", "log_root_weights"),
+    "program of a mixture": program_of(mixture, "detected"),
     "Target.log_density": walked(False, "log_density"),
     "Target.log_smooth": walked(False, "log_smooth", 20.0),
     "Target.log_graded": walked(False, "log_graded", 5.0),

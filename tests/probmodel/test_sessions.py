@@ -594,7 +594,7 @@ def test_twenty_six_cameras_with_a_bystander(tmp_path: Path):
     """Of 67 million combinations in a frame the right one is the cheapest but the first."""
     views = cameras(26)
     errors = np.zeros((26, 2, NUM_JOINTS, 2))
-    session, beside = (filmed(moving(2) + shift, errors, views) for shift in (0.0, 2000.0))
+    session, beside = (filmed(moving(2) + shift, errors, views) for shift in (0.0, 700.0))
     write_session(session, tmp_path)
     for camera, label in enumerate(session.labels):
         own, other = (one.people[camera][1].keypoints for one in (session, beside))

@@ -101,7 +101,7 @@ def test_results_of_yolo_pose() -> None:
         (np.ones(17), "has the shape"),
         ([[1.0], [1.0, 2.0]], "not of list"),
         (np.array([["a", "b"]] * 17), "not of ndarray"),
-        (PEOPLE / 500, "fractions of an image whose size"),
+        (PEOPLE / 500, "are fractions of an image whose size"),
         (PEOPLE * 1e12, "beyond"),
         (np.ones((19, 2)) * 7, "holds 19 points"),
         (SimpleNamespace(keypoints=None, path="a.jpg"), "no keypoints; give those of a pose model"),

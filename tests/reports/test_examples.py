@@ -111,6 +111,7 @@ def test_every_command_that_reads_detections_has_all_of_its_options() -> None:
 OF_THEIR_OWN = {
     "out": set(cli.COMMANDS),  # what is written differs
     "file": {"check", "benchmark", "show"},  # poses, draws, results, not detections alone
+    "names": {"check", "learn", "evaluate"},  # of a motion capture's joints
     "draws": {"export"},  # how many; elsewhere a file of them
     "poses": {"learn"},  # the file that the others read is written
     "layout": {"detect"},  # of a network, which has to say it
@@ -120,7 +121,7 @@ OF_THEIR_OWN = {
     "max_proposals": {"evaluate", "coverage"},
     "candidates": {"evaluate"},
     "k": {"evaluate", "export"},
-    "person": {"export"},  # of a stream, not of a file of detections
+    "person": {"export", "frames"},  # of a film, not of a file of detections
     "estimator": {"evaluate", "coverage"},
     "missing": {"evaluate", "coverage"},
     "frames": {"evaluate", "coverage", "calibrate"},

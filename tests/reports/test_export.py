@@ -525,7 +525,8 @@ def gap(example_estimate: Estimate, tmp_path_factory: pytest.TempPathFactory) ->
     folder = tmp_path_factory.mktemp("gap") / "s"
     items = [Item(name, example_estimate) for name in GAP[:-1]]
     items.append(Item(GAP[-1], "nothing is seen"))
-    sample_frames(PoseModel.paper(), items, key=key(0), out=folder, num_samples=30, k=2)
+    known = {"root": "candidates", "num_samples": 30, "k": 2}
+    sample_frames(PoseModel.paper(), items, key=key(0), out=folder, **known)
     return folder
 
 

@@ -478,13 +478,15 @@ def test_images_of_the_list_are_read(tmp_path: Path, kind: str) -> None:
 def pillows() -> list[str]:
     """All formats that Pillow writes, and so could read, but those of the list."""
     Image.init()
-    return sorted(set(Image.SAVE) & set(Image.OPEN) - set(FORMATS))
+    # Pillow itself warns of IM.
+    return sorted(set(Image.SAVE) & set(Image.OPEN) - {*FORMATS, "IM"})
 
 
 @pytest.mark.parametrize("kind", pillows())
 def test_images_of_other_kinds_are_refused(tmp_path: Path, kind: str) -> None:
     """Of every format that Pillow knows, EPS among them, which starts Ghostscript."""
-    path, written = tmp_path / "image.png", False
+    # Under a name of its own: Pillow's SPIDER takes over the ending of what it writes.
+    path, written = tmp_path / "image.other", False
     for mode in ("RGB", "L", "1", "F"):
         with contextlib.suppress(OSError, ValueError, KeyError, RuntimeError, SystemError):
             Image.new(mode, (16, 16)).save(path, kind)

@@ -69,11 +69,11 @@ DYNESTY = ExternalSampler(
     dynesty,
     "dynesty's static sampler, 500 live points",
     needs="dynesty",
-    install="poseterior[external]",
+    install=".[external]",
 )
 ULTRANEST = ExternalSampler(
     ultranest,
     "UltraNest's reactive sampler, MLFriends, vectorised",
     needs="ultranest",
-    install="poseterior[ultranest]",
+    install=".[ultranest]",
 )

@@ -57,5 +57,5 @@ REDDEMCEE = ExternalSampler(
     reddemcee,
     "reddemcee's parallel tempering, ten temperatures",
     needs="reddemcee",
-    install="poseterior[external]",
+    install=".[external]",
 )

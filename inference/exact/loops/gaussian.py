@@ -28,7 +28,7 @@ from poseterior.inference.exact.loops.bins import alias_table
 from poseterior.inference.exact.loops.numbers import compiled, inlined, load, store, uniform
 from poseterior.inference.exact.loops.rectangles import SLACK
 from poseterior.inference.exact.loops.roots import (
-    Root,
+    ProposedRoot,
     TorsoJoints,
     explains,
     image,
@@ -378,7 +378,7 @@ def propose_by_gaussian(
             centred.middle[0] * inverse - x + radius * across,
             centred.middle[1] * inverse - y + radius * down,
         )
-        root = Root(cell.torso, turn, inverse, plane)
+        root = ProposedRoot(cell.torso, turn, inverse, plane)
         if explains(joints, root, 0):
             row = roots[accepted]
             write_root(row, root, angles, proposal)

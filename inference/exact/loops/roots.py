@@ -64,7 +64,7 @@ class TorsoJoints(NamedTuple):
     power: float
 
 
-class Root(NamedTuple):
+class ProposedRoot(NamedTuple):
     """A root in registers: the `torso`'s number, the rotation, whose rows are `turn`,
     the `inverse` of the scale, and the translation over the scale, `plane`."""
 
@@ -250,7 +250,7 @@ def image(turn: Axes, point: Vector, ray0: float, ray1: float) -> Plane:
 
 
 @inlined
-def explains(joints: TorsoJoints, root: Root, first: int) -> bool:
+def explains(joints: TorsoJoints, root: ProposedRoot, first: int) -> bool:
     """Whether the joints from the `first` on lie within reach."""
     keypoints = joints.keypoints
     bias = joints.bias
@@ -267,7 +267,7 @@ def explains(joints: TorsoJoints, root: Root, first: int) -> bool:
 
 
 @inlined
-def write_root(row: Record, root: Root, angles: Vector, number: int) -> None:
+def write_root(row: Record, root: ProposedRoot, angles: Vector, number: int) -> None:
     """Fills a row of `ROOTS`."""
     row.torso = root.torso
     row.angles[0], row.angles[1], row.angles[2] = angles
@@ -324,7 +324,7 @@ def propose_by_discs(
             keypoints[0, 0] * inverse - bias[0, 0] + radius * across - x,
             keypoints[0, 1] * inverse - bias[0, 1] + radius * down - y,
         )
-        root = Root(torso, turn, inverse, plane)
+        root = ProposedRoot(torso, turn, inverse, plane)
         if inverse > 0 and explains(joints, root, 1):
             angles = 2 * math.pi * alpha, math.acos(cos_b), 2 * math.pi * gamma
             write_root(roots[accepted], root, angles, proposal)

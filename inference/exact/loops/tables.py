@@ -190,7 +190,7 @@ BLOCK = 512
 _RANDOM = (*_ANGLES, "across", "along", "test")
 _UPPER = ("length1", "length2", "u0", "u1", "u2", "end0", "end1", "bound", "passed")
 _LOWER = ("centre0", "centre1", "distance", "radius", "width", "low", "height", "side")
-PROPOSALS = _columns((*_RANDOM, *_UPPER, *_LOWER, "q0", "q1", "q2", *HINGE), BLOCK, hinge=HINGE)
+PROPOSAL_ROWS = _columns((*_RANDOM, *_UPPER, *_LOWER, "q0", "q1", "q2", *HINGE), BLOCK, hinge=HINGE)
 """A block of proposals for a limb: the sub-cell's angles and random numbers; the upper
 bone `u`, its image `end`, what the stratum bounds, and a number positive where the
 proposal goes on; the next joint's disc and the rectangle around it; the lower bone `q`
@@ -369,7 +369,7 @@ class Workspace(NamedTuple):
     rows : `(most,)` the proposals that have come to the limb
     accepted : `(most,)` places in `rows` of those that passed it
     upper, lower : `(most, 3)` their directions
-    pieces, boxes : `(1,)` `PROPOSALS`, one block each
+    pieces, boxes : `(1,)` `PROPOSAL_ROWS`, one block each
     entry, place, left, slot : `(BLOCK,)` of each proposal of a block
     """
 
@@ -402,8 +402,8 @@ def workspace(most: int) -> Workspace:
         accepted=places(most),
         upper=np.zeros((most, 3)),
         lower=np.zeros((most, 3)),
-        pieces=np.zeros(1, PROPOSALS),
-        boxes=np.zeros(1, PROPOSALS),
+        pieces=np.zeros(1, PROPOSAL_ROWS),
+        boxes=np.zeros(1, PROPOSAL_ROWS),
         entry=places(BLOCK),
         place=places(BLOCK),
         left=places(BLOCK),

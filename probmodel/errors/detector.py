@@ -194,8 +194,13 @@ class DetectorErrors:
             )
 
     def require_attainable(self) -> None:
-        """Raises `BadInput` where a detector would be exact beyond belief, so that samplers would
-        seek for ever."""
+        """Refuse a detector that would be exact beyond belief: samplers would seek for ever.
+
+        Raises
+        ------
+        BadInput
+            If the smallest sigma of a joint is under a millimetre of a person.
+        """
         least = self.sigma * min(self.score.sigma_factor)
         joint = int(np.nanargmin(least))
         if least[joint] < SHARPEST:

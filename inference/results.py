@@ -7,6 +7,7 @@ import functools
 import importlib.metadata
 import os
 import platform
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
@@ -253,7 +254,8 @@ def _in_chains(group: xr.Dataset, chains: int) -> xr.Dataset:
         )
         for name, variable in group.data_vars.items()
     }
-    coords = {name: group.coords[name] for name in group.coords if name not in ("chain", "draw")}
+    kept = [name for name in group.coords if name not in ("chain", "draw")]
+    coords: dict[Hashable, Any] = {name: group.coords[name] for name in kept}
     coords |= {"chain": np.arange(chains), "draw": np.arange(draws)}
     return xr.Dataset(found, coords, group.attrs)
 

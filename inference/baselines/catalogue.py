@@ -115,7 +115,7 @@ class BaselineSampler(Sampler):
             progress=progress,
         )
         draws = draws_of(posterior, target, _thinned(done, number), key)
-        yield _judged(self.name, draws) if posterior.root_prior.name == UNCERTAIN else draws
+        yield _judged(self, draws) if posterior.root_prior.name == UNCERTAIN else draws
 
     def _starts(self, posterior: Posterior, target: Density, key: jax.Array) -> np.ndarray:
         """Points of draws that are right. Raises `OutOfBudget` where there are none."""
@@ -200,14 +200,14 @@ def _known(posterior: Posterior, points: Any, run: Run, number: int) -> KnownRoo
     return KnownRoots(points, np.full(number, 1 / max(number, 1)), lambda rows: (np.nan, np.nan))
 
 
-def _judged(sampler: str, draws: Draws) -> Draws:
+def _judged(sampler: BaselineSampler, draws: Draws) -> Draws:
     """The draws, and whether they are worth enough."""
-    started = {"starts": f"{STARTING} draws from weighted roots"}
+    started = {"starts": f"{STARTING} draws from {sampler.num_roots} weighted roots"}
     draws = dataclasses.replace(draws, attributes=draws.attributes | started)
     if draws.status != COMPLETE or draws.effective_roots >= FEWEST_EFFECTIVE:
         return draws
     sentence = (
-        f"the draws of {sampler} for {draws.posterior.detection.where} are worth"
+        f"the draws of {sampler.name} for {draws.posterior.detection.where} are worth"
         f" {draws.effective_roots:.1f} independent ones, too few for an answer (at least"
         f" {FEWEST_EFFECTIVE}); ask for more draws, or take weighted-roots"
     )

@@ -324,7 +324,7 @@ def test_poses_of_the_model_are_covered(model: PoseModel, cases: list[Case]) -> 
 def test_the_coverage_of_real_poses_is_resumed_to_the_same_bits(
     model: PoseModel, cases: list[Case], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("poseterior.inference.studies.calibration.run.BLOCK", 10)
+    monkeypatch.setattr("poseterior.inference.studies.calibration.run.SIMULATIONS_PER_BLOCK", 10)
     out, settings = (
         tmp_path / "coverage.nc",
         {

@@ -340,6 +340,6 @@ def test_the_second_half_of_a_film_is_covered_by_the_law_of_the_first(shared_dat
         assert share.low < level < share.high
         assert share.value == pytest.approx(level, abs=0.05)
     sigma = found.fit.mixture.sigma
-    fitted = dataclasses.replace(found.errors, law="gaussian", df=np.inf, sigma=sigma)
+    fitted = dataclasses.replace(found.errors, law=Gaussian(), sigma=sigma)
     for level, share in zip(LEVELS, shares(fitted), strict=True):
         assert share.high < level

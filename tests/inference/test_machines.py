@@ -173,7 +173,10 @@ def test_workers_end_with_whoever_started_them(tmp_path: Path) -> None:
     some.close()
     script = tmp_path / "start.py"
     script.write_text(STARTS)
-    starter = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    starter = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, text=True, env=environment
+    )
     assert starter.stdout is not None
     pids.append(int(starter.stdout.readline()))
     starter.kill()

@@ -6,6 +6,7 @@ standard errors (0.3 % each); seeds are fixed, so a pass stays a pass."""
 
 import dataclasses
 import functools
+from collections.abc import Iterator
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +17,11 @@ from scipy.stats import chi2, ks_2samp
 from poseterior import inference
 from poseterior.inference.draws import COMPLETE, IMPOSSIBLE, OUT_OF_BUDGET
 from poseterior.inference.exact import mixture
-from poseterior.inference.exact.mixture import PROPOSALS
+from poseterior.inference.exact.mixture import PROPOSALS, ExactRejection
 from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget
 from poseterior.inference.exact.reach import out_of_reach
+from poseterior.inference.sampler import MAKERS
 from poseterior.probmodel import Anatomy, PoseModel
 from poseterior.probmodel.anatomy.limits import NUM_ELEVATION, cell_of
 from poseterior.probmodel.kinematics import lower_axes
@@ -35,7 +37,13 @@ FAMILY = 1e-3
 """False-alarm rate of one family of tests."""
 
 
-PROPOSALS["pruned"] = pruned  # the witness draws like any other
+@pytest.fixture(scope="module", autouse=True)
+def _with_the_witness() -> Iterator[None]:
+    """The witness draws like any other sampler."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PROPOSALS, "pruned", pruned)
+        patch.setitem(MAKERS["candidates"], "pruned", ExactRejection)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -343,7 +351,7 @@ def test_an_exhausted_budget_returns_what_there_is(model):
     assert model.limits.check(result.tree["posterior"].joints.values).valid.all()
 
 
-@pytest.mark.parametrize("sampler", sweep(PROPOSALS, ["rejection"]))
+@pytest.mark.parametrize("sampler", sweep([*PROPOSALS, "pruned"], ["rejection"]))
 def test_every_sampler_has_the_same_face(model, sampler):
     """Same arguments, same result: tree, status, sentence, evidence with its error."""
     seen = ("right_wrist", "left_knee")

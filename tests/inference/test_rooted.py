@@ -178,7 +178,7 @@ def test_soft_walls_have_slopes_of_the_root_and_weights_undo_them(law: type[Erro
     """Under discs the density is flat in turn, scale and place but for the walls and the prior."""
     model, frame, _ = case()
     frame = dataclasses.replace(frame, likelihood=dataclasses.replace(frame.likelihood, law=law()))
-    target, x = RootedTarget.of(frame.posterior(model)), case()[2].points_of(*drawn())
+    target, x = RootedTarget.of(frame.posterior(model)), case()[2].points_at(*drawn())
     x = np.concatenate([x, x + np.random.default_rng(1).normal(scale=0.5, size=x.shape)])
     inside = np.asarray(target.misfit(x)) <= 1
     assert len(x) // 2 <= inside.sum() < len(x)

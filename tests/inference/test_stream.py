@@ -236,7 +236,7 @@ def test_an_uncertain_stream_goes_on_to_the_same_bits(model, items, uncertain, t
         sample_frames(model, breaking(), key=key(0), out=out, **UNCERTAIN)
     sample_frames(model, items[:4], key=key(0), out=out, **UNCERTAIN)
     assert content(out) == content(uncertain)
-    with pytest.raises(BadInput, match="its root is 'uncertain', not 'fixed'"):
+    with pytest.raises(BadInput, match="its root is 'uncertain', not 'candidates'"):
         sample_frames(model, items[:4], key=key(0), out=out, **SETTINGS)
     with pytest.raises(BadInput, match="its num_roots is 60, not 61"):
         sample_frames(model, items[:4], key=key(0), out=out, **(UNCERTAIN | {"num_roots": 61}))

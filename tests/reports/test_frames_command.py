@@ -175,7 +175,7 @@ def test_an_uncertain_root_is_said_with_its_number(
     fixed = ("--root", "fixed", *OPTIONS)
     other = poseterior("frames", folder, "--out", tmp_path / "out", *fixed)
     assert other.code == 2
-    assert "its root is 'uncertain', not 'fixed'" in other.err
+    assert "its root is 'uncertain', not 'candidates'" in other.err
 
 
 def test_refusals(poseterior: Cli, folder: Path, tmp_path: Path) -> None:

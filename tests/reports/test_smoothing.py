@@ -6,7 +6,7 @@ import pytest
 from poseterior.probmodel import BadInput
 from poseterior.probmodel.skeleton import PARENTS
 from poseterior.reports.exports.bodies import Body, turns
-from poseterior.reports.exports.smoothing import KINDS, smoother_of
+from poseterior.reports.exports.smoothing import FILTERS, smoother_of
 
 RATE = 50.0
 TIMES = np.arange(400) / RATE
@@ -58,7 +58,7 @@ def test_one_euro_is_a_low_pass_that_opens_with_speed() -> None:
     assert late < 0.2 * 4 / (2 * np.pi)
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", FILTERS)
 def test_stretches_are_filtered_by_themselves(name: str) -> None:
     """What lies behind a gap, or behind a frame without a pose, moves nothing before it; single
     frames and pairs stay finite."""
@@ -79,7 +79,7 @@ def test_stretches_are_filtered_by_themselves(name: str) -> None:
 
 
 @pytest.mark.parametrize("count", range(1, 25))
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", FILTERS)
 def test_a_film_of_any_length(name: str, count: int) -> None:
     still = np.full((count, 15, 3), 0.5)
     assert smoother_of(name)(still, np.arange(count), RATE) == pytest.approx(still)

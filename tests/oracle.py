@@ -395,7 +395,7 @@ class Effort(NamedTuple):
 
 
 FULL = Effort()
-POOL = 20_000
+POOL = 200_000
 NEAR, TURN, GROWTH = 300, 0.25, 0.15
 """Kernels of the proposal, and their deviations in radians and log scale."""
 SCALES = (math.log(15.0), math.log(800.0))

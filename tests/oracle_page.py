@@ -29,9 +29,10 @@ against it under every route and prior of the root: log evidence, means and devi
 
 All differences are in standard errors of both sides together. All {rows} rows together raise a
 false alarm in one run of a thousand: the limit is {limit:.1f} for each number. *Scale × s*, a
-prior with one factor of the scale too much, and *spread × 1.05*, a law that is 5 % too wide,
-are the evidence of the same draws against that of a wrong oracle, and must lie beyond
-{caught:.1f}, which by chance is one case of ten thousand.
+prior with one factor of the scale too much, and *wider spread*, a law that is 5 % too wide
+(under a lens, where the evidence says less of it, 20 %), are the evidence of the same draws
+against that of a wrong oracle, and must lie beyond {caught:.1f}, which by chance is one case of
+ten thousand.
 
 {sheet}
 

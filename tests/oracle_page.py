@@ -83,15 +83,15 @@ def main() -> None:
     """Runs the table and writes the page."""
     in_doubles()
     start = time.monotonic()
+    commit = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True
+    ).stdout.strip()
     head = ("row", "draws", "error", "evidence", "worst other", *table.CONTROLS)
     sheet: Sheet = sheet_of(head, [row_of(row) for row in table.ROWS])
     planted_row = next(
         row for row in table.ROWS if row.law == "student" and row.route == table.ROUTES[0]
     )
     planted = planted_fault(planted_row)
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True
-    ).stdout.strip()
     text = WORDS.format(
         quantities=", ".join(oracle.NAMES),
         flags=", ".join(oracle.FLAGS),

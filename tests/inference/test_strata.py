@@ -9,7 +9,6 @@ import re
 import tempfile
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -40,7 +39,6 @@ from poseterior.inference.exact.loops.strata import (
     frame_turn,
     strata_buffer,
 )
-from poseterior.inference.exact.loops.strata import fill_in as stratify_loop
 from poseterior.inference.exact.loops.tables import ALIAS, REGIONS, CutLimb, LimbProblem, workspace
 from poseterior.inference.exact.loops.vectors import lower_axes
 from poseterior.inference.exact.problem import limb_problems
@@ -882,22 +880,3 @@ def test_strata_for_discs_too_small_draw_another_law(monkeypatch):
         columns_of(right.draws()["arms"]).T, columns_of(wrong.draws()["arms"]).T, strict=True
     )
     assert min(stats.ks_2samp(*pair).pvalue for pair in pairs) < FAMILY / 14
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:Explicitly requested dtype")
-def test_the_loops_do_not_mind_32_bit_floats():
-    """The same frame where JAX computes in 32 bits: the same evidence within 3 standard errors, no
-    loop made anew."""
-    frame = prior_scene(PoseModel.paper(), 2)
-    whole = inference.sample(
-        PoseModel.paper(), frame, key=key(0), num_samples=3000, root="candidates"
-    ).tree.attrs
-    compiled_before = len(stratify_loop.signatures)
-    with jax.enable_x64(False):
-        half = inference.sample(
-            PoseModel.paper(), frame, key=key(1), num_samples=3000, root="candidates"
-        ).tree.attrs
-    assert len(stratify_loop.signatures) == compiled_before
-    error = np.hypot(whole["log_evidence_se"], half["log_evidence_se"])
-    assert abs(whole["log_evidence"] - half["log_evidence"]) < 3 * error

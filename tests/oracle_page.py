@@ -45,7 +45,7 @@ Gaussian envelope proposes them, puts the evidence of the row "{planted_row}" {p
 standard errors off, and the worst of the other numbers {planted_moments:.0f}.
 
 Made in one run of commit {commit} on {day}, {minutes:.0f} minutes on a shared machine; `make
-test-all` holds the same rows to the limit.
+test-all` holds every third of these rows to the limit, `make sweeps` the others.
 """
 
 

@@ -114,6 +114,11 @@ def judge(
     mixed = mixing(sample.values, exact.flat.std(axis=0))
     worst = _worst(sample, mixed)
     coordinate_p, ess = each_coordinate(sample.values, exact.flat)
+    found = modes(
+        sample.away.reshape(-1, sample.away.shape[-1]),
+        exact.away.reshape(-1, exact.away.shape[-1]),
+        worst,
+    )
     tests: list[Test] = []
     others: list[Test] = []
     power = None
@@ -127,12 +132,7 @@ def judge(
         tests, others = _tests(thinned, exact, rng, permutations, counts)
         tests.append(_coordinates(coordinate_p, ess, sample.names))
         varying = np.where(np.isfinite(coordinate_p), ess, np.nan)
-        power = seen(varying, exact.num_draws, counts, len(tests), level)
-    found = modes(
-        sample.away.reshape(-1, sample.away.shape[-1]),
-        exact.away.reshape(-1, exact.away.shape[-1]),
-        worst,
-    )
+        power = seen(varying, exact.num_draws, counts, float(found.exact[0]), len(tests), level)
     verdict, sentence = _verdict(tests, mixed, worst, found, sample.num_draws, level, power)
     depth = [column for column, name in enumerate(NAMES) if name.endswith(" z")]
     joint_w1 = wasserstein(sample.flat[:, depth], exact.flat[:, depth])

@@ -68,6 +68,7 @@ def counts_by_mode(
         found, which = np.unique(np.concatenate([found, codes_known]), return_inverse=True)
         drawn = np.bincount(which[: counts.shape[1]], counts[0], len(found))
         counts = np.stack([drawn, [known.get(int(code), 0.0) for code in found]])
+    counts = counts[:, counts.any(axis=0)]
     pooled = counts.sum(axis=0) / counts.sum()
     rare = pooled * counts.sum(axis=1).min() < LEAST_EXPECTED
     together = counts[:, rare].sum(axis=1, keepdims=True)

@@ -46,7 +46,9 @@ class Seen(NamedTuple):
         )
 
 
-def seen(ess: np.ndarray, exact: int, counts: np.ndarray, tests: int, level: float) -> Seen:
+def seen(
+    ess: np.ndarray, exact: int, counts: np.ndarray, common: float, tests: int, level: float
+) -> Seen:
     """What a run could have seen.
 
     Parameters
@@ -57,6 +59,8 @@ def seen(ess: np.ndarray, exact: int, counts: np.ndarray, tests: int, level: flo
         How many exact draws the coordinates were compared with.
     counts : `(2, modes)`
         How many independent draws, and how many exact ones, fell into each mode that is tested.
+    common
+        The share of the commonest mode.
     tests, level
         How many tests share the level.
     """
@@ -66,7 +70,6 @@ def seen(ess: np.ndarray, exact: int, counts: np.ndarray, tests: int, level: flo
     shift, spread = sure * np.sqrt(1 / np.nanmin(ess, axis=0) + 1 / exact)
     draws, known = counts.sum(axis=1)
     worth = 1 / (1 / draws + 1 / known)
-    common = float(counts[1].max() / known)
     apart = _noncentrality(own, counts.shape[1] - 1)
     return Seen(
         _shift(float(shift)),

@@ -15,7 +15,7 @@ POWER = 0.9
 """The share of runs in which a change is caught."""
 
 
-class Seen(NamedTuple):
+class Sensitivity(NamedTuple):
     """The smallest changes that are caught in `POWER` of all runs; infinite where none is sure to
     be.
 
@@ -46,9 +46,9 @@ class Seen(NamedTuple):
         )
 
 
-def seen(
+def sensitivity(
     ess: np.ndarray, exact: int, counts: np.ndarray, common: float, tests: int, level: float
-) -> Seen:
+) -> Sensitivity:
     """What a run could have seen.
 
     Parameters
@@ -71,7 +71,7 @@ def seen(
     draws, known = counts.sum(axis=1)
     worth = 1 / (1 / draws + 1 / known)
     apart = _noncentrality(own, counts.shape[1] - 1)
-    return Seen(
+    return Sensitivity(
         _shift(float(shift)),
         _wider(float(spread)),
         common,

@@ -339,6 +339,44 @@ class CheckSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MeasureSettings:
+    """Joint angles, lengths and steps of a result, with intervals: a table, a picture, a file.
+
+    Measures have the ISB's conventions where fifteen joints determine them; others are written as
+    angle(a,b,c), inclination(a,b), distance(a,b), level(a,b), height(a) or depth(a,b) of names of
+    joints. Lengths are in body units, with --height in millimetres. A stream needs draws that were
+    kept (`frames --keep`)."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "measure result --out measures.csv",
+        "measure result/posterior.nc --measure right_knee_flexion --interval 0.9",
+        "measure result --measure 'angle(right_hip,right_knee,right_ankle)' --height 1.82",
+        "measure walk-posterior --person 0 --measure right_knee_flexion --out knee.csv",
+    )
+    result: Annotated[
+        Path, Argument(help="posterior.nc, its folder, or a stream's.", show_default=False)
+    ]
+    measure: Annotated[
+        list[str] | None,
+        Option(
+            help="A name, or an expression; may be given again.",
+            show_default="all that have a name",
+        ),
+    ] = None
+    interval: Annotated[float, Option(help="Probability of the intervals, which are central.")] = (
+        0.95
+    )
+    height: Annotated[
+        float | None,
+        Option(help="The person's height in metres, if it is known.", show_default="in body units"),
+    ] = None
+    person: Annotated[int | None, Option(help="Whose film, in a stream of several people.")] = None
+    out: Annotated[
+        Path, Option(help="The table: .csv, or .nc with every draw; the picture lies beside it.")
+    ] = Path("measures.csv")
+
+
+@dataclass(frozen=True, kw_only=True)
 class ExportSettings:
     """Write a result as BVH, C3D, TRC, glTF, CSV or .npz: hypotheses, single draws, or the film of
     a stream.

@@ -223,7 +223,7 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
         )
     tree = open_stream(path)
     names = [str(name) for name in tree["summary"].frame.values]
-    frames, rows = _rows(names, wanted.person, path)
+    frames, rows = rows_of_person(names, wanted.person, path)
     of_draws, of_hypotheses = tree["summary"].to_dataset(), tree["hypotheses"].to_dataset()
     heaviest = _spread_out(of_hypotheses.joints.values[:, 0], rows)
     there = heaviest[np.isfinite(heaviest).all(axis=(1, 2))]
@@ -239,7 +239,7 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
         joints = joints + _spread_out(standing.values, rows)[:, None]
         spread[:, JOINT_INDEX["pelvis"]] = _spread_out(of_draws.place_sd.values, rows)
     exact = wanted.what == HYPOTHESIS and wanted.smoother is None
-    order, numbers = _in_time(frames)
+    order, numbers = in_time(frames)
     return _Poses(
         joints[order],
         [frames[at] for at in order],
@@ -252,7 +252,7 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
     )
 
 
-def _in_time(frames: list[str]) -> tuple[list[int], list[int] | None]:
+def in_time(frames: list[str]) -> tuple[list[int], list[int] | None]:
     """The order of frames by their numbers, and these; their own order, and None, where their names
     have none."""
     numbers = frame_numbers(frames)
@@ -262,7 +262,9 @@ def _in_time(frames: list[str]) -> tuple[list[int], list[int] | None]:
     return order, [numbers[at] for at in order]
 
 
-def _rows(names: list[str], person: int | None, path: Path) -> tuple[list[str], list[int | None]]:
+def rows_of_person(
+    names: list[str], person: int | None, path: Path
+) -> tuple[list[str], list[int | None]]:
     """The names of all frames, and in which row of the stream the person stands in each (None: in
     none). Items are called `frame/person` where a detector's file was read."""
     parts = [frame_and_person(name) for name in names]

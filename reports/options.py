@@ -57,6 +57,14 @@ LARGEST_SIDE = 10**6
 SMALLEST_FACTOR = 1e-6
 """Areas of discs smaller than this, or larger than its inverse, would in the end overflow."""
 
+
+class JudgedBy(enum.StrEnum):
+    """What posteriors are judged by."""
+
+    coordinates = "coordinates"
+    measures = "measures"
+
+
 Factor = Annotated[
     float, Option(help="The factor in the radius τ of a detection's disc (the paper: 0.25).")
 ]
@@ -117,6 +125,13 @@ RigNames = Annotated[
         help="JSON object of the names of joints or markers in motion capture (.bvh, .trc, .c3d)"
         " → ours.",
         show_default="those of most programs are known",
+    ),
+]
+Judged = Annotated[
+    JudgedBy,
+    Option(
+        "--of",
+        help="What is judged: coordinates, or measures (joint angles, lengths and steps).",
     ),
 ]
 Open = Annotated[bool, Option("--open", help="Open the page in a browser.")]

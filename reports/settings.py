@@ -23,6 +23,8 @@ from poseterior.reports.options import (
     FilmPose,
     Hypotheses,
     JointOrder,
+    Judged,
+    JudgedBy,
     KnownLenses,
     LearnedLaw,
     LengthUnit,
@@ -586,6 +588,7 @@ class EvaluateSettings:
             show_default=False,
         ),
     ]
+    of: Judged = JudgedBy.coordinates
     missing: Annotated[str, Option(help="Numbers of limb joints made missing, at random.")] = "0"
     rotate: Annotated[str, Option(help="Degrees by which the image is turned.")] = "0"
     root: Annotated[
@@ -664,6 +667,7 @@ class CoverageSettings:
         " --missing 1 --out real",
         "coverage --root uncertain --num-simulations 1000 --out whole",
         "coverage --dataset session/ --root uncertain --perspective --noise none --out filmed",
+        "coverage --dataset recordings.npz --of measures --out measured",
     )
     sampler: Annotated[
         str | None,
@@ -672,6 +676,7 @@ class CoverageSettings:
             show_default=f"{SAMPLERS[0]}; with --root uncertain {ROUTES[0]}",
         ),
     ] = None
+    of: Judged = JudgedBy.coordinates
     out: Annotated[
         Path, Option(help="Folder for coverage.nc and coverage.png; a run goes on there.")
     ] = Path("coverage")
@@ -724,7 +729,7 @@ class CoverageSettings:
         if self.dataset is not None:
             way, unknown = "with --dataset", ["simulate_only", "num_simulations"]
         elif self.simulate_only:
-            way, unknown = "with --simulate-only", [*draws, *real]
+            way, unknown = "with --simulate-only", ["of", *draws, *real]
         else:
             way, unknown = "without --dataset", real
         for name in unknown:

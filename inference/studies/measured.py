@@ -17,9 +17,9 @@ from poseterior.inference.summaries import centre, interval, unrolled
 from poseterior.probmodel.measures import MEASURES, Measure, turned
 
 ALL_MEASURES = tuple(MEASURES.values())
-ROUNDED = 9
-"""Digits after the point beyond which values are equal: measures of a torso that is given are the
-same of draws and truth but for rounding."""
+GIVEN = 1e-9
+"""Where all draws lie as near together as that, they were told: as are the trunk's measures where
+the torso is given. Nothing is asked of them."""
 LARGE = 10.0
 """Degrees from which an error is a large one."""
 
@@ -27,7 +27,7 @@ LARGE = 10.0
 class MeasureStandings(NamedTuple):
     """Of each measure `(q,)`: the truth's `level` among the draws, uniform if they are right; the
     `error` of the draws' mean, and the `width` of the central interval of 95 %; NaN where the
-    truth's pose does not determine it."""
+    truth's pose does not determine it, or where it was given."""
 
     level: np.ndarray
     error: np.ndarray
@@ -48,8 +48,8 @@ def levels_of(
     """`(q,)`: the levels of values `(q,)` among those of draws `(n, q)`."""
     both = np.concatenate([truth[None], draws])
     circular = np.array([one.circular for one in chosen])
-    line = np.where(circular, unrolled(both, True), both).round(ROUNDED)
-    return np.where(np.isfinite(truth), rank_level(line[0], line[1:], rng), np.nan)
+    line = np.where(circular, unrolled(both, True), both)
+    return rank_level(line[0], line[1:], rng)
 
 
 def standings_of(
@@ -65,7 +65,9 @@ def standings_of(
         if len(held) and np.isfinite(known[column]):
             low, high = interval(held, 1 - 2 * TAIL, one.circular)
             found[:, column] = turned(centre(held, one.circular) - known[column], one), high - low
-    return MeasureStandings(levels_of(known, values_of(seen), rng), *found)
+    found[:, ~(found[1] > GIVEN)] = np.nan
+    level = levels_of(known, values_of(seen), rng)
+    return MeasureStandings(np.where(np.isfinite(found[0]), level, np.nan), *found)
 
 
 def no_standings() -> MeasureStandings:
@@ -103,11 +105,19 @@ def scores_of_measures(
 ) -> list[MeasureScore]:
     """The score of each measure, of levels, errors and widths `(n, q)`, with intervals over the
     clusters `(n,)`; lengths are in `unit`. Without those that nothing is known of."""
-    rows = zip(ALL_MEASURES, level.T, error.T, width.T, strict=True)
+    units = [unit if one.kind == "length" else one.unit for one in ALL_MEASURES]
+    known = np.isfinite(level) & np.isfinite(error) & np.isfinite(width)
     return [
-        score(one.name, unit if one.kind == "length" else one.unit, *columns, cluster)
-        for one, *columns in rows
-        if np.isfinite(columns).all(axis=0).any()
+        score(
+            one.name,
+            units[column],
+            level[rows, column],
+            error[rows, column],
+            width[rows, column],
+            cluster[rows],
+        )
+        for column, (one, rows) in enumerate(zip(ALL_MEASURES, known.T, strict=True))
+        if rows.any()
     ]
 
 
@@ -119,9 +129,8 @@ def score(
     width: np.ndarray,
     cluster: np.ndarray,
 ) -> MeasureScore:
-    """The score of levels, errors and widths `(n,)`, at least one of which is known."""
-    known = np.isfinite(level) & np.isfinite(error) & np.isfinite(width)
-    level, size, width, cluster = (one[known] for one in (level, np.abs(error), width, cluster))
+    """The score of levels, errors and widths `(n,)`, all of them known."""
+    size = np.abs(error)
     held = (level >= TAIL) & (level <= 1 - TAIL)
     varied = len(size) > 2 and np.ptp(size) > 0 and np.ptp(width) > 0
     return MeasureScore(

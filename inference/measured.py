@@ -25,10 +25,10 @@ from poseterior.probmodel.datasets import body_height
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.measures import MEASURES, Measure, measure_of
 
-SHORTEST, HIGHEST = 0.2, 3.0
+SHORTEST_PERSON, TALLEST_PERSON = 0.2, 3.0
 """Metres between which a person's height lies."""
 PROBABILITY = 0.95
-MODES = 2
+MOST_MODES = 2
 """Of a measure, at most, that are told apart."""
 _SAMPLED = ("chain", "draw")
 _SUMMARY = ("mean", "sd", "low", "high")
@@ -88,10 +88,10 @@ def chosen_measures(wanted: Sequence[str]) -> list[Measure]:
 
 def require_height(height: float) -> None:
     """Raises `BadInput` where no person is so many metres tall."""
-    if not SHORTEST <= height <= HIGHEST:  # false for NaN too
+    if not SHORTEST_PERSON <= height <= TALLEST_PERSON:  # false for NaN too
         raise BadInput(
-            f"{height:g} is not the height of a person in metres, from {SHORTEST:g} to {HIGHEST:g};"
-            " give another"
+            f"{height:g} is not the height of a person in metres, from {SHORTEST_PERSON:g} to"
+            f" {TALLEST_PERSON:g}; give another"
         )
 
 
@@ -191,7 +191,7 @@ def measure_intervals(found: xr.Dataset, probability: float = PROBABILITY) -> xr
     }
     columns["value"] = ((*dims, "mode"), rows[..., len(_SUMMARY) :: 2])
     columns["mass"] = ((*dims, "mode"), rows[..., len(_SUMMARY) + 1 :: 2])
-    coords: dict[Any, Any] = {"measure": names, "mode": np.arange(1, MODES + 1)}
+    coords: dict[Any, Any] = {"measure": names, "mode": np.arange(1, MOST_MODES + 1)}
     coords |= {name: found.coords[name].values for name in rest if name in found.coords}
     coords["units"] = ("measure", [str(found[name].attrs["units"]) for name in names])
     return xr.Dataset(columns, coords, dict(found.attrs) | {"probability": probability})
@@ -207,5 +207,5 @@ def _rows(values: xr.DataArray, rest: Sequence[Hashable], probability: float) ->
 
 
 def _row(one: Summary) -> list[float]:
-    blank = [np.nan] * 2 * (MODES - len(one.modes))
+    blank = [np.nan] * 2 * (MOST_MODES - len(one.modes))
     return [one.mean, one.sd, one.low, one.high, *itertools.chain(*one.modes), *blank]

@@ -12,7 +12,7 @@ import numpy as np
 
 from poseterior.probmodel.measures.measure import FULL_TURN, wrapped
 
-GRID = 512
+DENSITY_PLACES = 512
 """Places at which a density is known."""
 VALLEY, LEAST_MASS = 0.6, 0.1
 """Two modes are two where the density between them falls below this share of the lower one, and
@@ -44,9 +44,9 @@ class Summary(NamedTuple):
     modes: tuple[Mode, ...]
 
 
-class Density(NamedTuple):
-    """A density at places `at` `(GRID,)`, evenly apart; on a circle from the emptiest place once
-    round."""
+class DensityCurve(NamedTuple):
+    """A density at places `at` `(DENSITY_PLACES,)`, evenly apart; on a circle from
+    the emptiest place once round."""
 
     at: np.ndarray
     density: np.ndarray
@@ -82,7 +82,7 @@ def interval(draws: np.ndarray, probability: float, circular: bool) -> np.ndarra
     return np.quantile(unrolled(draws, circular), [tail, 1 - tail], axis=0)
 
 
-def density_of(draws: np.ndarray, circular: bool) -> Density:
+def density_of(draws: np.ndarray, circular: bool) -> DensityCurve:
     """The density of draws `(n,)` by a Gaussian kernel, its width by Silverman's rule (1986)."""
     line = unrolled(draws, circular)
     width = _bandwidth(line)
@@ -90,12 +90,16 @@ def density_of(draws: np.ndarray, circular: bool) -> Density:
         low, high = float(line.min()), float(line.min()) + FULL_TURN
     else:
         low, high = float(line.min()) - 4 * width, float(line.max()) + 4 * width
-    step = (high - low) / GRID
-    counts = np.bincount(((line - low) / step).astype(int) % GRID, minlength=GRID)
-    away = np.minimum(np.arange(GRID), GRID - np.arange(GRID)) * step
+    step = (high - low) / DENSITY_PLACES
+    counts = np.bincount(
+        ((line - low) / step).astype(int) % DENSITY_PLACES, minlength=DENSITY_PLACES
+    )
+    away = np.minimum(np.arange(DENSITY_PLACES), DENSITY_PLACES - np.arange(DENSITY_PLACES)) * step
     kernel = np.exp(-0.5 * (away / width) ** 2)
-    smooth = np.fft.irfft(np.fft.rfft(counts) * np.fft.rfft(kernel / kernel.sum()), GRID)
-    found = Density(low + (np.arange(GRID) + 0.5) * step, np.maximum(smooth, 0) / len(draws) / step)
+    smooth = np.fft.irfft(np.fft.rfft(counts) * np.fft.rfft(kernel / kernel.sum()), DENSITY_PLACES)
+    found = DensityCurve(
+        low + (np.arange(DENSITY_PLACES) + 0.5) * step, np.maximum(smooth, 0) / len(draws) / step
+    )
     return _from_the_emptiest(found) if circular else found
 
 
@@ -106,10 +110,10 @@ def _bandwidth(line: np.ndarray) -> float:
     return max(0.9 * spread * min(len(line), STEADY) ** -0.2, least)
 
 
-def _from_the_emptiest(found: Density) -> Density:
+def _from_the_emptiest(found: DensityCurve) -> DensityCurve:
     lowest = int(np.argmin(found.density))
     at = np.concatenate([found.at[lowest:] - FULL_TURN, found.at[:lowest]])
-    return Density(at, np.roll(found.density, -lowest))
+    return DensityCurve(at, np.roll(found.density, -lowest))
 
 
 def modes(draws: np.ndarray, circular: bool) -> tuple[Mode, ...]:

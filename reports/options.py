@@ -167,6 +167,8 @@ class ExportFormat(enum.StrEnum):
     gltf = "gltf"
     csv = "csv"
     npz = "npz"
+    mot = "mot"
+    sto = "sto"
 
 
 class FilmPose(enum.StrEnum):

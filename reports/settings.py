@@ -49,6 +49,7 @@ from poseterior.reports.options import (
 if TYPE_CHECKING:
     from poseterior.inference.benchmark import Submission
     from poseterior.probmodel.datasets import DataSet
+    from poseterior.probmodel.measures import Measure
     from poseterior.probmodel.people import Cast
     from poseterior.probmodel.sessions import Session
     from poseterior.reports.exports.smoothing import Smoother
@@ -380,8 +381,8 @@ class MeasureSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportSettings:
-    """Write a result as BVH, C3D, TRC, glTF, CSV or .npz: hypotheses, single draws, or the film of
-    a stream.
+    """Write a result as BVH, C3D, TRC, glTF, CSV, .npz, .mot or .sto: hypotheses, single draws, or
+    the film of a stream.
 
     All have x to the right of the image, y up and z towards the camera, with the pelvis at the
     origin, or, of a stream with a known focal length, the camera. Of a stream it takes the mean of
@@ -396,6 +397,7 @@ class ExportSettings:
         "export walk-posterior --to trc --person 0 --rate 25 --out walk.trc",
         "export walk-posterior --to bvh --rate 25 --smooth butterworth:6",
         "export result --to gltf --out ghosts.glb",
+        "export walk-posterior --to mot --person 0 --rate 25 --measure right_knee_flexion",
     )
     result: Annotated[
         Path,
@@ -447,10 +449,38 @@ class ExportSettings:
         float | None,
         Option(help="Frames a second of the film.", show_default="30, which is then said"),
     ] = None
+    measure: Annotated[
+        list[str] | None,
+        Option(
+            help="A measure, as of `measure`, for a column of CSV, .mot or .sto; may be given"
+            " again.",
+            show_default="none in CSV; all that have a name",
+        ),
+    ] = None
 
     def check(self) -> None:
-        """Raises `BadInput` on a filter that is none."""
+        """Raises `BadInput` on a filter or a measure that is none, or has no room."""
         self.smoother  # noqa: B018
+        self.measures  # noqa: B018
+
+    @functools.cached_property
+    def measures(self) -> "tuple[Measure, ...]":
+        """Those that are exported. Raises `BadInput` where there is no such measure, or the format
+        has no room for it."""
+        from poseterior.inference.measured import chosen_measures
+        from poseterior.probmodel import BadInput
+        from poseterior.reports.exports import OF_MEASURES, WITH_MEASURES
+
+        if self.to in OF_MEASURES:
+            return tuple(chosen_measures(self.measure or ()))
+        if not self.measure:
+            return ()
+        if self.to not in WITH_MEASURES:
+            raise BadInput(
+                f"{self.to} has no room for measures; export to {', '.join(WITH_MEASURES)}, or"
+                " leave --measure out"
+            )
+        return tuple(chosen_measures(self.measure))
 
     @functools.cached_property
     def smoother(self) -> "Smoother | None":

@@ -332,9 +332,9 @@ def _registry() -> dict[str, Measure]:
 
 MEASURES = _registry()
 """Every measure by its name."""
-_LIMBS = ("elbow_flexion", "shoulder_elevation", "hip_flexion", "knee_flexion")
+_FLEXIONS = ("elbow_flexion", "shoulder_elevation", "hip_flexion", "knee_flexion")
 USUAL = (
-    *(f"{side}_{name}" for name in _LIMBS for side in SIDES),
+    *(f"{side}_{name}" for name in _FLEXIONS for side in SIDES),
     *("trunk_forward_lean", "trunk_rotation", "step_length", "step_width"),
 )
 """Those that pictures have where nobody says which."""

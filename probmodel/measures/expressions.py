@@ -19,7 +19,7 @@ from poseterior.probmodel.measures.measure import Kind, Measure
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 
 OWN = "as written"
-LONGEST = 200
+LONGEST_EXPRESSION = 200
 """Letters of an expression."""
 _CALL = re.compile(r"\s*([a-z]+)\s*\(([a-z_\s,]*)\)\s*", re.ASCII)
 
@@ -89,7 +89,7 @@ def measure_of(text: str) -> Measure:
     name = text.strip()
     if name in MEASURES:
         return MEASURES[name]
-    if len(text) > LONGEST or not (call := _CALL.fullmatch(text)):
+    if len(text) > LONGEST_EXPRESSION or not (call := _CALL.fullmatch(text)):
         raise BadInput(f"there is no measure {shown(name)}; {_nearest(name)}")
     word = call[1]
     given = [joint.strip() for joint in call[2].split(",")]

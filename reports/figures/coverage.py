@@ -18,7 +18,7 @@ from poseterior.inference.studies.calibration.quantities import (
     TARP,
 )
 from poseterior.inference.studies.calibration.uniformity import ECDF_LEVELS, band, difference
-from poseterior.inference.studies.calibration.verdict import COORDINATES, levels_by_quantity
+from poseterior.inference.studies.calibration.verdict import BY_COORDINATES, levels_by_quantity
 from poseterior.probmodel.measures import MEASURES
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import INK, page, tidy
@@ -55,14 +55,14 @@ MEASURE_PANELS = {
 """The same of measures."""
 
 
-def ranks_figure(simulation: xr.Dataset, title: str = "", of: str = COORDINATES) -> Figure:
+def ranks_figure(simulation: xr.Dataset, title: str = "", of: str = BY_COORDINATES) -> Figure:
     """Empirical minus uniform distribution function of every quantity's levels, a panel a kind,
     with the band in which 95 % of right posteriors stay everywhere (for one quantity). `of`
     coordinates or measures, as `judge`."""
     level = levels_by_quantity(simulation, of)
     known = {
         name: quantities
-        for name, quantities in (PANELS if of == COORDINATES else MEASURE_PANELS).items()
+        for name, quantities in (PANELS if of == BY_COORDINATES else MEASURE_PANELS).items()
         if np.isfinite(level.sel(quantity=quantities).values).any()
     }
     figure = page(3 * len(known), 2.7)

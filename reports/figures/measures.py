@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from poseterior.inference.summaries import Density, density_of
+from poseterior.inference.summaries import DensityCurve, density_of
 from poseterior.probmodel.measures import wrapped
 from poseterior.reports.figures.colours import LIMB_COLOURS, TORSO_COLOUR
 from poseterior.reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, page, tidy
@@ -63,14 +63,14 @@ def _density(axis: Axes, draws: np.ndarray, circular: bool, name: str) -> None:
     axis.set_ylim(bottom=0)
 
 
-def _where_it_is(found: Density, draws: np.ndarray, circular: bool) -> Density:
+def _where_it_is(found: DensityCurve, draws: np.ndarray, circular: bool) -> DensityCurve:
     """The stretch in which there is something to see, on a line no longer than the draws are."""
     some = found.density > LEAST_SHOWN * found.density.max()
     if not circular:
         some &= (found.at >= draws.min()) & (found.at <= draws.max())
     rows = np.flatnonzero(some)
     part = slice(rows[0], rows[-1] + 1) if len(rows) else slice(None)
-    return Density(found.at[part], found.density[part])
+    return DensityCurve(found.at[part], found.density[part])
 
 
 def _title(axis: Axes, name: str, unit: str, summed: xr.Dataset) -> None:

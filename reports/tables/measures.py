@@ -19,8 +19,7 @@ from poseterior.reports.tables.words import spoken
 DIGITS = {"degrees": 1, "mm": 0, "body units": 2}
 """Decimal places, by unit."""
 SIGNS = {"degrees": "°", "mm": " mm", "body units": ""}
-_NUMBERS = ("mean", "sd", "low", "high")
-_MODES = ("value_1", "mass_1", "value_2", "mass_2")
+_SPREAD_FIELDS = ("mean", "sd", "low", "high")
 
 
 def measures_table(found: xr.Dataset) -> Sheet:
@@ -88,9 +87,9 @@ def records(found: xr.Dataset) -> list[Record]:
     for place, frame in enumerate(frames):
         here = found if frame is None else found.isel(frame=place)
         named = {} if frame is None else _frame(str(frame))
-        values = {name: here[name].values for name in (*_NUMBERS, "value", "mass")}
+        values = {name: here[name].values for name in (*_SPREAD_FIELDS, "value", "mass")}
         for index, name in enumerate(found.measure.values):
-            row = {field: number(values[field][index]) for field in _NUMBERS}
+            row = {field: number(values[field][index]) for field in _SPREAD_FIELDS}
             for mode in range(found.sizes["mode"]):
                 row[f"value_{mode + 1}"] = number(values["value"][index, mode])
                 row[f"mass_{mode + 1}"] = number(values["mass"][index, mode])

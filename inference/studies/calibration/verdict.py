@@ -18,7 +18,7 @@ from poseterior.inference.studies.calibration.quantities import (
 from poseterior.inference.studies.calibration.uniformity import uniformity
 from poseterior.probmodel.failures import BadInput
 
-COORDINATES, MEASURED = SUBJECTS = "coordinates", "measures"
+BY_COORDINATES, BY_MEASURES = SUBJECTS = "coordinates", "measures"
 """What a posterior is judged by."""
 FALSE_ALARM = 0.01
 """Chance that a right posterior is said to be miscalibrated, over all tests together."""
@@ -62,7 +62,7 @@ class Calibration(NamedTuple):
 def judge(
     simulation: xr.Dataset,
     *,
-    of: str = COORDINATES,
+    of: str = BY_COORDINATES,
     false_alarm: float = FALSE_ALARM,
     fewest: int = FEWEST_SIMULATIONS,
 ) -> Calibration:
@@ -110,7 +110,7 @@ def judge(
 
 def levels_by_quantity(simulation: xr.Dataset, of: str) -> xr.DataArray:
     """Levels by (simulation, quantity), of one of `SUBJECTS`."""
-    if of == COORDINATES:
+    if of == BY_COORDINATES:
         return simulation["level"]
     return simulation["measure_level"].rename(measure="quantity")
 

@@ -15,7 +15,7 @@ from poseterior.probmodel.programs import kept
 _STREAM = 1
 """Tells the random numbers of predictions from those of the draws, which have the same seed."""
 
-FLAT = (
+FLAT_LAW = (
     "left out: the law of errors is flat within its reach, so that every draw makes a detection"
     " equally likely, and none reaches where it could not have been; leaving one out (az.loo) would"
     " weigh nothing, and be sure of it"

@@ -19,7 +19,7 @@ from xarray.core import indexing
 
 from poseterior.inference.draws import Draws, KnownRoots, over_draws
 from poseterior.inference.predictions import (
-    FLAT,
+    FLAT_LAW,
     KeypointsRead,
     log_likelihood,
     new_detections,
@@ -305,7 +305,7 @@ def log_density(draws: Draws) -> np.ndarray:
 def _predictions(draws: Draws, block: int) -> dict[str, xr.Dataset]:
     """`posterior_predictive`: `keypoints` (chain, draw, joint, uv), pixels, NaN where a joint does
     not count. `log_likelihood`: `keypoints` (chain, draw, detected), of the joints that count, per
-    square pixel; left out under a law that is flat, see `FLAT`."""
+    square pixel; left out under a law that is flat, see `FLAT_LAW`."""
     law, number = draws.posterior.likelihood.law, len(draws)
     words = [int(word) for word in draws.attributes["seed"].split()]
     read = functools.cache(lambda: _as_read(draws))
@@ -315,7 +315,7 @@ def _predictions(draws: Draws, block: int) -> dict[str, xr.Dataset]:
     )
     predicted = _group(draws, {"keypoints": (("joint", "uv"), "pixels", new)})
     if law.follows(0.0):  # uniform within its reach
-        return {"posterior_predictive": predicted.assign_attrs(log_likelihood=FLAT)}
+        return {"posterior_predictive": predicted.assign_attrs(log_likelihood=FLAT_LAW)}
     patterns = ORDERS[np.bincount(draws.faults.exchange, minlength=len(ORDERS)) > 0]
     counts = np.isfinite(np.asarray(draws.posterior.detected.spread))[patterns].any(axis=0)
     seen = np.flatnonzero(counts)

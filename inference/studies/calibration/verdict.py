@@ -116,17 +116,12 @@ def levels_by_quantity(simulation: xr.Dataset, of: str) -> xr.DataArray:
     return simulation["measure_level"].rename(measure="quantity")
 
 
-def _small(p_value: float) -> str:
-    """A p-value, or the bound that doubles know."""
-    return f"= {p_value:.2g}" if p_value >= SMALLEST else f"< {SMALLEST:.0g}"
-
-
 def _verdict(
     tests: xr.Dataset, failed: int, total: int, rejects: bool, proven: bool
 ) -> tuple[str, str]:
     worst = tests.isel(quantity=int(np.argmin(tests.adjusted.values)))
     number = tests.sizes["quantity"]
-    p_value, adjusted = (_small(float(one)) for one in (worst.p_value, worst.adjusted))
+    p_value, adjusted = (_bounded(float(one)) for one in (worst.p_value, worst.adjusted))
     said = (
         f"{worst.quantity.item()}: p {p_value}, {adjusted.removeprefix('= ')} over {number} tests"
     )

@@ -28,7 +28,7 @@ from poseterior.inference.studies.comparison.permutation import (
     classifier_test,
     permutation_tests,
 )
-from poseterior.inference.studies.comparison.power import Seen, seen
+from poseterior.inference.studies.comparison.power import SmallestSeen, seen
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate
 from poseterior.inference.studies.comparison.sample import NAMES, Sample
 
@@ -72,7 +72,7 @@ class Judgement(NamedTuple):
     joint_w1: np.ndarray
     distance: float
     evidence: Test | None = None
-    seen: Seen | None = None
+    seen: SmallestSeen | None = None
 
     @property
     def beside(self) -> tuple[Test, ...]:
@@ -238,7 +238,7 @@ def _verdict(
     found: Modes,
     number: int,
     level: float,
-    power: Seen | None = None,
+    power: SmallestSeen | None = None,
 ) -> tuple[str, str]:
     if mixed.stuck:
         return (

@@ -15,7 +15,7 @@ POWER = 0.9
 """The share of runs in which a change is caught."""
 
 
-class Seen(NamedTuple):
+class SmallestSeen(NamedTuple):
     """The smallest changes that are caught in `POWER` of all runs; infinite where none is sure to
     be.
 
@@ -48,7 +48,7 @@ class Seen(NamedTuple):
 
 def seen(
     ess: np.ndarray, exact: int, counts: np.ndarray, common: float, tests: int, level: float
-) -> Seen:
+) -> SmallestSeen:
     """What a run could have seen.
 
     Parameters
@@ -71,7 +71,7 @@ def seen(
     draws, known = counts.sum(axis=1)
     worth = 1 / (1 / draws + 1 / known)
     apart = _noncentrality(own, counts.shape[1] - 1)
-    return Seen(
+    return SmallestSeen(
         _shift(float(shift)),
         _wider(float(spread)),
         common,

@@ -44,7 +44,7 @@ from poseterior.inference.studies.comparison.mixing import mean_ess, mixing
 from poseterior.inference.studies.comparison.modes import counts_by_mode, modes, same_shares
 from poseterior.inference.studies.comparison.pace import autocorrelation_times, pace, uncrossed
 from poseterior.inference.studies.comparison.permutation import classifier_test, permutation_tests
-from poseterior.inference.studies.comparison.power import POWER, sensitivity
+from poseterior.inference.studies.comparison.power import POWER, seen
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate, scores
 from poseterior.inference.studies.comparison.record import Entry
 from poseterior.inference.studies.comparison.sample import (
@@ -180,7 +180,7 @@ def test_nine_runs_of_ten_catch_what_a_verdict_says_that_it_would_have_seen(kind
     rng, level, runs = np.random.default_rng(kind), 0.01, 150
     exact = rng.normal(size=(3000, 1))
     ess, counts = np.full((1, 2), 400.0), np.array([[200, 200], [1500, 1500]])
-    found = sensitivity(ess, 3000, counts, 0.5, 1, level)
+    found = seen(ess, 3000, counts, 0.5, 1, level)
     change = (found.shift, found.spread)[kind]
 
     def caught(change: float) -> int:
@@ -199,7 +199,7 @@ def test_nine_runs_of_ten_catch_what_modes_are_said_to_show():
     rng, level, runs = np.random.default_rng(0), 0.002, 150
     share, number = np.array([0.4, 0.3, 0.2, 0.1]), 600
     counts = np.stack([number * share, 1e6 * share])
-    found = sensitivity(np.full((1, 2), 400.0), 3000, counts, share[0], 1, level)
+    found = seen(np.full((1, 2), 400.0), 3000, counts, share[0], 1, level)
     rest = share[1:] / share[1:].sum()
 
     def caught(drawn: np.ndarray, known: np.ndarray) -> int:

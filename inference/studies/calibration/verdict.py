@@ -13,12 +13,13 @@ import xarray as xr
 from poseterior.inference.studies.calibration.quantities import (
     ENERGY_BALL,
     LOG_DENSITY,
-    QUANTITIES,
     TARP,
 )
 from poseterior.inference.studies.calibration.uniformity import uniformity
 from poseterior.probmodel.failures import BadInput
 
+BY_COORDINATES, BY_MEASURES = SUBJECTS = "coordinates", "measures"
+"""What a posterior is judged by."""
 FALSE_ALARM = 0.01
 """Chance that a right posterior is said to be miscalibrated, over all tests together."""
 FEWEST_SIMULATIONS = 100
@@ -62,25 +63,28 @@ class Calibration(NamedTuple):
 
 
 def judge(
-    simulation: xr.Dataset, *, false_alarm: float = FALSE_ALARM, fewest: int = FEWEST_SIMULATIONS
+    simulation: xr.Dataset,
+    *,
+    of: str = BY_COORDINATES,
+    false_alarm: float = FALSE_ALARM,
+    fewest: int = FEWEST_SIMULATIONS,
 ) -> Calibration:
-    """The verdict on levels by (simulation, quantity), NaN where an instance failed.
+    """The verdict on levels by (simulation, quantity), NaN where an instance failed: `of`
+    coordinates and whatever else is known of a pose, or of measures.
 
     Where more than `FEW_FAILURES` of them failed, which ones may depend on the truth: then a
     quantity counts against the sampler only if it did so whatever the levels of the failed ones.
     Those that are left are judged, however many there were to be. Raises `BadInput` where there are
     fewer than `fewest` simulations, or all of them failed."""
-    table = simulation["level"]
+    table = levels_by_quantity(simulation, of)
     total = len(table)
     failed = int((~np.isfinite(table.values).any(axis=1)).sum())
     if total < fewest or failed == total:
         lost = f", {failed} of them failed" if failed else ""
         raise BadInput(f"there are {total} simulations{lost}; the tests need at least {fewest}")
-    known = set(table.quantity.values)
     columns = {
-        name: column[np.isfinite(column)]
-        for name in QUANTITIES
-        if name in known
+        str(name): column[np.isfinite(column)]
+        for name in table.quantity.values
         for column in [table.sel(quantity=name).values]
         if np.isfinite(column).any()
     }
@@ -103,6 +107,13 @@ def judge(
         < false_alarm
     )
     return Calibration(tests, *_verdict(tests, failed, total, rejects, proven))
+
+
+def levels_by_quantity(simulation: xr.Dataset, of: str) -> xr.DataArray:
+    """Levels by (simulation, quantity), of one of `SUBJECTS`."""
+    if of == BY_COORDINATES:
+        return simulation["level"]
+    return simulation["measure_level"].rename(measure="quantity")
 
 
 def _verdict(

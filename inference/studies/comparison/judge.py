@@ -28,7 +28,7 @@ from poseterior.inference.studies.comparison.permutation import (
     classifier_test,
     permutation_tests,
 )
-from poseterior.inference.studies.comparison.power import Sensitivity, sensitivity
+from poseterior.inference.studies.comparison.power import SmallestSeen, seen
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate
 from poseterior.inference.studies.comparison.sample import NAMES, Sample
 
@@ -56,11 +56,11 @@ class Test(NamedTuple):
 
 class Judgement(NamedTuple):
     """All that the judge found. `tests` of draws decide the verdict; `others` stand beside it.
-    `evidence` is the test of the stated one, None where none was stated with its error;
-    `sensitivity` what these tests could have seen, None where there are none. `coordinate_p` `(c,
-    2)`: rank tests of shift and spread; `joint_w1` `(9,)`: W1 of the joints' depth in body units (×
-    350: millimetres of a person of 1.7 m); `distance`: sliced Wasserstein in standard deviations;
-    `sentence` says why."""
+    `evidence` is the test of the stated one, None where none was stated with its error; `seen` what
+    these tests could have seen, None where there are none.
+    `coordinate_p` `(c, 2)`: rank tests of shift and spread; `joint_w1` `(9,)`: W1 of the joints'
+    depth in body units (× 350: millimetres of a person of 1.7 m); `distance`: sliced Wasserstein in
+    standard deviations; `sentence` says why."""
 
     verdict: str
     sentence: str
@@ -72,7 +72,7 @@ class Judgement(NamedTuple):
     joint_w1: np.ndarray
     distance: float
     evidence: Test | None = None
-    sensitivity: Sensitivity | None = None
+    seen: SmallestSeen | None = None
 
     @property
     def beside(self) -> tuple[Test, ...]:
@@ -132,9 +132,7 @@ def judge(
         tests, others = _tests(thinned, exact, rng, permutations, counts)
         tests.append(_coordinates(coordinate_p, ess, sample.names))
         varying = np.where(np.isfinite(coordinate_p), ess, np.nan)
-        power = sensitivity(
-            varying, exact.num_draws, counts, float(found.exact[0]), len(tests), level
-        )
+        power = seen(varying, exact.num_draws, counts, float(found.exact[0]), len(tests), level)
     verdict, sentence = _verdict(tests, mixed, worst, found, sample.num_draws, level, power)
     depth = [column for column, name in enumerate(NAMES) if name.endswith(" z")]
     joint_w1 = wasserstein(sample.flat[:, depth], exact.flat[:, depth])
@@ -150,7 +148,7 @@ def judge(
         joint_w1=joint_w1,
         distance=distance,
         evidence=_evidence(evidence, exact_evidence),
-        sensitivity=power,
+        seen=power,
     )
 
 
@@ -240,7 +238,7 @@ def _verdict(
     found: Modes,
     number: int,
     level: float,
-    power: Sensitivity | None = None,
+    power: SmallestSeen | None = None,
 ) -> tuple[str, str]:
     if mixed.stuck:
         return (

@@ -15,7 +15,7 @@ POWER = 0.9
 """The share of runs in which a change is caught."""
 
 
-class Sensitivity(NamedTuple):
+class SmallestSeen(NamedTuple):
     """The smallest changes that are caught in `POWER` of all runs; infinite where none is sure to
     be.
 
@@ -46,9 +46,9 @@ class Sensitivity(NamedTuple):
         )
 
 
-def sensitivity(
+def seen(
     ess: np.ndarray, exact: int, counts: np.ndarray, common: float, tests: int, level: float
-) -> Sensitivity:
+) -> SmallestSeen:
     """What a run could have seen.
 
     Parameters
@@ -71,7 +71,7 @@ def sensitivity(
     draws, known = counts.sum(axis=1)
     worth = 1 / (1 / draws + 1 / known)
     apart = _noncentrality(own, counts.shape[1] - 1)
-    return Sensitivity(
+    return SmallestSeen(
         _shift(float(shift)),
         _wider(float(spread)),
         common,

@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from poseterior.inference.studies.calibration.coverage import measure_standings
+from poseterior.inference.studies.intervals import TAIL
 from poseterior.inference.studies.measured import (
     ALL_MEASURES,
     MeasureScore,
@@ -23,6 +24,7 @@ from poseterior.inference.studies.measured import (
     scores_of_measures,
     standings_of,
 )
+from poseterior.probmodel.measures import MEASURES
 from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
@@ -82,6 +84,16 @@ LITERATURE = (
     ),
 )
 """Whose, what error, and what each took as given; none has coverage of an angle's interval."""
+
+
+SHOWN_CAMERA, RATE = 0, 60
+"""Of the picture: which camera; frames a second."""
+SHOWN_ANGLES = (
+    "right_knee_flexion",
+    "left_knee_flexion",
+    "right_elbow_flexion",
+    "left_elbow_flexion",
+)
 
 
 class Measured(NamedTuple):
@@ -183,10 +195,37 @@ def coverage_of_measures(found: dict[str, Measured]) -> Figure:
     return figure
 
 
+def film_of_angles(seen: Film, found: Iterable[tuple[FilmedCase, FilmedDraws]]) -> Figure:
+    """Mean and 95 % band of knees and elbows over the film, by one camera, and the truth by the
+    others."""
+    cases = sorted(
+        (one for one in found if one[0].camera == SHOWN_CAMERA), key=lambda one: one[0].frame
+    )
+    frames = [case.frame for case, _ in cases]
+    figure = page(10.5, 4.2)
+    axes = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
+    for axis, name in zip(axes, SHOWN_ANGLES, strict=True):
+        one = MEASURES[name]
+        draws = [one.of(drawn_here.joints) for _, drawn_here in cases]
+        low, high = np.transpose([np.quantile(each, [TAIL, 1 - TAIL]) for each in draws])
+        colour = PALETTE[0] if name.startswith("right") else PALETTE[2]
+        axis.fill_between(frames, low, high, color=colour, alpha=0.25, lw=0, label="95 % interval")
+        axis.plot(frames, list(map(np.mean, draws)), color=colour, lw=1.4, label="mean")
+        truth = [float(one.of(case.skeletal_truth)) for case, _ in cases]
+        axis.plot(frames, truth, "--", color=INK, lw=1.0, label="by the other three cameras")
+        axis.set_title(f"{spoken(name)}, degrees", loc="left", fontsize=TEXT, color=INK)
+        axis.tick_params(labelsize=SMALL)
+        tidy(axis)
+    axes[0].legend(frameon=False, fontsize=SMALL)
+    figure.supxlabel(f"frame, {RATE} a second", fontsize=TEXT)
+    return figure
+
+
 def main(data: Data, work: Work) -> Page:
     """Draws what is not there yet, then writes the page."""
     seen = film(data)
-    found = {name: filmed(seen, drawn(seen, way, work)) for name, way in MEASURED_WAYS.items()}
+    film_draws = {name: list(drawn(seen, way, work)) for name, way in MEASURED_WAYS.items()}
+    found = {name: filmed(seen, cases) for name, cases in film_draws.items()}
     tree = stood(work, data, hold_out(work, data), HELD_OUT)
     recording = tree["simulation"].recording.values
     found[MOCAP] = Measured(measure_standings(tree), recording)
@@ -209,7 +248,11 @@ def main(data: Data, work: Work) -> Page:
         "focal": measure_scores_table({"": everything["one camera, `--focal`"]}, caption=" "),
         "mocap": measure_scores_table({"": everything[MOCAP]}, caption=" "),
     }
-    return Page("measures", values, {"measures": coverage_of_measures(found)})
+    pictures = {
+        "measures": coverage_of_measures(found),
+        "measures-film": film_of_angles(seen, film_draws["one camera, `--focal`"]),
+    }
+    return Page("measures", values, pictures)
 
 
 if __name__ == "__main__":

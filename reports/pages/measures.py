@@ -86,7 +86,7 @@ LITERATURE = (
 """Whose, what error, and what each took as given; none has coverage of an angle's interval."""
 
 
-SHOWN_CAMERA, RATE = 0, 60
+SHOWN_CAMERA, BEAM_RATE = 0, 60
 """Of the picture: which camera; frames a second."""
 SHOWN_ANGLES = (
     "right_knee_flexion",
@@ -217,7 +217,7 @@ def film_of_angles(seen: Film, found: Iterable[tuple[FilmedCase, FilmedDraws]]) 
         axis.tick_params(labelsize=SMALL)
         tidy(axis)
     axes[0].legend(frameon=False, fontsize=SMALL)
-    figure.supxlabel(f"frame, {RATE} a second", fontsize=TEXT)
+    figure.supxlabel(f"frame, {BEAM_RATE} a second", fontsize=TEXT)
     return figure
 
 

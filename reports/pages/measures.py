@@ -29,7 +29,6 @@ from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
 from poseterior.reports.pages.filmed import (
-    FILM_DRAWS,
     FILM_ROOTS,
     LEARNED,
     Film,
@@ -47,8 +46,8 @@ from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.measured import measure_scores_table
 from poseterior.reports.tables.words import spoken
 
-MEASURED_FRAMES = 25
-"""Of the film, of four cameras each."""
+MEASURED_FRAMES, MEASURED_DRAWS = 25, 1000
+"""Of the film, of four cameras each; and how many draws of each are measured."""
 MEASURED_WAYS = {
     "one camera": Way(UNCERTAIN, LEARNED, frames=MEASURED_FRAMES),
     "one camera, `--focal`": Way(
@@ -134,7 +133,8 @@ def _standings(seen: Film, case: FilmedCase, found: FilmedDraws) -> MeasureStand
     rng = np.random.default_rng([case.camera, case.frame, 46])
     unit = seen.session.unit
     truth = unit * (case.skeletal_truth - case.skeletal_truth[0])
-    draws = unit * (found.joints - found.joints[:, :1])
+    joints = found.joints[:MEASURED_DRAWS]
+    draws = unit * (joints - joints[:, :1])
     errors = unit * case.skeletal_errors(rng, len(draws))
     return standings_of(truth, draws + errors, draws, rng)
 
@@ -234,7 +234,7 @@ def main(data: Data, work: Work) -> Page:
         "overview": overview(found),
         "literature": literature(),
         "cases": MEASURED_FRAMES * len(seen.session.cameras),
-        "draws": f"{FILM_DRAWS:,}",
+        "draws": f"{MEASURED_DRAWS:,}",
         "roots": f"{FILM_ROOTS:,}",
         "more_roots": f"{4 * FILM_ROOTS:,}",
         "poses": MOTION_POSES,

@@ -1,3 +1,4 @@
+from .arviz_view import for_arviz as for_arviz
 from .baselines.rooted import RootedTarget as RootedTarget
 from .baselines.target import Target as Target
 from .composition import composed as composed

@@ -9,7 +9,6 @@ import re
 import tempfile
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -40,7 +39,6 @@ from poseterior.inference.exact.loops.strata import (
     frame_turn,
     strata_buffer,
 )
-from poseterior.inference.exact.loops.strata import fill_in as stratify_loop
 from poseterior.inference.exact.loops.tables import ALIAS, REGIONS, CutLimb, LimbProblem, workspace
 from poseterior.inference.exact.loops.vectors import lower_axes
 from poseterior.inference.exact.problem import limb_problems
@@ -509,6 +507,7 @@ def violations(model, seed, factor, resolution, tighten=1.0, number=60):
             )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", sweep([0.01, 0.25, 1.5], [0.25]))
 def test_bounds_are_bounds(factor):
     """Tries to break them: bones near the poles and the reference direction, foreshortened limbs,
@@ -516,7 +515,7 @@ def test_bounds_are_bounds(factor):
     assert not any(violations(PoseModel.paper(), 0, factor, RESOLUTIONS[0], number=30))
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("factor", [0.001, 0.05, 0.25, 1.0, 5.0])
 def test_bounds_are_bounds_in_every_measure_and_table(shared_data, factor):
     for anatomy in (
@@ -830,7 +829,9 @@ def test_a_frame_that_no_pose_explains_has_no_strata():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(4))
+@pytest.mark.parametrize(
+    "part", [0, *(pytest.param(at, marks=pytest.mark.sweep) for at in (1, 2, 3))]
+)
 def test_strata_follow_group_rejection_on_all_frames_of_the_benchmark(part):
     """The 64 frames, arms and legs of each, discs wide enough for draws of the prior to hit:
     energy-distance permutation tests of all coordinates together, Kolmogorov–Smirnov tests of each,
@@ -882,22 +883,3 @@ def test_strata_for_discs_too_small_draw_another_law(monkeypatch):
         columns_of(right.draws()["arms"]).T, columns_of(wrong.draws()["arms"]).T, strict=True
     )
     assert min(stats.ks_2samp(*pair).pvalue for pair in pairs) < FAMILY / 14
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:Explicitly requested dtype")
-def test_the_loops_do_not_mind_32_bit_floats():
-    """The same frame where JAX computes in 32 bits: the same evidence within 3 standard errors, no
-    loop made anew."""
-    frame = prior_scene(PoseModel.paper(), 2)
-    whole = inference.sample(
-        PoseModel.paper(), frame, key=key(0), num_samples=3000, root="candidates"
-    ).tree.attrs
-    compiled_before = len(stratify_loop.signatures)
-    with jax.enable_x64(False):
-        half = inference.sample(
-            PoseModel.paper(), frame, key=key(1), num_samples=3000, root="candidates"
-        ).tree.attrs
-    assert len(stratify_loop.signatures) == compiled_before
-    error = np.hypot(whole["log_evidence_se"], half["log_evidence_se"])
-    assert abs(whole["log_evidence"] - half["log_evidence"]) < 3 * error

@@ -174,7 +174,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("place")
     for name in ("frame", "frame_keypoints", "video"):
         (place / f"{name}.json").write_text(openpose())
-    for name in ("people", "landmarks"):
+    for name in ("people", "landmarks", "street"):
         (place / f"{name}.json").write_text(openpose(people=4))
     (place / "walk").mkdir()
     for number in range(2):

@@ -195,12 +195,11 @@ def coverage_of_measures(found: dict[str, Measured]) -> Figure:
     return figure
 
 
-def film_of_angles(seen: Film, found: Iterable[tuple[FilmedCase, FilmedDraws]]) -> Figure:
+def film_of_angles(found: Iterable[tuple[FilmedCase, FilmedDraws]]) -> Figure:
     """Mean and 95 % band of knees and elbows over the film, by one camera, and the truth by the
     others."""
-    cases = sorted(
-        (one for one in found if one[0].camera == SHOWN_CAMERA), key=lambda one: one[0].frame
-    )
+    here = [one for one in found if one[0].camera == SHOWN_CAMERA and len(one[1].joints)]
+    cases = sorted(here, key=lambda one: one[0].frame)
     frames = [case.frame for case, _ in cases]
     figure = page(10.5, 4.2)
     axes = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
@@ -250,7 +249,7 @@ def main(data: Data, work: Work) -> Page:
     }
     pictures = {
         "measures": coverage_of_measures(found),
-        "measures-film": film_of_angles(seen, film_draws["one camera, `--focal`"]),
+        "measures-film": film_of_angles(film_draws["one camera, `--focal`"]),
     }
     return Page("measures", values, pictures)
 

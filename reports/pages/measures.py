@@ -42,7 +42,7 @@ from poseterior.reports.pages.honest import STRETCH
 from poseterior.reports.pages.motion import MOTION_POSES, MOTION_ROOTS, Given, stood
 from poseterior.reports.pages.page import Data, Page, Work, run
 from poseterior.reports.pages.real import hold_out
-from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.measured import measure_scores_table
 from poseterior.reports.tables.words import spoken
 
@@ -149,12 +149,13 @@ def overview(found: dict[str, Measured]) -> Sheet:
         way: [one.pooled(names, words) for words, names in groups.items()]
         for way, one in found.items()
     }
-    return measure_scores_table(by_way, caption=" ")
+    return measure_scores_table(by_way, caption="")
 
 
 def literature() -> Sheet:
     """What others report."""
-    return sheet_of(("whose", "error of angles", "given"), LITERATURE)
+    columns = [Column(head, left=True) for head in ("whose", "error of angles", "given")]
+    return sheet_of(columns, LITERATURE)
 
 
 def outside(found: Measured) -> str:
@@ -243,9 +244,9 @@ def main(data: Data, work: Work) -> Page:
         "film_outside": outside(found["one camera"]),
         "focal_outside": outside(found["one camera, `--focal`"]),
         "mocap_outside": outside(found[MOCAP]),
-        "film": measure_scores_table({"": everything["one camera"]}, caption=" "),
-        "focal": measure_scores_table({"": everything["one camera, `--focal`"]}, caption=" "),
-        "mocap": measure_scores_table({"": everything[MOCAP]}, caption=" "),
+        "film": measure_scores_table({"": everything["one camera"]}, caption=""),
+        "focal": measure_scores_table({"": everything["one camera, `--focal`"]}, caption=""),
+        "mocap": measure_scores_table({"": everything[MOCAP]}, caption=""),
     }
     pictures = {
         "measures": coverage_of_measures(found),

@@ -86,6 +86,7 @@ class HypothesesSettings:
         "hypotheses frame.json --focal 1650 --image photo.jpg --errors learned",
         "hypotheses frame.json --root fixed --limits limits.npz --candidates 1",
         "hypotheses frame.json --root fixed --estimator zhou",
+        "hypotheses frame.json --recalibrated wider.json",
     )
     person: Person
     out: Annotated[
@@ -96,6 +97,13 @@ class HypothesesSettings:
     k: Hypotheses = 5
     composed: Composed = False
     double: Double = False
+    recalibrated: Annotated[
+        Path | None,
+        Option(
+            help="File of `coverage judge --recalibrate`: intervals with its guarantee, too.",
+            show_default="none",
+        ),
+    ] = None
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
     rooting: Drawing = OPEN
@@ -716,11 +724,14 @@ class CoverageJudgeSettings:
     )
     files: Annotated[list[Path], Argument(help="Draws and truths.", show_default=False)]
     out: Annotated[
-        Path | None, Option(help="Folder for NAME.nc and NAME.png of each file.", show_default="none")
+        Path | None,
+        Option(help="Folder for NAME.nc and NAME.png of each file.", show_default="none"),
     ] = None
     circular: Annotated[
         list[str] | None,
-        Option(help="A quantity that is an angle, in radians; may be repeated.", show_default="none"),
+        Option(
+            help="A quantity that is an angle, in radians; may be repeated.", show_default="none"
+        ),
     ] = None
     false_alarm: Annotated[
         float, Option(min=1e-4, max=0.5, help="Chance that a right posterior is accused.")

@@ -38,8 +38,9 @@ def _ranks(axes: Axes, found: Judged) -> None:
         values = level.sel(quantity=name).values
         colour = PALETTE[number % len(PALETTE)]
         known = values[np.isfinite(values)]
-        axes.plot(ECDF_LEVELS, difference(known), lw=0.9, color=colour, gid=f"ranks {name}",
-                  label=name)
+        axes.plot(
+            ECDF_LEVELS, difference(known), lw=0.9, color=colour, gid=f"ranks {name}", label=name
+        )
     if len(found.quantities) <= len(PALETTE):
         axes.legend(frameon=False, fontsize=LEGEND)
     axes.set_title("ranks", fontsize=TITLE)
@@ -59,8 +60,9 @@ def _curve(axes: Axes, found: Judged, covariate: str) -> None:
         colour = PALETTE[number]
         axes.axhline(nominal, color=INK, lw=0.6, ls="--")
         axes.fill_between(places, one.low, one.high, color=colour, alpha=0.2, lw=0)
-        axes.plot(places, one.share, "o-", color=colour, ms=3, lw=1.1,
-                  gid=f"held {nominal:g} {covariate}")
+        axes.plot(
+            places, one.share, "o-", color=colour, ms=3, lw=1.1, gid=f"held {nominal:g} {covariate}"
+        )
     axes.set_xticks(places, words, rotation=30, ha="right")
     axes.set_ylim(0, 1.02)
     axes.set_title(covariate, fontsize=TITLE)

@@ -3,7 +3,7 @@ what would make its intervals hold.
 
     found = judge_coverage(draws, truth, covariates={"angle": angle})
     found.sentence, found.local.sentence        # verdict with one stated error rate, and where
-    recalibrate(found.level, by=...)            # intervals with a guarantee; no posterior any more
+    recalibrate(found.level)                    # intervals with a guarantee; no posterior any more
 
 Nothing here knows what a pose is; ranks and tests are those of `studies.calibration`. Files are
 read by `files`, `posterior_sbc` judges a sampler on one data set of the user's own."""
@@ -11,6 +11,7 @@ read by `files`, `posterior_sbc` judges a sampler on one data set of the user's 
 from poseterior.inference.studies.judging.brought import Brought
 from poseterior.inference.studies.judging.files import read_brought
 from poseterior.inference.studies.judging.judge import Judged, judge_coverage
+from poseterior.inference.studies.judging.posterior_sbc import posterior_sbc
 from poseterior.inference.studies.judging.repair import Recalibration, recalibrate
 from poseterior.inference.studies.judging.where import Locally, locally
 
@@ -21,6 +22,7 @@ __all__ = [
     "Recalibration",
     "judge_coverage",
     "locally",
+    "posterior_sbc",
     "read_brought",
     "recalibrate",
 ]

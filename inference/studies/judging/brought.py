@@ -181,9 +181,11 @@ def _columns(given: Any, leading: int) -> tuple[Any, list[str] | None]:
         flat = column.reshape(*column.shape[:leading], -1)
         parts.append(flat)
         shape = column.shape[leading:]
-        names += [name] if not shape else [
-            f"{name}[{', '.join(map(str, place))}]" for place in np.ndindex(*shape)
-        ]
+        names += (
+            [name]
+            if not shape
+            else [f"{name}[{', '.join(map(str, place))}]" for place in np.ndindex(*shape)]
+        )
     if not parts or len({part.shape[:leading] for part in parts}) > 1:
         said = ", ".join(f"{name} {np.shape(values)}" for name, values in given.items())
         raise BadInput(f"the quantities have no instances in common ({said or 'none at all'})")
@@ -275,7 +277,7 @@ def _log_density(given: Any, shape: tuple[int, int]) -> np.ndarray | None:
         truth = draws = np.empty(0)
     if truth.shape != shape[:1] or draws.shape != shape:
         raise BadInput(
-            f"log densities have shapes {truth.shape} and {draws.shape}; they need a pair, of truths"
-            f" {shape[:1]} and of draws {shape}"
+            f"log densities have shapes {truth.shape} and {draws.shape}; they need a pair, of"
+            f" truths {shape[:1]} and of draws {shape}"
         )
     return np.concatenate([truth[:, None], draws], axis=1)

@@ -1,4 +1,4 @@
-"""Draws beside truths from files: .npz and netCDF4 (an xarray DataTree), Zarr where that package is.
+"""Draws beside truths from files: .npz, netCDF4 (an xarray DataTree), Zarr where that package is.
 
 An .npz has `draws` `(instances, draws, quantities)` and `truth`, or what sbi calls them
 (`posterior_samples` `(draws, instances, quantities)` and `thetas`), or bayesflow's dictionaries
@@ -16,7 +16,7 @@ import xarray as xr
 
 from poseterior.inference.resampling import WEIGHTS
 from poseterior.inference.studies.judging.brought import Brought
-from poseterior.probmodel.arrays import ArrayFile, read_tables
+from poseterior.probmodel.arrays import HDF5, ArrayFile, read_tables
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.files import opened
 
@@ -68,13 +68,9 @@ def read_brought(path: Path, circular: tuple[str, ...] = ()) -> Brought:
     it holds cannot be judged."""
     if path.is_dir():
         return _of_tree(_zarr(path), path, circular)
-    with opened(path, _WHAT, _ADVICE) as file:
-        found = ArrayFile(file, str(path), _WHAT, _ADVICE)
-        if path.suffix.lower() not in (".npz", ".zip"):
-            found.require_credible()
-    if path.suffix.lower() in (".npz", ".zip"):
-        return _of_tables(read_tables(path, _WHAT, _ADVICE), path, circular)
-    return _of_tree(xr.open_datatree(path, engine="netcdf4"), path, circular)
+    if _is_tree(path):
+        return _of_tree(xr.open_datatree(path, engine="netcdf4"), path, circular)
+    return _of_tables(read_tables(path, _WHAT, _ADVICE), path, circular)
 
 
 def read_judged(
@@ -82,15 +78,24 @@ def read_judged(
 ) -> Brought | tuple[xr.DataArray, dict[str, np.ndarray]]:
     """As `read_brought`; of a coverage.nc, whose draws are gone, its levels and covariates. Raises
     `BadInput` as it."""
-    if path.suffix.lower() == ".nc" and path.is_file():
-        with opened(path, _WHAT, _ADVICE) as file:
-            ArrayFile(file, str(path), _WHAT, _ADVICE).require_credible()
+    if not path.is_dir() and _is_tree(path):
         with xr.open_datatree(path, engine="netcdf4") as tree:
             if "posterior" not in tree.children and "simulation/level" in tree:
                 table = tree["simulation"].to_dataset().load()
                 columns = _group(tree, COVARIATES_GROUP).load()
                 return table["level"], {str(key): columns[key].values for key in columns.data_vars}
     return read_brought(path, circular)
+
+
+def _is_tree(path: Path) -> bool:
+    """Whether it is HDF5, then one that another library may read. Raises `BadInput` where it is
+    not such a one, or cannot be read."""
+    with opened(path, _WHAT, _ADVICE) as file:
+        found = ArrayFile(file, str(path), _WHAT, _ADVICE)
+        if found.magic != HDF5:
+            return False
+        found.require_credible()
+    return True
 
 
 def _zarr(path: Path) -> xr.DataTree:
@@ -107,17 +112,16 @@ def _zarr(path: Path) -> xr.DataTree:
         raise BadInput(f"{path} is no Zarr tree ({type(error).__name__}); {_ADVICE}") from None
 
 
-def _of_tables(
-    arrays: Mapping[str, np.ndarray], path: Path, circular: tuple[str, ...]
-) -> Brought:
+def _of_tables(arrays: Mapping[str, np.ndarray], path: Path, circular: tuple[str, ...]) -> Brought:
     draws: Any = {name[10:]: arrays[name] for name in arrays if name.startswith("estimates.")}
     truth: Any = {name[8:]: arrays[name] for name in arrays if name.startswith("targets.")}
     if not draws and not truth:
         draws, truth = (_first(arrays, names, path) for names in (DRAWS, TRUTH))
         if DRAWS[0] not in arrays:
             draws = np.swapaxes(draws, 0, 1)
-        draws, truth = (part[..., None] if part.ndim == at else part
-                        for part, at in ((draws, 2), (truth, 1)))
+        draws, truth = (
+            part[..., None] if part.ndim == at else part for part, at in ((draws, 2), (truth, 1))
+        )
     density = [arrays.get(name) for name in ("log_density_truth", "log_density")]
     covariates = arrays.get(COVARIATES_GROUP)
     columns = {name[11:]: arrays[name] for name in arrays if name.startswith("covariates.")}
@@ -211,7 +215,8 @@ def _labels(name: str, values: xr.DataArray, along: str) -> list[str]:
     if not rest.ndim:
         return [name]
     labels = [
-        [str(label) for label in rest[dim].values] if dim in rest.coords
+        [str(label) for label in rest[dim].values]
+        if dim in rest.coords
         else [str(at) for at in range(rest.sizes[dim])]
         for dim in rest.dims
     ]

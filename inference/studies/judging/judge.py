@@ -187,9 +187,7 @@ def judge_coverage(
     return judge_brought(brought, seed=seed, false_alarm=false_alarm)
 
 
-def judge_brought(
-    brought: Brought, *, seed: int = 0, false_alarm: float = FALSE_ALARM
-) -> Judged:
+def judge_brought(brought: Brought, *, seed: int = 0, false_alarm: float = FALSE_ALARM) -> Judged:
     """The same of what was read from a file (`files.read_brought`)."""
     level, effective, failures = _levels(brought, seed)
     found = judge_levels(level, brought.covariates, seed=seed, false_alarm=false_alarm)

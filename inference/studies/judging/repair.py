@@ -5,10 +5,10 @@ the levels of instances whose truth is known (Vovk, Gammerman & Shafer 2005; per
     low, high = repair.interval(draws, "wrist z", 0.95, value=0.8)
 
 A central interval of the draws holds the truth where the level lies near one half; so how far out
-the intervals must reach is a quantile of |2 level - 1| over the instances. One more instance that is
-exchangeable with them is held with at least the nominal chance, at every sample size, whatever the
-posterior; where too few instances or too extreme levels leave no bound, the interval has none. What
-comes out is intervals, one quantity at a time, and no posterior any more."""
+the intervals must reach is a quantile of |2 level - 1| over the instances. One more instance that
+is exchangeable with them is held with at least the nominal chance, at every sample size, whatever
+the posterior; where too few instances or too extreme levels leave no bound, the interval has none.
+What comes out is intervals, one quantity at a time, and no posterior any more."""
 
 import json
 from dataclasses import dataclass
@@ -20,8 +20,8 @@ import xarray as xr
 
 from poseterior.inference.studies.calibration.levels import effective_number
 from poseterior.inference.studies.judging.where import by_value
-from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.documents import read_json
+from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.files import replacing
 
 PARTS = 3

@@ -1,4 +1,4 @@
-"""`poseterior coverage judge`: the verdict on anybody's draws beside truths, and where they fail."""
+"""`poseterior coverage judge`: anybody's draws beside truths: the verdict, and where they fail."""
 
 from pathlib import Path
 

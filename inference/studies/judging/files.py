@@ -83,7 +83,9 @@ def read_judged(
             if "posterior" not in tree.children and "simulation/level" in tree:
                 table = tree["simulation"].to_dataset().load()
                 columns = _group(tree, COVARIATES_GROUP).load()
-                return table["level"], {str(key): columns[key].values for key in columns.data_vars}
+                known = {str(name): columns[name].values for name in columns.data_vars}
+                varied = {name: one for name, one in known.items() if len(np.unique(one)) > 1}
+                return table["level"], varied
     return read_brought(path, circular)
 
 

@@ -66,8 +66,9 @@ def locally(
 ) -> Locally:
     """Tests whether levels (simulation, quantity) depend on covariates; rows with NaN are left out.
 
-    One of the quantities `foremost` is named where any of them deviates by itself too. Raises `BadInput` where a covariate has one value alone, a NaN or another length, or where there
-    are too few instances to be parted."""
+    One of the quantities `foremost` is named where any of them deviates by itself too. Raises
+    `BadInput` where a covariate has one value alone, a NaN or another length, or where there are
+    too few instances to be parted."""
     columns = checked(covariates, levels.sizes["simulation"])
     levels = levels.dropna("quantity", how="all")
     known = np.isfinite(levels.values).all(axis=1)

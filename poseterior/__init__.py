@@ -47,6 +47,14 @@ if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors
     )
     from poseterior.inference.studies.calibration import calibrate, cover, read_cases
     from poseterior.inference.studies.comparison import Comparison, compare
+    from poseterior.inference.studies.judging import (
+        Judged,
+        Locally,
+        Recalibration,
+        judge_coverage,
+        posterior_sbc,
+        recalibrate,
+    )
     from poseterior.probmodel import (
         AnatomicalLimits,
         Anatomy,
@@ -98,6 +106,7 @@ _HOMES = (
     "poseterior.inference",
     "poseterior.inference.studies.comparison",
     "poseterior.inference.studies.calibration",
+    "poseterior.inference.studies.judging",
 )
 """Where names are looked for: the first one that exports a name has it."""
 
@@ -126,8 +135,10 @@ __all__ = [
     "HingedDirection",
     "Hypothesis",
     "Item",
+    "Judged",
     "Lens",
     "Likelihood",
+    "Locally",
     "Machines",
     "Motion",
     "Observation",
@@ -136,6 +147,7 @@ __all__ = [
     "Perspective",
     "PoseModel",
     "Posterior",
+    "Recalibration",
     "Resident",
     "Result",
     "Root",
@@ -161,9 +173,11 @@ __all__ = [
     "for_arviz",
     "grid_poses",
     "hypotheses",
+    "judge_coverage",
     "measure_intervals",
     "measures",
     "open_stream",
+    "posterior_sbc",
     "read_cases",
     "read_data_set",
     "read_detections",
@@ -171,6 +185,7 @@ __all__ = [
     "read_motion",
     "read_published",
     "read_session",
+    "recalibrate",
     "resident_draws",
     "sample",
     "sample_frames",

@@ -32,6 +32,7 @@ COMMANDS: dict[str, type] = {
     "benchmark judge": settings.BenchmarkJudgeSettings,
     "evaluate": settings.EvaluateSettings,
     "coverage": settings.CoverageSettings,
+    "coverage judge": settings.CoverageJudgeSettings,
     "learn": settings.LearnSettings,
     "calibrate": settings.CalibrateSettings,
 }
@@ -44,9 +45,10 @@ app = typer.Typer(
 
 
 GROUPS = {
-    "benchmark": typer.Typer(help="Frozen targets with exact draws, for those who build samplers.")
+    "benchmark": typer.Typer(help="Frozen targets with exact draws, for those who build samplers."),
+    "coverage": typer.Typer(invoke_without_command=True, subcommand_metavar="[judge …]"),
 }
-"""Commands that have commands of their own."""
+"""Commands that have commands of their own; those in `COMMANDS` do something by themselves too."""
 for _name, _group in GROUPS.items():
     app.add_typer(_group, name=_name)
 
@@ -134,6 +136,8 @@ def _register(name: str, kind: Any) -> None:
     group, _, own = name.rpartition(" ")
 
     def command(context: typer.Context, **values: Any) -> None:
+        if context.invoked_subcommand:
+            return
         options.prepare_jax()
         wanted: Any = built(kind, values)
         options.require_meaning(wanted, {word for word in values if _typed(context, word)})
@@ -155,7 +159,11 @@ def _register(name: str, kind: Any) -> None:
     about = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
     examples = "\n\n".join(f"  poseterior {line}" for line in kind.EXAMPLES)
     home = GROUPS[group] if group else app
-    home.command(own, help=about, epilog=f"Examples:\n\n{examples}")(command)
+    texts = {"help": about, "epilog": f"Examples:\n\n{examples}"}
+    if name in GROUPS:
+        GROUPS[name].callback(**texts)(command)
+    else:
+        home.command(own, **texts)(command)
 
 
 def _compile_ahead(root: str, screen: Screen) -> None:

@@ -89,6 +89,7 @@ class HypothesesSettings:
         "hypotheses frame.json --focal 1650 --image photo.jpg --errors learned",
         "hypotheses frame.json --root fixed --limits limits.npz --candidates 1",
         "hypotheses frame.json --root fixed --estimator zhou",
+        "hypotheses frame.json --recalibrated wider.json",
     )
     person: Person
     out: Annotated[
@@ -99,6 +100,13 @@ class HypothesesSettings:
     k: Hypotheses = 5
     composed: Composed = False
     double: Double = False
+    recalibrated: Annotated[
+        Path | None,
+        Option(
+            help="File of `coverage judge --recalibrate`: intervals with its guarantee, too.",
+            show_default="none",
+        ),
+    ] = None
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
     rooting: Drawing = OPEN
@@ -769,6 +777,57 @@ class CoverageSettings:
                     f"{option} means nothing {way}; leave it out, or choose another of the three"
                     " ways in `poseterior coverage --help`"
                 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoverageJudgeSettings:
+    """Judge anybody's posterior of anything by draws beside truths: is it calibrated, and where
+    does it fail?
+
+    A file is an .npz with `draws` (instances, draws, quantities) and `truth` (instances,
+    quantities), sbi's `posterior_samples` and `thetas`, bayesflow's dictionaries as
+    `estimates.NAME` and `targets.NAME`, or a tree (netCDF4, Zarr) with the groups `posterior` and
+    `truth`. `covariates` say where to look; `weights`, `log_weights` and log densities are taken as
+    they are. A coverage.nc of `poseterior coverage` can be judged too."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "coverage judge mine.npz --out judged",
+        "coverage judge mine.nc --circular heading --recalibrate wider.json --by score",
+        "coverage judge network.npz mcmc.npz --json",
+    )
+    files: Annotated[list[Path], Argument(help="Draws and truths.", show_default=False)]
+    out: Annotated[
+        Path | None,
+        Option(help="Folder for NAME.nc and NAME.png of each file.", show_default="none"),
+    ] = None
+    circular: Annotated[
+        list[str] | None,
+        Option(
+            help="A quantity that is an angle, in radians; may be repeated.", show_default="none"
+        ),
+    ] = None
+    false_alarm: Annotated[
+        float, Option(min=1e-4, max=0.5, help="Chance that a right posterior is accused.")
+    ] = 0.01
+    recalibrate: Annotated[
+        Path | None,
+        Option(help="File of recalibrated intervals to write, for `hypotheses --recalibrated`."),
+    ] = None
+    by: Annotated[
+        str | None, Option(help="A covariate whose groups are recalibrated one by one.")
+    ] = None
+    seed: Annotated[int, Option(min=0, help="Of ties, permutations and the classifier.")] = 0
+
+    def require_meaning(self, given: Set[str]) -> None:
+        """Raises `BadInput` where --by comes without --recalibrate, or two files would be one."""
+        from poseterior.probmodel import BadInput
+
+        if self.by and not self.recalibrate:
+            raise BadInput("--by means nothing without --recalibrate; give that, or leave it out")
+        if self.recalibrate and len(self.files) > 1:
+            raise BadInput(f"--recalibrate is of one file, not of {len(self.files)}")
+        if len({path.stem for path in self.files}) < len(self.files):
+            raise BadInput("two of the files have one name; results are named by it")
 
 
 @dataclass(frozen=True, kw_only=True)

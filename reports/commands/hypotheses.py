@@ -11,6 +11,7 @@ from poseterior.inference.composition import composed
 from poseterior.inference.draws import COMPLETE
 from poseterior.inference.drawsfile import sample_to_file
 from poseterior.inference.hypothesis import Hypothesis, hypotheses
+from poseterior.inference.studies.judging.repair import read_recalibration
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
@@ -23,6 +24,7 @@ from poseterior.reports.interactive.page import write_page
 from poseterior.reports.interactive.person import person_page
 from poseterior.reports.options import Screen
 from poseterior.reports.settings import HypothesesSettings
+from poseterior.reports.tables.judging import recalibrated_table
 
 
 def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | None = None) -> None:
@@ -38,6 +40,7 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         model = settings.rooting.model(settings.prior, settings.person.size)
         frame = settings.estimation.estimate(settings.person.detection, model)
         warnings = doubts.about(settings.person, model)
+    repair = read_recalibration(settings.recalibrated) if settings.recalibrated else None
     out = console.output_folder(settings.out)
     with console.progress(_task(settings), screen.quiet) as step:
         result = sample_to_file(
@@ -62,10 +65,14 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         save_figure(picture, out / "hypotheses.png")
         page = person_page(result, chosen, image=photo, truth=truth, warnings=warnings)
         write_page(page, out / "hypotheses.html")
+    intervals = recalibrated_table(result.shown.tree, repair) if repair else None
     if screen.json:
-        console.show_json(summary(chosen, result, out))
+        held = {"recalibrated": intervals.json()} if intervals else {}
+        console.show_json(summary(chosen, result, out) | held)
     else:
         show(chosen, result, out)
+        if intervals:
+            console.OUT.print(intervals)
     for sentence in warnings:
         console.warn(sentence)
     if settings.open:

@@ -70,7 +70,7 @@ def ranks_figure(simulation: xr.Dataset, title: str = "", of: str = BY_COORDINAT
     for axis, (name, quantities) in zip(axes, known.items(), strict=True):
         table = level.sel(quantity=quantities).values
         table = table[np.isfinite(table).any(axis=1)]
-        _band(axis, len(table))
+        ranks_band(axis, len(table))
         for column, (values, quantity) in enumerate(zip(table.T, quantities, strict=True)):
             if np.isfinite(values).all() and len(values):
                 few = len(quantities) <= MOST_NAMED
@@ -94,7 +94,8 @@ def ranks_figure(simulation: xr.Dataset, title: str = "", of: str = BY_COORDINAT
     return figure
 
 
-def _band(axis: Axes, size: int) -> None:
+def ranks_band(axis: Axes, size: int) -> None:
+    """Shades where 95 % of right posteriors stay everywhere, of so many levels."""
     low, high = band(max(size, 1), PROBABILITY)
     axis.fill_between(
         ECDF_LEVELS, low - ECDF_LEVELS, high - ECDF_LEVELS, color=BAND, alpha=0.5, lw=0, gid="band"
@@ -112,7 +113,7 @@ def controls_figure(found: Mapping[str, xr.Dataset], quantities: Sequence[str]) 
     for axis, (name, simulation) in zip(axes, found.items(), strict=False):
         table = simulation["level"].sel(quantity=list(quantities)).values
         table = table[np.isfinite(table).all(axis=1)]
-        _band(axis, len(table))
+        ranks_band(axis, len(table))
         for column, quantity in enumerate(quantities):
             axis.plot(
                 ECDF_LEVELS,

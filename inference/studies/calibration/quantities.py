@@ -29,6 +29,8 @@ OF_POSE = (
     *(f"{bone.name} points away" for bone in FLIPPING),
 )
 LOG_DENSITY, MISFIT, ENERGY_BALL, TARP = "log density", "misfit", "energy ball", "TARP"
+CLASSIFIER = "classifier"
+"""What a classifier says of truth and draws: of anybody's posterior, which knows no pose."""
 HINGES = tuple(f"{bone.name} from its plane" for bone in LOWER_BONES)
 """How far a lower bone points away from its hinge's plane, a sine: where the measures of lower
 bones differ most."""

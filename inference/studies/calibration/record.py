@@ -1,6 +1,7 @@
 """Standings as a DataTree: `coverage.nc`, laid out as ArviZ looks for it.
 
-`/simulation` has everything by instance, failures too; `/prior_sbc` the levels of those that were
+`/simulation` has everything by instance, failures too; `/covariates` what is seen of real poses, by
+which `coverage judge` says where they are covered; `/prior_sbc` the levels of those that were
 judged, with `chain` and `draw` as ArviZ's plots of calibration want them (a draw is a simulation).
 """
 
@@ -23,10 +24,14 @@ from poseterior.inference.studies.calibration.simulations import Instance
 from poseterior.inference.studies.flips import FLIPPING
 from poseterior.inference.studies.measured import MeasureStandings
 from poseterior.probmodel.datasets import Case
+from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.measures import MEASURES
 from poseterior.probmodel.observation import Observation
-from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS, TORSO_JOINTS
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, LENGTH_GROUPS, TORSO_JOINTS
 
+SEEN_OF = ("shoulders", "forearms", "shins", "score")
+"""Of real poses: how long shoulders, the shorter forearm and the shorter shin look beside the torso,
+and the least score of a joint seen."""
 JOINTWISE = ("whole", "lateral", "depth", "spread_lateral", "spread_depth")
 SCALARS = ("status", "sentence", "num_draws", "log_evidence")
 
@@ -42,7 +47,11 @@ def standings_tree(
 
 def coverage_tree(simulation: xr.Dataset, attributes: dict[str, Any]) -> xr.DataTree:
     """The tree of a table of standings."""
-    tree = xr.DataTree.from_dict({"simulation": simulation, "prior_sbc": levels(simulation)})
+    seen = [name for name in SEEN_OF if name in simulation]
+    groups = {"simulation": simulation.drop_vars(seen), "prior_sbc": levels(simulation)}
+    if seen:
+        groups["covariates"] = simulation[seen]
+    tree = xr.DataTree.from_dict(groups)
     tree.attrs.update(attributes)
     return tree
 
@@ -86,11 +95,37 @@ def case_columns(
 ) -> dict[str, np.ndarray]:
     """The further variables of real poses: the recording, the body unit in mm, and why the truth is
     excluded, where it is."""
+    seen = [as_seen(case.detection) for case in cases]
     return {
         "recording": np.array([case.recording for case in cases]),
         "unit_mm": np.array([case.unit for case in cases]),
         "reasons": np.array([as_text(one) for one in reasons]),
+        **{name: np.array([one[name] for one in seen]) for name in SEEN_OF},
     }
+
+
+def as_seen(detection: Detection) -> dict[str, float]:
+    """What is seen of a person, by the names of `SEEN_OF`; 0 where nothing is."""
+    places = np.where(detection.seen[:, None], detection.keypoints, np.nan)
+    torso = _apart(places, "pelvis", "thorax")
+    sizes = {
+        "shoulders": [_apart(places, "right_shoulder", "left_shoulder")],
+        "forearms": [
+            _apart(places, f"{side}_elbow", f"{side}_wrist") for side in ("right", "left")
+        ],
+        "shins": [_apart(places, f"{side}_knee", f"{side}_ankle") for side in ("right", "left")],
+    }
+    found = {name: _least(np.array(values) / torso) for name, values in sizes.items()}
+    return found | {"score": _least(detection.score[detection.seen])}
+
+
+def _apart(places: np.ndarray, one: str, other: str) -> float:
+    return float(np.linalg.norm(places[JOINT_INDEX[one]] - places[JOINT_INDEX[other]]))
+
+
+def _least(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.min()) if len(known) else 0.0
 
 
 def levels(simulation: xr.Dataset) -> xr.Dataset:

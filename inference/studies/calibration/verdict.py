@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.studies.calibration.quantities import (
+    CLASSIFIER,
     ENERGY_BALL,
     LOG_DENSITY,
     TARP,
@@ -48,8 +49,14 @@ class Calibration(NamedTuple):
     @property
     def families(self) -> dict[str, float]:
         """p-values of the ranks (SBC: the smallest one, corrected by Holm), of the regions of
-        highest density, of the energy balls and of TARP; without what was not looked at."""
-        single = {"highest density": LOG_DENSITY, "energy balls": ENERGY_BALL, "TARP": TARP}
+        highest density, of the energy balls, of TARP
+        and of the classifier; without what was not looked at."""
+        single = {
+            "highest density": LOG_DENSITY,
+            "energy balls": ENERGY_BALL,
+            "TARP": TARP,
+            "classifier": CLASSIFIER,
+        }
         known = set(self.tests.quantity.values)
         ranks = [name for name in self.tests.quantity.values if name not in single.values()]
         found = (
@@ -83,9 +90,8 @@ def judge(
         lost = f", {failed} of them failed" if failed else ""
         raise BadInput(f"there are {total} simulations{lost}; the tests need at least {fewest}")
     columns = {
-        str(name): column[np.isfinite(column)]
-        for name in table.quantity.values
-        for column in [table.sel(quantity=name).values]
+        name: column[np.isfinite(column)]
+        for name, column in zip(table.quantity.values.tolist(), table.values.T, strict=True)
         if np.isfinite(column).any()
     }
     found = [uniformity(column) for column in columns.values()]

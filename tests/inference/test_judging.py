@@ -1,0 +1,221 @@
+"""The verdict on anybody's draws beside truths: right where it must be, silent where nothing is
+wrong, and a sentence for what cannot be judged."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy import stats
+
+from poseterior.inference.studies.calibration.levels import (
+    cut_open,
+    effective_number,
+    rank_level,
+)
+from poseterior.inference.studies.calibration.uniformity import uniformity
+from poseterior.inference.studies.calibration.verdict import CALIBRATED, MISCALIBRATED
+from poseterior.inference.studies.judging import judge_coverage, recalibrate
+from poseterior.inference.studies.judging.files import read_brought
+from poseterior.inference.studies.judging.repair import read_recalibration
+from poseterior.inference.studies.judging.where import leaves_of, locally
+from poseterior.inference.studies.judging.wrong import told
+from poseterior.probmodel import BadInput
+
+RARE = 1e-4
+"""Chance of a false alarm of each statistical test below; seeds are fixed."""
+
+
+def test_equal_weights_are_no_weights() -> None:
+    rng = np.random.default_rng(0)
+    truth, draws = rng.normal(size=3), rng.normal(size=(50, 3)).round(1)
+    bare = rank_level(truth.round(1), draws, np.random.default_rng(1))
+    weighted = rank_level(truth.round(1), draws, np.random.default_rng(1), np.full(50, 0.3))
+    assert weighted == pytest.approx(bare, rel=1e-12)
+    assert effective_number(np.full(50, 0.3)) == pytest.approx(50)
+
+
+def weighted_levels(number: int, use: bool) -> np.ndarray:
+    """Levels of truths N(0, 1) among draws N(0.5, 1.5²) with importance weights, or without."""
+    rng = np.random.default_rng(2)
+    found = []
+    for truth in rng.normal(size=number):
+        draws = rng.normal(0.5, 1.5, size=400)
+        weights = np.exp(stats.norm.logpdf(draws) - stats.norm.logpdf(draws, 0.5, 1.5))
+        found.append(rank_level(truth, draws, rng, weights if use else None))
+    return np.array(found)
+
+
+def test_ranks_of_weighted_draws_are_uniform() -> None:
+    assert uniformity(weighted_levels(700, True)).p_value > RARE
+    assert uniformity(weighted_levels(700, False)).p_value < RARE  # the control
+
+
+def test_angles_are_ranked_by_arcs() -> None:
+    """Von Mises about ±π: arcs are uniform whichever way the circle is turned; the numbers
+    themselves, whose posterior is cut in two there, tell nothing of how far off a truth is."""
+    rng = np.random.default_rng(3)
+    centre = rng.uniform(-np.pi, np.pi, 1500)
+    truth = np.angle(np.exp(1j * (centre + rng.vonmises(0, 4, 1500))))
+    draws = np.angle(np.exp(1j * (centre[:, None] + rng.vonmises(0, 4, (1500, 60)))))
+    for shift, right in ((0.0, True), (0.3, False)):
+        found = []
+        for one, many in zip(truth, draws + shift, strict=True):
+            arc, arcs = cut_open(one[None], many[:, None])
+            assert np.abs(arcs).max() <= np.pi + 1e-9
+            found.append(float(rank_level(arc, arcs, rng)[0]))
+        assert (uniformity(np.array(found)).p_value > RARE) is right
+    turned = cut_open(truth[:1] + 1.0, draws[0][:, None] + 1.0)
+    plain = cut_open(truth[:1], draws[0][:, None])
+    np.testing.assert_allclose(turned[1], plain[1], atol=1e-9)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_a_right_posterior_is_not_accused(weighted: bool) -> None:
+    case = told("right", 120, 60, np.random.default_rng(4))
+    weights = np.ones(case.draws.shape[:2]) if weighted else None
+    found = judge_coverage(
+        case.draws, case.truth, weights, case.log_density, covariates=case.seen, false_alarm=RARE
+    )
+    assert found.verdict == CALIBRATED
+    assert found.local is not None
+    assert set(found.covered) == {"quantity 0", "quantity 1", "quantity 2"}
+    assert all(one.low <= 0.5 <= one.high for one, _, _ in found.covered.values())
+
+
+def test_what_is_wrong_everywhere_and_right_on_average_is_found_where_it_is() -> None:
+    case = told("width wrong by one covariate", 300, 60, np.random.default_rng(5))
+    seen = {"angle": case.seen[:, 0], "score": case.seen[:, 1]}
+    blind = judge_coverage(case.draws, case.truth)
+    assert min(float(blind.calibration.p_value(name)) for name in blind.quantities) > 0.01
+    found = judge_coverage(case.draws, case.truth, covariates=seen)
+    assert found.verdict == MISCALIBRATED
+    assert found.local is not None
+    assert found.local.p_value <= 0.002
+    assert "angle" in found.local.leaf.words
+    assert found.local.leaf.words in found.sentence
+    low, high = sorted([found.local.covered.value, found.local.elsewhere.value])
+    assert low < 0.45 < 0.55 < high  # 35 and 65 % by construction, in halves
+
+
+def test_the_test_of_where_holds_its_level_whatever_quantities_do_together() -> None:
+    """100 tables of uniform levels, all quantities alike: rejections at 0.2 are binomial."""
+    rejected = 0
+    for seed in range(100):
+        rng = np.random.default_rng([6, seed])
+        level = rng.uniform(size=(60, 1)).repeat(3, axis=1)
+        table = xr.DataArray(level, dims=("simulation", "quantity"), coords={"quantity": [*"abc"]})
+        columns = {"x": rng.normal(size=60), "kind": rng.choice(["a", "b"], 60)}
+        rejected += locally(table, columns, seed).p_value <= 0.2
+    assert stats.binomtest(rejected, 100, 0.2).pvalue > RARE
+
+
+def test_leaves_are_of_words_numbers_and_both() -> None:
+    rng = np.random.default_rng(0)
+    columns = {"x": rng.normal(size=200), "kind": rng.choice(["side", "front"], 200)}
+    words = [leaf.words for leaf in leaves_of(columns)]
+    assert "kind is side" in words
+    assert any(" and kind is side" in one for one in words)
+
+
+def test_draws_from_files_are_judged_as_they_are(tmp_path: Path) -> None:
+    case = told("right", 30, 20, np.random.default_rng(8))
+    names = ["a", "b", "c"]
+    np.savez(tmp_path / "ours.npz", draws=case.draws, truth=case.truth, names=np.array(names))
+    swapped = np.swapaxes(case.draws, 0, 1)
+    np.savez(tmp_path / "sbi.npz", posterior_samples=swapped, thetas=case.truth)
+    estimates = {f"estimates.{name}": case.draws[..., at] for at, name in enumerate(names)}
+    targets = {f"targets.{name}": case.truth[:, at] for at, name in enumerate(names)}
+    np.savez(tmp_path / "bayesflow.npz", **estimates, **targets)
+    chains = case.draws.reshape(30, 2, 10, 3)
+    tree = xr.DataTree.from_dict(
+        {
+            "posterior": xr.Dataset({"p": (("instance", "chain", "draw", "part"), chains)}),
+            "truth": xr.Dataset({"p": (("instance", "part"), case.truth)}, {"part": names}),
+            "covariates": xr.Dataset({"x": ("instance", case.seen[:, 0])}),
+        }
+    )
+    tree.to_netcdf(tmp_path / "tree.nc")
+    for name in ("ours.npz", "sbi.npz", "bayesflow.npz", "tree.nc"):
+        read = read_brought(tmp_path / name)
+        np.testing.assert_array_equal(read.one(17).draws, case.draws[17], err_msg=name)
+        np.testing.assert_array_equal(read.truth, case.truth)
+    assert read.names == ("p a", "p b", "p c")
+    assert set(read.covariates) == {"x"}
+
+
+def test_recalibrated_intervals_hold_what_they_say(tmp_path: Path) -> None:
+    """Far too narrow draws of two kinds; per kind, 90 % intervals hold 90 % of new truths, and not
+    much more; those of the draws themselves hold far less."""
+    rng = np.random.default_rng(9)
+    kind = rng.choice(["easy", "hard"], 2000)
+    spread = np.where(kind == "hard", 3.0, 1.5)[:, None]
+    truth = spread * rng.normal(size=(2000, 1))
+    draws = rng.normal(size=(2000, 400, 1))
+    level = np.array([rank_level(*one, rng) for one in zip(truth, draws, strict=True)])
+    table = xr.DataArray(
+        level[:1000], dims=("simulation", "quantity"), coords={"quantity": ["depth"]}
+    )
+    repair = recalibrate(table, by=("kind", kind[:1000]))
+    repair.save(tmp_path / "wider.json", {"seed": 0})
+    repair = read_recalibration(tmp_path / "wider.json")
+    for name in ("easy", "hard"):
+        rows = np.flatnonzero(kind == name)
+        rows = rows[rows >= 1000]
+        for nominal in (0.3, 0.5):
+            ends = [repair.interval(draws[row, :, 0], "depth", nominal, name) for row in rows]
+            held = sum(
+                low <= truth[row, 0] <= high for row, (low, high) in zip(rows, ends, strict=True)
+            )
+            assert stats.binomtest(held, len(rows), nominal).pvalue > RARE
+            own = np.mean(np.abs(2 * level[rows, 0] - 1) <= nominal)
+            assert own < nominal - 0.08
+    assert repair.interval(draws[0, :, 0], "depth", 0.95, "hard") == (-np.inf, np.inf)
+
+
+def arrays(**changed: object) -> dict[str, object]:
+    rng = np.random.default_rng(0)
+    return {"draws": rng.normal(size=(30, 20, 2)), "truth": rng.normal(size=(30, 2))} | changed
+
+
+NORMAL = np.random.default_rng(0).normal
+REFUSED = {
+    "shapes": (arrays(truth=NORMAL(size=(29, 2))), "do not agree"),
+    "no number": (arrays(truth=np.full((30, 2), np.nan)), "30 of 30 truths are not finite"),
+    "negative": (arrays(weights=-np.ones((30, 20))), "600 of 600 weights are negative"),
+    "zero": (arrays(weights=np.zeros((30, 20))), "all weights are zero"),
+    "few": (
+        arrays(draws=NORMAL(size=(12, 20, 2)), truth=NORMAL(size=(12, 2))),
+        "12 instances are too few for a verdict.*21% to 79%",
+    ),
+    "constant": (arrays(draws=np.ones((30, 20, 2))), "all 20 draws of instance 0 are the same"),
+    "one value": (arrays(covariates={"x": np.ones(30)}), "covariate x has one value, 1.0"),
+    "few draws": (arrays(draws=NORMAL(size=(30, 4, 2))), "4 draws an instance are too few"),
+    "no such angle": (arrays(circular=["heading"]), "heading shall be circular"),
+    "density": (arrays(log_density=np.ones(30)), "log densities have shapes"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_judged_is_refused_in_a_sentence(name: str) -> None:
+    given, said = REFUSED[name]
+    with pytest.raises(BadInput, match=said):
+        judge_coverage(**given)
+
+
+def test_copies_and_lost_instances_are_said() -> None:
+    draws = NORMAL(size=(30, 20, 2)).repeat(2, axis=1)
+    draws[3, 5, 1] = np.nan
+    found = judge_coverage(draws, NORMAL(size=(30, 2)))
+    assert any("copies of others" in note for note in found.notes)
+    assert any("instance 3 is not judged: 1 draws are not finite" in note for note in found.notes)
+    assert np.isnan(found.level.values[3]).all()
+
+
+def test_discrete_quantities_have_uniform_levels() -> None:
+    rng = np.random.default_rng(10)
+    chance = rng.uniform(size=1200)[:, None]
+    draws = (rng.uniform(size=(1200, 40)) < chance).astype(float)
+    truth = (rng.uniform(size=(1200, 1)) < chance).astype(float)
+    level = [rank_level(*one, rng) for one in zip(truth, draws[..., None], strict=True)]
+    assert uniformity(np.array(level)[:, 0]).p_value > RARE

@@ -1,0 +1,99 @@
+"""`poseterior coverage judge`: what it writes and says of anybody's draws, and its refusals."""
+
+import json
+from pathlib import Path
+
+import arviz_plots
+import numpy as np
+import pytest
+import xarray as xr
+
+from poseterior.inference.studies.judging import recalibrate
+from poseterior.inference.studies.judging.wrong import told
+from poseterior.probmodel import BadInput
+from poseterior.reports.tables.judging import recalibrated_table
+from tests.conftest import Cli
+
+
+@pytest.fixture(scope="module")
+def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mine") / "mine.npz"
+    case = told("width wrong by one covariate", 150, 40, np.random.default_rng(0))
+    seen = {f"covariates.{name}": column for name, column in zip("uvw", case.seen.T, strict=True)}
+    np.savez(path, draws=case.draws, truth=case.truth, **seen)
+    return path
+
+
+def test_the_verdict_is_said_written_and_plotted(
+    poseterior: Cli, mine: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "judged"
+    wider = tmp_path / "wider.json"
+    run = poseterior("coverage", "judge", mine, "--out", out, "--recalibrate", wider, "--by", "u")
+    assert run.code == 0, run.err
+    assert "mine: miscalibrated: " in run.out
+    assert "What central intervals hold" in run.out
+    assert "no posterior any more" in run.out
+    with xr.open_datatree(out / "mine.nc") as tree:
+        assert tree.attrs["seed"] == 0
+        assert "versions" in tree.attrs
+        arviz_plots.plot_ecdf_pit(tree.load(), var_names=["quantity_0"], backend="none")
+    assert (out / "mine.png").stat().st_size > 10_000
+    record = json.loads(wider.read_text())
+    assert record["covariate"] == "u"
+    assert list(record["scores"]) == ["0", "1", "2"]
+    again = poseterior("coverage", "judge", out / "mine.nc", "--json", "--quiet")
+    found = json.loads(again.out)["mine"]
+    assert found["covered"]["quantity 0"][0]["nominal"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--by", "u"], "--by means nothing without --recalibrate"),
+        (["--recalibrate", "r.json", "--by", "x"], "has no covariate x; known are: u, v, w"),
+        (["--circular", "heading"], "heading shall be circular and is no quantity"),
+    ],
+)
+def test_refusals(poseterior: Cli, mine: Path, words: list[str], said: str) -> None:
+    run = poseterior("coverage", "judge", mine, *words)
+    assert run.code == 2
+    assert said in " ".join(run.err.split())
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(b"nothing", "is no file of draws and truths"), (None, "has no draws or posterior_samples")],
+)
+def test_other_files_are_refused(
+    poseterior: Cli, tmp_path: Path, content: bytes | None, said: str
+) -> None:
+    path = tmp_path / "other.npz"
+    if content is None:
+        np.savez(path, poses=np.ones(3))
+    else:
+        path.write_bytes(content)
+    run = poseterior("coverage", "judge", path)
+    assert run.code == 2
+    assert said in " ".join(run.err.split())
+
+
+def levels(*names: str) -> xr.DataArray:
+    values = np.random.default_rng(0).uniform(size=(200, len(names)))
+    return xr.DataArray(values, dims=("simulation", "quantity"), coords={"quantity": [*names]})
+
+
+def test_joints_have_recalibrated_intervals() -> None:
+    joints = np.random.default_rng(1).normal(size=(1, 1000, 15, 3))
+    tree = xr.DataTree.from_dict(
+        {"posterior": xr.Dataset({"joints": (("chain", "draw", "joint", "axis"), joints)})}
+    )
+    sheet = recalibrated_table(tree, recalibrate(levels("right_wrist z", "depth")))
+    (row,) = sheet.json()
+    assert row["quantity"] == "right_wrist z"
+    assert row["95%"] == pytest.approx(row["posterior 95%"], abs=0.4)
+    with pytest.raises(BadInput, match="knows no joint's coordinate.*only depth"):
+        recalibrated_table(tree, recalibrate(levels("depth")))
+    grouped = recalibrate(levels("right_wrist z"), by=("side", np.tile(["l", "r"], 100)))
+    with pytest.raises(BadInput, match="the recalibration is by side"):
+        recalibrated_table(tree, grouped)

@@ -61,7 +61,7 @@ class Copy:
         unneeded = shutil.ignore_patterns("__pycache__", ".*")
         for name in COPIED:
             if (ROOT / name).is_dir():
-                shutil.copytree(ROOT / name, self.root / name, ignore=unneeded)
+                shutil.copytree(ROOT / name, self.root / name, symlinks=True, ignore=unneeded)
             else:
                 shutil.copy2(ROOT / name, self.root / name)
         (ROOT / COMPILED).mkdir(parents=True, exist_ok=True)

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from poseterior.inference.importance import rejection
+from poseterior.inference.exact.rates import Budget
+from poseterior.inference.importance import rejection, two_stage
 from poseterior.inference.importance.fault_patterns import log_priors
 from poseterior.inference.importance.rejection import ROOM, Taken, _bound, _result, _Rounds
 from poseterior.inference.importance.torso_proposals import Batches, exact_proposal
 from poseterior.inference.importance.torsos import log_mass, rotations_of, torso_problem
-from poseterior.inference.importance.weighted import WeightedRoots, log_limbs
+from poseterior.inference.importance.weighted import WeightedRoots, _enough, log_limbs
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.posterior import Posterior
@@ -35,6 +36,7 @@ from tests.inference.test_oracle import (
     model,
     scene,
 )
+from tests.scenes import key
 
 
 def posterior(row: Row, lens: Lens | None = None) -> Posterior:
@@ -117,7 +119,31 @@ def test_an_outlier_is_worth_its_odds_and_its_own_peak() -> None:
     assert of_hip - none == pytest.approx(math.log(odds["left_hip"]) + peak(hip), abs=1e-9)
 
 
+@pytest.mark.parametrize(("effective", "enough"), [(7.3, 5500), (19.0, 2200), (0.2, 100_000)])
+def test_as_many_roots_as_would_do(effective: float, enough: int) -> None:
+    """Twenty effective ones and as many again, if they are worth what these thousand are: two
+    digits, rounded up, and no more than fit the memory."""
+    roots: Any = SimpleNamespace(log_weight=np.zeros(1000), effective=effective)
+    assert _enough(roots) == enough
+
+
 # Roots that are proposed.
+
+
+def test_a_pattern_that_a_pilot_run_did_not_find_is_not_looked_for_for_ever(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of three patterns (no outlier of the torso, a shoulder, a hip) the second brought no root."""
+    found = posterior(Row(UNCERTAIN, "", "disc", faults="outliers"))
+    estimates = iter([np.zeros(5), np.zeros(0), np.zeros(3)])
+    monkeypatch.setattr(two_stage, "weighted_proposal", lambda *_: SimpleNamespace())
+    pilots = [SimpleNamespace(proposals=number) for number in (1, 10, 100)]
+    monkeypatch.setattr(two_stage, "_draw", lambda *_: pilots)
+    monkeypatch.setattr(two_stage, "_pilot_estimate", lambda *_: next(estimates))
+    monkeypatch.setattr(two_stage, "_shares", lambda *_: np.zeros(3))
+    plans, spent = two_stage._plan(found, key(0), Budget(1000), True)
+    assert [plan.likely for plan in plans] == [True, False, True]
+    assert spent == 111
 
 
 def test_no_root_is_nearer_than_the_prior_allows() -> None:

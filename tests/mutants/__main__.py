@@ -53,7 +53,8 @@ class Outcome(NamedTuple):
 
 class Copy:
     """The tree in a folder of its own, and a server in it that runs tests there: on one core, and
-    with compiled loops of its own, which the product keeps by the text of their sources."""
+    with compiled loops of its own, which the product keeps by the text of their sources. Links
+    stay links: through them the package finds its parts, faults and all."""
 
     def __init__(self, folder: Path) -> None:
         self.root = folder / "copy"

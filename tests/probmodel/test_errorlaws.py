@@ -202,7 +202,8 @@ def test_a_moved_midpoint_errs_by_both_together() -> None:
         np.zeros((NUM_JOINTS, 2)), np.ones(NUM_JOINTS), "own", "made up", 0, moved=("thorax",)
     )
     thorax, pelvis = (
-        likelihood.spread(detection, 80.0)[JOINT_INDEX[name]] for name in ("thorax", "pelvis")
+        likelihood.spread(detection, 80.0, range(NUM_JOINTS))[JOINT_INDEX[name]]
+        for name in ("thorax", "pelvis")
     )
     assert thorax == pytest.approx(80 * 2 * np.sqrt(0.05**2 + STRAY["thorax"] ** 2))
     assert pelvis == pytest.approx(80 * 2 * 0.05)

@@ -122,9 +122,7 @@ def _verdict(
     worst = tests.isel(quantity=int(np.argmin(tests.adjusted.values)))
     number = tests.sizes["quantity"]
     p_value, adjusted = (_bounded(float(one)) for one in (worst.p_value, worst.adjusted))
-    said = (
-        f"{worst.quantity.item()}: p {p_value}, {adjusted.removeprefix('= ')} over {number} tests"
-    )
+    said = f"{worst.quantity.item()}: p {p_value}, over all {number} tests {adjusted}"
     missing = f"; the sampler failed on {failed} of {total} simulations" if failed else ""
     many = failed > FEW_FAILURES * total
     if proven:

@@ -19,7 +19,6 @@ import xarray as xr
 from poseterior.inference.results import Result
 from poseterior.inference.saved import read_result
 from poseterior.inference.store import SETTINGS
-from poseterior.inference.stream import all_draws, open_stream
 from poseterior.inference.summaries import Summary, summarised
 from poseterior.probmodel.datasets import body_height
 from poseterior.probmodel.failures import BadInput
@@ -144,6 +143,9 @@ def _of_path(path: Path, chosen: Sequence[Measure], height: float | None) -> xr.
 
 
 def _of_stream(folder: Path, chosen: Sequence[Measure], height: float | None) -> xr.Dataset:
+    # Now: whoever measures one person need not wait for what draws many.
+    from poseterior.inference.stream import all_draws, open_stream
+
     drawn = dict(all_draws(folder))
     if not any(one.sizes["draw"] for one in drawn.values()):
         raise BadInput(f"{folder} has no frame with a pose; its summary says why")

@@ -113,7 +113,8 @@ def _bandwidth(line: np.ndarray) -> float:
 def _from_the_emptiest(found: DensityCurve) -> DensityCurve:
     lowest = int(np.argmin(found.density))
     at = np.concatenate([found.at[lowest:] - FULL_TURN, found.at[:lowest]])
-    return DensityCurve(at, np.roll(found.density, -lowest))
+    turns = np.round(at.mean() / FULL_TURN)
+    return DensityCurve(at - turns * FULL_TURN, np.roll(found.density, -lowest))
 
 
 def modes(draws: np.ndarray, circular: bool) -> tuple[Mode, ...]:

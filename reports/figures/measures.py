@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from poseterior.inference.summaries import DensityCurve, density_of
 from poseterior.probmodel.measures import wrapped
-from poseterior.reports.figures.colours import LIMB_COLOURS, TORSO_COLOUR
+from poseterior.reports.figures.colours import measure_colour
 from poseterior.reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, page, tidy
 from poseterior.reports.tables.words import spoken
 
@@ -20,7 +20,6 @@ LEAST_SHOWN = 0.003
 """Of the largest density: what is lower is not shown at the ends."""
 PANEL_WIDTH, PANEL_HEIGHT = 2.5, 1.6
 """Inches."""
-_ARMS = ("elbow", "wrist", "shoulder", "arm", "hand", "reach")
 
 
 def densities_figure(found: xr.Dataset, summed: xr.Dataset, names: Sequence[str]) -> Figure:
@@ -58,8 +57,10 @@ def _density(axis: Axes, draws: np.ndarray, circular: bool, name: str) -> None:
     if not len(draws):
         return
     at, density = _where_it_is(density_of(draws, circular), draws, circular)
-    axis.fill_between(at, density, color=_colour(name), alpha=0.25, lw=0, gid=f"density {name}")
-    axis.plot(at, density, color=_colour(name), lw=1.0)
+    axis.fill_between(
+        at, density, color=measure_colour(name), alpha=0.25, lw=0, gid=f"density {name}"
+    )
+    axis.plot(at, density, color=measure_colour(name), lw=1.0)
     axis.set_ylim(bottom=0)
 
 
@@ -85,20 +86,12 @@ def _title(axis: Axes, name: str, unit: str, summed: xr.Dataset) -> None:
             axis.axvline(place, color=INK, lw=0.9, gid=f"mean {name}")
     for shift in {-turn, 0.0, turn}:
         ends = low + shift, high + shift
-        axis.axvspan(*ends, 0, 0.04, color=_colour(name), lw=0, gid=f"interval {name}")
+        axis.axvspan(*ends, 0, 0.04, color=measure_colour(name), lw=0, gid=f"interval {name}")
     axis.set_xlim(left, right)
     sign = "°" if unit == "degrees" else f" {unit}"
     digits = 0 if unit != "body units" else 2
     head = f"{spoken(name)}: {low:.{digits}f} to {high:.{digits}f}{sign}"
     axis.set_title(head.replace("-", "−"), loc="left", fontsize=SMALL, color=INK)
-
-
-def _colour(name: str) -> str:
-    """That of the limb that a name speaks of first."""
-    side = min(("right", "left"), key=lambda word: name.find(word) % (len(name) + 1))
-    if side not in name:
-        return TORSO_COLOUR
-    return LIMB_COLOURS[f"{side} {'arm' if any(word in name for word in _ARMS) else 'leg'}"]
 
 
 def bands_figure(summed: xr.Dataset, numbers: Sequence[int], names: Sequence[str]) -> Figure:
@@ -136,7 +129,7 @@ def _band(axis: Axes, one: xr.Dataset, numbers: Sequence[int], name: str) -> Non
     mean = rows[0]
     if str(one.units.values) == "degrees":
         rows = rows + (continued(mean) - mean)
-    colour = _colour(name)
+    colour = measure_colour(name)
     marker = "." if len(regular) < 3 else None
     axis.fill_between(regular, rows[1], rows[2], color=colour, alpha=0.3, lw=0, gid=f"band {name}")
     axis.plot(regular, rows[0], color=colour, lw=1.2, marker=marker, gid=f"mean {name}")

@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from poseterior.inference.studies.calibration.coverage import measure_standings
+from poseterior.inference.studies.intervals import TAIL
 from poseterior.inference.studies.measured import (
     ALL_MEASURES,
     MeasureScore,
@@ -23,11 +24,11 @@ from poseterior.inference.studies.measured import (
     scores_of_measures,
     standings_of,
 )
+from poseterior.probmodel.measures import MEASURES
 from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
 from poseterior.reports.pages.filmed import (
-    FILM_DRAWS,
     FILM_ROOTS,
     LEARNED,
     Film,
@@ -41,12 +42,12 @@ from poseterior.reports.pages.honest import STRETCH
 from poseterior.reports.pages.motion import MOTION_POSES, MOTION_ROOTS, Given, stood
 from poseterior.reports.pages.page import Data, Page, Work, run
 from poseterior.reports.pages.real import hold_out
-from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.measured import measure_scores_table
 from poseterior.reports.tables.words import spoken
 
-MEASURED_FRAMES = 25
-"""Of the film, of four cameras each."""
+MEASURED_FRAMES, MEASURED_DRAWS = 25, 1000
+"""Of the film, of four cameras each; and how many draws of each are measured."""
 MEASURED_WAYS = {
     "one camera": Way(UNCERTAIN, LEARNED, frames=MEASURED_FRAMES),
     "one camera, `--focal`": Way(
@@ -82,6 +83,16 @@ LITERATURE = (
     ),
 )
 """Whose, what error, and what each took as given; none has coverage of an angle's interval."""
+
+
+SHOWN_CAMERA, BEAM_RATE = 0, 60
+"""Of the picture: which camera; frames a second."""
+SHOWN_ANGLES = (
+    "right_knee_flexion",
+    "left_knee_flexion",
+    "right_elbow_flexion",
+    "left_elbow_flexion",
+)
 
 
 class Measured(NamedTuple):
@@ -122,7 +133,8 @@ def _standings(seen: Film, case: FilmedCase, found: FilmedDraws) -> MeasureStand
     rng = np.random.default_rng([case.camera, case.frame, 46])
     unit = seen.session.unit
     truth = unit * (case.skeletal_truth - case.skeletal_truth[0])
-    draws = unit * (found.joints - found.joints[:, :1])
+    joints = found.joints[:MEASURED_DRAWS]
+    draws = unit * (joints - joints[:, :1])
     errors = unit * case.skeletal_errors(rng, len(draws))
     return standings_of(truth, draws + errors, draws, rng)
 
@@ -137,12 +149,13 @@ def overview(found: dict[str, Measured]) -> Sheet:
         way: [one.pooled(names, words) for words, names in groups.items()]
         for way, one in found.items()
     }
-    return measure_scores_table(by_way, caption=" ")
+    return measure_scores_table(by_way, caption="")
 
 
 def literature() -> Sheet:
     """What others report."""
-    return sheet_of(("whose", "error of angles", "given"), LITERATURE)
+    columns = [Column(head, left=True) for head in ("whose", "error of angles", "given")]
+    return sheet_of(columns, LITERATURE)
 
 
 def outside(found: Measured) -> str:
@@ -183,10 +196,36 @@ def coverage_of_measures(found: dict[str, Measured]) -> Figure:
     return figure
 
 
+def film_of_angles(found: Iterable[tuple[FilmedCase, FilmedDraws]]) -> Figure:
+    """Mean and 95 % band of knees and elbows over the film, by one camera, and the truth by the
+    others."""
+    here = [one for one in found if one[0].camera == SHOWN_CAMERA and len(one[1].joints)]
+    cases = sorted(here, key=lambda one: one[0].frame)
+    frames = [case.frame for case, _ in cases]
+    figure = page(10.5, 4.2)
+    axes = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
+    for axis, name in zip(axes, SHOWN_ANGLES, strict=True):
+        one = MEASURES[name]
+        draws = [one.of(drawn_here.joints) for _, drawn_here in cases]
+        low, high = np.transpose([np.quantile(each, [TAIL, 1 - TAIL]) for each in draws])
+        colour = PALETTE[0] if name.startswith("right") else PALETTE[2]
+        axis.fill_between(frames, low, high, color=colour, alpha=0.25, lw=0, label="95 % interval")
+        axis.plot(frames, list(map(np.mean, draws)), color=colour, lw=1.4, label="mean")
+        truth = [float(one.of(case.skeletal_truth)) for case, _ in cases]
+        axis.plot(frames, truth, "--", color=INK, lw=1.0, label="by the other three cameras")
+        axis.set_title(f"{spoken(name)}, degrees", loc="left", fontsize=TEXT, color=INK)
+        axis.tick_params(labelsize=SMALL)
+        tidy(axis)
+    axes[0].legend(frameon=False, fontsize=SMALL)
+    figure.supxlabel(f"frame, {BEAM_RATE} a second", fontsize=TEXT)
+    return figure
+
+
 def main(data: Data, work: Work) -> Page:
     """Draws what is not there yet, then writes the page."""
     seen = film(data)
-    found = {name: filmed(seen, drawn(seen, way, work)) for name, way in MEASURED_WAYS.items()}
+    film_draws = {name: list(drawn(seen, way, work)) for name, way in MEASURED_WAYS.items()}
+    found = {name: filmed(seen, cases) for name, cases in film_draws.items()}
     tree = stood(work, data, hold_out(work, data), HELD_OUT)
     recording = tree["simulation"].recording.values
     found[MOCAP] = Measured(measure_standings(tree), recording)
@@ -195,7 +234,7 @@ def main(data: Data, work: Work) -> Page:
         "overview": overview(found),
         "literature": literature(),
         "cases": MEASURED_FRAMES * len(seen.session.cameras),
-        "draws": f"{FILM_DRAWS:,}",
+        "draws": f"{MEASURED_DRAWS:,}",
         "roots": f"{FILM_ROOTS:,}",
         "more_roots": f"{4 * FILM_ROOTS:,}",
         "poses": MOTION_POSES,
@@ -205,11 +244,15 @@ def main(data: Data, work: Work) -> Page:
         "film_outside": outside(found["one camera"]),
         "focal_outside": outside(found["one camera, `--focal`"]),
         "mocap_outside": outside(found[MOCAP]),
-        "film": measure_scores_table({"": everything["one camera"]}, caption=" "),
-        "focal": measure_scores_table({"": everything["one camera, `--focal`"]}, caption=" "),
-        "mocap": measure_scores_table({"": everything[MOCAP]}, caption=" "),
+        "film": measure_scores_table({"": everything["one camera"]}, caption=""),
+        "focal": measure_scores_table({"": everything["one camera, `--focal`"]}, caption=""),
+        "mocap": measure_scores_table({"": everything[MOCAP]}, caption=""),
     }
-    return Page("measures", values, {"measures": coverage_of_measures(found)})
+    pictures = {
+        "measures": coverage_of_measures(found),
+        "measures-film": film_of_angles(film_draws["one camera, `--focal`"]),
+    }
+    return Page("measures", values, pictures)
 
 
 if __name__ == "__main__":

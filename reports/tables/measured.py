@@ -18,7 +18,10 @@ SCORES_CAPTION = (
 
 
 def measure_scores_table(
-    found: Mapping[str, Sequence[MeasureScore]], *, title: str = "Measures", caption: str = ""
+    found: Mapping[str, Sequence[MeasureScore]],
+    *,
+    title: str = "Measures",
+    caption: str = SCORES_CAPTION,
 ) -> Sheet:
     """Each measure of every way, by name; with one way, that has no column."""
     several = len(found) > 1
@@ -38,8 +41,7 @@ def measure_scores_table(
     covered = Column("covered", form=_covered, whole=True)
     numbers = [Column(head, form=_two) for head in ("rank", "area")]
     head: list[str | Column] = ["measure", covered, "error", "width", *numbers, "of"]
-    words = caption or SCORES_CAPTION
-    return sheet_of(head, rows, name="measures", title=title, caption=words)
+    return sheet_of(head, rows, name="measures", title=title, caption=caption)
 
 
 def _number(value: float, unit: str) -> str:

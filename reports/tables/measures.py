@@ -3,7 +3,6 @@
 import numpy as np
 import xarray as xr
 
-from poseterior.inference.stream import frame_and_person
 from poseterior.reports.tables.posterior import UNIT_NOTE
 from poseterior.reports.tables.sheet import (
     NOTHING,
@@ -105,6 +104,8 @@ def records_sheet(found: xr.Dataset) -> Sheet:
 
 
 def _frame(name: str) -> dict[str, str]:
+    from poseterior.inference.stream import frame_and_person  # as of `inference.measured`
+
     frame, person = frame_and_person(name)
     return {"frame": frame, "person": person}
 

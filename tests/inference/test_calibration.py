@@ -388,11 +388,16 @@ def test_detections_fill_their_discs(model: PoseModel) -> None:
 @pytest.mark.slow
 def test_exact_draws_are_calibrated(model: PoseModel) -> None:
     """120 simulations here, 1,000 in every measure in the report (false alarm 0.01 over 44
-    tests)."""
+    tests, and 0.01 over those of joint angles, lengths and steps)."""
     tree = calibrate(model, "rejection", num_simulations=120, num_samples=100, root="candidates")
     found = judge(tree["simulation"].to_dataset())
     assert found.verdict == CALIBRATED, found.sentence
     assert set(found.families) == {"ranks (SBC)", "highest density", "energy balls", "TARP"}
+    measured = judge(tree["simulation"].to_dataset(), of="measures")
+    assert measured.verdict == CALIBRATED, measured.sentence
+    assert set(measured.families) == {"ranks (SBC)"}
+    assert "right_hip_rotation" in measured.tests.quantity
+    assert "trunk_inclination" not in measured.tests.quantity  # given with the torso
     assert tree["prior_sbc"].joints.dims == ("chain", "draw", "joint", "axis")
 
 

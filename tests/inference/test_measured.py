@@ -80,6 +80,7 @@ def test_a_density_is_one(circular: bool) -> None:
     wide = np.hypot(15, 0.9 * 15 * 200**-0.2)
     wanted = stats.norm(0, wide).pdf((at - 170 + 180) % 360 - 180)
     assert np.abs(density - wanted).max() < 0.06 * wanted.max()
+    assert np.abs(at.mean()) <= 180 or not circular
 
 
 def effective(draws: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -737,7 +737,7 @@ REFUSALS = [
     ("no height", "@ --to csv --height 0", "0 is not the height of a person in metres"),
     ("negative height", "@ --to csv --height -1", "-1 is not the height of a person"),
     ("not a number", "@ --to csv --height nan", "nan is not the height of a person"),
-    ("centimetres", "@ --to csv --height 175", "--height 175 is not .* from 0.2 to 3; give"),
+    ("centimetres", "@ --to csv --height 175", "175 is not .* from 0.2 to 3; give"),
     ("too many draws", "@/posterior.nc --to csv --draws 201", "holds 200 draws, not 201; give ano"),
     ("no draws", "@/posterior.nc --to csv --draws 0", "holds 200 draws, not 0; give another"),
     ("draws of json", "@/hypotheses.json --to csv --draws 1", "holds hypotheses, not draws; leave"),

@@ -15,7 +15,15 @@ from scipy.spatial.transform import Rotation
 from poseterior.inference.exact.rates import Budget
 from poseterior.inference.importance import rejection, two_stage
 from poseterior.inference.importance.fault_patterns import log_priors
-from poseterior.inference.importance.rejection import ROOM, Taken, _bound, _result, _Rounds
+from poseterior.inference.importance.rejection import (
+    ATTEMPTS,
+    FIRST,
+    ROOM,
+    Taken,
+    _bound,
+    _result,
+    _Rounds,
+)
 from poseterior.inference.importance.torso_proposals import Batches, exact_proposal
 from poseterior.inference.importance.torsos import log_mass, rotations_of, torso_problem
 from poseterior.inference.importance.weighted import WeightedRoots, _enough, log_limbs
@@ -265,6 +273,19 @@ def test_who_is_seldom_asked_counts_for_those_who_are_not(monkeypatch: pytest.Mo
     np.testing.assert_allclose(certain, math.log(4))
     np.testing.assert_allclose(lucky, math.log(4) + math.log(50))
     assert 8 <= len(lucky) <= 36  # 20 ± 4.4
+
+
+def test_a_round_costs_its_attempts_and_its_limbs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A round of 2¹⁴ attempts that finds a hundred roots costs as many, and those of their limbs;
+    the next has about as many as bring 512."""
+    monkeypatch.setattr(_Rounds, "_round", lambda *_: SimpleNamespace(limbs=[{}] * 100))
+    rounds: Any = object.__new__(_Rounds)
+    rounds.key, rounds.left, rounds.number = key(0), 10**7, 0
+    rounds.made, rounds.attempts = 0, FIRST
+    next(iter(rounds))
+    assert rounds.made == FIRST + 100 * ATTEMPTS
+    assert rounds.left + rounds.made == 10**7
+    assert rounds.attempts == int(FIRST * 512 / 100)
 
 
 def test_what_a_bound_cuts_off_is_a_share_of_the_posterior() -> None:

@@ -26,6 +26,7 @@ from poseterior.inference.importance.rejection import (
 )
 from poseterior.inference.importance.torso_proposals import Batches, exact_proposal
 from poseterior.inference.importance.torsos import log_mass, rotations_of, torso_problem
+from poseterior.inference.importance.two_stage import PatternRoots, propose_roots
 from poseterior.inference.importance.weighted import WeightedRoots, _enough, log_limbs
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.errors.faults import Faults
@@ -244,6 +245,24 @@ def test_the_evidence_of_a_torso_is_that_of_all_rotations(torso: TorsoByHand) ->
     assert abs(torso.log_evidence - expected) < 4 * error
 
 
+def test_roots_that_were_not_found_count_as_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of five roots that were asked for three were found, each of weight one as if it stood for
+    five: their mean is what the sum of three is of five."""
+    plan: Any = SimpleNamespace(share=1.0, likely=True)
+    found = SimpleNamespace(points=some_roots(3), enough=True, proposals=70)
+    roots = PatternRoots(
+        some_roots(3), Faults.none(3), np.zeros(3), np.zeros(3, int), np.full(3, 0.5)
+    )
+    monkeypatch.setattr(two_stage, "_plan", lambda *_: ([plan], 30))
+    monkeypatch.setattr(two_stage, "_draw", lambda *_: [found])
+    monkeypatch.setattr(two_stage, "_roots_of", lambda *_: roots)
+    nothing: Any = None
+    proposed = propose_roots(nothing, key(0), 5, Budget(1000))
+    np.testing.assert_allclose(proposed.log_weight, math.log(3 / 5))
+    np.testing.assert_array_equal(proposed.chance, 0.5)
+    assert proposed.proposals == 100
+
+
 # Roots by rejection.
 
 
@@ -307,3 +326,13 @@ def test_the_bound_has_room_above_the_largest_weight() -> None:
     ]
     assert _bound(rounds, 6) == pytest.approx(-2 + math.log(ROOM))
     assert ROOM == 3.0
+
+
+def test_a_pilot_run_without_any_weight_ends() -> None:
+    """Rounds of ten roots, none of which has any weight: the second passes sixteen times one."""
+    rounds = iter(
+        [SimpleNamespace(limbs=[{}] * 10, log_weight=np.full(10, -np.inf), attempts=10)] * 5
+    )
+    given: Any = rounds
+    assert _bound(given, 1) == -math.inf
+    assert len(list(rounds)) == 3

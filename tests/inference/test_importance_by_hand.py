@@ -15,9 +15,18 @@ from scipy.spatial.transform import Rotation
 from poseterior.inference.exact.rates import Budget
 from poseterior.inference.importance import rejection, two_stage
 from poseterior.inference.importance.fault_patterns import log_priors
-from poseterior.inference.importance.rejection import ROOM, Taken, _bound, _result, _Rounds
+from poseterior.inference.importance.rejection import (
+    ATTEMPTS,
+    FIRST,
+    ROOM,
+    Taken,
+    _bound,
+    _result,
+    _Rounds,
+)
 from poseterior.inference.importance.torso_proposals import Batches, exact_proposal
 from poseterior.inference.importance.torsos import log_mass, rotations_of, torso_problem
+from poseterior.inference.importance.two_stage import PatternRoots, propose_roots
 from poseterior.inference.importance.weighted import WeightedRoots, _enough, log_limbs
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.errors.faults import Faults
@@ -236,6 +245,24 @@ def test_the_evidence_of_a_torso_is_that_of_all_rotations(torso: TorsoByHand) ->
     assert abs(torso.log_evidence - expected) < 4 * error
 
 
+def test_roots_that_were_not_found_count_as_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of five roots that were asked for three were found, each of weight one as if it stood for
+    five: their mean is what the sum of three is of five."""
+    plan: Any = SimpleNamespace(share=1.0, likely=True)
+    found = SimpleNamespace(points=some_roots(3), enough=True, proposals=70)
+    roots = PatternRoots(
+        some_roots(3), Faults.none(3), np.zeros(3), np.zeros(3, int), np.full(3, 0.5)
+    )
+    monkeypatch.setattr(two_stage, "_plan", lambda *_: ([plan], 30))
+    monkeypatch.setattr(two_stage, "_draw", lambda *_: [found])
+    monkeypatch.setattr(two_stage, "_roots_of", lambda *_: roots)
+    nothing: Any = None
+    proposed = propose_roots(nothing, key(0), 5, Budget(1000))
+    np.testing.assert_allclose(proposed.log_weight, math.log(3 / 5))
+    np.testing.assert_array_equal(proposed.chance, 0.5)
+    assert proposed.proposals == 100
+
+
 # Roots by rejection.
 
 
@@ -267,6 +294,19 @@ def test_who_is_seldom_asked_counts_for_those_who_are_not(monkeypatch: pytest.Mo
     assert 8 <= len(lucky) <= 36  # 20 ± 4.4
 
 
+def test_a_round_costs_its_attempts_and_its_limbs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A round of 2¹⁴ attempts that finds a hundred roots costs as many, and those of their limbs;
+    the next has about as many as bring 512."""
+    monkeypatch.setattr(_Rounds, "_round", lambda *_: SimpleNamespace(limbs=[{}] * 100))
+    rounds: Any = object.__new__(_Rounds)
+    rounds.key, rounds.left, rounds.number = key(0), 10**7, 0
+    rounds.made, rounds.attempts = 0, FIRST
+    next(iter(rounds))
+    assert rounds.made == FIRST + 100 * ATTEMPTS
+    assert rounds.left + rounds.made == 10**7
+    assert rounds.attempts == int(FIRST * 512 / 100)
+
+
 def test_what_a_bound_cuts_off_is_a_share_of_the_posterior() -> None:
     """Weights of a half and of two bounds: one of 2.5 lies above."""
     nothing: Any = None
@@ -286,3 +326,13 @@ def test_the_bound_has_room_above_the_largest_weight() -> None:
     ]
     assert _bound(rounds, 6) == pytest.approx(-2 + math.log(ROOM))
     assert ROOM == 3.0
+
+
+def test_a_pilot_run_without_any_weight_ends() -> None:
+    """Rounds of ten roots, none of which has any weight: the second passes sixteen times one."""
+    rounds = iter(
+        [SimpleNamespace(limbs=[{}] * 10, log_weight=np.full(10, -np.inf), attempts=10)] * 5
+    )
+    given: Any = rounds
+    assert _bound(given, 1) == -math.inf
+    assert len(list(rounds)) == 3

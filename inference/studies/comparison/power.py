@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 POWER = 0.9
 """The share of runs in which a change is caught."""
@@ -103,6 +103,7 @@ def _noncentrality(level: float, freedom: int) -> float:
     beyond = float(stats.chi2.isf(level, freedom))
 
     def lacking(noncentrality: float) -> float:
-        return float(stats.ncx2.sf(beyond, freedom, noncentrality)) - POWER
+        # That of `stats` asks whether numbers are JAX's, and imports it for the question.
+        return 1 - float(special.chndtr(beyond, freedom, noncentrality)) - POWER
 
     return float(optimize.brentq(lacking, 1e-9, 10 * beyond + 100))

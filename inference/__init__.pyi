@@ -14,6 +14,8 @@ from .hypothesis import diverse as diverse
 from .hypothesis import grid_poses as grid_poses
 from .hypothesis import hypotheses as hypotheses
 from .machines import Machines as Machines
+from .measured import measure_intervals as measure_intervals
+from .measured import measures as measures
 from .resident import Resident as Resident
 from .resident import resident_draws as resident_draws
 from .results import Result as Result

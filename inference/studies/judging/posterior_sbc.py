@@ -187,7 +187,7 @@ def _of_pose(
         )
     frame = dataclasses.replace(frame, candidates=(frame.best,))
     keys = jax.random.split(jax.random.key(seed), number + 1)
-    asked = {"sampler": sampler, "root": CANDIDATES}
+    asked: dict[str, Any] = {"sampler": sampler, "root": CANDIDATES}
     first = sample(model, frame, key=keys[0], num_samples=number, **asked).tree
     truth = _ends(first)
     keypoints = frame.detection.keypoints

@@ -23,6 +23,7 @@ SIZES = {100: 20, 300: 8}
 """Instances, and how many times each is tried."""
 DRAWN = 100
 """Draws of an instance."""
+SEEDS = 200
 NULLS = 300
 """Replicates of bayesflow's null."""
 OURS = ("ranks (SBC)", "highest density", "energy balls", "TARP", "classifier", "where", "verdict")
@@ -35,7 +36,31 @@ def main(work: Work) -> Page:
     }
     tables = {f"at_{size}": _table(found, size) for size in SIZES}
     tried = ", ".join(f"{times} at {size:,}" for size, times in SIZES.items())
-    return Page("judging", {**tables, "draws": DRAWN, "tried": tried})
+    accused = kept_json(work / "right.json", accusations)
+    return Page("judging", {**tables, "draws": DRAWN, "tried": tried, "accused": accused})
+
+
+def accusations() -> int:
+    """How many of `SEEDS` right posteriors the verdict accuses at `LEVEL`, every other one of
+    weighted draws from a wider and shifted proposal."""
+    found = 0
+    for seed in range(SEEDS):
+        rng = np.random.default_rng([7, seed])
+        seen = rng.normal(size=(100, 2))
+        mean = np.stack([seen[:, 0], seen.sum(axis=1)], axis=1)
+        spread = np.exp(0.5 * seen[:, 1])[:, None]
+        truth = mean + spread * rng.normal(size=(100, 2))
+        off = rng.normal(size=(100, 60 * (1 + seed % 2), 2))
+        weights = None
+        if seed % 2:
+            off = 1.5 * off + 0.3
+            weights = np.exp(-0.5 * (off**2 - ((off - 0.3) / 1.5) ** 2).sum(axis=2))
+        draws = mean[:, None] + spread[:, None] * off
+        judged = judge_coverage(
+            draws, truth, weights, covariates=seen, seed=seed, false_alarm=LEVEL
+        )
+        found += judged.verdict != "calibrated"
+    return found
 
 
 def powers(fault: str, size: int) -> dict[str, list[bool]]:

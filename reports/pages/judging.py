@@ -14,7 +14,7 @@ import numpy as np
 
 from poseterior.inference.studies.judging.judge import judge_coverage
 from poseterior.inference.studies.judging.where import share_held
-from poseterior.inference.studies.judging.wrong import FAULTS, Told, told
+from poseterior.inference.studies.judging.wrong import WRONGS, Instances, told
 from poseterior.reports.pages.page import Page, Work, kept_json, run
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
@@ -32,7 +32,7 @@ OURS = ("ranks (SBC)", "highest density", "energy balls", "TARP", "classifier", 
 def main(work: Work) -> Page:
     found = {
         (name, size): kept_json(work / f"{size}-{row}.json", powers, name, size)
-        for (row, name), size in product(enumerate(FAULTS), SIZES)
+        for (row, name), size in product(enumerate(WRONGS), SIZES)
     }
     tables = {f"at_{size}": _table(found, size) for size in SIZES}
     tried = ", ".join(f"{times} at {size:,}" for size, times in SIZES.items())
@@ -67,7 +67,7 @@ def powers(fault: str, size: int) -> dict[str, list[bool]]:
     """By test, whether it rejected at `LEVEL`, time after time."""
     found: dict[str, list[bool]] = {}
     for repetition in range(SIZES[size]):
-        rng = np.random.default_rng([49, size, list(FAULTS).index(fault), repetition])
+        rng = np.random.default_rng([49, size, list(WRONGS).index(fault), repetition])
         case = told(fault, size, DRAWN, rng)
         for name, test in TESTS.items():
             for kind, rejects in test(case, repetition).items():
@@ -75,7 +75,7 @@ def powers(fault: str, size: int) -> dict[str, list[bool]]:
     return found
 
 
-def _ours(case: Told, seed: int) -> Mapping[str, bool]:
+def _ours(case: Instances, seed: int) -> Mapping[str, bool]:
     seen = {f"seen {axis}": column for axis, column in enumerate(case.seen.T)}
     found = judge_coverage(
         case.draws,
@@ -91,7 +91,7 @@ def _ours(case: Told, seed: int) -> Mapping[str, bool]:
     return {name: alone.get(name, False) for name in OURS}
 
 
-def _sbi_ranks(case: Told, seed: int) -> Mapping[str, bool]:
+def _sbi_ranks(case: Instances, seed: int) -> Mapping[str, bool]:
     import torch
     from sbi.diagnostics.sbc import check_uniformity_frequentist
 
@@ -100,7 +100,7 @@ def _sbi_ranks(case: Told, seed: int) -> Mapping[str, bool]:
     return {"": float(p_values.min()) < LEVEL / len(p_values)}
 
 
-def _sbi_tarp(case: Told, seed: int) -> Mapping[str, bool]:
+def _sbi_tarp(case: Instances, seed: int) -> Mapping[str, bool]:
     import torch
     from sbi.diagnostics.tarp import _run_tarp, check_tarp, get_tarp_references
 
@@ -111,7 +111,7 @@ def _sbi_tarp(case: Told, seed: int) -> Mapping[str, bool]:
     return {"": float(check_tarp(curve, alpha)[1]) < LEVEL}
 
 
-def _bayesflow_gamma(case: Told, seed: int) -> Mapping[str, bool]:
+def _bayesflow_gamma(case: Instances, seed: int) -> Mapping[str, bool]:
     from bayesflow.diagnostics.metrics import calibration_log_gamma
 
     np.random.seed(seed)  # noqa: NPY002
@@ -119,7 +119,7 @@ def _bayesflow_gamma(case: Told, seed: int) -> Mapping[str, bool]:
     return {"": min(found["values"]) < 0}
 
 
-def _bayesflow_coverage(case: Told, seed: int) -> Mapping[str, bool]:
+def _bayesflow_coverage(case: Instances, seed: int) -> Mapping[str, bool]:
     """Whether a curve leaves its band of 95 % anywhere, as its reader would see."""
     from bayesflow.utils.plot_utils import compute_empirical_coverage
 
@@ -132,7 +132,7 @@ def _bayesflow_coverage(case: Told, seed: int) -> Mapping[str, bool]:
     return {"": bool(outside.any())}
 
 
-def _pqm(case: Told, seed: int) -> Mapping[str, bool]:
+def _pqm(case: Instances, seed: int) -> Mapping[str, bool]:
     from pqm import pqm_pvalue
 
     np.random.seed(seed)  # noqa: NPY002
@@ -140,7 +140,7 @@ def _pqm(case: Told, seed: int) -> Mapping[str, bool]:
     return {"": float(np.mean(pqm_pvalue(*joint, num_refs=20, z_score_norm=True))) < LEVEL}
 
 
-TESTS: dict[str, Callable[[Told, int], Mapping[str, bool]]] = {
+TESTS: dict[str, Callable[[Instances, int], Mapping[str, bool]]] = {
     "": _ours,
     "sbi SBC (KS)": _sbi_ranks,
     "sbi TARP": _sbi_tarp,
@@ -154,7 +154,7 @@ def _table(found: Mapping[tuple[str, int], dict[str, list[bool]]], size: int) ->
     names = list(
         dict.fromkeys(test for (_, one), tests in found.items() if one == size for test in tests)
     )
-    rows = [(fault, *(_said(found[fault, size].get(name)) for name in names)) for fault in FAULTS]
+    rows = [(fault, *(_said(found[fault, size].get(name)) for name in names)) for fault in WRONGS]
     return sheet_of([Column("posterior", left=True), *map(Column, names)], rows)
 
 

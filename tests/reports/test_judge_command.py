@@ -18,7 +18,7 @@ from tests.conftest import Cli
 @pytest.fixture(scope="module")
 def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("mine") / "mine.npz"
-    case = told("width wrong by one covariate", 150, 40, np.random.default_rng(0))
+    case = told("width wrong by one covariate", 300, 40, np.random.default_rng(0))
     seen = {f"covariates.{name}": column for name, column in zip("uvw", case.seen.T, strict=True)}
     np.savez(path, draws=case.draws, truth=case.truth, **seen)
     return path

@@ -159,7 +159,7 @@ def _register(name: str, kind: Any) -> None:
     about = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
     examples = "\n\n".join(f"  poseterior {line}" for line in kind.EXAMPLES)
     home = GROUPS[group] if group else app
-    texts = {"help": about, "epilog": f"Examples:\n\n{examples}"}
+    texts: dict[str, Any] = {"help": about, "epilog": f"Examples:\n\n{examples}"}
     if name in GROUPS:
         GROUPS[name].callback(**texts)(command)
     else:

@@ -14,7 +14,7 @@ import numpy as np
 
 from poseterior.inference.studies.judging.judge import judge_coverage
 from poseterior.inference.studies.judging.where import share_held
-from poseterior.inference.studies.judging.wrong import FAULTS, Told, told
+from poseterior.inference.studies.judging.wrong import WRONGS, Instances, told
 from poseterior.reports.pages.page import Page, Work, kept_json, run
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
@@ -23,6 +23,7 @@ SIZES = {100: 20, 300: 8}
 """Instances, and how many times each is tried."""
 DRAWN = 100
 """Draws of an instance."""
+SEEDS = 200
 NULLS = 300
 """Replicates of bayesflow's null."""
 OURS = ("ranks (SBC)", "highest density", "energy balls", "TARP", "classifier", "where", "verdict")
@@ -31,18 +32,42 @@ OURS = ("ranks (SBC)", "highest density", "energy balls", "TARP", "classifier", 
 def main(work: Work) -> Page:
     found = {
         (name, size): kept_json(work / f"{size}-{row}.json", powers, name, size)
-        for (row, name), size in product(enumerate(FAULTS), SIZES)
+        for (row, name), size in product(enumerate(WRONGS), SIZES)
     }
     tables = {f"at_{size}": _table(found, size) for size in SIZES}
     tried = ", ".join(f"{times} at {size:,}" for size, times in SIZES.items())
-    return Page("judging", {**tables, "draws": DRAWN, "tried": tried})
+    accused = kept_json(work / "right.json", accusations)
+    return Page("judging", {**tables, "draws": DRAWN, "tried": tried, "accused": accused})
+
+
+def accusations() -> int:
+    """How many of `SEEDS` right posteriors the verdict accuses at `LEVEL`, every other one of
+    weighted draws from a wider and shifted proposal."""
+    found = 0
+    for seed in range(SEEDS):
+        rng = np.random.default_rng([7, seed])
+        seen = rng.normal(size=(100, 2))
+        mean = np.stack([seen[:, 0], seen.sum(axis=1)], axis=1)
+        spread = np.exp(0.5 * seen[:, 1])[:, None]
+        truth = mean + spread * rng.normal(size=(100, 2))
+        off = rng.normal(size=(100, 60 * (1 + seed % 2), 2))
+        weights = None
+        if seed % 2:
+            off = 1.5 * off + 0.3
+            weights = np.exp(-0.5 * (off**2 - ((off - 0.3) / 1.5) ** 2).sum(axis=2))
+        draws = mean[:, None] + spread[:, None] * off
+        judged = judge_coverage(
+            draws, truth, weights, covariates=seen, seed=seed, false_alarm=LEVEL
+        )
+        found += judged.verdict != "calibrated"
+    return found
 
 
 def powers(fault: str, size: int) -> dict[str, list[bool]]:
     """By test, whether it rejected at `LEVEL`, time after time."""
     found: dict[str, list[bool]] = {}
     for repetition in range(SIZES[size]):
-        rng = np.random.default_rng([49, size, list(FAULTS).index(fault), repetition])
+        rng = np.random.default_rng([49, size, list(WRONGS).index(fault), repetition])
         case = told(fault, size, DRAWN, rng)
         for name, test in TESTS.items():
             for kind, rejects in test(case, repetition).items():
@@ -50,7 +75,7 @@ def powers(fault: str, size: int) -> dict[str, list[bool]]:
     return found
 
 
-def _ours(case: Told, seed: int) -> Mapping[str, bool]:
+def _ours(case: Instances, seed: int) -> Mapping[str, bool]:
     seen = {f"seen {axis}": column for axis, column in enumerate(case.seen.T)}
     found = judge_coverage(
         case.draws,
@@ -66,7 +91,7 @@ def _ours(case: Told, seed: int) -> Mapping[str, bool]:
     return {name: alone.get(name, False) for name in OURS}
 
 
-def _sbi_ranks(case: Told, seed: int) -> Mapping[str, bool]:
+def _sbi_ranks(case: Instances, seed: int) -> Mapping[str, bool]:
     import torch
     from sbi.diagnostics.sbc import check_uniformity_frequentist
 
@@ -75,7 +100,7 @@ def _sbi_ranks(case: Told, seed: int) -> Mapping[str, bool]:
     return {"": float(p_values.min()) < LEVEL / len(p_values)}
 
 
-def _sbi_tarp(case: Told, seed: int) -> Mapping[str, bool]:
+def _sbi_tarp(case: Instances, seed: int) -> Mapping[str, bool]:
     import torch
     from sbi.diagnostics.tarp import _run_tarp, check_tarp, get_tarp_references
 
@@ -86,7 +111,7 @@ def _sbi_tarp(case: Told, seed: int) -> Mapping[str, bool]:
     return {"": float(check_tarp(curve, alpha)[1]) < LEVEL}
 
 
-def _bayesflow_gamma(case: Told, seed: int) -> Mapping[str, bool]:
+def _bayesflow_gamma(case: Instances, seed: int) -> Mapping[str, bool]:
     from bayesflow.diagnostics.metrics import calibration_log_gamma
 
     np.random.seed(seed)  # noqa: NPY002
@@ -94,7 +119,7 @@ def _bayesflow_gamma(case: Told, seed: int) -> Mapping[str, bool]:
     return {"": min(found["values"]) < 0}
 
 
-def _bayesflow_coverage(case: Told, seed: int) -> Mapping[str, bool]:
+def _bayesflow_coverage(case: Instances, seed: int) -> Mapping[str, bool]:
     """Whether a curve leaves its band of 95 % anywhere, as its reader would see."""
     from bayesflow.utils.plot_utils import compute_empirical_coverage
 
@@ -107,7 +132,7 @@ def _bayesflow_coverage(case: Told, seed: int) -> Mapping[str, bool]:
     return {"": bool(outside.any())}
 
 
-def _pqm(case: Told, seed: int) -> Mapping[str, bool]:
+def _pqm(case: Instances, seed: int) -> Mapping[str, bool]:
     from pqm import pqm_pvalue
 
     np.random.seed(seed)  # noqa: NPY002
@@ -115,7 +140,7 @@ def _pqm(case: Told, seed: int) -> Mapping[str, bool]:
     return {"": float(np.mean(pqm_pvalue(*joint, num_refs=20, z_score_norm=True))) < LEVEL}
 
 
-TESTS: dict[str, Callable[[Told, int], Mapping[str, bool]]] = {
+TESTS: dict[str, Callable[[Instances, int], Mapping[str, bool]]] = {
     "": _ours,
     "sbi SBC (KS)": _sbi_ranks,
     "sbi TARP": _sbi_tarp,
@@ -129,7 +154,7 @@ def _table(found: Mapping[tuple[str, int], dict[str, list[bool]]], size: int) ->
     names = list(
         dict.fromkeys(test for (_, one), tests in found.items() if one == size for test in tests)
     )
-    rows = [(fault, *(_said(found[fault, size].get(name)) for name in names)) for fault in FAULTS]
+    rows = [(fault, *(_said(found[fault, size].get(name)) for name in names)) for fault in WRONGS]
     return sheet_of([Column("posterior", left=True), *map(Column, names)], rows)
 
 

@@ -12,11 +12,10 @@ import pytest
 from numpyro.infer.util import log_density
 from scipy import stats
 
-from poseterior.inference.studies.calibration import simulate
 from poseterior.inference.studies.calibration.verdict import CALIBRATED, MISCALIBRATED
 from poseterior.inference.studies.judging import posterior_sbc
 from poseterior.inference.studies.judging.posterior_sbc import Program, observed_twice
-from poseterior.probmodel import BadInput, Gaussian, Likelihood, PoseModel
+from poseterior.probmodel import BadInput
 
 SEEN = np.array([1.2, 0.3, 2.0])
 
@@ -68,16 +67,6 @@ def test_data_are_seen_twice() -> None:
 def test_refusals(given: tuple, said: str) -> None:
     with pytest.raises(BadInput, match=said):
         posterior_sbc(*given, num_replicates=20)
-
-
-@pytest.mark.sweep
-def test_ours_is_right_on_one_person() -> None:
-    prior = PoseModel()
-    likelihood = Likelihood(law=Gaussian())
-    (person,) = simulate(prior, 3, 0, 1, likelihood=likelihood)
-    found = posterior_sbc(prior, person.frame, num_replicates=60)
-    assert found.verdict == CALIBRATED, found.sentence
-    assert np.nanmedian(found.effective) > 50
 
 
 @pytest.mark.sweep

@@ -18,7 +18,7 @@ from tests.conftest import Cli
 @pytest.fixture(scope="module")
 def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("mine") / "mine.npz"
-    case = told("width wrong by one covariate", 150, 40, np.random.default_rng(0))
+    case = told("width wrong by one covariate", 300, 40, np.random.default_rng(0))
     seen = {f"covariates.{name}": column for name, column in zip("uvw", case.seen.T, strict=True)}
     np.savez(path, draws=case.draws, truth=case.truth, **seen)
     return path
@@ -92,7 +92,7 @@ def test_joints_have_recalibrated_intervals() -> None:
     (row,) = sheet.json()
     assert row["quantity"] == "right_wrist z"
     assert row["95%"] == pytest.approx(row["posterior 95%"], abs=0.4)
-    with pytest.raises(BadInput, match="knows no joint's coordinate.*only depth"):
+    with pytest.raises(BadInput, match=r"knows no joint's coordinate.*only depth"):
         recalibrated_table(tree, recalibrate(levels("depth")))
     grouped = recalibrate(levels("right_wrist z"), by=("side", np.tile(["l", "r"], 100)))
     with pytest.raises(BadInput, match="the recalibration is by side"):

@@ -30,8 +30,8 @@ from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, LENGTH_GROUPS, TORSO_JOINTS
 
 SEEN_OF = ("shoulders", "forearms", "shins", "score")
-"""Of real poses: how long shoulders, the shorter forearm and the shorter shin look beside the torso,
-and the least score of a joint seen."""
+"""Of real poses: how long shoulders, the shorter forearm and the shorter shin look beside the
+torso, and the least score of a joint seen."""
 JOINTWISE = ("whole", "lateral", "depth", "spread_lateral", "spread_depth")
 SCALARS = ("status", "sentence", "num_draws", "log_evidence")
 

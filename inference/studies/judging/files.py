@@ -45,7 +45,8 @@ class InBlocks:
     def shape(self) -> tuple[int, int, int]:
         """Instances, draws, quantities."""
         sizes = [int(np.prod(one.shape[2:], dtype=int)) for one in self.variables]
-        return (*self.variables[0].shape[:2], sum(sizes))
+        instances, draws = self.variables[0].shape[:2]
+        return instances, draws, sum(sizes)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         return self.fetch(0, self.shape[0])
@@ -80,8 +81,8 @@ def read_judged(
     `BadInput` as it."""
     if not path.is_dir() and _is_tree(path):
         with xr.open_datatree(path, engine="netcdf4") as tree:
-            if "posterior" not in tree.children and "simulation/level" in tree:
-                table = tree["simulation"].to_dataset().load()
+            table = _group(tree, "simulation").load()
+            if "posterior" not in tree.children and "level" in table:
                 columns = _group(tree, COVARIATES_GROUP).load()
                 known = {str(name): columns[name].values for name in columns.data_vars}
                 varied = {name: one for name, one in known.items() if len(np.unique(one)) > 1}

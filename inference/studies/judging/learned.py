@@ -15,7 +15,7 @@ from poseterior.inference.studies.judging.brought import One
 from poseterior.inference.studies.judging.where import Columns
 
 FEWEST_TO_LEARN_FROM = 50
-SHOWN_DRAWS = 8
+TAUGHT_DRAWS = 8
 """Draws of an instance beside its truth, to learn from."""
 RANKED_DRAWS = 200
 """Of an instance, at most."""
@@ -33,7 +33,7 @@ def learned_levels(shown: Sequence[np.ndarray | None], seed: int) -> np.ndarray:
         return found
     from sklearn.ensemble import HistGradientBoostingClassifier
 
-    lessons = [known[row][: 1 + SHOWN_DRAWS] for row in taught]
+    lessons = [known[row][: 1 + TAUGHT_DRAWS] for row in taught]
     is_truth = np.concatenate([np.arange(len(lesson)) == 0 for lesson in lessons])
     learner = HistGradientBoostingClassifier(
         max_iter=ROUNDS_OF_TREES, max_leaf_nodes=15, random_state=seed, early_stopping=False

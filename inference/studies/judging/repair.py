@@ -24,7 +24,7 @@ from poseterior.probmodel.documents import read_json
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.files import replacing
 
-PARTS = 3
+THIRDS = 3
 """Groups of a covariate of numbers, of as many instances each."""
 NO_POSTERIOR = "recalibrated intervals, one quantity at a time; no posterior any more"
 _WHAT = "file of recalibration"
@@ -55,7 +55,23 @@ class Recalibration:
         return list(next(iter(self.scores.values())))
 
     def group(self, value: Any = None) -> str:
-        """The group of a covariate's value. Raises `BadInput` where there is none."""
+        """The group of a covariate's value.
+
+        Parameters
+        ----------
+        value
+            A number or a word, as the covariate has them.
+
+        Returns
+        -------
+        str
+            Its name in `scores`.
+
+        Raises
+        ------
+        BadInput
+            Where there is none.
+        """
         if not self.covariate:
             return ""
         if self.edges and value is not None:
@@ -68,8 +84,27 @@ class Recalibration:
         return str(value)
 
     def reach(self, quantity: str, nominal: float, value: Any = None) -> float:
-        """The nominal level of the draws' own central interval that is to be taken; infinite where
-        too few instances bound it. Raises `BadInput` on an unknown quantity or level."""
+        """The nominal level of the draws' own central interval that is to be taken.
+
+        Parameters
+        ----------
+        quantity
+            One of `quantities`.
+        nominal
+            The share that the interval shall hold.
+        value
+            Of the covariate, where there are groups.
+
+        Returns
+        -------
+        float
+            Infinite where too few instances bound it.
+
+        Raises
+        ------
+        BadInput
+            On an unknown quantity, level or group.
+        """
         if not 0 < nominal < 1:
             raise BadInput(f"the interval's level must lie between 0 and 1, not {nominal}")
         known = self.scores[self.group(value)]
@@ -89,15 +124,42 @@ class Recalibration:
         value: Any = None,
         weights: np.ndarray | None = None,
     ) -> tuple[float, float]:
-        """The recalibrated interval of draws `(n,)`, with `weights` `(n,)` where they have any;
-        infinite where it has no bound. Raises `BadInput` as `reach`."""
+        """The recalibrated interval of draws.
+
+        Parameters
+        ----------
+        draws : `(n,)`
+            Of one quantity.
+        quantity, nominal, value
+            As `reach` takes them.
+        weights : `(n,)`
+            Where they have any.
+
+        Returns
+        -------
+        float, float
+            Infinite where it has no bound.
+
+        Raises
+        ------
+        BadInput
+            As `reach`.
+        """
         reach = self.reach(quantity, nominal, value)
         weights = np.ones(len(draws)) if weights is None else weights
         low = _bound(draws, weights, reach)
         return low, -_bound(-draws, weights, reach)
 
     def save(self, path: Path, provenance: dict[str, Any]) -> None:
-        """Writes it as JSON, whole or not at all."""
+        """Writes it as JSON, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            The file.
+        provenance
+            What it shall say besides: seed, source, versions.
+        """
         record = {
             "what": NO_POSTERIOR,
             "covariate": self.covariate,
@@ -128,7 +190,23 @@ def recalibrate(level: xr.DataArray, by: tuple[str, np.ndarray] | None = None) -
     """From levels (simulation, quantity) of instances with truths, for each group of a covariate
     `by` (its name and values `(simulation,)`) where one is given.
 
-    Raises `BadInput` where a group has no instances, or its values do not match the levels."""
+    Parameters
+    ----------
+    level
+        As `judge_coverage` finds them.
+    by
+        The covariate of the groups; none: all instances together.
+
+    Returns
+    -------
+    Recalibration
+        How far out intervals must reach.
+
+    Raises
+    ------
+    BadInput
+        Where the covariate's values do not match the levels.
+    """
     values = level.values
     if by is None:
         return Recalibration({"": _scores(level.quantity.values, values)})
@@ -142,7 +220,7 @@ def recalibrate(level: xr.DataArray, by: tuple[str, np.ndarray] | None = None) -
         groups = {str(one): column == one for one in np.unique(column)}
         edges: tuple[float, ...] = ()
     else:
-        edges = tuple(np.unique(np.quantile(column, np.arange(1, PARTS) / PARTS)).tolist())
+        edges = tuple(np.unique(np.quantile(column, np.arange(1, THIRDS) / THIRDS)).tolist())
         place = np.searchsorted(edges, column)
         groups = {str(at): place == at for at in range(len(edges) + 1)}
     return Recalibration(

@@ -50,8 +50,21 @@ class Leaf(NamedTuple):
 
 
 class Locally(NamedTuple):
-    """What the test says: its `p_value`; the `leaf` that deviates most and the `quantity` that does
-    so there; `covered` in it and `elsewhere` of central intervals of 50 %; a `sentence`."""
+    """What the test of where says.
+
+    Attributes
+    ----------
+    p_value
+        Of all leaves and quantities together.
+    leaf
+        The part of the instances that deviates most.
+    quantity
+        What deviates there.
+    covered, elsewhere
+        What central intervals of 50 % hold there, and of all others.
+    sentence
+        The same in words.
+    """
 
     p_value: float
     leaf: Leaf

@@ -17,7 +17,7 @@ LOCALLY_WRONG = 0.8
 1."""
 
 
-class Told(NamedTuple):
+class Instances(NamedTuple):
     """What a test is given: `truth` `(n, 3)`, `draws` `(n, d, 3)`, log densities of both, and what
     was `seen` `(n, 3)`."""
 
@@ -88,7 +88,7 @@ def locally_wrong(width: bool, sign: Callable[[np.ndarray], np.ndarray]) -> Faul
     return spoil
 
 
-FAULTS: dict[str, Fault] = {
+WRONGS: dict[str, Fault] = {
     "right": scaled(1.0),
     "spread × 0.8": scaled(0.8),
     "spread × 1.25": scaled(1.25),
@@ -108,12 +108,12 @@ FAULTS: dict[str, Fault] = {
 """By name; the last three are right on average only."""
 
 
-def told(fault: str, number: int, draws: int, rng: np.random.Generator) -> Told:
-    """So many instances with so many draws of a posterior of `FAULTS`. The log density is that of
+def told(fault: str, number: int, draws: int, rng: np.random.Generator) -> Instances:
+    """So many instances with so many draws of a posterior of `WRONGS`. The log density is that of
     the right posterior, which whoever is wrong would be wrong about too."""
     toy = Toy(number, draws, rng)
-    spoilt = FAULTS[fault](toy, rng)
+    spoilt = WRONGS[fault](toy, rng)
     inverse = np.linalg.inv(toy.covariance)
     both = np.concatenate([toy.truth[:, None], spoilt], axis=1) - toy.mean[:, None]
     density = -0.5 * np.einsum("nki,ij,nkj->nk", both, inverse, both)
-    return Told(toy.truth, spoilt, (density[:, 0], density[:, 1:]), toy.seen)
+    return Instances(toy.truth, spoilt, (density[:, 0], density[:, 1:]), toy.seen)

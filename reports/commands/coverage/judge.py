@@ -1,6 +1,7 @@
 """`poseterior coverage judge`: anybody's draws beside truths: the verdict, and where they fail."""
 
 from pathlib import Path
+from typing import Any
 
 from poseterior.inference.results import save_tree, versions
 from poseterior.inference.studies.judging.brought import Brought
@@ -33,7 +34,7 @@ def run(settings: CoverageJudgeSettings, screen: Screen) -> None:
 
 def _judged(settings: CoverageJudgeSettings, path: Path) -> Judged:
     brought = read_judged(path, tuple(settings.circular or ()))
-    asked = {"seed": settings.seed, "false_alarm": settings.false_alarm}
+    asked: dict[str, Any] = {"seed": settings.seed, "false_alarm": settings.false_alarm}
     if isinstance(brought, Brought):
         found = judge_brought(brought, **asked)
         covariates = brought.covariates

@@ -151,7 +151,8 @@ def provenance(model: PoseModel) -> dict[str, str]:
 
 def _said(lens: Lens) -> dict[str, str]:
     principal = " ".join(map(shortest, np.asarray(lens.principal).tolist()))
-    return {"focal": shortest(lens.focal), "principal": principal}
+    focal = " ".join(map(shortest, np.ravel(lens.focal).tolist()))
+    return {"focal": focal, "principal": principal}
 
 
 BASE_MEASURE = (
@@ -162,6 +163,7 @@ COLUMNS: dict[str, tuple[tuple[str, ...], str]] = {
     "joints": (("joint", "axis"), "body units"),
     "bone_length": (("length_group",), "body units"),
     "torso": ((), ""),
+    "lens": ((), ""),
     "candidate": ((), ""),
     "root_index": ((), ""),
     "rotation": (("axis", "body_axis"), ""),
@@ -303,9 +305,19 @@ def _as_read(draws: Draws) -> KeypointsRead:
 
 def _units(draws: Draws) -> np.ndarray:
     """`(n, 15)`: pixels of a body unit at each joint."""
-    lens, scale = draws.posterior.model.lens, draws.scale[:, None]
-    nearness = 0.0 if lens is None else 1 / float(lens.focal)
+    scale, focal = draws.scale[:, None], focal_of(draws)
+    nearness = 0.0 if focal is None else 1 / focal[:, None]
     return scale / (1 + nearness * scale * draws.joints[:, :, 2])
+
+
+def focal_of(draws: Draws) -> np.ndarray | None:
+    """`(n,)`: the focal length of each draw, pixels; None under weak perspective."""
+    lens = draws.posterior.model.lens
+    if lens is None:
+        return None
+    rows = draws.cameras.lens
+    focal = np.asarray(lens.focal)
+    return np.full(len(draws), focal) if rows is None else focal[rows]
 
 
 def observed_data(detection: Detection) -> xr.Dataset:

@@ -94,11 +94,13 @@ class Observation(NamedTuple):
         return jnp.vectorize(one, signature="(j,x)->(j)")(joints)
 
     def squares(self, joints: ArrayLike) -> jax.Array:
-        """`(..., 15)`: the same distances squared, in spreads; 0 where a joint does not count."""
+        """`(..., 15)`: the same distances squared, in spreads; 0 where a joint does not count, and
+        infinite where one that does is behind the camera, which has not seen it there."""
 
         def one(joints: jax.Array) -> jax.Array:
-            offset = self.offsets(joints)
-            return jnp.sum(offset**2, axis=-1) / jnp.asarray(self.spread) ** 2
+            square = jnp.sum(self.offsets(joints) ** 2, axis=-1) / jnp.asarray(self.spread) ** 2
+            behind = self.seen & (self.root.camera.relative_depth(joints) <= 0)
+            return jnp.where(behind, jnp.inf, square)
 
         return jnp.vectorize(one, signature="(j,x)->(j)")(joints)
 

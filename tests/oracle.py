@@ -190,7 +190,7 @@ MIRRORED = {
     name: name.replace("right", "LEFT").replace("left", "right").replace("LEFT", "left")
     for name in JOINTS
 }
-NEAREST = 4.0
+NEAREST = 1.5
 """Body units: no pelvis is nearer to a lens."""
 
 
@@ -266,7 +266,7 @@ def odds(image: np.ndarray, unit: np.ndarray, at: np.ndarray, name: str, given: 
     square = np.sum((gap + given.bias[name]) ** 2, axis=-1) / size**2
     inlier = DENSITIES[given.law](square) / (size * unit) ** 2
     outlier = disc(np.sum(gap**2, axis=-1) / given.far**2) / (given.far * unit) ** 2
-    return Odds(inlier, outlier)
+    return Odds(inlier * (unit > 0), outlier * (unit > 0))
 
 
 class SmallCase(NamedTuple):

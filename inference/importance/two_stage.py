@@ -219,7 +219,7 @@ def _plan(
     """A plan for each pattern, by a pilot run, and how many proposals that took; where
     there is but one pattern, and the budget is not `ample`, none is needed."""
     patterns = fault_patterns(posterior)
-    problems = [torso_problem(posterior, pattern.faults) for pattern in patterns]
+    problems = [torso_problem(posterior, pattern.faults, pattern.lens) for pattern in patterns]
     levels = [FEWER_LEVELS if len(patterns) == 1 else ROUGH_LEVELS] * len(patterns)
     proposals = workers().map(weighted_proposal, problems, levels)
     plans = list(map(PatternPlan, patterns, problems, proposals))

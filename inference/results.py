@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
 
+import jax
 import numpy as np
 import xarray as xr
 
@@ -23,7 +24,9 @@ from poseterior.probmodel.documents import shortest
 from poseterior.probmodel.errors.faults import ORDERS
 from poseterior.probmodel.files import replacing
 from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import DetectedJoints
 from poseterior.probmodel.posterior import Posterior, log_joints
+from poseterior.probmodel.root_priors import RootPrior
 from poseterior.probmodel.roots import Candidate, RootPoint, nearest_rotation
 from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS
 
@@ -197,8 +200,9 @@ def tree_of(draws: Draws, block: int = 0) -> xr.DataTree:
     posterior_group = _group(draws, named)
     names = {dim: NAMES[dim] for dim in NAMES if dim in posterior_group.dims}
     words = [int(word) for word in draws.attributes["seed"].split()]
+    points, keypoints = _defined(draws)
     predictions = prediction_groups(
-        posterior.likelihood.law, _as_read(draws), draws.keypoints, words, block
+        posterior.likelihood.law, _as_read(draws, points), keypoints, words, block
     )
     base_measure = f"{draws.prior.base_measure} x {BASE_MEASURE}"
     lp = _group(draws, {"lp": ((), "", log_density(draws))})
@@ -287,14 +291,36 @@ def log_density(draws: Draws) -> np.ndarray:
     return over_draws(log_joints, given, draws.points, draws.poses, draws.faults)
 
 
-def _as_read(draws: Draws) -> KeypointsRead:
-    """The detection as the pattern of faults of each draw has it."""
+def _defined(draws: Draws) -> tuple[np.ndarray, np.ndarray]:
+    """What the detector looks for in each draw, `(n, 15, 3)` in camera axes, and where that falls
+    in the image, `(n, 15, 2)` pixels: the joints, but for its definitions."""
+    posterior = draws.posterior
+    if posterior.detected.definition is None or not len(draws):
+        return draws.joints, draws.keypoints
+    given = posterior.detected, posterior.root_prior
+    return over_draws(_place_defined, given, draws.points, draws.joints)
+
+
+@jax.jit
+def _place_defined(
+    detected: DetectedJoints, prior: RootPrior, points: Any, joints: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    def one(point: Any, joints: jax.Array) -> tuple[jax.Array, jax.Array]:
+        seen = detected.under(prior, point)
+        places = seen.defined(joints)
+        return places, seen.root.camera.image(places)
+
+    return jax.vmap(one)(points, joints)
+
+
+def _as_read(draws: Draws, points: np.ndarray) -> KeypointsRead:
+    """The detection of `points` `(n, 15, 3)` as the pattern of faults of each draw has it."""
     posterior = draws.posterior
     order = ORDERS[draws.faults.exchange]
     spread = np.asarray(posterior.detected.spread)[order]
     outlier = np.take_along_axis(draws.faults.outlier, order, axis=1) & np.isfinite(spread)
     bias = np.where(outlier[..., None], 0.0, posterior.likelihood.bias[order])
-    unit = _units(draws)
+    unit = _units(draws, points)
     return KeypointsRead(
         posterior.detection.keypoints[order],
         unit[..., None] * bias,
@@ -303,11 +329,11 @@ def _as_read(draws: Draws) -> KeypointsRead:
     )
 
 
-def _units(draws: Draws) -> np.ndarray:
-    """`(n, 15)`: pixels of a body unit at each joint."""
+def _units(draws: Draws, points: np.ndarray) -> np.ndarray:
+    """`(n, 15)`: pixels of a body unit at points `(n, 15, 3)` in camera axes."""
     scale, focal = draws.scale[:, None], focal_of(draws)
     nearness = 0.0 if focal is None else 1 / focal[:, None]
-    return scale / (1 + nearness * scale * draws.joints[:, :, 2])
+    return scale / (1 + nearness * scale * points[:, :, 2])
 
 
 def focal_of(draws: Draws) -> np.ndarray | None:

@@ -310,13 +310,14 @@ class PoseModel:
 
         camera, seen = observation.root.camera, observation.seen
         joints = self._pose(observation.view)
-        keypoints = numpyro.deterministic("keypoints", camera.image(joints))
-        larger = camera.magnification(joints)
+        numpyro.deterministic("keypoints", camera.image(joints))
+        points = observation.defined(joints)
+        keypoints, larger = camera.image(points), camera.magnification(points)
         target = observation.target + observation.bias * (1 - larger[:, None])
         detected = jnp.where(seen[:, None], camera.to_pixels(target), keypoints)
         # An unseen joint's spread is infinite, and would make the slope along the scale NaN.
         spread = jnp.where(seen, jnp.asarray(observation.spread), 1.0) * camera.scale * larger
-        behind = seen & (camera.relative_depth(joints) <= 0)
+        behind = seen & (camera.relative_depth(points) <= 0)
         place = jnp.where(behind[:, None], jnp.inf, keypoints)
         with numpyro.plate("joint", len(seen)), mask(mask=seen):
             law = DetectedKeypoint(observation.law, place, spread, validate_args=False)

@@ -75,6 +75,8 @@ def torso_problem(
     order = np.argsort(-distance, kind="stable")
     law = WithOutliers(posterior.detected.law, detected.law.outlier[seen][order])
     torsos = np.asarray(posterior.model.torsos, float)
+    if detected.definition is not None:
+        torsos = torsos + detected.definition[list(TORSO_INDEX)]
     joints = TorsoJoints(
         torsos=np.ascontiguousarray(torsos[:, rows][:, order]),
         keypoints=keypoints[order] - origin,
@@ -168,7 +170,10 @@ def _log_nearness(model: PoseModel, detected: DetectedJoints, *fields: jax.Array
     def one(point: RootPoint, exchange: jax.Array) -> jax.Array:
         root = prior.root(point)
         counts = detected.counts[jnp.asarray(ORDERS)[exchange]][torso]
-        farther = jnp.log(jnp.maximum(root.camera.relative_depth(root.view), 0.0))
+        view = root.view
+        if detected.definition is not None:
+            view += root.camera.view(detected.definition[torso])
+        farther = jnp.log(jnp.maximum(root.camera.relative_depth(view), 0.0))
         return 2 * jnp.sum(jnp.where(counts, farther, 0.0))
 
     return jax.vmap(one)(RootPoint(*fields[:-1]), fields[-1])

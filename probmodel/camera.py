@@ -17,11 +17,12 @@ from jax.typing import ArrayLike
 from scipy.special import ndtri
 
 FOCAL_MEDIAN, FOCAL_SPREAD = 0.9, 0.35
-"""Of the log-normal prior of a focal length that nobody knows, in longer sides of the image: nine in
-ten lie from 0.5 to 1.6, telephones' main cameras near 0.7 to 0.8, webcams and camcorders about 1."""
+"""Of the log-normal prior of a focal length that nobody knows, in longer sides of the image: nine
+in ten lie from 0.5 to 1.6, telephones' main cameras near 0.7 to 0.8, webcams and camcorders about
+1."""
 FOCAL_LENGTHS = 5
-"""The prior has so many focal lengths, equally probable: neighbours' differ by a fifth to a third, a
-perspective that no single detection tells apart."""
+"""The prior has so many focal lengths, equally probable: neighbours' differ by a fifth to a third,
+a perspective that no single detection tells apart."""
 
 
 class WeakPerspective(NamedTuple):
@@ -50,7 +51,7 @@ class WeakPerspective(NamedTuple):
         return jnp.asarray(points)[..., :2]
 
     def relative_depth(self, points: ArrayLike) -> jax.Array:
-        """`(...)`: how far away points `(..., 3)` in camera axes are for what the pelvis is:
+        """`(...)`: how far away points `(..., 3)` in camera axes are, in the pelvis' distances:
         everything is as far."""
         return jnp.ones(jnp.shape(points)[:-1])
 
@@ -105,9 +106,7 @@ class Lens(NamedTuple):
     principal: np.ndarray | jax.Array
 
     @classmethod
-    def unknown(
-        cls, longer: float, principal: np.ndarray, number: int = FOCAL_LENGTHS
-    ) -> "Lens":
+    def unknown(cls, longer: float, principal: np.ndarray, number: int = FOCAL_LENGTHS) -> "Lens":
         """What is believed of a camera of which nobody knows anything.
 
         Parameters
@@ -173,8 +172,8 @@ class Perspective(NamedTuple):
         return self.weak.view(points)
 
     def relative_depth(self, points: ArrayLike) -> jax.Array:
-        """`(...)`: how far away along the optical axis points `(..., 3)` in camera axes are, for one
-        that the pelvis is; not positive behind the camera."""
+        """`(...)`: how far away along the optical axis points `(..., 3)` in camera axes are, in the
+        pelvis' distances; not positive behind the camera."""
         depth = jnp.asarray(points)[..., 2]
         return 1 + depth * (jnp.asarray(self.scale) / self.lens.focal)
 

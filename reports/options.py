@@ -119,8 +119,6 @@ RigNames = Annotated[
         show_default="those of most programs are known",
     ),
 ]
-UNKNOWN = "unknown"
-"""A focal length that is drawn with the rest."""
 Open = Annotated[bool, Option("--open", help="Open the page in a browser.")]
 Double = Annotated[
     bool,
@@ -519,6 +517,14 @@ class RootKind(enum.StrEnum):
         return "candidates" if self is RootKind.fixed else "uncertain"
 
 
+class CameraKind(enum.StrEnum):
+    """What is believed of the camera that saw a person."""
+
+    weak = "weak"
+    known = "known"
+    unknown = "unknown"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rooting:
     """Whether torso and camera are a part of the posterior."""
@@ -598,7 +604,7 @@ class Viewing(Rooting):
             if self.principal is not None:
                 raise BadInput("--principal says nothing without a focal length; give --focal too")
             return None
-        focal = None if self.focal == UNKNOWN else parse_focal(self.focal)
+        focal = None if self.focal == CameraKind.unknown else parse_focal(self.focal)
         if size is None and focal is None:
             raise BadInput(
                 "--focal unknown needs the size of the image, by which cameras' focal lengths are"
@@ -616,8 +622,9 @@ class Viewing(Rooting):
         )
         if size is not None and not ((principal >= 0) & (principal <= size)).all():
             raise BadInput(
-                f"--principal {self.principal} lies outside the image of {size[0]}x{size[1]} pixels;"
-                " it is where the camera's optical axis meets the image, usually near its centre"
+                f"--principal {self.principal} lies outside the image of {size[0]}x{size[1]}"
+                " pixels; it is where the camera's optical axis meets the image, usually near its"
+                " centre"
             )
         if focal is not None:
             return Lens(focal, principal)
@@ -684,7 +691,7 @@ def parse_focal(text: str) -> float:
         return float(text)
     except ValueError:
         raise BadInput(
-            f"--focal must be pixels of the image, such as 1650, or {UNKNOWN}, not {text!r}"
+            f"--focal must be pixels of the image, such as 1650, or unknown, not {text!r}"
         ) from None
 
 

@@ -277,7 +277,7 @@ class SmallCase(NamedTuple):
     lengths: tuple[np.ndarray, ...]
     torsos: np.ndarray
     lens: Lens | None = None
-    definition: Mapping[str, np.ndarray] = {}  # noqa: RUF012
+    definition: Mapping[str, np.ndarray] = {}
     """How far from a torso's joint, body axes and units, lies what the detector calls so."""
 
 

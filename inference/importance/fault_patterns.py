@@ -1,7 +1,8 @@
 """Which patterns of a detector's faults are tried (docs/model.md § 9), and which focal lengths.
 
-The faults of the torso's keypoints are few, and so are the focal lengths that there may be: each
-of them, with each of these, is a pattern, with roots of its own. The others are drawn under each root from a proposal: how well draws of the
+The faults of the torso's keypoints are few, and so are the focal lengths that there may
+be: each of them, with each of these, is a pattern, with roots of
+its own. The others are drawn under each root from a proposal: how well draws of the
 prior, the same for all roots, fit the limbs with and without each fault. A proposal
 need not be right, for every root is weighted by the prior of its faults over the
 proposal's; it decides how many roots are effective. Which roots are weighted at all is

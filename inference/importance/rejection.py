@@ -127,9 +127,7 @@ class RejectedRoots(WeightedRoots):
 def no_roots(posterior: Posterior) -> RootPoint:
     """No roots of a posterior."""
     lens = np.zeros(0, int) if lenses_of(posterior) > 1 else None
-    return RootPoint(
-        np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 2)), lens
-    )
+    return RootPoint(np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 2)), lens)
 
 
 class Taken(NamedTuple):

@@ -53,9 +53,7 @@ class TorsoProblem(NamedTuple):
     lens: int | None
 
 
-def torso_problem(
-    posterior: Posterior, faults: Faults, lens: int | None = None
-) -> TorsoProblem:
+def torso_problem(posterior: Posterior, faults: Faults, lens: int | None = None) -> TorsoProblem:
     """What the torso's joints ask of a root under a pattern of faults, and one of the focal
     lengths that there may be.
 

@@ -1,4 +1,4 @@
-"""Do intervals hold for people and cameras that were never seen? Posteriors of views of people, each
+"""Do intervals hold for people and cameras that were never seen? Posteriors of views of people,
 judged by what is known of the truth, coordinate by coordinate; shares with intervals over people.
 
 Joints are placed about the midpoint of hips, or of shoulders where nobody knows the hips. Without
@@ -44,10 +44,18 @@ class Judged(NamedTuple):
 
 
 class Honesty(NamedTuple):
-    """Coverage by level and axis `(2, 3)`, with `low` and `high` ends of 95 % intervals over people;
-    by axis the `width` `(3,)` of 95 % intervals, mm, and root mean square `error` `(3,)` of the
-    mean; the expected calibration error by axis, `ece` `(3,)`; of how many `views` and `people`, and
-    how many views brought no draws, `silent`."""
+    """What all views together say.
+
+    Attributes
+    ----------
+    covered, low, high
+        Coverage by level and axis `(2, 3)`, with the ends of 95 % intervals over people.
+    width, error, ece
+        By axis `(3,)`: the width of 95 % intervals, mm; the root mean square error of the mean, mm;
+        the expected calibration error.
+    views, people, silent
+        Of how many views and people; and how many views brought no draws.
+    """
 
     covered: np.ndarray
     low: np.ndarray
@@ -98,7 +106,6 @@ def judge(
     model: PoseModel,
     likelihood: Likelihood,
     seed: int,
-    *,
     num_samples: int = 1000,
     num_roots: int = 400,
 ) -> Judged:
@@ -149,6 +156,38 @@ def judge(
     )
 
 
+def even(views: Sequence[PersonView], number: int) -> list[PersonView]:
+    """At most so many views of which something is known, as many of each person as of any other
+    while there are that many, evenly over theirs."""
+    own: dict[str, list[PersonView]] = {}
+    for view in views:
+        joints = view.truth[list(JUDGED)]
+        if middle_of(view.truth) and np.isfinite(joints).all(axis=1).any():
+            own.setdefault(view.person, []).append(view)
+    counts = sorted(map(len, own.values()))
+    if not counts:
+        raise BadInput(
+            "no view shows a limb's joint and a pair of hips or shoulders whose truth is known"
+        )
+    most = next(
+        (n for n in range(counts[-1], 0, -1) if sum(min(n, c) for c in counts) <= number), 1
+    )
+    return [
+        some[row]
+        for some in own.values()
+        for row in np.linspace(0, len(some) - 1, min(most, len(some))).round().astype(int)
+    ]
+
+
+def by_person(views: Sequence[PersonView], judged: Sequence[Judged]) -> dict[str, Honesty]:
+    """What the views of each person say."""
+    found = {}
+    for person in dict.fromkeys(view.person for view in views):
+        rows = [row for row, view in enumerate(views) if view.person == person]
+        found[person] = honesty([views[row] for row in rows], [judged[row] for row in rows])
+    return found
+
+
 def honesty(views: Sequence[PersonView], judged: Sequence[Judged]) -> Honesty:
     """What all views say together."""
     some = list(JUDGED)
@@ -164,18 +203,21 @@ def honesty(views: Sequence[PersonView], judged: Sequence[Judged]) -> Honesty:
     again = held[:, chosen].sum(axis=2) / np.maximum(known[chosen].sum(axis=1), 1)
     low, high = np.quantile(again, [0.025, 0.975], axis=1)
     grid = np.linspace(0.05, 0.95, 19)
-    share = [inside(level, one).sum(axis=(0, 1)) / known.sum(axis=0) for one in grid]
-    return Honesty(
-        held.sum(axis=1) / known.sum(axis=0),
-        low,
-        high,
-        np.nanmean(width, axis=(0, 1)),
-        np.sqrt(np.nanmean(error**2, axis=(0, 1))),
-        np.abs(np.array(share) - grid[:, None]).mean(axis=0),
-        len(views),
-        len(people),
-        sum(not np.isfinite(one).any() for one in level),
-    )
+    share = [inside(level, one).sum(axis=(0, 1)) for one in grid]
+    total = known.sum(axis=0)
+    some = np.isfinite(level)
+    with np.errstate(invalid="ignore"):  # where nothing is known there is no mean
+        return Honesty(
+            held.sum(axis=1) / total,
+            low,
+            high,
+            np.where(some, width, 0.0).sum(axis=(0, 1)) / total,
+            np.sqrt(np.where(some, error**2, 0.0).sum(axis=(0, 1)) / total),
+            np.abs(np.array(share) / total - grid[:, None]).mean(axis=0),
+            len(views),
+            len(people),
+            sum(not one.any() for one in some),
+        )
 
 
 def inside(level: np.ndarray, nominal: float) -> np.ndarray:

@@ -52,6 +52,13 @@ class PersonView(NamedTuple):
     longer: float
     person: str
 
+    def believed(self, camera: str) -> Lens | None:
+        """What is believed of the camera: nothing beyond "weak" perspective, the "known" lens, or
+        one whose focal length is "unknown"."""
+        if camera == "weak":
+            return None
+        return self.lens if camera == "known" else Lens.unknown(self.longer, self.lens.principal)
+
 
 def is_person_views(path: Path) -> bool:
     """Whether it is an .npz with `detection` and `truth`."""
@@ -101,7 +108,9 @@ def read_person_views(path: Path) -> list[PersonView]:
     with np.errstate(invalid="ignore"):
         sigma = np.where(np.isfinite(truth[..., 2]), residual * truth[..., 2] / focal[:, :1], 0.0)
     days = np.asarray(arrays.get("day", np.zeros(number, int)))
-    people = np.char.add(np.char.add(days.astype(str), " "), np.asarray(arrays["person"]).astype(str))
+    people = np.char.add(
+        np.char.add(days.astype(str), " "), np.asarray(arrays["person"]).astype(str)
+    )
     principal = np.asarray(arrays["principal"], float)
     longer = float(np.max(arrays.get("image_size", 2 * principal.mean(axis=0))))
     found = []

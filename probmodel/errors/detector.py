@@ -105,9 +105,9 @@ class DetectorErrors:
     learned
         Where it comes from, in words and numbers.
     definition
-        `(15, 3)` body units, to the person's left, up and forward: how far from the skeleton's joint
-        lies what the detector calls by its name; 0 where it is the same, and for limbs' joints,
-        which have axes of their own.
+        `(15, 3)` body units, to the person's left, up and forward: how far from the skeleton's
+        joint lies what the detector calls by its name; 0 where it is the same, and for limbs'
+        joints, which have axes of their own.
 
     Raises
     ------

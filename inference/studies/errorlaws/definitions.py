@@ -1,5 +1,5 @@
-"""What a detector calls a shoulder, a hip, a thorax: how far in the torso's axes its points lie from
-the skeleton's joints.
+"""What a detector calls a shoulder, a hip, a thorax: how far in the torso's axes its points lie
+from the skeleton's joints.
 
 Several calibrated cameras triangulate the detector's own points; the torso of the population that
 is laid over them, turned and moved as a whole, has the skeleton's joints. What is left in the mean

@@ -106,7 +106,7 @@ class Lens(NamedTuple):
     principal: np.ndarray | jax.Array
 
     @classmethod
-    def unknown(cls, longer: float, principal: np.ndarray, number: int = FOCAL_LENGTHS) -> "Lens":
+    def unknown(cls, longer: float, principal: ArrayLike, number: int = FOCAL_LENGTHS) -> "Lens":
         """What is believed of a camera of which nobody knows anything.
 
         Parameters
@@ -125,7 +125,8 @@ class Lens(NamedTuple):
             is `FOCAL_MEDIAN` longer sides, and its spread `FOCAL_SPREAD`.
         """
         parts = ndtri((np.arange(number) + 0.5) / number)
-        return cls(longer * FOCAL_MEDIAN * np.exp(FOCAL_SPREAD * parts), principal)
+        focal = longer * FOCAL_MEDIAN * np.exp(FOCAL_SPREAD * parts)
+        return cls(focal, np.asarray(principal))
 
     @property
     def number(self) -> int:

@@ -6,6 +6,7 @@ False-alarm rates stand beside every statistical test; seeds are fixed.
 
 import dataclasses
 import functools
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -13,7 +14,8 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from poseterior.inference.studies.calibration import calibrate, cover, judge, simulate
+from poseterior.inference.draws import COMPLETE
+from poseterior.inference.studies.calibration import calibrate, cover, judge, posteriors, simulate
 from poseterior.inference.studies.calibration.assess import Answer, assess
 from poseterior.inference.studies.calibration.controls import forgetting_scale
 from poseterior.inference.studies.calibration.exclusions import TAU, from_text
@@ -59,7 +61,7 @@ def truth(instance: Instance) -> tuple[RootPoint, np.ndarray]:
     one = instance.frame.candidates[0]
     log_scale = np.log(one.camera.scale)
     point = RootPoint(one.torso_index, one.camera.rotation, log_scale, one.camera.translation)
-    return RootPoint(*(np.asarray(part)[None] for part in point)), instance.joints[None]
+    return jax.tree.map(lambda part: np.asarray(part)[None], point), instance.joints[None]
 
 
 # --- simulations
@@ -106,13 +108,13 @@ def test_numbers_of_draws_are_the_samplers_own() -> None:
     *_, density, misfit = of_rooted(posterior, draws.points, draws.joints).T
     observed = [
         posterior.detected.under(
-            posterior.root_prior, RootPoint(*(part[row] for part in draws.points)), Faults.none()
+            posterior.root_prior, jax.tree.map(lambda part: part[row], draws.points), Faults.none()
         )
         for row in (0, 7)
     ]
     for row, observation in zip((0, 7), observed, strict=True):
         pose = model().pose_of(draws.joints[row], draws.bone_length[row])
-        point = RootPoint(*(part[row][None] for part in draws.points))
+        point = jax.tree.map(lambda part: part[row][None], draws.points)
         own = posterior.log_joint(point, Pose(*(np.asarray(part)[None] for part in pose)))
         assert density[row] == pytest.approx(float(own[0]), abs=1e-6)
         assert misfit[row] == pytest.approx(float(observation.misfit(draws.joints[row])))
@@ -130,7 +132,7 @@ def test_roots_are_ranked_where_draws_have_them() -> None:
     asked of them."""
     instance = simulations()[1]
     points, joints = truth(instance)
-    many = RootPoint(*(np.repeat(part, 20, axis=0) for part in points))
+    many = jax.tree.map(lambda part: np.repeat(part, 20, axis=0), points)
     answer = Answer(np.repeat(joints, 20, axis=0), points=many)
     found = assess(instance, answer, np.random.default_rng(0), model=model())
     level = dict(zip(QUANTITIES, found.level, strict=True))
@@ -143,6 +145,23 @@ def test_roots_are_ranked_where_draws_have_them() -> None:
 
 
 # --- draws
+
+
+def test_every_other_effective_root_brings_a_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Roots that are worth 9.9 effective ones bring four draws, and no more than are asked for."""
+    asked = []
+
+    def draw(_rng: object, number: int) -> tuple[None, None, None]:
+        asked.append(number)
+        return None, None, None
+
+    roots = SimpleNamespace(effective=9.9, log_evidence=0.0, draw=draw)
+    monkeypatch.setattr(posteriors, "weigh_roots", lambda *_, **__: roots)
+    monkeypatch.setattr(posteriors, "verdict", lambda _: (COMPLETE, ""))
+    monkeypatch.setattr(posteriors, "place", lambda *_, **__: (np.zeros((0, 15, 3)), None))
+    for wanted in (100, 3):
+        independent_roots(model(), wanted)(0, simulations()[0], key(0))
+    assert asked == [4, 3]
 
 
 @pytest.mark.slow

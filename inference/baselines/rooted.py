@@ -107,7 +107,7 @@ class RootedTarget:
         if TorsoCameraPrior.of(posterior.model).lenses > 1:
             raise BadInput(
                 "a focal length that is not known has no coordinate in R^d; use weighted-roots or"
-                " rejection, or give --focal in pixels"
+                " rejection, or give the focal length in pixels"
             )
         cameras = [np.asarray(one.camera.rotation) for one in posterior.candidates] or [FACING]
         return cls(

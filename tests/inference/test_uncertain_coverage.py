@@ -108,13 +108,15 @@ def test_numbers_of_draws_are_the_samplers_own() -> None:
     *_, density, misfit = of_rooted(posterior, draws.points, draws.joints).T
     observed = [
         posterior.detected.under(
-            posterior.root_prior, jax.tree.map(lambda part: part[row], draws.points), Faults.none()
+            posterior.root_prior,
+            jax.tree.map(lambda part, row=row: part[row], draws.points),
+            Faults.none(),
         )
         for row in (0, 7)
     ]
     for row, observation in zip((0, 7), observed, strict=True):
         pose = model().pose_of(draws.joints[row], draws.bone_length[row])
-        point = jax.tree.map(lambda part: part[row][None], draws.points)
+        point = jax.tree.map(lambda part, row=row: part[row][None], draws.points)
         own = posterior.log_joint(point, Pose(*(np.asarray(part)[None] for part in pose)))
         assert density[row] == pytest.approx(float(own[0]), abs=1e-6)
         assert misfit[row] == pytest.approx(float(observation.misfit(draws.joints[row])))

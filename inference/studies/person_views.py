@@ -132,14 +132,16 @@ def judge(
     if middle is None:
         return blank
     frame = Estimate(view.detection, (), likelihood)
-    settings = {"num_samples": num_samples, "root": UNCERTAIN, "num_roots": num_roots}
+    key = jax.random.key(seed)
     try:
-        result = inference.sample(model, frame, key=jax.random.key(seed), **settings)
+        result = inference.sample(
+            model, frame, key=key, num_samples=num_samples, root=UNCERTAIN, num_roots=num_roots
+        )
     except BadInput:
         return blank
     if not result.num_draws:
         return blank
-    draws = result.tree["posterior"]["joints"].values[0].astype(float) * unit
+    draws = result.tree["posterior"].to_dataset()["joints"].values[0].astype(float) * unit
     draws -= draws[:, middle].mean(axis=1, keepdims=True)
     centre = view.truth[middle].mean(axis=0)
     truth, rng = view.truth - centre, np.random.default_rng([seed, 7])
@@ -190,10 +192,10 @@ def by_person(views: Sequence[PersonView], judged: Sequence[Judged]) -> dict[str
 
 def honesty(views: Sequence[PersonView], judged: Sequence[Judged]) -> Honesty:
     """What all views say together."""
-    some = list(JUDGED)
-    level = np.stack([one.level[some] for one in judged])
-    width = np.stack([one.width[1][some] for one in judged])
-    error = np.stack([one.error[some] for one in judged])
+    limbs = list(JUDGED)
+    level = np.stack([one.level[limbs] for one in judged])
+    width = np.stack([one.width[1][limbs] for one in judged])
+    error = np.stack([one.error[limbs] for one in judged])
     people, owner = np.unique([view.person for view in views], return_inverse=True)
     counted = functools.partial(_by_person, owner, len(people))
     known = counted(np.isfinite(level))

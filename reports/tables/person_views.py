@@ -8,7 +8,7 @@ import numpy as np
 from poseterior.inference.studies.person_views import LEVELS, Honesty
 from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, sheet_of
 
-AXES = ("to the side", "down", "in depth")
+WAYS_OFF = ("to the side", "down", "in depth")
 
 
 def honesty_table(found: Honesty) -> Sheet:
@@ -22,7 +22,7 @@ def honesty_table(found: Honesty) -> Sheet:
             found.width[axis],
             found.error[axis],
         )
-        for axis, name in enumerate(AXES)
+        for axis, name in enumerate(WAYS_OFF)
     ]
     columns = [
         Column("limbs' joints", left=True),
@@ -41,7 +41,7 @@ def people_table(people: Mapping[str, Honesty]) -> Sheet:
         (name, people[name].views, *people[name].covered[1])
         for name in sorted(known, key=known.get)  # type: ignore[arg-type]
     ]
-    axes = [Column(f"{axis} {LEVELS[-1]:.0%}", form=_number("{:.0%}")) for axis in AXES]
+    axes = [Column(f"{axis} {LEVELS[-1]:.0%}", form=_number("{:.0%}")) for axis in WAYS_OFF]
     return sheet_of([Column("person", left=True), Column("views", form=str), *axes], rows)
 
 

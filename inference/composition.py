@@ -219,7 +219,13 @@ def _mean_camera(posterior: Posterior, points: RootPoint, centre: np.ndarray) ->
         np.tile(rotation, (TRIED_ROOTS, 1, 1)),
         np.full(TRIED_ROOTS, np.log(np.exp(points.log_scale).mean())),
         np.tile(points.translation.mean(axis=0), (TRIED_ROOTS, 1)),
+        None if points.lens is None else np.full(TRIED_ROOTS, _commonest(points.lens)),
     )
+
+
+def _commonest(indices: np.ndarray) -> int:
+    """The index that comes most often."""
+    return int(np.bincount(indices).argmax())
 
 
 def _bones(joints: jax.Array) -> jax.Array:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
 
+import jax
 import numpy as np
 import xarray as xr
 from xarray.backends import BackendArray
@@ -30,7 +31,9 @@ from poseterior.probmodel.documents import shortest
 from poseterior.probmodel.errors.faults import ORDERS
 from poseterior.probmodel.files import replacing
 from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.observation import DetectedJoints
 from poseterior.probmodel.posterior import Posterior, log_joints
+from poseterior.probmodel.root_priors import RootPrior
 from poseterior.probmodel.roots import Candidate, RootPoint, nearest_rotation
 from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS
 
@@ -158,7 +161,8 @@ def provenance(model: PoseModel) -> dict[str, str]:
 
 def _said(lens: Lens) -> dict[str, str]:
     principal = " ".join(map(shortest, np.asarray(lens.principal).tolist()))
-    return {"focal": shortest(lens.focal), "principal": principal}
+    focal = " ".join(map(shortest, np.ravel(lens.focal).tolist()))
+    return {"focal": focal, "principal": principal}
 
 
 BASE_MEASURE = (
@@ -169,6 +173,7 @@ COLUMNS: dict[str, tuple[tuple[str, ...], str]] = {
     "joints": (("joint", "axis"), "body units"),
     "bone_length": (("length_group",), "body units"),
     "torso": ((), ""),
+    "lens": ((), ""),
     "candidate": ((), ""),
     "root_index": ((), ""),
     "rotation": (("axis", "body_axis"), ""),
@@ -308,10 +313,11 @@ def _predictions(draws: Draws, block: int) -> dict[str, xr.Dataset]:
     square pixel; left out under a law that is flat, see `FLAT_LAW`."""
     law, number = draws.posterior.likelihood.law, len(draws)
     words = [int(word) for word in draws.attributes["seed"].split()]
-    read = functools.cache(lambda: _as_read(draws))
+    defined = functools.cache(lambda: _defined(draws))
+    read = functools.cache(lambda: _as_read(draws, defined()[0]))
     new = WhenRead(
         (number, len(JOINTS), 2),
-        lambda: new_detections(law, read(), draws.keypoints, words, block),
+        lambda: new_detections(law, read(), defined()[1], words, block),
     )
     predicted = _group(draws, {"keypoints": (("joint", "uv"), "pixels", new)})
     if law.follows(0.0):  # uniform within its reach
@@ -320,7 +326,7 @@ def _predictions(draws: Draws, block: int) -> dict[str, xr.Dataset]:
     counts = np.isfinite(np.asarray(draws.posterior.detected.spread))[patterns].any(axis=0)
     seen = np.flatnonzero(counts)
     likely = WhenRead(
-        (number, len(seen)), lambda: log_likelihood(law, read(), draws.keypoints)[:, seen]
+        (number, len(seen)), lambda: log_likelihood(law, read(), defined()[1])[:, seen]
     )
     found = _group(draws, {"keypoints": (("detected",), "", likely)})
     found["keypoints"].attrs["base_measure"] = "image area (px2)"
@@ -328,14 +334,36 @@ def _predictions(draws: Draws, block: int) -> dict[str, xr.Dataset]:
     return {"posterior_predictive": predicted, "log_likelihood": named}
 
 
-def _as_read(draws: Draws) -> KeypointsRead:
-    """The detection as the pattern of faults of each draw has it."""
+def _defined(draws: Draws) -> tuple[np.ndarray, np.ndarray]:
+    """What the detector looks for in each draw, `(n, 15, 3)` in camera axes, and where that falls
+    in the image, `(n, 15, 2)` pixels: the joints, but for its definitions."""
+    posterior = draws.posterior
+    if posterior.detected.definition is None or not len(draws):
+        return draws.joints, draws.keypoints
+    given = posterior.detected, posterior.root_prior
+    return over_draws(_place_defined, given, draws.points, draws.joints)
+
+
+@jax.jit
+def _place_defined(
+    detected: DetectedJoints, prior: RootPrior, points: Any, joints: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    def one(point: Any, joints: jax.Array) -> tuple[jax.Array, jax.Array]:
+        seen = detected.under(prior, point)
+        places = seen.defined(joints)
+        return places, seen.root.camera.image(places)
+
+    return jax.vmap(one)(points, joints)
+
+
+def _as_read(draws: Draws, points: np.ndarray) -> KeypointsRead:
+    """The detection of `points` `(n, 15, 3)` as the pattern of faults of each draw has it."""
     posterior = draws.posterior
     order = ORDERS[draws.faults.exchange]
     spread = np.asarray(posterior.detected.spread)[order]
     outlier = np.take_along_axis(draws.faults.outlier, order, axis=1) & np.isfinite(spread)
     bias = np.where(outlier[..., None], 0.0, posterior.likelihood.bias[order])
-    unit = _units(draws)
+    unit = _units(draws, points)
     return KeypointsRead(
         posterior.detection.keypoints[order],
         unit[..., None] * bias,
@@ -344,11 +372,21 @@ def _as_read(draws: Draws) -> KeypointsRead:
     )
 
 
-def _units(draws: Draws) -> np.ndarray:
-    """`(n, 15)`: pixels of a body unit at each joint."""
-    lens, scale = draws.posterior.model.lens, draws.scale[:, None]
-    nearness = 0.0 if lens is None else 1 / float(lens.focal)
-    return scale / (1 + nearness * scale * draws.joints[:, :, 2])
+def _units(draws: Draws, points: np.ndarray) -> np.ndarray:
+    """`(n, 15)`: pixels of a body unit at points `(n, 15, 3)` in camera axes."""
+    scale, focal = draws.scale[:, None], focal_of(draws)
+    nearness = 0.0 if focal is None else 1 / focal[:, None]
+    return scale / (1 + nearness * scale * points[:, :, 2])
+
+
+def focal_of(draws: Draws) -> np.ndarray | None:
+    """`(n,)`: the focal length of each draw, pixels; None under weak perspective."""
+    lens = draws.posterior.model.lens
+    if lens is None:
+        return None
+    rows = draws.cameras.lens
+    focal = np.asarray(lens.focal)
+    return np.full(len(draws), focal) if rows is None else focal[rows]
 
 
 def observed_data(detection: Detection) -> xr.Dataset:

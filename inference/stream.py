@@ -504,7 +504,8 @@ def _places(draws: Draws, lens: Lens | None) -> np.ndarray:
         return np.full((len(draws.joints), 3), np.nan)
     scale = np.asarray(draws.scale)[:, None]
     aside = (draws.keypoints[:, JOINT_INDEX["pelvis"]] - np.asarray(lens.principal)) / scale
-    return np.concatenate([aside, np.asarray(lens.focal) / scale], axis=1)
+    focal = np.asarray(lens.at(draws.cameras.lens).focal).reshape(-1, 1)
+    return np.concatenate([aside, focal / scale], axis=1)
 
 
 def _alone(estimating: Estimating, person: Detection) -> Estimate | str:

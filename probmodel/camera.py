@@ -1,5 +1,5 @@
 """Cameras. Weak perspective: keypoint = scale · (rotation · point)[:2] + translation; and
-perspective, where the focal length is known.
+perspective, where the focal length is known, or what it may be.
 
 Axes of the image and of the camera: x right, y down, z away from the camera. The paper writes the
 translation with the opposite sign. A camera owns both steps of a projection: from a point in its
@@ -14,6 +14,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
+from scipy.special import ndtri
+
+FOCAL_MEDIAN, FOCAL_SPREAD = 0.9, 0.35
+"""Of the log-normal prior of a focal length that nobody knows, in longer sides of the image: nine
+in ten lie from 0.5 to 1.6, telephones' main cameras near 0.7 to 0.8, webcams and camcorders about
+1."""
+FOCAL_LENGTHS = 5
+"""The prior has so many focal lengths, equally probable: neighbours' differ by a fifth to a third,
+a perspective that no single detection tells apart."""
 
 
 class WeakPerspective(NamedTuple):
@@ -41,10 +50,15 @@ class WeakPerspective(NamedTuple):
         """Where points `(..., 3)` in camera axes fall on the plane `(..., 2)`, body units."""
         return jnp.asarray(points)[..., :2]
 
+    def relative_depth(self, points: ArrayLike) -> jax.Array:
+        """`(...)`: how far away points `(..., 3)` in camera axes are, in the pelvis' distances:
+        everything is as far."""
+        return jnp.ones(jnp.shape(points)[:-1])
+
     def magnification(self, points: ArrayLike) -> jax.Array:
         """`(...)`: how much larger than at the pelvis things appear at points `(..., 3)` in camera
         axes: everything is as large as there."""
-        return jnp.ones(jnp.shape(points)[:-1])
+        return self.relative_depth(points)
 
     def to_pixels(self, plane: ArrayLike) -> jax.Array:
         """Points of the plane `(..., 2)` as keypoints, pixels."""
@@ -83,13 +97,45 @@ class Lens(NamedTuple):
     Attributes
     ----------
     focal : `()`
-        The focal length, pixels.
+        The focal length, pixels; or `(K,)`, what it may be, each as probable as the others.
     principal : `(2,)`
         Where the optical axis meets the image, pixels.
     """
 
     focal: float | np.ndarray | jax.Array
     principal: np.ndarray | jax.Array
+
+    @classmethod
+    def unknown(cls, longer: float, principal: ArrayLike, number: int = FOCAL_LENGTHS) -> "Lens":
+        """What is believed of a camera of which nobody knows anything.
+
+        Parameters
+        ----------
+        longer
+            The longer side of the whole image, pixels.
+        principal : `(2,)`
+            Where the optical axis meets the image, pixels.
+        number
+            How many focal lengths stand for all.
+
+        Returns
+        -------
+        Lens
+            Focal lengths at the middles of so many equal parts of a log-normal law, whose median
+            is `FOCAL_MEDIAN` longer sides, and its spread `FOCAL_SPREAD`.
+        """
+        parts = ndtri((np.arange(number) + 0.5) / number)
+        focal = longer * FOCAL_MEDIAN * np.exp(FOCAL_SPREAD * parts)
+        return cls(focal, np.asarray(principal))
+
+    @property
+    def number(self) -> int:
+        """How many focal lengths there may be."""
+        return int(np.size(self.focal))
+
+    def at(self, index: Any) -> "Lens":
+        """The lens of one of the focal lengths; None: of the only one."""
+        return self if index is None else Lens(jnp.asarray(self.focal)[index], self.principal)
 
 
 class Perspective(NamedTuple):
@@ -126,12 +172,17 @@ class Perspective(NamedTuple):
         """Turns points `(..., 3)` from body axes into camera axes, body units."""
         return self.weak.view(points)
 
+    def relative_depth(self, points: ArrayLike) -> jax.Array:
+        """`(...)`: how far away along the optical axis points `(..., 3)` in camera axes are, in the
+        pelvis' distances; not positive behind the camera."""
+        depth = jnp.asarray(points)[..., 2]
+        return 1 + depth * (jnp.asarray(self.scale) / self.lens.focal)
+
     def magnification(self, points: ArrayLike) -> jax.Array:
         """`(...)`: how much larger than at the pelvis things appear at points `(..., 3)` in camera
-        axes: the pelvis' distance over theirs. Points behind the camera have no image; a root's
-        prior keeps all joints in front of it."""
-        depth = jnp.asarray(points)[..., 2]
-        return 1 / (1 + depth * (jnp.asarray(self.scale) / self.lens.focal))
+        axes: the pelvis' distance over theirs. Points behind the camera have no image: 1."""
+        depth = self.relative_depth(points)
+        return 1 / jnp.where(depth > 0, depth, 1.0)
 
     def flatten(self, points: ArrayLike) -> jax.Array:
         """Where points `(..., 3)` in camera axes are seen on the plane `(..., 2)`, body units."""

@@ -310,14 +310,17 @@ class PoseModel:
 
         camera, seen = observation.root.camera, observation.seen
         joints = self._pose(observation.view)
-        keypoints = numpyro.deterministic("keypoints", camera.image(joints))
-        larger = camera.magnification(joints)
+        numpyro.deterministic("keypoints", camera.image(joints))
+        points = observation.defined(joints)
+        keypoints, larger = camera.image(points), camera.magnification(points)
         target = observation.target + observation.bias * (1 - larger[:, None])
         detected = jnp.where(seen[:, None], camera.to_pixels(target), keypoints)
         # An unseen joint's spread is infinite, and would make the slope along the scale NaN.
         spread = jnp.where(seen, jnp.asarray(observation.spread), 1.0) * camera.scale * larger
+        behind = seen & (camera.relative_depth(points) <= 0)
+        place = jnp.where(behind[:, None], jnp.inf, keypoints)
         with numpyro.plate("joint", len(seen)), mask(mask=seen):
-            law = DetectedKeypoint(observation.law, keypoints, spread, validate_args=False)
+            law = DetectedKeypoint(observation.law, place, spread, validate_args=False)
             numpyro.sample("detection", law, obs=detected)
         return joints
 
@@ -360,16 +363,18 @@ def _checked(lens: Lens | None) -> Lens | None:
     """A lens as numbers. Raises `BadInput` where they cannot be those of one."""
     if lens is None:
         return None
-    focal, principal = float(lens.focal), np.asarray(lens.principal, float)
-    if not 0 < focal <= LARGEST_NUMBER:  # false for NaN too
-        raise BadInput(
-            f"a focal length must be positive, and at most {LARGEST_NUMBER:g} pixels, not {focal:g}"
-        )
+    focal, principal = np.asarray(lens.focal, float), np.asarray(lens.principal, float)
+    for one in focal.ravel().tolist():
+        if not 0 < one <= LARGEST_NUMBER:  # false for NaN too
+            raise BadInput(
+                "a focal length must be positive, and at most"
+                f" {LARGEST_NUMBER:g} pixels, not {one:g}"
+            )
     if principal.shape != (2,) or not (np.abs(principal) <= LARGEST_NUMBER).all():
         raise BadInput(
             f"a principal point must be two finite numbers of pixels, not {principal.tolist()}"
         )
-    return Lens(focal, principal)
+    return Lens(focal if focal.ndim else float(focal), principal)
 
 
 @jax.tree_util.register_static

@@ -39,6 +39,9 @@ class Observation(NamedTuple):
         What was taken off the detected joints for `target`. Errors, spread and bias, are as large
         as things appear where the joint is; the target has the bias of a joint at the pelvis'
         depth.
+    definition : `(15, 3)`
+        How far from each joint, camera axes, lies what the detector calls so; None where it is the
+        joint.
     """
 
     root: "Root"
@@ -46,6 +49,7 @@ class Observation(NamedTuple):
     spread: np.ndarray | jax.Array
     law: "ErrorLaw"
     bias: float | np.ndarray | jax.Array = 0.0
+    definition: jax.Array | None = None
 
     @property
     def seen(self) -> jax.Array:
@@ -77,10 +81,15 @@ class Observation(NamedTuple):
         pelvis' depth, per square pixel and joint seen."""
         return jnp.sum(self.log_peaks)
 
+    def defined(self, joints: ArrayLike) -> jax.Array:
+        """`(..., 15, 3)`: what the detector looks for in poses of such joints, camera axes."""
+        joints = jnp.asarray(joints)
+        return joints if self.definition is None else joints + self.definition
+
     def offsets(self, joints: jax.Array) -> jax.Array:
         """`(15, 2)`: where the joints `(15, 3)` of one pose, in camera axes, fall beside their
         targets, in body units at the joint's own depth."""
-        camera = self.root.camera
+        camera, joints = self.root.camera, self.defined(joints)
         larger = camera.magnification(joints)[:, None]
         return (camera.flatten(joints) - self.target - self.bias * (1 - larger)) / larger
 
@@ -94,11 +103,14 @@ class Observation(NamedTuple):
         return jnp.vectorize(one, signature="(j,x)->(j)")(joints)
 
     def squares(self, joints: ArrayLike) -> jax.Array:
-        """`(..., 15)`: the same distances squared, in spreads; 0 where a joint does not count."""
+        """`(..., 15)`: the same distances squared, in spreads; 0 where a joint does not count, and
+        infinite where one that does is behind the camera, which has not seen it there."""
 
         def one(joints: jax.Array) -> jax.Array:
-            offset = self.offsets(joints)
-            return jnp.sum(offset**2, axis=-1) / jnp.asarray(self.spread) ** 2
+            square = jnp.sum(self.offsets(joints) ** 2, axis=-1) / jnp.asarray(self.spread) ** 2
+            depth = self.root.camera.relative_depth(self.defined(joints))
+            behind = self.seen & (depth <= 0)
+            return jnp.where(behind, jnp.inf, square)
 
         return jnp.vectorize(one, signature="(j,x)->(j)")(joints)
 
@@ -173,7 +185,7 @@ class Observation(NamedTuple):
     def log_units(self, joints: ArrayLike) -> jax.Array:
         """`(..., 15)`: what makes of each of `log_ratios` a density per square pixel: the peak,
         less where a joint is nearer to the camera and its spread covers more pixels."""
-        magnification = self.root.camera.magnification(jnp.asarray(joints))
+        magnification = self.root.camera.magnification(self.defined(joints))
         return self.log_peaks - 2 * jnp.where(self.seen, jnp.log(magnification), 0.0)
 
     def log_unit(self, joints: ArrayLike) -> jax.Array:
@@ -221,6 +233,9 @@ class DetectedJoints(NamedTuple):
         How far from its joint an outlier may lie, body units.
     law
         The errors' law.
+    definition
+        `(15, 3)` body units, body axes: how far from each joint lies what the detector calls so,
+        whatever sides it exchanges; None where it is the joint.
     """
 
     keypoints: np.ndarray | jax.Array
@@ -228,6 +243,7 @@ class DetectedJoints(NamedTuple):
     bias: np.ndarray | jax.Array
     far: float | jax.Array
     law: "ErrorLaw"
+    definition: np.ndarray | jax.Array | None = None
 
     @property
     def counts(self) -> jax.Array:
@@ -246,6 +262,7 @@ class DetectedJoints(NamedTuple):
             jnp.where(outlier[:, None], 0.0, jnp.asarray(self.bias)[order]),
             self.far,
             WithOutliers(self.law, outlier),
+            self.definition,
         )
 
     def rays(self, lens: Lens | None) -> np.ndarray | jax.Array:
@@ -268,7 +285,9 @@ class DetectedJoints(NamedTuple):
         target = root.camera.to_plane(read.keypoints) - read.bias
         xp = jnp if isinstance(target, jax.Array) else np
         seen = xp.isfinite(read.spread)[:, None]
-        return Observation(root, xp.where(seen, target, 0.0), read.spread, read.law, read.bias)
+        turned = None if self.definition is None else root.camera.view(self.definition)
+        target = xp.where(seen, target, 0.0)
+        return Observation(root, target, read.spread, read.law, read.bias, turned)
 
     def log_peak(self) -> jax.Array:
         """`()`: log likelihood of a pose that projects onto every target under a root of scale 1;

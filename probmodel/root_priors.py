@@ -5,6 +5,8 @@ keypoints say. Under a `TorsoCameraPrior` they are as uncertain as the pose (doc
 `Posterior` takes either, and all that differs between the two stands here.
 """
 
+import functools
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -23,10 +25,9 @@ if TYPE_CHECKING:
 CANDIDATES, UNCERTAIN = "candidates", "uncertain"
 ROOT_PRIORS = (UNCERTAIN, CANDIDATES)
 """By their names; the first is the one that is meant where none is named."""
-NEAREST = 4.0
-"""Body units, 1.5 m: where the focal length is known, a pelvis is no nearer to the camera, measured
-along its optical axis. No joint of a person is as far from the pelvis, so that none is behind the
-camera."""
+NEAREST = 1.5
+"""Body units, half a metre: in perspective a pelvis is no nearer to the camera, measured along its
+optical axis."""
 
 
 @jax.tree_util.register_dataclass
@@ -138,7 +139,8 @@ class TorsoCameraPrior:
 
     The last two have no total mass, but every seen joint contributes scale⁻² to the posterior,
     which is proper as soon as two seen joints lie apart. Base measure: counting (torso) × Haar's ×
-    log scale × area of the image. With a known `lens` the scale ends where the person is `NEAREST`.
+    log scale × area of the image. With a `lens` the scale ends where the person is `NEAREST`; one
+    whose focal length is not known is one of a few, equally probable (counting).
 
     Attributes
     ----------
@@ -147,7 +149,7 @@ class TorsoCameraPrior:
     upright
         Concentration of `UprightRotation`.
     lens
-        Of the camera, where it is known: roots then see in perspective.
+        Of the camera, where something is known of it: roots then see in perspective.
     """
 
     torsos: np.ndarray | jax.Array
@@ -165,46 +167,62 @@ class TorsoCameraPrior:
 
     def compose(self, step: Callable[[str, Any], Any]) -> RootPoint:
         """The prior, written once: `step(site, law)` says what becomes of each law."""
-        from numpyro.distributions import ImproperUniform, constraints
+        from numpyro.distributions import Categorical, ImproperUniform, constraints
 
         from poseterior.probmodel.anatomy.torsos import TorsoDictionary
         from poseterior.probmodel.rotations import UprightRotation
         from poseterior.probmodel.scales import FlatUpTo
 
+        torso = step("torso", TorsoDictionary(self.torsos))
+        rotation = step("rotation", UprightRotation(self.upright))
+        lens = step("lens", Categorical(logits=jnp.zeros(self.lenses))) if self.lenses > 1 else None
         flat = ImproperUniform(constraints.real, (), ())
+        scale = flat if self.lens is None else FlatUpTo(self.highest_log_scale(lens))
         return RootPoint(
-            step("torso", TorsoDictionary(self.torsos)),
-            step("rotation", UprightRotation(self.upright)),
-            step("log_scale", flat if self.lens is None else FlatUpTo(self.highest_log_scale)),
+            torso,
+            rotation,
+            step("log_scale", scale),
             step("translation", ImproperUniform(constraints.real_vector, (), (2,))),
+            lens,
         )
 
     @property
-    def highest_log_scale(self) -> jax.Array:
-        """`()`: that of a person at `NEAREST`; infinite where no focal length is known."""
-        focal = jnp.inf if self.lens is None else self.lens.focal
-        return jnp.log(jnp.asarray(focal) / NEAREST)
+    def lenses(self) -> int:
+        """How many lenses there may be: one, unless the focal length is unknown."""
+        return 1 if self.lens is None else self.lens.number
+
+    def lens_of(self, index: Any) -> Lens | None:
+        """The lens of that index (`RootPoint.lens`), if anything is known of it."""
+        return None if self.lens is None else self.lens.at(index)
+
+    def highest_log_scale(self, index: Any = None) -> jax.Array:
+        """`()`: that of a person at `NEAREST` before such a lens; infinite where nothing is known
+        of it."""
+        lens = self.lens_of(index)
+        return jnp.log(jnp.asarray(jnp.inf if lens is None else lens.focal) / NEAREST)
 
     def log_density(self, point: RootPoint) -> jax.Array:
         """`()`: log density of one root; -inf outside."""
         terms: list[jax.Array] = []
 
-        def step(site: str, law: Any) -> None:
-            terms.append(law.log_prob(jnp.asarray(getattr(point, site))))
+        def step(site: str, law: Any) -> jax.Array:
+            value = jnp.asarray(getattr(point, site))
+            terms.append(law.log_prob(value))
+            return value
 
         self.compose(step)
-        return terms[0] + terms[1] + terms[2] + terms[3]
+        return functools.reduce(operator.add, terms)
 
     def root(self, point: RootPoint) -> Root:
         """The torso and camera of one root."""
         torso = jnp.asarray(self.torsos)[point.torso]
         scale = jnp.exp(jnp.asarray(point.log_scale))
         weak = WeakPerspective(scale, point.rotation, point.translation)
-        return Root(torso, weak.through(self.lens))
+        return Root(torso, weak.through(self.lens_of(point.lens)))
 
     def points(self, point: RootPoint) -> RootPoint:
         """Roots of the prior as points: what they are."""
-        return RootPoint(*map(np.asarray, point))
+        return jax.tree.map(np.asarray, point)
 
     def sides(self, point: RootPoint, candidates: Sequence[Candidate]) -> np.ndarray:
         """For each root, the candidate whose camera is turned least against its own.
@@ -233,6 +251,7 @@ class TorsoCameraPrior:
             "rotation": np.asarray(point.rotation),
             "scale": np.exp(point.log_scale),
             "translation": np.asarray(point.translation),
+            **({} if point.lens is None else {"lens": np.asarray(point.lens)}),
         }
 
     def point_of(self, columns: Mapping[str, np.ndarray]) -> RootPoint:
@@ -240,7 +259,8 @@ class TorsoCameraPrior:
         torso, rotation, scale, translation = (
             np.asarray(columns[name]) for name in ("torso", "rotation", "scale", "translation")
         )
-        return RootPoint(torso, rotation, np.log(scale), translation)
+        lens = np.asarray(columns["lens"]) if self.lenses > 1 else None
+        return RootPoint(torso, rotation, np.log(scale), translation, lens)
 
     def error_of(self, candidate: Candidate) -> float:
         """Of a side's mean camera there is no reprojection error."""

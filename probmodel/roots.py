@@ -92,16 +92,19 @@ class RootPoint(NamedTuple):
         Log of pixels per body unit.
     translation : `(..., 2)`
         Where the pelvis falls in the image, pixels.
+    lens : `(...)`
+        Index into the focal lengths that there may be; None where there are no two of them.
     """
 
     torso: Any
     rotation: Any
     log_scale: Any
     translation: Any
+    lens: Any = None
 
     def take(self, rows: Any) -> "RootPoint":
         """Some of a batch."""
-        return RootPoint(*(np.asarray(part)[rows] for part in self))
+        return jax.tree.map(lambda part: np.asarray(part)[rows], self)
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:

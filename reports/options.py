@@ -534,6 +534,14 @@ class RootKind(enum.StrEnum):
         return "candidates" if self is RootKind.fixed else "uncertain"
 
 
+class CameraKind(enum.StrEnum):
+    """What is believed of the camera that saw a person."""
+
+    weak = "weak"
+    known = "known"
+    unknown = "unknown"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rooting:
     """Whether torso and camera are a part of the posterior."""
@@ -580,10 +588,12 @@ class Viewing(Rooting):
     """As `Rooting`, of people whose camera may be known."""
 
     focal: Annotated[
-        float | None,
+        str | None,
         Option(
-            help="Focal length of the camera in pixels of the image (--root uncertain).",
-            show_default="not known: weak perspective",
+            metavar="PIXELS|unknown",
+            help="Focal length of the camera in pixels of the image, or unknown: one of a few that"
+            " cameras have, drawn with the rest (--root uncertain).",
+            show_default="weak perspective",
         ),
     ] = None
     principal: Annotated[
@@ -611,14 +621,32 @@ class Viewing(Rooting):
             if self.principal is not None:
                 raise BadInput("--principal says nothing without a focal length; give --focal too")
             return None
-        if self.principal is not None:
-            return Lens(self.focal, parse_point(self.principal, "--principal", "320,240"))
-        if size is None:
+        focal = None if self.focal == CameraKind.unknown else parse_focal(self.focal)
+        if size is None and focal is None:
+            raise BadInput(
+                "--focal unknown needs the size of the image, by which cameras' focal lengths are"
+                " believed, and the file does not say it; give --image, or --image-size 640x480"
+            )
+        if size is None and self.principal is None:
             raise BadInput(
                 "--focal needs to know where the optical axis meets the image, whose size the file"
                 " does not say; give --image, --image-size 640x480, or --principal 320,240"
             )
-        return Lens(self.focal, np.array(size) / 2)
+        principal = (
+            np.array(size) / 2
+            if self.principal is None
+            else parse_point(self.principal, "--principal", "320,240")
+        )
+        if size is not None and not ((principal >= 0) & (principal <= size)).all():
+            raise BadInput(
+                f"--principal {self.principal} lies outside the image of {size[0]}x{size[1]}"
+                " pixels; it is where the camera's optical axis meets the image, usually near its"
+                " centre"
+            )
+        if focal is not None:
+            return Lens(focal, principal)
+        assert size is not None  # or nothing would be known of the focal length
+        return Lens.unknown(max(size), principal)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -670,6 +698,18 @@ class Drawing(Viewing):
     def most(self) -> int:
         """How many roots at most."""
         return min(FURTHER * self.roots, MOST_ROOTS) if self.most_roots is None else self.most_roots
+
+
+def parse_focal(text: str) -> float:
+    """Pixels from such as "1650". Raises `BadInput` otherwise."""
+    from poseterior.probmodel import BadInput
+
+    try:
+        return float(text)
+    except ValueError:
+        raise BadInput(
+            f"--focal must be pixels of the image, such as 1650, or unknown, not {text!r}"
+        ) from None
 
 
 def parse_point(text: str, option: str, example: str) -> "np.ndarray":

@@ -13,6 +13,7 @@ from poseterior.reports.options import (
     ROOTED,
     ROUTES,
     SAMPLERS,
+    CameraKind,
     Composed,
     Detected,
     Double,
@@ -705,6 +706,7 @@ class CoverageSettings:
         " --missing 1 --out real",
         "coverage --root uncertain --num-simulations 1000 --out whole",
         "coverage --dataset session/ --root uncertain --perspective --noise none --out filmed",
+        "coverage --dataset views.npz --camera unknown --errors learned --out seen",
         "coverage --dataset recordings.npz --of measures --out measured",
     )
     sampler: Annotated[
@@ -728,7 +730,8 @@ class CoverageSettings:
         Option(
             "--dataset",
             "--poses",
-            help="Real poses: motion capture, Human3.6M, calibrated cameras or a plain .npz.",
+            help="Real poses: motion capture, Human3.6M, calibrated cameras, a plain .npz, or one"
+            " of views of people.",
             rich_help_panel=REAL,
         ),
     ] = None
@@ -752,19 +755,47 @@ class CoverageSettings:
         int, Option(min=0, help="Limb joints that are not seen.", rich_help_panel=REAL)
     ] = 0
     perspective: KnownLenses = False
+    camera: Annotated[
+        CameraKind,
+        Option(
+            help="What is believed of the cameras of views of people (an .npz with detection and"
+            " truth).",
+            rich_help_panel=REAL,
+        ),
+    ] = CameraKind.weak
+    errors: Annotated[
+        str,
+        Option(
+            help="Law of the errors of views of people, as of `hypotheses`.", rich_help_panel=REAL
+        ),
+    ] = "disc"
     rooting: Rooting = MANY_ROOTED
     factor: Factor = 0.25
     workforce: Workforce = Workforce()
     sampling: Sampling = Sampling(num_samples=1000, max_proposals=3_000_000)
     prior: Prior = Prior()
 
+    @property
+    def of_views(self) -> bool:
+        """Whether the data set is one of views of people."""
+        from poseterior.probmodel.datasets.person_views import is_person_views
+
+        return self.dataset is not None and is_person_views(self.dataset)
+
     def require_meaning(self, given: Set[str]) -> None:
         """Raises `BadInput` where an option was given that the chosen way does not know."""
         from poseterior.probmodel import BadInput
 
-        real = ["frames", "estimator", "noise", "missing", "perspective"]
+        views = ["camera", "errors"]
+        real = ["frames", "estimator", "noise", "missing", "perspective", *views]
         draws = ["sampler", "num_samples", "max_proposals", "roots", "upright"]
-        if self.dataset is not None:
+        if self.of_views:
+            way = "with views of people"
+            unknown = ["simulate_only", "num_simulations", "sampler", "workers"]
+            unknown += ["estimator", "noise", "missing", "perspective"]
+        elif self.dataset is not None and any(name in given for name in views):
+            way, unknown = "but with views of people", views
+        elif self.dataset is not None:
             way, unknown = "with --dataset", ["simulate_only", "num_simulations"]
         elif self.simulate_only:
             way, unknown = "with --simulate-only", ["of", *draws, *real]

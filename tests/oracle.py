@@ -190,7 +190,7 @@ MIRRORED = {
     name: name.replace("right", "LEFT").replace("left", "right").replace("LEFT", "left")
     for name in JOINTS
 }
-NEAREST = 4.0
+NEAREST = 1.5
 """Body units: no pelvis is nearer to a lens."""
 
 
@@ -266,7 +266,7 @@ def odds(image: np.ndarray, unit: np.ndarray, at: np.ndarray, name: str, given: 
     square = np.sum((gap + given.bias[name]) ** 2, axis=-1) / size**2
     inlier = DENSITIES[given.law](square) / (size * unit) ** 2
     outlier = disc(np.sum(gap**2, axis=-1) / given.far**2) / (given.far * unit) ** 2
-    return Odds(inlier, outlier)
+    return Odds(inlier * (unit > 0), outlier * (unit > 0))
 
 
 class SmallCase(NamedTuple):
@@ -277,6 +277,8 @@ class SmallCase(NamedTuple):
     lengths: tuple[np.ndarray, ...]
     torsos: np.ndarray
     lens: Lens | None = None
+    definition: Mapping[str, np.ndarray] = {}
+    """How far from a torso's joint, body axes and units, lies what the detector calls so."""
 
 
 def weigh_torsos(case: SmallCase, roots: Roots, given: Beliefs) -> dict[str, np.ndarray]:
@@ -284,7 +286,9 @@ def weigh_torsos(case: SmallCase, roots: Roots, given: Beliefs) -> dict[str, np.
     the torso alone; "turned" where left and right are exchanged; "left_hip" the part of plain in
     which that keypoint is an outlier. Over the density of the proposal."""
     rows = [TORSO_ROWS.index(name) for name in TORSO]
-    points = np.einsum("nij,nkj->nki", roots.rotation, case.torsos[roots.torso][:, rows])
+    defined = np.array([case.definition.get(name, np.zeros(3)) for name in TORSO])
+    points = case.torsos[roots.torso][:, rows] + defined
+    points = np.einsum("nij,nkj->nki", roots.rotation, points)
     image, unit = seen(points, roots, case.lens)
     own, other = {}, {}
     for column, name in enumerate(TORSO):

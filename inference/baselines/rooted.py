@@ -94,7 +94,7 @@ class RootedTarget:
         Raises
         ------
         BadInput
-            Where no limb joint is seen.
+            Where no limb joint is seen, and where the focal length may be one of several.
         """
         where, detected, faults = posterior.detection.where, posterior.detected, posterior.faults
         counts = np.asarray(detected.counts)
@@ -103,6 +103,11 @@ class RootedTarget:
             raise BadInput(
                 f"{where} has no seen limb joint: its poses are those of the prior; use"
                 " weighted-roots"
+            )
+        if TorsoCameraPrior.of(posterior.model).lenses > 1:
+            raise BadInput(
+                "a focal length that is not known has no coordinate in R^d; use weighted-roots or"
+                " rejection, or give the focal length in pixels"
             )
         cameras = [np.asarray(one.camera.rotation) for one in posterior.candidates] or [FACING]
         return cls(

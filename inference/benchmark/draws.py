@@ -139,7 +139,7 @@ def draw_roots(
     # Rejection splits the key in two, which are the same as `fold_in` makes of 0 and 1.
     rng = np.random.default_rng(words_of(jax.random.fold_in(key, 2)))
     drawn, poses, _ = roots.draw(rng, size)
-    of_root = root.box_of(*drawn, rng)
+    of_root = root.box_of(drawn.torso, drawn.rotation, drawn.log_scale, drawn.translation, rng)
     of_pose = np.asarray(to_fractions(found.model, poses))[:, target.active]
     box = np.concatenate([of_pose, of_root], axis=1)
     inside = ((of_root >= 0) & (of_root <= 1)).all(axis=1)

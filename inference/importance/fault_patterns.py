@@ -1,6 +1,7 @@
-"""Which patterns of a detector's faults are tried (docs/model.md § 9).
+"""Which patterns of a detector's faults are tried (docs/model.md § 9), and which focal lengths.
 
-The faults of the torso's keypoints are few: each of them is a pattern, with roots of
+The faults of the torso's keypoints are few, and so are the focal lengths that there may
+be: each of them, with each of these, is a pattern, with roots of
 its own. The others are drawn under each root from a proposal: how well draws of the
 prior, the same for all roots, fit the limbs with and without each fault. A proposal
 need not be right, for every root is weighted by the prior of its faults over the
@@ -9,6 +10,7 @@ proposed in the same way.
 """
 
 import functools
+import math
 from typing import NamedTuple
 
 import jax
@@ -43,6 +45,7 @@ from poseterior.probmodel.errors.likelihood import PAPER
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import DetectedJoints
 from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.root_priors import TorsoCameraPrior
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import TORSO_INDEX
 
@@ -66,11 +69,12 @@ OUTLIERS = np.array([[False, False], [True, False], [False, True], [True, True]]
 
 
 class FaultPattern(NamedTuple):
-    """The faults of the torso's keypoints, `faults`; and the `exchanges`, indices into
-    `faults.EXCHANGES`, that come with them."""
+    """The faults of the torso's keypoints, `faults`; the `exchanges`, indices into
+    `faults.EXCHANGES`, that come with them; and the `lens`, where there may be several."""
 
     faults: Faults
     exchanges: tuple[int, ...]
+    lens: int | None = None
 
 
 def fault_patterns(posterior: Posterior) -> list[FaultPattern]:
@@ -85,18 +89,27 @@ def fault_patterns(posterior: Posterior) -> list[FaultPattern]:
             patterns.append(FaultPattern(_torso_faults(0, place), possible))
     for index in exchanges[MOVES_TORSO[exchanges]].tolist():
         patterns.append(FaultPattern(_torso_faults(index, 0), (index,)))
-    return patterns
+    lenses = lenses_of(posterior)
+    if lenses == 1:
+        return patterns
+    return [pattern._replace(lens=lens) for pattern in patterns for lens in range(lenses)]
+
+
+def lenses_of(posterior: Posterior) -> int:
+    """How many focal lengths there may be, each as probable as the others."""
+    return TorsoCameraPrior.of(posterior.model).lenses
 
 
 def prior_share(posterior: Posterior, pattern: FaultPattern) -> float:
-    """The prior probability of the pattern: of its faults of the torso with any of its
-    exchanges, whatever is wrong with the limbs."""
+    """The prior probability of the pattern: of its lens, and its faults of the torso with any of
+    its exchanges, whatever is wrong with the limbs."""
     prior = posterior.faults
     counts = np.asarray(posterior.detected.counts)
     limbs = list(LIMB_INDEX)
     sound = np.log1p(-np.array(prior.outlier)[limbs] * counts[limbs]).sum()
     each = [pattern.faults._replace(exchange=np.asarray(one)) for one in pattern.exchanges]
-    return float(sum(np.exp(float(prior.log_prob(counts, one)) - sound) for one in each))
+    total = sum(np.exp(float(prior.log_prob(counts, one)) - sound) for one in each)
+    return float(total) / lenses_of(posterior)
 
 
 def _torso_faults(exchange: int, torso: int) -> Faults:
@@ -263,9 +276,10 @@ def _normal(score: np.ndarray) -> np.ndarray:
 
 
 def log_priors(posterior: Posterior, faults: Faults) -> np.ndarray:
-    """`(n,)`: for the faults of each root the log of their prior probability × the peak
-    of the likelihood under them at scale one."""
-    return in_chunks(functools.partial(_log_priors, posterior.faults, posterior.detected), *faults)
+    """`(n,)`: for the faults of each root the log of their prior probability, and its lens', × the
+    peak of the likelihood under them at scale one."""
+    measure = functools.partial(_log_priors, posterior.faults, posterior.detected)
+    return in_chunks(measure, *faults) - math.log(lenses_of(posterior))
 
 
 @jax.jit

@@ -144,7 +144,7 @@ def limb_draws(
 def views_of(posterior: Posterior, points: RootPoint, faults: Faults) -> Views:
     """The views of roots and fault patterns `(n, ...)`, compiled once."""
     view = functools.partial(_views, posterior.model, posterior.detected)
-    return Views(*in_chunks(view, *map(np.asarray, points), *faults, size=ROOTS_PER_BLOCK))
+    return Views(*in_chunks(view, *jax.tree.leaves(points), *faults, size=ROOTS_PER_BLOCK))
 
 
 def blind(number: int) -> Views:
@@ -173,9 +173,9 @@ def outliers_of(posterior: Posterior, faults: Faults) -> np.ndarray:
 def _views(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> tuple[jax.Array, ...]:
     """The columns of `Views`."""
     prior = TorsoCameraPrior.of(model)
-    lens = model.lens
 
     def one(point: RootPoint, faults: Faults) -> tuple[jax.Array, ...]:
+        lens = prior.lens_of(point.lens)
         observation = detected.under(prior, point, faults)
         view = observation.view
         return (
@@ -188,7 +188,7 @@ def _views(model: PoseModel, detected: DetectedJoints, *fields: jax.Array) -> tu
             jnp.exp(point.log_scale) / (jnp.inf if lens is None else lens.focal),
         )
 
-    return jax.vmap(one)(RootPoint(*fields[:4]), Faults(*fields[4:]))
+    return jax.vmap(one)(RootPoint(*fields[:-2]), Faults(*fields[-2:]))
 
 
 def frames_of(views: Views, outlier: np.ndarray) -> list[np.ndarray]:

@@ -39,6 +39,7 @@ from poseterior.inference.importance.fault_patterns import (
     FaultPattern,
     fault_patterns,
     fit_score,
+    lenses_of,
     log_priors,
     pool_of,
     prior_share,
@@ -123,8 +124,10 @@ class RejectedRoots(WeightedRoots):
         return super().draw(rng, min(number, len(self.limbs)))
 
 
-NO_ROOTS = RootPoint(np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 2)))
-"""No roots."""
+def no_roots(posterior: Posterior) -> RootPoint:
+    """No roots of a posterior."""
+    lens = np.zeros(0, int) if lenses_of(posterior) > 1 else None
+    return RootPoint(np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 2)), lens)
 
 
 class Taken(NamedTuple):
@@ -189,7 +192,7 @@ class _Stratum(NamedTuple):
 def _strata(posterior: Posterior) -> list[_Stratum]:
     found = []
     for stratum in fault_patterns(posterior):
-        posed = torso_problem(posterior, stratum.faults)
+        posed = torso_problem(posterior, stratum.faults, stratum.lens)
         share = prior_share(posterior, stratum)
         found.append(_Stratum(stratum, share, posed, exact_proposal(posed)))
     return found
@@ -237,7 +240,7 @@ class _Rounds:
                 parts.append(self._asked(rng, one, points))
         parts = [part for part in parts if len(part[2])]
         if not parts:
-            return Round(NO_ROOTS, Faults.none(0), [], np.zeros(0), self.attempts, {})
+            return Round(no_roots(posterior), Faults.none(0), [], np.zeros(0), self.attempts, {})
         points, faults, weight = (
             jax.tree.map(lambda *rows: np.concatenate(rows), *column)
             for column in zip(*parts, strict=True)
@@ -253,7 +256,7 @@ class _Rounds:
     ) -> tuple[RootPoint, Faults, np.ndarray]:
         """The roots whose limbs are asked, with patterns, and the log of what each counts."""
         if not len(points.torso):
-            return NO_ROOTS, Faults.none(0), np.zeros(0)
+            return no_roots(self.posterior), Faults.none(0), np.zeros(0)
         fit = fit_score(self.posterior, pool_of(self.posterior.model), one.stratum, points)
         promise = log_first_stage(self.posterior, fit, one.stratum, points)
         if math.isinf(self.promising):
@@ -261,7 +264,7 @@ class _Rounds:
         chance = np.clip(np.exp(FIRST_STAGE_POWER * (promise - self.promising)), CHANCE, 1.0)
         rows = np.flatnonzero(rng.uniform(size=len(chance)) < chance)
         if not len(rows):
-            return NO_ROOTS, Faults.none(0), np.zeros(0)
+            return no_roots(self.posterior), Faults.none(0), np.zeros(0)
         faults, log_proposal = propose_faults(fit.take(rows), one.stratum, rng)
         weight = log_priors(self.posterior, faults) - log_proposal - np.log(chance[rows])
         mass = log_mass(one.posed, one.proposal.mass) - math.log(one.share)
@@ -397,7 +400,7 @@ def _result(
     total = float(weight.sum())
     parts = [part for part in parts if part.limbs]
     if not parts:
-        points, faults = NO_ROOTS, Faults.none(0)
+        points, faults = no_roots(posterior), Faults.none(0)
         evidence, scatter, cut_off = -math.inf, 0.0, 0.0
     else:
         points, faults = (

@@ -40,6 +40,8 @@ class TorsoProblem(NamedTuple):
         The scale, pixels a body unit, that is the keypoints' unit.
     highest
         The prior's highest scale, pixels a body unit.
+    lens
+        Which focal length the camera has, where it may have several.
     """
 
     joints: TorsoJoints
@@ -48,15 +50,18 @@ class TorsoProblem(NamedTuple):
     origin: np.ndarray
     lowest: float
     highest: float
+    lens: int | None
 
 
-def torso_problem(posterior: Posterior, faults: Faults) -> TorsoProblem:
-    """What the torso's joints ask of a root under a pattern of faults.
+def torso_problem(posterior: Posterior, faults: Faults, lens: int | None = None) -> TorsoProblem:
+    """What the torso's joints ask of a root under a pattern of faults, and one of the focal
+    lengths that there may be.
 
     The joint with the smallest disc comes first, then the others from far to near: then
     most proposals fail early.
     """
     detected = jax.tree.map(np.asarray, _read(posterior.detected, faults))
+    prior = TorsoCameraPrior.of(posterior.model)
     rows = [row for row, joint in enumerate(TORSO_INDEX) if np.isfinite(detected.spread[joint])]
     seen = [TORSO_INDEX[row] for row in rows]
     reach = (np.asarray(detected.law.reach) * detected.spread)[seen]
@@ -68,13 +73,15 @@ def torso_problem(posterior: Posterior, faults: Faults) -> TorsoProblem:
     order = np.argsort(-distance, kind="stable")
     law = WithOutliers(posterior.detected.law, detected.law.outlier[seen][order])
     torsos = np.asarray(posterior.model.torsos, float)
+    if detected.definition is not None:
+        torsos = torsos + detected.definition[list(TORSO_INDEX)]
     joints = TorsoJoints(
         torsos=np.ascontiguousarray(torsos[:, rows][:, order]),
         keypoints=keypoints[order] - origin,
         bias=np.ascontiguousarray(detected.bias[seen][order]),
         reach=np.ascontiguousarray(reach[order]),
         precision=np.asarray(law.precision * (law.reach / reach[order]) ** 2),
-        ray=np.asarray(detected.rays(posterior.model.lens))[seen][order],
+        ray=np.asarray(detected.rays(prior.lens_of(lens)))[seen][order],
         # Every seen joint contributes scale⁻², and the translation takes one of them.
         power=2.0 * len(rows) - 2,
     )
@@ -83,8 +90,8 @@ def torso_problem(posterior: Posterior, faults: Faults) -> TorsoProblem:
         keypoints=np.ascontiguousarray(joints.keypoints / lowest),
         ray=np.ascontiguousarray(joints.ray, float),
     )
-    highest = math.exp(float(TorsoCameraPrior.of(posterior.model).highest_log_scale))
-    return TorsoProblem(joints, law, float(posterior.model.upright), origin, lowest, highest)
+    highest = math.exp(float(prior.highest_log_scale(lens)))
+    return TorsoProblem(joints, law, float(posterior.model.upright), origin, lowest, highest, lens)
 
 
 @jax.jit
@@ -138,7 +145,8 @@ def points_of(problem: TorsoProblem, roots: np.ndarray) -> RootPoint:
     """`ROOTS` `(n,)` as roots in pixels."""
     scale = problem.lowest / roots["inverse"]
     translation = problem.origin + scale[:, None] * roots["plane"]
-    return RootPoint(roots["torso"].copy(), rotations_of(roots), np.log(scale), translation)
+    lens = None if problem.lens is None else np.full(len(roots), problem.lens)
+    return RootPoint(roots["torso"].copy(), rotations_of(roots), np.log(scale), translation, lens)
 
 
 def log_nearness(posterior: Posterior, points: RootPoint, exchange: ArrayLike) -> np.ndarray:
@@ -149,7 +157,7 @@ def log_nearness(posterior: Posterior, points: RootPoint, exchange: ArrayLike) -
     if posterior.model.lens is None or not number:
         return np.zeros(number)
     measure = functools.partial(_log_nearness, posterior.model, posterior.detected)
-    return in_chunks(measure, *map(np.asarray, points), np.broadcast_to(exchange, number))
+    return in_chunks(measure, *jax.tree.leaves(points), np.broadcast_to(exchange, number))
 
 
 @jax.jit
@@ -160,23 +168,27 @@ def _log_nearness(model: PoseModel, detected: DetectedJoints, *fields: jax.Array
     def one(point: RootPoint, exchange: jax.Array) -> jax.Array:
         root = prior.root(point)
         counts = detected.counts[jnp.asarray(ORDERS)[exchange]][torso]
-        larger = jnp.log(root.camera.magnification(root.view))
-        return -2 * jnp.sum(jnp.where(counts, larger, 0.0))
+        view = root.view
+        if detected.definition is not None:
+            view += root.camera.view(detected.definition[torso])
+        farther = jnp.log(jnp.maximum(root.camera.relative_depth(view), 0.0))
+        return 2 * jnp.sum(jnp.where(counts, farther, 0.0))
 
-    return jax.vmap(one)(RootPoint(*fields[:4]), fields[4])
+    return jax.vmap(one)(RootPoint(*fields[:-1]), fields[-1])
 
 
 def require_distance(posterior: Posterior) -> None:
-    """Raises `BadInput` where a known focal length puts the person too near to the
-    camera."""
+    """Raises `BadInput` where a focal length, the longest that there may be, puts the person
+    too near to the camera."""
     lens = posterior.model.lens
     if lens is None:
         return
-    lowest = torso_problem(posterior, Faults.none()).lowest
-    distance = float(lens.focal) / lowest
+    longest = int(np.argmax(lens.focal)) if lens.number > 1 else None
+    focal = float(np.max(lens.focal))
+    distance = focal / torso_problem(posterior, Faults.none(), longest).lowest
     if distance < NEAREST:
         raise BadInput(
-            f"a focal length of {float(lens.focal):g} pixels puts {posterior.detection.where} at"
+            f"a focal length of {focal:g} pixels puts {posterior.detection.where} at"
             f" most {distance:.2g} body units (of about 0.35 m) from the camera, where {NEAREST:g}"
             " are the least; give it in pixels of the image that the keypoints are of"
         )

@@ -56,7 +56,9 @@ ROUGH_LEVELS = 1
 """Levels of the cells of a pattern, where there are several: most have next to no
 roots."""
 FINE_SHARE = 0.05
-"""The share of the roots above which a pattern gets cells as fine as one alone."""
+"""The share of the roots above which a pattern gets cells as fine as one alone. Those of several
+focal lengths share the roots out, and rough cells do: fine ones cost three times as much as all the
+rest, and made no more effective roots."""
 PILOT_PROPOSALS = 1 << 20
 """Proposals for a pattern in the pilot run."""
 FEW_PROPOSALS = 1 << 21
@@ -224,7 +226,7 @@ def _plan(
     """A plan for each pattern, by a pilot run, and how many proposals that took; where
     there is but one pattern, and the budget is not `ample`, none is needed."""
     patterns = fault_patterns(posterior)
-    problems = [torso_problem(posterior, pattern.faults) for pattern in patterns]
+    problems = [torso_problem(posterior, pattern.faults, pattern.lens) for pattern in patterns]
     levels = [FEWER_LEVELS if len(patterns) == 1 else ROUGH_LEVELS] * len(patterns)
     proposals = workers().map(weighted_proposal, problems, levels)
     plans = list(map(PatternPlan, patterns, problems, proposals))
@@ -243,7 +245,8 @@ def _plan(
             oversampling=_oversampling(estimate) if ample else 1,
             likely=len(estimate) > 0 or len(plans) == 1,
         )
-        if len(plans) > 1 and share[index] > FINE_SHARE:
+        several = len(plans) > 1 and plan.pattern.lens is None
+        if several and share[index] > FINE_SHARE:
             plan = plan._replace(proposal=weighted_proposal(plan.problem))
         plans[index] = plan
     return plans, sum(pilot.proposals for pilot in pilots)

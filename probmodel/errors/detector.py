@@ -25,7 +25,7 @@ from poseterior.probmodel.documents import read_json
 from poseterior.probmodel.errors.laws import LAWS, ErrorLaw, law_of
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.files import replacing
-from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 
 FORMAT = "poseterior error law 1"
 UNITS = "body units: the person's mean limb bone is 1"
@@ -44,7 +44,9 @@ _KEYS = {
     *("format", "units", "axes", "law", *_PARAMETERS),
     *("joints", "exchange", "score", "outlier_radius", "learned"),
 }
-_JOINT_KEYS = {"sigma", "inlier", "bias", "se", "pairs"}
+_JOINT_KEYS = {"sigma", "inlier", "bias", "se", "pairs", "definition"}
+FARTHEST_DEFINITION = 1.0
+"""Body units: a point that lies farther from a joint is no definition of it."""
 
 
 class Exchange(NamedTuple):
@@ -102,6 +104,10 @@ class DetectorErrors:
         `(15, 4)` standard errors of sigma, inlier and the two of bias; NaN where there are none.
     learned
         Where it comes from, in words and numbers.
+    definition
+        `(15, 3)` body units, to the person's left, up and forward: how far from the skeleton's
+        joint lies what the detector calls by its name; 0 where it is the same, and for limbs'
+        joints, which have axes of their own.
 
     Raises
     ------
@@ -119,10 +125,12 @@ class DetectorErrors:
     pairs: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(NUM_JOINTS, int))
     se: np.ndarray = dataclasses.field(default_factory=lambda: np.full((NUM_JOINTS, 4), np.nan))
     learned: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    definition: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((NUM_JOINTS, 3)))
 
     def __post_init__(self) -> None:
         self._check_radius()
         shapes = {"sigma": (), "inlier": (), "bias": (2,), "pairs": (), "se": (4,)}
+        shapes["definition"] = (3,)
         for name, row in shapes.items():
             array = np.array(getattr(self, name))
             if array.shape != (NUM_JOINTS, *row):
@@ -140,6 +148,7 @@ class DetectorErrors:
         self._check_exchange()
         self._check_score()
         self._check_sizes()
+        self._check_definition()
 
     @property
     def known(self) -> npt.NDArray[np.bool_]:
@@ -217,6 +226,20 @@ class DetectorErrors:
                 f"the outlier_radius is {self.outlier_radius:g} body units, less than the sigma of"
                 f" {JOINTS[widest]} ({self.sigma[widest]:g}); outliers lie farther off than others"
             )
+
+    def _check_definition(self) -> None:
+        size = np.linalg.norm(self.definition, axis=-1)
+        for joint in np.flatnonzero(~(size <= FARTHEST_DEFINITION)):  # true for NaN too
+            raise BadInput(
+                f"the definition of {JOINTS[joint]} must lie within {FARTHEST_DEFINITION:g} body"
+                f" unit of the joint, not at {self.definition[joint].tolist()}"
+            )
+        for joint in np.flatnonzero(size > 0):
+            if joint not in TORSO_INDEX:
+                raise BadInput(
+                    f"{JOINTS[joint]} has a definition in the torso's axes, in which it has no"
+                    " place; only pelvis, thorax, shoulders and hips may have one"
+                )
 
     def _check_exchange(self) -> None:
         possible = all(0 <= one < 1 for one in self.exchange)  # false for NaN too
@@ -297,6 +320,7 @@ class DetectorErrors:
             pairs=joints.pairs,
             se=joints.se,
             learned=_object(document.get("learned", {}), "learned", source),
+            definition=joints.definition,
         )
         try:
             law = law_of(document["law"], parameters)
@@ -326,6 +350,8 @@ class DetectorErrors:
             entry["pairs"] = int(self.pairs[joint])
         if not np.isnan(self.se[joint]).any():
             entry["se"] = self.se[joint].tolist()
+        if self.definition[joint].any():
+            entry["definition"] = self.definition[joint].tolist()
         return entry
 
     def write(self, path: str | os.PathLike) -> None:
@@ -379,6 +405,7 @@ class _Joints:
         self.bias = np.full((NUM_JOINTS, 2), np.nan)
         self.se = np.full((NUM_JOINTS, 4), np.nan)
         self.pairs = np.zeros(NUM_JOINTS, int)
+        self.definition = np.zeros((NUM_JOINTS, 3))
 
     def take(self, name: str, entry: Any, source: str) -> None:
         """A joint's entry. Raises `BadInput` on an unknown joint, and on what is no entry."""
@@ -394,6 +421,8 @@ class _Joints:
         self.sigma[joint] = _finite(entry["sigma"], f"sigma of {name}", source)
         self.inlier[joint] = _finite(entry.get("inlier", 1.0), f"inlier of {name}", source)
         self.bias[joint] = _numbers(entry.get("bias", [0, 0]), 2, f"bias of {name}", source)
+        place = _numbers(entry.get("definition", [0, 0, 0]), 3, f"definition of {name}", source)
+        self.definition[joint] = place
         if "se" in entry:
             self.se[joint] = _numbers(entry["se"], 4, f"se of {name}", source)
         self.pairs[joint] = _count(entry.get("pairs", 0), f"pairs of {name}", source)

@@ -109,6 +109,14 @@ class Likelihood:
         return np.where(self.learned.known[:, None], self.learned.bias, 0.0)
 
     @property
+    def definition(self) -> np.ndarray | None:
+        """`(15, 3)` body units, body axes: how far from each joint lies what the detector calls so;
+        None where all is where the skeleton has it."""
+        if self.learned is None or not self.learned.definition.any():
+            return None
+        return self.learned.definition
+
+    @property
     def words(self) -> str:
         """What a result says of it, such as "disc, factor 0.25"."""
         width = f"factor {self.factor:g}" if self.learned is None else "learned"
@@ -203,7 +211,8 @@ class Likelihood:
         """
         spread = self.spread(detection, 1.0, joints)
         keypoints = np.where(np.isfinite(spread)[:, None], detection.keypoints, 0.0)
-        return DetectedJoints(keypoints, spread, self.bias, self.faults.reach, self.law)
+        given = self.bias, self.faults.reach, self.law, self.definition
+        return DetectedJoints(keypoints, spread, *given)
 
     def observe(
         self, detection: Detection, root: "Root", joints: Sequence[int] | None = None

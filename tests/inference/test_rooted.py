@@ -120,7 +120,7 @@ def test_the_density_is_that_of_the_program() -> None:
         return potential_energy(given, (), {}, sites)
 
     for row in range(0, 20, 4):
-        root = RootPoint(*(jnp.asarray(part[row]) for part in points))
+        root = jax.tree.map(lambda part, row=row: jnp.asarray(part[row]), points)
         theirs = -potential(root.torso, jnp.asarray(x[row]), root)
         turn = CAYLEY.log_abs_det_jacobian(rodrigues(root.rotation), root.rotation)
         by_hand = theirs - turn + target.log_volume(x[row])

@@ -61,7 +61,7 @@ def truth(instance: Instance) -> tuple[RootPoint, np.ndarray]:
     one = instance.frame.candidates[0]
     log_scale = np.log(one.camera.scale)
     point = RootPoint(one.torso_index, one.camera.rotation, log_scale, one.camera.translation)
-    return RootPoint(*(np.asarray(part)[None] for part in point)), instance.joints[None]
+    return jax.tree.map(lambda part: np.asarray(part)[None], point), instance.joints[None]
 
 
 # --- simulations
@@ -108,13 +108,15 @@ def test_numbers_of_draws_are_the_samplers_own() -> None:
     *_, density, misfit = of_rooted(posterior, draws.points, draws.joints).T
     observed = [
         posterior.detected.under(
-            posterior.root_prior, RootPoint(*(part[row] for part in draws.points)), Faults.none()
+            posterior.root_prior,
+            jax.tree.map(lambda part, row=row: part[row], draws.points),
+            Faults.none(),
         )
         for row in (0, 7)
     ]
     for row, observation in zip((0, 7), observed, strict=True):
         pose = model().pose_of(draws.joints[row], draws.bone_length[row])
-        point = RootPoint(*(part[row][None] for part in draws.points))
+        point = jax.tree.map(lambda part, row=row: part[row][None], draws.points)
         own = posterior.log_joint(point, Pose(*(np.asarray(part)[None] for part in pose)))
         assert density[row] == pytest.approx(float(own[0]), abs=1e-6)
         assert misfit[row] == pytest.approx(float(observation.misfit(draws.joints[row])))
@@ -132,7 +134,7 @@ def test_roots_are_ranked_where_draws_have_them() -> None:
     asked of them."""
     instance = simulations()[1]
     points, joints = truth(instance)
-    many = RootPoint(*(np.repeat(part, 20, axis=0) for part in points))
+    many = jax.tree.map(lambda part: np.repeat(part, 20, axis=0), points)
     answer = Answer(np.repeat(joints, 20, axis=0), points=many)
     found = assess(instance, answer, np.random.default_rng(0), model=model())
     level = dict(zip(QUANTITIES, found.level, strict=True))

@@ -93,7 +93,7 @@ def rows(law: str, lens: bool) -> Iterator[tuple[Posterior, RootPoint, Pose, jax
     """Draws one by one, with their joints."""
     posterior, points, poses = case(law, lens)
     for row in range(len(poses.length)):
-        point = RootPoint(*map(jnp.asarray, points.take(row)))
+        point = jax.tree.map(jnp.asarray, points.take(row))
         pose = Pose(*(np.asarray(part)[row] for part in poses))
         view = posterior.root_prior.root(point).view
         yield posterior, point, pose, posterior.model.joints(view, *pose)

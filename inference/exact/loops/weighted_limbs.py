@@ -116,8 +116,10 @@ def propose_rows(
                 if cell.mass <= 0:
                     continue
                 # What is farther away appears smaller: its density per pixel is as much
-                # larger.
+                # larger. What is behind the camera was not seen.
                 away = first.start + length1 * _along(first, u0, u1, u2)
+                if away <= 0:
+                    continue
                 weight = away * away * share * cell.mass / CELL
                 weight *= _over_proposal(tables.by_area, line, u2, aim.area, 1 / per_length)
                 lower = 0.0, 0.0, 0.0
@@ -380,7 +382,7 @@ def _propose_lower(
         return u, square, 0.0, stream
     if h2 < cell.low2 or h2 > cell.high2 or h3 < cell.low3 or h3 > cell.high3:
         return u, square, 0.0, stream
-    away = begins + length * _along(joint, p0, p1, p2)
+    away = max(begins + length * _along(joint, p0, p1, p2), 0.0)  # not behind the camera
     share *= away * away
     weight = share * region / cell.area * (abs(h1) if rule.flat else 1.0)
     return (q0, q1, q2), square, weight, stream

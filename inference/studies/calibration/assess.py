@@ -3,6 +3,7 @@ posterior is."""
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from poseterior.inference.draws import COMPLETE
@@ -182,8 +183,9 @@ def _with_truth(candidate: Candidate, points: RootPoint) -> RootPoint:
     camera = candidate.camera
     log_scale = np.log(float(camera.scale))
     truth = RootPoint(candidate.torso_index, camera.rotation, log_scale, camera.translation)
-    both = zip(truth, points, strict=True)
-    return RootPoint(*(np.concatenate([np.asarray(one)[None], rest]) for one, rest in both))
+    return jax.tree.map(
+        lambda one, rest: np.concatenate([np.asarray(one)[None], rest]), truth, points
+    )
 
 
 def check_draws(joints: np.ndarray, where: str) -> np.ndarray:

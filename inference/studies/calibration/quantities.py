@@ -94,7 +94,8 @@ def of_rooted(posterior: Posterior, points: RootPoint, joints: np.ndarray) -> np
     """`(n, 6)`: as `of_both`, of poses `(n, 15, 3)` each with its own root `(n, ...)`: the log
     joint density is that of root and pose, without any fault of the detector."""
     look = functools.partial(_of_rooted, posterior.model, posterior.detected)
-    rows = in_chunks(look, *map(np.asarray, points), joints, lengths(joints), size=RANKED_TOGETHER)
+    leaves = jax.tree.leaves(points)
+    rows = in_chunks(look, *leaves, joints, lengths(joints), size=RANKED_TOGETHER)
     return np.concatenate([rows[0], np.stack(rows[1:], axis=1)], axis=1)
 
 
@@ -113,7 +114,7 @@ def _of_rooted(
         density = prior.log_density(point) + log_joint(model, observation, *pose)
         return _sines(model, poses)[0], density, observation.misfit(joints)
 
-    return jax.vmap(one)(RootPoint(*fields[:4]), *fields[4:])
+    return jax.vmap(one)(RootPoint(*fields[:-2]), *fields[-2:])
 
 
 def of_root(points: RootPoint) -> np.ndarray:

@@ -118,7 +118,8 @@ def _instance(
     camera = candidate.camera
     score = rng.uniform(LEAST_SCORE, 1.0, NUM_JOINTS)
     score[[JOINT_INDEX[name] for name in missing]] = 0.0
-    exact = np.asarray(camera.project(pose))
+    points = pose if likelihood.definition is None else pose + likelihood.definition
+    exact = np.asarray(camera.project(points))
     strays = SCALE * spread(score, likelihood)
     detection = detected(exact, score, strays, likelihood, rng)
     if likelihood.faults.any:

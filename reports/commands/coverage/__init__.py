@@ -1,20 +1,23 @@
 """`poseterior coverage`: is a sampler's posterior calibrated; and does it cover real poses, and if
 not, why?"""
 
+import json
 from pathlib import Path
 from typing import Any
 
 from poseterior.inference.results import save_tree
 from poseterior.inference.sampler import MAKERS
-from poseterior.inference.studies import calibration
+from poseterior.inference.studies import calibration, person_views
 from poseterior.inference.studies.calibration.coverage import CoverageSummary
 from poseterior.inference.studies.calibration.record import instances_tree
 from poseterior.inference.studies.calibration.verdict import FEWEST_SIMULATIONS
 from poseterior.probmodel import BadInput, Likelihood
+from poseterior.probmodel.datasets.person_views import read_person_views
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure
 from poseterior.reports.figures.coverage import coverage_figure, ranks_figure
-from poseterior.reports.options import JudgedBy, Screen
+from poseterior.reports.figures.person_views import levels_figure
+from poseterior.reports.options import Estimation, JudgedBy, Screen
 from poseterior.reports.settings import CoverageSettings
 from poseterior.reports.tables.coverage import (
     brief_table,
@@ -25,11 +28,14 @@ from poseterior.reports.tables.coverage import (
     uniformity_table,
 )
 from poseterior.reports.tables.measured import measure_scores_table
+from poseterior.reports.tables.person_views import honesty_json, honesty_table, people_table
 
 
 def run(settings: CoverageSettings, screen: Screen) -> None:
-    """One of the three: simulations judged, simulations written, real poses."""
-    if settings.dataset is not None:
+    """One of the four: simulations judged, simulations written, views of people, real poses."""
+    if settings.of_views:
+        viewed(settings, screen)
+    elif settings.dataset is not None:
         real(settings, screen)
     elif settings.simulate_only:
         write_simulations(settings, screen)
@@ -137,6 +143,43 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
         console.show_json(summary_json(found) | {"out": str(out)})
     else:
         _say(found, out)
+
+
+def viewed(settings: CoverageSettings, screen: Screen) -> None:
+    """Coverage of people whose truth is known in part: coverage.json and coverage.png. Raises
+    `BadInput` on a bad file or law, and where torso and camera are fixed."""
+    assert settings.dataset is not None
+    if not settings.rooting.rooted:
+        raise BadInput("views of people come without torso and camera; choose --root uncertain")
+    out = console.output_folder(settings.out)
+    likelihood = Estimation(errors=settings.errors, factor=settings.factor).likelihood()
+    model = settings.rooting.model(settings.prior)
+    views = person_views.even(read_person_views(settings.dataset), settings.frames)
+    units = person_views.units_of(views, model)
+    judged = []
+    with console.progress("posteriors of views", screen.quiet) as step:
+        for number, view in enumerate(views):
+            seen_by = model.seen_by(view.believed(settings.camera))
+            seed = settings.sampling.seed + number
+            numbers = settings.sampling.num_samples, settings.rooting.roots
+            one = person_views.judge(view, units[view.person], seen_by, likelihood, seed, *numbers)
+            judged.append(one)
+            step(number + 1, len(views))
+    found = person_views.honesty(views, judged)
+    people = person_views.by_person(views, judged)
+    text = json.dumps(honesty_json(found, people), indent=1) + "\n"
+    console.write_text(out / "coverage.json", text)
+    save_figure(levels_figure(judged), out / "coverage.png")
+    if screen.json:
+        console.show_json(honesty_json(found, people) | {"out": str(out)})
+        return
+    console.OUT.print(honesty_table(found))
+    console.OUT.print(people_table(people))
+    console.say(
+        f"Of {found.views} views of {found.people} people; {found.silent} brought no draws."
+        " Intervals are over people."
+    )
+    console.say(f"Written to {out}: coverage.json, coverage.png")
 
 
 def _drawer(settings: CoverageSettings) -> str:

@@ -192,14 +192,14 @@ def tree_of(draws: Draws, block: int = 0) -> xr.DataTree:
     """The DataTree of draws, whatever sampler made them."""
     posterior, columns = draws.posterior, columns_of(draws)
     named = {name: (*COLUMNS[name], columns[name]) for name in COLUMNS if name in columns}
-    posterior_group = _group(draws, named)
+    posterior_group = in_draws(draws, named)
     names = {dim: NAMES[dim] for dim in NAMES if dim in posterior_group.dims}
     words = [int(word) for word in draws.attributes["seed"].split()]
     predictions = prediction_groups(
         posterior.likelihood.law, _as_read(draws), draws.keypoints, words, block
     )
     base_measure = f"{draws.prior.base_measure} x {BASE_MEASURE}"
-    lp = _group(draws, {"lp": ((), "", log_density(draws))})
+    lp = in_draws(draws, {"lp": ((), "", log_density(draws))})
     lp["lp"].attrs["base_measure"] = base_measure
     groups = {
         "posterior": posterior_group.assign_coords(names),
@@ -224,7 +224,7 @@ def tree_of(draws: Draws, block: int = 0) -> xr.DataTree:
     return tree
 
 
-def _group(draws: Draws, named: dict[str, tuple[tuple[str, ...], str, np.ndarray]]) -> xr.Dataset:
+def in_draws(draws: Draws, named: dict[str, tuple[tuple[str, ...], str, np.ndarray]]) -> xr.Dataset:
     """Variables of draws `(n, ...)`, by name: dimensions after chain and draw, unit, values."""
     shape = draws.chains, len(draws) // draws.chains
     coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}

@@ -246,7 +246,7 @@ def test_who_is_believed_upright_needs_an_uncertain_root(poseterior: Cli, folder
 
 
 def test_what_is_compiled_ahead_is_what_the_call_draws_by() -> None:
-    person, fixed = Person(file=Path("frame.json")), Viewing(root=RootKind.fixed)
+    person, fixed = PersonOrSession(file=Path("frame.json")), Viewing(root=RootKind.fixed)
     assert HypothesesSettings(person=person).drawn == "uncertain"
     assert HypothesesSettings(person=person, rooting=fixed).drawn == "fixed"
     assert SampleSettings(person=person, sampler="rejection").drawn == "uncertain"

@@ -12,6 +12,7 @@ from .hypothesis import Hypothesis as Hypothesis
 from .hypothesis import diverse as diverse
 from .hypothesis import grid_poses as grid_poses
 from .hypothesis import hypotheses as hypotheses
+from .instants import sample_instant as sample_instant
 from .machines import Machines as Machines
 from .resident import Resident as Resident
 from .resident import resident_draws as resident_draws

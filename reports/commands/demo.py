@@ -3,7 +3,7 @@ hypotheses."""
 
 from poseterior.probmodel.example import example
 from poseterior.reports.commands import hypotheses
-from poseterior.reports.options import Drawing, Sampling, Screen
+from poseterior.reports.options import Drawing, PersonOrSession, Sampling, Screen
 from poseterior.reports.settings import DemoSettings, HypothesesSettings
 
 

@@ -11,7 +11,7 @@ from poseterior.inference.draws import OUT_OF_BUDGET
 from poseterior.inference.saved import read_result
 from poseterior.probmodel.example import example
 from poseterior.reports.cli import COMMANDS, declared
-from poseterior.reports.options import PROGRAMS, Person, Prior, RootKind, Viewing
+from poseterior.reports.options import PROGRAMS, PersonOrSession, Prior, RootKind, Viewing
 from poseterior.reports.settings import HypothesesSettings, SampleSettings
 from tests.conftest import Cli
 from tests.reports.test_interactive import Parsed

@@ -245,7 +245,9 @@ def weigh_bodies(
         return log_torso, tuple(_limbs(own, model, judge, body, length, sights))
 
     *root, length, exchange = map(jnp.asarray, rows)
-    return jax.vmap(one)(first + jnp.arange(len(exchange)), WorldPoint(*root), length, exchange)
+    return jax.vmap(one)(
+        jnp.asarray(first) + jnp.arange(len(exchange)), WorldPoint(*root), length, exchange
+    )
 
 
 def _limbs(

@@ -26,7 +26,7 @@ from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import DetectedJoints, Observation
 from poseterior.probmodel.posterior import Estimate, Posterior
-from poseterior.probmodel.rig import Rig
+from poseterior.probmodel.rig import CameraRig
 from poseterior.probmodel.root_priors import WorldPrior
 from poseterior.probmodel.roots import Root, WorldPoint, WorldRoot
 
@@ -86,9 +86,9 @@ class Instant:
         return f"the person of {self.source}"
 
     @property
-    def rig(self) -> Rig:
+    def rig(self) -> CameraRig:
         """The cameras."""
-        return Rig.of([view.camera for view in self.views])
+        return CameraRig.of([view.camera for view in self.views])
 
     @property
     def keypoints(self) -> np.ndarray:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from numpyro.distributions import ImproperUniform, constraints
 
-from poseterior.probmodel.rig import Rig
+from poseterior.probmodel.rig import CameraRig
 
 
 class SeenPlace(ImproperUniform):
@@ -25,7 +25,9 @@ class SeenPlace(ImproperUniform):
         Whether values are checked (NumPyro's switch).
     """
 
-    def __init__(self, rig: Rig, nearest: ArrayLike, *, validate_args: bool | None = None) -> None:
+    def __init__(
+        self, rig: CameraRig, nearest: ArrayLike, *, validate_args: bool | None = None
+    ) -> None:
         self.rig, self.nearest = rig, jnp.asarray(nearest)
         support: Any = constraints.real_vector
         super().__init__(support, (), (3,), validate_args=validate_args)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from poseterior.probmodel.sessions.pinhole import Pinhole
 
 
-class Rig(NamedTuple):
+class CameraRig(NamedTuple):
     """Calibrated cameras, a pytree whose leaves start with C.
 
     Attributes
@@ -39,7 +39,7 @@ class Rig(NamedTuple):
     centre: np.ndarray | jax.Array
 
     @classmethod
-    def of(cls, cameras: "Sequence[Pinhole]") -> "Rig":
+    def of(cls, cameras: "Sequence[Pinhole]") -> "CameraRig":
         """Cameras without distortion, as `Pinhole.straight` has them."""
         return cls(
             np.array([camera.focal[0] for camera in cameras]),
@@ -66,7 +66,7 @@ class Rig(NamedTuple):
         """`(C, 3)`: unit vectors of the world along which each camera sees a pixel `(C, 2)`."""
         pixels = jnp.asarray(pixels)
 
-        def one(pixel: jax.Array, camera: Rig) -> jax.Array:
+        def one(pixel: jax.Array, camera: CameraRig) -> jax.Array:
             ahead = jnp.append((pixel - camera.principal) / camera.focal, 1.0)
             return ahead / jnp.linalg.norm(ahead) @ camera.rotation
 
@@ -88,7 +88,7 @@ class PlacedBody(NamedTuple):
         Where the pelvis is, mm.
     """
 
-    rig: Rig
+    rig: CameraRig
     rotation: np.ndarray | jax.Array
     size: float | np.ndarray | jax.Array
     place: np.ndarray | jax.Array

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from poseterior.probmodel.camera import Lens, WeakPerspective
-from poseterior.probmodel.rig import PlacedBody, Rig
+from poseterior.probmodel.rig import CameraRig, PlacedBody
 from poseterior.probmodel.roots import Candidate, Root, RootPoint, WorldPoint, WorldRoot
 from poseterior.probmodel.skeleton import TORSO_INDEX
 
@@ -274,14 +274,14 @@ class WorldPrior:
     """
 
     torsos: np.ndarray | jax.Array
-    rig: Rig
+    rig: CameraRig
     name: ClassVar[str] = WORLD
     base_measure: ClassVar[str] = (
         "counting (torso) x Haar's on SO(3) (1 in all) x log size x volume (mm3, place)"
     )
 
     @classmethod
-    def of(cls, model: "PoseModel", rig: Rig) -> "WorldPrior":
+    def of(cls, model: "PoseModel", rig: CameraRig) -> "WorldPrior":
         """What a model believes of a body before these cameras."""
         return cls(model.torsos, rig)
 

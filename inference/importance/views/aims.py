@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from poseterior.inference.importance.views.sights import Sights
-from poseterior.probmodel.rig import Rig
+from poseterior.probmodel.rig import CameraRig
 
 FREEDOM_OF_AIM = 4.0
 """Degrees of freedom of the proposals: tails that no likelihood outruns."""
@@ -36,7 +36,9 @@ class Aim(NamedTuple):
     precision: jax.Array
 
 
-def aim_of(rig: Rig, sights: Sights, trust: jax.Array, size: jax.Array, place: jax.Array) -> Aim:
+def aim_of(
+    rig: CameraRig, sights: Sights, trust: jax.Array, size: jax.Array, place: jax.Array
+) -> Aim:
     """Where one joint is, by its lines of sight in views of some `trust` `(C,)`, and within some
     body units of a body's `place`."""
     unbiased = (

@@ -65,7 +65,7 @@ class Proposals(NamedTuple):
     lower: jax.Array
 
 
-class Target(NamedTuple):
+class SeenJoint(NamedTuple):
     """A joint that a bone is to reach: what the views say of it, its `aims` by all of them and by
     one (leaves start with 2), and whether any sees it."""
 
@@ -92,18 +92,18 @@ def body_of(prior: WorldPrior, point: WorldPoint) -> Body:
     return Body(root.camera.world(view), upper_axes(view), size, jnp.asarray(point.place))
 
 
-def _targets(judge: Judge, sights: Sights, body: Body, alone: jax.Array) -> Target:
+def _targets(judge: Judge, sights: Sights, body: Body, alone: jax.Array) -> SeenJoint:
     """Those of all joints, leaves start with 15; `alone` `(15,)` decides the one view."""
     number = judge.rig.number
 
-    def one(sights: Sights, alone: jax.Array) -> Target:
+    def one(sights: Sights, alone: jax.Array) -> SeenJoint:
         order = jnp.cumsum(sights.counts)
         chosen = jnp.argmax(order > alone * order[-1])
         trusts = jnp.stack([jnp.ones(number), (jnp.arange(number) == chosen).astype(float)])
         aims = jax.vmap(aim_of, (None, None, 0, None, None))(
             judge.rig, sights, trusts, body.size, body.place
         )
-        return Target(sights, aims, jnp.any(sights.counts))
+        return SeenJoint(sights, aims, jnp.any(sights.counts))
 
     return jax.vmap(one, (1, 0))(sights, alone)
 
@@ -160,7 +160,7 @@ class UpperBone(NamedTuple):
     cells: Cells
     axes: jax.Array
     start: jax.Array
-    target: Target
+    target: SeenJoint
 
 
 class LowerBone(NamedTuple):
@@ -170,7 +170,7 @@ class LowerBone(NamedTuple):
     hinges: Hinge
     reference: jax.Array
     fallback: jax.Array
-    target: Target
+    target: SeenJoint
 
 
 def _lower(
@@ -282,7 +282,7 @@ def _limbs(
     return jax.tree.map(lambda one, many: jnp.concatenate([one[None], many]), heads, chains)
 
 
-def _upper_bone(model: PoseModel, body: Body, every: Target, row: int) -> UpperBone:
+def _upper_bone(model: PoseModel, body: Body, every: SeenJoint, row: int) -> UpperBone:
     cells, target = (
         jax.tree.map(lambda leaf, at=at: leaf[at], rows)
         for rows, at in ((model.cells, row), (every, UPPER_BONES[row].end))

@@ -40,6 +40,10 @@ FEWEST_JOINTS = 3
 TURN, SIZE, PLACE, LENGTH = slice(0, 3), 3, slice(4, 7), slice(7, 12)
 """The coordinates of a step away from a fit: a rotation vector, log size, mm, and body units."""
 NUM_ROOT, NUM_STEP = 7, 12
+WIDEST = np.array([0.5] * 3 + [0.2] + [300.0] * 3 + [0.3] * 5)
+"""The longest step of a fit, and the widest proposal, in each coordinate."""
+NARROWEST = 1e-8
+"""The least variance of a proposal, over that of the widest."""
 STIFF = 0.01
 """Body units, by which bones may be off in a fit."""
 LOOSE = 2.0
@@ -249,6 +253,13 @@ def _aligned(torsos: np.ndarray, points: np.ndarray) -> WorldPoint:
     return WorldPoint(np.arange(number), turn, np.full(number, np.log(MEDIAN_SIZE)), place)
 
 
+def _factor(covariance: np.ndarray) -> np.ndarray:
+    """Lower Cholesky factors of covariances `(J, 12, 12)`, none wider than `WIDEST`."""
+    level, axes = np.linalg.eigh(covariance / WIDEST / WIDEST[:, None])
+    level = np.clip(level, NARROWEST, 1.0)
+    return WIDEST[:, None] * np.linalg.cholesky((axes * level[:, None]) @ np.swapaxes(axes, 1, 2))
+
+
 class _Fit:
     """Robust least squares of all keypoints in all views, for every torso at once: of a step of the
     body and of the limbs' joints, which hang on bones that are nearly stiff."""
@@ -274,13 +285,13 @@ class _Fit:
             slope, off = self._rows(body, limbs)
             normal = np.einsum("jra,jrb->jab", slope, slope)
             step = np.linalg.solve(normal, np.einsum("jra,jr->ja", slope, off)[..., None])[..., 0]
-            turn = np.linalg.norm(step[:, TURN], axis=1, keepdims=True)
-            step *= np.minimum(1.0, 0.5 / np.maximum(turn, 1e-9))
+            far = np.abs(step[:, :NUM_STEP] / WIDEST).max(axis=1, keepdims=True)
+            step *= np.minimum(1.0, 1 / np.maximum(far, 1e-9))
             body = _moved(body, step[:, :NUM_STEP])
             limbs = limbs + step[:, NUM_STEP:].reshape(limbs.shape)
         slope, _ = self._rows(body, limbs)
-        covariance = np.linalg.inv(np.einsum("jra,jrb->jab", slope, slope))
-        return body, np.linalg.cholesky(covariance[:, :NUM_STEP, :NUM_STEP])
+        covariance = np.linalg.pinv(np.einsum("jra,jrb->jab", slope, slope), hermitian=True)
+        return body, _factor(covariance[:, :NUM_STEP, :NUM_STEP])
 
     def _rows(self, body: Bodies, limbs: np.ndarray) -> "_Part":
         """The slopes `(J, rows, 39)` and residuals `(J, rows)` of least squares."""

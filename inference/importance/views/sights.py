@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from poseterior.probmodel.errors.faults import MOVES_TORSO, ORDERS
 from poseterior.probmodel.errors.laws import Disc, ErrorLaw
 from poseterior.probmodel.instant import DetectedInstant, ViewFaults
-from poseterior.probmodel.rig import Rig
+from poseterior.probmodel.rig import CameraRig
 from poseterior.probmodel.skeleton import TORSO_INDEX
 
 
@@ -66,15 +66,17 @@ class Judge(NamedTuple):
     """What joints are judged by: cameras, the laws of the views, and how far outliers reach there,
     body units; a pytree."""
 
-    rig: Rig
+    rig: CameraRig
     laws: tuple[ErrorLaw, ...]
     far: jax.Array
 
     @classmethod
-    def of(cls, rig: Rig, detected: DetectedInstant) -> "Judge":
+    def of(cls, rig: CameraRig, detected: DetectedInstant) -> "Judge":
         """Those of an instant."""
         far = jnp.stack([jnp.asarray(view.far, float) for view in detected.views])
-        return cls(Rig(*map(jnp.asarray, rig)), tuple(view.law for view in detected.views), far)
+        return cls(
+            CameraRig(*map(jnp.asarray, rig)), tuple(view.law for view in detected.views), far
+        )
 
     def log_densities(
         self, sights: Sights, point: jax.Array, size: Any

@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # wait for a core that another process has make them six times slower.
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --durations=25
 
-.PHONY: demo test test-all sweeps lint bench docs notebooks dist fuzz mutants kills conditions lock clean
+.PHONY: demo test test-all sweeps lint bench docs notebooks dist fuzz mutants drawn-mutants kills conditions lock clean
 
 demo: $(VENV)/.done
 	$(BIN)/poseterior demo
@@ -78,6 +78,14 @@ fuzz: $(VENV)/.done
 # MUTANTS_NAMES=root,alias says which faults, MUTANTS_SECONDS how long.
 mutants: $(VENV)/.done
 	$(BIN)/python -m tests.mutants
+
+# Faults by cosmic-ray: MUTANTS_NUMBER says how many (or MUTANTS_SECONDS how long), MUTANTS_SEED which.
+drawn-mutants: $(VENV)/.mutation
+	$(BIN)/python -m tests.mutants.drawn
+
+$(VENV)/.mutation: $(VENV)/.done
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable ".[mutation]"
+	@touch $@
 
 # KILLS says how many of each command (or KILLS_SECONDS how long in all), KILLS_SEED which.
 kills: $(VENV)/.done

@@ -16,6 +16,7 @@ from poseterior.inference.results import (
     BASE_MEASURE,
     NAMES,
     Result,
+    WhenRead,
     in_draws,
     log_density,
     provenance,
@@ -98,14 +99,13 @@ def tree_of_views(draws: Draws) -> xr.DataTree:
         for name in COLUMNS_OF_VIEWS
         if name in columns
     }
-    lp = in_draws(draws, {"lp": ((), "", log_density(draws))})
+    density = WhenRead((len(draws),), lambda: log_density(draws))
+    lp = in_draws(draws, {"lp": ((), "", density)})
     lp["lp"].attrs["base_measure"] = f"{draws.prior.base_measure} x {BASE_MEASURE}"
     labels = {"view": [view.label for view in posterior.detection.views]}
-    group = in_draws(draws, named)
-    names = {dim: NAMES[dim] for dim in NAMES if dim in group.dims}
     tree = xr.DataTree.from_dict(
         {
-            "posterior": group.assign_coords(names | labels),
+            "posterior": in_draws(draws, named).assign_coords(labels),
             "sample_stats": lp,
             "observed_data": observed_views(posterior.detection).assign_coords(labels),
             "constant_data": cameras_of(posterior.detection).assign_coords(labels),

@@ -4,7 +4,7 @@ route, prior of the root, lens and fault, small cases by brute force; and contro
 Rows come from the registries of the product: a law, a route or a root that is added without being
 here fails by its name. Evidence, means and deviations are compared in standard errors, and all
 numbers of the table together raise a false alarm in one run of a thousand (`LIMIT`); seeds are
-fixed. `poseterior.reports.pages.oracle` writes the table.
+fixed. `tests.oracle_page` writes the table.
 """
 
 import ast

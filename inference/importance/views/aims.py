@@ -27,7 +27,7 @@ LEAST_SHARE = 0.1
 """Of either mode."""
 
 
-class Aim(NamedTuple):
+class SpatialAim(NamedTuple):
     """A Gaussian in space in its own axes: its mean, `point` `(3,)` mm; `axes` `(3, 3)`, in
     columns, the vaguest first; and its `precision` `(3,)` along them, per mm²."""
 
@@ -38,7 +38,7 @@ class Aim(NamedTuple):
 
 def aim_of(
     rig: CameraRig, sights: Sights, trust: jax.Array, size: jax.Array, place: jax.Array
-) -> Aim:
+) -> SpatialAim:
     """Where one joint is, by its lines of sight in views of some `trust` `(C,)`, and within some
     body units of a body's `place`."""
     unbiased = (
@@ -63,10 +63,10 @@ def aim_of(
     weight = jax.lax.fori_loop(0, TRUST_STEPS, reweighted, jnp.ones_like(sharp))
     point, normal = solve(weight)
     precision, axes = jnp.linalg.eigh(normal)
-    return Aim(point, axes, precision)
+    return SpatialAim(point, axes, precision)
 
 
-class Modes(NamedTuple):
+class AimModes(NamedTuple):
     """Two modes of an aim on a sphere, in the aim's axes: their `centre` `(2, 3)`, two directions
     across them, `across` `(2, 3, 2)`, the proposals' `precision` `(2, 2, 2)` there, and `log_share`
     `(2,)`."""
@@ -77,7 +77,7 @@ class Modes(NamedTuple):
     log_share: jax.Array
 
 
-def modes_of(aim: Aim, start: jax.Array, length: jax.Array) -> Modes:
+def modes_of(aim: SpatialAim, start: jax.Array, length: jax.Array) -> AimModes:
     """Those on a sphere of some `length` in mm around `start` `(3,)`: the best, by a Lagrange
     multiplier, and its mirror image along the vaguest axis."""
     goal = aim.axes.T @ (aim.point - start) / length
@@ -101,7 +101,7 @@ def modes_of(aim: Aim, start: jax.Array, length: jax.Array) -> Modes:
     bend = jnp.einsum("kia,i,kib->kab", across, precision, across) + BLUNT * jnp.eye(2)[None]
     misfit = jnp.sum(precision[None] * (centre - goal[None]) ** 2, axis=-1)
     share = jax.nn.softmax(-misfit / 4 - jnp.log(jnp.linalg.det(bend)) / 2)
-    return Modes(centre, across, bend, jnp.log(LEAST_SHARE + (1 - 2 * LEAST_SHARE) * share))
+    return AimModes(centre, across, bend, jnp.log(LEAST_SHARE + (1 - 2 * LEAST_SHARE) * share))
 
 
 def _across(centre: jax.Array) -> jax.Array:
@@ -114,7 +114,7 @@ def _across(centre: jax.Array) -> jax.Array:
     return jnp.array([[1 + sign * x * x * a, b], [sign * b, sign + y * y * a], [-sign * x, -y]])
 
 
-def draw_direction(modes: Modes, which: jax.Array, square: jax.Array) -> jax.Array:
+def draw_direction(modes: AimModes, which: jax.Array, square: jax.Array) -> jax.Array:
     """`(3,)`: a direction of one mode's proposal, in the aim's axes, at a point `(2,)` of the unit
     square."""
     nu = FREEDOM_OF_AIM
@@ -131,7 +131,7 @@ def draw_direction(modes: Modes, which: jax.Array, square: jax.Array) -> jax.Arr
     return found / jnp.linalg.norm(found)
 
 
-def log_aimed(modes: Modes, direction: jax.Array) -> jax.Array:
+def log_aimed(modes: AimModes, direction: jax.Array) -> jax.Array:
     """`()`: log density per steradian of a direction `(3,)` in the aim's axes, of both modes'
     proposals."""
     nu = FREEDOM_OF_AIM

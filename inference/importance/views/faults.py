@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from poseterior.inference.importance.views.sights import Judge, sights_of
+from poseterior.inference.importance.views.sights import ViewJudge, sights_of
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.errors.faults import ORDERS, Faults
 from poseterior.probmodel.instant import DetectedInstant, InstantPosterior, ViewFaults
@@ -52,7 +52,7 @@ def _shares(
 ) -> tuple[jax.Array, jax.Array]:
     """Probabilities that joints' keypoints are outliers: `(n, C, 15)`, those that are not the
     torso's, and `(n, C, 7)`, that none and that each of the torso's is."""
-    judge = Judge.of(prior.rig, detected)
+    judge = ViewJudge.of(prior.rig, detected)
     parts = len(WorldPoint._fields)
 
     def one(point: WorldPoint, pose: Pose, exchange: jax.Array) -> tuple[jax.Array, jax.Array]:

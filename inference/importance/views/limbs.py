@@ -14,14 +14,14 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from poseterior.inference.importance.views.aims import (
-    Aim,
-    Modes,
+    AimModes,
+    SpatialAim,
     aim_of,
     draw_direction,
     log_aimed,
     modes_of,
 )
-from poseterior.inference.importance.views.sights import Judge, Sights, log_exchange, sights_of
+from poseterior.inference.importance.views.sights import Sights, ViewJudge, log_exchange, sights_of
 from poseterior.probmodel.anatomy.limits import cell_of
 from poseterior.probmodel.directions.cells import Cells
 from poseterior.probmodel.directions.hinges import Hinge
@@ -70,11 +70,11 @@ class SeenJoint(NamedTuple):
     one (leaves start with 2), and whether any sees it."""
 
     sights: Sights
-    aims: Aim
+    aims: SpatialAim
     seen: jax.Array
 
 
-class Body(NamedTuple):
+class TorsoInWorld(NamedTuple):
     """A placed torso: its joints, `torso` `(6, 3)` mm, its upper bones' `axes` `(5, 3, 3)`, mm a
     body unit, `size`, and the pelvis' `place`."""
 
@@ -84,15 +84,15 @@ class Body(NamedTuple):
     place: jax.Array
 
 
-def body_of(prior: WorldPrior, point: WorldPoint) -> Body:
+def body_of(prior: WorldPrior, point: WorldPoint) -> TorsoInWorld:
     """That of one root."""
     root = prior.root(point)
     view = root.view
     size = jnp.asarray(root.camera.size)
-    return Body(root.camera.world(view), upper_axes(view), size, jnp.asarray(point.place))
+    return TorsoInWorld(root.camera.world(view), upper_axes(view), size, jnp.asarray(point.place))
 
 
-def _targets(judge: Judge, sights: Sights, body: Body, alone: jax.Array) -> SeenJoint:
+def _targets(judge: ViewJudge, sights: Sights, body: TorsoInWorld, alone: jax.Array) -> SeenJoint:
     """Those of all joints, leaves start with 15; `alone` `(15,)` decides the one view."""
     number = judge.rig.number
 
@@ -109,7 +109,7 @@ def _targets(judge: Judge, sights: Sights, body: Body, alone: jax.Array) -> Seen
 
 
 def _propose(
-    uniforms: jax.Array, modes: Modes, aims: Aim, seen: jax.Array, of_prior: jax.Array
+    uniforms: jax.Array, modes: AimModes, aims: SpatialAim, seen: jax.Array, of_prior: jax.Array
 ) -> jax.Array:
     """`(3,)`: a direction of the world by the mixture, from numbers `(3,)`; `of_prior` is the one
     that the prior proposes for the last two of them."""
@@ -123,7 +123,7 @@ def _propose(
 
 
 def _log_proposal(
-    direction: jax.Array, modes: Modes, aims: Aim, seen: jax.Array, of_prior: jax.Array
+    direction: jax.Array, modes: AimModes, aims: SpatialAim, seen: jax.Array, of_prior: jax.Array
 ) -> jax.Array:
     """`()`: log density per steradian of the mixture; `of_prior` is that of the prior's part."""
     aimed = [log_aimed(_at(modes, row), aims.axes[row].T @ direction) for row in (0, 1)]
@@ -133,12 +133,12 @@ def _log_proposal(
     return jnp.where(seen, jax.nn.logsumexp(mixed), of_prior)
 
 
-def _at(rows: Modes, row: jax.Array | int) -> Modes:
-    return Modes(*(part[row] for part in rows))
+def _at(rows: AimModes, row: jax.Array | int) -> AimModes:
+    return AimModes(*(part[row] for part in rows))
 
 
 def _upper(
-    uniforms: jax.Array, judge: Judge, body: Body, bone: "UpperBone", length: jax.Array
+    uniforms: jax.Array, judge: ViewJudge, body: TorsoInWorld, bone: "UpperReach", length: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """An upper bone: its local direction, where it ends in the world, and the log of its weight."""
     modes = jax.vmap(modes_of, (0, None, None))(bone.target.aims, bone.start, length)
@@ -153,7 +153,7 @@ def _upper(
     return local, end, jnp.where(inside, weight, -jnp.inf)
 
 
-class UpperBone(NamedTuple):
+class UpperReach(NamedTuple):
     """What an upper bone is proposed by: the `cells` of its prior, its local `axes`, where it
     starts, mm, and the joint that it is to reach."""
 
@@ -163,7 +163,7 @@ class UpperBone(NamedTuple):
     target: SeenJoint
 
 
-class LowerBone(NamedTuple):
+class LowerReach(NamedTuple):
     """The same of the bone below it: its hinges `(120, 60)`, the references of its axes, and the
     joint."""
 
@@ -175,9 +175,9 @@ class LowerBone(NamedTuple):
 
 def _lower(
     uniforms: jax.Array,
-    judge: Judge,
-    upper: UpperBone,
-    below: LowerBone,
+    judge: ViewJudge,
+    upper: UpperReach,
+    below: LowerReach,
     elbow: tuple[jax.Array, jax.Array],
     lengths: tuple[jax.Array, jax.Array],
 ) -> tuple[jax.Array, jax.Array]:
@@ -229,7 +229,7 @@ def weigh_bodies(
     """
     from poseterior.probmodel.anatomy.lengths import BoneLength
 
-    judge = Judge.of(prior.rig, detected)
+    judge = ViewJudge.of(prior.rig, detected)
     key = jax.random.wrap_key_data(jnp.asarray(words))
 
     def one(
@@ -251,7 +251,12 @@ def weigh_bodies(
 
 
 def _limbs(
-    key: jax.Array, model: PoseModel, judge: Judge, body: Body, length: jax.Array, sights: Sights
+    key: jax.Array,
+    model: PoseModel,
+    judge: ViewJudge,
+    body: TorsoInWorld,
+    length: jax.Array,
+    sights: Sights,
 ) -> Proposals:
     """Proposals `(5, P)` for the limbs of one body, the head first."""
     view_key, chain_key, head_key = jax.random.split(key, 3)
@@ -260,10 +265,10 @@ def _limbs(
     chained = jax.tree.map(lambda *rows: jnp.stack(rows), *upper[1:])
     target = jax.tree.map(lambda leaf: leaf[jnp.array(WRISTS)], every)
     reference = jnp.tile(jnp.asarray(model.limits.reference), (NUM_LOWER, 1))
-    below = LowerBone(model.hinges, reference, jnp.asarray(model.limits.fallback), target)
+    below = LowerReach(model.hinges, reference, jnp.asarray(model.limits.fallback), target)
 
     def chain(
-        uniforms: jax.Array, bone: UpperBone, below: LowerBone, lengths: jax.Array
+        uniforms: jax.Array, bone: UpperReach, below: LowerReach, lengths: jax.Array
     ) -> Proposals:
         local, elbow, of_upper = _upper(uniforms[0], judge, body, bone, lengths[0])
         both = lengths[1], body.size
@@ -282,9 +287,9 @@ def _limbs(
     return jax.tree.map(lambda one, many: jnp.concatenate([one[None], many]), heads, chains)
 
 
-def _upper_bone(model: PoseModel, body: Body, every: SeenJoint, row: int) -> UpperBone:
+def _upper_bone(model: PoseModel, body: TorsoInWorld, every: SeenJoint, row: int) -> UpperReach:
     cells, target = (
         jax.tree.map(lambda leaf, at=at: leaf[at], rows)
         for rows, at in ((model.cells, row), (every, UPPER_BONES[row].end))
     )
-    return UpperBone(cells, body.axes[row], body.torso[STARTS[row]], target)
+    return UpperReach(cells, body.axes[row], body.torso[STARTS[row]], target)

@@ -1,4 +1,4 @@
-"""Bodies in the world, their bones' lengths among them, proposed by a robust fit to all views.
+"""WorldBodies in the world, their bones' lengths among them, proposed by a robust fit to all views.
 
 With every torso of the dictionary root, lengths and the limbs' joints are fitted by Gauss's and
 Newton's steps, whose weights fall for keypoints far off; a Student's t around its fit then proposes
@@ -45,22 +45,22 @@ WIDEST = np.array([0.5] * 3 + [0.2] + [300.0] * 3 + [0.3] * 5)
 NARROWEST = 1e-8
 """The least variance of a proposal, over that of the widest."""
 STIFF = 0.01
-"""Body units, by which bones may be off in a fit."""
+"""TorsoInWorld units, by which bones may be off in a fit."""
 LOOSE = 2.0
-"""Body units, within which a joint lies that hardly any view sees."""
+"""TorsoInWorld units, within which a joint lies that hardly any view sees."""
 BELIEVED_TORSOS = 0.8
 """What torsos get by a pilot run, at most."""
 OWN_WEIGHT = 10.0
 """Effective roots of a pilot run by which it is believed as much as the fit."""
 
 
-class Bodies(NamedTuple):
+class WorldBodies(NamedTuple):
     """Roots in the world and the bones' `length` `(..., 5)`, body units; a pytree."""
 
     point: WorldPoint
     length: np.ndarray
 
-    def take(self, rows: Any) -> "Bodies":
+    def take(self, rows: Any) -> "WorldBodies":
         """Some of a batch."""
         return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], self)
 
@@ -82,11 +82,11 @@ class BodyProposal:
     """
 
     share: np.ndarray
-    centre: Bodies
+    centre: WorldBodies
     factor: np.ndarray
     exchange: np.ndarray
 
-    def draw(self, rng: np.random.Generator, number: int) -> tuple[Bodies, np.ndarray]:
+    def draw(self, rng: np.random.Generator, number: int) -> tuple[WorldBodies, np.ndarray]:
         """So many bodies, and exchanges `(number, C)`."""
         flat = np.searchsorted(np.cumsum(self.share), rng.random(number))
         kind, torso = np.divmod(np.minimum(flat, self.share.size - 1), self.share.shape[1])
@@ -97,7 +97,7 @@ class BodyProposal:
         places = rng.random((number, len(self.exchange), 1))
         return bodies, np.sum(np.cumsum(self.exchange, axis=1)[:, :-1] < places, axis=-1)
 
-    def log_density(self, bodies: Bodies, exchange: np.ndarray) -> np.ndarray:
+    def log_density(self, bodies: WorldBodies, exchange: np.ndarray) -> np.ndarray:
         """`(n,)`: of bodies by the base measure of roots × lengths, and of exchanges."""
         torso = bodies.point.torso
         parts = []
@@ -112,7 +112,9 @@ class BodyProposal:
         views = np.arange(len(self.exchange))
         return logsumexp(parts, axis=0) + np.log(self.exchange[views, exchange]).sum(axis=1)
 
-    def refined(self, bodies: Bodies, exchange: np.ndarray, share: np.ndarray) -> "BodyProposal":
+    def refined(
+        self, bodies: WorldBodies, exchange: np.ndarray, share: np.ndarray
+    ) -> "BodyProposal":
         """Proposals around a pilot run's bodies `(n, ...)`, which have these shares `(n,)` of the
         posterior, beside the first ones."""
         first, torso = self.centre.take(0), bodies.point.torso
@@ -178,18 +180,18 @@ def _crossed(vector: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _moved(start: Bodies, step: np.ndarray) -> Bodies:
-    """Bodies `(n, ...)` after steps `(n, 12)`."""
+def _moved(start: WorldBodies, step: np.ndarray) -> WorldBodies:
+    """WorldBodies `(n, ...)` after steps `(n, 12)`."""
     point = WorldPoint(
         start.point.torso,
         rotations_of(step[:, TURN]) @ start.point.rotation,
         start.point.log_size + step[:, SIZE],
         start.point.place + step[:, PLACE],
     )
-    return Bodies(point, start.length + step[:, LENGTH])
+    return WorldBodies(point, start.length + step[:, LENGTH])
 
 
-def _step(start: Bodies, end: Bodies) -> np.ndarray:
+def _step(start: WorldBodies, end: WorldBodies) -> np.ndarray:
     """`(n, 12)`: the steps from bodies to others, with the shortest turns."""
     turn = turns_of(end.point.rotation @ np.swapaxes(start.point.rotation, -1, -2))
     size = np.asarray(end.point.log_size - start.point.log_size)[:, None]
@@ -275,10 +277,10 @@ class _Fit:
         self.spread = np.stack([np.asarray(view.spread) for view in views])
         self.bias = np.stack([np.asarray(view.bias) for view in views])
 
-    def run(self, start: WorldPoint, seen: np.ndarray) -> tuple[Bodies, np.ndarray]:
+    def run(self, start: WorldPoint, seen: np.ndarray) -> tuple[WorldBodies, np.ndarray]:
         """From roots and triangulated joints `(15, 3)` the fits, and factors `(J, 12, 12)` of their
         covariances."""
-        body = Bodies(start, np.tile(self.mean, (len(self.torsos), 1)))
+        body = WorldBodies(start, np.tile(self.mean, (len(self.torsos), 1)))
         limbs = np.tile(seen[list(LIMB_INDEX)], (len(self.torsos), 1, 1))
         limbs = np.where(np.isfinite(limbs), limbs, start.place[:, None])
         for _ in range(FIT_STEPS):
@@ -293,7 +295,7 @@ class _Fit:
         covariance = np.linalg.pinv(np.einsum("jra,jrb->jab", slope, slope), hermitian=True)
         return body, _factor(covariance[:, :NUM_STEP, :NUM_STEP])
 
-    def _rows(self, body: Bodies, limbs: np.ndarray) -> "_Part":
+    def _rows(self, body: WorldBodies, limbs: np.ndarray) -> "_Part":
         """The slopes `(J, rows, 39)` and residuals `(J, rows)` of least squares."""
         number, size = len(limbs), np.exp(body.point.log_size)[:, None]
         arm = size[..., None] * np.einsum("jab,jtb->jta", body.point.rotation, self.torsos)
@@ -326,7 +328,7 @@ class _Fit:
         return _flat(slope), (off * weight).reshape(len(world), -1)
 
     def _stiff(
-        self, body: Bodies, world: np.ndarray, moves: np.ndarray, size: np.ndarray
+        self, body: WorldBodies, world: np.ndarray, moves: np.ndarray, size: np.ndarray
     ) -> "_Part":
         """That bones are as long as they are."""
         starts, ends = [bone.start for bone in BONES], [bone.end for bone in BONES]
@@ -343,7 +345,7 @@ class _Fit:
         return slope / scale[..., None], off
 
     def _believed(
-        self, body: Bodies, world: np.ndarray, moves: np.ndarray, size: np.ndarray
+        self, body: WorldBodies, world: np.ndarray, moves: np.ndarray, size: np.ndarray
     ) -> "_Part":
         """The priors of size and lengths, and that limbs are about where the body is."""
         number = len(world)

@@ -24,9 +24,9 @@ class Sights(NamedTuple):
     keypoint : `(..., 2)`
         Pixels, 0 where it does not count.
     spread
-        Body units, 1 where it does not count.
+        TorsoInWorld units, 1 where it does not count.
     bias : `(..., 2)`
-        Body units.
+        TorsoInWorld units.
     outlier
         The prior probability that it is an outlier, as if all were independent.
     counts
@@ -62,7 +62,7 @@ def sights_of(detected: DetectedInstant, faulty: ViewFaults, exchange: jax.Array
     return jax.tree.map(lambda *parts: jnp.stack(parts), *found)
 
 
-class Judge(NamedTuple):
+class ViewJudge(NamedTuple):
     """What joints are judged by: cameras, the laws of the views, and how far outliers reach there,
     body units; a pytree."""
 
@@ -71,7 +71,7 @@ class Judge(NamedTuple):
     far: jax.Array
 
     @classmethod
-    def of(cls, rig: CameraRig, detected: DetectedInstant) -> "Judge":
+    def of(cls, rig: CameraRig, detected: DetectedInstant) -> "ViewJudge":
         """Those of an instant."""
         far = jnp.stack([jnp.asarray(view.far, float) for view in detected.views])
         return cls(

@@ -34,7 +34,7 @@ from poseterior.inference.importance.views.limbs import (
     Proposals,
     weigh_bodies,
 )
-from poseterior.inference.importance.views.roots import Bodies, BodyProposal, fitted
+from poseterior.inference.importance.views.roots import BodyProposal, WorldBodies, fitted
 from poseterior.inference.importance.weighted import (
     FEWEST_EFFECTIVE,
     WeightedSampler,
@@ -78,7 +78,7 @@ class WeighedRoots:
     """
 
     posterior: InstantPosterior
-    bodies: Bodies
+    bodies: WorldBodies
     exchange: np.ndarray
     log_weight: np.ndarray
     limbs: Proposals

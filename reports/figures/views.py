@@ -26,7 +26,7 @@ PANEL = 2.6
 """Inches."""
 BESIDE = 0.15
 """Of a person's height, that is shown around it."""
-SIDES = ("From the side", 0, 2), ("From above", 0, 1)
+SCENE_SIDES = ("From the side", 0, 2), ("From above", 0, 1)
 """Of the scene: which of the world's axes run across and along."""
 
 
@@ -46,7 +46,7 @@ def views_figure(tree: xr.DataTree, hypotheses: Sequence["Hypothesis"]) -> Figur
         In straightened pixels, and metres.
     """
     labels = [str(label) for label in tree["posterior"].coords["view"].values]
-    panels = len(labels) + len(SIDES)
+    panels = len(labels) + len(SCENE_SIDES)
     across = min(panels, VIEWS_A_ROW)
     down = -(-panels // across)
     figure = page(PANEL * across, PANEL * down, dpi=DPI)
@@ -57,7 +57,7 @@ def views_figure(tree: xr.DataTree, hypotheses: Sequence["Hypothesis"]) -> Figur
         seen = values(tree, "observed_data", "keypoints")[row]
         _title(axes[row], label)
         _draw_view(axes[row], seen, chosen)
-    for axis, (title, first, second) in zip(axes[len(labels) :], SIDES, strict=False):
+    for axis, (title, first, second) in zip(axes[len(labels) :], SCENE_SIDES, strict=False):
         _title(axis, title)
         _draw_scene(axis, tree, hypotheses, [first, second])
     for axis in axes[panels:]:

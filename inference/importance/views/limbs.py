@@ -43,7 +43,7 @@ CHAIN_LENGTHS = [
 ]
 """`(4, 2)`: the length groups of the limbs of two bones."""
 HEAD_LENGTH = UPPER_BONES[0].length_group
-STARTS = np.array([TORSO_INDEX.index(bone.start) for bone in UPPER_BONES])
+BONE_STARTS = np.array([TORSO_INDEX.index(bone.start) for bone in UPPER_BONES])
 """`(5,)`: where the upper bones begin, among the torso's joints."""
 UNIFORMS = 3
 """Numbers that a bone's proposal takes."""
@@ -292,4 +292,4 @@ def _upper_bone(model: PoseModel, body: TorsoInWorld, every: SeenJoint, row: int
         jax.tree.map(lambda leaf, at=at: leaf[at], rows)
         for rows, at in ((model.cells, row), (every, UPPER_BONES[row].end))
     )
-    return UpperReach(cells, body.axes[row], body.torso[STARTS[row]], target)
+    return UpperReach(cells, body.axes[row], body.torso[BONE_STARTS[row]], target)

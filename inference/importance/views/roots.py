@@ -37,7 +37,7 @@ OF_PRIOR_EXCHANGES = 0.1
 """What proposals of exchanges keep of the prior."""
 FEWEST_JOINTS = 3
 """Of the torso, that two cameras must see."""
-TURN, SIZE, PLACE, LENGTH = slice(0, 3), 3, slice(4, 7), slice(7, 12)
+TURN, SIZE, PLACE, LENGTHS_STEP = slice(0, 3), 3, slice(4, 7), slice(7, 12)
 """The coordinates of a step away from a fit: a rotation vector, log size, mm, and body units."""
 NUM_ROOT, NUM_STEP = 7, 12
 WIDEST = np.array([0.5] * 3 + [0.2] + [300.0] * 3 + [0.3] * 5)
@@ -188,7 +188,7 @@ def _moved(start: WorldBodies, step: np.ndarray) -> WorldBodies:
         start.point.log_size + step[:, SIZE],
         start.point.place + step[:, PLACE],
     )
-    return WorldBodies(point, start.length + step[:, LENGTH])
+    return WorldBodies(point, start.length + step[:, LENGTHS_STEP])
 
 
 def _step(start: WorldBodies, end: WorldBodies) -> np.ndarray:
@@ -339,7 +339,7 @@ class _Fit:
         slope = np.einsum("jba,jbam->jbm", along, moves[:, ends] - moves[:, starts])
         wanted = size * body.length[:, groups]
         slope[:, :, SIZE] -= wanted
-        slope[:, range(len(BONES)), [LENGTH.start + group for group in groups]] -= size
+        slope[:, range(len(BONES)), [LENGTHS_STEP.start + group for group in groups]] -= size
         scale = STIFF * size
         off = (wanted - long) / scale
         return slope / scale[..., None], off
@@ -351,7 +351,7 @@ class _Fit:
         number = len(world)
         own = np.zeros((number, 1 + len(self.mean), moves.shape[-1]))
         own[:, 0, SIZE] = 1 / SIZE_SD
-        own[:, 1:, LENGTH] = np.diag(1 / self.sd)
+        own[:, 1:, LENGTHS_STEP] = np.diag(1 / self.sd)
         size_off = (np.log(MEDIAN_SIZE) - body.point.log_size)[:, None] / SIZE_SD
         off = np.concatenate([size_off, (self.mean - body.length) / self.sd], axis=1)
         joints, scale = list(LIMB_INDEX), LOOSE * size[..., None]

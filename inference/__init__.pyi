@@ -13,6 +13,7 @@ from .hypothesis import Hypothesis as Hypothesis
 from .hypothesis import diverse as diverse
 from .hypothesis import grid_poses as grid_poses
 from .hypothesis import hypotheses as hypotheses
+from .instants import sample_instant as sample_instant
 from .machines import Machines as Machines
 from .measured import measure_intervals as measure_intervals
 from .measured import measures as measures

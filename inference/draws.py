@@ -328,12 +328,12 @@ def joined(runs: list[Draws]) -> Draws:
         poses=poses,
         faults=faults,
         known=known,
-        attributes={name: about[name] for name in about if name not in _OF_ONE_RUN},
+        attributes={name: about[name] for name in about if name not in OF_ONE_RUN},
         chains=len(runs),
     )
 
 
-_OF_ONE_RUN = ("sampler", "seed", "num_samples", "wall_time_s", "status")
+OF_ONE_RUN = ("sampler", "seed", "num_samples", "wall_time_s", "status")
 
 
 def mean_evidence(found: list[tuple[float, float]]) -> tuple[float, float]:

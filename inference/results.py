@@ -206,10 +206,10 @@ def tree_of(draws: Draws, block: int = 0) -> xr.DataTree:
     posterior, columns = draws.posterior, columns_of(draws)
     named = {name: (*COLUMNS[name], columns[name]) for name in COLUMNS if name in columns}
     lp = WhenRead((len(draws),), lambda: log_density(draws))
-    densities = _group(draws, {"lp": ((), "", lp)})
+    densities = in_draws(draws, {"lp": ((), "", lp)})
     densities["lp"].attrs["base_measure"] = f"{draws.prior.base_measure} x {BASE_MEASURE}"
     groups = {
-        "posterior": _group(draws, named),
+        "posterior": in_draws(draws, named),
         "sample_stats": densities,
         **_predictions(draws, block),
         "observed_data": observed_data(posterior.detection),
@@ -265,7 +265,7 @@ Column = tuple[tuple[str, ...], str, np.ndarray | WhenRead]
 """A variable of draws: dimensions after chain and draw, unit, values `(n, ...)`."""
 
 
-def _group(draws: Draws, named: Mapping[str, Column]) -> xr.Dataset:
+def in_draws(draws: Draws, named: Mapping[str, Column]) -> xr.Dataset:
     """Variables of draws, by name."""
     shape = draws.chains, len(draws) // draws.chains
     variables = {}
@@ -319,7 +319,7 @@ def _predictions(draws: Draws, block: int) -> dict[str, xr.Dataset]:
         (number, len(JOINTS), 2),
         lambda: new_detections(law, read(), defined()[1], words, block),
     )
-    predicted = _group(draws, {"keypoints": (("joint", "uv"), "pixels", new)})
+    predicted = in_draws(draws, {"keypoints": (("joint", "uv"), "pixels", new)})
     if law.follows(0.0):  # uniform within its reach
         return {"posterior_predictive": predicted.assign_attrs(log_likelihood=FLAT_LAW)}
     patterns = ORDERS[np.bincount(draws.faults.exchange, minlength=len(ORDERS)) > 0]
@@ -328,7 +328,7 @@ def _predictions(draws: Draws, block: int) -> dict[str, xr.Dataset]:
     likely = WhenRead(
         (number, len(seen)), lambda: log_likelihood(law, read(), defined()[1])[:, seen]
     )
-    found = _group(draws, {"keypoints": (("detected",), "", likely)})
+    found = in_draws(draws, {"keypoints": (("detected",), "", likely)})
     found["keypoints"].attrs["base_measure"] = "image area (px2)"
     named = found.assign_coords(detected=[JOINTS[joint] for joint in seen])
     return {"posterior_predictive": predicted, "log_likelihood": named}

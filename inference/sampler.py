@@ -15,13 +15,14 @@ from poseterior.inference.estimators import estimate_torso
 from poseterior.inference.exact import warm_up
 from poseterior.inference.exact.mixture import ON_DEVICE, PROPOSALS, ExactRejection
 from poseterior.inference.importance.rejection import TorsoRejection
+from poseterior.inference.importance.views.weighted import WeightedViews
 from poseterior.inference.importance.weighted import NUM_ROOTS, WeightedSampler
 from poseterior.inference.results import Result, result_of
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate, require_root_prior
-from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
+from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN, WORLD
 
 SAMPLERS = tuple(sorted((*PROPOSALS, *BASELINES), key=lambda name: name == ON_DEVICE))
 """Every sampler under candidates by its name: exact rejection first, then the baselines. Keys of
@@ -39,7 +40,8 @@ _OF_CANDIDATES: dict[str, type[Sampler]] = {
     **dict.fromkeys(PROPOSALS, ExactRejection),
     **dict.fromkeys(BASELINES, BaselineSampler),
 }
-MAKERS = {UNCERTAIN: _OF_POINTS, CANDIDATES: _OF_CANDIDATES}
+_OF_BODIES: dict[str, type[Sampler]] = {WEIGHTED: WeightedViews}
+MAKERS = {UNCERTAIN: _OF_POINTS, CANDIDATES: _OF_CANDIDATES, WORLD: _OF_BODIES}
 """What makes a sampler, by the root's prior and the sampler's name; the first is the one that is
 meant where none is named."""
 MANY_ROOTS = 200
@@ -52,7 +54,7 @@ def sampler_of(root: str, name: str | None = None, **settings: Any) -> Sampler:
     Parameters
     ----------
     root
-        The prior of torso and camera, one of `ROOT_PRIORS`.
+        The prior of torso and camera, one of `MAKERS`.
     name
         One of those that draw under it; the first where none is named.
     settings
@@ -69,7 +71,8 @@ def sampler_of(root: str, name: str | None = None, **settings: Any) -> Sampler:
         On an unknown root or sampler, a sampler that draws under the other one, and settings that
         cannot be.
     """
-    require_root_prior(root)
+    if root != WORLD:
+        require_root_prior(root)
     makers = MAKERS[root]
     name = next(iter(makers)) if name is None else name
     _require_known(root, name)
@@ -131,6 +134,10 @@ def _require_known(root: str, name: str) -> None:
     """Raises `BadInput` where no sampler of that name draws under such a root."""
     if name in MAKERS[root]:
         return
+    if root == WORLD:
+        raise BadInput(
+            f"no sampler {name!r} draws from several views; choose {', '.join(MAKERS[root])}"
+        )
     if root == UNCERTAIN:
         *most, last = MAKERS[root]
         raise BadInput(

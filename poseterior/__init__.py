@@ -43,6 +43,7 @@ if TYPE_CHECKING:  # what `__getattr__` finds, for type checkers and editors
         resident_draws,
         sample,
         sample_frames,
+        sample_instant,
         sample_to_file,
     )
     from poseterior.inference.studies.calibration import calibrate, cover, read_cases
@@ -189,6 +190,7 @@ __all__ = [
     "resident_draws",
     "sample",
     "sample_frames",
+    "sample_instant",
     "sample_to_file",
     "write_detections",
 ]

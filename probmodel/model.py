@@ -303,25 +303,8 @@ class PoseModel:
 
         Draw new keypoints from it by `numpyro.handlers.uncondition`.
         """
-        import numpyro
-        from numpyro.handlers import mask
-
-        from poseterior.probmodel.errors.keypoints import DetectedKeypoint
-
-        camera, seen = observation.root.camera, observation.seen
         joints = self._pose(observation.view)
-        numpyro.deterministic("keypoints", camera.image(joints))
-        points = observation.defined(joints)
-        keypoints, larger = camera.image(points), camera.magnification(points)
-        target = observation.target + observation.bias * (1 - larger[:, None])
-        detected = jnp.where(seen[:, None], camera.to_pixels(target), keypoints)
-        # An unseen joint's spread is infinite, and would make the slope along the scale NaN.
-        spread = jnp.where(seen, jnp.asarray(observation.spread), 1.0) * camera.scale * larger
-        behind = seen & (camera.relative_depth(points) <= 0)
-        place = jnp.where(behind[:, None], jnp.inf, keypoints)
-        with numpyro.plate("joint", len(seen)), mask(mask=seen):
-            law = DetectedKeypoint(observation.law, place, spread, validate_args=False)
-            numpyro.sample("detection", law, obs=detected)
+        observation.condition(joints)
         return joints
 
     def _pose(self, torso: jax.Array) -> jax.Array:

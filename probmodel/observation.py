@@ -202,6 +202,28 @@ class Observation(NamedTuple):
         joint seen."""
         return jnp.sum(self.log_densities(joints), axis=-1)
 
+    def condition(self, joints: jax.Array) -> None:
+        """The sites of a NumPyro model for the joints `(15, 3)` of one pose, in camera axes: where
+        they fall (`keypoints`), and what was detected (`detection`)."""
+        import numpyro
+        from numpyro.handlers import mask
+
+        from poseterior.probmodel.errors.keypoints import DetectedKeypoint
+
+        camera, seen = self.root.camera, self.seen
+        numpyro.deterministic("keypoints", camera.image(joints))
+        points = self.defined(joints)
+        keypoints, larger = camera.image(points), camera.magnification(points)
+        target = self.target + self.bias * (1 - larger[:, None])
+        detected = jnp.where(seen[:, None], camera.to_pixels(target), keypoints)
+        # An unseen joint's spread is infinite, and would make the slope along the scale NaN.
+        spread = jnp.where(seen, jnp.asarray(self.spread), 1.0) * camera.scale * larger
+        behind = seen & (camera.relative_depth(points) <= 0)
+        place = jnp.where(behind[:, None], jnp.inf, keypoints)
+        with numpyro.plate("joint", len(seen)), mask(mask=seen):
+            law = DetectedKeypoint(self.law, place, spread, validate_args=False)
+            numpyro.sample("detection", law, obs=detected)
+
     def misfit(self, joints: ArrayLike) -> jax.Array:
         """`(...)`: the largest distance of a seen joint from its target, in reaches."""
         return jnp.sqrt(jnp.max(self.squares_in_reaches(joints), axis=-1))

@@ -132,7 +132,7 @@ class Posterior:
             `(n,)`; −inf outside.
         """
         if faults is None:
-            faults = Faults.none(len(poses.length))
+            faults = self.faults.none(len(poses.length))
         return log_joints(
             self.model, self.detected, self.root_prior, self.faults, points, poses, faults
         )

@@ -1,8 +1,9 @@
-"""The two priors of torso and camera: what is believed of them before anything was seen.
+"""The priors of the root: what is believed of torso and camera before anything was seen.
 
 `Candidates` are the paper's method: atoms that an estimator found, weighed by what the torso's
-keypoints say. Under a `TorsoCameraPrior` they are as uncertain as the pose (docs/model.md § 9). A
-`Posterior` takes either, and all that differs between the two stands here.
+keypoints say. Under a `TorsoCameraPrior` they are as uncertain as the pose (docs/model.md § 9).
+Under a `WorldPrior` cameras are calibrated, and the body has a size and a place in their world
+(§ 12). A `Posterior` takes any of them, and all that differs between them stands here.
 """
 
 import functools
@@ -16,18 +17,25 @@ import jax.numpy as jnp
 import numpy as np
 
 from poseterior.probmodel.camera import Lens, WeakPerspective
-from poseterior.probmodel.roots import Candidate, Root, RootPoint
+from poseterior.probmodel.rig import CameraRig, PlacedBody
+from poseterior.probmodel.roots import Candidate, Root, RootPoint, WorldPoint, WorldRoot
 from poseterior.probmodel.skeleton import TORSO_INDEX
 
 if TYPE_CHECKING:
     from poseterior.probmodel.model import PoseModel
 
-CANDIDATES, UNCERTAIN = "candidates", "uncertain"
+CANDIDATES, UNCERTAIN, WORLD = "candidates", "uncertain", "world"
 ROOT_PRIORS = (UNCERTAIN, CANDIDATES)
 """By their names; the first is the one that is meant where none is named."""
 NEAREST = 1.5
 """Body units, half a metre: in perspective a pelvis is no nearer to the camera, measured along its
 optical axis."""
+MEDIAN_SIZE, SIZE_SD = 345.0, 0.1
+"""What is believed of a person's mean limb bone: its median in mm, and the standard deviation of
+its log. That of 1.7 m tall people is about 345 mm; nine of ten are taken to be within 16 %."""
+NEAREST_PLACE = 4.0
+"""The same of several calibrated cameras, 1.5 m. No joint of a person is as far from the pelvis, so
+that none is behind a camera."""
 
 
 @jax.tree_util.register_dataclass
@@ -267,6 +275,82 @@ class TorsoCameraPrior:
         return np.nan
 
     def counted(self, joints: Sequence[int]) -> list[int]:
+        """The joints whose keypoints are detections under a root: the torso's with all others."""
+        return sorted({*TORSO_INDEX, *joints})
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class WorldPrior:
+    """What is believed of a body in the world of calibrated cameras: the torso uniform over a
+    dictionary, the rotation uniform on SO(3), the size log-normal about the population's, the place
+    flat in the images and in the log of the distance (`SeenPlace`).
+
+    With one camera it is the `TorsoCameraPrior` of its lens, and an independent size.
+
+    Attributes
+    ----------
+    torsos : `(J, 6, 3)`
+        Body axes, body units, pelvis at the origin.
+    rig
+        The cameras.
+    """
+
+    torsos: np.ndarray | jax.Array
+    rig: CameraRig
+    name: ClassVar[str] = WORLD
+    base_measure: ClassVar[str] = (
+        "counting (torso) x Haar's on SO(3) (1 in all) x log size x volume (mm3, place)"
+    )
+
+    @classmethod
+    def of(cls, model: "PoseModel", rig: CameraRig) -> "WorldPrior":
+        """What a model believes of a body before these cameras."""
+        return cls(model.torsos, rig)
+
+    def compose(self, step: Callable[[str, Any], Any]) -> WorldPoint:
+        """The prior, written once: `step(site, law)` says what becomes of each law."""
+        from numpyro.distributions import Normal
+
+        from poseterior.probmodel.anatomy.torsos import TorsoDictionary
+        from poseterior.probmodel.places import SeenPlace
+        from poseterior.probmodel.rotations import UprightRotation
+
+        torso = step("torso", TorsoDictionary(self.torsos))
+        rotation = step("rotation", UprightRotation(0.0))
+        log_size = step("log_size", Normal(jnp.log(MEDIAN_SIZE), SIZE_SD))
+        place = step("place", SeenPlace(self.rig, NEAREST_PLACE * jnp.exp(jnp.asarray(log_size))))
+        return WorldPoint(torso, rotation, log_size, place)
+
+    def log_density(self, point: WorldPoint) -> jax.Array:
+        """`()`: log density of one root; -inf outside."""
+        terms: list[jax.Array] = []
+
+        def step(site: str, law: Any) -> jax.Array:
+            value = jnp.asarray(getattr(point, site))
+            terms.append(law.log_prob(value))
+            return value
+
+        self.compose(step)
+        return terms[0] + terms[1] + terms[2] + terms[3]
+
+    def root(self, point: WorldPoint) -> WorldRoot:
+        """The torso of one root, and the body before its cameras."""
+        torso = jnp.asarray(self.torsos)[point.torso]
+        size = jnp.exp(jnp.asarray(point.log_size))
+        return WorldRoot(torso, PlacedBody(self.rig, point.rotation, size, point.place))
+
+    def columns(self, point: WorldPoint) -> dict[str, np.ndarray]:
+        """What results say of roots `(n, ...)`, by name."""
+        return {
+            "torso": np.asarray(point.torso),
+            "rotation": np.asarray(point.rotation),
+            "size": np.exp(point.log_size),
+            "place": np.asarray(point.place),
+        }
+
+    @staticmethod
+    def counted(joints: Sequence[int]) -> list[int]:
         """The joints whose keypoints are detections under a root: the torso's with all others."""
         return sorted({*TORSO_INDEX, *joints})
 

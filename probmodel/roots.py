@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from poseterior.probmodel.camera import Perspective, WeakPerspective
+from poseterior.probmodel.rig import PlacedBody
 
 
 class Root(NamedTuple):
@@ -105,6 +106,51 @@ class RootPoint(NamedTuple):
     def take(self, rows: Any) -> "RootPoint":
         """Some of a batch."""
         return jax.tree.map(lambda part: np.asarray(part)[rows], self)
+
+
+class WorldRoot(NamedTuple):
+    """A torso in the world of several cameras, a pytree.
+
+    Attributes
+    ----------
+    torso : `(6, 3)`
+        Body units, body axes, pelvis at the origin.
+    camera
+        The body before its cameras.
+    """
+
+    torso: np.ndarray | jax.Array
+    camera: PlacedBody
+
+    @property
+    def view(self) -> jax.Array:
+        """`(6, 3)`: the torso in the world's axes, body units."""
+        return self.camera.view(self.torso)
+
+
+class WorldPoint(NamedTuple):
+    """A body in the world as its prior has it, or a batch of them; a pytree.
+
+    Attributes
+    ----------
+    torso : `(...)`
+        Index into the dictionary.
+    rotation : `(..., 3, 3)`
+        From body axes to the world's axes.
+    log_size : `(...)`
+        Log of mm a body unit.
+    place : `(..., 3)`
+        Where the pelvis is, mm.
+    """
+
+    torso: Any
+    rotation: Any
+    log_size: Any
+    place: Any
+
+    def take(self, rows: Any) -> "WorldPoint":
+        """Some of a batch."""
+        return WorldPoint(*(np.asarray(part)[rows] for part in self))
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:

@@ -384,6 +384,31 @@ class Person:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PersonOrSession(Person):
+    """One person of a file of detections, or of calibrated cameras."""
+
+    file: Annotated[
+        Path,
+        Argument(
+            help="Detections, of any detector; or a folder of calibrated cameras.",
+            show_default=False,
+        ),
+    ]
+
+    @property
+    def is_session(self) -> bool:
+        """Whether it is a folder of calibrated cameras."""
+        from poseterior.probmodel.sessions import is_session
+
+        return self.file.is_dir() and is_session(self.file)
+
+    def check(self) -> None:
+        """Reads the file if it is one of detections. Raises `BadInput` as `Person.check` does."""
+        if not self.is_session:
+            super().check()
+
+
+@dataclass(frozen=True, kw_only=True)
 class PersonOrResult(Person):
     """One person of a file of detections, or a result of ours in its place."""
 

@@ -34,6 +34,7 @@ from poseterior.reports.options import (
     Open,
     Person,
     PersonOrResult,
+    PersonOrSession,
     Prior,
     RigNames,
     Rooting,
@@ -50,6 +51,7 @@ from poseterior.reports.options import (
 if TYPE_CHECKING:
     from poseterior.inference.benchmark import Submission
     from poseterior.probmodel.datasets import DataSet
+    from poseterior.probmodel.instant import Instant
     from poseterior.probmodel.measures import Measure
     from poseterior.probmodel.people import Cast
     from poseterior.probmodel.sessions import Session
@@ -81,7 +83,10 @@ class DemoSettings:
 @dataclass(frozen=True, kw_only=True)
 class HypothesesSettings:
     """Posterior draws and diverse hypotheses for one detected person: a picture, a page that turns,
-    a table, two files."""
+    a table, two files.
+
+    Of a folder of calibrated cameras they are of one body in all views, in the world's axes and mm:
+    --frame says when, and there is no page."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "hypotheses frame_keypoints.json --out result",
@@ -91,8 +96,15 @@ class HypothesesSettings:
         "hypotheses frame.json --root fixed --limits limits.npz --candidates 1",
         "hypotheses frame.json --root fixed --estimator zhou",
         "hypotheses frame.json --recalibrated wider.json",
+        "hypotheses session/ --frame 20 --cameras 1,3 --errors learned",
     )
-    person: Person
+    person: PersonOrSession
+    frame: Annotated[
+        int | None, Option(help="Which frame of calibrated cameras; the first by default.")
+    ] = None
+    cameras: Annotated[str | None, Option(help="Which of them, such as 1,3; all by default.")] = (
+        None
+    )
     out: Annotated[
         Path,
         Option(help="Folder for posterior.nc, hypotheses.json, hypotheses.png, hypotheses.html."),
@@ -114,9 +126,37 @@ class HypothesesSettings:
     prior: Prior = Prior()
 
     @property
-    def drawn(self) -> RootKind:
-        """Under what kind of root it draws: its loops are compiled where they never were."""
-        return self.rooting.root
+    def drawn(self) -> RootKind | None:
+        """Under what kind of root it draws: its loops are compiled where they never were; None of
+        several views, which have no such loops."""
+        return None if self.person.is_session else self.rooting.root
+
+    @property
+    def instant(self) -> "Instant":
+        """What calibrated cameras saw. Raises `BadInput` where they cannot be read, and where there
+        is no such frame or camera."""
+        from poseterior.probmodel import BadInput
+        from poseterior.probmodel.sessions import read_session
+
+        session = read_session(self.person.file, layout=self.person.detected.layout)
+        try:
+            chosen = [int(one) - 1 for one in self.cameras.split(",")] if self.cameras else None
+        except ValueError:
+            raise BadInput(
+                f"--cameras {self.cameras} is no list of numbers; give one such as 1,3"
+            ) from None
+        frame = session.numbers[0] if self.frame is None else self.frame
+        return session.instant(frame, chosen).judged_by(self.estimation.likelihood())
+
+    def check(self) -> None:
+        """Raises `BadInput` where frames or cameras are chosen of a single view."""
+        from poseterior.probmodel import BadInput
+
+        if not self.person.is_session and (self.frame is not None or self.cameras):
+            raise BadInput(
+                f"--frame and --cameras are of calibrated cameras, and {self.person.file} is no"
+                " folder with a calibration; leave them out"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -153,6 +153,10 @@ class FaultPrior:
         """`(e,)`: those that there may be, as indices into `EXCHANGES`."""
         return np.flatnonzero(self.exchange_probabilities)
 
+    def none(self, *batch: int) -> Faults:
+        """No fault at all, in patterns `(*batch, ...)`."""
+        return Faults.none(*batch)
+
     def compose(self, counts: ArrayLike, step: Callable[[str, Any], Any]) -> Faults:
         """The prior, written once.
 

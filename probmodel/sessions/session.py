@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,6 +34,9 @@ from poseterior.probmodel.sessions.calibrations import is_calibration, read_came
 from poseterior.probmodel.sessions.pinhole import Pinhole
 from poseterior.probmodel.sessions.triangulation import Triangulated, residuals, triangulate
 from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS
+
+if TYPE_CHECKING:
+    from poseterior.probmodel.instant import Instant
 
 HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
 FIRST_SCALE = 0.4
@@ -115,13 +119,13 @@ class Session:
     def world(self) -> Triangulated:
         """The joints by all cameras; arrays as `Triangulated` has them, with axes for frames and
         joints in the place of its `n`."""
-        return _joints(self.straight, self.keypoints, self.score)
+        return joints_seen(self.straight, self.keypoints, self.score)
 
     def without(self, camera: int) -> Triangulated:
         """`world` by all cameras but one."""
         kept = [number for number in range(len(self.cameras)) if number != camera]
         cameras = [self.straight[number] for number in kept]
-        return _joints(cameras, self.keypoints[kept], self.score[kept])
+        return joints_seen(cameras, self.keypoints[kept], self.score[kept])
 
     @cached_property
     def apart(self) -> np.ndarray:
@@ -182,6 +186,45 @@ class Session:
         middle = seen_by.view(world)[:, HIPS].mean(axis=1)
         return np.stack([turn_to_sight(centre) @ seen_by.rotation for centre in middle])
 
+    def instant(self, frame: int, cameras: Sequence[int] | None = None) -> "Instant":
+        """One frame in its views, whose joint posterior is that of the person.
+
+        Parameters
+        ----------
+        frame
+            Its number, as the files have it.
+        cameras
+            Which cameras, counted from 0; by default all.
+
+        Returns
+        -------
+        Instant
+            Of straightened images, without the midpoints that a detector makes of other joints:
+            they lie beside the skeleton's, and by as much in every view.
+
+        Raises
+        ------
+        BadInput
+            Where there is no such frame or camera.
+        """
+        from poseterior.probmodel.instant import CameraView, Instant  # JAX comes with it
+
+        if frame not in self.numbers:
+            raise BadInput(
+                f"{self.name} has no frame {frame} in which all cameras see the person; choose one"
+                f" from {min(self.numbers)} to {max(self.numbers)}"
+            )
+        row = self.numbers.index(frame)
+        views = zip(self.labels, self.straight, self.people, self.keypoints[:, row], strict=True)
+        every = Instant(
+            f"{self.name} frame {frame}",
+            tuple(
+                CameraView(label, camera, _seen_itself(people[row], keypoints))
+                for label, camera, people, keypoints in views
+            ),
+        )
+        return every if cameras is None else every.seen_by(cameras)
+
     def take(self, rows: Sequence[int]) -> "Session":
         """Some of the frames."""
         return dataclasses.replace(
@@ -204,7 +247,17 @@ def _straightened(camera: Pinhole, people: Sequence[Detection]) -> np.ndarray:
     return camera.straighten(np.array([person.keypoints for person in people]))
 
 
-def _joints(cameras: Sequence[Pinhole], xy: np.ndarray, score: np.ndarray) -> Triangulated:
+def _seen_itself(person: Detection, straight: np.ndarray) -> Detection:
+    """A detection in straightened pixels `(15, 2)`, without midpoints of others of its points."""
+    score = person.score.copy()
+    score[[JOINT_INDEX[name] for name in midpoints_of(person)]] = 0.0
+    keypoints = np.where(score[:, None] > 0, straight, np.nan)
+    return dataclasses.replace(
+        person, keypoints=keypoints, score=score, face=None, moved=(), midpoints=()
+    )
+
+
+def joints_seen(cameras: Sequence[Pinhole], xy: np.ndarray, score: np.ndarray) -> Triangulated:
     """Joints from views `(C, F, 15, 2)`, their scores over the mean of a person's seen joints."""
     shape = score.shape
     seen = score > 0
@@ -401,7 +454,7 @@ def _agree(cameras: Sequence[Pinhole], people: Sequence[Sequence[Detection]]) ->
     views = zip(cameras, people, strict=True)
     xy = np.stack([_straightened(camera, seen) for camera, seen in views])
     score = np.array([[person.score for person in seen] for seen in people])
-    points = _joints(straight, xy, score).points
+    points = joints_seen(straight, xy, score).points
     in_front = (_scale(straight, points) > 0).all(axis=0)  # false for NaN too
     apart = np.linalg.norm(_residuals(straight, points, xy), axis=-1)
     apart = np.where(score > 0, apart, np.nan)

@@ -3,7 +3,7 @@ hypotheses."""
 
 from poseterior.probmodel.example import example
 from poseterior.reports.commands import hypotheses
-from poseterior.reports.options import Drawing, Person, Sampling, Screen
+from poseterior.reports.options import Drawing, PersonOrSession, Sampling, Screen
 from poseterior.reports.settings import DemoSettings, HypothesesSettings
 
 
@@ -12,7 +12,7 @@ def run(settings: DemoSettings, screen: Screen) -> None:
     capture, one wrist missing."""
     made = example()
     wanted = HypothesesSettings(
-        person=Person(file=made.path),
+        person=PersonOrSession(file=made.path),
         out=settings.out,
         open=settings.open,
         sampling=Sampling(seed=settings.seed),

@@ -16,6 +16,7 @@ from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
 from poseterior.reports import console, doubts, tables
+from poseterior.reports.commands import instants
 from poseterior.reports.figures import (
     hypotheses_figure,
     save_figure,
@@ -36,6 +37,9 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         raise BadInput(f"the number of hypotheses must be at least 1, not {k}; give another --k")
     if k > sampling.num_samples:
         raise BadInput(f"--k {k} hypotheses need at least as many draws; raise --num-samples")
+    if settings.person.is_session:
+        instants.run(settings, screen)
+        return
     with console.progress("torso and camera", screen.quiet):
         model = settings.rooting.model(settings.prior, settings.person.size)
         frame = settings.estimation.estimate(settings.person.detection, model)

@@ -11,7 +11,7 @@ from poseterior.inference.draws import OUT_OF_BUDGET
 from poseterior.inference.saved import read_result
 from poseterior.probmodel.example import example
 from poseterior.reports.cli import COMMANDS, declared
-from poseterior.reports.options import PROGRAMS, Person, Prior, RootKind, Viewing
+from poseterior.reports.options import PROGRAMS, PersonOrSession, Prior, RootKind, Viewing
 from poseterior.reports.settings import HypothesesSettings, SampleSettings
 from tests.conftest import Cli
 from tests.reports.test_interactive import Parsed
@@ -246,7 +246,7 @@ def test_who_is_believed_upright_needs_an_uncertain_root(poseterior: Cli, folder
 
 
 def test_what_is_compiled_ahead_is_what_the_call_draws_by() -> None:
-    person, fixed = Person(file=Path("frame.json")), Viewing(root=RootKind.fixed)
+    person, fixed = PersonOrSession(file=Path("frame.json")), Viewing(root=RootKind.fixed)
     assert HypothesesSettings(person=person).drawn == "uncertain"
     assert HypothesesSettings(person=person, rooting=fixed).drawn == "fixed"
     assert SampleSettings(person=person, sampler="rejection").drawn == "uncertain"

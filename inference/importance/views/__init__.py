@@ -1,0 +1,1 @@
+"""Weighted sampling of one body in several views, and the slow route by which it is judged."""

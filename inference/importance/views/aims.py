@@ -1,0 +1,147 @@
+"""Where a bone is to point so that its end is where the views have it: proposals on the sphere.
+
+Lines of sight pin a joint down to a Gaussian in space, wide along the line where one view sees it
+alone. On the sphere around the joint before, that has one mode, or two where the bone points
+towards the views or away from them. A proposal is a Student's t in the plane that touches the
+sphere at a mode, cast onto the sphere (gnomonic), whose density is known.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from poseterior.inference.importance.views.sights import Sights
+from poseterior.probmodel.rig import CameraRig
+
+FREEDOM_OF_AIM = 4.0
+"""Degrees of freedom of the proposals: tails that no likelihood outruns."""
+BLUNT = 4.0
+"""The least precision of a proposal, one over square radians."""
+TRUST_STEPS = 8
+"""Of reweighting lines of sight that do not meet."""
+ODD = 3.0
+"""Standard deviations beyond which a line of sight counts less and less."""
+NEWTON_STEPS = 6
+LEAST_SHARE = 0.1
+"""Of either mode."""
+
+
+class SpatialAim(NamedTuple):
+    """A Gaussian in space in its own axes: its mean, `point` `(3,)` mm; `axes` `(3, 3)`, in
+    columns, the vaguest first; and its `precision` `(3,)` along them, per mm²."""
+
+    point: jax.Array
+    axes: jax.Array
+    precision: jax.Array
+
+
+def aim_of(
+    rig: CameraRig, sights: Sights, trust: jax.Array, size: jax.Array, place: jax.Array
+) -> SpatialAim:
+    """Where one joint is, by its lines of sight in views of some `trust` `(C,)`, and within some
+    body units of a body's `place`."""
+    unbiased = (
+        sights.keypoint
+        - sights.bias * (rig.focal * size / jnp.maximum(rig.view(place)[:, 2], 1.0))[:, None]
+    )
+    ray = rig.rays(unbiased)
+    across = jnp.eye(3)[None] - ray[:, :, None] * ray[:, None, :]
+    sharp = jnp.where(sights.counts, trust * 4 / (sights.spread * size) ** 2, 0.0)
+    vague = 1 / (2 * size) ** 2
+
+    def solve(weight: jax.Array) -> tuple[jax.Array, jax.Array]:
+        normal = jnp.einsum("c,cab->ab", weight * sharp, across) + vague * jnp.eye(3)
+        right = jnp.einsum("c,cab,cb->a", weight * sharp, across, rig.centre) + vague * place
+        return jnp.linalg.solve(normal, right), normal
+
+    def reweighted(_: Any, weight: jax.Array) -> jax.Array:
+        point, _ = solve(weight)
+        off = jnp.einsum("cab,cb->ca", across, point[None] - rig.centre)
+        return 1 / (1 + sharp * jnp.sum(off**2, axis=-1) / ODD**2)
+
+    weight = jax.lax.fori_loop(0, TRUST_STEPS, reweighted, jnp.ones_like(sharp))
+    point, normal = solve(weight)
+    precision, axes = jnp.linalg.eigh(normal)
+    return SpatialAim(point, axes, precision)
+
+
+class AimModes(NamedTuple):
+    """Two modes of an aim on a sphere, in the aim's axes: their `centre` `(2, 3)`, two directions
+    across them, `across` `(2, 3, 2)`, the proposals' `precision` `(2, 2, 2)` there, and `log_share`
+    `(2,)`."""
+
+    centre: jax.Array
+    across: jax.Array
+    precision: jax.Array
+    log_share: jax.Array
+
+
+def modes_of(aim: SpatialAim, start: jax.Array, length: jax.Array) -> AimModes:
+    """Those on a sphere of some `length` in mm around `start` `(3,)`: the best, by a Lagrange
+    multiplier, and its mirror image along the vaguest axis."""
+    goal = aim.axes.T @ (aim.point - start) / length
+    precision = aim.precision * length**2
+    pull = precision * goal
+    least = precision[0] * (1 - 1e-6)
+    multiplier = jnp.maximum(-least, jnp.linalg.norm(pull) - precision[2])
+
+    def newton(_: Any, multiplier: jax.Array) -> jax.Array:
+        point = pull / (precision + multiplier)
+        norm = jnp.linalg.norm(point) + 1e-300
+        bend = jnp.sum(point**2 / (precision + multiplier)) + 1e-300
+        return jnp.maximum(-least, multiplier + norm**2 / bend * (norm - 1))
+
+    multiplier = jax.lax.fori_loop(0, NEWTON_STEPS, newton, multiplier)
+    best = pull / (precision + multiplier)
+    best = jnp.where(jnp.sum(best**2) > 0, best, jnp.array([1.0, 0.0, 0.0]))
+    best = best / jnp.linalg.norm(best)
+    centre = jnp.stack([best, best * jnp.array([-1.0, 1.0, 1.0])])
+    across = jax.vmap(_across)(centre)
+    bend = jnp.einsum("kia,i,kib->kab", across, precision, across) + BLUNT * jnp.eye(2)[None]
+    misfit = jnp.sum(precision[None] * (centre - goal[None]) ** 2, axis=-1)
+    share = jax.nn.softmax(-misfit / 4 - jnp.log(jnp.linalg.det(bend)) / 2)
+    return AimModes(centre, across, bend, jnp.log(LEAST_SHARE + (1 - 2 * LEAST_SHARE) * share))
+
+
+def _across(centre: jax.Array) -> jax.Array:
+    """`(3, 2)`: two directions at right angles to a unit vector and to each other (Duff et al.
+    2017)."""
+    x, y, z = centre
+    sign = jnp.where(z >= 0, 1.0, -1.0)
+    a = -1 / (sign + z)
+    b = x * y * a
+    return jnp.array([[1 + sign * x * x * a, b], [sign * b, sign + y * y * a], [-sign * x, -y]])
+
+
+def draw_direction(modes: AimModes, which: jax.Array, square: jax.Array) -> jax.Array:
+    """`(3,)`: a direction of one mode's proposal, in the aim's axes, at a point `(2,)` of the unit
+    square."""
+    nu = FREEDOM_OF_AIM
+    radius = jnp.sqrt(nu * jnp.expm1(-2 / nu * jnp.log1p(-square[0])))
+    angle = 2 * jnp.pi * square[1]
+    bend = modes.precision[which]
+    a = jnp.sqrt(bend[0, 0])
+    b = bend[0, 1] / a
+    c = jnp.sqrt(bend[1, 1] - b**2)
+    # The inverse of the Cholesky factor's transpose.
+    second = radius * jnp.sin(angle) / c
+    first = (radius * jnp.cos(angle) - b * second) / a
+    found = modes.centre[which] + modes.across[which] @ jnp.array([first, second])
+    return found / jnp.linalg.norm(found)
+
+
+def log_aimed(modes: AimModes, direction: jax.Array) -> jax.Array:
+    """`()`: log density per steradian of a direction `(3,)` in the aim's axes, of both modes'
+    proposals."""
+    nu = FREEDOM_OF_AIM
+
+    def one(centre: jax.Array, across: jax.Array, bend: jax.Array) -> jax.Array:
+        ahead = direction @ centre
+        off = across.T @ direction / jnp.where(ahead > 1e-9, ahead, 1.0)
+        level = jnp.log(bend[0, 0] * bend[1, 1] - bend[0, 1] ** 2) / 2 - jnp.log(2 * jnp.pi)
+        level -= (nu + 2) / 2 * jnp.log1p(off @ bend @ off / nu)
+        return jnp.where(ahead > 1e-9, level + 1.5 * jnp.log1p(off @ off), -jnp.inf)
+
+    each = jax.vmap(one)(modes.centre, modes.across, modes.precision)
+    return jax.nn.logsumexp(each + modes.log_share)

@@ -1,0 +1,399 @@
+"""WorldBodies in the world, their bones' lengths among them, proposed by a robust fit to all views.
+
+With every torso of the dictionary root, lengths and the limbs' joints are fitted by Gauss's and
+Newton's steps, whose weights fall for keypoints far off; a Student's t around its fit then proposes
+root and lengths. The fit decides nothing but how many proposals are wasted: their density is known,
+and everything is weighed exactly.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from scipy.special import gammaln, logsumexp
+
+from poseterior.inference.resampling import effective
+from poseterior.probmodel.body import align_torsos
+from poseterior.probmodel.errors.faults import LIMB_INDEX, NUM_EXCHANGES, ORDERS
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.instant import InstantPosterior
+from poseterior.probmodel.root_priors import MEDIAN_SIZE, SIZE_SD
+from poseterior.probmodel.roots import WorldPoint
+from poseterior.probmodel.sessions.session import joints_seen
+from poseterior.probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
+
+FIT_STEPS = 12
+ODD_FIT = 2.5
+"""Standard deviations beyond which a keypoint counts less and less in a fit."""
+FREEDOM_OF_ROOTS = 20.0
+"""Degrees of freedom of the proposals."""
+WIDER = 1.2
+"""How much wider than the fit's covariance they are."""
+KEPT_OF_FIT = 0.2
+"""What proposals keep of the first ones when a pilot run has refined them."""
+OF_PRIOR_EXCHANGES = 0.1
+"""What proposals of exchanges keep of the prior."""
+FEWEST_JOINTS = 3
+"""Of the torso, that two cameras must see."""
+TURN, SIZE, PLACE, LENGTHS_STEP = slice(0, 3), 3, slice(4, 7), slice(7, 12)
+"""The coordinates of a step away from a fit: a rotation vector, log size, mm, and body units."""
+NUM_ROOT, NUM_STEP = 7, 12
+WIDEST = np.array([0.5] * 3 + [0.2] + [300.0] * 3 + [0.3] * 5)
+"""The longest step of a fit, and the widest proposal, in each coordinate."""
+NARROWEST = 1e-8
+"""The least variance of a proposal, over that of the widest."""
+STIFF = 0.01
+"""TorsoInWorld units, by which bones may be off in a fit."""
+LOOSE = 2.0
+"""TorsoInWorld units, within which a joint lies that hardly any view sees."""
+BELIEVED_TORSOS = 0.8
+"""What torsos get by a pilot run, at most."""
+OWN_WEIGHT = 10.0
+"""Effective roots of a pilot run by which it is believed as much as the fit."""
+
+
+class WorldBodies(NamedTuple):
+    """Roots in the world and the bones' `length` `(..., 5)`, body units; a pytree."""
+
+    point: WorldPoint
+    length: np.ndarray
+
+    def take(self, rows: Any) -> "WorldBodies":
+        """Some of a batch."""
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], self)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyProposal:
+    """A mixture of Student's t: K for each of J torsos.
+
+    Attributes
+    ----------
+    share : `(K, J)`
+        With sum one.
+    centre
+        Leaves start with `(K, J)`.
+    factor : `(K, J, 12, 12)`
+        Lower Cholesky factors of their scale matrices.
+    exchange : `(C, 6)`
+        By which the views' exchanges are proposed, each for itself.
+    """
+
+    share: np.ndarray
+    centre: WorldBodies
+    factor: np.ndarray
+    exchange: np.ndarray
+
+    def draw(self, rng: np.random.Generator, number: int) -> tuple[WorldBodies, np.ndarray]:
+        """So many bodies, and exchanges `(number, C)`."""
+        flat = np.searchsorted(np.cumsum(self.share), rng.random(number))
+        kind, torso = np.divmod(np.minimum(flat, self.share.size - 1), self.share.shape[1])
+        normal = rng.standard_normal((number, NUM_STEP))
+        stretch = np.sqrt(FREEDOM_OF_ROOTS / rng.chisquare(FREEDOM_OF_ROOTS, number))
+        step = np.einsum("nab,nb->na", self.factor[kind, torso], normal) * stretch[:, None]
+        bodies = _moved(self.centre.take((kind, torso)), step)
+        places = rng.random((number, len(self.exchange), 1))
+        return bodies, np.sum(np.cumsum(self.exchange, axis=1)[:, :-1] < places, axis=-1)
+
+    def log_density(self, bodies: WorldBodies, exchange: np.ndarray) -> np.ndarray:
+        """`(n,)`: of bodies by the base measure of roots × lengths, and of exchanges."""
+        torso = bodies.point.torso
+        parts = []
+        for kind in range(len(self.share)):
+            step = _step(self.centre.take((kind, torso)), bodies)
+            factor = self.factor[kind, torso]
+            normal = np.linalg.solve(factor, step[..., None])[..., 0]
+            level = np.log(self.share[kind, torso])
+            level -= np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+            level += _log_student(np.sum(normal**2, axis=1))
+            parts.append(level - log_haar(step[:, TURN]))
+        views = np.arange(len(self.exchange))
+        return logsumexp(parts, axis=0) + np.log(self.exchange[views, exchange]).sum(axis=1)
+
+    def refined(
+        self, bodies: WorldBodies, exchange: np.ndarray, share: np.ndarray
+    ) -> "BodyProposal":
+        """Proposals around a pilot run's bodies `(n, ...)`, which have these shares `(n,)` of the
+        posterior, beside the first ones."""
+        first, torso = self.centre.take(0), bodies.point.torso
+        step = _step(first.take(torso), bodies)
+        trust = effective(share) / (effective(share) + OWN_WEIGHT)
+        mean = trust * (share @ step)
+        scatter = np.einsum("n,na,nb->ab", share, step - mean, step - mean)
+        wide = self.factor[0] @ np.swapaxes(self.factor[0], -1, -2)
+        spread = trust * WIDER * scatter + (1 - trust) * wide
+        kept = self.share[0] / self.share[0].sum()
+        believed = trust * BELIEVED_TORSOS
+        own = believed * np.bincount(torso, share, minlength=len(kept)) + (1 - believed) * kept
+        seen = np.stack(
+            [np.bincount(column, share, minlength=NUM_EXCHANGES) for column in exchange.T]
+        )
+        centre = _moved(first, np.broadcast_to(mean, (len(kept), NUM_STEP)))
+        return BodyProposal(
+            np.stack([KEPT_OF_FIT * kept, (1 - KEPT_OF_FIT) * own]),
+            jax.tree.map(lambda *both: np.stack(both), first, centre),
+            np.stack([self.factor[0], np.linalg.cholesky(spread)]),
+            (1 - KEPT_OF_FIT) * seen + KEPT_OF_FIT * self.exchange,
+        )
+
+
+def log_haar(turn: np.ndarray) -> np.ndarray:
+    """`(n,)`: log density of rotation vectors `(n, 3)` under Haar's measure, which is 1 in all;
+    infinite beyond a half turn, where a rotation has another vector."""
+    angle = np.linalg.norm(turn, axis=1)
+    safe = np.where(angle > 1e-4, angle, 1.0)
+    ratio = np.where(angle > 1e-4, 2 * (1 - np.cos(safe)) / safe**2, 1 - angle**2 / 12)
+    inside = np.log(np.maximum(ratio, 1e-300) / (8 * np.pi**2))
+    return np.where(angle < np.pi, inside, -np.inf)
+
+
+def _log_student(square: np.ndarray) -> np.ndarray:
+    """Log density of a standard Student's t of a step, by its squared length."""
+    nu, half = FREEDOM_OF_ROOTS, NUM_STEP / 2
+    level = gammaln(nu / 2 + half) - gammaln(nu / 2) - half * np.log(nu * np.pi)
+    return level - (nu / 2 + half) * np.log1p(square / nu)
+
+
+def rotations_of(turn: np.ndarray) -> np.ndarray:
+    """`(..., 3, 3)`: the rotations of vectors `(..., 3)` (Rodrigues)."""
+    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
+    cross = _crossed(turn)
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    return np.eye(3) + first * cross + second * cross @ cross
+
+
+def turns_of(rotation: np.ndarray) -> np.ndarray:
+    """`(n, 3)`: the vectors of rotations `(n, 3, 3)`, none longer than π."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotation).as_rotvec()
+
+
+def _crossed(vector: np.ndarray) -> np.ndarray:
+    """`(..., 3, 3)`: what makes of a vector its cross product with `vector`."""
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _moved(start: WorldBodies, step: np.ndarray) -> WorldBodies:
+    """WorldBodies `(n, ...)` after steps `(n, 12)`."""
+    point = WorldPoint(
+        start.point.torso,
+        rotations_of(step[:, TURN]) @ start.point.rotation,
+        start.point.log_size + step[:, SIZE],
+        start.point.place + step[:, PLACE],
+    )
+    return WorldBodies(point, start.length + step[:, LENGTHS_STEP])
+
+
+def _step(start: WorldBodies, end: WorldBodies) -> np.ndarray:
+    """`(n, 12)`: the steps from bodies to others, with the shortest turns."""
+    turn = turns_of(end.point.rotation @ np.swapaxes(start.point.rotation, -1, -2))
+    size = np.asarray(end.point.log_size - start.point.log_size)[:, None]
+    place = end.point.place - start.point.place
+    return np.concatenate([turn, size, place, end.length - start.length], axis=1)
+
+
+def fitted(posterior: InstantPosterior) -> BodyProposal:
+    """The first proposal. Raises `BadInput` where two cameras do not see enough of the torso, or it
+    is behind one of them."""
+    points = _triangulated(posterior, range(len(posterior.detection.views)))
+    _require_torso(posterior, points)
+    torsos = np.asarray(posterior.model.torsos)
+    centre, factor = _Fit(posterior, torsos).run(_aligned(torsos, points), points)
+    # Evenly: what chooses among torsos are the limits, of which a fit knows nothing.
+    share = np.full(len(torsos), 1 / len(torsos))
+    one = jax.tree.map(lambda leaf: np.asarray(leaf)[None], centre)
+    factor = np.sqrt(WIDER) * factor[None]
+    return BodyProposal(share[None], one, factor, _exchanges(posterior, points))
+
+
+def _triangulated(posterior: InstantPosterior, views: Sequence[int]) -> np.ndarray:
+    """`(15, 3)` mm: the joints as some of the views see them, NaN where fewer than two do."""
+    spread = np.stack([posterior.detected.views[one].spread for one in views])
+    cameras = [posterior.detection.views[one].camera for one in views]
+    counts = np.isfinite(spread)
+    xy = np.where(counts[..., None], posterior.detection.keypoints[list(views)], np.nan)
+    trust = np.where(counts, 1 / spread, 0.0)
+    return joints_seen(cameras, xy[:, None], trust[:, None]).points[0]
+
+
+def _require_torso(posterior: InstantPosterior, points: np.ndarray) -> None:
+    """Raises `BadInput` where joints `(15, 3)` that cameras triangulate do not place a torso."""
+    known = np.isfinite(points[list(TORSO_INDEX)]).all(axis=1)
+    where = posterior.detection.where
+    if known.sum() < FEWEST_JOINTS:
+        raise BadInput(
+            f"two cameras see {known.sum()} joints of the torso of {where} together, and"
+            f" {FEWEST_JOINTS} at least are needed; add cameras, or take one view by itself"
+        )
+    depth = np.asarray(posterior.detection.rig.view(points[list(TORSO_INDEX)][known]))[..., 2]
+    # One of two joints may be an outlier, and anywhere.
+    if (behind := np.flatnonzero(np.median(depth, axis=0) <= 0)).size:
+        label = posterior.detection.views[behind[0]].label
+        raise BadInput(
+            f"{where} is behind the camera {label}: its calibration does not fit what it saw;"
+            " check the order of the cameras, and which way its rotation is meant"
+        )
+
+
+def _aligned(torsos: np.ndarray, points: np.ndarray) -> WorldPoint:
+    """Every torso on triangulated joints `(15, 3)`, NaN where not known, at the usual size."""
+    points = points[list(TORSO_INDEX)]
+    known = np.isfinite(points).all(axis=1)
+    middle = points[known].mean(axis=0)
+    own = torsos[:, known]
+    own = own - own.mean(axis=1, keepdims=True)
+    turn = align_torsos(own, points[known] - middle)
+    place = middle - MEDIAN_SIZE * np.einsum("jab,jb->ja", turn, torsos[:, known].mean(axis=1))
+    number = len(torsos)
+    return WorldPoint(np.arange(number), turn, np.full(number, np.log(MEDIAN_SIZE)), place)
+
+
+def _factor(covariance: np.ndarray) -> np.ndarray:
+    """Lower Cholesky factors of covariances `(J, 12, 12)`, none wider than `WIDEST`."""
+    level, axes = np.linalg.eigh(covariance / WIDEST / WIDEST[:, None])
+    level = np.clip(level, NARROWEST, 1.0)
+    return WIDEST[:, None] * np.linalg.cholesky((axes * level[:, None]) @ np.swapaxes(axes, 1, 2))
+
+
+class _Fit:
+    """Robust least squares of all keypoints in all views, for every torso at once: of a step of the
+    body and of the limbs' joints, which hang on bones that are nearly stiff."""
+
+    def __init__(self, posterior: InstantPosterior, torsos: np.ndarray) -> None:
+        views, lengths = posterior.detected.views, posterior.model.lengths
+        low, high, alpha, beta = (np.asarray(part) for part in lengths)
+        self.mean = low + (high - low) * alpha / (alpha + beta)
+        self.sd = (high - low) * np.sqrt(alpha * beta / (alpha + beta + 1)) / (alpha + beta)
+        self.torsos = torsos
+        self.cameras = [view.camera for view in posterior.detection.views]
+        self.detected = np.stack([np.asarray(view.keypoints) for view in views])
+        self.spread = np.stack([np.asarray(view.spread) for view in views])
+        self.bias = np.stack([np.asarray(view.bias) for view in views])
+
+    def run(self, start: WorldPoint, seen: np.ndarray) -> tuple[WorldBodies, np.ndarray]:
+        """From roots and triangulated joints `(15, 3)` the fits, and factors `(J, 12, 12)` of their
+        covariances."""
+        body = WorldBodies(start, np.tile(self.mean, (len(self.torsos), 1)))
+        limbs = np.tile(seen[list(LIMB_INDEX)], (len(self.torsos), 1, 1))
+        limbs = np.where(np.isfinite(limbs), limbs, start.place[:, None])
+        for _ in range(FIT_STEPS):
+            slope, off = self._rows(body, limbs)
+            normal = np.einsum("jra,jrb->jab", slope, slope)
+            step = np.linalg.solve(normal, np.einsum("jra,jr->ja", slope, off)[..., None])[..., 0]
+            far = np.abs(step[:, :NUM_STEP] / WIDEST).max(axis=1, keepdims=True)
+            step *= np.minimum(1.0, 1 / np.maximum(far, 1e-9))
+            body = _moved(body, step[:, :NUM_STEP])
+            limbs = limbs + step[:, NUM_STEP:].reshape(limbs.shape)
+        slope, _ = self._rows(body, limbs)
+        covariance = np.linalg.pinv(np.einsum("jra,jrb->jab", slope, slope), hermitian=True)
+        return body, _factor(covariance[:, :NUM_STEP, :NUM_STEP])
+
+    def _rows(self, body: WorldBodies, limbs: np.ndarray) -> "_Part":
+        """The slopes `(J, rows, 39)` and residuals `(J, rows)` of least squares."""
+        number, size = len(limbs), np.exp(body.point.log_size)[:, None]
+        arm = size[..., None] * np.einsum("jab,jtb->jta", body.point.rotation, self.torsos)
+        world = np.empty((number, NUM_JOINTS, 3))
+        world[:, list(TORSO_INDEX)] = body.point.place[:, None] + arm
+        world[:, list(LIMB_INDEX)] = limbs
+        moves = np.zeros((number, NUM_JOINTS, 3, NUM_STEP + 3 * len(LIMB_INDEX)))
+        # A turn moves a joint by its cross product with where it is.
+        identity = np.broadcast_to(np.eye(3), (*arm.shape, 3))
+        of_root = np.concatenate([-_crossed(arm), arm[..., None], identity], axis=-1)
+        moves[:, list(TORSO_INDEX), :, :NUM_ROOT] = of_root
+        for row, joint in enumerate(LIMB_INDEX):
+            first = NUM_STEP + 3 * row
+            moves[:, joint, :, first : first + 3] = np.eye(3)
+        parts = [self._seen(index, world, moves, size) for index in range(len(self.cameras))]
+        parts += [self._stiff(body, world, moves, size), self._believed(body, world, moves, size)]
+        slope, off = zip(*parts, strict=True)
+        return np.concatenate(slope, axis=1), np.concatenate(off, axis=1)
+
+    def _seen(self, index: int, world: np.ndarray, moves: np.ndarray, size: np.ndarray) -> "_Part":
+        """What one camera sees."""
+        camera, spread = self.cameras[index], self.spread[index]
+        unit = camera.focal[0] * size / camera.view(world)[..., 2]
+        sd = np.where(np.isfinite(spread), unit * spread / 2, np.inf)[..., None]
+        target = self.detected[index] - self.bias[index] * unit[..., None]
+        off = (target - camera.project(world)) / sd
+        square = np.sum(off**2, axis=-1) / ODD_FIT**2
+        weight = np.sqrt(1 / (1 + square))[..., None]
+        slope = camera.slope(world) @ moves / sd[..., None] * weight[..., None]
+        return _flat(slope), (off * weight).reshape(len(world), -1)
+
+    def _stiff(
+        self, body: WorldBodies, world: np.ndarray, moves: np.ndarray, size: np.ndarray
+    ) -> "_Part":
+        """That bones are as long as they are."""
+        starts, ends = [bone.start for bone in BONES], [bone.end for bone in BONES]
+        groups = [bone.length_group for bone in BONES]
+        bone = world[:, ends] - world[:, starts]
+        long = np.linalg.norm(bone, axis=-1)
+        along = bone / np.maximum(long, 1e-9)[..., None]
+        slope = np.einsum("jba,jbam->jbm", along, moves[:, ends] - moves[:, starts])
+        wanted = size * body.length[:, groups]
+        slope[:, :, SIZE] -= wanted
+        slope[:, range(len(BONES)), [LENGTHS_STEP.start + group for group in groups]] -= size
+        scale = STIFF * size
+        off = (wanted - long) / scale
+        return slope / scale[..., None], off
+
+    def _believed(
+        self, body: WorldBodies, world: np.ndarray, moves: np.ndarray, size: np.ndarray
+    ) -> "_Part":
+        """The priors of size and lengths, and that limbs are about where the body is."""
+        number = len(world)
+        own = np.zeros((number, 1 + len(self.mean), moves.shape[-1]))
+        own[:, 0, SIZE] = 1 / SIZE_SD
+        own[:, 1:, LENGTHS_STEP] = np.diag(1 / self.sd)
+        size_off = (np.log(MEDIAN_SIZE) - body.point.log_size)[:, None] / SIZE_SD
+        off = np.concatenate([size_off, (self.mean - body.length) / self.sd], axis=1)
+        joints, scale = list(LIMB_INDEX), LOOSE * size[..., None]
+        loose = moves[:, joints] / scale[..., None]
+        away = (body.point.place[:, None] - world[:, joints]) / scale
+        off = np.concatenate([off, away.reshape(number, -1)], axis=1)
+        return np.concatenate([own, _flat(loose)], axis=1), off
+
+
+_Part = tuple[np.ndarray, np.ndarray]
+"""Slopes `(J, rows, 39)` and residuals `(J, rows)`."""
+
+
+def _flat(slope: np.ndarray) -> np.ndarray:
+    """Slopes `(J, joints, axes, 39)` as rows."""
+    return slope.reshape(len(slope), -1, slope.shape[-1])
+
+
+def _exchanges(posterior: InstantPosterior, points: np.ndarray) -> np.ndarray:
+    """`(C, 6)`: by which exchanges are proposed: by how near each would bring a view's keypoints to
+    what the others see; to what all see, `points` `(15, 3)`, where there are but two."""
+    number, found = len(posterior.detection.views), []
+    for index, prior in enumerate(posterior.faults.views):
+        others = [one for one in range(number) if one != index]
+        place = points if number < 3 else _triangulated(posterior, others)
+        with np.errstate(divide="ignore"):
+            score = _nearness(posterior, index, place) + np.log(prior.exchange_probabilities)
+        share = np.exp(score - logsumexp(score))
+        kept = OF_PRIOR_EXCHANGES * prior.exchange_probabilities
+        found.append((1 - OF_PRIOR_EXCHANGES) * share + kept)
+    return np.stack(found)
+
+
+def _nearness(posterior: InstantPosterior, index: int, points: np.ndarray) -> np.ndarray:
+    """`(6,)`: about the log likelihood of a view's keypoints under each exchange, if joints are at
+    `points` `(15, 3)`."""
+    camera, view = posterior.detection.views[index].camera, posterior.detected.views[index]
+    unit = camera.focal[0] * MEDIAN_SIZE / camera.view(points)[:, 2]
+    order = np.asarray(ORDERS)
+    off = np.asarray(view.keypoints)[order] - camera.project(points)
+    # Twice the variance, since the points err as well.
+    sd = unit * np.asarray(view.spread)[order] / np.sqrt(2)
+    square = np.sum(off**2, axis=-1) / sd**2
+    level = -(ODD_FIT**2) / 2 * np.log1p(square / ODD_FIT**2)
+    return np.where(np.isfinite(square) & np.isfinite(sd), level, 0.0).sum(axis=1)

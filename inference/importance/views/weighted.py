@@ -1,0 +1,299 @@
+"""One body from all views: roots proposed by a fit, weighed by unbiased estimates of their limbs'
+evidence, and drawn anew by their weights.
+
+    draws = WeightedViews().draw(instant.posterior(model), jax.random.key(0), 10_000)
+
+With one view it draws from that view's posterior, whose focal length is known, and the size from
+its prior: they are the same law (docs/model.md § 12).
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+from scipy.special import logsumexp
+
+from poseterior.inference.draws import (
+    COMPLETE,
+    OF_ONE_RUN,
+    OUT_OF_BUDGET,
+    Draws,
+    KnownRoots,
+    Progress,
+    Sampler,
+)
+from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.importance.views.faults import drawn_faults
+from poseterior.inference.importance.views.limbs import (
+    PER_LIMB,
+    Proposals,
+    weigh_bodies,
+)
+from poseterior.inference.importance.views.roots import BodyProposal, WorldBodies, fitted
+from poseterior.inference.importance.weighted import (
+    FEWEST_EFFECTIVE,
+    WeightedSampler,
+    log_mean,
+    require_number,
+)
+from poseterior.inference.resampling import effective, shares, times
+from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.instant import InstantPosterior
+from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.posterior import Posterior
+from poseterior.probmodel.root_priors import MEDIAN_SIZE, SIZE_SD
+from poseterior.probmodel.roots import RootPoint, WorldPoint
+from poseterior.probmodel.sessions import Pinhole
+from poseterior.probmodel.skeleton import UPPER_BONES
+
+NUM_BODIES = 1600
+"""Roots, where nothing else is said."""
+PILOT_BODIES = 600, 400, 600
+"""Roots of each pilot run, by which proposals are refined."""
+BODIES_AT_ONCE = 50
+"""Roots that a program takes at a time, which bounds the memory."""
+LIMBS_OF_BODY = PER_LIMB * len(UPPER_BONES)
+"""Proposals for the limbs of one root."""
+
+
+@dataclass(frozen=True, eq=False)
+class WeighedRoots:
+    """Roots with their weights and what was proposed for their limbs.
+
+    Attributes
+    ----------
+    posterior
+        What they are drawn from.
+    bodies, exchange
+        Roots with lengths, and the exchanges `(n, C)`.
+    log_weight : `(n,)`
+        Their mean is the evidence.
+    limbs
+        Proposals `(n, 5, P)` for the limbs, the head first.
+    """
+
+    posterior: InstantPosterior
+    bodies: WorldBodies
+    exchange: np.ndarray
+    log_weight: np.ndarray
+    limbs: Proposals
+
+    @functools.cached_property
+    def share(self) -> np.ndarray:
+        """`(n,)`: the weights, with sum one; zeros where no root has any."""
+        return shares(self.log_weight)
+
+    @property
+    def effective(self) -> float:
+        """How many equally weighted roots these are worth (Kish 1965)."""
+        return effective(self.share)
+
+    def evidence_of(self, rows: np.ndarray) -> tuple[float, float]:
+        """Log evidence of the roots in some rows alone, and its standard error."""
+        own = np.isin(np.arange(len(self.share)), rows)
+        share = np.where(own, self.share, 0.0)
+        if not share.any():
+            return -math.inf, math.inf
+        share = share / share.sum()
+        scatter = max(float(np.sum(share**2)) - 1 / len(share), 0.0)
+        return log_mean(np.where(own, self.log_weight, -np.inf)), math.sqrt(scatter)
+
+    def draw(
+        self, rng: np.random.Generator, number: int
+    ) -> tuple[WorldPoint, Pose, Faults, np.ndarray]:
+        """`number` roots, poses and faults in random order, and which `(number,)` of the roots each
+        has; none where no root has any weight."""
+        counts = times(self.share, number if self.effective else 0, rng.uniform())
+        chosen = rng.permutation(np.repeat(np.arange(len(counts)), counts))
+        bodies, exchange = self.bodies.take(chosen), self.exchange[chosen]
+        log_weight = self.limbs.log_weight[chosen]
+        taken = np.argmax(log_weight + rng.gumbel(size=log_weight.shape), axis=-1)
+        place = chosen[:, None], np.arange(log_weight.shape[1]), taken
+        pose = Pose(bodies.length, self.limbs.upper[place], self.limbs.lower[place][:, 1:])
+        faults = drawn_faults(self.posterior, bodies.point, pose, exchange, rng)
+        return bodies.point, pose, faults, chosen
+
+
+def weigh(
+    posterior: InstantPosterior,
+    proposal: BodyProposal,
+    key: jax.Array,
+    number: int,
+    progress: Progress | None = None,
+) -> WeighedRoots:
+    """So many bodies of a proposal with their weights."""
+    draw_key, limb_key = jax.random.split(key)
+    bodies, exchange = proposal.draw(np.random.default_rng(words_of(draw_key)), number)
+    words = np.asarray(jax.random.key_data(limb_key))
+    given = posterior.model, posterior.detected, posterior.faults, posterior.root_prior, words
+    parts = []
+    for start in range(0, number, BODIES_AT_ONCE):
+        rows = np.minimum(np.arange(start, start + BODIES_AT_ONCE), number - 1)
+        some = bodies.take(rows)
+        found = weigh_bodies(*given, np.int64(start), *some.point, some.length, exchange[rows])
+        left = number - start
+        parts.append(jax.tree.map(lambda leaf, left=left: np.asarray(leaf)[:left], found))
+        if progress:
+            progress(min(start + BODIES_AT_ONCE, number), number)
+    log_torso, columns = jax.tree.map(lambda *rows: np.concatenate(rows), *parts)
+    limbs = Proposals(*columns)
+    of_limbs = logsumexp(limbs.log_weight, axis=-1) - math.log(PER_LIMB)
+    log_weight = log_torso + of_limbs.sum(axis=1) - proposal.log_density(bodies, exchange)
+    # Beyond the ends of lengths, and of half turns, there is nothing.
+    log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight)
+    return WeighedRoots(posterior, bodies, exchange, log_weight, limbs)
+
+
+def weigh_refined(
+    posterior: InstantPosterior, key: jax.Array, number: int, progress: Progress | None = None
+) -> WeighedRoots:
+    """So many bodies of a proposal that pilot runs have refined. Raises `BadInput` as `fitted`."""
+    first = proposal = fitted(posterior)
+    pilots: list[WeighedRoots] = []
+    for run, bodies in enumerate(PILOT_BODIES):
+        pilots.append(weigh(posterior, proposal, jax.random.fold_in(key, run), bodies))
+        share = shares(np.concatenate([pilot.log_weight for pilot in pilots]))
+        if share.any():
+            drawn = [(pilot.bodies, pilot.exchange) for pilot in pilots]
+            whole = jax.tree.map(lambda *rows: np.concatenate(rows), *drawn)
+            proposal = first.refined(whole[0], whole[1], share)
+    last = jax.random.fold_in(key, len(PILOT_BODIES))
+    return weigh(posterior, proposal, last, number, progress)
+
+
+@dataclass(frozen=True)
+class WeightedViews(Sampler):
+    """Draws of a body in the world, its pose and faults in every view from weighted roots.
+
+    Attributes
+    ----------
+    name, max_proposals
+        As of a `Sampler`.
+    num_roots
+        From how many roots draws are made.
+    """
+
+    name: str = "weighted-roots"
+    num_roots: int = NUM_BODIES
+
+    def __post_init__(self) -> None:
+        require_number(self.num_roots)
+
+    def _blocks(
+        self,
+        posterior: Posterior,
+        key: jax.Array,
+        number: int,
+        block: int,
+        progress: Progress | None,
+    ) -> Iterator[Draws]:
+        assert isinstance(posterior, InstantPosterior)
+        if len(posterior.detection.views) == 1:
+            yield from _of_one_view(posterior, self, key, number, block, progress)
+            return
+        afforded = self.max_proposals // LIMBS_OF_BODY - sum(PILOT_BODIES)
+        roots = weigh_refined(
+            posterior,
+            jax.random.fold_in(key, 0),
+            max(1, min(self.num_roots, afforded)),
+            progress,
+        )
+        rng = np.random.default_rng(words_of(jax.random.fold_in(key, 1)))
+        status, sentence = verdict(roots, self.num_roots)
+        proposals = (len(roots.log_weight) + sum(PILOT_BODIES)) * LIMBS_OF_BODY
+        evidence = roots.evidence_of(np.arange(len(roots.share)))
+        about: dict[str, Any] = {
+            "num_roots": len(roots.log_weight),
+            "effective_roots": roots.effective,
+            "num_proposals": proposals,
+            "log_evidence": evidence[0],
+            "log_evidence_se": evidence[1],
+        }
+        done = 0
+        for start in range(0, number, block):
+            points, poses, faults, chosen = roots.draw(rng, min(block, number - start))
+            done += len(chosen)
+            yield Draws(
+                posterior,
+                points,
+                poses,
+                faults=faults,
+                known=KnownRoots(roots.bodies.point, roots.share, roots.evidence_of),
+                attributes=about | {"acceptance_rate": done / proposals},
+                status=status,
+                sentence=sentence,
+                root_index=chosen,
+            )
+            if not done:
+                return
+
+
+def _of_one_view(
+    posterior: InstantPosterior,
+    asked: WeightedViews,
+    key: jax.Array,
+    number: int,
+    block: int,
+    progress: Progress | None,
+) -> Iterator[Draws]:
+    """Draws from one view's posterior, whose focal length is known, with sizes of the prior."""
+    camera = posterior.detection.views[0].camera
+    one = WeightedSampler(max_proposals=asked.max_proposals, num_roots=asked.num_roots)
+    own_key, size_key = jax.random.split(key)
+    rng = np.random.default_rng(words_of(size_key))
+    for draws in one.blocks(posterior.alone, own_key, number, block=block, progress=progress):
+        about = dict(draws.attributes)
+        # A density per square pixel and log scale is one per mm³ and log size, but for this.
+        about["log_evidence"] -= 2 * math.log(camera.focal[0])
+        for name in OF_ONE_RUN:
+            del about[name]
+        yield dataclasses.replace(
+            draws,
+            posterior=posterior,
+            points=_in_the_world(camera, draws.points, rng),
+            faults=Faults(*(part[:, None] for part in draws.faults)),
+            known=KnownRoots(draws.known.points, draws.known.share, draws.known.evidence),
+            attributes=about,
+        )
+
+
+def _in_the_world(camera: Pinhole, points: RootPoint, rng: np.random.Generator) -> WorldPoint:
+    """Roots `(n, ...)` of one camera as bodies in its world, with sizes of their prior."""
+    log_size = rng.normal(math.log(MEDIAN_SIZE), SIZE_SD, len(points.log_scale))
+    depth = camera.focal[0] * np.exp(log_size - points.log_scale)
+    aside = (points.translation - camera.principal) / camera.focal[0]
+    placed = depth[:, None] * np.column_stack([aside, np.ones(len(depth))])
+    return WorldPoint(
+        points.torso,
+        camera.rotation.T @ points.rotation,
+        log_size,
+        placed @ camera.rotation + camera.centre,
+    )
+
+
+def verdict(roots: WeighedRoots, wanted: int) -> tuple[str, str]:
+    """The status of draws from these roots, and, where it is not complete, a sentence that says why
+    and what to do."""
+    where, number = roots.posterior.detection.where, len(roots.log_weight)
+    if not roots.effective:
+        return OUT_OF_BUDGET, (
+            f"none of {number:,} bodies explains what all cameras saw of {where}; take an error law"
+            " with outliers, leave out a camera, or check the calibration"
+        )
+    if number < wanted:
+        return OUT_OF_BUDGET, (
+            f"{number:,} of {wanted:,} roots for {where}; ask for fewer roots, or allow more"
+            " proposals"
+        )
+    if roots.effective < FEWEST_EFFECTIVE:
+        return OUT_OF_BUDGET, (
+            f"the draws for {where} rest on {roots.effective:.1f} effective roots of {number:,},"
+            f" too few for an answer (at least {FEWEST_EFFECTIVE}); ask for more roots, or take an"
+            " error law with outliers"
+        )
+    return COMPLETE, ""

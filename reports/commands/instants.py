@@ -1,0 +1,71 @@
+"""`poseterior hypotheses SESSION`: one body from all views of calibrated cameras → draws, k diverse
+hypotheses, a picture of every view and a table, in the world's axes and mm."""
+
+import json
+from pathlib import Path
+
+from poseterior.inference import Result
+from poseterior.inference.draws import COMPLETE
+from poseterior.inference.hypothesis import Hypothesis, hypotheses
+from poseterior.inference.instants import sample_instant
+from poseterior.probmodel.failures import OutOfBudget
+from poseterior.reports import console
+from poseterior.reports.figures import save_figure
+from poseterior.reports.figures.views import views_figure
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import HypothesesSettings
+from poseterior.reports.tables.views import places_table, views_table
+
+
+def run(settings: HypothesesSettings, screen: Screen) -> None:
+    """The job. Raises `BadInput`, or `OutOfBudget` after saving what was drawn."""
+    import jax
+
+    sampling = settings.sampling
+    with console.progress("the session", screen.quiet):
+        instant = settings.instant
+        model = settings.prior.model(rooted=True)
+    out = console.output_folder(settings.out)
+    with console.progress("bodies and their limbs", screen.quiet) as step:
+        result = sample_instant(
+            model,
+            instant,
+            key=jax.random.key(sampling.seed),
+            num_samples=sampling.num_samples,
+            max_proposals=sampling.max_proposals,
+            progress=step,
+        )
+    if not result.num_draws:
+        raise OutOfBudget(result.sentence)
+    result.save(out / "posterior.nc", double=settings.double)
+    chosen = hypotheses(result, settings.k, seed=sampling.seed)
+    console.write_text(out / "hypotheses.json", _as_text(chosen, result, sampling.seed))
+    save_figure(views_figure(result.tree, chosen), out / "hypotheses.png")
+    _show(result, chosen, out, screen)
+    if result.status != COMPLETE:
+        raise OutOfBudget(f"{result.sentence} (what there is, is saved in {out})")
+
+
+def _as_text(chosen: list[Hypothesis], result: Result, seed: int) -> str:
+    attrs = result.tree.attrs
+    about = {key: attrs[key] for key in ("source", "limits", "measures", "versions")}
+    whole = {
+        "hypotheses": [hypothesis.as_json() for hypothesis in chosen],
+        "unit": "mm, the axes of the calibration",
+        "seed": seed,
+        **about,
+    }
+    return json.dumps(whole, indent=1) + "\n"
+
+
+def _show(result: Result, chosen: list[Hypothesis], out: Path, screen: Screen) -> None:
+    places, views = places_table(result.tree), views_table(result.tree)
+    if screen.json:
+        weights = [one.weight for one in chosen]
+        console.show_json(
+            {"joints": places.json(), "views": views.json(), "weights": weights, "out": str(out)}
+        )
+        return
+    console.OUT.print(places)
+    console.OUT.print(views)
+    console.say(f"Written to {out}: posterior.nc, hypotheses.json, hypotheses.png")

@@ -4,11 +4,13 @@ BIN := $(VENV)/bin
 PYTHON := $(shell for p in python3.12 python3.13 python3.14 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 12))' >/dev/null 2>&1 && echo $$p && break; done)
 NEED_PYTHON = test -n "$(PYTHON)" || { echo "poseterior needs Python 3.12 or newer on the PATH (as python3.12 or python3); install one and run make again." >&2; exit 2; }
+# Where bytecode is not written (as in many containers) every process would compile all libraries anew.
+export PYTHONDONTWRITEBYTECODE :=
 # One thread of BLAS and OpenMP a process: the tests already run one process a core, and threads that
 # wait for a core that another process has make them six times slower.
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --durations=25
 
-.PHONY: demo test test-all sweeps lint bench docs notebooks dist fuzz mutants kills conditions lock clean
+.PHONY: demo test test-all sweeps lint bench docs notebooks dist fuzz mutants drawn-mutants kills conditions lock clean
 
 demo: $(VENV)/.done
 	$(BIN)/poseterior demo
@@ -76,6 +78,14 @@ fuzz: $(VENV)/.done
 # MUTANTS_NAMES=root,alias says which faults, MUTANTS_SECONDS how long.
 mutants: $(VENV)/.done
 	$(BIN)/python -m tests.mutants
+
+# Faults by cosmic-ray: MUTANTS_NUMBER says how many (or MUTANTS_SECONDS how long), MUTANTS_SEED which.
+drawn-mutants: $(VENV)/.mutation
+	$(BIN)/python -m tests.mutants.drawn
+
+$(VENV)/.mutation: $(VENV)/.done
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable ".[mutation]"
+	@touch $@
 
 # KILLS says how many of each command (or KILLS_SECONDS how long in all), KILLS_SEED which.
 kills: $(VENV)/.done

@@ -1,3 +1,4 @@
+from .arviz_view import for_arviz as for_arviz
 from .baselines.rooted import RootedTarget as RootedTarget
 from .baselines.target import Target as Target
 from .composition import composed as composed
@@ -13,6 +14,8 @@ from .hypothesis import diverse as diverse
 from .hypothesis import grid_poses as grid_poses
 from .hypothesis import hypotheses as hypotheses
 from .machines import Machines as Machines
+from .measured import measure_intervals as measure_intervals
+from .measured import measures as measures
 from .resident import Resident as Resident
 from .resident import resident_draws as resident_draws
 from .results import Result as Result

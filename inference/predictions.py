@@ -1,5 +1,5 @@
 """What posterior draws say of the detection: new detections of each, and how likely the one that
-was made is; the groups posterior_predictive and log_likelihood of ArviZ."""
+was made is: what ArviZ's groups posterior_predictive and log_likelihood hold."""
 
 import functools
 from typing import NamedTuple
@@ -7,17 +7,15 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.errors.laws import ErrorLaw, WithOutliers
 from poseterior.probmodel.programs import kept
-from poseterior.probmodel.skeleton import JOINTS
 
 _STREAM = 1
 """Tells the random numbers of predictions from those of the draws, which have the same seed."""
 
-FLAT = (
+FLAT_LAW = (
     "left out: the law of errors is flat within its reach, so that every draw makes a detection"
     " equally likely, and none reaches where it could not have been; leaving one out (az.loo) would"
     " weigh nothing, and be sure of it"
@@ -42,10 +40,10 @@ class KeypointsRead(NamedTuple):
     outlier: np.ndarray
 
 
-def prediction_groups(
+def new_detections(
     law: ErrorLaw, read: KeypointsRead, keypoints: np.ndarray, words: list[int], block: int = 0
-) -> dict[str, xr.Dataset]:
-    """The two groups, of one chain.
+) -> np.ndarray:
+    """The projected joints plus a bias and an error of the law each.
 
     Parameters
     ----------
@@ -62,42 +60,12 @@ def prediction_groups(
 
     Returns
     -------
-    `posterior_predictive`: `keypoints` (chain, draw, joint, uv), pixels, NaN where a joint does not
-    count. `log_likelihood`: `keypoints` (chain, draw, detected), of the joints that count, per
-    square pixel; left out under a law that is flat, see `FLAT`.
+    ndarray
+        `(n, 15, 2)` pixels, NaN where a joint does not count.
     """
-    rng = np.random.default_rng([*words, _STREAM, block])
-    seen = np.flatnonzero(np.isfinite(read.spread).any(axis=0))
-    units = {"units": "pixels"}
-    dims = ("chain", "draw")
-    coords = {"chain": [0], "draw": np.arange(len(keypoints))}
-    made = (
-        (*dims, "joint", "uv"),
-        _new_detections(law, read, keypoints, rng)[None],
-        units,
-    )
-    new = xr.Dataset({"keypoints": made}, coords=coords | {"joint": list(JOINTS), "uv": list("uv")})
-    if law.follows(0.0):  # uniform within its reach
-        return {"posterior_predictive": new.assign_attrs(log_likelihood=FLAT)}
-    likely = (
-        (*dims, "detected"),
-        _log_likelihood(law, read, keypoints)[None, :, seen],
-        {"base_measure": "image area (px2)"},
-    )
-    return {
-        "posterior_predictive": new,
-        "log_likelihood": xr.Dataset(
-            {"keypoints": likely}, coords=coords | {"detected": [JOINTS[joint] for joint in seen]}
-        ),
-    }
-
-
-def _new_detections(
-    law: ErrorLaw, read: KeypointsRead, keypoints: np.ndarray, rng: np.random.Generator
-) -> np.ndarray:
-    """`(n, 15, 2)`: the projected joints plus a bias and an error of the law each."""
     if not len(keypoints):
         return keypoints
+    rng = np.random.default_rng([*words, _STREAM, block])
     far = functools.partial(_far, law)
     distance = in_chunks(far, read.outlier, rng.random(keypoints.shape[:2]))
     angle = 2 * np.pi * rng.random(keypoints.shape[:2])
@@ -115,8 +83,9 @@ def _far(law: ErrorLaw, outlier: jax.Array, uniform: jax.Array) -> jax.Array:
     return WithOutliers(law, outlier).distance(uniform)
 
 
-def _log_likelihood(law: ErrorLaw, read: KeypointsRead, keypoints: np.ndarray) -> np.ndarray:
-    """`(n, 15)`: log density of each detected joint, given each draw; 0 where it does not count."""
+def log_likelihood(law: ErrorLaw, read: KeypointsRead, keypoints: np.ndarray) -> np.ndarray:
+    """`(n, 15)`: log density of each detected joint per square pixel, given each draw, whose
+    `keypoints` are `(n, 15, 2)` pixels; 0 where it does not count."""
     if not len(keypoints):
         return np.empty(keypoints.shape[:2])
     counts = np.isfinite(read.spread)

@@ -7,16 +7,23 @@ import functools
 import importlib.metadata
 import os
 import platform
-from collections.abc import Hashable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from xarray.backends import BackendArray
+from xarray.core import indexing
 
 from poseterior.inference.draws import Draws, KnownRoots, over_draws
-from poseterior.inference.predictions import KeypointsRead, prediction_groups
+from poseterior.inference.predictions import (
+    FLAT_LAW,
+    KeypointsRead,
+    log_likelihood,
+    new_detections,
+)
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.documents import shortest
@@ -189,22 +196,17 @@ def result_of(draws: Draws, block: int = 0) -> Result:
 
 
 def tree_of(draws: Draws, block: int = 0) -> xr.DataTree:
-    """The DataTree of draws, whatever sampler made them."""
+    """The DataTree of draws, whatever sampler made them. Its log densities and predictions are
+    computed when they are first read, since most readers want neither."""
     posterior, columns = draws.posterior, columns_of(draws)
     named = {name: (*COLUMNS[name], columns[name]) for name in COLUMNS if name in columns}
-    posterior_group = _group(draws, named)
-    names = {dim: NAMES[dim] for dim in NAMES if dim in posterior_group.dims}
-    words = [int(word) for word in draws.attributes["seed"].split()]
-    predictions = prediction_groups(
-        posterior.likelihood.law, _as_read(draws), draws.keypoints, words, block
-    )
-    base_measure = f"{draws.prior.base_measure} x {BASE_MEASURE}"
-    lp = _group(draws, {"lp": ((), "", log_density(draws))})
-    lp["lp"].attrs["base_measure"] = base_measure
+    lp = WhenRead((len(draws),), lambda: log_density(draws))
+    densities = _group(draws, {"lp": ((), "", lp)})
+    densities["lp"].attrs["base_measure"] = f"{draws.prior.base_measure} x {BASE_MEASURE}"
     groups = {
-        "posterior": posterior_group.assign_coords(names),
-        "sample_stats": lp,
-        **{name: _in_chains(group, draws.chains) for name, group in predictions.items()},
+        "posterior": _group(draws, named),
+        "sample_stats": densities,
+        **_predictions(draws, block),
         "observed_data": observed_data(posterior.detection),
         "constant_data": constant_data(posterior, draws.known),
     }
@@ -224,40 +226,55 @@ def tree_of(draws: Draws, block: int = 0) -> xr.DataTree:
     return tree
 
 
-def _group(draws: Draws, named: dict[str, tuple[tuple[str, ...], str, np.ndarray]]) -> xr.Dataset:
-    """Variables of draws `(n, ...)`, by name: dimensions after chain and draw, unit, values."""
+class WhenRead(BackendArray):
+    """An array that is computed when it is first read, and then kept.
+
+    Parameters
+    ----------
+    shape
+        Of the array, of doubles.
+    make
+        Computes it.
+    """
+
+    dtype = np.dtype(float)
+
+    def __init__(self, shape: tuple[int, ...], make: Callable[[], np.ndarray]) -> None:
+        self.shape = shape
+        self.make = make
+
+    @functools.cached_property
+    def values(self) -> np.ndarray:
+        """The array."""
+        return self.make().reshape(self.shape)
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> np.ndarray:
+        kind = indexing.IndexingSupport.BASIC
+        return indexing.explicit_indexing_adapter(key, self.shape, kind, self.values.__getitem__)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"shape": self.shape, "values": self.values}
+
+
+Column = tuple[tuple[str, ...], str, np.ndarray | WhenRead]
+"""A variable of draws: dimensions after chain and draw, unit, values `(n, ...)`."""
+
+
+def _group(draws: Draws, named: Mapping[str, Column]) -> xr.Dataset:
+    """Variables of draws, by name."""
     shape = draws.chains, len(draws) // draws.chains
+    variables = {}
+    for name, (dims, unit, values) in named.items():
+        whole = *shape, *values.shape[1:]
+        given: Any
+        if isinstance(values, WhenRead):
+            given = indexing.LazilyIndexedArray(WhenRead(whole, values.make))
+        else:
+            given = np.reshape(values, whole)
+        variables[name] = ("chain", "draw", *dims), given, {"units": unit} if unit else {}
+    names = {dim: NAMES[dim] for dims, *_ in named.values() for dim in dims if dim in NAMES}
     coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
-    return xr.Dataset(
-        {
-            name: (
-                ("chain", "draw", *dims),
-                np.reshape(values, (*shape, *values.shape[1:])),
-                {"units": unit} if unit else {},
-            )
-            for name, (dims, unit, values) in named.items()
-        },
-        coords=coords,
-    )
-
-
-def _in_chains(group: xr.Dataset, chains: int) -> xr.Dataset:
-    """A group of one chain as that of several, one after the other."""
-    if chains == 1:
-        return group
-    draws = group.sizes["draw"] // chains
-    found = {
-        name: (
-            variable.dims,
-            variable.values.reshape(chains, draws, *variable.shape[2:]),
-            variable.attrs,
-        )
-        for name, variable in group.data_vars.items()
-    }
-    kept = [name for name in group.coords if name not in ("chain", "draw")]
-    coords: dict[Hashable, Any] = {name: group.coords[name] for name in kept}
-    coords |= {"chain": np.arange(chains), "draw": np.arange(draws)}
-    return xr.Dataset(found, coords, group.attrs)
+    return xr.Dataset(variables, coords=coords | names)
 
 
 def columns_of(draws: Draws) -> dict[str, np.ndarray]:
@@ -283,6 +300,32 @@ def log_density(draws: Draws) -> np.ndarray:
         return np.empty(0)
     given = posterior.model, posterior.detected, posterior.root_prior, posterior.faults
     return over_draws(log_joints, given, draws.points, draws.poses, draws.faults)
+
+
+def _predictions(draws: Draws, block: int) -> dict[str, xr.Dataset]:
+    """`posterior_predictive`: `keypoints` (chain, draw, joint, uv), pixels, NaN where a joint does
+    not count. `log_likelihood`: `keypoints` (chain, draw, detected), of the joints that count, per
+    square pixel; left out under a law that is flat, see `FLAT_LAW`."""
+    law, number = draws.posterior.likelihood.law, len(draws)
+    words = [int(word) for word in draws.attributes["seed"].split()]
+    read = functools.cache(lambda: _as_read(draws))
+    new = WhenRead(
+        (number, len(JOINTS), 2),
+        lambda: new_detections(law, read(), draws.keypoints, words, block),
+    )
+    predicted = _group(draws, {"keypoints": (("joint", "uv"), "pixels", new)})
+    if law.follows(0.0):  # uniform within its reach
+        return {"posterior_predictive": predicted.assign_attrs(log_likelihood=FLAT_LAW)}
+    patterns = ORDERS[np.bincount(draws.faults.exchange, minlength=len(ORDERS)) > 0]
+    counts = np.isfinite(np.asarray(draws.posterior.detected.spread))[patterns].any(axis=0)
+    seen = np.flatnonzero(counts)
+    likely = WhenRead(
+        (number, len(seen)), lambda: log_likelihood(law, read(), draws.keypoints)[:, seen]
+    )
+    found = _group(draws, {"keypoints": (("detected",), "", likely)})
+    found["keypoints"].attrs["base_measure"] = "image area (px2)"
+    named = found.assign_coords(detected=[JOINTS[joint] for joint in seen])
+    return {"posterior_predictive": predicted, "log_likelihood": named}
 
 
 def _as_read(draws: Draws) -> KeypointsRead:

@@ -266,22 +266,42 @@ def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
     BadInput
         As `open_stream`, and where there is no such frame, or no draw was kept of any.
     """
+    store = _with_draws(folder)
+    for number in store.numbers():
+        summary = store.read(number, "summary")
+        index = np.flatnonzero(summary.frame.values == name)
+        if len(index):
+            return _held(summary, store.read(number, "posterior"), int(index[0]))
+    raise BadInput(
+        f"{folder} has no frame {name!r}; its names are in the summary that `open_stream` gives"
+    )
+
+
+def all_draws(folder: str | os.PathLike) -> Iterator[tuple[str, xr.Dataset]]:
+    """As `draws_of`, of every frame, by its name, block after block."""
+    store = _with_draws(folder)
+    for number in store.numbers():
+        summary, drawn = store.read(number, "summary"), store.read(number, "posterior")
+        for index, name in enumerate(summary.frame.values):
+            yield str(name), _held(summary, drawn, index)
+
+
+def _with_draws(folder: str | os.PathLike) -> Store:
+    """A stream in which draws were kept. Raises `BadInput` where it is none."""
     store = Store.open(Path(folder), _STREAM)
     if not store.settings.get("keep"):
         raise BadInput(
             f"no draws were kept in {folder}; draw again into another folder with `keep`"
             " (on the command line --keep), how many draws of each frame are written"
         )
-    for number in store.numbers():
-        summary = store.read(number, "summary")
-        index = np.flatnonzero(summary.frame.values == name)
-        if len(index):
-            rows = store.read(number, "posterior").isel(frame=int(index[0]))
-            held = int(summary.num_draws[index[0]])
-            return rows.isel(draw=slice(min(held, rows.sizes["draw"]))).expand_dims("chain")
-    raise BadInput(
-        f"{folder} has no frame {name!r}; its names are in the summary that `open_stream` gives"
-    )
+    return store
+
+
+def _held(summary: xr.Dataset, drawn: xr.Dataset, index: int) -> xr.Dataset:
+    """The draws of one frame of a block, without the blanks after them."""
+    rows = drawn.isel(frame=index)
+    held = min(int(summary.num_draws[index]), rows.sizes["draw"])
+    return rows.isel(draw=slice(held)).expand_dims("chain")
 
 
 class People:

@@ -22,6 +22,7 @@ COMMANDS: dict[str, type] = {
     "frames": settings.FramesSettings,
     "show": settings.ShowSettings,
     "detect": settings.DetectSettings,
+    "measure": settings.MeasureSettings,
     "export": settings.ExportSettings,
     "prior": settings.PriorSettings,
     "check": settings.CheckSettings,

@@ -57,6 +57,14 @@ LARGEST_SIDE = 10**6
 SMALLEST_FACTOR = 1e-6
 """Areas of discs smaller than this, or larger than its inverse, would in the end overflow."""
 
+
+class JudgedBy(enum.StrEnum):
+    """What posteriors are judged by."""
+
+    coordinates = "coordinates"
+    measures = "measures"
+
+
 Factor = Annotated[
     float, Option(help="The factor in the radius τ of a detection's disc (the paper: 0.25).")
 ]
@@ -119,6 +127,13 @@ RigNames = Annotated[
         show_default="those of most programs are known",
     ),
 ]
+Judged = Annotated[
+    JudgedBy,
+    Option(
+        "--of",
+        help="What is judged: coordinates, or measures (joint angles, lengths and steps).",
+    ),
+]
 Open = Annotated[bool, Option("--open", help="Open the page in a browser.")]
 Double = Annotated[
     bool,
@@ -152,6 +167,8 @@ class ExportFormat(enum.StrEnum):
     gltf = "gltf"
     csv = "csv"
     npz = "npz"
+    mot = "mot"
+    sto = "sto"
 
 
 class FilmPose(enum.StrEnum):

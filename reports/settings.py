@@ -23,6 +23,8 @@ from poseterior.reports.options import (
     FilmPose,
     Hypotheses,
     JointOrder,
+    Judged,
+    JudgedBy,
     KnownLenses,
     LearnedLaw,
     LengthUnit,
@@ -47,6 +49,7 @@ from poseterior.reports.options import (
 if TYPE_CHECKING:
     from poseterior.inference.benchmark import Submission
     from poseterior.probmodel.datasets import DataSet
+    from poseterior.probmodel.measures import Measure
     from poseterior.probmodel.people import Cast
     from poseterior.probmodel.sessions import Session
     from poseterior.reports.exports.smoothing import Smoother
@@ -339,9 +342,47 @@ class CheckSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MeasureSettings:
+    """Joint angles, lengths and steps of a result, with intervals: a table, a picture, a file.
+
+    Measures have the ISB's conventions where fifteen joints determine them; others are written as
+    angle(a,b,c), inclination(a,b), distance(a,b), level(a,b), height(a) or depth(a,b) of names of
+    joints. Lengths are in body units, with --height in millimetres. A stream needs draws that were
+    kept (`frames --keep`)."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "measure result --out measures.csv",
+        "measure result/posterior.nc --measure right_knee_flexion --interval 0.9",
+        "measure result --measure 'angle(right_hip,right_knee,right_ankle)' --height 1.82",
+        "measure walk-posterior --person 0 --measure right_knee_flexion --out knee.csv",
+    )
+    result: Annotated[
+        Path, Argument(help="posterior.nc, its folder, or a stream's.", show_default=False)
+    ]
+    measure: Annotated[
+        list[str] | None,
+        Option(
+            help="A name, or an expression; may be given again.",
+            show_default="all that have a name",
+        ),
+    ] = None
+    interval: Annotated[float, Option(help="Probability of the intervals, which are central.")] = (
+        0.95
+    )
+    height: Annotated[
+        float | None,
+        Option(help="The person's height in metres, if it is known.", show_default="in body units"),
+    ] = None
+    person: Annotated[int | None, Option(help="Whose film, in a stream of several people.")] = None
+    out: Annotated[
+        Path, Option(help="The table: .csv, or .nc with every draw; the picture lies beside it.")
+    ] = Path("measures.csv")
+
+
+@dataclass(frozen=True, kw_only=True)
 class ExportSettings:
-    """Write a result as BVH, C3D, TRC, glTF, CSV or .npz: hypotheses, single draws, or the film of
-    a stream.
+    """Write a result as BVH, C3D, TRC, glTF, CSV, .npz, .mot or .sto: hypotheses, single draws, or
+    the film of a stream.
 
     All have x to the right of the image, y up and z towards the camera, with the pelvis at the
     origin, or, of a stream with a known focal length, the camera. Of a stream it takes the mean of
@@ -356,6 +397,7 @@ class ExportSettings:
         "export walk-posterior --to trc --person 0 --rate 25 --out walk.trc",
         "export walk-posterior --to bvh --rate 25 --smooth butterworth:6",
         "export result --to gltf --out ghosts.glb",
+        "export walk-posterior --to mot --person 0 --rate 25 --measure right_knee_flexion",
     )
     result: Annotated[
         Path,
@@ -407,10 +449,38 @@ class ExportSettings:
         float | None,
         Option(help="Frames a second of the film.", show_default="30, which is then said"),
     ] = None
+    measure: Annotated[
+        list[str] | None,
+        Option(
+            help="A measure, as of `measure`, for a column of CSV, .mot or .sto; may be given"
+            " again.",
+            show_default="none in CSV; all that have a name",
+        ),
+    ] = None
 
     def check(self) -> None:
-        """Raises `BadInput` on a filter that is none."""
+        """Raises `BadInput` on a filter or a measure that is none, or has no room."""
         self.smoother  # noqa: B018
+        self.measures  # noqa: B018
+
+    @functools.cached_property
+    def measures(self) -> "tuple[Measure, ...]":
+        """Those that are exported. Raises `BadInput` where there is no such measure, or the format
+        has no room for it."""
+        from poseterior.inference.measured import chosen_measures
+        from poseterior.probmodel import BadInput
+        from poseterior.reports.exports import OF_MEASURES, WITH_MEASURES
+
+        if self.to in OF_MEASURES:
+            return tuple(chosen_measures(self.measure or ()))
+        if not self.measure:
+            return ()
+        if self.to not in WITH_MEASURES:
+            raise BadInput(
+                f"{self.to} has no room for measures; export to {', '.join(WITH_MEASURES)}, or"
+                " leave --measure out"
+            )
+        return tuple(chosen_measures(self.measure))
 
     @functools.cached_property
     def smoother(self) -> "Smoother | None":
@@ -548,6 +618,7 @@ class EvaluateSettings:
             show_default=False,
         ),
     ]
+    of: Judged = JudgedBy.coordinates
     missing: Annotated[str, Option(help="Numbers of limb joints made missing, at random.")] = "0"
     rotate: Annotated[str, Option(help="Degrees by which the image is turned.")] = "0"
     root: Annotated[
@@ -626,6 +697,7 @@ class CoverageSettings:
         " --missing 1 --out real",
         "coverage --root uncertain --num-simulations 1000 --out whole",
         "coverage --dataset session/ --root uncertain --perspective --noise none --out filmed",
+        "coverage --dataset recordings.npz --of measures --out measured",
     )
     sampler: Annotated[
         str | None,
@@ -634,6 +706,7 @@ class CoverageSettings:
             show_default=f"{SAMPLERS[0]}; with --root uncertain {ROUTES[0]}",
         ),
     ] = None
+    of: Judged = JudgedBy.coordinates
     out: Annotated[
         Path, Option(help="Folder for coverage.nc and coverage.png; a run goes on there.")
     ] = Path("coverage")
@@ -686,7 +759,7 @@ class CoverageSettings:
         if self.dataset is not None:
             way, unknown = "with --dataset", ["simulate_only", "num_simulations"]
         elif self.simulate_only:
-            way, unknown = "with --simulate-only", [*draws, *real]
+            way, unknown = "with --simulate-only", ["of", *draws, *real]
         else:
             way, unknown = "without --dataset", real
         for name in unknown:

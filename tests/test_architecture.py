@@ -181,7 +181,7 @@ finally:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("root", ["fixed", pytest.param("uncertain", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("root", ["uncertain", pytest.param("fixed", marks=pytest.mark.sweep)])
 def test_the_main_job_waits_for_no_more_than_it_needs(tmp_path: Path, root: str) -> None:
     """The second call, which finds all programs: NumPyro, ArviZ, scikit-learn and `scipy.stats`
     take seconds to import, and nothing that it does needs them."""
@@ -218,6 +218,7 @@ finally:
     assert said[2] == "['numpyro']"  # the control: without kept programs it traces, by NumPyro
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", ["poseterior.probmodel.programs", "jax"])
 def test_tracing_compiles_nothing_anew(first: str) -> None:
     """NumPyro, imported after JAX has compiled something, has it compiled again: so where programs

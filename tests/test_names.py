@@ -48,7 +48,6 @@ NOT_YET = frozenset(
         "SMALLEST",
         "STEPS",
         "SUFFIXES",
-        "TALLEST",
         "THRESHOLD",
         "TOLERANCE",
         "UNITS",

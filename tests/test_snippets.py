@@ -64,6 +64,7 @@ def test_there_are_snippets_of_every_kind() -> None:
         assert any(word in code for code in codes), word
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("snippet", SNIPPETS)
 def test_snippets_run(
     snippet: Snippet, cache: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -19,6 +19,7 @@ import numpy as np
 
 from poseterior.inference.benchmark.target import FrozenTarget
 from poseterior.inference.studies.comparison.sample import Sample, sample_of
+from poseterior.inference.studies.flips import codes
 from poseterior.probmodel.failures import BadInput
 
 SHIPPED = 10_000
@@ -98,6 +99,18 @@ def shipped_points(name: str) -> np.ndarray:
     if hashlib.sha256(content).hexdigest() != reference(name).shipped:
         raise BadInput(f"the exact draws of {name} are damaged; install poseterior anew")
     return np.load(io.BytesIO(content), allow_pickle=False).astype(float)
+
+
+def mode_counts(known: Reference, exact: Sample) -> dict[int, float]:
+    """How many of the draws that a target is known from fell into each mode, by `flips.codes`: -1
+    are those of no mode of its own. A bone that no seen joint depends on points where it does in
+    `exact`."""
+    still = exact.away[0, 0]
+    counts = {-1: known.number * max(0.0, 1 - sum(known.modes.values()))}
+    for letters, mass in known.modes.items():
+        own = np.array(list(letters))
+        counts[int(codes(np.where(own == ".", still, own == "a")))] = known.number * mass
+    return counts
 
 
 def sample_at(target: FrozenTarget, points: np.ndarray) -> Sample:

@@ -9,7 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from poseterior.inference.benchmark.references import reference, sample_at, shipped_points
+from poseterior.inference.benchmark.references import (
+    mode_counts,
+    reference,
+    sample_at,
+    shipped_points,
+)
 from poseterior.inference.benchmark.submission import Submission
 from poseterior.inference.benchmark.target import FrozenTarget
 from poseterior.inference.studies.comparison.distances import standardised, wasserstein
@@ -81,6 +86,7 @@ def verdict(
         exact,
         evidence=stated,
         exact_evidence=(known.log_evidence, known.log_evidence_se),
+        mode_counts=mode_counts(known, exact),
     )
     distances = wasserstein(*standardised(sample.flat, exact.flat))
     worst = int(np.argmax(distances))

@@ -29,6 +29,7 @@ from poseterior.inference.exact.problem import limb_problems, log_ratio_of
 from poseterior.inference.exact.rates import Budget, GroupSampler, Pooled, Rate
 from poseterior.inference.exact.reach import nearest_miss, out_of_reach
 from poseterior.inference.resampling import shares
+from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
@@ -138,11 +139,15 @@ class RootSampler:
     def poses(self, number: int) -> Pose:
         """The first `number` draws that are held."""
         poses = Pose.blank(number)
-        if number:
+        self.fill(poses)
+        return poses
+
+    def fill(self, poses: Pose) -> None:
+        """Writes the first draws that are held into poses `(n, ...)`."""
+        if len(poses.length):
             for sampler in self.samplers:
                 for name, draws in sampler.draws().items():
                     draws.fill(poses, GROUPS[name])
-        return poses
 
 
 @dataclass(frozen=True)
@@ -238,14 +243,18 @@ def _drawn(
 ) -> Draws:
     """The first draws of each candidate, so many as are `held`, in random order, and what is known
     of the candidates by now."""
-    parts = [one.poses(number) for one, number in zip(samplers, held, strict=True)]
-    order = rng.permutation(sum(held))
+    poses, order = Pose.blank(sum(held)), rng.permutation(sum(held))
+    ends = np.cumsum(held)
+    for one, start, end in zip(samplers, ends - held, ends, strict=True):
+        one.fill(Pose(*(column[start:end] for column in poses)))
     evidences = np.array([(one.log_evidence, one.log_evidence_se) for one in samplers])
     evidence, error = _mixture_evidence(prior, *evidences.T)
     return Draws(
         posterior,
         points=np.repeat(np.arange(len(samplers)), held)[order],
-        poses=Pose(*(np.concatenate(column)[order] for column in zip(*parts, strict=True))),
+        poses=in_chunks(lambda rows: Pose(*(column[rows] for column in poses)), order)
+        if len(order)
+        else poses,
         faults=Faults.none(len(order)),
         known=KnownRoots(
             np.arange(len(samplers)),

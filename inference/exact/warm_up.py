@@ -135,7 +135,7 @@ def programs() -> None:
     known = KnownRoots(np.arange(number), np.ones(number) / number, lambda rows: (0.0, 0.0))
     points, poses = np.arange(number), Pose.blank(number)
     about = {"seed": "0 0", "log_evidence": 0.0, "log_evidence_se": 0.0}
-    tree_of(Draws(posterior, points, poses, Faults.none(number), known, about))
+    tree_of(Draws(posterior, points, poses, Faults.none(number), known, about)).load()
 
 
 def weight_limbs() -> None:

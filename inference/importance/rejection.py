@@ -410,7 +410,9 @@ def _result(
     limbs = [found for part in parts for found in part.limbs]
     number = len(limbs)
     equal, stratum, tried = np.full(number, evidence), np.zeros(number, int), np.array([attempts])
-    proposed = ProposedRoots(points, faults, equal, stratum, tried, scatter, wanted, attempts)
+    # By such a chance equal ones say as much of the evidence as all that were tried.
+    chance = np.full(number, number * scatter)
+    proposed = ProposedRoots(points, faults, equal, stratum, tried, chance, wanted, attempts)
     return RejectedRoots(posterior, proposed, limbs, equal, made, cut_off, len(log_weight))
 
 

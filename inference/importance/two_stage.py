@@ -91,9 +91,8 @@ class ProposedRoots(NamedTuple):
         the scale that they bring.
     pattern : `(n,)`: which of the patterns of the torso's faults each has.
     made : `(patterns,)`: how many proposals for roots of each there were.
-    scatter : what the relative variance of the evidence has of the roots that these
-        were taken from, were first-stage weights the true ones, and proposals without
-        number.
+    chance : `(n,)`: the probability with which each was taken from those that were
+        proposed.
     wanted : how many roots there would be, had the budget been large enough.
     proposals : how many were made.
     """
@@ -103,26 +102,33 @@ class ProposedRoots(NamedTuple):
     log_weight: np.ndarray
     pattern: np.ndarray
     made: np.ndarray
-    scatter: float
+    chance: np.ndarray
     wanted: int
     proposals: int
 
     def at(self, rows: Any) -> "ProposedRoots":
-        """Some of them."""
+        """Some of them, whichever these are: they are taken more seldom."""
+        chance = self.chance[rows]
         return self._replace(
             points=self.points.take(rows),
             faults=self.faults.take(rows),
             log_weight=self.log_weight[rows],
             pattern=self.pattern[rows],
+            chance=chance * (len(chance) / max(len(self.chance), 1)),
         )
 
     def relative_variance(self, share: np.ndarray) -> float:
-        """Of the evidence of roots that have these shares `(n,)` of it, by how their
-        weights scatter and what they were taken from."""
+        """Of the evidence of roots that have these shares `(n,)` of it.
+
+        Two parts: of those that were proposed, without number, Σ chance · share²; and
+        of taking some of them, by so even a count that about their mean 1/n only what
+        might have been left out counts, Σ (1 - chance) · (share - 1/n)² (Hájek 1964).
+        From the sum goes what the number of proposals is known by."""
         of_patterns = np.bincount(self.pattern, share, minlength=len(self.made))
         held = of_patterns > 0
         proposed = float(np.sum(of_patterns[held] ** 2 / self.made[held]))
-        variance = float(np.sum(share**2)) - 1 / len(share) + self.scatter - proposed
+        taking = (1 - self.chance) * (share - 1 / len(share)) ** 2
+        variance = float(np.sum(self.chance * share**2 + taking)) - proposed
         return max(variance, 0.0)
 
 
@@ -191,7 +197,7 @@ def propose_roots(
             log_weight=np.zeros(0),
             pattern=np.zeros(0, int),
             made=made,
-            scatter=0.0,
+            chance=np.zeros(0),
             wanted=number,
             proposals=proposals,
         )
@@ -205,8 +211,7 @@ def propose_roots(
         log_weight=roots.log_weight + np.log(held / number),
         pattern=roots.pattern,
         made=made,
-        # True first-stage weights would leave the relative variance of the chances.
-        scatter=float(roots.chance.mean()) / held,
+        chance=roots.chance,
         wanted=wanted,
         proposals=proposals,
     )

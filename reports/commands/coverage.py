@@ -14,7 +14,7 @@ from poseterior.probmodel import BadInput, Likelihood
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure
 from poseterior.reports.figures.coverage import coverage_figure, ranks_figure
-from poseterior.reports.options import Screen
+from poseterior.reports.options import JudgedBy, Screen
 from poseterior.reports.settings import CoverageSettings
 from poseterior.reports.tables.coverage import (
     brief_table,
@@ -24,6 +24,7 @@ from poseterior.reports.tables.coverage import (
     summary_json,
     uniformity_table,
 )
+from poseterior.reports.tables.measured import measure_scores_table
 
 
 def run(settings: CoverageSettings, screen: Screen) -> None:
@@ -55,8 +56,8 @@ def simulated(settings: CoverageSettings, screen: Screen) -> None:
             progress=step,
         )
     simulation = tree["simulation"].to_dataset()
-    found = calibration.judge(simulation)
-    save_figure(ranks_figure(simulation, found.sentence), out / "coverage.png")
+    found = calibration.judge(simulation, of=settings.of)
+    save_figure(ranks_figure(simulation, found.sentence, of=settings.of), out / "coverage.png")
     if screen.json:
         console.show_json(calibration_json(found) | {"out": str(out)})
         return
@@ -125,7 +126,14 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
     given = "uncertain" if settings.rooting.rooted else settings.estimator
     curves = coverage_figure({f"torso and camera: {given}": simulation})
     save_figure(curves, out / "coverage.png")
-    if screen.json:
+    if settings.of == JudgedBy.measures:
+        measured = measure_scores_table({"": calibration.measure_scores(tree)})
+        if screen.json:
+            console.show_json({"measures": measured.json(), "out": str(out)})
+            return
+        console.OUT.print(measured)
+        console.say(f"Written to {out}: coverage.nc, coverage.png")
+    elif screen.json:
         console.show_json(summary_json(found) | {"out": str(out)})
     else:
         _say(found, out)

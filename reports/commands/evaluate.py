@@ -26,7 +26,7 @@ from poseterior.reports import console
 from poseterior.reports.figures import save_figure
 from poseterior.reports.figures.bias import bias_figure
 from poseterior.reports.figures.evaluation import errors_figure, pck_curves, pck_figure
-from poseterior.reports.options import RootKind, Screen, concentration
+from poseterior.reports.options import JudgedBy, RootKind, Screen, concentration
 from poseterior.reports.settings import EvaluateSettings
 from poseterior.reports.tables import Sheet
 from poseterior.reports.tables.bias import actions_table, visits_table
@@ -45,11 +45,15 @@ from poseterior.reports.tables.evaluation import (
     table_1,
     table_2,
 )
+from poseterior.reports.tables.measured import measure_scores_table
 from poseterior.reports.tables.words import duration
 
 MANY_FRAMES = 1_000_000
-PRINTED = ("table1", "table2", "relations", "best", "calibration", "sharpness")
-"""Tables that a terminal shows; the others are written."""
+PRINTED = {
+    JudgedBy.coordinates: ("table1", "table2", "relations", "best", "calibration", "sharpness"),
+    JudgedBy.measures: ("measures",),
+}
+"""Tables that a terminal shows, by what is judged; the others are written."""
 BY_ACTION = ("table1", "table2")
 """Tables with a column for every action or number of joints, of which a terminal shows few."""
 
@@ -145,7 +149,7 @@ def run(settings: EvaluateSettings, screen: Screen) -> None:
         console.show_json(_json(found, out))
         return
     for sheet in found.sheets:
-        if sheet.name in PRINTED:
+        if sheet.name in PRINTED[settings.of]:
             console.OUT.print(narrow(sheet) if sheet.name in BY_ACTION else sheet)
     if fresh:
         crew = settings.workforce
@@ -226,6 +230,7 @@ def findings(
         best_table(scored),
         calibration_table(scored),
         sharpness_table(scored),
+        measure_scores_table({name: one.measures for name, one in scored.items()}),
         metrics_table(results, base, ks),
         frames_table(results),
     ]

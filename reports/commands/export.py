@@ -24,6 +24,7 @@ def run(settings: ExportSettings, screen: Screen) -> None:
         settings.what.value if settings.what else None,
         settings.smoother,
         settings.rate,
+        settings.measures,
     )
     with console.progress("reading the result", screen.quiet):
         clip = read_clip(settings.result, wanted)

@@ -5,8 +5,10 @@ import itertools
 
 from rich.filesize import decimal
 
+from poseterior.inference.measured import measures
 from poseterior.inference.stream import DRAW_BYTES, People, open_stream, sample_frames
 from poseterior.probmodel import Detection
+from poseterior.probmodel.measures import USUAL
 from poseterior.reports import console, doubts, figures, tables
 from poseterior.reports.interactive.film import film_page
 from poseterior.reports.interactive.page import write_page
@@ -59,7 +61,9 @@ def run(settings: FramesSettings, screen: Screen) -> None:
         summary, page = tree["summary"].to_dataset(), out / "hypotheses.html"
         filmed = bool((summary.num_draws > 0).any())
         if filmed:
-            write_page(film_page(tree, settings.path.name, fragments=items.fragments), page)
+            measured = measures(out, *USUAL) if kept else None
+            film = film_page(tree, settings.path.name, fragments=items.fragments, measured=measured)
+            write_page(film, page)
             figures.save_figure(figures.film_figure(summary), out / "depth.png")
     if screen.json:
         found = tables.stream_json(summary)

@@ -1,4 +1,4 @@
-"""Results for other people's software: BVH, C3D, TRC, glTF, CSV and .npz.
+"""Results for other people's software: BVH, C3D, TRC, glTF, CSV, .npz, .mot and .sto.
 
 `results.read_clip` reads a result, `clip.Clip` is what all writers take, and each format is one
 file. All formats have the same axes: x to the right of the image, y up, z towards the camera,
@@ -13,6 +13,7 @@ from poseterior.reports.exports.bvh import write_bvh
 from poseterior.reports.exports.c3d import write_c3d
 from poseterior.reports.exports.clip import UNITS, Clip
 from poseterior.reports.exports.gltf import write_gltf
+from poseterior.reports.exports.measures import write_motion
 from poseterior.reports.exports.tables import write_csv, write_npz
 from poseterior.reports.exports.trc import write_trc
 
@@ -35,8 +36,14 @@ TARGETS = {
     "gltf": Exporter(write_gltf, ".glb", ("m",)),
     "csv": Exporter(write_csv, ".csv", ("mm", "m")),
     "npz": Exporter(write_npz, ".npz", ("mm", "m")),
+    "mot": Exporter(write_motion, ".mot", ("m", "mm")),
+    "sto": Exporter(write_motion, ".sto", ("m", "mm")),
 }
 """Every format by its name; glTF is in metres by definition."""
+OF_MEASURES = ("mot", "sto")
+"""Formats of joint angles, lengths and steps alone."""
+WITH_MEASURES = ("csv", *OF_MEASURES)
+"""Formats that have room for them."""
 
 
 def unit_of(to: str, unit: str | None) -> str:
@@ -50,4 +57,4 @@ def unit_of(to: str, unit: str | None) -> str:
     return unit
 
 
-__all__ = ["TARGETS", "UNITS", "Clip", "Exporter", "unit_of"]
+__all__ = ["OF_MEASURES", "TARGETS", "UNITS", "WITH_MEASURES", "Clip", "Exporter", "unit_of"]

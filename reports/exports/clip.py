@@ -3,10 +3,12 @@
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.measures import Measure
 
 UNITS = {"m": 1.0, "mm": 1000.0}
 """How many of each unit make a metre."""
@@ -14,6 +16,29 @@ RATE = 30.0
 """Frames a second where nobody says: to be said whenever it is used."""
 LEAST_RATE, MOST_RATE = 1e-3, 1e5
 """Frames a second; no film has fewer, no camera takes more."""
+
+
+class MeasureColumn(NamedTuple):
+    """A measure of every pose of a clip: values `(n,)`, NaN where there is no pose, and the
+    standard deviations of the draws, None where there are none; degrees or metres."""
+
+    measure: Measure
+    values: np.ndarray
+    spread: np.ndarray | None
+
+    def in_unit(self, unit: str) -> "MeasureColumn":
+        """With lengths in another unit than metres."""
+        if self.measure.kind != "length":
+            return self
+        scale = UNITS[unit]
+        spread = None if self.spread is None else scale * self.spread
+        return MeasureColumn(self.measure, scale * self.values, spread)
+
+    def heads(self, unit: str) -> list[str]:
+        """Of its columns in a table whose lengths are in `unit`."""
+        sign = unit if self.measure.kind == "length" else "deg"
+        own = [f"{self.measure.name}_{sign}"]
+        return own if self.spread is None else [*own, f"{self.measure.name}_sd_{sign}"]
 
 
 @dataclass(frozen=True)
@@ -32,6 +57,7 @@ class Clip:
         other.
     rate : frames a second.
     placed : whether the pelvis is where it stands before the camera.
+    measures : joint angles, lengths and steps that are asked for.
     """
 
     joints: np.ndarray
@@ -42,6 +68,7 @@ class Clip:
     numbers: list[int] | None = None
     rate: float = RATE
     placed: bool = False
+    measures: tuple[MeasureColumn, ...] = ()
 
     @property
     def there(self) -> np.ndarray:
@@ -90,7 +117,7 @@ class Clip:
 
     def regular(self) -> "Clip":
         """A pose every `step` frames, NaN where there is none: for formats that know a rate, and no
-        times."""
+        times; these have no measures."""
         places = self.places
         count = int(places[-1]) + 1
         if count == len(places):
@@ -102,6 +129,7 @@ class Clip:
             names=[names.get(place, "") for place in range(count)],
             spread=None if self.spread is None else _spread_out(self.spread, places, count),
             numbers=[self.frames[0] + self.step * place for place in range(count)],
+            measures=(),
         )
 
     @property

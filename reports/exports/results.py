@@ -2,29 +2,31 @@
 folder of both, or the folder of a stream."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from poseterior.inference.hypothesis import diverse
+from poseterior.inference.measured import require_height
 from poseterior.inference.store import SETTINGS
-from poseterior.inference.stream import frame_and_person, open_stream
+from poseterior.inference.stream import all_draws, frame_and_person, open_stream
 from poseterior.probmodel.arrays import possible, read_netcdf
 from poseterior.probmodel.datasets import body_height
 from poseterior.probmodel.documents import read_json
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.frames import frame_numbers
+from poseterior.probmodel.measures import Measure
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, PARENTS
 from poseterior.reports.exports.bodies import Body
-from poseterior.reports.exports.clip import RATE, Clip, viewed
+from poseterior.reports.exports.clip import RATE, Clip, MeasureColumn, viewed
+from poseterior.reports.exports.measures import of_frames, of_poses
 from poseterior.reports.exports.smoothing import Smoother
 
 MEAN, HYPOTHESIS = "mean", "hypothesis"
 """What a film is made of: the mean of each frame's draws, made a body again, or the heaviest
 hypothesis."""
-SHORTEST, TALLEST = 0.2, 3.0
-"""Metres between which a person's height lies."""
 K = 5
 """Hypotheses of a posterior.nc, where nothing else is said."""
 _JOINTS = "posterior/joints"
@@ -46,11 +48,13 @@ class Wanted(NamedTuple):
     what: str | None = None
     smoother: Smoother | None = None
     rate: float | None = None
+    measures: tuple[Measure, ...] = ()
 
 
 class _Poses(NamedTuple):
     """As in `Clip`, but in camera axes and body units; `measured` are the poses from which the body
-    unit is told, `body` what a film's poses are to be made of."""
+    unit is told, `body` what a film's poses are to be made of, `draws` all draws of one person,
+    `items` a film's in the stream."""
 
     joints: np.ndarray
     names: list[str]
@@ -61,6 +65,8 @@ class _Poses(NamedTuple):
     numbers: list[int] | None = None
     placed: bool = False
     body: Body | None = None
+    draws: np.ndarray | None = None
+    items: list[str | None] | None = None
 
 
 def read_clip(path: Path, wanted: Wanted) -> Clip:
@@ -72,11 +78,7 @@ def read_clip(path: Path, wanted: Wanted) -> Clip:
     BadInput
         Where it is no result, has not what is wanted, or no person is so tall.
     """
-    if not SHORTEST <= wanted.height <= TALLEST:  # false for NaN too
-        raise BadInput(
-            f"--height {wanted.height:g} is not the height of a person in metres, from"
-            f" {SHORTEST:g} to {TALLEST:g}; give another"
-        )
+    require_height(wanted.height)
     found = _read(path, wanted)
     _require_bodies(found.measured, path)
     metres = wanted.height / float(np.median(body_height(found.measured)))
@@ -89,12 +91,25 @@ def read_clip(path: Path, wanted: Wanted) -> Clip:
         found.numbers,
         placed=found.placed,
     ).at_rate(RATE if wanted.rate is None else wanted.rate)
+    if wanted.measures:
+        columns = _measures(path, wanted.measures, found, metres)
+        clip = dataclasses.replace(clip, measures=columns)
     joints = clip.joints
     if wanted.smoother is not None:
         joints = _smoothed(clip, wanted.smoother, wanted.rate)
     if found.body is not None:
         joints = found.body.grown(metres).posed(joints)
     return dataclasses.replace(clip, joints=viewed(joints))
+
+
+def _measures(
+    path: Path, chosen: Sequence[Measure], found: _Poses, metres: float
+) -> tuple[MeasureColumn, ...]:
+    """Of hypotheses and draws as they are, beside the deviations of all draws; of a film's frames
+    the mean of the draws that were kept."""
+    if found.items is None:
+        return of_poses(found.joints, found.draws, chosen, metres)
+    return of_frames(found.items, dict(all_draws(path)), chosen, metres)
 
 
 def _smoothed(clip: Clip, smoother: Smoother, rate: float | None) -> np.ndarray:
@@ -135,7 +150,7 @@ def _of_folder(folder: Path, wanted: Wanted) -> _Poses:
     if wanted.draws is not None or not chosen.exists():
         return _drawn(drawn, wanted)
     found, joints = _chosen(chosen, wanted), _draws(drawn)
-    return found._replace(measured=joints, spread=_spread(joints, len(found.joints)))
+    return found._replace(measured=joints, spread=_spread(joints, len(found.joints)), draws=joints)
 
 
 # --- hypotheses.json
@@ -186,6 +201,7 @@ def _drawn(path: Path, wanted: Wanted) -> _Poses:
         joints,
         np.array([one.weight for one in chosen]),
         _spread(joints, len(picked)),
+        draws=joints,
     )
 
 
@@ -223,7 +239,7 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
         )
     tree = open_stream(path)
     names = [str(name) for name in tree["summary"].frame.values]
-    frames, rows = _rows(names, wanted.person, path)
+    frames, rows = rows_of_person(names, wanted.person, path)
     of_draws, of_hypotheses = tree["summary"].to_dataset(), tree["hypotheses"].to_dataset()
     heaviest = _spread_out(of_hypotheses.joints.values[:, 0], rows)
     there = heaviest[np.isfinite(heaviest).all(axis=(1, 2))]
@@ -239,7 +255,7 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
         joints = joints + _spread_out(standing.values, rows)[:, None]
         spread[:, JOINT_INDEX["pelvis"]] = _spread_out(of_draws.place_sd.values, rows)
     exact = wanted.what == HYPOTHESIS and wanted.smoother is None
-    order, numbers = _in_time(frames)
+    order, numbers = in_time(frames)
     return _Poses(
         joints[order],
         [frames[at] for at in order],
@@ -249,10 +265,11 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
         numbers=numbers,
         placed=placed,
         body=None if exact else body,
+        items=[None if row is None else names[row] for row in (rows[at] for at in order)],
     )
 
 
-def _in_time(frames: list[str]) -> tuple[list[int], list[int] | None]:
+def in_time(frames: list[str]) -> tuple[list[int], list[int] | None]:
     """The order of frames by their numbers, and these; their own order, and None, where their names
     have none."""
     numbers = frame_numbers(frames)
@@ -262,7 +279,9 @@ def _in_time(frames: list[str]) -> tuple[list[int], list[int] | None]:
     return order, [numbers[at] for at in order]
 
 
-def _rows(names: list[str], person: int | None, path: Path) -> tuple[list[str], list[int | None]]:
+def rows_of_person(
+    names: list[str], person: int | None, path: Path
+) -> tuple[list[str], list[int | None]]:
     """The names of all frames, and in which row of the stream the person stands in each (None: in
     none). Items are called `frame/person` where a detector's file was read."""
     parts = [frame_and_person(name) for name in names]

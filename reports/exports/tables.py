@@ -17,11 +17,13 @@ _COLUMNS = [f"{joint}_{axis}" for joint in JOINTS for axis in "xyz"]
 
 def write_csv(clip: Clip, path: Path, unit: str) -> None:
     """A table with the columns index, of a film frame, time_s, name, weight (hypotheses only),
-    JOINT_x_UNIT … and, where there are any, the standard deviations JOINT_x_sd_UNIT …; a missing
-    pose is empty, and a frame that is not there has no row."""
+    JOINT_x_UNIT …, where there are any the standard deviations JOINT_x_sd_UNIT …, and of measures
+    that were asked for MEASURE_deg or MEASURE_UNIT, and MEASURE_sd_…; a missing pose is empty, and
+    a frame that is not there has no row."""
     columns = [f"{name}_{unit}" for name in _COLUMNS]
     if clip.spread is not None:
         columns += [f"{name}_sd_{unit}" for name in _COLUMNS]
+    columns += [head for one in clip.measures for head in one.heads(unit)]
     weight = [] if clip.weights is None else ["weight"]
     with (
         replacing(path, ADVICE) as partial,
@@ -35,14 +37,22 @@ def write_csv(clip: Clip, path: Path, unit: str) -> None:
             head = [index, *number, f"{times[index]:.6f}", name]
             if clip.weights is not None:
                 head.append(f"{clip.weights[index]:.6f}")
-            rows.writerow([*head, *_texts(clip, index, UNITS[unit])])
+            rows.writerow([*head, *_texts(clip, index, unit)])
 
 
-def _texts(clip: Clip, index: int, scale: float) -> list[str]:
+def _texts(clip: Clip, index: int, unit: str) -> list[str]:
     """A pose's numbers, to a thousandth of a millimetre."""
+    scale = UNITS[unit]
     blocks = [clip.joints] if clip.spread is None else [clip.joints, clip.spread]
     digits = 6 if scale == 1 else 3
-    numbers = scale * np.concatenate([block[index].ravel() for block in blocks])
+    places = scale * np.concatenate([block[index].ravel() for block in blocks])
+    measured = [
+        column[index]
+        for one in clip.measures
+        for column in one.in_unit(unit)[1:]
+        if column is not None
+    ]
+    numbers = [*places, *measured]
     return [f"{number:.{digits}f}" if np.isfinite(number) else "" for number in numbers]
 
 

@@ -30,6 +30,19 @@ COLOURS = [
 """By joint."""
 
 
+_ARMS = ("elbow", "wrist", "shoulder", "arm", "hand", "reach")
+
+
+def measure_colour(name: str) -> str:
+    """Of the limb that the name of a measure begins to speak of; the torso's where it has no
+    side."""
+    sides = [side for side in ("right", "left") if side in name]
+    if not sides:
+        return TORSO_COLOUR
+    limb = "arm" if any(word in name for word in _ARMS) else "leg"
+    return LIMB_COLOURS[f"{min(sides, key=name.find)} {limb}"]
+
+
 def hypothesis_colours(number: int) -> list[str]:
     """Colours of that many hypotheses, heaviest first; beyond the palette they share a grey."""
     return [*PALETTE, *[OTHER_COLOUR] * number][:number]

@@ -18,6 +18,8 @@ from poseterior.inference.studies.calibration.quantities import (
     TARP,
 )
 from poseterior.inference.studies.calibration.uniformity import ECDF_LEVELS, band, difference
+from poseterior.inference.studies.calibration.verdict import BY_COORDINATES, levels_by_quantity
+from poseterior.probmodel.measures import MEASURES
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import INK, page, tidy
 from poseterior.reports.tables.words import spoken
@@ -36,15 +38,31 @@ PANELS = {
     "root": list(OF_ROOT),
 }
 """The quantities of every panel; that of the root is shown where it was asked for."""
+MEASURE_PANELS = {
+    "elbows and knees": [
+        name for name in MEASURES if name.endswith(("knee_flexion", "elbow_flexion"))
+    ],
+    "shoulders": [name for name in MEASURES if "shoulder" in name],
+    "hips": [name for name in MEASURES if "hip" in name],
+    "against the vertical": [
+        name
+        for name in MEASURES
+        if (name.endswith("_elevation") and "shoulder" not in name)
+        or name.startswith(("trunk", "head", "neck"))
+    ],
+    "lengths": [name for name, one in MEASURES.items() if one.kind == "length"],
+}
+"""The same of measures."""
 
 
-def ranks_figure(simulation: xr.Dataset, title: str = "") -> Figure:
+def ranks_figure(simulation: xr.Dataset, title: str = "", of: str = BY_COORDINATES) -> Figure:
     """Empirical minus uniform distribution function of every quantity's levels, a panel a kind,
-    with the band in which 95 % of right posteriors stay everywhere (for one quantity)."""
-    level = simulation["level"]
+    with the band in which 95 % of right posteriors stay everywhere (for one quantity). `of`
+    coordinates or measures, as `judge`."""
+    level = levels_by_quantity(simulation, of)
     known = {
         name: quantities
-        for name, quantities in PANELS.items()
+        for name, quantities in (PANELS if of == BY_COORDINATES else MEASURE_PANELS).items()
         if np.isfinite(level.sel(quantity=quantities).values).any()
     }
     figure = page(3 * len(known), 2.7)

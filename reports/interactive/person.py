@@ -13,11 +13,13 @@ from PIL import Image
 
 from poseterior.inference.draws import COMPLETE
 from poseterior.inference.hypothesis import Hypothesis
+from poseterior.inference.measured import measure_intervals, measures
 from poseterior.inference.results import Result
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 from poseterior.reports.figures.colours import LIMB_OF, hypothesis_colours
 from poseterior.reports.figures.window import Window, cropped, window_of
 from poseterior.reports.interactive.page import assemble, packed, rounded
+from poseterior.reports.tables.measures import measures_table
 from poseterior.reports.tables.posterior import (
     MILLIMETRES,
     candidates_table,
@@ -96,7 +98,12 @@ def person_page(
         facts=[f"{attrs['source']} · " + " · ".join(summary_lines(result))],
         warnings=[*warnings, *_doubts(result)],
         sentences=_sentences(tree, hypotheses),
-        sheets=[candidates_table(tree), hypotheses_table(hypotheses), posterior_table(tree)],
+        sheets=[
+            candidates_table(tree),
+            hypotheses_table(hypotheses),
+            posterior_table(tree),
+            measures_table(measure_intervals(measures(tree))),
+        ],
     )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from poseterior.inference.hypothesis import Hypothesis, hypotheses
+from poseterior.inference.measured import measures
 from poseterior.inference.results import Result
 from poseterior.inference.saved import read_result
 from poseterior.inference.store import SETTINGS
@@ -14,6 +15,7 @@ from poseterior.inference.stream import open_stream
 from poseterior.probmodel.detections import LARGEST_NUMBER
 from poseterior.probmodel.documents import read_json
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.measures import USUAL
 from poseterior.probmodel.skeleton import JOINTS
 from poseterior.reports.interactive.film import film_page
 from poseterior.reports.interactive.person import person_page
@@ -44,7 +46,9 @@ def page_of(path: Path, image: np.ndarray | None = None) -> str:
         Where there is no result, or it is damaged.
     """
     if path.is_dir() and (path / SETTINGS).exists():
-        return film_page(open_stream(path), path.resolve().name)
+        tree = open_stream(path)
+        measured = measures(path, *USUAL) if tree.attrs.get("keep") else None
+        return film_page(tree, path.resolve().name, measured=measured)
     drawn = path / "posterior.nc" if path.is_dir() else path
     if path.is_dir() and not drawn.exists():
         raise BadInput(f"{path} is a folder without a result; {_ADVICE}")

@@ -47,10 +47,10 @@ from poseterior.reports.pages.real import (
     sensitivity,
 )
 from poseterior.reports.pages.simulated import (
+    BASE_MEASURES,
     BASELINE_EVALUATIONS,
     CONTROLLED,
     JUDGED_SIMULATIONS,
-    MEASURES,
     baselines,
     controls,
     exact,
@@ -182,10 +182,10 @@ def choices_table(found: xr.Dataset) -> Sheet:
 
 def page(work: Work, data: Data) -> Page:
     """The page and its pictures, all stages done."""
-    paths = [work / f"exact-{upper}-{lower}.nc" for upper, lower in MEASURES]
+    paths = [work / f"exact-{upper}-{lower}.nc" for upper, lower in BASE_MEASURES]
     exacts = {
         f"upper {upper}, lower {lower}": read(path)["simulation"].to_dataset()
-        for (upper, lower), path in zip(MEASURES, paths, strict=True)
+        for (upper, lower), path in zip(BASE_MEASURES, paths, strict=True)
     }
     costs = [json.loads(path.with_suffix(".json").read_text()) for path in paths]
     first = next(iter(exacts.values()))

@@ -26,7 +26,7 @@ from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.pages.page import kept, kept_json
 
 EXACT_SIMULATIONS, SIMULATED_DRAWS = 1000, 1000
-MEASURES = (("angle", "area"), ("area", "area"), ("angle", "box"))
+BASE_MEASURES = (("angle", "area"), ("area", "area"), ("angle", "box"))
 """Of upper and lower bones."""
 CONTROLLED, RECIPES, RECIPE_DRAWS = 300, 400, 60
 JUDGED_BASELINES = (("emcee", ONE_FLIP),)
@@ -36,7 +36,7 @@ REPETITIONS, TOYS, TOY_DRAWS = 200, 100, 50
 
 def exact(work: Path, data: Path) -> None:
     """1,000 simulations × 1,000 exact draws in every measure, and what they cost."""
-    for upper, lower in MEASURES:
+    for upper, lower in BASE_MEASURES:
         path = work / f"exact-{upper}-{lower}.nc"
         model = PoseModel.paper(upper=upper, lower=lower)
         kept_json(path.with_suffix(".json"), _clocked, model, path)

@@ -33,6 +33,7 @@ from poseterior.inference.exact.mixture import ExactRejection, root_samplers
 from poseterior.inference.exact.naive import BATCH, propose
 from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget
+from poseterior.inference.results import Result
 from poseterior.inference.sampler import sample
 from poseterior.inference.stream import Item, sample_frames
 from poseterior.inference.studies.scenes import prior_scene
@@ -50,6 +51,8 @@ from poseterior.reports.tables.evaluation import PAPERS_FRAMES
 SPEED_DRAWS = 100_000
 MANY = 2_000_000
 """Draws of a photo's person."""
+SERVED = 300_000
+"""Draws of what a user gets."""
 FEW = 2000
 """After which a process has what it holds however many draws it makes."""
 UNIFORMS = 23
@@ -175,6 +178,38 @@ def published(data: Path) -> str:
         f"A photo's person (OpenPose's keypoints of `{photo.name}`) under the limits that Akhter"
         f" and Black published: {MANY / timed(draw):,.0f} bodies a second, {MANY:,} of them."
     )
+
+
+def served(data: Path) -> Sheet:
+    """What a user gets of the engine's draws, with a photo's person if at hand: draws as the engine
+    hands them over; a result's joints and keypoints; and with densities and predictions read."""
+    photo = data / "detections" / "openpose" / "body25_spin_im1010_keypoints.json"
+    detection = read_detections(photo)[0] if photo.exists() else example().detection
+    model, frame = PoseModel(), estimate_torso(detection)
+    posterior = frame.posterior(model, CANDIDATES)
+    key = jax.random.key(0)
+
+    def result() -> Result:
+        return sample(model, frame, key=key, num_samples=SERVED, root=CANDIDATES)
+
+    ways: dict[str, Callable[[], object]] = {
+        "the engine: lengths and directions": lambda: ExactRejection().draw(posterior, key, SERVED),
+        "`pt.sample`: joints and keypoints": result,
+        "all of it read, densities and predictions too": lambda: result().tree.load(),
+    }
+    rows = []
+    for what, action in ways.items():
+        action()
+        rows.append((what, 1e6 * min(_processor(action) for _ in range(3)) / SERVED))
+    head = f"{SERVED:,} draws"
+    return sheet_of([head, Column("µs of a processor a draw", form=digits)], rows)
+
+
+def _processor(action: Callable[[], object]) -> float:
+    """Seconds of all processors."""
+    started = time.process_time()
+    action()
+    return time.process_time() - started
 
 
 class StageCost(NamedTuple):
@@ -425,6 +460,7 @@ def main(data: Data = SHARED) -> Page:
         "tables": titled(tables),
         "draws": f"{SPEED_DRAWS:,}",
         "published": published(data),
+        "served": served(data),
         "cores": str(os.cpu_count()),
         "machine": platform.machine(),
         "stages": stages_table(where_it_goes(model, frames[STAGE_FRAMES])),

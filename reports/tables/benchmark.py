@@ -106,6 +106,9 @@ def verdict_record(found: Assessment) -> dict[str, Any]:
         "judged": found.judged,
         "effective_draws": number(judgement.mixing.worst),
         "tests": tests_table(found).json(),
+        "would_have_caught": None
+        if judgement.seen is None
+        else {name: number(value) for name, value in judgement.seen._asdict().items()},
         "missed_mass": judgement.modes.missed,
         "expected_missed_mass": judgement.modes.expected_missed,
         "worst_coordinate": found.worst_coordinate,

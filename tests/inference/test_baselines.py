@@ -58,8 +58,8 @@ ENOUGH = {
     "nautilus": 60_000,
 }
 """Evaluations after which each has what the judge needs on one arm."""
-LONGEST = ("ess", "nss", "nautilus")
-"""Those that take a minute for it."""
+LONGEST = ("aies", "emcee-de", "ess", "nautilus", "nss", "sa")
+"""Those that take half a minute or more for it, or are relatives of one that is judged anyhow."""
 NEEDED = {
     "emcee": 40_000,
     "emcee-de": 40_000,
@@ -271,7 +271,7 @@ def test_another_key_gives_other_draws():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["emcee", "hmc", "nuts"])
+@pytest.mark.parametrize("name", ["emcee", pytest.param("hmc", marks=pytest.mark.sweep), "nuts"])
 def test_a_run_ends_when_it_has_enough(name):
     """What counts are draws that are handed over: of soft walls, those after weighting."""
     done = draw(name, 10**9, num_samples=500)
@@ -559,7 +559,7 @@ def test_correct_samplers_pass_on_one_arm(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["smc", "nss", "nautilus"])
+@pytest.mark.parametrize("name", ["smc", pytest.param("nss", marks=pytest.mark.sweep), "nautilus"])
 def test_evidence_is_within_three_standard_errors(name):
     _, _, _, tree, _ = low()
     done = draw(name, ENOUGH[name])

@@ -571,6 +571,15 @@ def test_files_of_nested_and_importance_samplers(name: str, expected: str, cases
     assert benchmark.verdict(target, found).judgement.verdict == expected
 
 
+def test_draws_pass_as_often_as_their_weights_say() -> None:
+    """A thousand draws of weight one all pass; of a thousand of weight a quarter 250 do, by five
+    standard errors of 14. By the root of the weights it would be 500."""
+    points = drawn("arm")[:2000]
+    log_weights = np.log(np.repeat([1.0, 0.25], 1000))
+    found = benchmark.submit(benchmark.load("arm"), points=points, log_weights=log_weights)
+    assert abs(found.points.shape[1] - 1250) < 70
+
+
 @pytest.mark.slow
 def test_draws_with_weights_are_taken_as_they_are() -> None:
     """Draws of the prior with the likelihood as weights are draws of the target; without weights

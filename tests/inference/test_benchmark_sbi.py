@@ -17,6 +17,7 @@ ODDS = 1e-4
 """How seldom sound simulations fail a test."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["arm", "arm-soft", "scene"])
 def test_detections_have_the_law_of_the_errors(name: str) -> None:
     """Seen from the detections that came of it, every pose explains them, and distances have the

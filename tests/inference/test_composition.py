@@ -234,6 +234,7 @@ def test_of_few_draws_it_is_the_best_of_all_combinations(name, rows):
     assert one.joints == pytest.approx(pose, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["disc", "faults"])
 def test_a_result_gives_what_its_draws_give(name):
     model, frame = scene(name)

@@ -111,6 +111,7 @@ def test_a_user_s_sampler_is_listed(installed: Path) -> None:
         contest.check_names(["mine"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["right", "wrong"])
 def test_a_user_s_sampler_is_run_and_judged_on_a_target(
     installed: Path, tmp_path: Path, name: str
@@ -150,6 +151,7 @@ def test_a_user_s_sampler_is_compared_on_a_detection(installed: Path) -> None:
     assert "the budget is too small; allow more" in lines["empty"].sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param("single", marks=pytest.mark.slow), "arm-soft"])
 def test_a_frame_s_posterior_is_what_the_frozen_target_is(name: str) -> None:
     """In every form that a sampler may ask for; the frozen target shares no code with it."""

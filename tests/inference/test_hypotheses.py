@@ -71,7 +71,7 @@ def test_k_out_of_range_is_refused(result, k):
         inference.hypotheses(result[1], k)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_grid_is_possible_explains_the_detection_and_lies_on_the_grid():
     model = PoseModel.paper()
     frame = prior_scene(model, 1, factor=0.7)

@@ -258,6 +258,7 @@ def test_nobody_is_asked_where_there_is_nothing_to_do(monkeypatch):
         list(Machines(0).each(what_it_is, WORK))
 
 
+@pytest.mark.slow
 def test_without_dask_one_machine_does_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """By this process, and by one of its own; a scheduler is what needs dask."""
     monkeypatch.setitem(sys.modules, "distributed", None)

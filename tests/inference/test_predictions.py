@@ -4,6 +4,7 @@ exact chains; the same seed gives the same file.
 False alarms: two p-values at 0.001 each; seeds are fixed."""
 
 import dataclasses
+import pickle
 from pathlib import Path
 
 import arviz as az
@@ -14,10 +15,10 @@ import xarray as xr
 from scipy.stats import kstest
 
 from poseterior import inference
-from poseterior.inference import Result
+from poseterior.inference import Result, results
 from poseterior.inference.draws import joined, mean_evidence
 from poseterior.inference.exact.mixture import ExactRejection
-from poseterior.inference.predictions import KeypointsRead, prediction_groups
+from poseterior.inference.predictions import KeypointsRead, log_likelihood
 from poseterior.inference.results import save_tree
 from poseterior.probmodel import BadInput, Estimate, Likelihood, PoseModel, Posterior
 from poseterior.probmodel.root_priors import CANDIDATES
@@ -52,8 +53,8 @@ def bent(example_estimate: Estimate) -> Posterior:
 
 
 @pytest.fixture(scope="module")
-def bent_groups(bent: Posterior, example_result: Result) -> dict[str, xr.Dataset]:
-    """What would be predicted from the example's draws under that law."""
+def bent_likelihood(bent: Posterior, example_result: Result) -> xr.Dataset:
+    """How likely the detection is given the example's draws under that law."""
     draws = example_result.tree["posterior"]
     spreads = np.stack(
         [
@@ -61,7 +62,7 @@ def bent_groups(bent: Posterior, example_result: Result) -> dict[str, xr.Dataset
             for one, root in zip(bent.observations, bent.candidates, strict=True)
         ]
     )
-    return prediction_groups(
+    found = log_likelihood(
         bent.likelihood.law,
         KeypointsRead(
             np.broadcast_to(bent.detection.keypoints, draws.keypoints.shape[1:]),
@@ -70,8 +71,9 @@ def bent_groups(bent: Posterior, example_result: Result) -> dict[str, xr.Dataset
             np.zeros(draws.keypoints.shape[1:3], bool),
         ),
         draws.keypoints.values[0],
-        [0, 1],
     )
+    counts = np.isfinite(spreads).any(axis=0)
+    return xr.Dataset({"keypoints": (("chain", "draw", "detected"), found[None][..., counts])})
 
 
 def errors(result: Result) -> np.ndarray:
@@ -96,11 +98,11 @@ def test_new_detections_follow_the_law(example_result: Result) -> None:
 
 
 def test_likelihoods_are_those_of_the_program(
-    bent: Posterior, bent_groups: dict[str, xr.Dataset], example_result: Result
+    bent: Posterior, bent_likelihood: xr.Dataset, example_result: Result
 ) -> None:
     """Their sum, joint by joint, is the log density that observations have by another route."""
     draws = example_result.tree["posterior"]
-    found = bent_groups["log_likelihood"].keypoints.sum("detected").values[0]
+    found = bent_likelihood.keypoints.sum("detected").values[0]
     which, joints = draws.candidate.values[0], draws.joints.values[0]
     wanted = [
         float(bent.observations[which[draw]].log_density(joints[draw]))
@@ -116,11 +118,31 @@ def test_arviz_compares_chains(chains: Result) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:Estimated shape parameter of Pareto")  # of so few draws
-def test_arviz_leaves_detections_out(
-    bent_groups: dict[str, xr.Dataset], example_result: Result
-) -> None:
-    groups = {**bent_groups, "posterior": example_result.tree["posterior"].to_dataset()}
+def test_arviz_leaves_detections_out(bent_likelihood: xr.Dataset, example_result: Result) -> None:
+    posterior = example_result.tree["posterior"].to_dataset()
+    groups = {"log_likelihood": bent_likelihood, "posterior": posterior}
     assert np.isfinite(az.loo(xr.DataTree.from_dict(groups)).elpd)
+
+
+def test_densities_and_predictions_wait_until_they_are_read(
+    example_estimate: Estimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is computed for those who want the poses alone; who reads a part of it, in a copy
+    from another process too, reads what stands in the whole."""
+    calls = []
+    compute = results.log_density
+    monkeypatch.setattr(results, "log_density", lambda draws: calls.append(1) or compute(draws))
+    tree = inference.sample(
+        PoseModel.paper(), example_estimate, key=key(4), num_samples=50, root="candidates"
+    ).tree
+    assert not calls
+    some = tree["sample_stats"].lp.isel(draw=[3, 7, 40])
+    copied = pickle.loads(pickle.dumps(tree))
+    whole = tree["sample_stats"].lp.values
+    assert np.array_equal(some.values, whole[:, [3, 7, 40]])
+    assert np.array_equal(copied["sample_stats"].lp.values, whole)
+    assert np.isfinite(whole).all()
+    assert len(calls) == 1
 
 
 @pytest.mark.parametrize("function", ["loo", "loo_expectations", "loo_pit"])

@@ -120,7 +120,7 @@ def test_recipe_avoids_the_plane(recipe_against_area) -> None:
     assert near_recipe.mean() < 0.5 * near_area.mean()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize(("measure", "least"), [("area", 0.15), ("box", 0.02)])
 def test_total_variation_of_the_recipe(published_hinges, measure: str, least: float) -> None:
     """Total variation between the recipe and a measure, on 6 × 6 × 2 parts of each hinge and the

@@ -207,7 +207,7 @@ def test_redrawing_only_the_lower_bone_is_another_law():
     assert smallest(zip(elevation(exact), elevation(wrong), strict=True)) < FAMILY / 100
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("factor", [0.02, 0.25, 1.5])
 @pytest.mark.parametrize(("upper", "lower"), [("angle", "area"), ("area", "box")])
 def test_bounds_are_bounds(upper, lower, factor):
@@ -415,7 +415,7 @@ def test_the_standard_error_of_the_evidence_is_one(model):
     assert chi2.ppf(0.0005, 39) < statistic < chi2.ppf(0.9995, 39)
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_published_limits_in_every_measure_follow_per_group_rejection(shared_data):
     anatomy = Anatomy.load(shared_data / "akhter_black" / "jointAngleModel_v2.mat")
     pairs, scores = [], []

@@ -33,7 +33,7 @@ from poseterior.inference.studies.comparison.contest import ENDLESS
 from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS
 from poseterior.probmodel import BadInput, Estimate, PoseModel, RootPoint
 from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, FaultPrior, Faults
-from poseterior.probmodel.errors.laws import LAWS, ErrorLaw
+from poseterior.probmodel.errors.laws import LAWS, ErrorLaw, Student
 from poseterior.probmodel.failures import OutOfBudget
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.rotations import RotationTransform, rodrigues
@@ -49,6 +49,7 @@ ANGLES = 8 * math.pi**2
 EVALUATIONS = 1_000_000
 """After which random walks have what the judge needs on the small case."""
 CAYLEY = RotationTransform()
+SWEEP = pytest.mark.sweep
 
 
 @functools.cache
@@ -173,7 +174,10 @@ def test_points_are_roots_and_poses_and_back() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", LAWS.values())
+@pytest.mark.parametrize(
+    "law",
+    [Student, *(pytest.param(law, marks=SWEEP) for law in LAWS.values() if law is not Student)],
+)
 def test_soft_walls_have_slopes_of_the_root_and_weights_undo_them(law: type[ErrorLaw]) -> None:
     """Under discs the density is flat in turn, scale and place but for the walls and the prior."""
     model, frame, _ = case()
@@ -204,7 +208,9 @@ def sampled(name: str, **settings: int) -> Result:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ROOTED)
+@pytest.mark.parametrize(
+    "name", ["emcee", *(pytest.param(name, marks=SWEEP) for name in ROOTED if name != "emcee")]
+)
 def test_every_draw_has_its_root(name: str, tmp_path: Path) -> None:
     result = sampled(name)
     assert (result.status, result.sentence) == (COMPLETE, "")

@@ -184,6 +184,7 @@ with locked(Path(sys.argv[1])):
 """
 
 
+@pytest.mark.slow
 def test_the_second_process_is_told_who_holds_the_folder_and_a_dead_one_lets_go(tmp_path):
     folder = tmp_path / "new"
     holder = subprocess.Popen(

@@ -507,6 +507,7 @@ def violations(model, seed, factor, resolution, tighten=1.0, number=60):
             )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", sweep([0.01, 0.25, 1.5], [0.25]))
 def test_bounds_are_bounds(factor):
     """Tries to break them: bones near the poles and the reference direction, foreshortened limbs,
@@ -514,7 +515,7 @@ def test_bounds_are_bounds(factor):
     assert not any(violations(PoseModel.paper(), 0, factor, RESOLUTIONS[0], number=30))
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("factor", [0.001, 0.05, 0.25, 1.0, 5.0])
 def test_bounds_are_bounds_in_every_measure_and_table(shared_data, factor):
     for anatomy in (
@@ -828,7 +829,9 @@ def test_a_frame_that_no_pose_explains_has_no_strata():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(4))
+@pytest.mark.parametrize(
+    "part", [0, *(pytest.param(at, marks=pytest.mark.sweep) for at in (1, 2, 3))]
+)
 def test_strata_follow_group_rejection_on_all_frames_of_the_benchmark(part):
     """The 64 frames, arms and legs of each, discs wide enough for draws of the prior to hit:
     energy-distance permutation tests of all coordinates together, Kolmogorov–Smirnov tests of each,

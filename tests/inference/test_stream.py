@@ -324,6 +324,7 @@ def zeroed(block: Path) -> None:
             file[group]["joints"][:] = 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1, 2])
 @pytest.mark.parametrize("spoil", [cut_off, zeroed, Path.unlink])
 def test_missing_and_damaged_blocks_are_named_and_made_anew(

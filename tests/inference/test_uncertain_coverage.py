@@ -6,6 +6,7 @@ False-alarm rates stand beside every statistical test; seeds are fixed.
 
 import dataclasses
 import functools
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -13,7 +14,8 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from poseterior.inference.studies.calibration import calibrate, cover, judge, simulate
+from poseterior.inference.draws import COMPLETE
+from poseterior.inference.studies.calibration import calibrate, cover, judge, posteriors, simulate
 from poseterior.inference.studies.calibration.assess import Answer, assess
 from poseterior.inference.studies.calibration.controls import forgetting_scale
 from poseterior.inference.studies.calibration.exclusions import TAU, from_text
@@ -143,6 +145,23 @@ def test_roots_are_ranked_where_draws_have_them() -> None:
 
 
 # --- draws
+
+
+def test_every_other_effective_root_brings_a_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Roots that are worth 9.9 effective ones bring four draws, and no more than are asked for."""
+    asked = []
+
+    def draw(_rng: object, number: int) -> tuple[None, None, None]:
+        asked.append(number)
+        return None, None, None
+
+    roots = SimpleNamespace(effective=9.9, log_evidence=0.0, draw=draw)
+    monkeypatch.setattr(posteriors, "weigh_roots", lambda *_, **__: roots)
+    monkeypatch.setattr(posteriors, "verdict", lambda _: (COMPLETE, ""))
+    monkeypatch.setattr(posteriors, "place", lambda *_, **__: (np.zeros((0, 15, 3)), None))
+    for wanted in (100, 3):
+        independent_roots(model(), wanted)(0, simulations()[0], key(0))
+    assert asked == [4, 3]
 
 
 @pytest.mark.slow

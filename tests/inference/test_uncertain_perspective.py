@@ -240,6 +240,7 @@ def simulated(model: PoseModel, seed: int) -> tuple[Any, Any, Detection]:
     return points, poses, Detection(pixels, np.ones(NUM_JOINTS), "synthetic", "a scene", 0)
 
 
+@pytest.mark.slow
 def test_an_estimate_brings_the_lens_of_its_own_camera() -> None:
     """The draws are those of a model of that camera, to the bit; the control: of no lens, others.
     Under a fixed root it is refused as a model's is."""

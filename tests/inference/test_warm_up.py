@@ -96,7 +96,7 @@ for name, types in warm_up.signatures().items():
     assert found.stdout.split() == ["1"] * len(warm_up.signatures())
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_what_weighs_limbs_is_found_too_and_nothing_else_is_compiled(tmp_path: Path) -> None:
     code = """
 import jax

@@ -53,7 +53,8 @@ class Outcome(NamedTuple):
 
 class Copy:
     """The tree in a folder of its own, and a server in it that runs tests there: on one core, and
-    with compiled loops of its own, which the product keeps by the text of their sources."""
+    with compiled loops of its own, which the product keeps by the text of their sources. Links
+    stay links: through them the package finds its parts, faults and all."""
 
     def __init__(self, folder: Path) -> None:
         self.root = folder / "copy"
@@ -61,7 +62,7 @@ class Copy:
         unneeded = shutil.ignore_patterns("__pycache__", ".*")
         for name in COPIED:
             if (ROOT / name).is_dir():
-                shutil.copytree(ROOT / name, self.root / name, ignore=unneeded)
+                shutil.copytree(ROOT / name, self.root / name, symlinks=True, ignore=unneeded)
             else:
                 shutil.copy2(ROOT / name, self.root / name)
         (ROOT / COMPILED).mkdir(parents=True, exist_ok=True)

@@ -86,7 +86,7 @@ def test_draws_are_in_the_support(name: str) -> None:
     assert np.isfinite(law.log_prob(value)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", EVERY)
 def test_expand(name: str) -> None:
     law = TABLE[name]
@@ -98,7 +98,7 @@ def test_expand(name: str) -> None:
     assert in_support(wide, value).all()
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", EVERY)
 def test_to_event_sums_the_log_density(name: str) -> None:
     law, value = TABLE[name], draws(name)
@@ -123,6 +123,7 @@ def test_jit_with_the_law_as_an_argument(name: str) -> None:
     np.testing.assert_array_equal(back.log_prob(value), law.log_prob(value))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_pytree_round_trip(name: str) -> None:
     law = TABLE[name]

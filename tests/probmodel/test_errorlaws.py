@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from poseterior.probmodel import BadInput
+from poseterior.probmodel import BadInput, Detection
 from poseterior.probmodel.errors.detector import (
     ANY_SCORE,
     FORMAT,
@@ -17,6 +17,8 @@ from poseterior.probmodel.errors.detector import (
     Exchange,
 )
 from poseterior.probmodel.errors.laws import Disc, Gaussian, Student
+from poseterior.probmodel.errors.likelihood import Likelihood
+from poseterior.probmodel.layouts import STRAY
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 WRIST, HEAD = JOINT_INDEX["left_wrist"], JOINT_INDEX["head"]
@@ -187,3 +189,21 @@ def test_arrays_of_another_shape_are_refused():
     errors = DetectorErrors.from_document(DOCUMENT, "x")
     with pytest.raises(BadInput, match=r"sigma of an error law must have the shape \(15,\)"):
         DetectorErrors(Disc(), errors.sigma[:3], errors.inlier, errors.bias)
+
+
+def test_a_moved_midpoint_errs_by_both_together() -> None:
+    """Where a thorax was computed and moved, its error is its own and that of the move, which are
+    unrelated: 2 √(σ² + stray²) of a body unit, in pixels; the pelvis, which was not, errs alone."""
+    sigma = np.full(NUM_JOINTS, 0.05)
+    likelihood = Likelihood.of(
+        DetectorErrors(Gaussian(), sigma, np.ones(NUM_JOINTS), np.zeros((NUM_JOINTS, 2)))
+    )
+    detection = Detection(
+        np.zeros((NUM_JOINTS, 2)), np.ones(NUM_JOINTS), "own", "made up", 0, moved=("thorax",)
+    )
+    thorax, pelvis = (
+        likelihood.spread(detection, 80.0, range(NUM_JOINTS))[JOINT_INDEX[name]]
+        for name in ("thorax", "pelvis")
+    )
+    assert thorax == pytest.approx(80 * 2 * np.sqrt(0.05**2 + STRAY["thorax"] ** 2))
+    assert pelvis == pytest.approx(80 * 2 * 0.05)

@@ -287,6 +287,7 @@ def compared(both: Callable[[Any], Any], flat: jax.Array) -> tuple[float, float]
     return float(np.abs(np.asarray(slopes) - wanted).max()), float(np.abs(wanted).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "law", "lens", "faulty"), QUICK)
 def test_slopes_are_those_of_the_values(name: str, law: str, lens: bool, faulty: bool) -> None:
     assert wrong(name, law, lens, faulty) == []

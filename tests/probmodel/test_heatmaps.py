@@ -40,6 +40,7 @@ def random_centres(seed: int, count: int = MPII_16.count, margin: float = 6.0) -
     return RNG(seed).uniform(margin, SIDE - 1 - margin, (count, 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [1.0, 1.5, 2.0, 3.0, 4.0])
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_joints_come_back_at_every_sharpness(width: float, noise: float) -> None:

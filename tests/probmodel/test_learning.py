@@ -488,6 +488,7 @@ def test_the_default_is_one_of_the_embedded() -> None:
     np.testing.assert_array_equal(np.array(default.lengths), np.array(wide.lengths))
 
 
+@pytest.mark.slow
 def test_what_is_possible_is_possible_under_wider_limits() -> None:
     """Two thousand poses of each prior; the other way round a good part is not."""
     narrow, wide = (PoseModel.from_anatomy(Anatomy.embedded(name)) for name in EMBEDDED)

@@ -590,6 +590,7 @@ def test_many_cameras_cost_no_more_than_their_views():
     assert max(map(sum, found)) == 1
 
 
+@pytest.mark.slow
 def test_twenty_six_cameras_with_a_bystander(tmp_path: Path):
     """Of 67 million combinations in a frame the right one is the cheapest but the first."""
     views = cameras(26)

@@ -31,6 +31,7 @@ def test_dimension() -> None:
     assert CUBE_DIM == 23
 
 
+@pytest.mark.slow
 def test_round_trip_and_support(model) -> None:
     """1,000 points: back to the cube to 1e-9, every one possible."""
     configuration = from_cube(model, CUBE)

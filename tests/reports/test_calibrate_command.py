@@ -148,7 +148,7 @@ def test_known_lenses_without_calibrated_cameras(poseterior: Cli, tmp_path: Path
     assert "perspective needs calibrated cameras, which" in run.err
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_known_lenses_bring_the_truth_nearer(film: Path, poseterior: Cli, tmp_path: Path) -> None:
     """Samples lie nearer to the truth in the image: what weak perspective leaves is no error."""
     few = ("--frames", 12, "--roots", 300, "--num-samples", 400)

@@ -857,6 +857,7 @@ def test_what_a_budget_sufficed_for_is_saved(poseterior: Cli, tmp_path: Path) ->
         assert tree.attrs["status"] == "out of budget"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("root", "said"),
     [("fixed", "0 of 10 draws after 0 proposals"), ("uncertain", "no root was attempted for")],
@@ -1096,6 +1097,7 @@ def test_an_image_is_drawn_behind(written: Path, poseterior: Cli, tmp_path: Path
     assert (tmp_path / "out" / "hypotheses.png").read_bytes().startswith(PNG)
 
 
+@pytest.mark.slow
 def test_a_person_of_a_coco_or_openpose_file(poseterior: Cli, tmp_path: Path) -> None:
     (tmp_path / "two.json").write_text(openpose(people=2))
     out = tmp_path / "p.nc"

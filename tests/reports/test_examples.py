@@ -112,6 +112,9 @@ OF_THEIR_OWN = {
     "out": set(cli.COMMANDS),  # what is written differs
     "file": {"check", "benchmark", "show"},  # poses, draws, results, not detections alone
     "names": {"check", "learn", "evaluate"},  # of a motion capture's joints
+    "height": {"export"},  # of which it has a usual one
+    "measure": {"export"},  # for a format that has room for it
+    "result": {"export"},  # hypotheses.json too
     "draws": {"export"},  # how many; elsewhere a file of them
     "poses": {"learn"},  # the file that the others read is written
     "layout": {"detect"},  # of a network, which has to say it
@@ -121,7 +124,7 @@ OF_THEIR_OWN = {
     "max_proposals": {"evaluate", "coverage"},
     "candidates": {"evaluate"},
     "k": {"evaluate", "export"},
-    "person": {"export", "frames"},  # of a film, not of a file of detections
+    "person": {"export", "frames", "measure"},  # of a film, not of a file of detections
     "estimator": {"evaluate", "coverage"},
     "missing": {"evaluate", "coverage"},
     "frames": {"evaluate", "coverage", "calibrate"},

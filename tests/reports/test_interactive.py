@@ -312,6 +312,31 @@ def test_a_film_holds_the_numbers_of_the_stream() -> None:
     assert second["words"][0] == "not in this frame"
 
 
+def test_a_film_holds_quantiles_of_measures() -> None:
+    """Of the draws of every item, each with as many as it has; none where there is none."""
+    names = ["right_knee_flexion", "trunk_rotation"]
+    rng = np.random.default_rng(3)
+    draws = {name: rng.normal(175, 8, (len(NAMES), 20)) for name in names}
+    for drawn in draws.values():
+        drawn[1], drawn[2, 7:] = np.nan, np.nan
+    draws["trunk_rotation"] = (draws["trunk_rotation"] + 180) % 360 - 180
+    attributes = {"units": "degrees"}
+    measured = xr.Dataset(
+        {
+            name: (("frame", "draw"), drawn, attributes | {"circular": int("trunk" in name)})
+            for name, drawn in draws.items()
+        }
+    )
+    data = Parsed(film_page(film_tree(NAMES), "film", measured=measured)).data
+    assert [one["name"] for one in data["measures"]] == ["right knee flexion", "trunk rotation"]
+    first = unpacked(data["people"][0]["measures"], 2, len(LEVELS))
+    assert np.isfinite(first).all(axis=(1, 2)).tolist() == [True, False, True]
+    knee = np.quantile(draws["right_knee_flexion"][2, :7], LEVELS)
+    np.testing.assert_allclose(first[2, 0], knee, rtol=1e-6)
+    assert np.ptp(first[:, 1], axis=1)[[0, 2]].max() < 60  # no jump over the circle's end
+    assert Parsed(film_page(film_tree(NAMES), "film")).data["measures"] == []
+
+
 def test_a_long_film_is_thinned_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     names = [f"{index}/0" for index in range(50)]
     assert "evenly spread" not in film_page(film_tree(names), "film")

@@ -48,6 +48,7 @@ def test_there_are_pages() -> None:
         "honest",
         "leaderboard",
         "limits",
+        "measures",
         "motion",
         "readings",
         "routes",

@@ -215,7 +215,7 @@ def test_an_image_that_is_another_one_is_spoken_of(tmp_path: Path, poseterior: C
     assert "the detection was made on an image of 640x425 pixels" in " ".join(done.err.split())
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.parametrize("file", REAL_FILES)
 def test_every_real_file_runs_through_hypotheses(
     shared_data: Path,

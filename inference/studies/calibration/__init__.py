@@ -12,7 +12,7 @@ Plain arrays first (`levels`, `uniformity`, `ece`, `choices`), poses next (`simu
 `real`, `exclusions`), trees last (`record`). `controls` are posteriors that have to fail."""
 
 from poseterior.inference.studies.calibration.assess import Answer, Standing, assess
-from poseterior.inference.studies.calibration.coverage import summary
+from poseterior.inference.studies.calibration.coverage import measure_scores, summary
 from poseterior.inference.studies.calibration.real import read_cases
 from poseterior.inference.studies.calibration.run import calibrate, cover
 from poseterior.inference.studies.calibration.simulations import Instance, simulate
@@ -29,6 +29,7 @@ __all__ = [
     "calibrate",
     "cover",
     "judge",
+    "measure_scores",
     "read_cases",
     "simulate",
     "summary",

@@ -27,6 +27,7 @@ from poseterior.inference.studies.calibration.quantities import (
     of_rooted,
 )
 from poseterior.inference.studies.calibration.simulations import Instance
+from poseterior.inference.studies.measured import MeasureStandings, no_standings, standings_of
 from poseterior.probmodel.datasets.cases import strays
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
@@ -64,7 +65,8 @@ class Standing(NamedTuple):
     looked at. `whole`, `lateral`, `depth` `(9,)`: share of draws nearer to the draws' median than
     the truth is, by joint that moves, over all axes, in the image plane, in depth; `stand_in` `(10,
     9)`: as `whole`, of draws. `spread_lateral`, `spread_depth` `(9,)`: standard deviations of the
-    draws, body units. NaN throughout where `status` is "failed" or the sampler's own word for it.
+    draws, body units. `measures`: of joint angles, lengths and steps, lengths in body units. NaN
+    throughout where `status` is "failed" or the sampler's own word for it.
     """
 
     status: str
@@ -78,6 +80,7 @@ class Standing(NamedTuple):
     stand_in: np.ndarray
     spread_lateral: np.ndarray
     spread_depth: np.ndarray
+    measures: MeasureStandings
 
 
 def failure(
@@ -99,6 +102,7 @@ def failure(
         stand_in=stand_in,
         spread_lateral=blank,
         spread_depth=blank,
+        measures=no_standings(),
     )
 
 
@@ -156,6 +160,7 @@ def assess(
     truth = moving[0]
     cloud = moving[1:]
     spread = draws[:, MOVING].std(axis=0)
+    stand_in = stand_in_levels(cloud, rng.integers(0, len(cloud), ECE_STAND_INS))
     return Standing(
         status=posterior.status,
         sentence=posterior.sentence,
@@ -165,9 +170,10 @@ def assess(
         whole=median_levels(truth, cloud),
         lateral=median_levels(truth[:, :2], cloud[..., :2]),
         depth=median_levels(truth[:, 2:], cloud[..., 2:]),
-        stand_in=stand_in_levels(cloud, rng.integers(0, len(cloud), ECE_STAND_INS)),
+        stand_in=stand_in,
         spread_lateral=np.sqrt(np.mean(spread[:, :2] ** 2, axis=1)),
         spread_depth=spread[:, 2],
+        measures=standings_of(seen[0], seen[1:], draws, rng),
     )
 
 

@@ -11,6 +11,12 @@ import xarray as xr
 
 from poseterior.inference.studies.calibration.ece import Ece, Interval, coverage, ece
 from poseterior.inference.studies.calibration.exclusions import Rank, from_text, ranking
+from poseterior.inference.studies.measured import (
+    MeasureScore,
+    MeasureStandings,
+    scores_of_measures,
+)
+from poseterior.probmodel.measures import MEASURES
 
 NOMINAL = (0.5, 0.8, 0.95)
 COVERED_KINDS = ("lateral", "depth", "whole")
@@ -64,6 +70,22 @@ def summary(tree: xr.DataTree) -> CoverageSummary:
         excluded=Interval(1 - inside.value, 1 - inside.high, 1 - inside.low),
         reasons=ranking(reasons),
     )
+
+
+def measure_scores(tree: xr.DataTree) -> list[MeasureScore]:
+    """How joint angles, lengths (mm) and steps are covered, of a tree as of `summary`. Intervals
+    draw whole recordings anew; an instance without draws counts nowhere."""
+    recording = tree["simulation"].recording.values
+    return scores_of_measures(*measure_standings(tree), recording)
+
+
+def measure_standings(tree: xr.DataTree) -> MeasureStandings:
+    """`(n, q)` each: the standings of all instances, lengths in mm, of a tree as of `summary`."""
+    found = tree["simulation"].to_dataset()
+    lengths = np.array([MEASURES[name].kind == "length" for name in found.measure.values])
+    scale = np.where(lengths, found.unit_mm.values[:, None], 1.0)
+    level, error, width = (found[f"measure_{name}"].values for name in MeasureStandings._fields)
+    return MeasureStandings(level, scale * error, scale * width)
 
 
 def _drawn(found: xr.Dataset) -> np.ndarray:

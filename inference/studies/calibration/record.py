@@ -21,7 +21,9 @@ from poseterior.inference.studies.calibration.quantities import (
 )
 from poseterior.inference.studies.calibration.simulations import Instance
 from poseterior.inference.studies.flips import FLIPPING
+from poseterior.inference.studies.measured import MeasureStandings
 from poseterior.probmodel.datasets import Case
+from poseterior.probmodel.measures import MEASURES
 from poseterior.probmodel.observation import Observation
 from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS, TORSO_JOINTS
 
@@ -58,6 +60,13 @@ def standings_table(
         name: (("simulation", "joint"), np.stack([getattr(one, name) for one in standings]))
         for name in JOINTWISE
     }
+    data |= {
+        f"measure_{name}": (
+            ("simulation", "measure"),
+            np.stack([getattr(one.measures, name) for one in standings]),
+        )
+        for name in MeasureStandings._fields
+    }
     data["stand_in"] = (
         ("simulation", "replicate", "joint"),
         np.stack([one.stand_in for one in standings]),
@@ -66,6 +75,7 @@ def standings_table(
         "simulation": np.arange(first, first + len(standings)),
         "quantity": list(QUANTITIES),
         "joint": list(MOVING_NAMES),
+        "measure": list(MEASURES),
     }
     data |= {name: (("simulation",), column) for name, column in (columns or {}).items()}
     return xr.Dataset(data, coords=coords)

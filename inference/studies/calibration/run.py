@@ -51,6 +51,7 @@ from poseterior.inference.studies.calibration.simulations import (
 from poseterior.probmodel.datasets import Case
 from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.measures import MEASURES
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import require_root_prior
 from poseterior.probmodel.root_priors import UNCERTAIN
@@ -378,6 +379,7 @@ def _common(
         "num_samples": num_samples,
         "likelihood": f"{likelihood.words} {likelihood.sha256}",
         "max_proposals": max_proposals,
+        "measured": len(MEASURES),
         **provenance(model),
     }
 

@@ -13,19 +13,23 @@ import xarray as xr
 from poseterior.inference.studies.calibration.quantities import (
     ENERGY_BALL,
     LOG_DENSITY,
-    QUANTITIES,
     TARP,
 )
 from poseterior.inference.studies.calibration.uniformity import uniformity
 from poseterior.probmodel.failures import BadInput
 
+BY_COORDINATES, BY_MEASURES = SUBJECTS = "coordinates", "measures"
+"""What a posterior is judged by."""
 FALSE_ALARM = 0.01
 """Chance that a right posterior is said to be miscalibrated, over all tests together."""
 FEWEST_SIMULATIONS = 100
-"""Simulations below which nothing is said: fewer would not notice draws of 0.8 times the spread."""
+"""Simulations below which nothing is said: fewer would not notice draws of 0.8 times the spread.
+Where some of as many failed, the others are judged."""
 FEW_FAILURES = 0.01
 """With a larger share of failures the others prove nothing: which ones fail may depend on the
 truth."""
+SMALLEST = 1e-300
+"""A p-value below which doubles say nothing."""
 CALIBRATED, MISCALIBRATED, CANNOT_TELL = "calibrated", "miscalibrated", "cannot tell"
 
 
@@ -59,27 +63,28 @@ class Calibration(NamedTuple):
 
 
 def judge(
-    simulation: xr.Dataset, *, false_alarm: float = FALSE_ALARM, fewest: int = FEWEST_SIMULATIONS
+    simulation: xr.Dataset,
+    *,
+    of: str = BY_COORDINATES,
+    false_alarm: float = FALSE_ALARM,
+    fewest: int = FEWEST_SIMULATIONS,
 ) -> Calibration:
-    """The verdict on levels by (simulation, quantity), NaN where an instance failed.
+    """The verdict on levels by (simulation, quantity), NaN where an instance failed: `of`
+    coordinates and whatever else is known of a pose, or of measures.
 
     Where more than `FEW_FAILURES` of them failed, which ones may depend on the truth: then a
     quantity counts against the sampler only if it did so whatever the levels of the failed ones.
-    Raises `BadInput` where there are fewer than `fewest` judged simulations."""
-    table = simulation["level"]
+    Those that are left are judged, however many there were to be. Raises `BadInput` where there are
+    fewer than `fewest` simulations, or all of them failed."""
+    table = levels_by_quantity(simulation, of)
     total = len(table)
     failed = int((~np.isfinite(table.values).any(axis=1)).sum())
-    if total - failed < fewest:
+    if total < fewest or failed == total:
         lost = f", {failed} of them failed" if failed else ""
-        raise BadInput(
-            f"there are {total} simulations{lost}; the tests need at least {fewest} that did not"
-            " fail"
-        )
-    known = set(table.quantity.values)
+        raise BadInput(f"there are {total} simulations{lost}; the tests need at least {fewest}")
     columns = {
-        name: column[np.isfinite(column)]
-        for name in QUANTITIES
-        if name in known
+        str(name): column[np.isfinite(column)]
+        for name in table.quantity.values
         for column in [table.sel(quantity=name).values]
         if np.isfinite(column).any()
     }
@@ -104,15 +109,20 @@ def judge(
     return Calibration(tests, *_verdict(tests, failed, total, rejects, proven))
 
 
+def levels_by_quantity(simulation: xr.Dataset, of: str) -> xr.DataArray:
+    """Levels by (simulation, quantity), of one of `SUBJECTS`."""
+    if of == BY_COORDINATES:
+        return simulation["level"]
+    return simulation["measure_level"].rename(measure="quantity")
+
+
 def _verdict(
     tests: xr.Dataset, failed: int, total: int, rejects: bool, proven: bool
 ) -> tuple[str, str]:
     worst = tests.isel(quantity=int(np.argmin(tests.adjusted.values)))
     number = tests.sizes["quantity"]
-    said = (
-        f"{worst.quantity.item()}: p = {float(worst.p_value):.2g}, {float(worst.adjusted):.2g} over"
-        f" {number} tests"
-    )
+    p_value, adjusted = (_bounded(float(one)) for one in (worst.p_value, worst.adjusted))
+    said = f"{worst.quantity.item()}: p {p_value}, over all {number} tests {adjusted}"
     missing = f"; the sampler failed on {failed} of {total} simulations" if failed else ""
     many = failed > FEW_FAILURES * total
     if proven:
@@ -128,6 +138,11 @@ def _verdict(
             f" {total - failed} simulations{missing}"
         ),
     )
+
+
+def _bounded(p_value: float) -> str:
+    """A p-value in words: none is 0, though doubles may end there."""
+    return f"= {p_value:.2g}" if p_value > SMALLEST else f"< {SMALLEST:g}"
 
 
 def holm(p_values: np.ndarray) -> np.ndarray:

@@ -2,13 +2,15 @@
 for granted.
 
 Tests that need independent draws are given draws thinned by their measured autocorrelation. The
-verdict holds all of them to one level (Holm's procedure): "differs", "agrees" (as far as the draws
-can tell), "unmixed" where no test rejects but the chains are still apart, so that their starts
-agree rather than they, or "cannot tell" where there are too few effective draws to see anything.
-Chains that did not move differ without a test. A stated evidence is judged beside the draws: it is
-another number, with an error of its own, and neither makes the other right or wrong."""
+verdict holds all of them to one level (Holm's procedure): "differs", "agrees" (no difference was
+found, and `power` says how large one would have been caught), "unmixed" where no test rejects but
+the chains are still apart, so that their starts agree rather than they, or "cannot tell" where
+there are too few effective draws to see anything. Chains that did not move differ without a test. A
+stated evidence is judged beside the draws: it is another number, with an error of its own, and
+neither makes the other right or wrong."""
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -20,12 +22,13 @@ from poseterior.inference.studies.comparison.distances import (
     wasserstein,
 )
 from poseterior.inference.studies.comparison.mixing import CHAINS_APART, Mixing, mean_ess, mixing
-from poseterior.inference.studies.comparison.modes import Modes, modes, same_shares
+from poseterior.inference.studies.comparison.modes import Modes, counts_by_mode, modes, same_shares
 from poseterior.inference.studies.comparison.permutation import (
     PERMUTATIONS,
     classifier_test,
     permutation_tests,
 )
+from poseterior.inference.studies.comparison.power import SmallestSeen, seen
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate
 from poseterior.inference.studies.comparison.sample import NAMES, Sample
 
@@ -53,7 +56,8 @@ class Test(NamedTuple):
 
 class Judgement(NamedTuple):
     """All that the judge found. `tests` of draws decide the verdict; `others` stand beside it.
-    `evidence` is the test of the stated one, None where none was stated with its error.
+    `evidence` is the test of the stated one, None where none was stated with its error; `seen` what
+    these tests could have seen, None where there are none.
     `coordinate_p` `(c, 2)`: rank tests of shift and spread; `joint_w1` `(9,)`: W1 of the joints'
     depth in body units (× 350: millimetres of a person of 1.7 m); `distance`: sliced Wasserstein in
     standard deviations; `sentence` says why."""
@@ -68,6 +72,7 @@ class Judgement(NamedTuple):
     joint_w1: np.ndarray
     distance: float
     evidence: Test | None = None
+    seen: SmallestSeen | None = None
 
     @property
     def beside(self) -> tuple[Test, ...]:
@@ -89,6 +94,7 @@ def judge(
     exact_evidence: tuple[float, float] = (math.nan, math.nan),
     level: float = JUDGE_LEVEL,
     permutations: int = PERMUTATIONS,
+    mode_counts: Mapping[int, float] | None = None,
 ) -> Judgement:
     """Judges draws against exact, independent ones of the same posterior.
 
@@ -101,23 +107,33 @@ def judge(
         Chance that a sampler without fault is said to differ.
     permutations
         Of the tests by energy distance and MMD.
+    mode_counts
+        As of `modes.counts_by_mode`.
     """
     rng = np.random.default_rng(seed)
     mixed = mixing(sample.values, exact.flat.std(axis=0))
     worst = _worst(sample, mixed)
     coordinate_p, ess = each_coordinate(sample.values, exact.flat)
-    tests: list[Test] = []
-    others: list[Test] = []
-    if not mixed.stuck and worst >= FEWEST_EFFECTIVE_DRAWS:
-        thinned = sample if _independent(sample, worst) else sample.rows(_stride(sample, worst))
-        tests, others = _tests(thinned, exact, rng, permutations)
-        tests.append(_coordinates(coordinate_p, ess, sample.names))
     found = modes(
         sample.away.reshape(-1, sample.away.shape[-1]),
         exact.away.reshape(-1, exact.away.shape[-1]),
         worst,
     )
-    verdict, sentence = _verdict(tests, mixed, worst, found, sample.num_draws, level)
+    tests: list[Test] = []
+    others: list[Test] = []
+    power = None
+    if not mixed.stuck and worst >= FEWEST_EFFECTIVE_DRAWS:
+        thinned = sample if _independent(sample, worst) else sample.rows(_stride(sample, worst))
+        counts = counts_by_mode(
+            thinned.away.reshape(thinned.num_draws, -1),
+            exact.away.reshape(exact.num_draws, -1),
+            mode_counts,
+        )
+        tests, others = _tests(thinned, exact, rng, permutations, counts)
+        tests.append(_coordinates(coordinate_p, ess, sample.names))
+        varying = np.where(np.isfinite(coordinate_p), ess, np.nan)
+        power = seen(varying, exact.num_draws, counts, float(found.exact[0]), len(tests), level)
+    verdict, sentence = _verdict(tests, mixed, worst, found, sample.num_draws, level, power)
     depth = [column for column, name in enumerate(NAMES) if name.endswith(" z")]
     joint_w1 = wasserstein(sample.flat[:, depth], exact.flat[:, depth])
     distance = sliced_wasserstein(sample.flat, exact.flat)
@@ -132,6 +148,7 @@ def judge(
         joint_w1=joint_w1,
         distance=distance,
         evidence=_evidence(evidence, exact_evidence),
+        seen=power,
     )
 
 
@@ -161,7 +178,11 @@ def _stride(sample: Sample, worst: float) -> int:
 
 
 def _tests(
-    thinned: Sample, exact: Sample, rng: np.random.Generator, permutations: int
+    thinned: Sample,
+    exact: Sample,
+    rng: np.random.Generator,
+    permutations: int,
+    counts: np.ndarray,
 ) -> tuple[list[Test], list[Test]]:
     draws = thinned.flat
     known = exact.flat
@@ -180,8 +201,9 @@ def _tests(
                 f"{independent}; normal scores",
             )
         )
-    flips = same_shares(thinned.away.reshape(number, -1), exact.away.reshape(exact.num_draws, -1))
-    tests.append(Test("modes", *flips, number, f"{independent}; rare modes put together"))
+    tests.append(
+        Test("modes", *same_shares(counts), number, f"{independent}; rare modes put together")
+    )
     return tests, [Test("C2ST", *classifier_test(draws, known, rng), number, independent)]
 
 
@@ -210,7 +232,13 @@ def _evidence(evidence: tuple[float, float], exact: tuple[float, float]) -> Test
 
 
 def _verdict(
-    tests: list[Test], mixed: Mixing, worst: float, found: Modes, number: int, level: float
+    tests: list[Test],
+    mixed: Mixing,
+    worst: float,
+    found: Modes,
+    number: int,
+    level: float,
+    power: SmallestSeen | None = None,
 ) -> tuple[str, str]:
     if mixed.stuck:
         return (
@@ -234,10 +262,14 @@ def _verdict(
                 f" {FEWEST_EFFECTIVE_DRAWS} are needed: run some {_more(number, worst):,} more"
             ),
         )
-    said = f"no test of {len(worse)} rejects at {level:g} with {worst:.0f} effective draws"
+    said = (
+        f"no difference found by {len(worse)} tests at {level:g} with {worst:.0f} effective draws"
+    )
+    if power is not None:
+        said += f"; {power.sentence}"
     if mixed.worst_rhat > CHAINS_APART:
         apart = f"R-hat {mixed.worst_rhat:.2f} says that the chains are still apart, run longer"
-        return UNMIXED, f"{said}, but {apart}{_missed(found)}"
+        return UNMIXED, f"{said}; but {apart}{_missed(found)}"
     return AGREES, f"{said}{_missed(found)}"
 
 

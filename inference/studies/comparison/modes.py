@@ -4,6 +4,7 @@ shares.
 Under weak perspective every bone may point towards the camera or away from it: 2^k patterns for k
 bones."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -49,16 +50,34 @@ def modes(away: np.ndarray, exact: np.ndarray, independent: float) -> Modes:
     return Modes(patterns, known, share, missed, expected)
 
 
-def same_shares(away: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
-    """Chi-square statistic and p-value that independent draws `(n, bones)` and `(m, bones)` fall
-    into the modes alike (homogeneity of two samples); rare modes are put together."""
-    _, counts = _counts(away, exact)
+def counts_by_mode(
+    away: np.ndarray, exact: np.ndarray, known: Mapping[int, float] | None = None
+) -> np.ndarray:
+    """`(2, modes)`: how many independent draws `(n, bones)` and `(m, bones)` fall into each mode;
+    rare modes are put together.
+
+    Parameters
+    ----------
+    known
+        How many of a great many exact draws fell into each mode, by its code, where that is known:
+        then they stand in the place of the exact draws.
+    """
+    found, counts = _counts(away, exact)
+    if known is not None:
+        codes_known = np.array(list(known))
+        found, which = np.unique(np.concatenate([found, codes_known]), return_inverse=True)
+        drawn = np.bincount(which[: counts.shape[1]], counts[0], len(found))
+        counts = np.stack([drawn, [known.get(int(code), 0.0) for code in found]])
+    counts = counts[:, counts.any(axis=0)]
     pooled = counts.sum(axis=0) / counts.sum()
-    rare = pooled * min(len(away), len(exact)) < LEAST_EXPECTED
-    if rare.any():
-        counts = np.concatenate(
-            [counts[:, ~rare], counts[:, rare].sum(axis=1, keepdims=True)], axis=1
-        )
+    rare = pooled * counts.sum(axis=1).min() < LEAST_EXPECTED
+    together = counts[:, rare].sum(axis=1, keepdims=True)
+    return np.concatenate([counts[:, ~rare], together], axis=1) if rare.any() else counts
+
+
+def same_shares(counts: np.ndarray) -> tuple[float, float]:
+    """Chi-square statistic and p-value that two samples, `(2, modes)`, fall into the modes alike
+    (homogeneity)."""
     if counts.shape[1] < 2:
         return 0.0, 1.0
     statistic, p_value, _, _ = stats.chi2_contingency(counts, correction=False)

@@ -10,6 +10,7 @@ from poseterior.inference.results import versions
 from poseterior.inference.studies.comparison.cost import EPSILON, SHARES, Course
 from poseterior.inference.studies.comparison.judge import Judgement, Test
 from poseterior.inference.studies.comparison.pace import Pace
+from poseterior.inference.studies.comparison.power import SmallestSeen
 from poseterior.inference.studies.comparison.sample import NAMES, Sample
 from poseterior.inference.studies.flips import FLIPPING
 from poseterior.probmodel.skeleton import BONES, JOINTS
@@ -168,6 +169,11 @@ def _summary(entries: list[Entry]) -> xr.Dataset:
             entries, "judgement", lambda one: one.modes.expected_missed, np.nan
         ),
         "unique": _column(entries, "judgement", lambda one: one.mixing.unique, np.nan),
+    }
+    seen = [None if entry.judgement is None else entry.judgement.seen for entry in entries]
+    columns |= {
+        f"seen_{name}": [np.nan if one is None else getattr(one, name) for one in seen]
+        for name in SmallestSeen._fields
     }
     return xr.Dataset({name: ("sampler", values) for name, values in columns.items()})
 

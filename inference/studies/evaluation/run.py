@@ -23,6 +23,7 @@ from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.inference.studies.evaluation.conditions import Condition
 from poseterior.inference.studies.evaluation.outcome import Protocol, judge_block
 from poseterior.probmodel.datasets import DataSet
+from poseterior.probmodel.measures import MEASURES
 
 STORE, FRAMES_GROUP = "frames", "frames"
 """The store's folder, with a folder in it for each condition, and what a block of it holds."""
@@ -171,5 +172,6 @@ def settings(data: DataSet, protocol: Protocol) -> dict[str, Any]:
         **({"upright": protocol.upright} if protocol.upright else {}),
         "max_proposals": protocol.max_proposals,
         "seed": protocol.seed,
+        "measured": len(MEASURES),
         "versions": versions(),
     }

@@ -19,8 +19,10 @@ from poseterior.inference.studies.calibration.levels import (
 )
 from poseterior.inference.studies.errors import aligned_errors
 from poseterior.inference.studies.intervals import TAIL
+from poseterior.inference.studies.measured import MeasureStandings, standings_of
 from poseterior.probmodel.datasets import DataSet
 from poseterior.probmodel.datasets.cases import SMALLEST, TALLEST, body_height
+from poseterior.probmodel.measures import MEASURES
 from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS
 
 BESTS = (1, 5, 10, 50, 200)
@@ -42,6 +44,7 @@ SAMPLE_SHAPES: dict[str, dict[str, int]] = {
     "standing": _BY_AXIS,
     "beyond": _BY_AXIS,
     "width": _BY_AXIS,
+    **{f"measure_{name}": {"measure": len(MEASURES)} for name in MeasureStandings._fields},
 }
 """What `of_samples` returns, by name: sizes by dimension."""
 
@@ -77,8 +80,9 @@ def of_samples(
     the truth in the image; `level`, by joint, the share of samples nearer to their median than the
     truth is (Pierzchlewicz et al. 2022), and `stand_in`, the same of samples in place of the truth;
     `standing`, by joint and axis, the truth's rank among the samples, uniform if these are right;
-    `beyond`, 1 where the truth lies beyond all of them; `width`, mm, of central intervals of 95 %.
-    NaN where samples are too few to say.
+    `beyond`, 1 where the truth lies beyond all of them; `width`, mm, of central intervals of 95 %;
+    of joint angles, lengths and steps `MeasureStandings`, by names such as `measure_level`. NaN
+    where samples are too few to say.
     """
     rooted = joints - joints[:, :1]
     truth = truth - truth[:1]
@@ -108,6 +112,8 @@ def of_samples(
         "beyond": ((at < judged.min(axis=0)) | (at > judged.max(axis=0))).astype(float),
         "width": high - low,
     }
+    measured = standings_of(truth, rooted + strays, rooted, rng)
+    found |= {f"measure_{name}": column for name, column in measured._asdict().items()}
     told = [JUDGED_JOINTS.index(joint) for joint in given if joint in JUDGED_JOINTS]
     for name in ("level", "stand_in"):
         found[name][..., told] = np.nan

@@ -15,6 +15,10 @@ from poseterior.inference.studies.calibration.ece import Ece, ece
 from poseterior.inference.studies.evaluation import metrics
 from poseterior.inference.studies.evaluation.samples import JUDGED_JOINTS
 from poseterior.inference.studies.intervals import TAIL, Interval, of_share
+from poseterior.inference.studies.measured import (
+    MeasureScore,
+    scores_of_measures,
+)
 from poseterior.probmodel.skeleton import LIMB_JOINTS
 
 SAMPLES = 2000
@@ -140,6 +144,7 @@ class SampleScores(NamedTuple):
     across : mm, distance of samples from the truth in the image, seen joints.
     width : mm, of the limb joints' intervals in x, y and depth.
     effective : the median number of effective roots; NaN where the root is fixed.
+    measures : of joint angles, lengths and steps, mm.
     """
 
     frames: int
@@ -151,6 +156,7 @@ class SampleScores(NamedTuple):
     across: Interval
     width: tuple[float, ...]
     effective: float
+    measures: list[MeasureScore]
 
 
 SCORED_LIMBS = [JUDGED_JOINTS.index(joint) for joint in LIMB_JOINTS]
@@ -182,6 +188,9 @@ def sample_scores(values: Values, recording: np.ndarray) -> SampleScores:
         across=clustered(found["across"], recording),
         width=tuple(width.mean(axis=(0, 1)).tolist()) if some else (np.nan,) * 3,
         effective=float(np.median(effective)) if len(effective) else np.nan,
+        measures=scores_of_measures(
+            found["measure_level"], found["measure_error"], found["measure_width"], recording
+        ),
     )
 
 

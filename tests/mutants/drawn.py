@@ -1,0 +1,125 @@
+"""Faults that nobody thought of: cosmic-ray's, drawn by a seed from the statistical core.
+
+    make drawn-mutants                                   40 of them
+    MUTANTS_NUMBER=200 MUTANTS_SEED=3 make drawn-mutants
+    MUTANTS_SECONDS=600 make drawn-mutants               as many as are begun in that time
+
+Each is planted in a copy, as ours are (`tests.mutants`), and is killed where one of the quick tests
+of its file fails, or does not end. A survivor is either as good as the product (a bound that may be
+generous, a message) or a hole; they are listed by file, with the line. The exit code is 0 as long
+as there was something to judge: who reads the list decides."""
+
+import difflib
+import os
+import random
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+from cosmic_ray.ast import ast_nodes, get_ast
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.plugins import get_operator, operator_names
+
+from tests.mutants import ROOT
+from tests.mutants.__main__ import Copy
+
+BY_HAND = "tests/inference/test_importance_by_hand.py"
+ROOTS = "tests/inference/test_uncertain_root.py"
+COMPARISON = "tests/inference/test_comparison.py"
+CALIBRATION = "tests/inference/test_calibration.py"
+CORE: dict[str, tuple[str, ...]] = {
+    "inference/importance/weighted.py": (BY_HAND, ROOTS),
+    "inference/importance/rejection.py": (
+        BY_HAND,
+        "tests/inference/test_uncertain_rejection.py",
+    ),
+    "inference/importance/two_stage.py": (ROOTS, "tests/inference/test_uncertain_two_stage.py"),
+    "inference/resampling.py": (ROOTS, "tests/inference/test_benchmark.py"),
+    "inference/studies/comparison/modes.py": (COMPARISON,),
+    "inference/studies/comparison/mixing.py": (COMPARISON,),
+    "inference/studies/comparison/permutation.py": (COMPARISON,),
+    "inference/studies/comparison/power.py": (COMPARISON,),
+    "inference/studies/comparison/ranks.py": (COMPARISON,),
+    "inference/studies/calibration/uniformity.py": (CALIBRATION,),
+    "inference/studies/calibration/verdict.py": (CALIBRATION,),
+}
+"""Files, and the tests that should see what is wrong with them."""
+DULL = ("Decorator", "Number", "NoOp", "Bit", "Shift", "Floor", "Mod", "Pow", "Is", "_Not")
+"""What is in the names of operators whose faults say little: of caches and tuning constants, or
+that no array survives, whatever tests look at."""
+LONGEST = 300.0
+"""Seconds after which tests are given up."""
+QUICK = ("-x", "-m", "not slow and not sweep")
+"""What pytest is told beside."""
+
+
+class Drawn(NamedTuple):
+    """A fault: an operator of cosmic-ray at its so manyth place in a file."""
+
+    file: str
+    operator: str
+    occurrence: int
+
+    def applied(self, root: Path) -> str:
+        """The file's text with the fault."""
+        text = (root / self.file).read_text(encoding="utf-8")
+        return mutate_code(text, get_operator(self.operator)(), self.occurrence)
+
+    @property
+    def line(self) -> str:
+        """What stands there now, and what did."""
+        before = (ROOT / self.file).read_text(encoding="utf-8").splitlines()
+        after = self.applied(ROOT).splitlines()
+        changed = [line for line in difflib.ndiff(before, after) if line[:2] in ("- ", "+ ")]
+        return " → ".join(line[2:].strip() for line in changed[:2])
+
+
+def all_of(file: str) -> list[Drawn]:
+    """Every fault of a file."""
+    nodes = list(ast_nodes(get_ast((ROOT / file).read_text(encoding="utf-8"))))
+    found = []
+    for name in operator_names():
+        kind = get_operator(name)
+        if kind.arguments() or any(word in name for word in DULL):
+            continue
+        places = sum(1 for node in nodes for _ in kind().mutation_positions(node))
+        found += [Drawn(file, name, place) for place in range(places)]
+    return found
+
+
+def main() -> int:
+    """Draws, plants, tells."""
+    number = int(os.environ.get("MUTANTS_NUMBER", "40"))
+    seed = int(os.environ.get("MUTANTS_SEED", "0"))
+    ends = time.monotonic() + float(os.environ.get("MUTANTS_SECONDS", "inf"))
+    every = [one for file in CORE for one in all_of(file)]
+    chosen = random.Random(seed).sample(every, min(number, len(every)))
+    planted, survivors = Counter[str](), []
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        copy = Copy(Path(folder))
+        try:
+            for count, fault in enumerate(chosen):
+                if time.monotonic() > ends:
+                    break
+                with copy.planted(fault, count):
+                    code, used = copy.run([*CORE[fault.file], *QUICK], LONGEST)
+                planted[fault.file] += 1
+                if not code:
+                    survivors.append(fault)
+                said = "SURVIVED" if not code else "killed"
+                print(f"{fault.file} | {fault.line} | {said} | {used:.0f} s", flush=True)
+        finally:
+            copy.close()
+    print(f"{planted.total()} of {len(every)} were planted, {len(survivors)} survived")
+    for file, count in planted.items():
+        own = [one for one in survivors if one.file == file]
+        print(f"{file}: {count - len(own)} of {count} killed")
+        print(*(f"    {one.line}" for one in own), sep="\n", end="\n" if own else "")
+    return 0 if planted else 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

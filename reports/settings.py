@@ -913,6 +913,7 @@ class CalibrateSettings:
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "calibrate session/ --out errors.json",
         "calibrate session/ --perspective --law student --out errors.json",
+        "calibrate session/ --perspective --fps 60",
         "calibrate h36m/ --detections cpn_ft_h36m_dbb --frames 5000 --out cpn.json",
     )
     dataset: Annotated[
@@ -929,6 +930,14 @@ class CalibrateSettings:
         LearnedLaw, Option(help="Of errors that are no outliers; --errors takes gaussian.")
     ] = LearnedLaw.gaussian
     perspective: KnownLenses = False
+    fps: Annotated[
+        float | None,
+        Option(
+            help="Frames a second of a session whose frames follow each other: then it is said how"
+            " long errors last, too.",
+            show_default="not said",
+        ),
+    ] = None
     frames: Annotated[
         int, Option(min=1, help="Most detected people to learn from, evenly over all.")
     ] = 2000
@@ -972,7 +981,16 @@ class CalibrateSettings:
         }
 
     def check(self) -> None:
-        """Reads the data. Raises `BadInput` where they are none."""
+        """Reads the data. Raises `BadInput` where they are none, or no film where a rate is
+        given."""
+        from poseterior.probmodel import BadInput
+        from poseterior.probmodel.sessions import Session
+
+        if self.fps is not None and not isinstance(self.data, Session):
+            raise BadInput(
+                "--fps is of a session of calibrated cameras, whose frames follow each other, which"
+                f" {self.dataset} is not; leave it out"
+            )
         self.data  # noqa: B018
 
 

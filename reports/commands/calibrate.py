@@ -3,11 +3,13 @@
 import numpy as np
 
 from poseterior.inference.studies.errorlaws import (
+    ErrorTimes,
     Learned,
     Pairs,
     learn,
     pairs_of_data,
     pairs_of_session,
+    times_of_session,
 )
 from poseterior.probmodel import BadInput
 from poseterior.probmodel.sessions import Session
@@ -16,7 +18,7 @@ from poseterior.reports.figures import save_figure
 from poseterior.reports.figures.errorlaws import residuals_figure
 from poseterior.reports.options import Screen
 from poseterior.reports.settings import CalibrateSettings
-from poseterior.reports.tables.errorlaws import errors_table, summary_lines
+from poseterior.reports.tables.errorlaws import errors_table, summary_lines, times_json, times_lines
 
 
 def run(settings: CalibrateSettings, screen: Screen) -> None:
@@ -27,6 +29,7 @@ def run(settings: CalibrateSettings, screen: Screen) -> None:
     if picture == out:
         raise BadInput(f"{out} would be overwritten by its own picture; name it NAME.json")
     console.output_file(picture)
+    times = times_of(settings)
     pairs, truth = pairs_of(settings)
     with console.progress("fits", screen.quiet) as step:
         found = learn(
@@ -36,19 +39,29 @@ def run(settings: CalibrateSettings, screen: Screen) -> None:
     save_figure(residuals_figure(found), picture)
     if not found.fit.converged:
         console.warn("the fit did not come to rest; its last step is written: take more frames")
-    show(found, screen)
+    show(found, screen, times)
     if not screen.json:
         console.say(f"Written to {out} and {picture}")
 
 
-def show(found: Learned, screen: Screen) -> None:
-    """The law on stdout."""
+def show(found: Learned, screen: Screen, times: ErrorTimes | None = None) -> None:
+    """The law on stdout, and how long errors last where that is known."""
     if screen.json:
-        console.show_json(found.errors.document())
+        said = {} if times is None else {"times": times_json(times)}
+        console.show_json(found.errors.document() | said)
         return
     console.OUT.print(errors_table(found))
-    for line in summary_lines(found):
+    lines = summary_lines(found) + ([] if times is None else times_lines(times))
+    for line in lines:
         console.say(line)
+
+
+def times_of(settings: CalibrateSettings) -> ErrorTimes | None:
+    """How long errors last, where the rate is given. Raises `BadInput` on one that cannot be, and
+    on too short a film."""
+    if settings.fps is None or not isinstance(settings.data, Session):
+        return None
+    return times_of_session(settings.data, settings.fps, perspective=settings.perspective)
 
 
 def pairs_of(settings: CalibrateSettings) -> tuple[Pairs, Pairs | None]:

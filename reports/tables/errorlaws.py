@@ -1,13 +1,18 @@
 """Tables of a detector's error law."""
 
+from typing import Any
+
 import numpy as np
 
-from poseterior.inference.studies.errorlaws import Learned
+from poseterior.inference.studies.errorlaws import ErrorTimes, Learned
 from poseterior.probmodel.errors.detector import Exchange
 from poseterior.probmodel.errors.laws import Student
 from poseterior.probmodel.layouts import MIDPOINTS
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
-from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
+from poseterior.reports.tables.sheet import Column, Sheet, number, sheet_of
+
+FILM_SECONDS = (1.0, 10.0)
+"""Of films, of which it is said what they are worth."""
 
 
 def errors_table(found: Learned) -> Sheet:
@@ -59,3 +64,30 @@ def summary_lines(found: Learned) -> list[str]:
         factors = ", ".join(f"{factor:.2f}" for factor in errors.score.sigma_factor)
         lines.append(f"Scores cut at {edges}: sigma times {factors}")
     return lines
+
+
+def times_lines(times: ErrorTimes) -> list[str]:
+    """How long errors last, and what a film is worth, in sentences."""
+    parts = zip(("constant", "slow", "quick"), times[:3], times.se, strict=False)
+    said = ", ".join(f"{name} {100 * share:.0f} ± {100 * se:.0f} %" for name, share, se in parts)
+    worth = " and ".join(
+        f"{seconds:g} s {times.worth(round(seconds * times.rate), times.rate):.1f}"
+        for seconds in FILM_SECONDS
+    )
+    lasts = f"{times.seconds:.2f} ± {times.se[3]:.2f} s"
+    if times.seconds >= times.longest:
+        lasts = f"{times.longest:.2f} s at least, and a longer film may count them as constant"
+    return [
+        f"Of the errors' variance: {said}; slow errors last {lasts}",
+        f"Frames with errors of their own that a film is worth, to the mean of a joint at rest:"
+        f" {worth}",
+    ]
+
+
+def times_json(times: ErrorTimes) -> dict[str, Any]:
+    """The same as numbers; None for standard errors that are not known."""
+    names = ("constant", "slow", "quick", "seconds")
+    return {
+        **{name: getattr(times, name) for name in (*names, "longest", "deviation", "rate")},
+        "se": {name: number(float(se)) for name, se in zip(names, times.se, strict=True)},
+    }

@@ -32,9 +32,10 @@ def test_it_writes_a_law_and_a_picture_and_says_what_it_found(
     film: Path, poseterior: Cli, tmp_path: Path
 ) -> None:
     out = tmp_path / "errors.json"
-    run = poseterior("calibrate", film, "--perspective", "--out", out, "--quiet")
+    run = poseterior("calibrate", film, "--perspective", "--fps", "60", "--out", out, "--quiet")
     assert (run.code, run.err) == (0, "")
-    for words in ("The error law", "left_wrist", "Exchanged sides: legs 0.0", f"{out}"):
+    lasting = "Of the errors' variance: constant"
+    for words in ("The error law", "left_wrist", "Exchanged sides: legs 0.0", lasting, f"{out}"):
         assert words in run.out.replace("\n", "")
     errors = DetectorErrors.read(out)
     assert errors.learned["detector"] == "body_25b"
@@ -74,6 +75,7 @@ def test_json_is_the_file(film: Path, poseterior: Cli, tmp_path: Path) -> None:
         (("--out", "law.png"), "would be overwritten by its own picture"),
         (("--frames", "12"), "has 12 detections of a joint at most; a law needs 20"),
         (("--law", "disc"), "'disc' is not one of"),
+        (("--fps", "0"), "from 1 to 1000 frames a second, not 0"),
     ],
 )
 def test_what_cannot_be_done_is_refused(
@@ -95,6 +97,9 @@ def test_perspective_needs_cameras(poseterior: Cli, tmp_path: Path) -> None:
     run = poseterior("calibrate", tmp_path / "x.npz", "--perspective", "--quiet")
     assert run.code == 2
     assert "--perspective needs calibrated cameras" in run.err
+    run = poseterior("calibrate", tmp_path / "x.npz", "--fps", "30", "--quiet")
+    assert run.code == 2
+    assert "--fps is of a session of calibrated cameras" in run.err
 
 
 def test_the_embedded_law_knows_every_joint() -> None:

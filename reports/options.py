@@ -385,15 +385,7 @@ class Person:
 
 @dataclass(frozen=True, kw_only=True)
 class PersonOrSession(Person):
-    """One person of a file of detections, or of calibrated cameras."""
-
-    file: Annotated[
-        Path,
-        Argument(
-            help="Detections, of any detector; or a folder of calibrated cameras.",
-            show_default=False,
-        ),
-    ]
+    """One person of a file of detections, or of a folder of calibrated cameras."""
 
     @property
     def is_session(self) -> bool:

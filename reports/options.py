@@ -654,7 +654,11 @@ class Viewing(Rooting):
             if self.principal is None
             else parse_point(self.principal, "--principal", "320,240")
         )
-        if size is not None and not ((principal >= 0) & (principal <= size)).all():
+        if (
+            size is not None
+            and np.isfinite(principal).all()
+            and ((principal < 0) | (principal > size)).any()
+        ):
             raise BadInput(
                 f"--principal {self.principal} lies outside the image of {size[0]}x{size[1]}"
                 " pixels; it is where the camera's optical axis meets the image, usually near its"

@@ -833,7 +833,7 @@ class CoverageSettings:
             way = "with views of people"
             unknown = ["simulate_only", "num_simulations", "sampler", "workers"]
             unknown += ["estimator", "noise", "missing", "perspective"]
-        elif self.dataset is not None and any(name in given for name in views):
+        elif self.dataset is not None and self.dataset.is_file() and {*views} & given:
             way, unknown = "but with views of people", views
         elif self.dataset is not None:
             way, unknown = "with --dataset", ["simulate_only", "num_simulations"]
@@ -887,7 +887,7 @@ class CoverageJudgeSettings:
     by: Annotated[
         str | None, Option(help="A covariate whose groups are recalibrated one by one.")
     ] = None
-    seed: Annotated[int, Option(min=0, help="Of ties, permutations and the classifier.")] = 0
+    seed: Seed = 0
 
     def require_meaning(self, given: Set[str]) -> None:
         """Raises `BadInput` where --by comes without --recalibrate, or two files would be one."""

@@ -176,7 +176,7 @@ class RootedTarget:
     def roots(self, points: ArrayLike) -> RootPoint:
         """The roots at points `(..., d)` of R^d; leaves start with `...`."""
         shapes = "(d)->(),(i,j),(),(k)"
-        roots = jnp.vectorize(lambda point: tuple(self._root(point)), signature=shapes)
+        roots = jnp.vectorize(lambda point: tuple(self._root(point))[:4], signature=shapes)
         return RootPoint(*roots(jnp.asarray(points)[..., self.limbs.dim :]))
 
     def poses(self, key: jax.Array, points: ArrayLike) -> Pose:

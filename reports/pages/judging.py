@@ -34,10 +34,18 @@ def main(work: Work) -> Page:
         (name, size): kept_json(work / f"{size}-{row}.json", powers, name, size)
         for (row, name), size in product(enumerate(WRONGS), SIZES)
     }
-    tables = {f"at_{size}": _table(found, size) for size in SIZES}
     tried = ", ".join(f"{times} at {size:,}" for size, times in SIZES.items())
     accused = kept_json(work / "right.json", accusations)
-    return Page("judging", {**tables, "draws": DRAWN, "tried": tried, "accused": accused})
+    return Page(
+        "judging",
+        {
+            "at_100": _table(found, 100),
+            "at_300": _table(found, 300),
+            "draws": DRAWN,
+            "tried": tried,
+            "accused": accused,
+        },
+    )
 
 
 def accusations() -> int:

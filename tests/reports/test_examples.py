@@ -127,6 +127,7 @@ OF_THEIR_OWN = {
     "person": {"export", "frames", "measure"},  # of a film, not of a file of detections
     "estimator": {"evaluate", "coverage"},
     "missing": {"evaluate", "coverage"},
+    "errors": {"coverage"},  # of views of people alone
     "frames": {"evaluate", "coverage", "calibrate"},
     "root": {"evaluate", "hypotheses", "sample", "frames"},  # open where a person is asked about
     "roots": {"frames", "evaluate", "coverage"},

@@ -46,6 +46,7 @@ def test_there_are_pages() -> None:
         "facing",
         "faults",
         "honest",
+        "judging",
         "leaderboard",
         "limits",
         "measures",

@@ -33,7 +33,7 @@ LEVELS = 0.5, 0.95
 BOOTSTRAPS = 2000
 
 
-class JudgedView(NamedTuple):
+class ViewLevels(NamedTuple):
     """A view's truth among its draws: `level` `(15, 3)`, the share of draws below it, `width`
     `(2, 15, 3)` of the intervals of `LEVELS`, mm, and `error` `(15, 3)` of the mean, mm; NaN where
     nobody knows the truth, or there are no draws."""
@@ -108,7 +108,7 @@ def judge(
     seed: int,
     num_samples: int = 1000,
     num_roots: int = 400,
-) -> JudgedView:
+) -> ViewLevels:
     """A view's truth among draws of its posterior.
 
     Parameters
@@ -127,7 +127,7 @@ def judge(
         How many draws, from how many roots.
     """
     nothing = np.full((NUM_JOINTS, 3), np.nan)
-    blank = JudgedView(nothing, np.stack([nothing, nothing]), nothing)
+    blank = ViewLevels(nothing, np.stack([nothing, nothing]), nothing)
     middle = middle_of(view.truth)
     if middle is None:
         return blank
@@ -151,7 +151,7 @@ def judge(
     low = np.quantile(draws, [(1 - level) / 2 for level in LEVELS], axis=0)
     high = np.quantile(draws, [(1 + level) / 2 for level in LEVELS], axis=0)
     known = np.isfinite(truth)
-    return JudgedView(
+    return ViewLevels(
         np.where(known, (draws < truth).mean(axis=0), np.nan),
         np.where(known, high - low, np.nan),
         np.where(known, draws.mean(axis=0) - truth, np.nan),
@@ -181,7 +181,7 @@ def even(views: Sequence[PersonView], number: int) -> list[PersonView]:
     ]
 
 
-def by_person(views: Sequence[PersonView], judged: Sequence[JudgedView]) -> dict[str, Honesty]:
+def by_person(views: Sequence[PersonView], judged: Sequence[ViewLevels]) -> dict[str, Honesty]:
     """What the views of each person say."""
     found = {}
     for person in dict.fromkeys(view.person for view in views):
@@ -190,7 +190,7 @@ def by_person(views: Sequence[PersonView], judged: Sequence[JudgedView]) -> dict
     return found
 
 
-def honesty(views: Sequence[PersonView], judged: Sequence[JudgedView]) -> Honesty:
+def honesty(views: Sequence[PersonView], judged: Sequence[ViewLevels]) -> Honesty:
     """What all views say together."""
     limbs = list(JUDGED)
     level = np.stack([one.level[limbs] for one in judged])

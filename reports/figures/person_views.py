@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from poseterior.inference.studies.person_views import JUDGED, JudgedView, inside
+from poseterior.inference.studies.person_views import JUDGED, ViewLevels, inside
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import page, tidy
 from poseterior.reports.tables.person_views import WAYS_OFF
@@ -13,7 +13,7 @@ from poseterior.reports.tables.person_views import WAYS_OFF
 NOMINALS = np.linspace(0.0, 1.0, 41)
 
 
-def levels_figure(judged: Sequence[JudgedView]) -> Figure:
+def levels_figure(judged: Sequence[ViewLevels]) -> Figure:
     """The share of truths in central intervals, by the intervals' own level, an axis a line."""
     level = np.stack([one.level[list(JUDGED)] for one in judged])
     figure = page(3.4, 3.2)

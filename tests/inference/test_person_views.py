@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from poseterior.inference.studies.person_views import JudgedView, honesty
+from poseterior.inference.studies.person_views import ViewLevels, honesty
 from poseterior.probmodel import BadInput
 from poseterior.probmodel.datasets.person_views import is_person_views, read_person_views
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
@@ -92,7 +92,7 @@ def test_intervals_are_counted_by_hand(tmp_path: Path) -> None:
     for at in (0.5, 0.99):
         level, width = np.full((len(JOINTS), 3), np.nan), np.full((2, len(JOINTS), 3), np.nan)
         level[JOINT_INDEX["right_wrist"]], width[:, JOINT_INDEX["right_wrist"]] = at, 100.0
-        judged.append(JudgedView(level, width, np.where(np.isfinite(level), 30.0, np.nan)))
+        judged.append(ViewLevels(level, width, np.where(np.isfinite(level), 30.0, np.nan)))
     found = honesty(views, judged)
     np.testing.assert_allclose(found.covered, 0.5)
     np.testing.assert_allclose(found.width, 100.0)

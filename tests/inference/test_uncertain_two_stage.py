@@ -223,7 +223,7 @@ def test_more_roots_are_effective(monkeypatch: pytest.MonkeyPatch) -> None:
     two_staged = weigh_roots(posterior, key=key(0), num_roots=200)
     monkeypatch.setattr(two_stage, "OVERSAMPLING", (1, 1))
     plain = weigh_roots(posterior, key=key(0), num_roots=200)
-    assert two_staged.proposed.chance.max() < plain.proposed.chance.min() == 1
+    assert two_staged.proposed.chance.mean() < plain.proposed.chance.min() == 1
     assert two_staged.effective > 3 * plain.effective
 
 

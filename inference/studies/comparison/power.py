@@ -37,12 +37,14 @@ class SmallestSeen(NamedTuple):
     @property
     def sentence(self) -> str:
         """In words."""
-        share = round(100 * POWER)
-        return (
-            f"{share} % of runs would have caught a coordinate that is shifted by {self.shift:.2g}"
-            f" or wider by {self.spread:.0%} of its standard deviation,"
-            f" {self.moved:.1%} of the draws too few or too many in the commonest mode"
+        modes = (
+            f", {self.moved:.1%} of the draws too few or too many in the commonest mode"
             f" ({self.common:.0%}), or a mode of {self.missing:.1%} that no draw has"
+        )
+        return (
+            f"{POWER:.0%} of runs would have caught a coordinate that is shifted by {self.shift:.2g}"
+            f" or wider by {self.spread:.0%} of its standard deviation"
+            f"{modes if math.isfinite(self.missing) else ''}"
         )
 
 
@@ -76,7 +78,7 @@ def seen(
         _wider(float(spread)),
         common,
         math.sqrt(apart * common * (1 - common) / worth),
-        apart / (worth + apart),
+        apart / (worth + apart) if math.isfinite(apart) else math.inf,
     )
 
 

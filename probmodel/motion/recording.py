@@ -22,12 +22,8 @@ it)."""
 CMU_RATE = 120.0
 NPZ_RATE = 30.0
 MAX_TURN = 1500.0
-"""Degrees a second. A football kick turns the lower leg by some 1,100 in the CMU recordings; single
-steps that are faster there are swapped or lost markers, at 1,700 to 12,000."""
-FAST_RUN = 3
-"""Faster steps that follow each other about one axis are a fast person: somersaults have them."""
-SAME_SENSE = 0.8
-"""Cosine between the axes of two turns, above which one goes on as the other."""
+"""Degrees a second. A football kick turns the lower leg by some 1,100 in the CMU recordings; what
+is faster there are swapped or lost markers, at 1,700 to 12,000."""
 GUARD = 0.05
 """Seconds before and after a jump that are not trusted."""
 MOST_JOINTS, MOST_FRAMES = 2000, 500_000
@@ -75,36 +71,20 @@ class Motion:
 
     def without_jumps(self, max_turn: float = MAX_TURN) -> "Motion":
         """Without the frames at a jump, where a bone (from joint to parent) turns faster than
-        `max_turn` degrees a second, and not in a run of `FAST_RUN` such turns in one sense. The
-        frames within `GUARD` seconds of it go: a T-pose before the first frame, a marker lost for a
-        moment."""
+        `max_turn` degrees a second. The frames within `GUARD` seconds of it go: a T-pose before the
+        first frame, a marker lost for a moment."""
         bones = self.joints[:, 1:] - self.joints[:, list(PARENTS[1:])]
         bones = bones / np.maximum(
             np.linalg.norm(bones, axis=-1, keepdims=True), np.finfo(float).tiny
         )
-        chord = np.linalg.norm(np.diff(bones, axis=0), axis=-1)
+        chord = np.linalg.norm(np.diff(bones, axis=0), axis=-1).max(axis=-1, initial=0.0)
         turn = np.degrees(2 * np.arcsin(np.clip(chord / 2, 0, 1)))
-        fast = turn * self.frame_rate > max_turn
-        jumps = np.flatnonzero((fast & ~_in_runs(bones, fast)).any(axis=-1)) + 1
+        jumps = np.flatnonzero(turn * self.frame_rate > max_turn) + 1
         guard = max(1, round(GUARD * self.frame_rate))
         keep = np.ones(len(self.joints), bool)
         for jump in jumps:
             keep[max(0, jump - guard) : jump + guard] = False
         return dataclasses.replace(self, joints=self.joints[keep])
-
-
-def _in_runs(bones: np.ndarray, fast: np.ndarray) -> np.ndarray:
-    """`(T - 1, bones)`: which `fast` steps of bones' directions `(T, bones, 3)` belong to a run of
-    `FAST_RUN` or more, each about nearly the same axis as the last."""
-    axis = np.cross(bones[:-1], bones[1:])
-    axis /= np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), np.finfo(float).tiny)
-    goes_on = fast[1:] & fast[:-1] & (np.sum(axis[1:] * axis[:-1], axis=-1) > SAME_SENSE)
-    found = np.zeros(fast.shape, bool)
-    links = FAST_RUN - 1
-    for start in range(len(goes_on) - links + 1):
-        whole = goes_on[start : start + links].all(axis=0)
-        found[start : start + FAST_RUN] |= whole
-    return found
 
 
 def read_text(path: Path) -> str:

@@ -42,8 +42,8 @@ class SmallestSeen(NamedTuple):
             f" ({self.common:.0%}), or a mode of {self.missing:.1%} that no draw has"
         )
         return (
-            f"{POWER:.0%} of runs would have caught a coordinate that is shifted by {self.shift:.2g}"
-            f" or wider by {self.spread:.0%} of its standard deviation"
+            f"{round(100 * POWER)} % of runs would have caught a coordinate that is shifted by"
+            f" {self.shift:.2g} or wider by {self.spread:.0%} of its standard deviation"
             f"{modes if math.isfinite(self.missing) else ''}"
         )
 

@@ -45,6 +45,7 @@ TABLES = (
     "calibration.csv",
     "sharpness.csv",
     "frames.csv",
+    "measures.csv",
     "pck.csv",
     "evaluation.md",
 )

@@ -241,8 +241,8 @@ def _scores(names: np.ndarray, levels: np.ndarray) -> dict[str, np.ndarray]:
 
 def read_recalibration(path: Path) -> Recalibration:
     """Raises `BadInput` where the file is none of `Recalibration.save`."""
+    record = read_json(path, _WHAT, _ADVICE)
     try:
-        record = read_json(path, _WHAT, _ADVICE)
         scores = {
             str(group): {str(name): np.array(values, float) for name, values in many.items()}
             for group, many in record["scores"].items()

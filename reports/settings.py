@@ -218,7 +218,7 @@ class FramesSettings:
         "frames video.json --out result --num-samples 1000 --keep 100",
         "frames street.json --person 1 --out one-of-them",
         "frames walk/ --out walk-uncertain --roots 400 --upright 20",
-        "frames walk/ --focal 1650 --principal 960,540",
+        "frames walk/ --focal 1650 --principal 240,320",
         "frames walk/ --root fixed --out walk-of-the-paper",
     )
     path: Annotated[

@@ -2,16 +2,17 @@
 page that turns and a table."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 
 from poseterior.inference import Result
 from poseterior.inference.composition import composed
 from poseterior.inference.draws import COMPLETE
 from poseterior.inference.drawsfile import sample_to_file
 from poseterior.inference.hypothesis import Hypothesis, hypotheses
-from poseterior.inference.studies.judging.repair import read_recalibration
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
@@ -25,7 +26,7 @@ from poseterior.reports.interactive.page import write_page
 from poseterior.reports.interactive.person import person_page
 from poseterior.reports.options import Screen
 from poseterior.reports.settings import HypothesesSettings
-from poseterior.reports.tables.judging import recalibrated_table
+from poseterior.reports.tables.sheet import Sheet
 
 
 def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | None = None) -> None:
@@ -44,7 +45,7 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         model = settings.rooting.model(settings.prior, settings.person.size)
         frame = settings.estimation.estimate(settings.person.detection, model)
         warnings = doubts.about(settings.person, model)
-    repair = read_recalibration(settings.recalibrated) if settings.recalibrated else None
+    recalibrated = _recalibrated(settings.recalibrated) if settings.recalibrated else None
     out = console.output_folder(settings.out)
     with console.progress(_task(settings), screen.quiet) as step:
         result = sample_to_file(
@@ -69,7 +70,7 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         save_figure(picture, out / "hypotheses.png")
         page = person_page(result, chosen, image=photo, truth=truth, warnings=warnings)
         write_page(page, out / "hypotheses.html")
-    intervals = recalibrated_table(result.shown.tree, repair) if repair else None
+    intervals = recalibrated(result.shown.tree) if recalibrated else None
     if screen.json:
         held = {"recalibrated": intervals.json()} if intervals else {}
         console.show_json(summary(chosen, result, out) | held)
@@ -83,6 +84,16 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         console.open_page(out / "hypotheses.html")
     if result.status != COMPLETE:
         raise OutOfBudget(f"{result.sentence} (what there is, is saved in {out})")
+
+
+def _recalibrated(path: Path) -> Callable[[xr.DataTree], Sheet]:
+    """What makes a table of the recalibrated intervals of a posterior. What it needs takes a second
+    to import, for which nobody else waits. Raises `BadInput` where the file is none."""
+    from poseterior.inference.studies.judging.repair import read_recalibration
+    from poseterior.reports.tables.judging import recalibrated_table
+
+    repair = read_recalibration(path)
+    return lambda tree: recalibrated_table(tree, repair)
 
 
 def _chosen(

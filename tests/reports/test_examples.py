@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from PIL import Image
 
 from poseterior.inference import ESTIMATORS, SAMPLERS
 from poseterior.inference.importance.weighted import MOST_ROOTS
 from poseterior.inference.sampler import ROOTED_SAMPLERS
+from poseterior.inference.studies.judging import recalibrate
 from poseterior.probmodel import Anatomy, read_detections
 from poseterior.probmodel.root_priors import ROOT_PRIORS
 from poseterior.reports import cli, options
@@ -32,6 +34,7 @@ RUN = [
     if re.match(
         "demo|hypotheses|sample|frames|show|export|prior|check posterior|coverage --simulate", line
     )
+    and "session/" not in line
 ]
 """Those that need neither a network, nor motion capture, nor minutes."""
 
@@ -184,6 +187,12 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "names.json").write_text(json.dumps(odd))
     (place / "video.csv").write_text(table(deeplabcut_rows(parts=odd)))
     Anatomy.default().save(place / "limits.npz")
+    levels = xr.DataArray(
+        np.linspace(0, 1, 60)[:, None],
+        dims=("simulation", "quantity"),
+        coords={"quantity": ["right_wrist z"]},
+    )
+    recalibrate(levels).save(place / "wider.json", {})
     seen = read_detections(place / "frame.json")[0].keypoints
     width, height = np.nanmax(seen, axis=0).astype(int) + 10
     Image.new("RGB", (int(width), int(height))).save(place / "photo.jpg")

@@ -275,7 +275,7 @@ def test_simulated_bodies_are_covered(model: PoseModel, number: int) -> None:
     assert min(stats.kstest(column, "uniform").pvalue for column in wrong.T) * 46 < 0.001
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_the_same_key_gives_the_same_draws_and_faults_are_found(model: PoseModel) -> None:
     """Four views, a wrist moved by half a body unit in one of them."""
     points, _, world = bodies(model, 1, seed=11)

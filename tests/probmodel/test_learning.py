@@ -108,7 +108,7 @@ def test_mirrored_limits_are_symmetric(walker: Anatomy, climbing: np.ndarray) ->
     np.testing.assert_array_equal(here, there[:, [0, 2, 1, 4, 3, 6, 5, 8, 7]])
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_more_tolerance_contains_less() -> None:
     motion = some_motion()
     tight, wide = (

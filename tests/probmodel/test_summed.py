@@ -121,7 +121,7 @@ def test_the_sum_is_that_over_all_patterns(law: str, lens: bool) -> None:
     assert several >= 6
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 def test_misfit_is_that_of_the_pattern_that_explains_a_pose_best() -> None:
     """The least of `Observation.misfit` over all patterns of the prior; at most 1 where the sum is
     not zero."""

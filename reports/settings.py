@@ -214,7 +214,7 @@ class FramesSettings:
     where it was stopped."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
-        "frames walk/ --out walk-posterior",
+        "frames walk/ --keep 200 --out walk-posterior",
         "frames video.json --out result --num-samples 1000 --keep 100",
         "frames street.json --person 1 --out one-of-them",
         "frames walk/ --out walk-uncertain --roots 400 --upright 20",

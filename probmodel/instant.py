@@ -1,7 +1,7 @@
 """One instant in several views: what calibrated cameras detected of one person at one time.
 
 An `Instant` stands where a detection does, with a likelihood for each view; its posterior is an
-`InstantPosterior`, a `Posterior` whose root is in the cameras' world (docs/model.md § 12).
+`InstantPosterior`, a `Posterior` whose root is in the cameras' world (docs/model.md § 11).
 
     instant = read_session("S01/").instant(20)
     instant.posterior(PoseModel())

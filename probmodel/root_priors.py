@@ -3,7 +3,7 @@
 `Candidates` are the paper's method: atoms that an estimator found, weighed by what the torso's
 keypoints say. Under a `TorsoCameraPrior` they are as uncertain as the pose (docs/model.md § 9).
 Under a `WorldPrior` cameras are calibrated, and the body has a size and a place in their world
-(§ 12). A `Posterior` takes any of them, and all that differs between them stands here.
+(§ 11). A `Posterior` takes any of them, and all that differs between them stands here.
 """
 
 import functools

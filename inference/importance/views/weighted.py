@@ -4,7 +4,7 @@ evidence, and drawn anew by their weights.
     draws = WeightedViews().draw(instant.posterior(model), jax.random.key(0), 10_000)
 
 With one view it draws from that view's posterior, whose focal length is known, and the size from
-its prior: they are the same law (docs/model.md § 12).
+its prior: they are the same law (docs/model.md § 11).
 """
 
 import dataclasses

@@ -11,6 +11,7 @@ Weights that are random but unbiased leave the limit what it is: with more and m
 are draws of the posterior. How far a number of roots is from there, the effective number says.
 """
 
+import abc
 import dataclasses
 import functools
 import math
@@ -67,8 +68,74 @@ APART = 2
 """Effective roots for every draw that counts as independent of the others."""
 
 
+class RootWeights(abc.ABC):
+    """Roots with weights, whose mean is the evidence: what they are worth, and draws of them.
+
+    Attributes
+    ----------
+    posterior
+        What they are drawn from.
+    log_weight
+        `(n,)` log of each root's weight; -inf where it has none.
+    proposals
+        How many attempts all that took.
+    """
+
+    posterior: Posterior
+    log_weight: np.ndarray
+    proposals: int
+
+    @functools.cached_property
+    def share(self) -> np.ndarray:
+        """`(n,)`: the weights, with sum one; zeros where no root has any."""
+        return shares(self.log_weight)
+
+    @property
+    def effective(self) -> float:
+        """How many equally weighted roots these are worth: 1 / Σ share² (Kish 1965)."""
+        return effective(self.share)
+
+    @property
+    def log_evidence(self) -> float:
+        """Log of an unbiased estimate of the density of the detection, per square pixel of every
+        joint (but one where a flat translation has no mass); -inf where no root has any weight."""
+        return log_mean(self.log_weight)
+
+    @property
+    def log_evidence_se(self) -> float:
+        """Standard error of `log_evidence`, by the delta method."""
+        if not self.effective:
+            return math.inf
+        return math.sqrt(self.relative_variance(self.share))
+
+    def evidence_of(self, rows: np.ndarray) -> tuple[float, float]:
+        """Log evidence of the roots in some rows alone, and its standard error."""
+        own = np.isin(np.arange(len(self.log_weight)), rows)
+        evidence = log_mean(np.where(own, self.log_weight, -np.inf))
+        whole = np.where(own, self.share, 0.0)
+        if not whole.any():
+            return evidence, math.inf
+        return evidence, math.sqrt(self.relative_variance(whole / whole.sum()))
+
+    @property
+    @abc.abstractmethod
+    def known(self) -> KnownRoots:
+        """What is known of them."""
+
+    @abc.abstractmethod
+    def relative_variance(self, share: np.ndarray) -> float:
+        """Of the evidence of roots that have these shares `(n,)` of it."""
+
+    @abc.abstractmethod
+    def draw_whole(
+        self, rng: np.random.Generator, number: int
+    ) -> tuple[Any, Pose, Faults, np.ndarray]:
+        """`number` roots, poses and faults in random order, and which `(number,)` of the roots each
+        has; none where no root has any weight."""
+
+
 @dataclass(frozen=True, eq=False)
-class WeightedRoots:
+class WeightedRoots(RootWeights):
     """Roots given the torso with weights that make them roots of the posterior.
 
     Attributes
@@ -97,29 +164,6 @@ class WeightedRoots:
         """The roots `(n, ...)`."""
         return self.proposed.points
 
-    @functools.cached_property
-    def share(self) -> np.ndarray:
-        """`(n,)`: the weights, with sum one; zeros where no root has any."""
-        return shares(self.log_weight)
-
-    @property
-    def effective(self) -> float:
-        """How many equally weighted roots these are worth: 1 / Σ share² (Kish 1965)."""
-        return effective(self.share)
-
-    @property
-    def log_evidence(self) -> float:
-        """Log of an unbiased estimate of the density of the detection, per square pixel of every
-        joint but one (a flat translation has no mass); -inf where no root has any weight."""
-        return log_mean(self.log_weight)
-
-    @property
-    def log_evidence_se(self) -> float:
-        """Standard error of `log_evidence`, by the delta method."""
-        if not self.effective:
-            return math.inf
-        return math.sqrt(self.proposed.relative_variance(self.share))
-
     @property
     def known(self) -> KnownRoots:
         """What is known of them."""
@@ -127,14 +171,16 @@ class WeightedRoots:
         columns = {"log_evidence_of_limbs": limbs, "log_weight": self.log_weight}
         return KnownRoots(self.points, self.share, self.evidence_of, columns)
 
-    def evidence_of(self, rows: np.ndarray) -> tuple[float, float]:
-        """Log evidence of the roots in some rows alone, and its standard error."""
-        own = np.isin(np.arange(len(self.log_weight)), rows)
-        evidence = log_mean(np.where(own, self.log_weight, -np.inf))
-        whole = np.where(own, self.share, 0.0)
-        if not whole.any():
-            return evidence, math.inf
-        return evidence, math.sqrt(self.proposed.relative_variance(whole / whole.sum()))
+    def relative_variance(self, share: np.ndarray) -> float:
+        """As of the roots that were proposed."""
+        return self.proposed.relative_variance(share)
+
+    def draw_whole(
+        self, rng: np.random.Generator, number: int
+    ) -> tuple[RootPoint, Pose, Faults, np.ndarray]:
+        """As `draw`, with the faults of each root's pattern."""
+        points, poses, chosen = self.draw(rng, number)
+        return points, poses, self.proposed.faults.take(chosen), chosen
 
     def draw(self, rng: np.random.Generator, number: int) -> tuple[RootPoint, Pose, np.ndarray]:
         """`number` roots and poses, in random order, and which `(number,)` of the roots each has;
@@ -203,7 +249,7 @@ class WeightedSampler(Sampler):
 
 
 def blocks_of(
-    roots: WeightedRoots,
+    roots: RootWeights,
     verdict: tuple[str, str],
     about: dict[str, Any],
     key: jax.Array,
@@ -222,14 +268,14 @@ def blocks_of(
     status, sentence = verdict
     done = 0
     for start in range(0, number, block):
-        points, poses, chosen = roots.draw(rng, min(block, number - start))
+        points, poses, faults, chosen = roots.draw_whole(rng, min(block, number - start))
         done += len(chosen)
         rate = {"acceptance_rate": done / max(roots.proposals, 1)}
         yield Draws(
             roots.posterior,
             points,
             poses,
-            faults=roots.proposed.faults.take(chosen),
+            faults=faults,
             known=roots.known,
             attributes=about | worth | rate,
             status=status,

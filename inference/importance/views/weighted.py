@@ -8,11 +8,9 @@ its prior: they are the same law (docs/model.md § 11).
 """
 
 import dataclasses
-import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import numpy as np
@@ -37,11 +35,12 @@ from poseterior.inference.importance.views.limbs import (
 from poseterior.inference.importance.views.roots import BodyProposal, WorldBodies, fitted
 from poseterior.inference.importance.weighted import (
     FEWEST_EFFECTIVE,
+    RootWeights,
     WeightedSampler,
-    log_mean,
+    blocks_of,
     require_number,
 )
-from poseterior.inference.resampling import effective, shares, times
+from poseterior.inference.resampling import shares, times
 from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.instant import InstantPosterior
 from poseterior.probmodel.pose import Pose
@@ -62,17 +61,15 @@ LIMBS_OF_BODY = PER_LIMB * len(UPPER_BONES)
 
 
 @dataclass(frozen=True, eq=False)
-class WeighedRoots:
+class WeighedRoots(RootWeights):
     """Roots with their weights and what was proposed for their limbs.
 
     Attributes
     ----------
-    posterior
-        What they are drawn from.
+    posterior, log_weight, proposals
+        As of `RootWeights`.
     bodies, exchange
         Roots with lengths, and the exchanges `(n, C)`.
-    log_weight : `(n,)`
-        Their mean is the evidence.
     limbs
         Proposals `(n, 5, P)` for the limbs, the head first.
     """
@@ -82,32 +79,21 @@ class WeighedRoots:
     exchange: np.ndarray
     log_weight: np.ndarray
     limbs: Proposals
-
-    @functools.cached_property
-    def share(self) -> np.ndarray:
-        """`(n,)`: the weights, with sum one; zeros where no root has any."""
-        return shares(self.log_weight)
+    proposals: int
 
     @property
-    def effective(self) -> float:
-        """How many equally weighted roots these are worth (Kish 1965)."""
-        return effective(self.share)
+    def known(self) -> KnownRoots:
+        """What is known of them."""
+        return KnownRoots(self.bodies.point, self.share, self.evidence_of)
 
-    def evidence_of(self, rows: np.ndarray) -> tuple[float, float]:
-        """Log evidence of the roots in some rows alone, and its standard error."""
-        own = np.isin(np.arange(len(self.share)), rows)
-        share = np.where(own, self.share, 0.0)
-        if not share.any():
-            return -math.inf, math.inf
-        share = share / share.sum()
-        scatter = max(float(np.sum(share**2)) - 1 / len(share), 0.0)
-        return log_mean(np.where(own, self.log_weight, -np.inf)), math.sqrt(scatter)
+    def relative_variance(self, share: np.ndarray) -> float:
+        """By how these shares scatter."""
+        return max(float(np.sum(share**2)) - 1 / len(share), 0.0)
 
-    def draw(
+    def draw_whole(
         self, rng: np.random.Generator, number: int
     ) -> tuple[WorldPoint, Pose, Faults, np.ndarray]:
-        """`number` roots, poses and faults in random order, and which `(number,)` of the roots each
-        has; none where no root has any weight."""
+        """As of `RootWeights`; limbs come as often as their weights say, faults last."""
         counts = times(self.share, number if self.effective else 0, rng.uniform())
         chosen = rng.permutation(np.repeat(np.arange(len(counts)), counts))
         bodies, exchange = self.bodies.take(chosen), self.exchange[chosen]
@@ -146,7 +132,7 @@ def weigh(
     log_weight = log_torso + of_limbs.sum(axis=1) - proposal.log_density(bodies, exchange)
     # Beyond the ends of lengths, and of half turns, there is nothing.
     log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight)
-    return WeighedRoots(posterior, bodies, exchange, log_weight, limbs)
+    return WeighedRoots(posterior, bodies, exchange, log_weight, limbs, number * LIMBS_OF_BODY)
 
 
 def weigh_refined(
@@ -163,7 +149,9 @@ def weigh_refined(
             whole = jax.tree.map(lambda *rows: np.concatenate(rows), *drawn)
             proposal = first.refined(whole[0], whole[1], share)
     last = jax.random.fold_in(key, len(PILOT_BODIES))
-    return weigh(posterior, proposal, last, number, progress)
+    found = weigh(posterior, proposal, last, number, progress)
+    spent = sum(pilot.proposals for pilot in pilots)
+    return dataclasses.replace(found, proposals=found.proposals + spent)
 
 
 @dataclass(frozen=True)
@@ -203,34 +191,8 @@ class WeightedViews(Sampler):
             max(1, min(self.num_roots, afforded)),
             progress,
         )
-        rng = np.random.default_rng(words_of(jax.random.fold_in(key, 1)))
-        status, sentence = verdict(roots, self.num_roots)
-        proposals = (len(roots.log_weight) + sum(PILOT_BODIES)) * LIMBS_OF_BODY
-        evidence = roots.evidence_of(np.arange(len(roots.share)))
-        about: dict[str, Any] = {
-            "num_roots": len(roots.log_weight),
-            "effective_roots": roots.effective,
-            "num_proposals": proposals,
-            "log_evidence": evidence[0],
-            "log_evidence_se": evidence[1],
-        }
-        done = 0
-        for start in range(0, number, block):
-            points, poses, faults, chosen = roots.draw(rng, min(block, number - start))
-            done += len(chosen)
-            yield Draws(
-                posterior,
-                points,
-                poses,
-                faults=faults,
-                known=KnownRoots(roots.bodies.point, roots.share, roots.evidence_of),
-                attributes=about | {"acceptance_rate": done / proposals},
-                status=status,
-                sentence=sentence,
-                root_index=chosen,
-            )
-            if not done:
-                return
+        about = {"num_roots": len(roots.log_weight)}
+        yield from blocks_of(roots, verdict(roots, self.num_roots), about, key, number, block)
 
 
 def _of_one_view(

@@ -52,19 +52,24 @@ def weights_of(
             f"{named[0]} of {where} are {values.size:,} for {math.prod(shape):,} draws; give each"
             " draw one"
         )
-    values = values.reshape(shape)
+    return logs_of(values.reshape(shape), named[0], f" of {where}")
+
+
+def logs_of(values: np.ndarray, kind: str, of: str = "") -> np.ndarray:
+    """Logs of weights of a kind of `WEIGHTS`; -inf where one is zero. Raises `BadInput`, with what
+    they are `of`, where one is no number, infinite or negative, or all are zero."""
     if np.isnan(values).any() or (values == np.inf).any():
-        raise BadInput(f"{named[0]} of {where} hold a number that is not finite; leave it out")
-    if named[0] == "weights":
+        raise BadInput(f"{kind}{of} hold a number that is not finite; leave it out")
+    if kind == "weights":
         if (values < 0).any():
             raise BadInput(
-                f"{int((values < 0).sum()):,} of {values.size:,} weights of {where} are negative; a"
+                f"{int((values < 0).sum()):,} of {values.size:,} weights{of} are negative; a"
                 " weight is 0 or more"
             )
         with np.errstate(divide="ignore"):
             values = np.log(values)
     if not np.isfinite(values).any():
-        raise BadInput(f"all weights of {where} are zero; no draw counts, so run the sampler anew")
+        raise BadInput(f"all weights{of} are zero; no draw counts, so run the sampler anew")
     return values
 
 

@@ -211,15 +211,7 @@ class TorsoCameraPrior:
 
     def log_density(self, point: RootPoint) -> jax.Array:
         """`()`: log density of one root; -inf outside."""
-        terms: list[jax.Array] = []
-
-        def step(site: str, law: Any) -> jax.Array:
-            value = jnp.asarray(getattr(point, site))
-            terms.append(law.log_prob(value))
-            return value
-
-        self.compose(step)
-        return functools.reduce(operator.add, terms)
+        return _log_density(self, point)
 
     def root(self, point: RootPoint) -> Root:
         """The torso and camera of one root."""
@@ -324,15 +316,7 @@ class WorldPrior:
 
     def log_density(self, point: WorldPoint) -> jax.Array:
         """`()`: log density of one root; -inf outside."""
-        terms: list[jax.Array] = []
-
-        def step(site: str, law: Any) -> jax.Array:
-            value = jnp.asarray(getattr(point, site))
-            terms.append(law.log_prob(value))
-            return value
-
-        self.compose(step)
-        return terms[0] + terms[1] + terms[2] + terms[3]
+        return _log_density(self, point)
 
     def root(self, point: WorldPoint) -> WorldRoot:
         """The torso of one root, and the body before its cameras."""
@@ -356,3 +340,16 @@ class WorldPrior:
 
 
 RootPrior = Candidates | TorsoCameraPrior
+
+
+def _log_density(prior: TorsoCameraPrior | WorldPrior, point: RootPoint | WorldPoint) -> jax.Array:
+    """`()`: the sum over the sites of a prior, as `compose` has them."""
+    terms: list[jax.Array] = []
+
+    def step(site: str, law: Any) -> jax.Array:
+        value = jnp.asarray(getattr(point, site))
+        terms.append(law.log_prob(value))
+        return value
+
+    prior.compose(step)
+    return functools.reduce(operator.add, terms)

@@ -10,6 +10,8 @@ arrays throughout; nothing here knows what a pose is."""
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from poseterior.inference.resampling import effective
+
 CENTRES = 100
 """Draws of which energy balls are made, at most a third; the others are ranked."""
 
@@ -47,7 +49,7 @@ def rank_level(
 
 def effective_number(weights: np.ndarray) -> float:
     """How many draws of equal weight are worth as much as those of these weights (Kish 1965)."""
-    return float(weights.sum() ** 2 / (weights**2).sum())
+    return effective(weights / weights.sum())
 
 
 def cut_open(

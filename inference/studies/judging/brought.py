@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from poseterior.inference.resampling import counting
+from poseterior.inference.resampling import counting, logs_of
 from poseterior.inference.studies.calibration.levels import effective_number
 from poseterior.inference.studies.judging.where import Columns, checked, share_held
 from poseterior.probmodel.failures import BadInput
@@ -252,19 +252,7 @@ def _log_weights(weights: Any, log_weights: Any, shape: tuple[int, int]) -> np.n
             f"weights have shape {values.shape} for draws {shape}; give each draw of each instance"
             " one"
         )
-    if np.isnan(values).any() or (values == np.inf).any():
-        raise BadInput("weights hold a number that is not finite; leave those draws out")
-    if log_weights is None:
-        if (values < 0).any():
-            raise BadInput(
-                f"{int((values < 0).sum()):,} of {values.size:,} weights are negative; a weight is"
-                " 0 or more"
-            )
-        with np.errstate(divide="ignore"):
-            values = np.log(values)
-    if not np.isfinite(values).any():
-        raise BadInput("all weights are zero; no draw counts, so run the sampler anew")
-    return values
+    return logs_of(values, "weights" if log_weights is None else "log_weights")
 
 
 def _log_density(given: Any, shape: tuple[int, int]) -> np.ndarray | None:

@@ -206,12 +206,16 @@ class ViewErrors:
         return "; ".join(dict.fromkeys(view.words for view in self.views))
 
     def detected(self, instant: Instant) -> "DetectedInstant":
-        """The detections before any root: the joints of each likelihood and the torso's count.
-        Raises `BadInput` as `Likelihood.spread`."""
+        """The detections before any root: the joints of each likelihood and the torso's count, and
+        are the skeleton's, wherever a detector sees them. Raises `BadInput` as
+        `Likelihood.spread`."""
         counted = [WorldPrior.counted(view.joints) for view in self.views]
         seen = zip(self.views, instant.views, counted, strict=True)
         return DetectedInstant(
-            tuple(own.detected(view.detection, count) for own, view, count in seen)
+            tuple(
+                own.detected(view.detection, count)._replace(definition=None)
+                for own, view, count in seen
+            )
         )
 
 

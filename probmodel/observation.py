@@ -256,8 +256,9 @@ class DetectedJoints(NamedTuple):
     law
         The errors' law.
     definition
-        `(15, 3)` body units, body axes: how far from each joint lies what the detector calls so,
-        whatever sides it exchanges; None where it is the joint.
+        `(people, 15, 3)` body units, body axes: how far from each joint lies what the detector
+        calls so, whatever sides it exchanges, of each torso of the dictionary, or of all alike;
+        None where it is the joint.
     """
 
     keypoints: np.ndarray | jax.Array
@@ -298,16 +299,27 @@ class DetectedJoints(NamedTuple):
     def under(self, prior: "RootPrior", point: Any, faults: Faults | None = None) -> "Observation":
         """The detection under one root of a prior and a pattern of faults, or none; a formula of
         JAX."""
-        return self.at(prior.root(point), faults)
+        alike = self.definition is None or len(self.definition) == 1
+        return self.at(prior.root(point), faults, None if alike else point.torso)
 
-    def at(self, root: "Root", faults: Faults | None = None) -> "Observation":
+    def defined(self, torso: Any = None) -> Any:
+        """`(15, 3)`: the definitions of the dictionary's torso of that index, or their mean; None
+        where there are none."""
+        if self.definition is None:
+            return None
+        if torso is None:
+            return self.definition.mean(axis=0)
+        return jnp.asarray(self.definition)[torso]
+
+    def at(self, root: "Root", faults: Faults | None = None, torso: Any = None) -> "Observation":
         """The detection under a torso and camera: numbers where those are, else a formula of
-        JAX."""
+        JAX. Joints are defined as they are of the dictionary's `torso` of that index."""
         read = self if faults is None else self.read(faults)
         target = root.camera.to_plane(read.keypoints) - read.bias
         xp = jnp if isinstance(target, jax.Array) else np
         seen = xp.isfinite(read.spread)[:, None]
-        turned = None if self.definition is None else root.camera.view(self.definition)
+        definition = self.defined(torso)
+        turned = None if definition is None else root.camera.view(definition)
         target = xp.where(seen, target, 0.0)
         return Observation(root, target, read.spread, read.law, read.bias, turned)
 

@@ -66,7 +66,7 @@ class Posterior:
     def detected(self) -> DetectedJoints:
         """The joints that count, with one normalisation of the scores over all of them."""
         joints = self.root_prior.counted(self.likelihood.joints)
-        return self.likelihood.detected(self.detection, joints)
+        return self.likelihood.detected(self.detection, joints, self.root_prior.people)
 
     @property
     def faults(self) -> FaultPrior:

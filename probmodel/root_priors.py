@@ -97,6 +97,11 @@ class Candidates:
         xp = jnp if isinstance(point, jax.Array) else np
         return jax.tree.map(lambda leaf: xp.asarray(leaf)[point], self.roots)
 
+    @property
+    def people(self) -> int:
+        """How many people it tells apart: none of an estimator's torsos is known to be of one."""
+        return 1
+
     def points(self, point: Any) -> RootPoint:
         """Candidates `(n,)` as a point each."""
         camera = self.roots.camera
@@ -193,6 +198,11 @@ class TorsoCameraPrior:
             step("translation", ImproperUniform(constraints.real_vector, (), (2,))),
             lens,
         )
+
+    @property
+    def people(self) -> int:
+        """How many people the dictionary has."""
+        return len(self.torsos)
 
     @property
     def lenses(self) -> int:
@@ -313,6 +323,11 @@ class WorldPrior:
         log_size = step("log_size", Normal(jnp.log(MEDIAN_SIZE), SIZE_SD))
         place = step("place", SeenPlace(self.rig, NEAREST_PLACE * jnp.exp(jnp.asarray(log_size))))
         return WorldPoint(torso, rotation, log_size, place)
+
+    @property
+    def people(self) -> int:
+        """How many people the dictionary has."""
+        return len(self.torsos)
 
     def log_density(self, point: WorldPoint) -> jax.Array:
         """`()`: log density of one root; -inf outside."""

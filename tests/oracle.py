@@ -278,7 +278,8 @@ class SmallCase(NamedTuple):
     torsos: np.ndarray
     lens: Lens | None = None
     definition: Mapping[str, np.ndarray] = {}
-    """How far from a torso's joint, body axes and units, lies what the detector calls so."""
+    """How far from a torso's joint, body axes and units, lies what the detector calls so: `(3,)`,
+    or `(J, 3)` of each torso."""
 
 
 def weigh_torsos(case: SmallCase, roots: Roots, given: Beliefs) -> dict[str, np.ndarray]:
@@ -286,8 +287,9 @@ def weigh_torsos(case: SmallCase, roots: Roots, given: Beliefs) -> dict[str, np.
     the torso alone; "turned" where left and right are exchanged; "left_hip" the part of plain in
     which that keypoint is an outlier. Over the density of the proposal."""
     rows = [TORSO_ROWS.index(name) for name in TORSO]
-    defined = np.array([case.definition.get(name, np.zeros(3)) for name in TORSO])
-    points = case.torsos[roots.torso][:, rows] + defined
+    everyone = np.zeros((len(case.torsos), 3))
+    defined = np.stack([everyone + case.definition.get(name, 0.0) for name in TORSO], axis=1)
+    points = (case.torsos[:, rows] + defined)[roots.torso]
     points = np.einsum("nij,nkj->nki", roots.rotation, points)
     image, unit = seen(points, roots, case.lens)
     own, other = {}, {}

@@ -20,7 +20,7 @@ from poseterior.probmodel.observation import DetectedJoints
 from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.root_priors import NEAREST, TorsoCameraPrior
 from poseterior.probmodel.roots import RootPoint
-from poseterior.probmodel.skeleton import TORSO_INDEX
+from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 
 
 class TorsoProblem(NamedTuple):
@@ -74,7 +74,7 @@ def torso_problem(posterior: Posterior, faults: Faults, lens: int | None = None)
     law = WithOutliers(posterior.detected.law, detected.law.outlier[seen][order])
     torsos = np.asarray(posterior.model.torsos, float)
     if detected.definition is not None:
-        torsos = torsos + detected.definition[list(TORSO_INDEX)]
+        torsos = torsos + detected.definition[:, TORSO_INDEX]
     joints = TorsoJoints(
         torsos=np.ascontiguousarray(torsos[:, rows][:, order]),
         keypoints=keypoints[order] - origin,
@@ -168,9 +168,8 @@ def _log_nearness(model: PoseModel, detected: DetectedJoints, *fields: jax.Array
     def one(point: RootPoint, exchange: jax.Array) -> jax.Array:
         root = prior.root(point)
         counts = detected.counts[jnp.asarray(ORDERS)[exchange]][torso]
-        view = root.view
-        if detected.definition is not None:
-            view += root.camera.view(detected.definition[torso])
+        view = jnp.zeros((NUM_JOINTS, 3)).at[torso].set(root.view)
+        view = detected.under(prior, point).defined(view)[torso]
         farther = jnp.log(jnp.maximum(root.camera.relative_depth(view), 0.0))
         return 2 * jnp.sum(jnp.where(counts, farther, 0.0))
 

@@ -1,11 +1,13 @@
 """Do intervals hold for people and cameras that were never seen? Posteriors of views of people,
 judged by what is known of the truth, coordinate by coordinate; shares with intervals over people.
 
-Joints are placed about the midpoint of hips, or of shoulders where nobody knows the hips. Without
-a lens depth is along the line of sight to there, since weak perspective knows no other axis; with
-one it is along the optical axis.
+Joints are placed about the midpoint of hips, and again of shoulders: whoever knows the truth may
+mean other hips than the skeleton has, and then all that is placed about them is off by as much.
+Without a lens depth is along the line of sight to there, since weak perspective knows no other
+axis; with one it is along the optical axis.
 """
 
+import contextlib
 import functools
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -22,7 +24,11 @@ from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.probmodel.sessions.session import turn_to_sight
 from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS
 
-MIDDLES = (("right_hip", "left_hip"), ("right_shoulder", "left_shoulder"))
+MIDDLES = {
+    "hips": [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]],
+    "shoulders": [JOINT_INDEX["right_shoulder"], JOINT_INDEX["left_shoulder"]],
+}
+"""Between which two joints the others are placed, by what it is called."""
 JUDGED = tuple(
     JOINT_INDEX[f"{side}_{part}"]
     for part in ("elbow", "wrist", "knee", "ankle")
@@ -91,15 +97,6 @@ def units_of(views: Sequence[PersonView], model: PoseModel) -> dict[str, float]:
     return {view.person: units.get(view.person, usually) for view in views}
 
 
-def middle_of(truth: np.ndarray) -> list[int] | None:
-    """The two joints between which a view's joints are placed; None where neither pair is known."""
-    for pair in MIDDLES:
-        rows = [JOINT_INDEX[name] for name in pair]
-        if np.isfinite(truth[rows]).all():
-            return rows
-    return None
-
-
 def judge(
     view: PersonView,
     unit: float,
@@ -108,8 +105,8 @@ def judge(
     seed: int,
     num_samples: int = 1000,
     num_roots: int = 400,
-) -> ViewLevels:
-    """A view's truth among draws of its posterior.
+) -> dict[str, ViewLevels]:
+    """A view's truth among draws of its posterior, about each of `MIDDLES`.
 
     Parameters
     ----------
@@ -126,28 +123,39 @@ def judge(
     num_samples, num_roots
         How many draws, from how many roots.
     """
-    nothing = np.full((NUM_JOINTS, 3), np.nan)
-    blank = ViewLevels(nothing, np.stack([nothing, nothing]), nothing)
-    middle = middle_of(view.truth)
-    if middle is None:
-        return blank
     frame = Estimate(view.detection, (), likelihood)
-    key = jax.random.key(seed)
-    try:
+    draws = np.zeros((0, NUM_JOINTS, 3))
+    with contextlib.suppress(BadInput):
         result = inference.sample(
-            model, frame, key=key, num_samples=num_samples, root=UNCERTAIN, num_roots=num_roots
+            model,
+            frame,
+            key=jax.random.key(seed),
+            num_samples=num_samples,
+            root=UNCERTAIN,
+            num_roots=num_roots,
         )
-    except BadInput:
-        return blank
-    if not result.num_draws:
-        return blank
-    draws = result.tree["posterior"].to_dataset()["joints"].values[0].astype(float) * unit
-    draws -= draws[:, middle].mean(axis=1, keepdims=True)
-    centre = view.truth[middle].mean(axis=0)
-    truth, rng = view.truth - centre, np.random.default_rng([seed, 7])
-    if model.lens is None:
-        truth = truth @ turn_to_sight(centre).T
+        if result.num_draws:
+            joints = result.tree["posterior"].to_dataset()["joints"]
+            draws = joints.values[0].astype(float) * unit
+    rng = np.random.default_rng([seed, 7])
     draws = draws + rng.normal(size=draws.shape) * view.sigma[:, None]
+    along = model.lens is None
+    return {name: levels_about(view, draws, pair, along) for name, pair in MIDDLES.items()}
+
+
+def levels_about(
+    view: PersonView, draws: np.ndarray, pair: Sequence[int], along_sight: bool
+) -> ViewLevels:
+    """A view's truth among draws `(n, 15, 3)`, mm, both about the midpoint of a pair of joints,
+    with depth along the line of sight to there, or along the optical axis."""
+    centre = view.truth[pair].mean(axis=0)
+    if not (len(draws) and np.isfinite(centre).all()):
+        nothing = np.full((NUM_JOINTS, 3), np.nan)
+        return ViewLevels(nothing, np.stack([nothing, nothing]), nothing)
+    truth = view.truth - centre
+    if along_sight:
+        truth = truth @ turn_to_sight(centre).T
+    draws = draws - draws[:, pair].mean(axis=1, keepdims=True)
     low = np.quantile(draws, [(1 - level) / 2 for level in LEVELS], axis=0)
     high = np.quantile(draws, [(1 + level) / 2 for level in LEVELS], axis=0)
     known = np.isfinite(truth)
@@ -158,13 +166,26 @@ def judge(
     )
 
 
+def beside_truth(views: Sequence[PersonView], pair: Sequence[int]) -> np.ndarray:
+    """`(2,)` mm, to the right and down: how far beside the truth, as the cameras see it, the
+    midpoint of a pair of joints is detected, the median over views. No model has a part in it."""
+    found = []
+    for view in views:
+        truth, focal = view.truth[pair].mean(axis=0), float(np.mean(view.lens.focal))
+        seen = focal * truth[:2] / truth[2] + view.lens.principal
+        gap = view.detection.keypoints[pair].mean(axis=0) - seen
+        found.append(gap * truth[2] / focal)
+    return np.nanmedian(found, axis=0)
+
+
 def even(views: Sequence[PersonView], number: int) -> list[PersonView]:
     """At most so many views of which something is known, as many of each person as of any other
     while there are that many, evenly over theirs."""
     own: dict[str, list[PersonView]] = {}
     for view in views:
         joints = view.truth[list(JUDGED)]
-        if middle_of(view.truth) and np.isfinite(joints).all(axis=1).any():
+        placed = np.isfinite([view.truth[pair] for pair in MIDDLES.values()]).all(axis=(1, 2))
+        if placed.any() and np.isfinite(joints).all(axis=1).any():
             own.setdefault(view.person, []).append(view)
     counts = sorted(map(len, own.values()))
     if not counts:

@@ -11,7 +11,7 @@ an outlier: uniform in the disc of `outlier_radius` around the joint's projectio
 import dataclasses
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib import resources
@@ -19,12 +19,14 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtri
 
 from poseterior.probmodel.detections import LARGEST_NUMBER
 from poseterior.probmodel.documents import read_json
 from poseterior.probmodel.errors.laws import LAWS, ErrorLaw, law_of
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.files import replacing
+from poseterior.probmodel.layouts import MIDPOINTS, weights_of
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 
 FORMAT = "poseterior error law 1"
@@ -44,9 +46,17 @@ _KEYS = {
     *("format", "units", "axes", "law", *_PARAMETERS),
     *("joints", "exchange", "score", "outlier_radius", "learned"),
 }
-_JOINT_KEYS = {"sigma", "inlier", "bias", "se", "pairs", "definition"}
+_JOINT_KEYS = {"sigma", "inlier", "bias", "se", "pairs", "definition", "definition_sd"}
 FARTHEST_DEFINITION = 1.0
 """Body units: a point that lies farther from a joint is no definition of it."""
+DEFINITION_SEED = 0
+"""Of the order in which people have the quantiles of definitions."""
+_ALIKE = [
+    [JOINT_INDEX[name] for name in names]
+    for names in (*MIDPOINTS.values(), *((middle,) for middle in MIDPOINTS))
+]
+"""Joints of the torso that deviate together, but for the mirror."""
+_LEFT = [JOINT_INDEX[name] for name in JOINTS if name.startswith("left_")]
 
 
 class Exchange(NamedTuple):
@@ -108,6 +118,9 @@ class DetectorErrors:
         `(15, 3)` body units, to the person's left, up and forward: how far from the skeleton's
         joint lies what the detector calls by its name; 0 where it is the same, and for limbs'
         joints, which have axes of their own.
+    definition_sd
+        `(15, 3)` body units: how much that differs between people, and between detectors where it
+        is not known which one it is; see `definitions`.
 
     Raises
     ------
@@ -126,11 +139,12 @@ class DetectorErrors:
     se: np.ndarray = dataclasses.field(default_factory=lambda: np.full((NUM_JOINTS, 4), np.nan))
     learned: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     definition: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((NUM_JOINTS, 3)))
+    definition_sd: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((NUM_JOINTS, 3)))
 
     def __post_init__(self) -> None:
         self._check_radius()
         shapes = {"sigma": (), "inlier": (), "bias": (2,), "pairs": (), "se": (4,)}
-        shapes["definition"] = (3,)
+        shapes |= {"definition": (3,), "definition_sd": (3,)}
         for name, row in shapes.items():
             array = np.array(getattr(self, name))
             if array.shape != (NUM_JOINTS, *row):
@@ -179,6 +193,40 @@ class DetectorErrors:
     def spread(self, score: np.ndarray) -> np.ndarray:
         """`(..., 15)` body units: each joint's sigma at scores `(..., 15)`."""
         return self.sigma * self.score.at(score)
+
+    def definitions(self, number: int, moved: Collection[str] = ()) -> np.ndarray | None:
+        """Where detectors like this one see the torso's joints of so many people.
+
+        Each has `definition` plus normal deviations of `definition_sd`, those of the left side the
+        mirror image of those of the right: quantiles of the normal law in a random order, the same
+        whoever asks (a Latin hypercube; McKay, Beckman & Conover 1979). One person has the mean.
+
+        Parameters
+        ----------
+        number
+            How many people.
+        moved
+            Which of thorax and pelvis were put where they are by shoulders and hips
+            (`layouts.corrected`), and so lie as these do.
+
+        Returns
+        -------
+        ndarray
+            `(number, 15, 3)`, `(1, 15, 3)` where all are alike, and None where every point is the
+            skeleton's joint.
+        """
+        if not self.definition_sd.any():
+            every = weights_of(moved) @ self.definition
+            return every[None] if every.any() else None
+        quantile = ndtri((np.arange(number) + 0.5) / number)
+        quantile /= max(float(quantile.std()), np.finfo(float).tiny)
+        rng = np.random.default_rng(DEFINITION_SEED)
+        normal = rng.permuted(np.tile(quantile, (len(_ALIKE), 3, 1)), axis=2)
+        deviation = np.zeros((number, NUM_JOINTS, 3))
+        for joints, own in zip(_ALIKE, normal, strict=True):
+            deviation[:, joints] = own.T[:, None]
+        deviation[:, _LEFT, 0] *= -1
+        return weights_of(moved) @ (self.definition + deviation * self.definition_sd)
 
     def _check_radius(self) -> None:
         if not 0 < self.outlier_radius <= LARGEST_LENGTH:  # false for NaN too
@@ -234,7 +282,13 @@ class DetectorErrors:
                 f"the definition of {JOINTS[joint]} must lie within {FARTHEST_DEFINITION:g} body"
                 f" unit of the joint, not at {self.definition[joint].tolist()}"
             )
-        for joint in np.flatnonzero(size > 0):
+        sd = self.definition_sd
+        for joint in np.flatnonzero(~((sd >= 0) & (sd <= FARTHEST_DEFINITION)).all(axis=-1)):
+            raise BadInput(
+                f"the definition_sd of {JOINTS[joint]} must lie between 0 and"
+                f" {FARTHEST_DEFINITION:g} body unit each way, not {sd[joint].tolist()}"
+            )
+        for joint in np.flatnonzero((size > 0) | sd.any(axis=-1)):
             if joint not in TORSO_INDEX:
                 raise BadInput(
                     f"{JOINTS[joint]} has a definition in the torso's axes, in which it has no"
@@ -321,6 +375,7 @@ class DetectorErrors:
             se=joints.se,
             learned=_object(document.get("learned", {}), "learned", source),
             definition=joints.definition,
+            definition_sd=joints.definition_sd,
         )
         try:
             law = law_of(document["law"], parameters)
@@ -352,6 +407,8 @@ class DetectorErrors:
             entry["se"] = self.se[joint].tolist()
         if self.definition[joint].any():
             entry["definition"] = self.definition[joint].tolist()
+        if self.definition_sd[joint].any():
+            entry["definition_sd"] = self.definition_sd[joint].tolist()
         return entry
 
     def write(self, path: str | os.PathLike) -> None:
@@ -406,6 +463,7 @@ class _Joints:
         self.se = np.full((NUM_JOINTS, 4), np.nan)
         self.pairs = np.zeros(NUM_JOINTS, int)
         self.definition = np.zeros((NUM_JOINTS, 3))
+        self.definition_sd = np.zeros((NUM_JOINTS, 3))
 
     def take(self, name: str, entry: Any, source: str) -> None:
         """A joint's entry. Raises `BadInput` on an unknown joint, and on what is no entry."""
@@ -423,6 +481,8 @@ class _Joints:
         self.bias[joint] = _numbers(entry.get("bias", [0, 0]), 2, f"bias of {name}", source)
         place = _numbers(entry.get("definition", [0, 0, 0]), 3, f"definition of {name}", source)
         self.definition[joint] = place
+        sd = _numbers(entry.get("definition_sd", [0, 0, 0]), 3, f"definition_sd of {name}", source)
+        self.definition_sd[joint] = sd
         if "se" in entry:
             self.se[joint] = _numbers(entry["se"], 4, f"se of {name}", source)
         self.pairs[joint] = _count(entry.get("pairs", 0), f"pairs of {name}", source)

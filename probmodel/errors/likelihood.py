@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 import jax
@@ -108,13 +108,10 @@ class Likelihood:
             return np.zeros((NUM_JOINTS, 2))
         return np.where(self.learned.known[:, None], self.learned.bias, 0.0)
 
-    @property
-    def definition(self) -> np.ndarray | None:
-        """`(15, 3)` body units, body axes: how far from each joint lies what the detector calls so;
-        None where all is where the skeleton has it."""
-        if self.learned is None or not self.learned.definition.any():
-            return None
-        return self.learned.definition
+    def definitions(self, people: int, moved: Collection[str] = ()) -> np.ndarray | None:
+        """How far from each joint lies what the detector calls so, of each of so many people; see
+        `DetectorErrors.definitions`."""
+        return None if self.learned is None else self.learned.definitions(people, moved)
 
     @property
     def words(self) -> str:
@@ -189,7 +186,9 @@ class Likelihood:
             )
         return np.where(np.isnan(spread), np.inf, spread)
 
-    def detected(self, detection: Detection, joints: Sequence[int] | None = None) -> DetectedJoints:
+    def detected(
+        self, detection: Detection, joints: Sequence[int] | None = None, people: int = 1
+    ) -> DetectedJoints:
         """The detection before any root.
 
         Parameters
@@ -198,6 +197,8 @@ class Likelihood:
             What was detected.
         joints
             As in `spread`.
+        people
+            How many the root's prior has, each of whom has definitions of joints of its own.
 
         Returns
         -------
@@ -211,7 +212,8 @@ class Likelihood:
         """
         spread = self.spread(detection, 1.0, joints)
         keypoints = np.where(np.isfinite(spread)[:, None], detection.keypoints, 0.0)
-        given = self.bias, self.faults.reach, self.law, self.definition
+        definition = self.definitions(people, detection.moved)
+        given = self.bias, self.faults.reach, self.law, definition
         return DetectedJoints(keypoints, spread, *given)
 
     def observe(

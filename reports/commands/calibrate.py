@@ -3,12 +3,16 @@
 import numpy as np
 
 from poseterior.inference.studies.errorlaws import (
+    Definitions,
     ErrorTimes,
     Learned,
     Pairs,
+    definitions_of_data,
+    definitions_of_session,
     learn,
     pairs_of_data,
     pairs_of_session,
+    seen_offsets,
     times_of_session,
 )
 from poseterior.probmodel import BadInput
@@ -30,10 +34,16 @@ def run(settings: CalibrateSettings, screen: Screen) -> None:
         raise BadInput(f"{out} would be overwritten by its own picture; name it NAME.json")
     console.output_file(picture)
     times = times_of(settings)
-    pairs, truth = pairs_of(settings)
+    definitions = definitions_of(settings)
+    pairs, truth = pairs_of(settings, definitions)
     with console.progress("fits", screen.quiet) as step:
         found = learn(
-            pairs, law=settings.law, truth=truth, about=settings.described(), progress=step
+            pairs,
+            law=settings.law,
+            truth=truth,
+            about=settings.described(),
+            definitions=definitions,
+            progress=step,
         )
     found.errors.write(out)
     save_figure(residuals_figure(found), picture)
@@ -64,7 +74,15 @@ def times_of(settings: CalibrateSettings) -> ErrorTimes | None:
     return times_of_session(settings.data, settings.fps, perspective=settings.perspective)
 
 
-def pairs_of(settings: CalibrateSettings) -> tuple[Pairs, Pairs | None]:
+def definitions_of(settings: CalibrateSettings) -> Definitions:
+    """Where the detector's points lie beside the skeleton's joints. Raises `BadInput` on too short
+    a film."""
+    if isinstance(settings.data, Session):
+        return definitions_of_session(settings.data)
+    return definitions_of_data(settings.data)
+
+
+def pairs_of(settings: CalibrateSettings, definitions: Definitions) -> tuple[Pairs, Pairs | None]:
     """The pairs, and those that say how far the truth errs where they are others. Raises `BadInput`
     where perspective is asked of data that have no calibrated cameras."""
     if isinstance(settings.data, Session):
@@ -78,7 +96,7 @@ def pairs_of(settings: CalibrateSettings) -> tuple[Pairs, Pairs | None]:
             f"--perspective needs calibrated cameras, which {settings.dataset} has not; leave it"
             " out"
         )
-    pairs = pairs_of_data(settings.data)
+    pairs = pairs_of_data(settings.data, seen_offsets(definitions, settings.data))
     return pairs.take(thinned(len(pairs), settings.frames)), None
 
 

@@ -1,8 +1,9 @@
 """What intervals say and what they cover, for people and cameras that were never seen."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from poseterior.inference.studies.person_views import JUDGED, ViewLevels, inside
@@ -13,11 +14,19 @@ from poseterior.reports.tables.person_views import WAYS_OFF
 NOMINALS = np.linspace(0.0, 1.0, 41)
 
 
-def levels_figure(judged: Sequence[ViewLevels]) -> Figure:
-    """The share of truths in central intervals, by the intervals' own level, an axis a line."""
+def levels_figure(about: Mapping[str, Sequence[ViewLevels]]) -> Figure:
+    """The share of truths in central intervals, by the intervals' own level, an axis a line; a
+    picture for each midpoint about which joints are placed."""
+    figure = page(6.4, 3.2)
+    pictures = figure.subplots(1, len(about))
+    for axes, (middle, judged) in zip(pictures, about.items(), strict=True):
+        _levels(axes, judged)
+        axes.set_title(f"about the {middle}", loc="left", fontsize=8)
+    return figure
+
+
+def _levels(axes: Axes, judged: Sequence[ViewLevels]) -> None:
     level = np.stack([one.level[list(JUDGED)] for one in judged])
-    figure = page(3.4, 3.2)
-    axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="#BBBBBB", lw=1)
     for row, name in enumerate(WAYS_OFF):
         own = level[..., row][np.isfinite(level[..., row])]
@@ -28,4 +37,3 @@ def levels_figure(judged: Sequence[ViewLevels]) -> Figure:
     axes.set_ylabel("share of truths in it", fontsize=8)
     axes.legend(frameon=False, fontsize=7)
     tidy(axes)
-    return figure

@@ -23,10 +23,14 @@ def errors_table(found: Learned) -> Sheet:
         values = (errors.sigma[joint], errors.inlier[joint], *errors.bias[joint])
         cells = [_with_error(*one) for one in zip(values, errors.se[joint], strict=True)]
         rows.append([JOINTS[joint], int(errors.pairs[joint]), *cells])
+        sd = errors.definition_sd[joint]
+        rows[-1] += [_with_error(*one) for one in zip(errors.definition[joint], sd, strict=True)]
     head = ["joint", "pairs", "sigma", "inliers", "bias right", "bias down"]
+    head += ["lies left", "up", "forward"]
     caption = (
         f"{errors.law.name}; lengths in body units (the mean limb bone is 1). In parentheses the"
-        " standard errors of the last digits, from leaving recordings out in turn."
+        " standard errors of the last digits, from leaving recordings out in turn. Where the"
+        " detector's point lies beside the skeleton's joint is in the torso's axes."
     )
     columns = [Column(one) for one in head]
     return sheet_of(columns, rows, name="errors", title="The error law", caption=caption)

@@ -11,9 +11,10 @@ from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, sheet_of
 WAYS_OFF = ("to the side", "down", "in depth")
 
 
-def honesty_table(found: Honesty) -> Sheet:
+def honesty_table(found: Honesty, middle: str, gap: np.ndarray) -> Sheet:
     """By axis: how many truths the intervals cover, with an interval over people, their width, and
-    the error of the mean."""
+    the error of the mean, where joints are placed about a `middle`, which is detected a `gap`
+    `(2,)` mm to the right and down beside the truth."""
     rows = [
         (
             name,
@@ -31,7 +32,14 @@ def honesty_table(found: Honesty) -> Sheet:
         Column(f"{LEVELS[-1]:.0%} wide (mm)", form=_number("{:.0f}")),
         Column("error of the mean (mm)", form=_number("{:.0f}")),
     ]
-    return sheet_of(columns, rows, title="People and cameras never seen")
+    caption = (
+        f"{found.silent} of {found.views} views say nothing: no draws, or no true {middle}."
+        " Detected"
+        f" {middle} lie {gap[0]:.0f} mm to the right of the true ones and {gap[1]:.0f} mm below"
+        " them in the image (medians): what is placed about them is off by as much."
+    )
+    title = f"People and cameras never seen, about the {middle}"
+    return sheet_of(columns, rows, title=title, caption=caption)
 
 
 def people_table(people: Mapping[str, Honesty]) -> Sheet:
@@ -45,9 +53,18 @@ def people_table(people: Mapping[str, Honesty]) -> Sheet:
     return sheet_of([Column("person", left=True), Column("views", form=str), *axes], rows)
 
 
-def honesty_json(found: Honesty, people: Mapping[str, Honesty]) -> dict[str, Any]:
-    """The same as plain values."""
-    return _plain(found) | {"by_person": {name: _plain(one) for name, one in people.items()}}
+def honesty_json(
+    found: Mapping[str, Honesty],
+    people: Mapping[str, Mapping[str, Honesty]],
+    gaps: Mapping[str, np.ndarray],
+) -> dict[str, Any]:
+    """The same as plain values, by what joints are placed about."""
+    return {
+        middle: _plain(one)
+        | {"beside_truth": _values(gaps[middle])}
+        | {"by_person": {name: _plain(own) for name, own in people[middle].items()}}
+        for middle, one in found.items()
+    }
 
 
 def _plain(found: Honesty) -> dict[str, Any]:

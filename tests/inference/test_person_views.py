@@ -109,7 +109,8 @@ def test_the_command_judges_them(camera: str, tmp_path: Path, poseterior: Cli) -
     words = ("--dataset", path, "--camera", camera, "--errors", "learned", "--roots", 200)
     run = poseterior("coverage", *words, "--out", tmp_path / "seen", "--json")
     assert run.code == 0, run.err
-    found = json.loads(run.out)
+    found = json.loads(run.out)["shoulders"]
+    np.testing.assert_allclose(found["beside_truth"], 0.0, atol=1e-9)
     assert (found["people"], found["silent"]) == (2, 0)
     assert np.min(found["covered"][1]) > 0.8
     assert {*found["by_person"]} == {"0 0", "0 1"}

@@ -146,27 +146,37 @@ DEFINITIONS = {
 }
 
 
+SPREAD_OF_HIPS = np.array([0.05, 0.15, 0.0])
+
+
 def defined() -> Likelihood:
-    """A learned law whose shoulders lie farther in and up, and whose hips farther out."""
-    definition = np.zeros((NUM_JOINTS, 3))
+    """A learned law whose shoulders lie farther in and up, and whose hips farther out, how far
+    differing between people."""
+    definition, differ = np.zeros((2, NUM_JOINTS, 3))
     for name, offset in DEFINITIONS.items():
         definition[JOINT_INDEX[name]] = offset
+    differ[[JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]] = SPREAD_OF_HIPS
     sigma = np.array([SPREADS.get(name, np.nan) / 2 for name in JOINTS])
     bias = np.array([BIASES.get(name, [np.nan, np.nan]) for name in JOINTS])
     inlier = np.ones(NUM_JOINTS)
     law = DetectorErrors(Gaussian(), sigma, inlier, bias, outlier_radius=FAR, definition=definition)
-    return Likelihood.of(law)
+    return Likelihood.of(dataclasses.replace(law, definition_sd=differ))
 
 
 @pytest.mark.slow
 def test_definitions_move_the_torsos_points() -> None:
-    """Against brute force under a lens; control: the joints themselves."""
+    """Against brute force under a lens, each of three torsos with its own; controls: the joints
+    themselves, and the same definitions of all torsos."""
     row = Row("uncertain", "", "gaussian", lens=True, bias=True)
     people = PoseModel.paper(torsos=model().torsos)
     people = people.seen_by(Lens(case(True).lens.focal, case(True).lens.principal))
     draw = drawer(people, root="uncertain", num_samples=3000, num_roots=1000)
     draws = draw(dataclasses.replace(scene(), likelihood=defined()), key(3))
-    for definition, right in ((DEFINITIONS, True), ({}, False)):
+    differing = defined().definitions(3)
+    assert differing is not None
+    each = {name: differing[:, JOINT_INDEX[name]] for name in DEFINITIONS}
+    assert np.ptp(each["left_hip"][:, 1]) > 0.3
+    for definition, right in ((each, True), ({}, False), (DEFINITIONS, False)):
         small = case(True)._replace(definition=definition)
         truth = oracle.under_roots(small, {"": beliefs(row)}, 5, EFFORT)[""]
         off = float(np.abs(moments_told(draws, truth).apart(truth)).max())

@@ -93,12 +93,16 @@ def simulate(
     indices = [int(rng.integers(len(model.torsos))) for rng in rngs]
     torsos = np.asarray(model.torsos)[indices]
     joints = in_chunks(functools.partial(_poses, model), cubes, torsos, size=SIMULATIONS_PER_BLOCK)
+    people = len(model.torsos) if root == UNCERTAIN else 1
+    definitions = likelihood.definitions(people)
     some = []
     for row, (rng, index, torso) in enumerate(zip(rngs, indices, torsos, strict=True)):
         camera = WeakPerspective(SCALE, ROTATIONS[root](rng, model), IMAGE_CENTRE)
         missing = HIDDEN[(first + row) % len(HIDDEN)]
         candidate = Candidate(index, torso, camera, 0.0)
-        some.append(_instance(joints[row], candidate, missing, likelihood, SPREADS[root], rng))
+        pose = joints[row]
+        points = pose if definitions is None else pose + definitions[index % len(definitions)]
+        some.append(_instance(pose, points, candidate, missing, likelihood, SPREADS[root], rng))
     return some
 
 
@@ -109,6 +113,7 @@ def _poses(model: PoseModel, cube: jax.Array, torso: jax.Array) -> jax.Array:
 
 def _instance(
     pose: np.ndarray,
+    points: np.ndarray,
     candidate: Candidate,
     missing: tuple[str, ...],
     likelihood: Likelihood,
@@ -118,7 +123,6 @@ def _instance(
     camera = candidate.camera
     score = rng.uniform(LEAST_SCORE, 1.0, NUM_JOINTS)
     score[[JOINT_INDEX[name] for name in missing]] = 0.0
-    points = pose if likelihood.definition is None else pose + likelihood.definition
     exact = np.asarray(camera.project(points))
     strays = SCALE * spread(score, likelihood)
     detection = detected(exact, score, strays, likelihood, rng)

@@ -1,9 +1,10 @@
 """Learning a law: the mixture, its standard errors by leaving recordings out, and the record, which
 is for detections that were not learned from: what the fit does not know belongs to its spread."""
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from poseterior.probmodel.errors.laws import Gaussian, Student
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.layouts import MIDPOINTS
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+
+if TYPE_CHECKING:
+    from poseterior.inference.studies.errorlaws.definitions import Definitions
 
 LEAST_PAIRS = 20
 """Of a joint, below which nothing is said of it."""
@@ -71,6 +75,7 @@ def learn(
     law: str = "gaussian",
     truth: Pairs | None = None,
     about: dict[str, Any] | None = None,
+    definitions: "Definitions | None" = None,
     progress: Progress | None = None,
 ) -> Learned:
     """The error law of a detector.
@@ -88,6 +93,9 @@ def learn(
         perspective adds to it.
     about
         What the record says of where it comes from, beside what this knows.
+    definitions
+        Where the detector's points lie beside the skeleton's joints, which the record says; how
+        little that is known is their spread.
     progress
         Called with how many fits are done, and of how many.
 
@@ -118,6 +126,8 @@ def learn(
         some = None if truth is None else truth.take(kept)
         parts.append(_fitted(pairs.take(kept), some, law, edges, whole)[0].mixture)
     errors = _record(pairs, whole[0], parts, edges, count, about or {})
+    if definitions is not None:
+        errors = defined(errors, definitions)
     return Learned(
         errors,
         whole[0],
@@ -179,6 +189,12 @@ def _record(
             **about,
         },
     )
+
+
+def defined(errors: DetectorErrors, definitions: "Definitions") -> DetectorErrors:
+    """A record with these definitions of the joints that it knows."""
+    mean, sd = (np.where(errors.known[:, None], part, 0.0) for part in definitions)
+    return dataclasses.replace(errors, definition=mean, definition_sd=sd)
 
 
 def still_to_come(mixture: Mixture, se: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:

@@ -106,11 +106,17 @@ class Pairs:
         return digest.hexdigest()
 
 
-def pairs_of_data(data: DataSet) -> Pairs:
-    """The pairs of a data set whose truth is exact, each person as large as in that pose."""
-    unit = np.array([body_unit(pose[None]) for pose in data.poses])
-    size = (data.scale * unit)[:, None, None]
-    exact = data.poses[..., :2] / unit[:, None, None] + data.translation[:, None] / size
+def size_of(data: DataSet) -> np.ndarray:
+    """`(N,)` pixels a body unit, each person as large as in that pose."""
+    return data.scale * np.array([body_unit(pose[None]) for pose in data.poses])
+
+
+def pairs_of_data(data: DataSet, offsets: np.ndarray | None = None) -> Pairs:
+    """The pairs of a data set whose truth is exact, each person as large as in that pose; `offsets`
+    `(N, 15, 2)` are how far from the truth, body units in the image, the detector's points lie."""
+    size = size_of(data)[:, None, None]
+    exact = (data.scale[:, None, None] * data.poses[..., :2] + data.translation[:, None]) / size
+    exact = exact if offsets is None else exact + offsets
     doubt = np.zeros((*data.score.shape, 2, 2))
     return Pairs(
         data.name, data.keypoints / size, exact, doubt, data.score, data.recording, placed=True

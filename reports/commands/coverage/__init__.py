@@ -165,19 +165,23 @@ def viewed(settings: CoverageSettings, screen: Screen) -> None:
             one = person_views.judge(view, units[view.person], seen_by, likelihood, seed, *numbers)
             judged.append(one)
             step(number + 1, len(views))
-    found = person_views.honesty(views, judged)
-    people = person_views.by_person(views, judged)
-    text = json.dumps(honesty_json(found, people), indent=1) + "\n"
-    console.write_text(out / "coverage.json", text)
-    save_figure(levels_figure(judged), out / "coverage.png")
+    about = {name: [one[name] for one in judged] for name in person_views.MIDDLES}
+    found = {name: person_views.honesty(views, some) for name, some in about.items()}
+    people = {name: person_views.by_person(views, some) for name, some in about.items()}
+    gaps = {
+        name: person_views.beside_truth(views, pair) for name, pair in person_views.MIDDLES.items()
+    }
+    said = honesty_json(found, people, gaps)
+    console.write_text(out / "coverage.json", json.dumps(said, indent=1) + "\n")
+    save_figure(levels_figure(about), out / "coverage.png")
     if screen.json:
-        console.show_json(honesty_json(found, people) | {"out": str(out)})
+        console.show_json(said | {"out": str(out)})
         return
-    console.OUT.print(honesty_table(found))
-    console.OUT.print(people_table(people))
+    for name in found:
+        console.OUT.print(honesty_table(found[name], name, gaps[name]))
+        console.OUT.print(people_table(people[name]))
     console.say(
-        f"Of {found.views} views of {found.people} people; {found.silent} brought no draws."
-        " Intervals are over people."
+        f"Of {len(views)} views of {found['hips'].people} people. Intervals are over people."
     )
     console.say(f"Written to {out}: coverage.json, coverage.png")
 

@@ -36,6 +36,8 @@ JUDGED = tuple(
 )
 """The joints whose coordinates are counted: of limbs."""
 LEVELS = 0.5, 0.95
+ANOTHER = 250.0
+"""Millimetres between a detection and where a person is beyond which it is of somebody else."""
 BOOTSTRAPS = 2000
 
 
@@ -166,16 +168,24 @@ def levels_about(
     )
 
 
+def beside(view: PersonView) -> np.ndarray:
+    """`(15, 2)` mm, to the right and down: how far beside the truth, as the camera sees it, joints
+    are detected; no model has a part in it. NaN where either is not known."""
+    depth, focal = view.truth[:, 2:], float(np.mean(view.lens.focal))
+    seen = focal * view.truth[:, :2] / depth + view.lens.principal
+    return (view.detection.keypoints - seen) * depth / focal
+
+
 def beside_truth(views: Sequence[PersonView], pair: Sequence[int]) -> np.ndarray:
-    """`(2,)` mm, to the right and down: how far beside the truth, as the cameras see it, the
-    midpoint of a pair of joints is detected, the median over views. No model has a part in it."""
-    found = []
-    for view in views:
-        truth, focal = view.truth[pair].mean(axis=0), float(np.mean(view.lens.focal))
-        seen = focal * truth[:2] / truth[2] + view.lens.principal
-        gap = view.detection.keypoints[pair].mean(axis=0) - seen
-        found.append(gap * truth[2] / focal)
-    return np.nanmedian(found, axis=0)
+    """`(2,)` mm: `beside` of the midpoint of a pair of joints, the median over views."""
+    return np.nanmedian([beside(view)[pair].mean(axis=0) for view in views], axis=0)
+
+
+def of_the_person(view: PersonView) -> bool:
+    """Whether a view shows the person at all, and not somebody beside: whether the median joint is
+    detected within `ANOTHER` of where it truly is."""
+    apart = np.linalg.norm(beside(view), axis=-1)
+    return bool(np.isfinite(apart).any() and np.nanmedian(apart) < ANOTHER)
 
 
 def even(views: Sequence[PersonView], number: int) -> list[PersonView]:

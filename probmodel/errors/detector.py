@@ -56,7 +56,7 @@ _ALIKE = [
     for names in (*MIDPOINTS.values(), *((middle,) for middle in MIDPOINTS))
 ]
 """Joints of the torso that deviate together, but for the mirror."""
-_LEFT = [JOINT_INDEX[name] for name in JOINTS if name.startswith("left_")]
+_LEFT_SIDE = [JOINT_INDEX[name] for name in JOINTS if name.startswith("left_")]
 
 
 class Exchange(NamedTuple):
@@ -225,7 +225,7 @@ class DetectorErrors:
         deviation = np.zeros((number, NUM_JOINTS, 3))
         for joints, own in zip(_ALIKE, normal, strict=True):
             deviation[:, joints] = own.T[:, None]
-        deviation[:, _LEFT, 0] *= -1
+        deviation[:, _LEFT_SIDE, 0] *= -1
         return weights_of(moved) @ (self.definition + deviation * self.definition_sd)
 
     def _check_radius(self) -> None:

@@ -109,8 +109,21 @@ class Likelihood:
         return np.where(self.learned.known[:, None], self.learned.bias, 0.0)
 
     def definitions(self, people: int, moved: Collection[str] = ()) -> np.ndarray | None:
-        """How far from each joint lies what the detector calls so, of each of so many people; see
-        `DetectorErrors.definitions`."""
+        """How far from each joint lies what the detector calls so.
+
+        Parameters
+        ----------
+        people
+            How many people.
+        moved
+            As `DetectorErrors.definitions` has it.
+
+        Returns
+        -------
+        ndarray
+            `(people, 15, 3)` or `(1, 15, 3)`, body units and axes; None where all is where the
+            skeleton has it.
+        """
         return None if self.learned is None else self.learned.definitions(people, moved)
 
     @property

@@ -11,13 +11,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from poseterior.inference.importance.torsos import torso_problem
 from poseterior.inference.studies.errorlaws import definitions_of_data, learn
-from poseterior.inference.studies.errorlaws.definitions import ENDS, best_torso, seen_offsets
+from poseterior.inference.studies.errorlaws.definitions import GIRDLES, best_torso, seen_offsets
 from poseterior.inference.studies.errorlaws.pairs import pairs_of_data
-from poseterior.probmodel import BadInput, DetectorErrors
+from poseterior.probmodel import (
+    BadInput,
+    Detection,
+    DetectorErrors,
+    Estimate,
+    Likelihood,
+    PoseModel,
+)
 from poseterior.probmodel.anatomy.population import Anatomy
 from poseterior.probmodel.datasets import DataSet
+from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.layouts import weights_of
+from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 
 UNIT = 340.0
@@ -108,7 +118,7 @@ def test_a_law_has_what_was_learned() -> None:
 
 def test_triangulated_points_beside_the_torso_that_explains_them() -> None:
     """What turned and moved copies of one torso with offsets say of these, but for their mean."""
-    rows = [TORSO.index(joint) for joint in ENDS]
+    rows = [TORSO.index(joint) for joint in GIRDLES]
     torsos = np.asarray(Anatomy.embedded("wide").torsos)[:, rows]
     given = offsets()[TORSO][rows]
     # Offsets as large as people differ are taken for another person's: small ones are not.
@@ -141,6 +151,29 @@ def test_definitions_of_people() -> None:
     blank = np.zeros_like(mean)
     plain = dataclasses.replace(law, definition=blank, definition_sd=blank)
     assert plain.definitions(48) is None
+
+
+def test_a_root_sees_the_definitions_of_its_torso() -> None:
+    """In the density as in the torso's problem, whose samplers take them from there."""
+    law, model = DetectorErrors.default(), PoseModel()
+    sd = np.zeros((NUM_JOINTS, 3))
+    sd[GIRDLES] = 0.05
+    law = dataclasses.replace(law, definition=offsets(), definition_sd=sd)
+    keypoints = 100.0 * np.random.default_rng(0).normal(size=(NUM_JOINTS, 2))
+    person = Detection(keypoints, np.ones(NUM_JOINTS), "skeleton_15", "made up", 0)
+    posterior = Estimate(person, (), Likelihood.of(law)).posterior(model)
+    people = law.definitions(len(model.torsos))
+    assert people is not None
+    problem = torso_problem(posterior, Faults.none())
+    # The first joint of the problem is known by its keypoint.
+    where = np.linalg.norm(keypoints[TORSO] - problem.origin, axis=1)
+    joint = int(np.argmin(where))
+    for torso in (3, 40):
+        point = RootPoint(torso, np.eye(3), 0.0, np.zeros(2))
+        seen = posterior.detected.under(posterior.root_prior, point)
+        np.testing.assert_allclose(seen.defined(np.zeros((NUM_JOINTS, 3))), people[torso])
+        whole = np.asarray(model.torsos)[torso] + people[torso, TORSO]
+        np.testing.assert_allclose(problem.joints.torsos[torso, 0], whole[joint])
 
 
 @pytest.mark.parametrize(

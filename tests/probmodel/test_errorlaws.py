@@ -126,7 +126,11 @@ REFUSALS = [
     ((*WRIST_PATH, "inlier"), -0.1, "inlier of left_wrist must lie between 0 and 1, not -0.1"),
     ((*WRIST_PATH, "bias"), [1], r"bias of left_wrist must be 2 numbers, not \[1\]"),
     ((*WRIST_PATH, "bias"), [0, 1e6], "bias of left_wrist must be two numbers within ±100"),
-    ((*WRIST_PATH, "tau"), 1, "left_wrist has no 'tau'; it may have bias, definition, definition_sd, inlier"),
+    (
+        (*WRIST_PATH, "tau"),
+        1,
+        "left_wrist has no 'tau'; it may have bias, definition, definition_sd, inlier",
+    ),
     ((*WRIST_PATH, "pairs"), -1, "pairs of left_wrist must be a whole number, not -1"),
     ((*WRIST_PATH, "se"), [1, 2], "se of left_wrist must be 4 numbers"),
     (("exchange", "head"), 0.1, "exchange has no 'head'; it may have arms, body, legs"),

@@ -20,12 +20,12 @@ from poseterior.probmodel.layouts import MIDPOINTS
 from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 
-ENDS = [JOINT_INDEX[name] for pair in MIDPOINTS.values() for name in pair]
+GIRDLES = [JOINT_INDEX[name] for pair in MIDPOINTS.values() for name in pair]
 """Shoulders and hips."""
 WIDEST_DEFINITION = 0.3
 """Body units, the standard deviation of what is believed of an offset before anything is seen: it
 decides where people are seen from one side only."""
-TAIL, FIT_ROUNDS = 4.0, 30
+OFFSET_FREEDOM, OFFSET_ROUNDS = 4.0, 30
 """Degrees of freedom of the Student's t by which offsets are fitted, so that outliers count for
 little; and rounds until its weights come to rest."""
 FEWEST_FRAMES = 10
@@ -96,10 +96,10 @@ def _offset(rows: np.ndarray, error: np.ndarray) -> np.ndarray:
     weight = np.ones(len(error))
     believed = np.diag([WIDEST_DEFINITION**-2] * 3 + [0.0] * 2)
     found = np.zeros(rows.shape[-1])
-    for _ in range(FIT_ROUNDS):
+    for _ in range(OFFSET_ROUNDS):
         left = np.sum((error - rows @ found) ** 2, axis=1)
         variance = max(float(np.sum(weight * left) / (2 * len(left))), 1e-12)
-        weight = (TAIL + 2) / (TAIL + left / variance)
+        weight = (OFFSET_FREEDOM + 2) / (OFFSET_FREEDOM + left / variance)
         normal = np.einsum("n,nia,nib->ab", weight, rows, rows) + variance * believed
         found = np.linalg.solve(normal, np.einsum("n,nia,ni->a", weight, rows, error))
     return found[:3]
@@ -125,7 +125,7 @@ def definitions_of_session(session: Session) -> Definitions:
     BadInput
         Where too few frames show both shoulders and both hips.
     """
-    points = session.world.points[:, ENDS] / session.unit
+    points = session.world.points[:, GIRDLES] / session.unit
     whole = np.isfinite(points).all(axis=(1, 2))
     if whole.sum() < FEWEST_FRAMES:
         raise BadInput(
@@ -133,12 +133,12 @@ def definitions_of_session(session: Session) -> Definitions:
             f" definitions need {FEWEST_FRAMES}; give more frames"
         )
     torsos = np.asarray(Anatomy.embedded("wide").torsos)
-    own = torsos[:, [TORSO_INDEX.index(joint) for joint in ENDS]]
+    own = torsos[:, [TORSO_INDEX.index(joint) for joint in GIRDLES]]
     offsets = best_torso(points[whole], own)
 
     def fitted(kept: np.ndarray) -> np.ndarray:
         found = np.zeros((NUM_JOINTS, 3))
-        found[ENDS] = offsets[kept].mean(axis=0)
+        found[GIRDLES] = offsets[kept].mean(axis=0)
         return found
 
     return _left_out(fitted, np.full(len(offsets), session.name))

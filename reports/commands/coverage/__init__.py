@@ -154,7 +154,9 @@ def viewed(settings: CoverageSettings, screen: Screen) -> None:
     out = console.output_folder(settings.out)
     likelihood = Estimation(errors=settings.errors, factor=settings.factor).likelihood()
     model = settings.rooting.model(settings.prior)
-    views = person_views.even(read_person_views(settings.dataset), settings.frames)
+    every = read_person_views(settings.dataset)
+    of_them = [view for view in every if person_views.of_the_person(view)]
+    views = person_views.even(of_them, settings.frames)
     units = person_views.units_of(views, model)
     judged = []
     with console.progress("posteriors of views", screen.quiet) as step:
@@ -181,7 +183,10 @@ def viewed(settings: CoverageSettings, screen: Screen) -> None:
         console.OUT.print(honesty_table(found[name], name, gaps[name]))
         console.OUT.print(people_table(people[name]))
     console.say(
-        f"Of {len(views)} views of {found['hips'].people} people. Intervals are over people."
+        f"Of {len(views)} views of {found['hips'].people} people; intervals are over people."
+        f" {len(every) - len(of_them)} of {len(every)} views were left out, since the median joint"
+        f" is detected more than {person_views.ANOTHER:g} mm from where it truly is: these are of"
+        " somebody else, or of nobody."
     )
     console.say(f"Written to {out}: coverage.json, coverage.png")
 

@@ -22,7 +22,13 @@ from poseterior.reports.figures import save_figure
 from poseterior.reports.figures.errorlaws import residuals_figure
 from poseterior.reports.options import Screen
 from poseterior.reports.settings import CalibrateSettings
-from poseterior.reports.tables.errorlaws import errors_table, summary_lines, times_json, times_lines
+from poseterior.reports.tables.errorlaws import (
+    definitions_table,
+    errors_table,
+    summary_lines,
+    times_json,
+    times_lines,
+)
 
 
 def run(settings: CalibrateSettings, screen: Screen) -> None:
@@ -61,6 +67,7 @@ def show(found: Learned, screen: Screen, times: ErrorTimes | None = None) -> Non
         console.show_json(found.errors.document() | said)
         return
     console.OUT.print(errors_table(found))
+    console.OUT.print(definitions_table(found))
     lines = summary_lines(found) + ([] if times is None else times_lines(times))
     for line in lines:
         console.say(line)

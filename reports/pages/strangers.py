@@ -46,7 +46,7 @@ from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
 from poseterior.reports.tables import Sheet, sheet_of
 
-FILM_VIEWS, ROOM_VIEWS, CAPTURED_VIEWS = 16, 30, 9
+FILM_VIEWS, ROOM_VIEWS, CAPTURED_VIEWS = 16, 30, 6
 """Of the film by each detector, of the operating room, and of motion capture at each distance."""
 STRANGER_DRAWS, STRANGER_ROOTS = 1000, 300
 DISTANCES = (1.0, 1.5, 2.5, 4.0, 8.0)
@@ -60,7 +60,7 @@ TWO = np.sqrt(3) / 2
 its standard deviation is that of two, |difference| / √2, and the mean errs too, √(1 + 1/2)."""
 OFF = (0.0, 60.0, 120.0, np.inf)
 """Millimetres by which joints are detected off, about the shoulders."""
-LAWS = ("embedded", "with definitions")
+JUDGED_LAWS = ("embedded", "with definitions")
 
 
 class Row(NamedTuple):
@@ -239,7 +239,7 @@ def by_detection(
     detected, beside the midpoint."""
     level, off = [], []
     for name, views in seen.items():
-        for view, one in zip(views, read(outcomes[name, LAWS[0]], middle), strict=True):
+        for view, one in zip(views, read(outcomes[name, JUDGED_LAWS[0]], middle), strict=True):
             gap = beside(view)
             gap -= gap[MIDDLES[middle]].mean(axis=0)
             level.append(one.level[list(JUDGED)])
@@ -264,7 +264,7 @@ def parts(
     have in common beyond that, and the rest; root mean squares by axis."""
     lines = []
     for name, views in seen.items():
-        error = np.stack([one.error for one in read(outcomes[name, LAWS[0]], middle)])
+        error = np.stack([one.error for one in read(outcomes[name, JUDGED_LAWS[0]], middle)])
         error = error[:, list(JUDGED)]
         constant = np.nanmean(error, axis=0)
         rest = error - constant
@@ -285,8 +285,8 @@ def main(data: Data, work: Work) -> Page:
     """Judges what is left to be judged, then writes the page."""
     film = read_session(data / "multicamera")
     other = mediapipe(film, data)
-    laws = {LAWS[0]: DetectorErrors.default(), LAWS[1]: with_definitions(film, other)}
-    rows = rows_of(data, film, other, laws[LAWS[1]])
+    laws = {JUDGED_LAWS[0]: DetectorErrors.default(), JUDGED_LAWS[1]: with_definitions(film, other)}
+    rows = rows_of(data, film, other, laws[JUDGED_LAWS[1]])
     seen = {row.name: row.views() for row in rows}
     outcomes = {
         (row.name, name): kept_json(
@@ -297,7 +297,7 @@ def main(data: Data, work: Work) -> Page:
     }
     real = {row.name: seen[row.name] for row in rows[:3]}
     others = [not of_the_person(view) for view in views_of_session(film, other.people)]
-    hip = laws[LAWS[1]].definition_sd[JOINT_INDEX["left_hip"]]
+    hip = laws[JUDGED_LAWS[1]].definition_sd[JOINT_INDEX["left_hip"]]
     values: dict[str, str | int | Sheet] = {
         "draws": f"{STRANGER_DRAWS:,}",
         "roots": STRANGER_ROOTS,

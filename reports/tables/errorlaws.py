@@ -23,17 +23,30 @@ def errors_table(found: Learned) -> Sheet:
         values = (errors.sigma[joint], errors.inlier[joint], *errors.bias[joint])
         cells = [_with_error(*one) for one in zip(values, errors.se[joint], strict=True)]
         rows.append([JOINTS[joint], int(errors.pairs[joint]), *cells])
-        sd = errors.definition_sd[joint]
-        rows[-1] += [_with_error(*one) for one in zip(errors.definition[joint], sd, strict=True)]
     head = ["joint", "pairs", "sigma", "inliers", "bias right", "bias down"]
-    head += ["lies left", "up", "forward"]
     caption = (
         f"{errors.law.name}; lengths in body units (the mean limb bone is 1). In parentheses the"
-        " standard errors of the last digits, from leaving recordings out in turn. Where the"
-        " detector's point lies beside the skeleton's joint is in the torso's axes."
+        " standard errors of the last digits, from leaving recordings out in turn."
     )
     columns = [Column(one) for one in head]
     return sheet_of(columns, rows, name="errors", title="The error law", caption=caption)
+
+
+def definitions_table(found: Learned) -> Sheet:
+    """A line a joint that is not where the skeleton has it: by how much, with standard errors."""
+    errors = found.errors
+    rows = [
+        [JOINTS[joint], *(_with_error(*one) for one in zip(*parts, strict=True))]
+        for joint in np.flatnonzero(errors.definition_sd.any(axis=1))
+        for parts in [(errors.definition[joint], errors.definition_sd[joint])]
+    ]
+    columns = [Column(one) for one in ("joint", "to the left", "up", "forward")]
+    caption = (
+        "Where the detector's points lie beside the skeleton's joints, in the axes of the person's"
+        " torso; body units."
+    )
+    title = "What the detector calls a joint"
+    return sheet_of(columns, rows, name="definitions", title=title, caption=caption)
 
 
 def _with_error(value: float, error: float) -> str:

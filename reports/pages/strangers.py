@@ -49,8 +49,9 @@ from poseterior.reports.tables import Sheet, sheet_of
 FILM_VIEWS, ROOM_VIEWS, CAPTURED_VIEWS = 16, 30, 6
 """Of the film by each detector, of the operating room, and of motion capture at each distance."""
 STRANGER_DRAWS, STRANGER_ROOTS = 1000, 300
-DISTANCES = (1.0, 1.5, 2.5, 4.0, 8.0)
-"""Metres to the pelvis."""
+JUDGED_LAWS = ("embedded", "with definitions")
+DISTANCES = {1.0: JUDGED_LAWS, 2.5: JUDGED_LAWS[:1]}
+"""Metres to the pelvis, and the laws under which views from there are judged."""
 IMAGE, FOCAL_OF_IMAGE = 1920.0, 0.8
 """Longer side, pixels, and focal length in longer sides, of the simulated camera."""
 TURNED, TILTED = 180.0, 20.0
@@ -60,14 +61,15 @@ TWO = np.sqrt(3) / 2
 its standard deviation is that of two, |difference| / √2, and the mean errs too, √(1 + 1/2)."""
 OFF = (0.0, 60.0, 120.0, np.inf)
 """Millimetres by which joints are detected off, about the shoulders."""
-JUDGED_LAWS = ("embedded", "with definitions")
 
 
 class Row(NamedTuple):
-    """Some views: what they are `of`, their number, and how they are made."""
+    """Some views: what they are of, their number, the laws under which they are judged, and how
+    they are made."""
 
     name: str
     number: int
+    laws: tuple[str, ...]
     views: Callable[[], list[PersonView]]
 
 
@@ -173,16 +175,17 @@ def rows_of(data: Path, film: Session, other: Session, law: DetectorErrors) -> l
         return even(list(filter(of_the_person, every)), ROOM_VIEWS)
 
     return [
-        Row("film, OpenPose", 1, functools.partial(filmed, film)),
-        Row("film, MediaPipe", 2, functools.partial(filmed, other)),
-        Row("operating room, OpenPose", 3, room),
+        Row("film, OpenPose", 1, JUDGED_LAWS, functools.partial(filmed, film)),
+        Row("film, MediaPipe", 2, JUDGED_LAWS, functools.partial(filmed, other)),
+        Row("operating room, OpenPose", 3, JUDGED_LAWS[:1], room),
         *(
             Row(
-                f"motion capture, {metres:g} m",
+                f"motion capture, {far:g} m",
                 4 + row,
-                functools.partial(captured, data, law, metres),
+                names,
+                functools.partial(captured, data, law, far),
             )
-            for row, metres in enumerate(DISTANCES)
+            for row, (far, names) in enumerate(DISTANCES.items())
         ),
     ]
 
@@ -290,10 +293,10 @@ def main(data: Data, work: Work) -> Page:
     seen = {row.name: row.views() for row in rows}
     outcomes = {
         (row.name, name): kept_json(
-            work / f"{row.number}-{name.split()[0]}.json", judged, row, law, seen[row.name]
+            work / f"{row.number}-{name.split()[0]}.json", judged, row, laws[name], seen[row.name]
         )
         for row in rows
-        for name, law in laws.items()
+        for name in row.laws
     }
     real = {row.name: seen[row.name] for row in rows[:3]}
     others = [not of_the_person(view) for view in views_of_session(film, other.people)]

@@ -9,8 +9,6 @@ skeleton does not have are left out; `focal` and `principal` (N, 2), pixels; `pe
 off truths are seen; `layout`, else coco_17; `image_size` (2,), else twice the mean principal point.
 """
 
-import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,7 +20,6 @@ from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.files import opened
 from poseterior.probmodel.layouts import LAYOUTS, corrected
-from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
 NEEDED = ("detection", "truth", "joints", "focal", "principal", "person")
@@ -61,41 +58,6 @@ class PersonView(NamedTuple):
         if camera == "weak":
             return None
         return self.lens if camera == "known" else Lens.unknown(self.longer, self.lens.principal)
-
-
-def views_of_session(session: Session, people: Sequence[Sequence[Detection]]) -> list[PersonView]:
-    """What detectors saw in the cameras of a session, beside what its other cameras triangulate.
-
-    Parameters
-    ----------
-    session
-        Says the truth, of three cameras at least.
-    people
-        By camera and frame, detections of the person in the session's pixels: the session's own,
-        or those of another detector.
-
-    Returns
-    -------
-    list of PersonView
-        Camera by camera; each counts as a person, since views of one camera err together.
-    """
-    found = []
-    for row, (camera, straight, own) in enumerate(
-        zip(session.cameras, session.straight, people, strict=True)
-    ):
-        world = session.without(row)
-        truth = straight.view(world.points)
-        turn = straight.rotation
-        square = np.diagonal(turn @ world.covariance @ turn.T, axis1=-2, axis2=-1).mean(axis=-1)
-        sigma = session.stray * np.sqrt(np.nan_to_num(square))
-        lens = Lens(float(straight.focal.mean()), straight.principal)
-        longer = 2 * float(np.max(straight.principal))
-        for frame, person in enumerate(own):
-            keypoints = camera.straighten(person.keypoints[None])[0]
-            seen = corrected(dataclasses.replace(person, keypoints=keypoints))
-            view = seen, truth[frame], sigma[frame], lens, longer, session.labels[row]
-            found.append(PersonView(*view))
-    return found
 
 
 def is_person_views(path: Path) -> bool:

@@ -231,7 +231,7 @@ def judge_levels(
         else:
             sentence = f"{sentence}. Where: {local.sentence}"
     elif local is not None:
-        sentence = f"{sentence}; no part of the instances differs (p = {local.p_value:.2g})"
+        sentence = f"{sentence}; no part of the instances differs (p {local.p_words})"
     effective = np.full(level.sizes["simulation"], np.nan)
     return Judged(level, calibration, local, map_, effective, verdict, sentence, tuple(notes))
 

@@ -104,13 +104,13 @@ class Brought:
             )
         _require_truths(known, named)
         return cls(
-            table,
-            known,
-            named,
-            _log_weights(weights, log_weights, (instances, number)),
-            _log_density(log_density, (instances, number)),
-            checked(_named_columns(covariates), instances),
-            tuple(circular),
+            draws=table,
+            truth=known,
+            names=named,
+            log_weights=_log_weights(weights, log_weights, (instances, number)),
+            log_density=_log_density(log_density, (instances, number)),
+            covariates=checked(_named_columns(covariates), instances),
+            circular=tuple(circular),
         )
 
     def __len__(self) -> int:

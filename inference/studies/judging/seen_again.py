@@ -30,7 +30,7 @@ OF_JOINT = ("towards the second", "beside", "depth")
 """Of the joint that is seen again: how far it falls from the middle between its keypoints in the
 image, along and beside the line from the first to the second, pixels; and how far behind the pelvis
 it is, body units. Of draws that are too narrow the truth lies nearer to the first."""
-FEWEST = 20
+FEWEST_WEIGHTED = 20
 """Effective draws of a replicate: where there are fewer, more are drawn."""
 MORE = (1, 8, 8)
 """How many times as many as before, of so many times the roots."""
@@ -164,7 +164,7 @@ def _given_both(
         draws = sampler.draw(again.between, key, number)
         draws = draws.take(slice(independent(draws)))
         log_weight = again.log_weight(draws)
-        if worth(log_weight) >= FEWEST:
+        if worth(log_weight) >= FEWEST_WEIGHTED:
             break
     return draws, log_weight
 

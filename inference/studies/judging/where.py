@@ -109,7 +109,15 @@ def locally(
     words = permuted(float(p_value), len(largest))
     covered, elsewhere, said = _told(leaves[row], values[:, quantity], sided)
     sentence = f"{name}: {said} (p {words} over all parts and quantities)"
-    return Locally(float(p_value), words, leaves[row], name, covered, elsewhere, sentence)
+    return Locally(
+        p_value=float(p_value),
+        p_words=words,
+        leaf=leaves[row],
+        quantity=name,
+        covered=covered,
+        elsewhere=elsewhere,
+        sentence=sentence,
+    )
 
 
 def checked(covariates: Columns, size: int) -> dict[str, np.ndarray]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 MOST_ITERATIONS = 300
-TOLERANCE = 1e-4
+AT_REST = 1e-4
 """Centres that move less than this share of the points' mean variance have come to rest."""
 ROUNDING = 1e-7
 """Of the largest distance from the middle: to so much differences of distances are known, being
@@ -38,7 +38,7 @@ def clusters(points: np.ndarray, k: int, seed: int) -> Clusters:
     middle = some.mean(axis=0)
     moved = some - middle  # near the origin, squares of distances lose fewer digits
     squares = np.einsum("nd,nd->n", moved, moved)
-    enough = TOLERANCE * float(np.mean(squares)) / points.shape[1]
+    enough = AT_REST * float(np.mean(squares)) / points.shape[1]
     first = _first_centres(moved, squares, k, np.random.RandomState(seed))
     found, labels = _lloyd(moved, squares, first, enough)
     centres = np.tile(points[0], (k, 1))

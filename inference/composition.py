@@ -31,7 +31,7 @@ from poseterior.probmodel.skeleton import GROUPS, NUM_JOINTS, PARENTS, TORSO_IND
 
 TRIED_ROOTS = 8
 """Roots that are tried for each hypothesis, of each kind: draws' own, and the mean camera's."""
-LIMBS = 10_000
+LIMBS_TRIED = 10_000
 """Draws whose limbs are tried: of more, the nearest is hardly nearer."""
 SHORTEST = 1e-9
 """Body units: of a shorter mean bone nobody can say where it points."""
@@ -45,7 +45,7 @@ for _limb, _joints in enumerate(_ENDS):
     _LIMB_OF[_joints] = _limb
 
 
-class Drawn(NamedTuple):
+class DrawnUnder(NamedTuple):
     """Draws with what they were made under.
 
     Attributes
@@ -64,7 +64,7 @@ class Drawn(NamedTuple):
     faults: Faults
 
     @classmethod
-    def of(cls, result: Result, posterior: Posterior) -> "Drawn":
+    def of(cls, result: Result, posterior: Posterior) -> "DrawnUnder":
         """The draws of a result that `sample` returned for a posterior."""
         found = {
             str(name): np.asarray(values).reshape(-1, *values.shape[2:])
@@ -115,10 +115,10 @@ def composed(
     BadInput
         Where k is not from 1 to the number of draws.
     """
-    return compose(Drawn.of(result, posterior), k, seed=seed)
+    return compose(DrawnUnder.of(result, posterior), k, seed=seed)
 
 
-def compose(drawn: Drawn | Draws, k: int, *, seed: int = 0) -> list[Hypothesis]:
+def compose(drawn: DrawnUnder | Draws, k: int, *, seed: int = 0) -> list[Hypothesis]:
     """`composed` of draws that are at hand.
 
     Parameters
@@ -148,12 +148,12 @@ def compose(drawn: Drawn | Draws, k: int, *, seed: int = 0) -> list[Hypothesis]:
     return sorted(found, key=lambda hypothesis: -hypothesis.weight)
 
 
-def _hypothesis(drawn: Drawn | Draws, fit: Clusters, cluster: int) -> Hypothesis:
+def _hypothesis(drawn: DrawnUnder | Draws, fit: Clusters, cluster: int) -> Hypothesis:
     members = np.flatnonzero(fit.labels == cluster)
     centre = fit.centres[cluster].reshape(NUM_JOINTS, 3)
     way = _of_candidates if drawn.posterior.root_prior.name == CANDIDATES else _of_points
     bases, roots = way(drawn, members, centre)
-    limbs = np.append(np.arange(min(len(drawn.joints), LIMBS)), bases)
+    limbs = np.append(np.arange(min(len(drawn.joints), LIMBS_TRIED)), bases)
     directions = drawn.joints[limbs], drawn.bone_length[limbs]
     found = _assembled(drawn.posterior.model, roots, *directions, centre)
     poses, keypoints, squares = map(np.asarray, found)
@@ -164,7 +164,7 @@ def _hypothesis(drawn: Drawn | Draws, fit: Clusters, cluster: int) -> Hypothesis
 
 
 def _of_candidates(
-    drawn: Drawn | Draws, members: np.ndarray, centre: np.ndarray
+    drawn: DrawnUnder | Draws, members: np.ndarray, centre: np.ndarray
 ) -> tuple[np.ndarray, _Roots]:
     """The draws nearest to the centre, and their candidates."""
     posterior = drawn.posterior
@@ -174,7 +174,7 @@ def _of_candidates(
 
 
 def _of_points(
-    drawn: Drawn | Draws, members: np.ndarray, centre: np.ndarray
+    drawn: DrawnUnder | Draws, members: np.ndarray, centre: np.ndarray
 ) -> tuple[np.ndarray, _Roots]:
     """Draws of those roots whose torsos are nearest to the centre's, and these roots; behind them
     the members' mean camera, with the torsos that are nearest under it."""
@@ -197,9 +197,9 @@ def _nearest(poses: np.ndarray, centre: np.ndarray, names: np.ndarray) -> np.nda
     return names[np.argsort(np.sum((poses - centre) ** 2, axis=(1, 2)), kind="stable")]
 
 
-def _own(drawn: Drawn | Draws) -> np.ndarray:
+def _own(drawn: DrawnUnder | Draws) -> np.ndarray:
     """Where the limbs of the draws whose roots are tried stand: behind all others."""
-    return min(len(drawn.joints), LIMBS) + np.arange(TRIED_ROOTS)
+    return min(len(drawn.joints), LIMBS_TRIED) + np.arange(TRIED_ROOTS)
 
 
 def _same(patterns: Faults, one: Faults) -> np.ndarray:

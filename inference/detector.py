@@ -39,7 +39,7 @@ PIXELS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
 PADDING = 1.25
 """The cut-out is so many times larger than the person's box, as networks of this kind are
 trained."""
-LARGEST_SIDE = 2048
+LARGEST_INPUT = 2048
 """Pixels; no network takes larger images than this here."""
 LARGEST_CROP = 10
 """What is cut out is at most so many times larger than the image."""
@@ -175,7 +175,7 @@ class Network:
                 " size out"
             )
         chosen = own if len(own) == 2 else size
-        if chosen is None or not all(1 < side <= LARGEST_SIDE for side in chosen):
+        if chosen is None or not all(1 < side <= LARGEST_INPUT for side in chosen):
             raise BadInput(
                 f"{path} takes images of any size; say which it was trained on: size=(192, 256),"
                 " or on the command line --input-size 192x256"

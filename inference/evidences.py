@@ -18,7 +18,7 @@ from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import GROUPS, Limb
 
-BODY = "body"
+WHOLE_BODY = "body"
 STEP = 4000
 """Draws after which the error is looked at again."""
 
@@ -98,7 +98,7 @@ def evidence(
         sum(e.log_evidence for e in groups),
         float(np.sqrt(sum(e.standard_error**2 for e in groups))),
     )
-    return {BODY: body, **found}
+    return {WHOLE_BODY: body, **found}
 
 
 def _estimate(sampler: GroupSampler, goal: float, budget: Budget) -> Evidence:

@@ -140,7 +140,7 @@ READINGS = (
 ASPECTS = (9 / 16, 3 / 4, 4 / 3, 16 / 9)
 """Factors between the width over height of usual images: what x is off by where the size of the
 image is wrong."""
-THRESHOLD = 4.0
+BETTER_BY = 4.0
 """Nats of evidence, summed over people, by which an exchange within the body must explain them
 better before it is spoken of: less is the noise of the draws."""
 FACE_THRESHOLD = 2.5
@@ -206,7 +206,7 @@ class Verdict(NamedTuple):
         wrong_size = total.get("size", -np.inf) > SIZE_THRESHOLD * len(self.gains)
         if (self.fits.sum() + max(exchanges[best], 0.0)) / self.joints.sum() < WORST_FIT:
             found.append("size" if wrong_size else "order")
-        elif exchanges[best] > THRESHOLD:
+        elif exchanges[best] > BETTER_BY:
             found.append(best)
         elif wrong_size:
             found.append("size")

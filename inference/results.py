@@ -169,7 +169,7 @@ BASE_MEASURE = (
     "length (5, body units) x surface of the unit sphere (9 directions) x image area (px2)"
 )
 """Of log densities, after that of the root."""
-COLUMNS: dict[str, tuple[tuple[str, ...], str]] = {
+VARIABLES: dict[str, tuple[tuple[str, ...], str]] = {
     "joints": (("joint", "axis"), "body units"),
     "bone_length": (("length_group",), "body units"),
     "torso": ((), ""),
@@ -204,7 +204,7 @@ def tree_of(draws: Draws, block: int = 0) -> xr.DataTree:
     """The DataTree of draws, whatever sampler made them. Its log densities and predictions are
     computed when they are first read, since most readers want neither."""
     posterior, columns = draws.posterior, columns_of(draws)
-    named = {name: (*COLUMNS[name], columns[name]) for name in COLUMNS if name in columns}
+    named = {name: (*VARIABLES[name], columns[name]) for name in VARIABLES if name in columns}
     lp = WhenRead((len(draws),), lambda: log_density(draws))
     densities = in_draws(draws, {"lp": ((), "", lp)})
     densities["lp"].attrs["base_measure"] = f"{draws.prior.base_measure} x {BASE_MEASURE}"
@@ -283,7 +283,7 @@ def in_draws(draws: Draws, named: Mapping[str, Column]) -> xr.Dataset:
 
 
 def columns_of(draws: Draws) -> dict[str, np.ndarray]:
-    """Draws as columns `(n, ...)`, those of `COLUMNS` that there are."""
+    """Draws as columns `(n, ...)`, those of `VARIABLES` that there are."""
     posterior, faults = draws.posterior, draws.faults
     columns = draws.prior.columns(draws.points) | {
         "joints": draws.joints,
@@ -474,7 +474,7 @@ def _known_roots(draws: Draws) -> xr.Dataset:
     }
     return xr.Dataset(
         {
-            name: ((*one, *COLUMNS.get(name, ((), ""))[0]), column, _units_of(name))
+            name: ((*one, *VARIABLES.get(name, ((), ""))[0]), column, _units_of(name))
             for name, column in columns.items()
         },
         coords={"root": np.arange(len(known.share))}
@@ -483,5 +483,5 @@ def _known_roots(draws: Draws) -> xr.Dataset:
 
 
 def _units_of(name: str) -> dict[str, str]:
-    unit = COLUMNS.get(name, ((), ""))[1]
+    unit = VARIABLES.get(name, ((), ""))[1]
     return {"units": unit} if unit else {}

@@ -52,7 +52,7 @@ DRAW_BYTES = 4 * (3 * NUM_JOINTS + NUM_LENGTHS)
 """Of a draw that is kept, in single precision."""
 BLOCK_BYTES = 64_000_000
 """About how much a block holds; more frames a block where fewer draws are kept."""
-MOST_FRAMES = 64
+MOST_IN_BLOCK = 64
 """Frames of a block at most: what is lost when a run is killed."""
 BAD_INPUT = "bad input"
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -175,13 +175,21 @@ def sample_frames(
         estimating([])  # refuses what would fail for everybody
     folder = Path(out)
     size = BLOCK_BYTES // (DRAW_BYTES * max(keep, 1))
-    size = max(1, min(MOST_FRAMES, size))
+    size = max(1, min(MOST_IN_BLOCK, size))
     words = np.asarray(jax.random.key_data(key))
     chosen = sampler_of(
         root, sampler, num_roots=num_roots, most_roots=most_roots, max_proposals=max_proposals
     )
     draw = DetectionSampler(model, root, chosen, num_samples)
-    task = _Drawing(draw, estimating, words, k, composed, keep, model.lens)
+    task = _Drawing(
+        draw=draw,
+        estimating=estimating,
+        words=words,
+        k=k,
+        composed=composed,
+        keep=keep,
+        lens=model.lens,
+    )
     settings = {
         "study": "stream of frames",
         "seed": key_words(key),

@@ -551,7 +551,7 @@ def read_mat(
 ) -> dict[str, np.ndarray]:
     """Those of the `wanted` variables that a MATLAB file (version 5 to 7.2) has. Raises `BadInput`
     as `read_tables`."""
-    data = read_bytes(path, what, advice, largest=matlab.LARGEST)
+    data = read_bytes(path, what, advice, largest=matlab.LARGEST_UNPACKED)
     try:
         return matlab.variables(data, wanted)
     except Exception as error:  # damaged bytes, in many ways

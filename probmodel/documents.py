@@ -15,7 +15,7 @@ import numpy as np
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.files import LARGEST_FILE, read_bytes
 
-LARGEST_TEXT = 1_500_000_000
+LARGEST_IN_MEMORY = 1_500_000_000
 """Bytes of memory that a text may take; one character beyond Latin-1 makes all of them wider."""
 MOST_OBJECTS = 1_900_000_000
 """Bytes of memory that the objects of a document may take, by `cost`."""
@@ -36,7 +36,7 @@ def decoded(data: bytes, source: str, advice: str) -> str:
     """UTF-8 text, without its byte-order mark. Raises `BadInput` where it is none, or too long."""
     highest = int(np.frombuffer(data, np.uint8).max(initial=0))
     width = 1 if highest < 0xC4 else 2 if highest < 0xF0 else 4
-    if width * len(data) > LARGEST_TEXT:
+    if width * len(data) > LARGEST_IN_MEMORY:
         raise BadInput(f"{source} is too long a text ({len(data):,} bytes); split it into parts.")
     try:
         return data.decode("utf-8-sig")

@@ -127,14 +127,14 @@ class Layout:
         points = np.where(is_nowhere(points[:, :2])[:, None], 0.0, points)
         keypoints, score = self.to_skeleton(points, threshold)
         return Detection(
-            keypoints,
-            score,
-            self.name,
-            source,
-            person,
-            image_id,
-            image_size,
-            self.face(points, threshold),
+            keypoints=keypoints,
+            score=score,
+            layout=self.name,
+            source=source,
+            person=person,
+            image_id=image_id,
+            image_size=image_size,
+            face=self.face(points, threshold),
             midpoints=self.midpoints,
             track=track,
         )
@@ -446,7 +446,7 @@ def _same(point: FloatArray, other: FloatArray) -> bool:
 
 
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
-_PARTS = {
+_JOINT_OF_PART = {
     "shoulder": "shoulder",
     "elbow": "elbow",
     "wrist": "wrist",
@@ -481,7 +481,7 @@ def spoken_name(name: str) -> str:
     if whole := _WHOLE.get("_".join(words)):
         return whole
     side, part = _sided(words)
-    return f"{side}_{_PARTS[part]}" if side and part in _PARTS else name
+    return f"{side}_{_JOINT_OF_PART[part]}" if side and part in _JOINT_OF_PART else name
 
 
 def _sided(words: list[str]) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-LARGEST = 150_000_000
+LARGEST_UNPACKED = 150_000_000
 """Bytes, unpacked; the published model has 58 million in a file of 1.6."""
 _HEADER = 128
 _MATRIX, _COMPRESSED, _CELL = 14, 15, 1
@@ -35,12 +35,12 @@ class _Element(NamedTuple):
 def variables(data: bytes, wanted: Sequence[str]) -> dict[str, np.ndarray]:
     """Those of the `wanted` variables that are there: numbers as they are stored, cells as arrays
     of objects, None for whatever is neither. Raises `ValueError` where the file is damaged, is of
-    another version, or unpacks to more than `LARGEST`."""
+    another version, or unpacks to more than `LARGEST_UNPACKED`."""
     order = {b"IM": "<", b"MI": ">"}.get(data[_HEADER - 2 : _HEADER])
     if order is None:
         raise ValueError("it does not begin as a MATLAB file of version 5")
     found: dict[str, np.ndarray] = {}
-    place, left, whole = _HEADER, LARGEST, memoryview(data)
+    place, left, whole = _HEADER, LARGEST_UNPACKED, memoryview(data)
     while place < len(data):
         element = _element(whole, place, order, padded=False)
         place = element.end
@@ -48,7 +48,7 @@ def variables(data: bytes, wanted: Sequence[str]) -> dict[str, np.ndarray]:
             unpacked = zlib.decompressobj().decompress(element.content, left + 1)
             left -= len(unpacked)
             if left < 0:
-                raise ValueError(f"it unpacks to more than {LARGEST:,} bytes")
+                raise ValueError(f"it unpacks to more than {LARGEST_UNPACKED:,} bytes")
             element = _element(memoryview(unpacked), 0, order)
         if element.kind == _MATRIX:
             name, value = _matrix(element.content, order, cells=True)

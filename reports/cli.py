@@ -44,12 +44,12 @@ app = typer.Typer(
 )
 
 
-GROUPS = {
+COMMAND_GROUPS = {
     "benchmark": typer.Typer(help="Frozen targets with exact draws, for those who build samplers."),
     "coverage": typer.Typer(invoke_without_command=True, subcommand_metavar="[judge …]"),
 }
 """Commands that have commands of their own; those in `COMMANDS` do something by themselves too."""
-for _name, _group in GROUPS.items():
+for _name, _group in COMMAND_GROUPS.items():
     app.add_typer(_group, name=_name)
 
 
@@ -158,10 +158,10 @@ def _register(name: str, kind: Any) -> None:
     paragraphs = (inspect.getdoc(kind) or "").split("\n\n")
     about = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
     examples = "\n\n".join(f"  poseterior {line}" for line in kind.EXAMPLES)
-    home = GROUPS[group] if group else app
+    home = COMMAND_GROUPS[group] if group else app
     texts: dict[str, Any] = {"help": about, "epilog": f"Examples:\n\n{examples}"}
-    if name in GROUPS:
-        GROUPS[name].callback(**texts)(command)
+    if name in COMMAND_GROUPS:
+        COMMAND_GROUPS[name].callback(**texts)(command)
     else:
         home.command(own, **texts)(command)
 

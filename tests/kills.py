@@ -103,7 +103,7 @@ def prepare(place: Path) -> None:
     np.savez(place / "motion.npz", **{f"a/{i}": one.joints for i, one in enumerate(MOTIONS)})
     few = from_motions(MOTIONS, "few", frames=6)
     write_plain(few, place / "few.npz")
-    poseterior.inference.stream.MOST_FRAMES = 2
+    poseterior.inference.stream.MOST_IN_BLOCK = 2
     poseterior.inference.studies.calibration.run.BLOCK = 25
     poseterior.inference.studies.evaluation.run.BLOCK = 2
     poseterior.inference.studies.comparison.contest.REFERENCE = 300

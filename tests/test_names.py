@@ -22,37 +22,16 @@ CONVENTIONAL = {
 """Constants that may have several meanings, and why."""
 NOT_YET = frozenset(
     [
-        "BATCH",
         "BLOCK",
-        "BODY",
-        "COLUMNS",
-        "Drawn",
         "EXCHANGES",
-        "FEWEST",
-        "FREEDOM",
         "Fit",
-        "GROUPS",
-        "LARGEST",
-        "LARGEST_SIDE",
-        "LARGEST_TEXT",
         "LEVELS",
-        "LIMBS",
         "LIMITS",
-        "Learned",
-        "MOST_FRAMES",
         "NAMES",
-        "NUMBERS",
         "ROOTED",
-        "ROUNDS",
         "SAMPLERS",
         "SMALLEST",
-        "STEPS",
-        "SUFFIXES",
-        "THRESHOLD",
-        "TOLERANCE",
         "UNITS",
-        "_Joint",
-        "_PARTS",
     ]
 )
 """Names that still have several meanings; none may be added."""

@@ -20,7 +20,7 @@ from poseterior.inference.baselines.target import Density
 RUNS = 4
 WALKERS = 64
 """Walkers of an ensemble: even, and more than twice 23, as both libraries ask."""
-STEPS = 32
+ENSEMBLE_STEPS = 32
 """Steps of all ensembles between two looks at the clock."""
 SNOOKER_SCALE = 1.7
 """Ter Braak & Vrugt (2008), § 2."""
@@ -164,7 +164,9 @@ class SliceKernel(NumPyroKernel):
 
         # Without randomize_split walkers would change places, and look as if they mixed.
         options = {"potential_fn": _potential(target), "randomize_split": False}
-        self._tuning = NumPyroKernel(ESS(**options), WALKERS, 4 * STEPS, _slice_evaluations)
+        self._tuning = NumPyroKernel(
+            ESS(**options), WALKERS, 4 * ENSEMBLE_STEPS, _slice_evaluations
+        )
         super().__init__(
             ESS(**options, tune_mu=False), WALKERS, self._tuning.warm_up, _slice_evaluations
         )
@@ -174,7 +176,7 @@ class SliceKernel(NumPyroKernel):
     def start(self, key: jax.Array, points: np.ndarray) -> Any:
         other = super().start(key, points)  # gives the kernel its density
         if not self._compiled:
-            super().advance(settled(other), STEPS)
+            super().advance(settled(other), ENSEMBLE_STEPS)
             self._compiled = True
         return self._tuning.start(key, points), jnp.zeros((), int)
 
@@ -209,7 +211,7 @@ def _emcee(target: Density, moves: Any) -> Kernel:
 
 
 def _ensembles(target: Density, key: jax.Array, starts: np.ndarray, kernel: Any) -> Method:
-    return Walk(kernel(target), key, starts, runs=RUNS, ensemble=True, steps=STEPS)
+    return Walk(kernel(target), key, starts, runs=RUNS, ensemble=True, steps=ENSEMBLE_STEPS)
 
 
 def _row(kernel: Any, note: str) -> Baseline:

@@ -26,7 +26,7 @@ CHAINS = 16
 WARM_UP = 200
 """Steps in which step size and mass matrix are tuned; fewer than 100 do not find a step size on
 this posterior."""
-STEPS = 20
+NUTS_STEPS = 20
 DEPTH = 7
 """Doublings of a path of NUTS at most; its default, 10, spends a million gradients on the warm-up
 alone."""
@@ -144,7 +144,7 @@ def _hamiltonian(target: Slopes, key: jax.Array, starts: np.ndarray, kernel: str
         # step.
         made = HMC(potential_fn=potential, trajectory_length=None, num_steps=LEAPS)
     stepper = NumPyroKernel(made, CHAINS, WARM_UP, lambda before, after: jnp.sum(after.num_steps))
-    return Smoothed(target, Walk(stepper, key, starts, runs=1, ensemble=False, steps=STEPS))
+    return Smoothed(target, Walk(stepper, key, starts, runs=1, ensemble=False, steps=NUTS_STEPS))
 
 
 def _build(kernel: str) -> Any:

@@ -16,7 +16,7 @@ from poseterior.inference.baselines.target import Density
 from poseterior.probmodel.transport import CUBE_DIM
 
 WALKERS = 128
-STEPS = 64
+WALK_STEPS = 64
 ACCEPTANCE = 0.234
 """The acceptance that random-walk Metropolis is tuned to (Roberts, Gelman & Gilks 1997)."""
 ADAPTIVE_WALKERS = 16
@@ -66,7 +66,7 @@ class MetropolisKernel:
     warm-up."""
 
     walkers = WALKERS
-    warm_up = 8 * STEPS
+    warm_up = 8 * WALK_STEPS
 
     def __init__(self, target: Density) -> None:
         self._target = target
@@ -138,7 +138,7 @@ class AdaptiveKernel(NumPyroKernel):
 
 
 def _metropolis(target: Density, key: jax.Array, starts: np.ndarray) -> Method:
-    return Walk(MetropolisKernel(target), key, starts, runs=1, ensemble=False, steps=STEPS)
+    return Walk(MetropolisKernel(target), key, starts, runs=1, ensemble=False, steps=WALK_STEPS)
 
 
 def _adaptive(target: Density, key: jax.Array, starts: np.ndarray) -> Method:

@@ -111,13 +111,13 @@ class RootedTarget:
             )
         cameras = [np.asarray(one.camera.rotation) for one in posterior.candidates] or [FACING]
         return cls(
-            LimbChart(posterior.model, active),
-            TorsoCameraPrior.of(posterior.model),
-            detected,
-            jnp.asarray(_alike(np.asarray(posterior.model.torsos))),
-            jnp.asarray(nearest_rotation(np.mean(cameras, axis=0))),
-            jnp.asarray(np.asarray(detected.keypoints)[counts].mean(axis=0)),
-            faults,
+            limbs=LimbChart(posterior.model, active),
+            prior=TorsoCameraPrior.of(posterior.model),
+            detected=detected,
+            order=jnp.asarray(_alike(np.asarray(posterior.model.torsos))),
+            turn=jnp.asarray(nearest_rotation(np.mean(cameras, axis=0))),
+            centre=jnp.asarray(np.asarray(detected.keypoints)[counts].mean(axis=0)),
+            faulty=faults,
         )
 
     @property

@@ -201,7 +201,17 @@ def run(
     drawn = method.drawn(jax.random.fold_in(key, 3))
     if most:
         drawn = drawn.thinned(most)
-    return _result(name, target, method, drawn, key, num_samples, seconds, compiling, history)
+    return _result(
+        name=name,
+        target=target,
+        method=method,
+        drawn=drawn,
+        key=key,
+        num_samples=num_samples,
+        seconds=seconds,
+        compiling=compiling,
+        history=history,
+    )
 
 
 def first_step(method: Method, clock: Clock) -> float:
@@ -247,16 +257,16 @@ def _result(
     cost = Cost(method.evaluations, drawn.info.get("moved", np.nan), seconds)
     info = {**drawn.info, "compiling": compiling}
     return Run(
-        name,
-        drawn.points,
-        poses,
-        drawn.log_evidence,
-        drawn.log_evidence_se,
-        info,
-        cost,
-        tuple(history),
-        status,
-        sentence,
+        sampler=name,
+        points=drawn.points,
+        poses=poses,
+        log_evidence=drawn.log_evidence,
+        log_evidence_se=drawn.log_evidence_se,
+        info=info,
+        cost=cost,
+        history=tuple(history),
+        status=status,
+        sentence=sentence,
     )
 
 

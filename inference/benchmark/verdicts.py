@@ -17,7 +17,7 @@ from poseterior.inference.benchmark.references import (
 )
 from poseterior.inference.benchmark.submission import Submission
 from poseterior.inference.benchmark.target import FrozenTarget
-from poseterior.inference.studies.comparison.distances import standardised, wasserstein
+from poseterior.inference.studies.comparison.distances import in_spreads, wasserstein
 from poseterior.inference.studies.comparison.judge import Judgement, judge
 from poseterior.inference.studies.comparison.sample import Sample
 
@@ -88,7 +88,7 @@ def verdict(
         exact_evidence=(known.log_evidence, known.log_evidence_se),
         mode_counts=mode_counts(known, exact),
     )
-    distances = wasserstein(*standardised(sample.flat, exact.flat))
+    distances = wasserstein(*in_spreads(sample.flat, exact.flat, exact.flat.std(axis=0)))
     worst = int(np.argmax(distances))
     varying = np.array(exact.names)[exact.flat.std(axis=0) > 1e-12]
     effective = judgement.mixing.worst

@@ -14,7 +14,7 @@ import numpy as np
 
 from poseterior.inference.estimators.akhter_black import fit_akhter_black
 from poseterior.inference.estimators.dictionary import fit_dictionary
-from poseterior.inference.estimators.external import SUFFIXES, fit_poses, read_poses
+from poseterior.inference.estimators.external import POSE_SUFFIXES, fit_poses, read_poses
 from poseterior.inference.estimators.points import require_camera, require_pose
 from poseterior.inference.estimators.zhou import fit_zhou
 from poseterior.probmodel.anatomy.limits import AnatomicalLimits
@@ -27,7 +27,7 @@ from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.roots import Candidate
 
 
-class Learned(NamedTuple):
+class KnownBodies(NamedTuple):
     """What estimators know of bodies: torsos `(J, 6, 3)`, dictionaries of whole poses, joint
     limits."""
 
@@ -36,7 +36,7 @@ class Learned(NamedTuple):
     limits: AnatomicalLimits
 
 
-Estimator = Callable[[Sequence[Detection], Learned], list[tuple[Candidate, ...]]]
+Estimator = Callable[[Sequence[Detection], KnownBodies], list[tuple[Candidate, ...]]]
 ESTIMATORS: dict[str, Estimator] = {
     "dictionary": lambda detections, learned: [
         fit_dictionary(detection, learned.torsos, learned.poses) for detection in detections
@@ -46,7 +46,7 @@ ESTIMATORS: dict[str, Estimator] = {
     ),
     "zhou": lambda detections, learned: fit_zhou(detections, learned.poses),
 }
-BATCH = 64
+FITTED_AT_ONCE = 64
 """Detections that are fitted at once; more do not get faster, and need more memory."""
 
 
@@ -92,8 +92,8 @@ def estimate_torsos(
     estimator = _estimator(str(method))
     learned = _learned(torsos, limits, poses)
     found: list[tuple[Candidate, ...]] = []
-    for start in range(0, len(detections), BATCH):
-        found += estimator(detections[start : start + BATCH], learned)
+    for start in range(0, len(detections), FITTED_AT_ONCE):
+        found += estimator(detections[start : start + FITTED_AT_ONCE], learned)
     return [
         Estimate(detection, candidates[:num_candidates], likelihood, str(method))
         for detection, candidates in zip(detections, found, strict=True)
@@ -207,7 +207,7 @@ class Estimating:
 def _estimator(method: str) -> Estimator:
     if method in ESTIMATORS:
         return ESTIMATORS[method]
-    if Path(method).suffix.lower() not in SUFFIXES:
+    if Path(method).suffix.lower() not in POSE_SUFFIXES:
         raise BadInput(
             f"there is no estimator {method!r}; choose one of {', '.join(ESTIMATORS)}, or give an"
             " .npz or .npy with the poses of another"
@@ -218,9 +218,9 @@ def _estimator(method: str) -> Estimator:
 
 def _learned(
     torsos: np.ndarray | None, limits: AnatomicalLimits | None, poses: PoseDictionary | None
-) -> Learned:
+) -> KnownBodies:
     if torsos is None or limits is None:
         embedded = Anatomy.default()
         torsos = embedded.torsos if torsos is None else torsos
         limits = embedded.limits if limits is None else limits
-    return Learned(np.asarray(torsos, float), poses or PoseDictionary.default(), limits)
+    return KnownBodies(np.asarray(torsos, float), poses or PoseDictionary.default(), limits)

@@ -22,7 +22,7 @@ from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.roots import Candidate
 from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS
 
-SUFFIXES = (".npz", ".npy")
+POSE_SUFFIXES = (".npz", ".npy")
 SHAPES = f"({NUM_JOINTS}, 3), (people, {NUM_JOINTS}, 3) or (people, alternatives, {NUM_JOINTS}, 3)"
 
 

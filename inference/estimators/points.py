@@ -13,7 +13,7 @@ from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS, TORSO_INDEX, TORSO_JOINTS
 
-FEWEST = 4
+FEWEST_SEEN = 4
 """Seen joints that a whole pose needs."""
 TOUCHING = 1e-3
 """Pixels within which joints are one point, or lie on one line."""
@@ -89,11 +89,11 @@ def require_pose(detection: Detection) -> None:
     """Raises `BadInput` where too little is seen to tell a pose: fewer than four joints, no torso
     joint, or joints that lie on one point or one line."""
     names = [name for name, seen in zip(JOINTS, detection.seen, strict=True) if seen]
-    if len(names) < FEWEST:
+    if len(names) < FEWEST_SEEN:
         found = ", ".join(names) or "none"
         raise BadInput(
-            f"{detection.where} shows {found}; a pose needs at least {FEWEST} joints: lower the"
-            " threshold, or choose another person"
+            f"{detection.where} shows {found}; a pose needs at least {FEWEST_SEEN} joints: lower"
+            " the threshold, or choose another person"
         )
     if not set(names) & set(TORSO_JOINTS):
         raise BadInput(

@@ -38,4 +38,13 @@ def candidate_from_pose(
     seen = [joint for joint in TORSO_INDEX if detection.seen[joint]]
     square = np.sum((joints[seen, :2] - detection.keypoints[seen]) ** 2, axis=1)
     error = float(np.sqrt(np.average(square, weights=detection.score[seen])))
-    return Candidate(-1, own @ rotation, camera, error, pose, objective, iterations, converged)
+    return Candidate(
+        torso_index=-1,
+        torso=own @ rotation,
+        camera=camera,
+        reprojection_error=error,
+        pose=pose,
+        objective=objective,
+        iterations=iterations,
+        converged=converged,
+    )

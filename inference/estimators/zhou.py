@@ -38,7 +38,7 @@ ADAPTED = 400
 """Iterations in which the step size may change; with a fixed one ADMM converges whatever it is."""
 SUPPORT = 16
 """Most atoms that are kept after rounding."""
-ROUNDS = 100
+REFINING_ROUNDS = 100
 SETTLED = 1e-3
 """Refinement ends where a round lowers the objective by less than this share of it."""
 SMALLEST = 1e-9
@@ -280,7 +280,7 @@ def refine(
     coefficient: np.ndarray,
     *,
     penalty: float = PENALTY,
-    rounds: int = ROUNDS,
+    rounds: int = REFINING_ROUNDS,
 ) -> Adjusted:
     """Lowers ½ Σ α |x − R₂ Σ c B − T|² + λ Σ |c| over rotations and coefficients, from where
     rounding ended.

@@ -366,7 +366,13 @@ def reject_roots(
             if held == num_samples:
                 break
     return _result(
-        posterior, parts, np.concatenate(weights), log_bound, attempts, num_samples, rounds.made
+        posterior=posterior,
+        parts=parts,
+        log_weight=np.concatenate(weights),
+        log_bound=log_bound,
+        attempts=attempts,
+        wanted=num_samples,
+        made=rounds.made,
     )
 
 
@@ -415,7 +421,16 @@ def _result(
     equal, stratum, tried = np.full(number, evidence), np.zeros(number, int), np.array([attempts])
     # By such a chance equal ones say as much of the evidence as all that were tried.
     chance = np.full(number, number * scatter)
-    proposed = ProposedRoots(points, faults, equal, stratum, tried, chance, wanted, attempts)
+    proposed = ProposedRoots(
+        points=points,
+        faults=faults,
+        log_weight=equal,
+        pattern=stratum,
+        made=tried,
+        chance=chance,
+        wanted=wanted,
+        proposals=attempts,
+    )
     return RejectedRoots(posterior, proposed, limbs, equal, made, cut_off, len(log_weight))
 
 

@@ -49,7 +49,7 @@ from poseterior.probmodel.errors.laws import WithOutliers
 from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.roots import RootPoint
 
-BATCH = 1 << 17
+MOST_AT_A_TIME = 1 << 17
 """Most proposals made at a time by one thread: some 10 ms."""
 FIRST_BATCH = 1 << 13
 """Proposals of the first batch; every other one is twice as large, since a few roots,
@@ -253,7 +253,7 @@ def draw_torso(batches: Batches, number: int, budget: Budget, *, most: int) -> T
         if not accepted and made >= TORSO_ZERO_ACCEPTANCE_LIMIT:
             break
         numbers = range(batch, batch + (os.cpu_count() or 1))
-        sizes = [min(FIRST_BATCH << min(one // 2, 10), BATCH) for one in numbers]
+        sizes = [min(FIRST_BATCH << min(one // 2, 10), MOST_AT_A_TIME) for one in numbers]
         sizes = [size for size in sizes if budget.spend(size)]
         if not sizes:
             break
@@ -348,7 +348,7 @@ def _weighted(batches: Batches, number: int, budget: Budget) -> TorsoDraws:
 
 def _sizes(proposals: int) -> list[int]:
     """Of batches that make so many proposals."""
-    return [min(BATCH, proposals - start) for start in range(0, proposals, BATCH)]
+    return [min(MOST_AT_A_TIME, proposals - start) for start in range(0, proposals, MOST_AT_A_TIME)]
 
 
 def _log_ratios(problem: TorsoProblem, proposal: TorsoProposal, roots: np.ndarray) -> np.ndarray:

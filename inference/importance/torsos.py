@@ -91,7 +91,15 @@ def torso_problem(posterior: Posterior, faults: Faults, lens: int | None = None)
         ray=np.ascontiguousarray(joints.ray, float),
     )
     highest = math.exp(float(prior.highest_log_scale(lens)))
-    return TorsoProblem(joints, law, float(posterior.model.upright), origin, lowest, highest, lens)
+    return TorsoProblem(
+        joints=joints,
+        law=law,
+        upright=float(posterior.model.upright),
+        origin=origin,
+        lowest=lowest,
+        highest=highest,
+        lens=lens,
+    )
 
 
 @jax.jit

@@ -25,6 +25,14 @@ class Interval(NamedTuple):
         return (self.high - self.low) / 2
 
 
+def permuted(p_value: float, permutations: int) -> str:
+    """A permutation test's p-value in words. Where none was as extreme as what was observed, only
+    the rule of three bounds it."""
+    if p_value * (1 + permutations) < 1.5:  # what was observed counts as one of them
+        return f"< {3 / permutations:.1g}"
+    return f"= {p_value:.2g}"
+
+
 def of_share(held: np.ndarray, cluster: np.ndarray, seed: int = 0) -> Interval:
     """How often something holds, of `held` `(n,)` or `(n, j)` bool, clusters `(n,)` being drawn
     anew (percentiles).

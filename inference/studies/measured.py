@@ -134,14 +134,14 @@ def score(
     held = (level >= TAIL) & (level <= 1 - TAIL)
     varied = len(size) > 2 and np.ptp(size) > 0 and np.ptp(width) > 0
     return MeasureScore(
-        name,
-        unit,
-        len(size),
-        of_share(held, cluster),
-        float(np.median(size)),
-        float(np.median(width)),
-        float(stats.spearmanr(width, size).statistic) if varied else np.nan,
-        area_of(width, size > LARGE) if unit == "degrees" else np.nan,
+        name=name,
+        unit=unit,
+        size=len(size),
+        covered=of_share(held, cluster),
+        error=float(np.median(size)),
+        width=float(np.median(width)),
+        rank=float(stats.spearmanr(width, size).statistic) if varied else np.nan,
+        area=area_of(width, size > LARGE) if unit == "degrees" else np.nan,
     )
 
 

@@ -77,15 +77,15 @@ def from_motions(
         [noise.errors(float(height[number]), seed, number) for number in range(count)]
     )
     return DataSet(
-        name,
-        poses,
-        scale[:, None, None] * (poses[..., :2] + errors) + np.array(CENTRE),
-        np.ones(poses.shape[:2]),
-        scale,
-        np.tile(CENTRE, (count, 1)),
-        np.array([action_of(motion) for motion in source]),
-        np.array([motion.subject for motion in source]),
-        np.array([motion.name for motion in source]),
+        name=name,
+        poses=poses,
+        keypoints=scale[:, None, None] * (poses[..., :2] + errors) + np.array(CENTRE),
+        score=np.ones(poses.shape[:2]),
+        scale=scale,
+        translation=np.tile(CENTRE, (count, 1)),
+        action=np.array([action_of(motion) for motion in source]),
+        subject=np.array([motion.subject for motion in source]),
+        recording=np.array([motion.name for motion in source]),
     )
 
 

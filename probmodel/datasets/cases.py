@@ -309,16 +309,16 @@ class DataSet:
             self.keypoints[row], self.score[row], "skeleton_15", f"frame {number} of {self.name}", 0
         )
         case = Case(
-            number,
-            self.poses[row],
-            detection,
-            float(self.scale[row]),
-            self.translation[row],
-            str(self.action[row]),
-            str(self.subject[row]),
-            str(self.recording[row]),
-            self._lens(row),
-            None if self.doubt is None else skeletal(self.doubt[row], self.midpoints),
+            number=number,
+            pose=self.poses[row],
+            detection=detection,
+            scale=float(self.scale[row]),
+            translation=self.translation[row],
+            action=str(self.action[row]),
+            subject=str(self.subject[row]),
+            recording=str(self.recording[row]),
+            lens=self._lens(row),
+            doubt=None if self.doubt is None else skeletal(self.doubt[row], self.midpoints),
         )
         return case.corrected(self.midpoints)
 

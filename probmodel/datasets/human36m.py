@@ -172,14 +172,14 @@ def _data_set(takes: list[_Take], file: Path) -> DataSet:
         return np.repeat(text, [len(take.poses) for take in takes])
 
     return DataSet(
-        file.name,
-        poses,
-        keypoints,
-        np.ones(keypoints.shape[:2]),
-        scale,
-        translation,
-        labels([take.action.split(" ")[0] for take in takes]),
-        labels([take.subject for take in takes]),
-        labels([f"{take.subject} {take.action}" for take in takes]),
+        name=file.name,
+        poses=poses,
+        keypoints=keypoints,
+        score=np.ones(keypoints.shape[:2]),
+        scale=scale,
+        translation=translation,
+        action=labels([take.action.split(" ")[0] for take in takes]),
+        subject=labels([take.subject for take in takes]),
+        recording=labels([f"{take.subject} {take.action}" for take in takes]),
         midpoints=H36M_17.midpoints,
     )

@@ -9,7 +9,7 @@ from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.skeleton import NUM_JOINTS
 
 KINDS = ("none", "gaussian", "heavy-tailed")
-FREEDOM = 2.0
+HEAVY_FREEDOM = 2.0
 """Degrees of freedom of the heavy tails (Student's t): no variance; one error in 27 is beyond five
 times the size."""
 
@@ -43,7 +43,7 @@ class Noise(NamedTuple):
         rng = np.random.default_rng([seed, 0, number])
         shape = (NUM_JOINTS, 2)
         unit = (
-            rng.standard_t(FREEDOM, shape)
+            rng.standard_t(HEAVY_FREEDOM, shape)
             if self.kind == "heavy-tailed"
             else rng.normal(size=shape)
         )

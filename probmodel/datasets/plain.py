@@ -81,15 +81,15 @@ def read_plain(path: Path) -> DataSet:
             doubt = turn[:, None] @ doubt @ np.swapaxes(turn, -1, -2)[:, None]
     keypoints = np.where((seen & (score != 0))[..., None], keypoints, np.nan)
     return DataSet(
-        path.name,
-        poses,
-        keypoints,
-        np.where(seen, score, 0.0),
-        scale,
-        translation,
-        labels["action"],
-        labels["subject"],
-        labels["recording"],
+        name=path.name,
+        poses=poses,
+        keypoints=keypoints,
+        score=np.where(seen, score, 0.0),
+        scale=scale,
+        translation=translation,
+        action=labels["action"],
+        subject=labels["subject"],
+        recording=labels["recording"],
         midpoints=_midpoints(arrays.get("midpoints", np.array([], str)), path),
         doubt=doubt,
     )

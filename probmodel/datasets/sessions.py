@@ -88,18 +88,18 @@ def from_session(session: Session, *, perspective: bool = False) -> DataSet:
         )
     who = np.full(len(poses), session.name)
     return DataSet(
-        session.name,
-        poses,
-        keypoints,
-        score,
-        scale,
-        translation,
-        who,
-        who,
-        recording,
-        Lens(*lens) if lens else None,
-        session.midpoints,
-        doubt,
+        name=session.name,
+        poses=poses,
+        keypoints=keypoints,
+        score=score,
+        scale=scale,
+        translation=translation,
+        action=who,
+        subject=who,
+        recording=recording,
+        lens=Lens(*lens) if lens else None,
+        midpoints=session.midpoints,
+        doubt=doubt,
     )
 
 

@@ -68,7 +68,16 @@ class Hinge(Region):
             )
         triple, offset, bounds = jnp.asarray(triple), jnp.asarray(offset), jnp.asarray(bounds)
         nodes, pattern, areas, box = _integrate_all(offset, bounds, measure)
-        return cls(triple, offset, bounds, nodes, pattern, areas, box, measure)
+        return cls(
+            triple=triple,
+            offset=offset,
+            bounds=bounds,
+            nodes=nodes,
+            pattern=pattern,
+            areas=areas,
+            box=box,
+            measure=measure,
+        )
 
     @property
     def total(self) -> jax.Array:

@@ -70,7 +70,7 @@ class Format(NamedTuple):
     centred: bool = False
 
 
-_LANDMARKS: Any = {"threshold": mediapipe.THRESHOLD, "unit": Unit.FRACTIONS}
+_LANDMARKS: Any = {"threshold": mediapipe.MISSING_VISIBILITY, "unit": Unit.FRACTIONS}
 _ROWS = (
     Format(
         "movenet",

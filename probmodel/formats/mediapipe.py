@@ -33,7 +33,7 @@ from poseterior.probmodel.formats.common import (
 )
 from poseterior.probmodel.layouts import MEDIAPIPE_33
 
-THRESHOLD = 0.5
+MISSING_VISIBILITY = 0.5
 """The visibility up to which a landmark is missing."""
 WRAPPINGS = ("landmarks", "pose_landmarks", "poseLandmarks")
 _FIELDS = ("x", "y", "visibility")

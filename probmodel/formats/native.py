@@ -106,14 +106,14 @@ def _person(value: object, person: int, source: str, threshold: float) -> Detect
     size, face = _size(record.get("image_size"), where), _face(record.get("face"), where, threshold)
     midpoints = _midpoints(record.get("midpoints", []), where)
     return Detection(
-        keypoints,
-        score,
-        LAYOUT,
-        source,
-        person,
-        image,
-        size,
-        face,
+        keypoints=keypoints,
+        score=score,
+        layout=LAYOUT,
+        source=source,
+        person=person,
+        image_id=image,
+        image_size=size,
+        face=face,
         midpoints=midpoints,
         track=track_of(record),
     )

@@ -23,7 +23,7 @@ from poseterior.probmodel.formats.hourglass import scored
 from poseterior.probmodel.formats.units import OUTSIDE
 from poseterior.probmodel.layouts import COCO_17, MEDIAPIPE_33
 
-PEOPLE, NUMBERS = 6, 56
+PEOPLE, NUMBERS_A_PERSON = 6, 56
 """What MoveNet's model for several people returns for each image."""
 
 
@@ -37,7 +37,7 @@ def recognises_movenet(content: Content) -> bool:
     """The shape of MoveNet's output."""
     shape = content.arrays.shape()
     single = len(shape) >= 4 and shape[-3:] == (1, COCO_17.count, 3)
-    return single or (len(shape) >= 3 and shape[-2:] == (PEOPLE, NUMBERS))
+    return single or (len(shape) >= 3 and shape[-2:] == (PEOPLE, NUMBERS_A_PERSON))
 
 
 def recognises_freemocap(content: Content) -> bool:
@@ -78,8 +78,8 @@ def read_movenet(content: Content, threshold: float) -> Iterator[Detection]:
     people whom it did not find are left out."""
     values = _numbers(content)
     layout = chosen_layout(COCO_17.count, content, content.source)
-    if values.shape[-1:] == (NUMBERS,):
-        found = values.reshape(-1, NUMBERS)
+    if values.shape[-1:] == (NUMBERS_A_PERSON,):
+        found = values.reshape(-1, NUMBERS_A_PERSON)
         frames = np.arange(len(found)) // PEOPLE
         frames, found = frames[found[:, -1] > 0], found[found[:, -1] > 0]
         people = found[:, : 3 * COCO_17.count].reshape(-1, COCO_17.count, 3)

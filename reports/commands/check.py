@@ -20,7 +20,7 @@ from poseterior.reports.settings import CheckSettings
 FEW = 20
 """Up to so many impossible poses are listed one by one, more are counted by bone."""
 _VARIABLES = ("posterior/joints", "prior/joints")
-LARGEST = 1e9
+LARGEST_COORDINATE = 1e9
 """No coordinate may be larger: the squares of larger numbers overflow."""
 
 
@@ -155,7 +155,7 @@ def _require_poses(poses: PosesToCheck, path: Path) -> None:
     joints, names = poses.joints, poses.names
     if not len(joints):
         raise BadInput(f"{path} holds no pose; give a file with one at least")
-    for pose, joint in np.argwhere(~(np.abs(joints) <= LARGEST).all(axis=-1))[
+    for pose, joint in np.argwhere(~(np.abs(joints) <= LARGEST_COORDINATE).all(axis=-1))[
         :1
     ]:  # NaN compares false
         raise BadInput(

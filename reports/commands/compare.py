@@ -6,7 +6,7 @@ from poseterior.reports import console
 from poseterior.reports.options import ROUTES, Screen
 from poseterior.reports.settings import CONTESTANTS, CompareSettings
 
-FEWEST = 100
+FEWEST_EXACT = 100
 """Draws of exact rejection with which it can be judged."""
 
 
@@ -21,8 +21,8 @@ def run(settings: CompareSettings, screen: Screen) -> None:
 
     if not settings.seconds > 0:
         raise BadInput(f"--seconds must be more than 0, not {settings.seconds:g}")
-    if settings.num_samples < FEWEST:
-        raise BadInput(f"--num-samples must be at least {FEWEST}, not {settings.num_samples}")
+    if settings.num_samples < FEWEST_EXACT:
+        raise BadInput(f"--num-samples must be at least {FEWEST_EXACT}, not {settings.num_samples}")
     said = settings.samplers or (ROUTES[0] if settings.rooting.rooted else CONTESTANTS)
     samplers = [name.strip() for name in said.split(",") if name.strip()]
     check = routes.check_routes if settings.rooting.rooted else contest.check_names

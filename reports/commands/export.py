@@ -17,14 +17,14 @@ def run(settings: ExportSettings, screen: Screen) -> None:
     unit = unit_of(to, settings.unit.value if settings.unit else None)
     out = console.output_file(settings.out or _beside(settings.result, to))
     wanted = Wanted(
-        settings.height,
-        settings.k,
-        settings.draws,
-        settings.person,
-        settings.what.value if settings.what else None,
-        settings.smoother,
-        settings.rate,
-        settings.measures,
+        height=settings.height,
+        k=settings.k,
+        draws=settings.draws,
+        person=settings.person,
+        what=settings.what.value if settings.what else None,
+        smoother=settings.smoother,
+        rate=settings.rate,
+        measures=settings.measures,
     )
     with console.progress("reading the result", screen.quiet):
         clip = read_clip(settings.result, wanted)

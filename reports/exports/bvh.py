@@ -22,7 +22,7 @@ EQUAL = 1e-6
 _UP, _LEFT, _RIGHT, _DOWN = (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)
 
 
-class _Joint(NamedTuple):
+class _FileJoint(NamedTuple):
     """A joint of the file: its name and parent there, which of ours it is, and the child towards
     which it turns from a direction of the T-pose (none: it is turned as its parent)."""
 
@@ -33,30 +33,30 @@ class _Joint(NamedTuple):
     rest: tuple[float, float, float] = _UP
 
 
-def _limb(side: str, rest: tuple[float, float, float]) -> list[_Joint]:
+def _limb(side: str, rest: tuple[float, float, float]) -> list[_FileJoint]:
     word = side.lower()
     return [
-        _Joint(f"{side}Arm", "Neck", f"{word}_shoulder", f"{word}_elbow", rest),
-        _Joint(f"{side}ForeArm", f"{side}Arm", f"{word}_elbow", f"{word}_wrist", rest),
-        _Joint(f"{side}Hand", f"{side}ForeArm", f"{word}_wrist"),
+        _FileJoint(f"{side}Arm", "Neck", f"{word}_shoulder", f"{word}_elbow", rest),
+        _FileJoint(f"{side}ForeArm", f"{side}Arm", f"{word}_elbow", f"{word}_wrist", rest),
+        _FileJoint(f"{side}Hand", f"{side}ForeArm", f"{word}_wrist"),
     ]
 
 
-def _leg(side: str) -> list[_Joint]:
+def _leg(side: str) -> list[_FileJoint]:
     word = side.lower()
     return [
-        _Joint(f"{side}UpLeg", "Hips", f"{word}_hip", f"{word}_knee", _DOWN),
-        _Joint(f"{side}Leg", f"{side}UpLeg", f"{word}_knee", f"{word}_ankle", _DOWN),
-        _Joint(f"{side}Foot", f"{side}Leg", f"{word}_ankle"),
+        _FileJoint(f"{side}UpLeg", "Hips", f"{word}_hip", f"{word}_knee", _DOWN),
+        _FileJoint(f"{side}Leg", f"{side}UpLeg", f"{word}_knee", f"{word}_ankle", _DOWN),
+        _FileJoint(f"{side}Foot", f"{side}Leg", f"{word}_ankle"),
     ]
 
 
 JOINTS_OF_FILE = (
-    _Joint("Hips", None, "pelvis"),
-    _Joint("Neck", "Hips", "thorax"),
+    _FileJoint("Hips", None, "pelvis"),
+    _FileJoint("Neck", "Hips", "thorax"),
     # The head turns about the thorax by itself: arms hang from the same point.
-    _Joint("Head", "Neck", "thorax", "head"),
-    _Joint("HeadTop", "Head", "head"),
+    _FileJoint("Head", "Neck", "thorax", "head"),
+    _FileJoint("HeadTop", "Head", "head"),
     *_limb("Left", _LEFT),
     *_limb("Right", _RIGHT),
     *_leg("Left"),
@@ -125,7 +125,7 @@ def _torso(joints: np.ndarray) -> Rotation:
     return Rotation.from_matrix(np.stack([left, up, np.cross(left, up)], axis=-1))
 
 
-def _aim(joint: _Joint, joints: np.ndarray, above: Rotation) -> Rotation:
+def _aim(joint: _FileJoint, joints: np.ndarray, above: Rotation) -> Rotation:
     """The shortest turn, in the parent's axes, from the T-pose to where the bone points."""
     if joint.aims_at is None:
         return Rotation.identity(len(joints))
@@ -162,7 +162,7 @@ def _hierarchy(channels: dict[str, _Channels]) -> list[str]:
     return lines
 
 
-def _opened(joint: _Joint, channels: _Channels, indent: str) -> list[str]:
+def _opened(joint: _FileJoint, channels: _Channels, indent: str) -> list[str]:
     """A joint's lines up to what hangs from it."""
     names = [f"{axis}rotation" for axis in ORDER]
     if channels.positions is not None:

@@ -11,7 +11,7 @@ from poseterior.probmodel.files import replacing
 from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS
 from poseterior.reports.exports.clip import UNITS, Clip
 
-MOST_FRAMES = 65_535
+MOST_C3D_FRAMES = 65_535
 """The header counts frames in sixteen bits."""
 _INTEGERS, _RESIDUALS = 32_000, 127
 """Largest coordinate, if the file is ever converted to whole numbers, and largest residual, both in
@@ -37,9 +37,9 @@ def write_c3d(clip: Clip, path: Path, unit: str) -> None:
             f"C3D files need the package c3d; {installing('export')}; or choose another --to"
         ) from None
     clip = clip.regular()
-    if len(clip.joints) > MOST_FRAMES:
+    if len(clip.joints) > MOST_C3D_FRAMES:
         raise BadInput(
-            f"a C3D file counts {MOST_FRAMES:,} frames at most, not {len(clip.joints):,}; give"
+            f"a C3D file counts {MOST_C3D_FRAMES:,} frames at most, not {len(clip.joints):,}; give"
             " fewer --draws, or choose another --to"
         )
     points = UNITS[unit] * clip.joints

@@ -44,6 +44,8 @@ def main(work: Work) -> Page:
             "draws": DRAWN,
             "tried": tried,
             "accused": accused,
+            "accused_share": _said([*[True] * accused, *[False] * (SEEDS - accused)]),
+            "seeds": SEEDS,
         },
     )
 

@@ -17,9 +17,9 @@ from matplotlib.figure import Figure
 
 from poseterior.inference.readings import (
     ASPECTS,
+    BETTER_BY,
     FACE_THRESHOLD,
     READINGS,
-    THRESHOLD,
     Judge,
     Verdict,
     together,
@@ -143,7 +143,7 @@ def picture(found: Study) -> Figure:
         for values, colour, shift in ((right, PALETTE[0], 0.17), (-right, PALETTE[1], -0.17)):
             at = row + shift + np.random.default_rng(row).uniform(-0.12, 0.12, len(values))
             axes.plot(np.clip(values, -60, 60), at, ".", ms=2, color=colour, alpha=0.5)
-    axes.axvline(THRESHOLD, ymin=1 / len(kinds), color=INK, lw=0.8)
+    axes.axvline(BETTER_BY, ymin=1 / len(kinds), color=INK, lw=0.8)
     axes.axvline(FACE_THRESHOLD, ymax=1 / len(kinds), color=INK, lw=0.8)
     axes.set_xscale("symlog", linthresh=5)
     axes.set_yticks(range(len(kinds)), [WORDS[kind] for kind in kinds], fontsize=8)

@@ -38,7 +38,7 @@ def covered_table(found: Judged) -> Sheet:
     blank = [NOTHING] * len(SHOWN)
     rows += [(name, *blank, p_text(value)) for name, value in found.calibration.families.items()]
     if found.local is not None:
-        rows.append(("where (trees of splits)", *blank, p_text(found.local.p_value)))
+        rows.append(("where (trees of splits)", *blank, found.local.p_words.removeprefix("= ")))
     head = [Column("", left=True), *(Column(f"{nominal:.0%}") for nominal in SHOWN), Column("p")]
     return sheet_of(head, rows, title="What central intervals hold")
 

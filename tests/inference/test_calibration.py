@@ -448,11 +448,8 @@ def test_distorted_posteriors_fail(model: PoseModel, name: str) -> None:
 @pytest.mark.slow
 def test_a_posterior_that_ignores_the_image_fails(model: PoseModel) -> None:
     """TARP and the misfit see it."""
-    found = judge(
-        calibrate(model, ignoring(model, 100), num_simulations=100, root="candidates")[
-            "simulation"
-        ].to_dataset()
-    )
+    tree = calibrate(model, ignoring(model, 100), num_simulations=100, root="candidates")
+    found = judge(tree["simulation"].to_dataset())
     assert found.verdict == MISCALIBRATED
     assert found.p_value(TARP) < 1e-4
     assert found.p_value(MISFIT) < 1e-10
@@ -465,11 +462,8 @@ def test_a_posterior_that_ignores_the_image_fails(model: PoseModel) -> None:
 
 @pytest.mark.sweep
 def test_the_literal_recipe_fails_under_equation_8(model: PoseModel) -> None:
-    found = judge(
-        calibrate(model, following_the_recipe(model, 60), num_simulations=300, root="candidates")[
-            "simulation"
-        ].to_dataset()
-    )
+    tree = calibrate(model, following_the_recipe(model, 60), num_simulations=300, root="candidates")
+    found = judge(tree["simulation"].to_dataset())
     assert found.verdict == MISCALIBRATED
     assert min(found.p_value(name) for name in HINGES) < 1e-4
 

@@ -54,6 +54,7 @@ from poseterior.inference.studies.comparison.sample import (
     sample_of,
 )
 from poseterior.inference.studies.flips import codes
+from poseterior.inference.studies.intervals import permuted
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.root_priors import CANDIDATES
 from tests.scenes import ALL_BUT_AN_ARM, key, prior_scene
@@ -214,6 +215,12 @@ def test_nine_runs_of_ten_catch_what_modes_are_said_to_show():
     assert caught(*missing) >= least
     rarer = np.array([found.missing / 3, *(1 - found.missing / 3) * rest])
     assert caught(missing[0], rarer) < 0.6 * runs
+
+
+def test_a_test_by_permutations_is_bounded_by_their_number() -> None:
+    """By the rule of three where none was as extreme: never by what doubles can hold."""
+    assert permuted(1 / 1000, 999) == "< 0.003"
+    assert permuted(2 / 1000, 999) == "= 0.002"
 
 
 def test_permutation_tests_do_not_know_whose_draws_are_whose():

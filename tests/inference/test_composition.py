@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from poseterior import inference
 from poseterior.inference.clusters import clusters
-from poseterior.inference.composition import Drawn, compose
+from poseterior.inference.composition import DrawnUnder, compose
 from poseterior.inference.draws import Draws
 from poseterior.inference.hypothesis import Hypothesis
 from poseterior.probmodel import BadInput, Estimate, FaultPrior, Likelihood, PoseModel
@@ -242,7 +242,7 @@ def test_a_result_gives_what_its_draws_give(name):
     result = inference.sample(
         model, frame, key=key(2), root="uncertain", num_samples=200, num_roots=60
     )
-    drawn = Drawn.of(result, posterior)
+    drawn = DrawnUnder.of(result, posterior)
     assert len(drawn.joints) == 200
     root = posterior.root_prior.root(drawn.points.take(7))
     joints = model.joints(root.view, *model.pose_of(drawn.joints[7], drawn.bone_length[7]))

@@ -11,10 +11,10 @@ import pytest
 from poseterior import inference
 from poseterior.inference.face import HEADS, OUTWARD, POINTS, log_face_likelihood
 from poseterior.inference.readings import (
+    BETTER_BY,
     BODY,
     NOISE,
     READINGS,
-    THRESHOLD,
     Judge,
     Verdict,
     exchanged,
@@ -110,7 +110,7 @@ def test_joints_alone_cannot_tell_left_from_right(shared_data: Path) -> None:
         differences += [JUDGE.evidence(exchanged(view.detection, *BODY)).body(0, 0) - usual]
         differences += [JUDGE.evidence(mirrored(view.detection, 0)).body(0, 0) - usual]
     assert np.median(np.abs(differences)) < 0.6
-    assert np.max(np.abs(differences)) < THRESHOLD + 1
+    assert np.max(np.abs(differences)) < BETTER_BY + 1
 
 
 def test_without_a_face_nothing_is_said_about_left_and_right() -> None:

@@ -42,7 +42,7 @@ def items(model) -> list[Item]:
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch):
-    monkeypatch.setattr(stream, "MOST_FRAMES", 2)
+    monkeypatch.setattr(stream, "MOST_IN_BLOCK", 2)
 
 
 def content(folder) -> dict[str, bytes]:
@@ -183,7 +183,7 @@ def uncertain(model, items, tmp_path_factory) -> Path:
     """A stream of two blocks."""
     folder = tmp_path_factory.mktemp("uncertain") / "stream"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stream, "MOST_FRAMES", 2)
+        patch.setattr(stream, "MOST_IN_BLOCK", 2)
         sample_frames(model, items[:4], key=key(0), out=folder, **UNCERTAIN)
     return folder
 
@@ -303,7 +303,7 @@ def written(model, items, tmp_path_factory) -> Path:
     """A stream of three blocks."""
     folder = tmp_path_factory.mktemp("written") / "stream"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stream, "MOST_FRAMES", 2)
+        patch.setattr(stream, "MOST_IN_BLOCK", 2)
         sample_frames(model, items, key=key(0), out=folder, **SETTINGS)
     return folder
 

@@ -15,9 +15,9 @@ import xarray as xr
 from scipy import stats
 
 from poseterior.inference.draws import COMPLETE
+from poseterior.inference.importance.weighted import WeightedRoots
 from poseterior.inference.studies.calibration import calibrate, cover, judge, posteriors, simulate
 from poseterior.inference.studies.calibration.assess import Answer, assess
-from poseterior.inference.studies.calibration.controls import forgetting_scale
 from poseterior.inference.studies.calibration.exclusions import TAU, from_text
 from poseterior.inference.studies.calibration.posteriors import independent_roots
 from poseterior.inference.studies.calibration.quantities import (
@@ -55,6 +55,14 @@ def model() -> PoseModel:
 @functools.cache
 def simulations() -> list[Instance]:
     return simulate(model(), 0, 0, 100, root="uncertain")
+
+
+def forgetting_scale(roots: WeightedRoots) -> WeightedRoots:
+    """The roots with weights that lack scale⁻² for every seen joint: they prefer cameras that are
+    too near."""
+    seen = np.isfinite(roots.posterior.detected.spread).sum()
+    scale = np.asarray(roots.points.log_scale)
+    return dataclasses.replace(roots, log_weight=roots.log_weight + 2 * seen * scale)
 
 
 def truth(instance: Instance) -> tuple[RootPoint, np.ndarray]:

@@ -255,7 +255,9 @@ def test_a_small_budget_is_not_spent_on_a_first_stage(monkeypatch: pytest.Monkey
     with monkeypatch.context() as patch:
         patch.setattr(two_stage, "OVERSAMPLING", (1, 1))
         plain = weigh_roots(an_arm(), key=key(5), num_roots=100)
-    enough = plain.proposals + 4 * torso_proposals.BATCH  # proposals are allowed in batches
+    enough = (
+        plain.proposals + 4 * torso_proposals.MOST_AT_A_TIME
+    )  # proposals are allowed in batches
     tight = weigh_roots(an_arm(), key=key(5), num_roots=100, max_proposals=enough)
     assert len(tight.log_weight) == 100
     np.testing.assert_array_equal(tight.log_weight, plain.log_weight)

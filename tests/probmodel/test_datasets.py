@@ -27,7 +27,7 @@ from poseterior.probmodel.datasets import (
     write_plain,
 )
 from poseterior.probmodel.datasets.human36m import SEVENTEEN
-from poseterior.probmodel.datasets.noise import FREEDOM
+from poseterior.probmodel.datasets.noise import HEAVY_FREEDOM
 from poseterior.probmodel.datasets.pickles import follow
 from poseterior.probmodel.datasets.views import resection
 from poseterior.probmodel.errors.detector import DetectorErrors
@@ -115,7 +115,7 @@ def test_the_same_seed_gives_the_same_noise_and_larger_noise_is_the_same_enlarge
     ("noise", "law"),
     [
         (Noise("gaussian", 0.02), norm(scale=0.02)),
-        (Noise("heavy-tailed", 0.02), t(FREEDOM, scale=0.02)),
+        (Noise("heavy-tailed", 0.02), t(HEAVY_FREEDOM, scale=0.02)),
     ],
 )
 def test_noise_has_the_law_it_says(noise, law):
@@ -124,7 +124,7 @@ def test_noise_has_the_law_it_says(noise, law):
     errors = np.concatenate([noise.errors(1.0, 7, number).ravel() for number in range(200)])
     assert kstest(errors, law.cdf).pvalue > 1e-3
     assert kstest(2 * errors, law.cdf).pvalue < 1e-6
-    other = t(FREEDOM, scale=0.02) if noise.kind == "gaussian" else norm(scale=0.02)
+    other = t(HEAVY_FREEDOM, scale=0.02) if noise.kind == "gaussian" else norm(scale=0.02)
     assert kstest(errors, other.cdf).pvalue < 1e-6
 
 

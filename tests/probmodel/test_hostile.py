@@ -187,7 +187,7 @@ FREE = 20_000_000
 def little(monkeypatch: pytest.MonkeyPatch) -> None:
     """A smaller budget, so that bombs need not be large."""
     monkeypatch.setattr(arrays_of_files, "FREE", FREE)
-    monkeypatch.setattr(matlab, "LARGEST", FREE)
+    monkeypatch.setattr(matlab, "LARGEST_UNPACKED", FREE)
 
 
 @pytest.mark.usefixtures("little")

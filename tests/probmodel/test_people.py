@@ -14,7 +14,7 @@ from poseterior.probmodel.detections import pick_person
 from poseterior.probmodel.formats import FORMATS
 from poseterior.probmodel.formats.common import track_of
 from poseterior.probmodel.formats.frames import DetectedFrame, frame_numbers
-from poseterior.probmodel.formats.point_arrays import NUMBERS
+from poseterior.probmodel.formats.point_arrays import NUMBERS_A_PERSON
 from poseterior.probmodel.layouts import BODY_25, COCO_17, COCO_18, H36M_17, MEDIAPIPE_33, MPII_16
 from poseterior.probmodel.people import Cast, cast_of, distances
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
@@ -452,7 +452,7 @@ def test_a_file_sorted_by_tracks_has_as_many_frames(name: str, tmp_path: Path) -
 
 
 def test_movenet_for_several_people_is_followed_by_continuity(tmp_path: Path) -> None:
-    film = np.zeros((6, 1, 6, NUMBERS), "f4")
+    film = np.zeros((6, 1, 6, NUMBERS_A_PERSON), "f4")
     for at, people in enumerate(SWAPPED):
         for place, (_, move) in enumerate(people):
             film[at, 0, place, :51] = _movenet(move).ravel()

@@ -2,7 +2,9 @@
 another chart."""
 
 import functools
+from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -443,33 +445,31 @@ def test_corners_of_the_square_stay_within_rounding_of_the_cells(measure: str) -
         assert nearest.max() < CELL * 0.75  # half the diagonal of a cell, rounded up
 
 
+def area_times_density(
+    regions: Any, square: np.ndarray, transport: Callable, log_prob: Callable
+) -> np.ndarray:
+    """|∂u/∂s × ∂u/∂t| · density: the transport differentiated at points of every region."""
+    jacobian = jax.jit(jax.vmap(jax.vmap(jax.jacfwd(lambda s, r: r.transport(s))), (0, None)))(
+        square, regions
+    )
+    element = np.linalg.norm(np.cross(jacobian[..., 0], jacobian[..., 1]), axis=-1)
+    return element * np.exp(np.asarray(log_prob(regions, transport(regions, square))))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("measure", LOWER_MEASURES)
 def test_area_element_of_the_transport_is_one_over_the_density(measure: str) -> None:
-    """|∂u/∂s × ∂u/∂t| · density = 1: the transport differentiated, at 200 points of every hinge."""
     square = 0.01 + 0.98 * squares(len(NAMES))[:200]
-    jacobian = jax.jit(jax.vmap(jax.vmap(jax.jacfwd(lambda s, h: h.transport(s))), (0, None)))(
-        square, hinges(measure)
-    )
-    element = np.linalg.norm(np.cross(jacobian[..., 0], jacobian[..., 1]), axis=-1)
-    density = np.exp(
-        np.asarray(log_prob_hinge(hinges(measure), transport_hinge(hinges(measure), square)))
-    )
-    np.testing.assert_allclose(element * density, 1.0, rtol=1e-6)
+    found = area_times_density(hinges(measure), square, transport_hinge, log_prob_hinge)
+    np.testing.assert_allclose(found, 1.0, rtol=1e-6)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("measure", UPPER_MEASURES)
 def test_area_element_of_the_cells_transport(measure: str) -> None:
     square = squares(len(TABLES))[:200]
-    jacobian = jax.jit(jax.vmap(jax.vmap(jax.jacfwd(lambda s, c: c.transport(s))), (0, None)))(
-        square, cells(measure)
-    )
-    element = np.linalg.norm(np.cross(jacobian[..., 0], jacobian[..., 1]), axis=-1)
-    density = np.exp(
-        np.asarray(log_prob_cells(cells(measure), transport_cells(cells(measure), square)))
-    )
-    np.testing.assert_allclose(element * density, 1.0, rtol=1e-8)
+    found = area_times_density(cells(measure), square, transport_cells, log_prob_cells)
+    np.testing.assert_allclose(found, 1.0, rtol=1e-8)
 
 
 @pytest.mark.slow

@@ -348,12 +348,13 @@ def _propose_lower(
     aim = _aim(gap0 / length, gap1 / length, radius / length)
     turn = min(max(cell.box_last - cell.box_first, 0.0), 2 * math.pi)
     box = max(cell.box_high - cell.box_low, 0.0) * turn
-    region = min(aim.area, box)
+    in_rectangle = aim.area <= box
+    region = aim.area if in_rectangle else box
     if region <= 0:
         return u, 0.0, 0.0, stream
     (v0, v1, v2), (w0, w1, w2), _ = lower_axes(u, rule.reference)
     triple = cell.triple
-    if aim.area <= box:
+    if in_rectangle:
         d0, d1, d2, stream = _in_rectangle(aim, stream)
         p0, p1, p2 = _local(joint.axes, d0, d1, d2)
         q0 = u0 * p0 + u1 * p1 + u2 * p2

@@ -12,7 +12,6 @@ import jax
 import numpy as np
 
 from poseterior.inference.exact.mixture import ExactRejection
-from poseterior.inference.importance.weighted import WeightedRoots
 from poseterior.inference.studies.calibration.assess import Answer
 from poseterior.inference.studies.calibration.posteriors import Sampler
 from poseterior.inference.studies.calibration.quantities import MOVING
@@ -94,14 +93,6 @@ def ignoring(model: PoseModel, number: int) -> Sampler:
 @jax.jit
 def _prior(model: PoseModel, view: jax.Array, cube: jax.Array) -> jax.Array:
     return model.joints(view, *from_cube(model, cube))
-
-
-def forgetting_scale(roots: WeightedRoots) -> WeightedRoots:
-    """The roots with weights that lack scale⁻² for every seen joint: they prefer cameras that are
-    too near. For `posteriors.independent_roots`."""
-    seen = np.isfinite(roots.posterior.detected.spread).sum()
-    scale = np.asarray(roots.points.log_scale)
-    return dataclasses.replace(roots, log_weight=roots.log_weight + 2 * seen * scale)
 
 
 TRIES = 1 << 13

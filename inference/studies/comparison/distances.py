@@ -1,11 +1,13 @@
 """Distances between two sets of draws: energy distance, MMD, sliced Wasserstein, W1 of one
 coordinate.
 
-Draws `(n, c)` and `(m, c)`; coordinates are divided by the exact draws' standard deviation first
-(`standardised`)."""
+Draws `(n, c)` and `(m, c)`; coordinates are divided by a standard deviation first (`in_spreads`),
+that of the exact draws where nothing else is said."""
 
 import numpy as np
 from scipy.spatial.distance import cdist
+
+from poseterior.inference.studies.comparison.mixing import CONSTANT
 
 MILLIMETRES = 350.0
 """One body unit, the mean limb length, of a person of 1.7 m: 0.206 of the stature (Drillis &
@@ -15,15 +17,12 @@ MOST_PROJECTED = 20_000
 """Draws of either side in a sliced Wasserstein distance at most, taken evenly."""
 
 
-def standardised(draws: np.ndarray, exact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both, shifted and divided by the exact draws' mean and standard deviation; constant
-    coordinates are left out."""
-    spread = exact.std(axis=0)
-    varies = spread > 1e-12
-    centre = exact.mean(axis=0)[varies]
-    return (draws[:, varies] - centre) / spread[varies], (exact[:, varies] - centre) / spread[
-        varies
-    ]
+def in_spreads(
+    draws: np.ndarray, exact: np.ndarray, spread: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both, divided by a `spread` `(c,)`; constant coordinates are left out."""
+    varies = spread > CONSTANT
+    return draws[:, varies] / spread[varies], exact[:, varies] / spread[varies]
 
 
 def pairwise(draws: np.ndarray, exact: np.ndarray) -> np.ndarray:
@@ -65,9 +64,8 @@ def wasserstein(one: np.ndarray, other: np.ndarray, points: int = 512) -> np.nda
 def sliced_wasserstein(draws: np.ndarray, exact: np.ndarray, seed: int = 0) -> float:
     """Mean W1 along random directions, in standard deviations of the exact draws (Bonneel et al.
     2015)."""
-    one, other = standardised(
-        *(part[:: -(-len(part) // MOST_PROJECTED)] for part in (draws, exact))
-    )
+    draws, exact = (part[:: -(-len(part) // MOST_PROJECTED)] for part in (draws, exact))
+    one, other = in_spreads(draws, exact, exact.std(axis=0))
     directions = np.random.default_rng(seed).normal(size=(one.shape[1], DIRECTIONS))
     directions /= np.linalg.norm(directions, axis=0)
     return float(wasserstein(one @ directions, other @ directions).mean())

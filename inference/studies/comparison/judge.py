@@ -31,6 +31,7 @@ from poseterior.inference.studies.comparison.permutation import (
 from poseterior.inference.studies.comparison.power import SmallestSeen, seen
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate
 from poseterior.inference.studies.comparison.sample import NAMES, Sample
+from poseterior.inference.studies.intervals import permuted
 
 JUDGE_LEVEL = 0.01
 """Chance that a sampler without fault is said to differ."""
@@ -44,14 +45,22 @@ DIFFERS, AGREES, UNMIXED, CANNOT_TELL = "differs", "agrees", "unmixed", "cannot 
 
 
 class Test(NamedTuple):
-    """One test: its statistic, the p-value, the effective number of draws behind it, and what it
-    takes for granted."""
+    """One test: its statistic, the p-value, the effective number of draws behind it, what it takes
+    for granted, and how many permutations the p-value is from, where it is from any."""
 
     name: str
     statistic: float
     p_value: float
     size: float
     assumption: str
+    permutations: int = 0
+
+    @property
+    def p_words(self) -> str:
+        """The p-value in words."""
+        if self.permutations:
+            return permuted(self.p_value, self.permutations)
+        return f"= {self.p_value:.2g}"
 
 
 class Judgement(NamedTuple):
@@ -190,8 +199,10 @@ def _tests(
     lengths = thinned.lengths
     rest = slice(lengths.stop, None)
     independent = "thinned draws are independent"
-    permuted = permutation_tests(draws, known, rng, permutations)
-    tests = [Test(name, *permuted[name], number, independent) for name in permuted]
+    tests = [
+        Test(name, *found, number, independent, permutations)
+        for name, found in permutation_tests(draws, known, rng, permutations).items()
+    ]
     for name, part in (("ranks of lengths", lengths), ("ranks of joints", rest)):
         tests.append(
             Test(
@@ -253,7 +264,7 @@ def _verdict(
         worse and worse[0].p_value * len(worse) < level
     ):  # Holm's first step decides whether anything differs
         test = worse[0]
-        return DIFFERS, f"{test.name}: p = {test.p_value:.2g} of {len(worse)} tests{_missed(found)}"
+        return DIFFERS, f"{test.name}: p {test.p_words} of {len(worse)} tests{_missed(found)}"
     if worst < FEWEST_EFFECTIVE_DRAWS:
         return (
             CANNOT_TELL,

@@ -8,8 +8,12 @@ import numpy as np
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
-from poseterior.inference.studies.comparison.distances import energy, mmd, pairwise
-from poseterior.inference.studies.comparison.mixing import CONSTANT
+from poseterior.inference.studies.comparison.distances import (
+    energy,
+    in_spreads,
+    mmd,
+    pairwise,
+)
 
 PERMUTATIONS = 999
 MOST_PERMUTED = 2000
@@ -19,8 +23,12 @@ MOST_PERMUTED = 2000
 def permutation_tests(
     draws: np.ndarray, exact: np.ndarray, rng: np.random.Generator, permutations: int = PERMUTATIONS
 ) -> dict[str, tuple[float, float]]:
-    """By name ("energy", "mmd"): the statistic and its p-value, for draws `(n, c)` and `(m, c)`."""
-    one, other = _alike(_some(draws, rng), _some(exact, rng))
+    """By name ("energy", "mmd"): the statistic and its p-value, for draws `(n, c)` and `(m, c)`.
+
+    Both are divided by the standard deviation of both together, which does not know whose is whose:
+    of one side alone, permutations would be no equals of what was observed."""
+    one, other = _some(draws, rng), _some(exact, rng)
+    one, other = in_spreads(one, other, np.concatenate([one, other]).std(axis=0))
     distance = pairwise(one, other)
     labels = np.arange(len(distance)) < len(one)
     shuffled = np.stack([labels, *(rng.permutation(labels) for _ in range(permutations))])
@@ -52,15 +60,6 @@ def classifier_test(
     right = int(np.sum(found == labels[held_out]))
     # Guessing the commoner label of the other half cannot help: it is the rarer one here.
     return right / len(held_out), float(stats.binom.sf(right - 1, len(held_out), 0.5))
-
-
-def _alike(draws: np.ndarray, exact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both, divided by the standard deviation of both together, which does not know whose is whose:
-    of one side alone, permutations would be no equals of what was observed. Constant coordinates
-    are left out."""
-    spread = np.concatenate([draws, exact]).std(axis=0)
-    varies = spread > CONSTANT
-    return draws[:, varies] / spread[varies], exact[:, varies] / spread[varies]
 
 
 def _some(draws: np.ndarray, rng: np.random.Generator, most: int = MOST_PERMUTED) -> np.ndarray:

@@ -87,13 +87,13 @@ class Pairs:
     def take(self, rows: np.ndarray) -> "Pairs":
         """Some of the people."""
         return Pairs(
-            self.name,
-            self.detected[rows],
-            self.truth[rows],
-            self.doubt[rows],
-            self.score[rows],
-            self.recording[rows],
-            self.placed,
+            name=self.name,
+            detected=self.detected[rows],
+            truth=self.truth[rows],
+            doubt=self.doubt[rows],
+            score=self.score[rows],
+            recording=self.recording[rows],
+            placed=self.placed,
         )
 
     @cached_property

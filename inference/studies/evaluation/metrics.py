@@ -15,12 +15,6 @@ FARTHEST = 300.0
 """mm: where the area under the curve of correct poses ends."""
 
 
-def best_per_pose(errors: ArrayLike) -> np.ndarray:
-    """`(N,)`: of each pose the least mean joint error among its hypotheses, `errors` `(N, k, 15)`
-    (the paper's)."""
-    return np.nanmean(np.asarray(errors), axis=-1).min(axis=-1)
-
-
 def best_per_batch(errors: ArrayLike) -> float:
     """Of `errors` `(N, k, 15)` the least mean over all poses of the hypotheses of one rank: one
     choice for all poses, which needs no truth of a single one (D3DP's P-Best)."""

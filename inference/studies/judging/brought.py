@@ -104,13 +104,13 @@ class Brought:
             )
         _require_truths(known, named)
         return cls(
-            table,
-            known,
-            named,
-            _log_weights(weights, log_weights, (instances, number)),
-            _log_density(log_density, (instances, number)),
-            checked(_named_columns(covariates), instances),
-            tuple(circular),
+            draws=table,
+            truth=known,
+            names=named,
+            log_weights=_log_weights(weights, log_weights, (instances, number)),
+            log_density=_log_density(log_density, (instances, number)),
+            covariates=checked(_named_columns(covariates), instances),
+            circular=tuple(circular),
         )
 
     def __len__(self) -> int:
@@ -156,10 +156,12 @@ class Brought:
 
     def _copies(self, index: int) -> float:
         draws = np.asarray(self.draws[index], float)
+        if self.log_weights is not None:
+            draws = draws[counting(self.log_weights[index])]
         steps = [len(np.unique(column)) <= np.sqrt(len(column)) for column in draws.T]
         if all(steps):  # discrete quantities have to repeat
             return 0.0
-        return 1 - len(np.unique(draws, axis=0)) / len(draws)
+        return 1 - len(np.unique(draws, axis=0)) / max(len(draws), 1)
 
 
 def _columns(given: Any, leading: int) -> tuple[Any, list[str] | None]:

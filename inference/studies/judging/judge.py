@@ -231,9 +231,18 @@ def judge_levels(
         else:
             sentence = f"{sentence}. Where: {local.sentence}"
     elif local is not None:
-        sentence = f"{sentence}; no part of the instances differs (p = {local.p_value:.2g})"
+        sentence = f"{sentence}; no part of the instances differs (p {local.p_words})"
     effective = np.full(level.sizes["simulation"], np.nan)
-    return Judged(level, calibration, local, map_, effective, verdict, sentence, tuple(notes))
+    return Judged(
+        level=level,
+        calibration=calibration,
+        local=local,
+        map=map_,
+        effective=effective,
+        verdict=verdict,
+        sentence=sentence,
+        notes=tuple(notes),
+    )
 
 
 def _levels(brought: Brought, seed: int) -> tuple[xr.DataArray, np.ndarray, list[str]]:

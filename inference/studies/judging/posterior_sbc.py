@@ -2,6 +2,7 @@
 (Säilynoja, Schmitt, Bürkner & Vehtari 2025, arXiv 2502.03279).
 
     found = posterior_sbc(program, {"y": y})          # a NumPyro model, by NUTS
+    found = posterior_sbc(PoseModel.paper(), detection)     # a sampler of poses (`seen_again`)
 
 Draws of the posterior take the place of the prior's: each is a truth, data are simulated of it once
 more, and its rank among draws of the posterior of both data is uniform if the sampler is right
@@ -14,13 +15,19 @@ from typing import Any
 import jax
 import numpy as np
 
+from poseterior.inference.baselines.catalogue import BaselineSampler
+from poseterior.inference.draws import Sampler, key_of
+from poseterior.inference.sampler import estimated, sampler_of
 from poseterior.inference.studies.judging.brought import Brought
 from poseterior.inference.studies.judging.judge import Judged, judge_brought
+from poseterior.inference.studies.judging.seen_again import seen_again
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.model import PoseModel
+from poseterior.probmodel.root_priors import UNCERTAIN
 
 NUM_REPLICATES = 100
 SAMPLED = 500
-"""Draws of a replicate, of a NumPyro model."""
+"""Draws of a replicate."""
 WARM_UP = 500
 Program = Callable[[Mapping[str, Any] | None], None]
 """A NumPyro program that is given the data of a replicate, or none."""
@@ -31,8 +38,9 @@ ProgramSampler = Callable[[Program, jax.Array, Mapping[str, Any] | None], Mappin
 def posterior_sbc(
     model: Any,
     data: Any,
-    sampler: ProgramSampler | None = None,
+    sampler: ProgramSampler | Sampler | str | None = None,
     *,
+    root: str = UNCERTAIN,
     seed: int = 0,
     num_replicates: int = NUM_REPLICATES,
     num_samples: int | None = None,
@@ -42,18 +50,22 @@ def posterior_sbc(
     Parameters
     ----------
     model
-        A NumPyro model without arguments, whose observed sites are those of `data`.
+        A NumPyro model without arguments, whose observed sites are those of `data`; or a
+        `PoseModel`.
     data
-        What was observed, by site.
+        What was observed, by site; for a `PoseModel` a `Detection`, or an `Estimate` of one.
     sampler
         A function `(program, key, replicate)`: draws from `program(replicate)` by site, independent
-        ones; NUTS, thinned, if none is given.
+        ones; NUTS, thinned, if none is given. For a `PoseModel` the name of a sampler, or a
+        `Sampler`, whose draws are no chains; that of `sample` if none is given.
+    root
+        For a `PoseModel` the prior of torso and camera, as of `sample`.
     seed
         Of everything.
     num_replicates
         How many truths; at least 20.
     num_samples
-        Draws for each.
+        Draws for each, 500 by default.
 
     Returns
     -------
@@ -63,15 +75,32 @@ def posterior_sbc(
     Raises
     ------
     BadInput
-        On fewer replicates, and on data that the model does not know.
+        On fewer replicates, on data that the model does not know, on a sampler that draws chains
+        of poses, or fewer independent draws than there are replicates.
     """
     if num_replicates < 1:
         raise BadInput(f"the number of replicates must be at least 1, not {num_replicates}")
-    draw = _nuts(num_samples or SAMPLED) if sampler is None else sampler
+    number = num_samples or SAMPLED
+    if isinstance(model, PoseModel):
+        posterior = estimated(data).posterior(model, root)
+        given = _independent(sampler, root), key_of(seed), num_replicates, number
+        return judge_brought(seen_again(posterior, *given), seed=seed)
+    draw = _nuts(number) if sampler is None else sampler
     if not callable(draw):
         raise BadInput("the sampler of a NumPyro model is a function, not a name")
     brought = _of_program(model, data, draw, seed, num_replicates)
     return judge_brought(brought, seed=seed)
+
+
+def _independent(sampler: Any, root: str) -> Sampler:
+    """A sampler of poses, itself or by its name. Raises `BadInput` where it draws chains."""
+    found = sampler if isinstance(sampler, Sampler) else sampler_of(root, sampler)
+    if isinstance(found, BaselineSampler):
+        raise BadInput(
+            f"{found.name} draws chains, and ranks need independent draws; judge a sampler that"
+            " draws none, or bring thinned draws to judge_coverage"
+        )
+    return found
 
 
 def _of_program(

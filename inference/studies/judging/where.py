@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 from scipy import stats
 
-from poseterior.inference.studies.intervals import Interval
+from poseterior.inference.studies.intervals import Interval, permuted
 from poseterior.probmodel.failures import BadInput
 
 PERMUTATIONS = 999
@@ -54,8 +54,8 @@ class Locally(NamedTuple):
 
     Attributes
     ----------
-    p_value
-        Of all leaves and quantities together.
+    p_value, p_words
+        Of all leaves and quantities together, by permutations; the same in words.
     leaf
         The part of the instances that deviates most.
     quantity
@@ -67,6 +67,7 @@ class Locally(NamedTuple):
     """
 
     p_value: float
+    p_words: str
     leaf: Leaf
     quantity: str
     covered: Interval
@@ -105,7 +106,18 @@ def locally(
     quantity = column % values.shape[1]
     name = str(levels.quantity.values[quantity])
     sided = column < values.shape[1]
-    return _told(float(p_value), leaves[row], name, values[:, quantity], sided)
+    words = permuted(float(p_value), len(largest))
+    covered, elsewhere, said = _told(leaves[row], values[:, quantity], sided)
+    sentence = f"{name}: {said} (p {words} over all parts and quantities)"
+    return Locally(
+        p_value=float(p_value),
+        p_words=words,
+        leaf=leaves[row],
+        quantity=name,
+        covered=covered,
+        elsewhere=elsewhere,
+        sentence=sentence,
+    )
 
 
 def checked(covariates: Columns, size: int) -> dict[str, np.ndarray]:
@@ -224,7 +236,8 @@ def central(levels: np.ndarray, nominal: float) -> np.ndarray:
     return np.abs(2 * levels - 1) <= nominal
 
 
-def _told(p_value: float, leaf: Leaf, quantity: str, levels: np.ndarray, sided: bool) -> Locally:
+def _told(leaf: Leaf, levels: np.ndarray, sided: bool) -> tuple[Interval, Interval, str]:
+    """What intervals of 50 % hold in a leaf, and elsewhere; and what deviates there, in words."""
     here = levels[leaf.inside]
     there = levels[~leaf.inside]
     covered = share_held(central(here, 0.5))
@@ -242,8 +255,7 @@ def _told(p_value: float, leaf: Leaf, quantity: str, levels: np.ndarray, sided: 
             f"50 % intervals hold {_percent(covered)} of {len(here)} instances where {leaf.words},"
             f" {elsewhere.value:.0%} elsewhere: {width} there"
         )
-    sentence = f"{quantity}: {said} (p = {p_value:.2g} over all parts and quantities)"
-    return Locally(p_value, leaf, quantity, covered, elsewhere, sentence)
+    return covered, elsewhere, said
 
 
 def _percent(share: Interval) -> str:

@@ -46,6 +46,7 @@ def bodies(model: PoseModel, number: int, seed: int) -> tuple[WorldPoint, object
         turns,
         rng.normal(math.log(MEDIAN_SIZE), SIZE_SD, number),
         CENTRE + WANDER * rng.standard_normal((number, 3)),
+        np.zeros((number, 0, 2)),
     )
     views = np.einsum("nab,njb->nja", turns, np.asarray(model.torsos)[points.torso])
     joints = np.asarray(model.joints(views, *poses))

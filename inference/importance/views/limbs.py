@@ -30,7 +30,7 @@ from poseterior.probmodel.kinematics import lower_axes, upper_axes
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.programs import kept
 from poseterior.probmodel.root_priors import WorldPrior
-from poseterior.probmodel.roots import WorldPoint
+from poseterior.probmodel.roots import WorldPoint, WorldRoot
 from poseterior.probmodel.skeleton import LOWER_BONES, NUM_LOWER, TORSO_INDEX, UPPER_BONES
 
 PER_LIMB = 32
@@ -84,12 +84,11 @@ class TorsoInWorld(NamedTuple):
     place: jax.Array
 
 
-def body_of(prior: WorldPrior, point: WorldPoint) -> TorsoInWorld:
+def body_of(root: WorldRoot) -> TorsoInWorld:
     """That of one root."""
-    root = prior.root(point)
-    view = root.view
-    size = jnp.asarray(root.camera.size)
-    return TorsoInWorld(root.camera.world(view), upper_axes(view), size, jnp.asarray(point.place))
+    view, camera = root.view, root.camera
+    size, place = jnp.asarray(camera.size), jnp.asarray(camera.place)
+    return TorsoInWorld(camera.world(view), upper_axes(view), size, place)
 
 
 def _targets(judge: ViewJudge, sights: Sights, body: TorsoInWorld, alone: jax.Array) -> SeenJoint:
@@ -229,16 +228,16 @@ def weigh_bodies(
     """
     from poseterior.probmodel.anatomy.lengths import BoneLength
 
-    judge = ViewJudge.of(prior.rig, detected)
+    every = ViewJudge.of(prior.rig, detected)
     key = jax.random.wrap_key_data(jnp.asarray(words))
 
     def one(
         number: jax.Array, point: WorldPoint, length: jax.Array, exchange: jax.Array
     ) -> tuple[jax.Array, tuple]:
         own = jax.random.fold_in(key, number)
-        sights = sights_of(detected, faulty, exchange)
-        body = body_of(prior, point)
-        options = judge.torso_options(sights, body.torso, body.size, exchange)
+        sights, root = sights_of(detected, faulty, exchange), prior.root(point)
+        judge, body = every._replace(rig=root.camera.rig), body_of(root)
+        options = judge.torso_options(sights, sights.sought(root), body.size, exchange)
         log_torso = prior.log_density(point) + log_exchange(faulty, exchange)
         log_torso += BoneLength(model.lengths, validate_args=False).log_prob(length)
         log_torso += jnp.sum(jax.nn.logsumexp(options, axis=1))

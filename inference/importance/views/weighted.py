@@ -235,6 +235,7 @@ def _in_the_world(camera: Pinhole, points: RootPoint, rng: np.random.Generator) 
         camera.rotation.T @ points.rotation,
         log_size,
         placed @ camera.rotation + camera.centre,
+        np.zeros((len(depth), 0, 2)),
     )
 
 

@@ -258,7 +258,7 @@ def _limbs(
     sights: Sights,
 ) -> Proposals:
     """Proposals `(5, P)` for the limbs of one body, the head first."""
-    view_key, chain_key, head_key = jax.random.split(key, 3)
+    view_key, chain_key, head_key, order_key = jax.random.split(key, 4)
     every = _targets(judge, sights, body, jax.random.uniform(view_key, (sights.counts.shape[1],)))
     upper = [_upper_bone(model, body, every, row) for row in range(len(UPPER_BONES))]
     chained = jax.tree.map(lambda *rows: jnp.stack(rows), *upper[1:])
@@ -267,23 +267,45 @@ def _limbs(
     below = LowerReach(model.hinges, reference, jnp.asarray(model.limits.fallback), target)
 
     def chain(
-        uniforms: jax.Array, bone: UpperReach, below: LowerReach, lengths: jax.Array
+        uniforms: jax.Array,
+        offset: jax.Array,
+        bone: UpperReach,
+        below: LowerReach,
+        lengths: jax.Array,
     ) -> Proposals:
-        local, elbow, of_upper = _upper(uniforms[0], judge, body, bone, lengths[0])
-        both = lengths[1], body.size
-        lower, of_lower = _lower(uniforms[1], judge, bone, below, (local, elbow), both)
-        weight = jnp.where(jnp.isneginf(of_upper), -jnp.inf, of_upper + of_lower)
-        return Proposals(weight, local, lower)
+        *found, of_upper = jax.vmap(_upper, (0, None, None, None, None))(
+            uniforms[:, 0], judge, body, bone, lengths[0]
+        )
+        level, rows = _resampled(of_upper, offset)
+        elbows = tuple(part[rows] for part in found)
+        lower, of_lower = jax.vmap(_lower, (0, None, None, None, 0, None))(
+            uniforms[:, 1], judge, bone, below, elbows, (lengths[1], body.size)
+        )
+        weight = jnp.where(jnp.isneginf(level), -jnp.inf, level + of_lower)
+        return Proposals(weight, elbows[0], lower)
 
     def head(uniforms: jax.Array) -> Proposals:
         local, _, weight = _upper(uniforms, judge, body, upper[0], body.size * length[HEAD_LENGTH])
         return Proposals(weight, local, local)
 
     numbers = jax.random.uniform(chain_key, (NUM_LOWER, PER_LIMB, 2, UNIFORMS))
+    offsets = jax.random.uniform(order_key, (NUM_LOWER,))
     lengths = body.size * length[jnp.array(CHAIN_LENGTHS)]
-    chains = jax.vmap(jax.vmap(chain, (0, None, None, None)))(numbers, chained, below, lengths)
+    chains = jax.vmap(chain)(numbers, offsets, chained, below, lengths)
     heads = jax.vmap(head)(jax.random.uniform(head_key, (PER_LIMB, UNIFORMS)))
     return jax.tree.map(lambda one, many: jnp.concatenate([one[None], many]), heads, chains)
+
+
+def _resampled(log_weight: jax.Array, offset: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Log of the mean weight `()`, and as many rows, each as often as its share of the weights
+    `(P,)` says, rounded by one `offset` for all (systematic): what comes of the rows, times the
+    mean, is without bias."""
+    level = jax.nn.logsumexp(log_weight)
+    share = jnp.exp(log_weight - jnp.where(jnp.isneginf(level), 0.0, level))
+    number = len(log_weight)
+    points = (jnp.arange(number) + offset) / number
+    rows = jnp.sum(jnp.cumsum(share)[None, :-1] < points[:, None], axis=1)
+    return level - jnp.log(number), rows
 
 
 def _upper_bone(model: PoseModel, body: TorsoInWorld, every: SeenJoint, row: int) -> UpperReach:

@@ -331,9 +331,7 @@ class _Fit:
         slope, off = zip(*parts, strict=True)
         return np.concatenate(slope, axis=1), np.concatenate(off, axis=1)
 
-    def _seen(
-        self, index: int, body: WorldBodies, world: np.ndarray, moves: np.ndarray
-    ) -> "_Part":
+    def _seen(self, index: int, body: WorldBodies, world: np.ndarray, moves: np.ndarray) -> "_Part":
         """What one camera sees."""
         camera, spread, size = self.cameras[index], self.spread[index], np.exp(body.point.log_size)
         if (beside := self.defined[index]) is not None:

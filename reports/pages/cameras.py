@@ -1,0 +1,355 @@
+"""One body from two or three calibrated cameras, judged by those left out, and faults planted in one
+of four views: writes reports/cameras.md.
+
+    python -m poseterior.reports.pages.cameras ../shared/data work
+
+The law and how far cameras point beside their calibration are learned from the other half of the
+film. `work` keeps what is judged, and a run that was stopped goes on there.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+
+from poseterior.inference.draws import Draws
+from poseterior.inference.importance.views.weighted import WeightedViews
+from poseterior.inference.studies.intervals import TAIL, Interval, of_share
+from poseterior.probmodel import DetectorErrors, Likelihood, PoseModel
+from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, ORDERS
+from poseterior.probmodel.instant import CameraView, Instant
+from poseterior.probmodel.sessions import Session
+from poseterior.probmodel.sessions.session import HIPS, joints_seen
+from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
+from poseterior.reports.pages.filmed import PARTS, Film, film, learn_as
+from poseterior.reports.pages.honest import STRETCH
+from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
+from poseterior.reports.tables import Column, Sheet, sheet_of
+
+JUDGED_FRAMES, FAULTY_FRAMES = 4, 10
+"""Instants of the film that are judged by every set of cameras, and that get each fault."""
+JUDGED_DRAWS, JUDGED_ROOTS = 1000, 800
+MOVED = 0.5
+"""Body units by which a wrist's keypoint is moved."""
+LIKELY = 0.5
+"""Probability above which a fault counts as found."""
+OURS, TRIANGULATED = WAYS = "posterior", "triangulation"
+SETS = [*itertools.combinations(range(4), 2), *itertools.combinations(range(4), 3)]
+WRIST = JOINT_INDEX["right_wrist"]
+NOTHING, MOVED_WRIST, EXCHANGED_LEGS = PLANTED = ("nothing", "a wrist moved", "legs exchanged")
+
+
+class Beliefs(NamedTuple):
+    """What is learned from the other half of the film: how detections err, in which the outliers
+    and exchanges are those of the embedded law; how far cameras point beside their calibration,
+    degrees; and mm by which a joint's detection strays, `(15,)`."""
+
+    likelihood: Likelihood
+    pointing: float
+    stray: np.ndarray
+
+
+class CameraStanding(NamedTuple):
+    """Of the limbs' joints, by axis `(8, A)`: the share of draws below the truth, whose errors they
+    are given, the error of the mean, and the width of the draws' 95 % intervals, mm."""
+
+    level: np.ndarray
+    error: np.ndarray
+    width: np.ndarray
+
+
+def beliefs(seen: Film) -> list[Beliefs]:
+    """By part of the film, from the rest of it."""
+    default = Likelihood.of(DetectorErrors.default())
+    found = []
+    for part in range(PARTS):
+        rest = seen.unseen(part)
+        learned = Likelihood.of(learn_as(rest, perspective=True).errors)
+        law = dataclasses.replace(learned, faults=default.faults)
+        found.append(Beliefs(law, rest.pointing, rest.stray))
+    return found
+
+
+def frames_of(session: Session, number: int) -> list[int]:
+    """So many rows, evenly over the film."""
+    return np.linspace(0, len(session) - 1, number).round().astype(int).tolist()
+
+
+def draws_of(
+    model: PoseModel, session: Session, row: int, cameras: Sequence[int], given: Beliefs
+) -> np.ndarray:
+    """`(n, 15, 3)`: joints in the world, mm."""
+    instant = session.instant(session.numbers[row], cameras).judged_by(given.likelihood)
+    draws = drawn_of(model, dataclasses.replace(instant, pointing=given.pointing), row)
+    size = np.exp(draws.points.log_size)[:, None, None]
+    return np.asarray(draws.points.place)[:, None] + size * np.asarray(draws.joints)
+
+
+def drawn_of(model: PoseModel, instant: Instant, seed: int) -> Draws:
+    """Draws of an instant."""
+    return WeightedViews(num_roots=JUDGED_ROOTS).draw(
+        instant.posterior(model), jax.random.key(seed), JUDGED_DRAWS
+    )
+
+
+def triangulated(
+    session: Session, row: int, cameras: Sequence[int], given: Beliefs
+) -> tuple[np.ndarray, np.ndarray]:
+    """Joints `(15, 3)` by some cameras, mm, and the covariances `(15, 3, 3)` that go with them."""
+    views = [session.straight[one] for one in cameras]
+    rows = list(cameras)
+    seen = joints_seen(views, session.keypoints[rows][:, [row]], session.score[rows][:, [row]])
+    return seen.points[0], seen.covariance[0] * given.stray[:, None, None] ** 2
+
+
+def true_errors(
+    session: Session, row: int, others: Sequence[int], given: Beliefs, rng: np.random.Generator
+) -> np.ndarray:
+    """`(n, 15, 2 or 3)` mm: errors that the truth may have, for detections that stray, and cameras
+    that point, as is believed: of what several others triangulate, or of one other's detections."""
+    rows = list(others)
+    views = [session.straight[one] for one in others]
+    scale = session.scale[rows, row][:, None, None, None]
+    size = len(rows), JUDGED_DRAWS
+    strays = given.stray[:, None] * rng.standard_normal((*size, 15, 2)) * scale
+    focal = np.array([view.focal[0] for view in views])[:, None, None, None]
+    point = np.tan(np.radians(given.pointing)) * focal * rng.standard_normal((*size, 1, 2))
+    if len(rows) == 1:
+        return ((strays + point) / scale)[0]
+    xy, score = session.keypoints[rows][:, [row]], session.score[rows][:, [row]]
+    many = np.repeat(score, JUDGED_DRAWS, axis=1)
+    moved = joints_seen(views, xy + strays + point, many).points
+    return moved - joints_seen(views, xy, score).points
+
+
+def judged(
+    session: Session, row: int, cameras: Sequence[int], draws: np.ndarray, given: Beliefs
+) -> CameraStanding:
+    """Draws of joints `(n, 15, 3)` of the world by some cameras beside what the others say, rooted
+    at the hips' midpoint: in space, the axis of which these cameras say least first, or in the
+    image of the only other one, mm where the person is."""
+    others = [one for one in range(len(session.cameras)) if one not in cameras]
+    rng = np.random.default_rng([row, *cameras])
+    errors = true_errors(session, row, others, given, rng)
+    if len(others) == 1:
+        (one,) = others
+        scale = session.scale[one, row]
+        truth = session.keypoints[one, row] / scale
+        points = session.straight[one].project(draws) / scale
+    else:
+        _, doubt = triangulated(session, row, cameras, given)
+        _, axes = np.linalg.eigh(doubt[HIPS].mean(axis=0))
+        axes = axes[:, ::-1]
+        truth = triangulated(session, row, others, given)[0] @ axes
+        points, errors = draws @ axes, errors @ axes
+    truth, points, errors = (
+        (one - one[..., HIPS, :].mean(axis=-2, keepdims=True))[..., LIMB_JOINTS, :]
+        for one in (truth, points, errors)
+    )
+    low, high = np.quantile(points, [TAIL, 1 - TAIL], axis=0)
+    level = (points + errors < truth).mean(axis=0)
+    return CameraStanding(level, np.abs(points.mean(axis=0) - truth), high - low)
+
+
+def judge_set(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict[str, Any]:
+    """By way, the standings of some cameras, lists of rows."""
+    model, session = PoseModel(), seen.session
+    rows = frames_of(session, JUDGED_FRAMES)
+    found: dict[str, list[Any]] = {way: [] for way in WAYS} | {"rows": rows}
+    for row in rows:
+        own = given[seen.part_of(row)]
+        rng = np.random.default_rng([row, len(cameras)])
+        mean, doubt = triangulated(session, row, cameras, own)
+        factor = np.linalg.cholesky(doubt)
+        normal = rng.standard_normal((JUDGED_DRAWS, 15, 3))
+        draws = {
+            OURS: draws_of(model, session, row, cameras, own),
+            TRIANGULATED: mean + np.einsum("jab,njb->nja", factor, normal),
+        }
+        for way, joints in draws.items():
+            standing = judged(session, row, cameras, joints, own)
+            found[way].append([part.tolist() for part in standing])
+    return found
+
+
+def planted(view: CameraView, kind: str, unit: float) -> CameraView:
+    """A view with a fault; `unit` pixels are a body unit there."""
+    person = view.detection
+    keypoints = person.keypoints.copy()
+    if kind == MOVED_WRIST:
+        keypoints[WRIST, 0] += MOVED * unit
+    if kind == EXCHANGED_LEGS:
+        keypoints = keypoints[ORDERS[EXCHANGE_INDEX["legs"]]]
+    return dataclasses.replace(view, detection=dataclasses.replace(person, keypoints=keypoints))
+
+
+def find_faults(seen: Film, given: list[Beliefs], kind: str) -> list[Any]:
+    """For each instant the outliers' probabilities `(4, 15)`, those of exchanged legs `(4,)`, and
+    the view with the fault."""
+    model, session, found = PoseModel(), seen.session, []
+    for number, row in enumerate(frames_of(session, FAULTY_FRAMES)):
+        own, view = given[seen.part_of(row)], number % len(session.cameras)
+        instant = session.instant(session.numbers[row]).judged_by(own.likelihood)
+        views = list(instant.views)
+        views[view] = planted(views[view], kind, session.unit * session.scale[view, row])
+        wrong = Instant(instant.source, tuple(views), own.pointing)
+        faults = drawn_of(model, wrong, row).faults
+        legs = np.asarray(faults.exchange) == EXCHANGE_INDEX["legs"]
+        outlier = np.asarray(faults.outlier).mean(axis=0)
+        found.append([outlier.tolist(), legs.mean(axis=0).tolist(), view])
+    return found
+
+
+def standings(found: dict[str, Any], way: str) -> CameraStanding:
+    """Of one way, with an axis for frames first."""
+    parts = zip(*found[way], strict=True)
+    return CameraStanding(*(np.array(list(part)) for part in parts))
+
+
+def covered(level: np.ndarray, rows: Sequence[int], within: float) -> Interval:
+    """How often central intervals hold the truth, by the levels `(n, ...)` of frames."""
+    held = np.abs(level - 0.5) < within / 2
+    return of_share(held.reshape(len(held), -1), np.array(rows) // STRETCH)
+
+
+def _share(one: Interval) -> str:
+    return f"{100 * one.value:.0f} ({100 * one.low:.0f}–{100 * one.high:.0f})"
+
+
+def _median(values: np.ndarray) -> str:
+    return f"{np.median(values):.0f}"
+
+
+DEPTH, SIDE, ALL = slice(0, 1), slice(1, None), slice(None)
+
+
+def set_table(
+    found: dict[str, dict[str, Any]], sets: Sequence[str], axes: dict[str, slice]
+) -> Sheet:
+    """Coverage, errors and widths of every set of cameras, by way."""
+    columns = [Column("cameras", left=True), Column("way", left=True)]
+    for name in axes:
+        columns += [Column(f"{name}: 50 %"), Column(f"{name}: 95 %")]
+        columns += [Column(f"{name}: error"), Column(f"{name}: width")]
+    rows = []
+    for cameras in sets:
+        for way in WAYS:
+            one, cells = standings(found[cameras], way), []
+            for axis in axes.values():
+                given = one.level[..., axis], found[cameras]["rows"]
+                cells += [_share(covered(*given, within)) for within in (0.5, 0.95)]
+                cells += [_median(part[..., axis]) for part in (one.error, one.width)]
+            rows.append([cameras, way, *cells])
+    return sheet_of(columns, rows)
+
+
+def pooled(found: dict[str, dict[str, Any]], sets: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """All of some sets together, frame by frame."""
+    whole: dict[str, Any] = {"rows": found[sets[0]]["rows"]}
+    for way in WAYS:
+        parts = [np.array(found[cameras][way]) for cameras in sets]
+        whole[way] = np.concatenate(parts, axis=2).tolist()
+    return {"all": whole}
+
+
+def fault_table(found: dict[str, list[Any]]) -> Sheet:
+    """How often faults are found, and where there are none."""
+    rows = []
+    for kind, cases in found.items():
+        outliers, legs, views = (np.array(list(part)) for part in zip(*cases, strict=True))
+        alarms = {MOVED_WRIST: outliers > LIKELY, EXCHANGED_LEGS: legs > LIKELY}
+        hit = ""
+        if kind != NOTHING:
+            place = (np.arange(len(cases)), views, WRIST)[: alarms[kind].ndim]
+            hit = f"{100 * alarms[kind][place].mean():.0f} %"
+            alarms[kind][place] = False
+        false = [f"{100 * alarm.mean():.2f} %" for alarm in alarms.values()]
+        rows.append([kind, hit, *false, len(cases)])
+    head = ["planted in one view of four", "found", "other keypoints called outliers"]
+    head += ["other views' legs called exchanged", "instants"]
+    return sheet_of([Column(head[0], left=True), *map(Column, head[1:])], rows)
+
+
+def coverage_of_sets(found: dict[str, dict[str, Any]]) -> Figure:
+    """Coverage and errors of every set of cameras, by way."""
+    figure = page(10.5, 4.4)
+    left, right = figure.subplots(1, 2, sharey=True)
+    left.axvspan(92, 98, color=FAINT, alpha=0.2, lw=0)
+    left.axvline(95, color=INK, lw=0.6)
+    for number, way in enumerate(WAYS):
+        for row, one in enumerate(found.values()):
+            standing = standings(one, way)
+            share = covered(standing.level, one["rows"], 1 - 2 * TAIL)
+            place, colour = row + 0.25 * (number - 0.5), PALETTE[number]
+            label = way if not row else None
+            left.plot([100 * share.low, 100 * share.high], [place] * 2, color=colour, lw=1.4)
+            left.plot(100 * share.value, place, "o", ms=4, color=colour, label=label)
+            right.plot(np.median(standing.error), place, "o", ms=4, color=colour)
+    left.set_yticks(range(len(found)), [f"cameras {name}" for name in found])
+    left.set_ylim(len(found) - 0.5, -0.5)
+    left.set_xlabel("95 % intervals that hold the truth, %", fontsize=TEXT)
+    right.set_xlabel("error of the mean, each axis, mm (median)", fontsize=TEXT)
+    for axis in (left, right):
+        axis.tick_params(labelsize=SMALL)
+        tidy(axis)
+    left.legend(frameon=False, fontsize=SMALL)
+    return figure
+
+
+def named(cameras: Sequence[int]) -> str:
+    """As a user counts them."""
+    return ", ".join(str(one + 1) for one in cameras)
+
+
+def judge_all(
+    seen: Film, given: list[Beliefs], work: Path
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What every set of cameras is worth, and which planted faults are found."""
+    sets = {
+        named(one): kept_json(
+            work / f"cameras-{''.join(map(str, one))}.json", judge_set, seen, given, one
+        )
+        for one in SETS
+    }
+    faults = {
+        kind: kept_json(
+            work / f"faults-{kind.replace(' ', '-')}.json", find_faults, seen, given, kind
+        )
+        for kind in PLANTED
+    }
+    return sets, faults
+
+
+def main(data: Data, work: Work) -> Page:
+    """Draws what is not there yet, then writes the page."""
+    seen = film(data)
+    given = beliefs(seen)
+    sets, faults = judge_all(seen, given, work)
+    pairs = [named(one) for one in SETS if len(one) == 2]
+    threes = [named(one) for one in SETS if len(one) == 3]
+    axes = {"depth": DEPTH, "side": SIDE}
+    in_image = {"image": ALL}
+    values: dict[str, str | int | Sheet] = {
+        "frames": JUDGED_FRAMES,
+        "draws": f"{JUDGED_DRAWS:,}",
+        "roots": JUDGED_ROOTS,
+        "pointing": " and ".join(f"{one.pointing:.2f}" for one in given),
+        "pairs_together": set_table(pooled(sets, pairs), ["all"], axes),
+        "threes_together": set_table(pooled(sets, threes), ["all"], in_image),
+        "pairs": set_table(sets, pairs, axes),
+        "threes": set_table(sets, threes, in_image),
+        "faults": fault_table(faults),
+        "moved": f"{MOVED:g}",
+    }
+    return Page("cameras", values, {"cameras": coverage_of_sets(sets)})
+
+
+if __name__ == "__main__":
+    run(main)

@@ -162,8 +162,8 @@ class Session:
 
     @cached_property
     def _strays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of detections from the projected joints of all cameras: weights `(C, F, 15, 1)`, residuals
-        `(C, F, 15, 2)`, mm, and what they have in common in a view, `(C, F, 1, 2)`."""
+        """Of detections from the projected joints of all cameras: weights `(C, F, 15, 1)`,
+        residuals `(C, F, 15, 2)`, mm, and what they have in common in a view, `(C, F, 1, 2)`."""
         weight = self.world.weight[..., None]
         own = _residuals(self.straight, self.world.points, self.keypoints)
         own = np.where(weight > 0, own, 0.0)

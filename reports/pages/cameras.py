@@ -1,5 +1,5 @@
-"""One body from two or three calibrated cameras, judged by those left out, and faults planted in one
-of four views: writes reports/cameras.md.
+"""One body from two or three calibrated cameras, judged by those left out: writes
+reports/cameras.md.
 
     python -m poseterior.reports.pages.cameras ../shared/data work
 
@@ -17,15 +17,12 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from poseterior.inference.draws import Draws
 from poseterior.inference.importance.views.weighted import WeightedViews
 from poseterior.inference.studies.intervals import TAIL, Interval, of_share
 from poseterior.probmodel import DetectorErrors, Likelihood, PoseModel
-from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, ORDERS
-from poseterior.probmodel.instant import CameraView, Instant
 from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.sessions.session import HIPS, joints_seen
-from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
+from poseterior.probmodel.skeleton import LIMB_JOINTS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
 from poseterior.reports.pages.filmed import PARTS, Film, film, learn_as
@@ -33,17 +30,11 @@ from poseterior.reports.pages.honest import STRETCH
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
-JUDGED_FRAMES, FAULTY_FRAMES = 4, 10
-"""Instants of the film that are judged by every set of cameras, and that get each fault."""
+JUDGED_FRAMES = 4
+"""Instants of the film that are judged by every set of cameras."""
 JUDGED_DRAWS, JUDGED_ROOTS = 1000, 800
-MOVED = 0.5
-"""Body units by which a wrist's keypoint is moved."""
-LIKELY = 0.5
-"""Probability above which a fault counts as found."""
 OURS, TRIANGULATED = WAYS = "posterior", "triangulation"
 SETS = [*itertools.combinations(range(4), 2), *itertools.combinations(range(4), 3)]
-WRIST = JOINT_INDEX["right_wrist"]
-NOTHING, MOVED_WRIST, EXCHANGED_LEGS = PLANTED = ("nothing", "a wrist moved", "legs exchanged")
 
 
 class Beliefs(NamedTuple):
@@ -87,16 +78,11 @@ def draws_of(
 ) -> np.ndarray:
     """`(n, 15, 3)`: joints in the world, mm."""
     instant = session.instant(session.numbers[row], cameras).judged_by(given.likelihood)
-    draws = drawn_of(model, dataclasses.replace(instant, pointing=given.pointing), row)
+    posterior = dataclasses.replace(instant, pointing=given.pointing).posterior(model)
+    sampler = WeightedViews(num_roots=JUDGED_ROOTS)
+    draws = sampler.draw(posterior, jax.random.key(row), JUDGED_DRAWS)
     size = np.exp(draws.points.log_size)[:, None, None]
     return np.asarray(draws.points.place)[:, None] + size * np.asarray(draws.joints)
-
-
-def drawn_of(model: PoseModel, instant: Instant, seed: int) -> Draws:
-    """Draws of an instant."""
-    return WeightedViews(num_roots=JUDGED_ROOTS).draw(
-        instant.posterior(model), jax.random.key(seed), JUDGED_DRAWS
-    )
 
 
 def triangulated(
@@ -179,34 +165,6 @@ def judge_set(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict[
     return found
 
 
-def planted(view: CameraView, kind: str, unit: float) -> CameraView:
-    """A view with a fault; `unit` pixels are a body unit there."""
-    person = view.detection
-    keypoints = person.keypoints.copy()
-    if kind == MOVED_WRIST:
-        keypoints[WRIST, 0] += MOVED * unit
-    if kind == EXCHANGED_LEGS:
-        keypoints = keypoints[ORDERS[EXCHANGE_INDEX["legs"]]]
-    return dataclasses.replace(view, detection=dataclasses.replace(person, keypoints=keypoints))
-
-
-def find_faults(seen: Film, given: list[Beliefs], kind: str) -> list[Any]:
-    """For each instant the outliers' probabilities `(4, 15)`, those of exchanged legs `(4,)`, and
-    the view with the fault."""
-    model, session, found = PoseModel(), seen.session, []
-    for number, row in enumerate(frames_of(session, FAULTY_FRAMES)):
-        own, view = given[seen.part_of(row)], number % len(session.cameras)
-        instant = session.instant(session.numbers[row]).judged_by(own.likelihood)
-        views = list(instant.views)
-        views[view] = planted(views[view], kind, session.unit * session.scale[view, row])
-        wrong = Instant(instant.source, tuple(views), own.pointing)
-        faults = drawn_of(model, wrong, row).faults
-        legs = np.asarray(faults.exchange) == EXCHANGE_INDEX["legs"]
-        outlier = np.asarray(faults.outlier).mean(axis=0)
-        found.append([outlier.tolist(), legs.mean(axis=0).tolist(), view])
-    return found
-
-
 def standings(found: dict[str, Any], way: str) -> CameraStanding:
     """Of one way, with an axis for frames first."""
     parts = zip(*found[way], strict=True)
@@ -259,24 +217,6 @@ def pooled(found: dict[str, dict[str, Any]], sets: Sequence[str]) -> dict[str, d
     return {"all": whole}
 
 
-def fault_table(found: dict[str, list[Any]]) -> Sheet:
-    """How often faults are found, and where there are none."""
-    rows = []
-    for kind, cases in found.items():
-        outliers, legs, views = (np.array(list(part)) for part in zip(*cases, strict=True))
-        alarms = {MOVED_WRIST: outliers > LIKELY, EXCHANGED_LEGS: legs > LIKELY}
-        hit = ""
-        if kind != NOTHING:
-            place = (np.arange(len(cases)), views, WRIST)[: alarms[kind].ndim]
-            hit = f"{100 * alarms[kind][place].mean():.0f} %"
-            alarms[kind][place] = False
-        false = [f"{100 * alarm.mean():.2f} %" for alarm in alarms.values()]
-        rows.append([kind, hit, *false, len(cases)])
-    head = ["planted in one view of four", "found", "other keypoints called outliers"]
-    head += ["other views' legs called exchanged", "instants"]
-    return sheet_of([Column(head[0], left=True), *map(Column, head[1:])], rows)
-
-
 def coverage_of_sets(found: dict[str, dict[str, Any]]) -> Figure:
     """Coverage and errors of every set of cameras, by way."""
     figure = page(10.5, 4.4)
@@ -308,30 +248,19 @@ def named(cameras: Sequence[int]) -> str:
     return ", ".join(str(one + 1) for one in cameras)
 
 
-def judge_all(
-    seen: Film, given: list[Beliefs], work: Path
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What every set of cameras is worth, and which planted faults are found."""
-    sets = {
-        named(one): kept_json(
-            work / f"cameras-{''.join(map(str, one))}.json", judge_set, seen, given, one
-        )
-        for one in SETS
+def judge_all(seen: Film, work: Path) -> tuple[list[Beliefs], dict[str, dict[str, Any]]]:
+    """What is believed, and what every set of cameras is worth."""
+    given = beliefs(seen)
+    files = {one: work / f"cameras-{''.join(map(str, one))}.json" for one in SETS}
+    return given, {
+        named(one): kept_json(file, judge_set, seen, given, one) for one, file in files.items()
     }
-    faults = {
-        kind: kept_json(
-            work / f"faults-{kind.replace(' ', '-')}.json", find_faults, seen, given, kind
-        )
-        for kind in PLANTED
-    }
-    return sets, faults
 
 
 def main(data: Data, work: Work) -> Page:
     """Draws what is not there yet, then writes the page."""
     seen = film(data)
-    given = beliefs(seen)
-    sets, faults = judge_all(seen, given, work)
+    given, sets = judge_all(seen, work)
     pairs = [named(one) for one in SETS if len(one) == 2]
     threes = [named(one) for one in SETS if len(one) == 3]
     axes = {"depth": DEPTH, "side": SIDE}
@@ -345,8 +274,6 @@ def main(data: Data, work: Work) -> Page:
         "threes_together": set_table(pooled(sets, threes), ["all"], in_image),
         "pairs": set_table(sets, pairs, axes),
         "threes": set_table(sets, threes, in_image),
-        "faults": fault_table(faults),
-        "moved": f"{MOVED:g}",
     }
     return Page("cameras", values, {"cameras": coverage_of_sets(sets)})
 

@@ -273,11 +273,11 @@ def _limbs(
         below: LowerReach,
         lengths: jax.Array,
     ) -> Proposals:
-        *found, of_upper = jax.vmap(_upper, (0, None, None, None, None))(
+        local, end, of_upper = jax.vmap(_upper, (0, None, None, None, None))(
             uniforms[:, 0], judge, body, bone, lengths[0]
         )
         level, rows = _resampled(of_upper, offset)
-        elbows = tuple(part[rows] for part in found)
+        elbows = local[rows], end[rows]
         lower, of_lower = jax.vmap(_lower, (0, None, None, None, 0, None))(
             uniforms[:, 1], judge, bone, below, elbows, (lengths[1], body.size)
         )

@@ -55,8 +55,8 @@ LOOSE = 2.0
 BELIEVED_TORSOS = 0.8
 """What torsos get by a pilot run, at most."""
 OWN_WEIGHT = 30.0
-"""Effective roots of a pilot run by which it is believed as much as the fit: fewer say little of the
-covariance of so many coordinates."""
+"""Effective roots of a pilot run by which it is believed as much as the fit: fewer say little of
+the covariance of so many coordinates."""
 
 
 class WorldBodies(NamedTuple):

@@ -1,4 +1,4 @@
-"""One body from two or three calibrated cameras, judged by those left out: writes
+"""One body from two calibrated cameras, judged by the two that are left out: writes
 reports/cameras.md.
 
     python -m poseterior.reports.pages.cameras ../shared/data work
@@ -31,10 +31,12 @@ from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
 JUDGED_FRAMES = 4
-"""Instants of the film that are judged by every set of cameras."""
+"""Instants of the film at which every pair of cameras is judged."""
 JUDGED_DRAWS, JUDGED_ROOTS = 1000, 800
 OURS, TRIANGULATED = WAYS = "posterior", "triangulation"
-SETS = [*itertools.combinations(range(4), 2), *itertools.combinations(range(4), 3)]
+AXES = {"depth": slice(0, 1), "side": slice(1, None)}
+"""That of which a pair of cameras says least, and those across it."""
+PAIRS = list(itertools.combinations(range(4), 2))
 
 
 class Beliefs(NamedTuple):
@@ -98,8 +100,8 @@ def triangulated(
 def true_errors(
     session: Session, row: int, others: Sequence[int], given: Beliefs, rng: np.random.Generator
 ) -> np.ndarray:
-    """`(n, 15, 2 or 3)` mm: errors that the truth may have, for detections that stray, and cameras
-    that point, as is believed: of what several others triangulate, or of one other's detections."""
+    """`(n, 15, 3)` mm: errors of what other cameras triangulate, whose detections stray, and which
+    point beside, as is believed."""
     rows = list(others)
     views = [session.straight[one] for one in others]
     scale = session.scale[rows, row][:, None, None, None]
@@ -107,8 +109,6 @@ def true_errors(
     strays = given.stray[:, None] * rng.standard_normal((*size, 15, 2)) * scale
     focal = np.array([view.focal[0] for view in views])[:, None, None, None]
     point = np.tan(np.radians(given.pointing)) * focal * rng.standard_normal((*size, 1, 2))
-    if len(rows) == 1:
-        return ((strays + point) / scale)[0]
     xy, score = session.keypoints[rows][:, [row]], session.score[rows][:, [row]]
     many = np.repeat(score, JUDGED_DRAWS, axis=1)
     moved = joints_seen(views, xy + strays + point, many).points
@@ -119,22 +119,14 @@ def judged(
     session: Session, row: int, cameras: Sequence[int], draws: np.ndarray, given: Beliefs
 ) -> CameraStanding:
     """Draws of joints `(n, 15, 3)` of the world by some cameras beside what the others say, rooted
-    at the hips' midpoint: in space, the axis of which these cameras say least first, or in the
-    image of the only other one, mm where the person is."""
+    at the hips' midpoint, the axis of which these cameras say least first."""
     others = [one for one in range(len(session.cameras)) if one not in cameras]
-    rng = np.random.default_rng([row, *cameras])
-    errors = true_errors(session, row, others, given, rng)
-    if len(others) == 1:
-        (one,) = others
-        scale = session.scale[one, row]
-        truth = session.keypoints[one, row] / scale
-        points = session.straight[one].project(draws) / scale
-    else:
-        _, doubt = triangulated(session, row, cameras, given)
-        _, axes = np.linalg.eigh(doubt[HIPS].mean(axis=0))
-        axes = axes[:, ::-1]
-        truth = triangulated(session, row, others, given)[0] @ axes
-        points, errors = draws @ axes, errors @ axes
+    errors = true_errors(session, row, others, given, np.random.default_rng([row, *cameras]))
+    _, doubt = triangulated(session, row, cameras, given)
+    _, axes = np.linalg.eigh(doubt[HIPS].mean(axis=0))
+    axes = axes[:, ::-1]
+    truth = triangulated(session, row, others, given)[0] @ axes
+    points, errors = draws @ axes, errors @ axes
     truth, points, errors = (
         (one - one[..., HIPS, :].mean(axis=-2, keepdims=True))[..., LIMB_JOINTS, :]
         for one in (truth, points, errors)
@@ -144,7 +136,7 @@ def judged(
     return CameraStanding(level, np.abs(points.mean(axis=0) - truth), high - low)
 
 
-def judge_set(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict[str, Any]:
+def judge_pair(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict[str, Any]:
     """By way, the standings of some cameras, lists of rows."""
     model, session = PoseModel(), seen.session
     rows = frames_of(session, JUDGED_FRAMES)
@@ -185,40 +177,33 @@ def _median(values: np.ndarray) -> str:
     return f"{np.median(values):.0f}"
 
 
-DEPTH, SIDE, ALL = slice(0, 1), slice(1, None), slice(None)
-
-
-def set_table(
-    found: dict[str, dict[str, Any]], sets: Sequence[str], axes: dict[str, slice]
-) -> Sheet:
-    """Coverage, errors and widths of every set of cameras, by way."""
+def pair_table(found: dict[str, dict[str, Any]]) -> Sheet:
+    """Coverage, errors and widths of every pair of cameras, by way."""
     columns = [Column("cameras", left=True), Column("way", left=True)]
-    for name in axes:
+    for name in AXES:
         columns += [Column(f"{name}: 50 %"), Column(f"{name}: 95 %")]
         columns += [Column(f"{name}: error"), Column(f"{name}: width")]
     rows = []
-    for cameras in sets:
+    for cameras, ways in found.items():
         for way in WAYS:
-            one, cells = standings(found[cameras], way), []
-            for axis in axes.values():
-                given = one.level[..., axis], found[cameras]["rows"]
+            one, cells = standings(ways, way), []
+            for axis in AXES.values():
+                given = one.level[..., axis], ways["rows"]
                 cells += [_share(covered(*given, within)) for within in (0.5, 0.95)]
                 cells += [_median(part[..., axis]) for part in (one.error, one.width)]
             rows.append([cameras, way, *cells])
     return sheet_of(columns, rows)
 
 
-def pooled(found: dict[str, dict[str, Any]], sets: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """All of some sets together, frame by frame."""
-    whole: dict[str, Any] = {"rows": found[sets[0]]["rows"]}
-    for way in WAYS:
-        parts = [np.array(found[cameras][way]) for cameras in sets]
-        whole[way] = np.concatenate(parts, axis=2).tolist()
-    return {"all": whole}
+def pooled(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """All pairs together, frame by frame."""
+    pairs = list(found.values())
+    whole = {way: np.concatenate([one[way] for one in pairs], axis=2) for way in WAYS}
+    return {"rows": pairs[0]["rows"], **whole}
 
 
-def coverage_of_sets(found: dict[str, dict[str, Any]]) -> Figure:
-    """Coverage and errors of every set of cameras, by way."""
+def coverage_of_pairs(found: dict[str, dict[str, Any]]) -> Figure:
+    """Coverage and errors of every pair of cameras, by way."""
     figure = page(10.5, 4.4)
     left, right = figure.subplots(1, 2, sharey=True)
     left.axvspan(92, 98, color=FAINT, alpha=0.2, lw=0)
@@ -249,11 +234,11 @@ def named(cameras: Sequence[int]) -> str:
 
 
 def judge_all(seen: Film, work: Path) -> tuple[list[Beliefs], dict[str, dict[str, Any]]]:
-    """What is believed, and what every set of cameras is worth."""
+    """What is believed, and what every pair of cameras is worth."""
     given = beliefs(seen)
-    files = {one: work / f"cameras-{''.join(map(str, one))}.json" for one in SETS}
+    files = {one: work / f"cameras-{''.join(map(str, one))}.json" for one in PAIRS}
     return given, {
-        named(one): kept_json(file, judge_set, seen, given, one) for one, file in files.items()
+        named(one): kept_json(file, judge_pair, seen, given, one) for one, file in files.items()
     }
 
 
@@ -261,21 +246,15 @@ def main(data: Data, work: Work) -> Page:
     """Draws what is not there yet, then writes the page."""
     seen = film(data)
     given, sets = judge_all(seen, work)
-    pairs = [named(one) for one in SETS if len(one) == 2]
-    threes = [named(one) for one in SETS if len(one) == 3]
-    axes = {"depth": DEPTH, "side": SIDE}
-    in_image = {"image": ALL}
     values: dict[str, str | int | Sheet] = {
         "frames": JUDGED_FRAMES,
         "draws": f"{JUDGED_DRAWS:,}",
         "roots": JUDGED_ROOTS,
         "pointing": " and ".join(f"{one.pointing:.2f}" for one in given),
-        "pairs_together": set_table(pooled(sets, pairs), ["all"], axes),
-        "threes_together": set_table(pooled(sets, threes), ["all"], in_image),
-        "pairs": set_table(sets, pairs, axes),
-        "threes": set_table(sets, threes, in_image),
+        "together": pair_table({"all pairs": pooled(sets)}),
+        "pairs": pair_table(sets),
     }
-    return Page("cameras", values, {"cameras": coverage_of_sets(sets)})
+    return Page("cameras", values, {"cameras": coverage_of_pairs(sets)})
 
 
 if __name__ == "__main__":

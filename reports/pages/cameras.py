@@ -33,8 +33,8 @@ from poseterior.reports.tables import Column, Sheet, sheet_of
 JUDGED_FRAMES = 4
 """Instants of the film at which every pair of cameras is judged."""
 JUDGED_DRAWS, JUDGED_ROOTS = 1000, 800
-OURS, TRIANGULATED = WAYS = "posterior", "triangulation"
-AXES = {"depth": slice(0, 1), "side": slice(1, None)}
+FROM_POSTERIOR, BY_TRIANGULATION = WAYS = "posterior", "triangulation"
+JUDGED_AXES = {"depth": slice(0, 1), "side": slice(1, None)}
 """That of which a pair of cameras says least, and those across it."""
 PAIRS = list(itertools.combinations(range(4), 2))
 
@@ -148,8 +148,8 @@ def judge_pair(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict
         factor = np.linalg.cholesky(doubt)
         normal = rng.standard_normal((JUDGED_DRAWS, 15, 3))
         draws = {
-            OURS: draws_of(model, session, row, cameras, own),
-            TRIANGULATED: mean + np.einsum("jab,njb->nja", factor, normal),
+            FROM_POSTERIOR: draws_of(model, session, row, cameras, own),
+            BY_TRIANGULATION: mean + np.einsum("jab,njb->nja", factor, normal),
         }
         for way, joints in draws.items():
             standing = judged(session, row, cameras, joints, own)
@@ -180,14 +180,14 @@ def _median(values: np.ndarray) -> str:
 def pair_table(found: dict[str, dict[str, Any]]) -> Sheet:
     """Coverage, errors and widths of every pair of cameras, by way."""
     columns = [Column("cameras", left=True), Column("way", left=True)]
-    for name in AXES:
+    for name in JUDGED_AXES:
         columns += [Column(f"{name}: 50 %"), Column(f"{name}: 95 %")]
         columns += [Column(f"{name}: error"), Column(f"{name}: width")]
     rows = []
     for cameras, ways in found.items():
         for way in WAYS:
             one, cells = standings(ways, way), []
-            for axis in AXES.values():
+            for axis in JUDGED_AXES.values():
                 given = one.level[..., axis], ways["rows"]
                 cells += [_share(covered(*given, within)) for within in (0.5, 0.95)]
                 cells += [_median(part[..., axis]) for part in (one.error, one.width)]

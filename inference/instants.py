@@ -34,6 +34,7 @@ COLUMNS_OF_VIEWS: dict[str, tuple[tuple[str, ...], str]] = {
     "rotation": (("axis", "body_axis"), ""),
     "size": ((), "mm per body unit"),
     "place": (("axis",), "mm"),
+    "pointing": (("view", "uv"), "pixels"),
     "keypoints": (("view", "joint", "uv"), "pixels"),
     "outlier": (("view", "joint"), ""),
     "exchange": (("view",), ""),

@@ -33,6 +33,9 @@ from poseterior.probmodel.roots import Root, WorldPoint, WorldRoot
 if TYPE_CHECKING:
     from poseterior.probmodel.sessions.pinhole import Pinhole
 
+LARGEST_POINTING = 5.0
+"""Degrees: cameras that may be off by more are not calibrated."""
+
 
 @dataclass(frozen=True, eq=False)
 class CameraView:
@@ -66,19 +69,29 @@ class Instant:
         The session, and the frame.
     views
         What each camera saw.
+    pointing
+        Degrees by which a camera may point beside its calibration: the standard deviation each way,
+        independent from camera to camera. One view alone cannot tell it from where the body is,
+        whose place is then as if the camera pointed as it should.
 
     Raises
     ------
     BadInput
-        Where there is no view.
+        Where there is no view, or cameras may point anywhere.
     """
 
     source: str
     views: tuple[CameraView, ...]
+    pointing: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.views:
             raise BadInput(f"{self.source} has no view; give one camera at least")
+        if not 0 <= self.pointing <= LARGEST_POINTING:  # false for NaN too
+            raise BadInput(
+                f"cameras of {self.source} point by {self.pointing:g} degrees beside their"
+                f" calibration; give a number from 0 to {LARGEST_POINTING:g}"
+            )
 
     @property
     def where(self) -> str:
@@ -180,7 +193,8 @@ class Instant:
         if model.lens is not None:
             raise BadInput("calibrated cameras have focal lengths of their own; give none")
         errors = ViewErrors(tuple(view.likelihood for view in self.views))
-        return InstantPosterior(model, errors, self, WorldPrior.of(model, self.rig))
+        pointing = self.pointing if len(self.views) > 1 else 0.0
+        return InstantPosterior(model, errors, self, WorldPrior.of(model, self.rig, pointing))
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,11 @@ class CameraRig(NamedTuple):
         """How many cameras there are."""
         return self.focal.shape[0]
 
+    def shifted(self, pixels: ArrayLike) -> "CameraRig":
+        """The cameras whose images lie some pixels `(C, 2)` beside; `(0, 2)`: the same."""
+        shift = jnp.asarray(pixels)
+        return self._replace(principal=self.principal + shift) if shift.size else self
+
     def view(self, points: ArrayLike) -> jax.Array:
         """`(..., C, 3)`: points `(..., 3)` of the world, mm, in the axes of every camera."""
         centre, rotation = jnp.asarray(self.centre), jnp.asarray(self.rotation)

@@ -288,7 +288,8 @@ class WorldPrior:
     dictionary, the rotation uniform on SO(3), the size log-normal about the population's, the place
     flat in the images and in the log of the distance (`SeenPlace`).
 
-    With one camera it is the `TorsoCameraPrior` of its lens, and an independent size.
+    Where calibrations are not exact, every camera's image is shifted by a Gaussian. With one camera
+    and none of that it is the `TorsoCameraPrior` of its lens, and an independent size.
 
     Attributes
     ----------
@@ -296,19 +297,25 @@ class WorldPrior:
         Body axes, body units, pelvis at the origin.
     rig
         The cameras.
+    pointing : `(C, 2)`
+        Standard deviations of the shifts, pixels; `(0, 2)` where calibrations are exact.
     """
 
     torsos: np.ndarray | jax.Array
     rig: CameraRig
+    pointing: np.ndarray | jax.Array
     name: ClassVar[str] = WORLD
     base_measure: ClassVar[str] = (
         "counting (torso) x Haar's on SO(3) (1 in all) x log size x volume (mm3, place)"
+        " x image area (px2, pointing of each camera, if uncertain)"
     )
 
     @classmethod
-    def of(cls, model: "PoseModel", rig: CameraRig) -> "WorldPrior":
-        """What a model believes of a body before these cameras."""
-        return cls(model.torsos, rig)
+    def of(cls, model: "PoseModel", rig: CameraRig, pointing: float = 0.0) -> "WorldPrior":
+        """What a model believes of a body before these cameras, which point by so many degrees
+        beside where they should (standard deviation each way)."""
+        shift = np.tan(np.radians(pointing)) * np.asarray(rig.focal)
+        return cls(model.torsos, rig, np.tile(shift[:, None], 2) if pointing else np.zeros((0, 2)))
 
     def compose(self, step: Callable[[str, Any], Any]) -> WorldPoint:
         """The prior, written once: `step(site, law)` says what becomes of each law."""
@@ -322,7 +329,10 @@ class WorldPrior:
         rotation = step("rotation", UprightRotation(0.0))
         log_size = step("log_size", Normal(jnp.log(MEDIAN_SIZE), SIZE_SD))
         place = step("place", SeenPlace(self.rig, NEAREST_PLACE * jnp.exp(jnp.asarray(log_size))))
-        return WorldPoint(torso, rotation, log_size, place)
+        pointing = jnp.zeros((0, 2))
+        if len(self.pointing):
+            pointing = step("pointing", Normal(0.0, self.pointing).to_event(2))
+        return WorldPoint(torso, rotation, log_size, place, pointing)
 
     @property
     def people(self) -> int:
@@ -337,7 +347,8 @@ class WorldPrior:
         """The torso of one root, and the body before its cameras."""
         torso = jnp.asarray(self.torsos)[point.torso]
         size = jnp.exp(jnp.asarray(point.log_size))
-        return WorldRoot(torso, PlacedBody(self.rig, point.rotation, size, point.place))
+        rig = self.rig.shifted(point.pointing)
+        return WorldRoot(torso, PlacedBody(rig, point.rotation, size, point.place))
 
     def columns(self, point: WorldPoint) -> dict[str, np.ndarray]:
         """What results say of roots `(n, ...)`, by name."""
@@ -346,7 +357,7 @@ class WorldPrior:
             "rotation": np.asarray(point.rotation),
             "size": np.exp(point.log_size),
             "place": np.asarray(point.place),
-        }
+        } | ({"pointing": np.asarray(point.pointing)} if len(self.pointing) else {})
 
     @staticmethod
     def counted(joints: Sequence[int]) -> list[int]:

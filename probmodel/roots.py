@@ -141,12 +141,16 @@ class WorldPoint(NamedTuple):
         Log of mm a body unit.
     place : `(..., 3)`
         Where the pelvis is, mm.
+    pointing : `(..., C, 2)`
+        Pixels by which every camera's image lies beside where its calibration has it; `(..., 0, 2)`
+        where calibrations are exact.
     """
 
     torso: Any
     rotation: Any
     log_size: Any
     place: Any
+    pointing: Any
 
     def take(self, rows: Any) -> "WorldPoint":
         """Some of a batch."""

@@ -43,6 +43,8 @@ FIRST_SCALE = 0.4
 """Pixels a mm, until it is known where the person is."""
 BEYOND = 0.25
 """Body units: views whose median residual is larger are not of one person, or not calibrated."""
+ASSUMED_POINTING, ASSUMED_FREEDOM = 0.3, 2.0
+"""Degrees by which a camera points beside its calibration, and as how many numbers that counts."""
 MOST_COMBINATIONS = 256
 """Of the people in a frame's views that are tried."""
 _LIMBS = [row for row, bone in enumerate(BONES) if bone.name != "head"]
@@ -138,15 +140,36 @@ class Session:
         all cameras triangulate and the freedom that this leaves them. What all joints of a person
         have in common, where a camera points, is left out. With `Triangulated.covariance` it says
         how far off a triangulated joint is."""
+        weight, own, common = self._strays
+        square = (weight * (own - common) ** 2).sum(axis=(0, 1, 3))
+        views = (weight[..., 0] > 0).sum(axis=0)
+        freedom = np.maximum(2 * views - 3, 0).sum(axis=0) * (1 - 1 / NUM_JOINTS)
+        return np.sqrt(square / np.where(freedom > 0, freedom, np.nan))
+
+    @cached_property
+    def pointing(self) -> float:
+        """Degrees by which a camera points beside its calibration, standard deviation each way: by
+        what all joints of a person have in common in each view, for which three of its numbers are
+        free, and by what is assumed where few cameras say little. What a camera lags behind the
+        others counts as well."""
+        _, _, common = self._strays
+        focal = np.array([camera.focal[0] for camera in self.straight])
+        angle = np.degrees(np.arctan(common[:, :, 0] * (self.scale / focal[:, None])[..., None]))
+        square = float(np.mean(np.sum(angle**2, axis=(0, 2))))
+        freedom = max(2 * len(self.cameras) - 3, 0)
+        assumed = ASSUMED_FREEDOM * ASSUMED_POINTING**2
+        return float(np.sqrt((square + assumed) / (freedom + ASSUMED_FREEDOM)))
+
+    @cached_property
+    def _strays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of detections from the projected joints of all cameras: weights `(C, F, 15, 1)`,
+        residuals `(C, F, 15, 2)`, mm, and what they have in common in a view, `(C, F, 1, 2)`."""
         weight = self.world.weight[..., None]
         own = _residuals(self.straight, self.world.points, self.keypoints)
         own = np.where(weight > 0, own, 0.0)
         total = weight.sum(axis=2, keepdims=True)
         common = (weight * own).sum(axis=2, keepdims=True) / np.where(total > 0, total, 1.0)
-        square = (weight * (own - common) ** 2).sum(axis=(0, 1, 3))
-        views = (weight[..., 0] > 0).sum(axis=0)
-        freedom = np.maximum(2 * views - 3, 0).sum(axis=0) * (1 - 1 / NUM_JOINTS)
-        return np.sqrt(square / np.where(freedom > 0, freedom, np.nan))
+        return weight, own, common
 
     def along_sight(self, camera: int, world: np.ndarray) -> np.ndarray:
         """Joints of the world in axes whose z is the camera's line of sight to the hips' midpoint,
@@ -200,7 +223,8 @@ class Session:
         -------
         Instant
             Of straightened images, without the midpoints that a detector makes of other joints:
-            they lie beside the skeleton's, and by as much in every view.
+            they lie beside the skeleton's, and by as much in every view. Its cameras point beside
+            their calibration as the session's do.
 
         Raises
         ------
@@ -222,6 +246,7 @@ class Session:
                 CameraView(label, camera, _seen_itself(people[row], keypoints))
                 for label, camera, people, keypoints in views
             ),
+            self.pointing,
         )
         return every if cameras is None else every.seen_by(cameras)
 
@@ -304,7 +329,9 @@ def is_session(path: Path) -> bool:
     return path.is_dir() and bool(_calibrations(path))
 
 
-def read_session(path: Path, frames: int | None = None, *, layout: str | None = None) -> Session:
+def read_session(
+    path: Path | str, frames: int | None = None, *, layout: str | None = None
+) -> Session:
     """The session in a folder.
 
     Parameters
@@ -327,6 +354,7 @@ def read_session(path: Path, frames: int | None = None, *, layout: str | None = 
         Where a file is missing or damaged, folders and cameras, or the frames of two cameras, are
         not the same number, or the calibration does not fit the detections.
     """
+    path = Path(path)
     calibration = _only(_calibrations(path), path)
     cameras = read_cameras(calibration)
     folders = _view_folders(path)

@@ -37,6 +37,7 @@ SHEET = sheet_of(("", "error"), [("one", 1.0)])
 
 def test_there_are_pages() -> None:
     assert PAGES == [
+        "cameras",
         "centres",
         "coverage",
         "device",

@@ -57,10 +57,11 @@ def _shares(
 
     def one(point: WorldPoint, pose: Pose, exchange: jax.Array) -> tuple[jax.Array, jax.Array]:
         root, sights = prior.root(point), sights_of(detected, faulty, exchange)
+        own = judge._replace(rig=root.camera.rig)
         world, size = root.camera.world(model.joints(root.view, *pose)), root.camera.size
-        usual, stray = jax.vmap(judge.log_densities, (1, 0, None), 1)(sights, world, size)
+        usual, stray = jax.vmap(own.log_densities, (1, 0, None), 1)(sights, world, size)
         odds = jnp.log(sights.outlier) + stray - jnp.log1p(-sights.outlier) - usual
-        torso = judge.torso_options(sights, world[jnp.array(TORSO_INDEX)], size, exchange)
+        torso = own.torso_options(sights, sights.sought(root), size, exchange)
         return jax.nn.sigmoid(odds), jax.nn.softmax(torso, axis=-1)
 
     return jax.vmap(one)(WorldPoint(*rows[:parts]), Pose(*rows[parts:-1]), rows[-1])

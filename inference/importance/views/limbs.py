@@ -30,7 +30,7 @@ from poseterior.probmodel.kinematics import lower_axes, upper_axes
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.programs import kept
 from poseterior.probmodel.root_priors import WorldPrior
-from poseterior.probmodel.roots import WorldPoint
+from poseterior.probmodel.roots import WorldPoint, WorldRoot
 from poseterior.probmodel.skeleton import LOWER_BONES, NUM_LOWER, TORSO_INDEX, UPPER_BONES
 
 PER_LIMB = 32
@@ -84,12 +84,11 @@ class TorsoInWorld(NamedTuple):
     place: jax.Array
 
 
-def body_of(prior: WorldPrior, point: WorldPoint) -> TorsoInWorld:
+def body_of(root: WorldRoot) -> TorsoInWorld:
     """That of one root."""
-    root = prior.root(point)
-    view = root.view
-    size = jnp.asarray(root.camera.size)
-    return TorsoInWorld(root.camera.world(view), upper_axes(view), size, jnp.asarray(point.place))
+    view, camera = root.view, root.camera
+    size, place = jnp.asarray(camera.size), jnp.asarray(camera.place)
+    return TorsoInWorld(camera.world(view), upper_axes(view), size, place)
 
 
 def _targets(judge: ViewJudge, sights: Sights, body: TorsoInWorld, alone: jax.Array) -> SeenJoint:
@@ -229,16 +228,16 @@ def weigh_bodies(
     """
     from poseterior.probmodel.anatomy.lengths import BoneLength
 
-    judge = ViewJudge.of(prior.rig, detected)
+    every = ViewJudge.of(prior.rig, detected)
     key = jax.random.wrap_key_data(jnp.asarray(words))
 
     def one(
         number: jax.Array, point: WorldPoint, length: jax.Array, exchange: jax.Array
     ) -> tuple[jax.Array, tuple]:
         own = jax.random.fold_in(key, number)
-        sights = sights_of(detected, faulty, exchange)
-        body = body_of(prior, point)
-        options = judge.torso_options(sights, body.torso, body.size, exchange)
+        sights, root = sights_of(detected, faulty, exchange), prior.root(point)
+        judge, body = every._replace(rig=root.camera.rig), body_of(root)
+        options = judge.torso_options(sights, sights.sought(root), body.size, exchange)
         log_torso = prior.log_density(point) + log_exchange(faulty, exchange)
         log_torso += BoneLength(model.lengths, validate_args=False).log_prob(length)
         log_torso += jnp.sum(jax.nn.logsumexp(options, axis=1))
@@ -259,7 +258,7 @@ def _limbs(
     sights: Sights,
 ) -> Proposals:
     """Proposals `(5, P)` for the limbs of one body, the head first."""
-    view_key, chain_key, head_key = jax.random.split(key, 3)
+    view_key, chain_key, head_key, order_key = jax.random.split(key, 4)
     every = _targets(judge, sights, body, jax.random.uniform(view_key, (sights.counts.shape[1],)))
     upper = [_upper_bone(model, body, every, row) for row in range(len(UPPER_BONES))]
     chained = jax.tree.map(lambda *rows: jnp.stack(rows), *upper[1:])
@@ -268,23 +267,45 @@ def _limbs(
     below = LowerReach(model.hinges, reference, jnp.asarray(model.limits.fallback), target)
 
     def chain(
-        uniforms: jax.Array, bone: UpperReach, below: LowerReach, lengths: jax.Array
+        uniforms: jax.Array,
+        offset: jax.Array,
+        bone: UpperReach,
+        below: LowerReach,
+        lengths: jax.Array,
     ) -> Proposals:
-        local, elbow, of_upper = _upper(uniforms[0], judge, body, bone, lengths[0])
-        both = lengths[1], body.size
-        lower, of_lower = _lower(uniforms[1], judge, bone, below, (local, elbow), both)
-        weight = jnp.where(jnp.isneginf(of_upper), -jnp.inf, of_upper + of_lower)
-        return Proposals(weight, local, lower)
+        local, end, of_upper = jax.vmap(_upper, (0, None, None, None, None))(
+            uniforms[:, 0], judge, body, bone, lengths[0]
+        )
+        level, rows = _resampled(of_upper, offset)
+        elbows = local[rows], end[rows]
+        lower, of_lower = jax.vmap(_lower, (0, None, None, None, 0, None))(
+            uniforms[:, 1], judge, bone, below, elbows, (lengths[1], body.size)
+        )
+        weight = jnp.where(jnp.isneginf(level), -jnp.inf, level + of_lower)
+        return Proposals(weight, elbows[0], lower)
 
     def head(uniforms: jax.Array) -> Proposals:
         local, _, weight = _upper(uniforms, judge, body, upper[0], body.size * length[HEAD_LENGTH])
         return Proposals(weight, local, local)
 
     numbers = jax.random.uniform(chain_key, (NUM_LOWER, PER_LIMB, 2, UNIFORMS))
+    offsets = jax.random.uniform(order_key, (NUM_LOWER,))
     lengths = body.size * length[jnp.array(CHAIN_LENGTHS)]
-    chains = jax.vmap(jax.vmap(chain, (0, None, None, None)))(numbers, chained, below, lengths)
+    chains = jax.vmap(chain)(numbers, offsets, chained, below, lengths)
     heads = jax.vmap(head)(jax.random.uniform(head_key, (PER_LIMB, UNIFORMS)))
     return jax.tree.map(lambda one, many: jnp.concatenate([one[None], many]), heads, chains)
+
+
+def _resampled(log_weight: jax.Array, offset: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Log of the mean weight `()`, and as many rows, each as often as its share of the weights
+    `(P,)` says, rounded by one `offset` for all (systematic): what comes of the rows, times the
+    mean, is without bias."""
+    level = jax.nn.logsumexp(log_weight)
+    share = jnp.exp(log_weight - jnp.where(jnp.isneginf(level), 0.0, level))
+    number = len(log_weight)
+    points = (jnp.arange(number) + offset) / number
+    rows = jnp.sum(jnp.cumsum(share)[None, :-1] < points[:, None], axis=1)
+    return level - jnp.log(number), rows
 
 
 def _upper_bone(model: PoseModel, body: TorsoInWorld, every: SeenJoint, row: int) -> UpperReach:

@@ -1,4 +1,4 @@
-"""WorldBodies in the world, their bones' lengths among them, proposed by a robust fit to all views.
+"""Bodies in the world, their bones' lengths among them, proposed by a robust fit to all views.
 
 With every torso of the dictionary root, lengths and the limbs' joints are fitted by Gauss's and
 Newton's steps, whose weights fall for keypoints far off; a Student's t around its fit then proposes
@@ -38,20 +38,25 @@ OF_PRIOR_EXCHANGES = 0.1
 FEWEST_JOINTS = 3
 """Of the torso, that two cameras must see."""
 TURN, SIZE, PLACE, LENGTHS_STEP = slice(0, 3), 3, slice(4, 7), slice(7, 12)
-"""The coordinates of a step away from a fit: a rotation vector, log size, mm, and body units."""
-NUM_ROOT, NUM_STEP = 7, 12
+"""The coordinates of a step away from a fit: a rotation vector, log size, mm, and body units. Then
+come, where they are uncertain, the shifts of the images in their standard deviations."""
+NUM_ROOT, NUM_BODY = 7, 12
+SHIFTS_STEP = slice(NUM_BODY, None)
 WIDEST = np.array([0.5] * 3 + [0.2] + [300.0] * 3 + [0.3] * 5)
-"""The longest step of a fit, and the widest proposal, in each coordinate."""
+"""The longest step of a fit, and the widest proposal, in each coordinate of a body."""
+WIDEST_SHIFT = 2.0
+"""The same of an image, in its standard deviations."""
 NARROWEST = 1e-8
 """The least variance of a proposal, over that of the widest."""
 STIFF = 0.01
-"""TorsoInWorld units, by which bones may be off in a fit."""
+"""Body units, by which bones may be off in a fit."""
 LOOSE = 2.0
-"""TorsoInWorld units, within which a joint lies that hardly any view sees."""
+"""Body units, within which a joint lies that hardly any view sees."""
 BELIEVED_TORSOS = 0.8
 """What torsos get by a pilot run, at most."""
-OWN_WEIGHT = 10.0
-"""Effective roots of a pilot run by which it is believed as much as the fit."""
+OWN_WEIGHT = 30.0
+"""Effective roots of a pilot run by which it is believed as much as the fit: fewer say little of
+the covariance of so many coordinates."""
 
 
 class WorldBodies(NamedTuple):
@@ -75,7 +80,7 @@ class BodyProposal:
         With sum one.
     centre
         Leaves start with `(K, J)`.
-    factor : `(K, J, 12, 12)`
+    factor : `(K, J, D, D)`
         Lower Cholesky factors of their scale matrices.
     exchange : `(C, 6)`
         By which the views' exchanges are proposed, each for itself.
@@ -90,7 +95,7 @@ class BodyProposal:
         """So many bodies, and exchanges `(number, C)`."""
         flat = np.searchsorted(np.cumsum(self.share), rng.random(number))
         kind, torso = np.divmod(np.minimum(flat, self.share.size - 1), self.share.shape[1])
-        normal = rng.standard_normal((number, NUM_STEP))
+        normal = rng.standard_normal((number, self.factor.shape[-1]))
         stretch = np.sqrt(FREEDOM_OF_ROOTS / rng.chisquare(FREEDOM_OF_ROOTS, number))
         step = np.einsum("nab,nb->na", self.factor[kind, torso], normal) * stretch[:, None]
         bodies = _moved(self.centre.take((kind, torso)), step)
@@ -107,7 +112,7 @@ class BodyProposal:
             normal = np.linalg.solve(factor, step[..., None])[..., 0]
             level = np.log(self.share[kind, torso])
             level -= np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-            level += _log_student(np.sum(normal**2, axis=1))
+            level += _log_student(normal)
             parts.append(level - log_haar(step[:, TURN]))
         views = np.arange(len(self.exchange))
         return logsumexp(parts, axis=0) + np.log(self.exchange[views, exchange]).sum(axis=1)
@@ -130,7 +135,7 @@ class BodyProposal:
         seen = np.stack(
             [np.bincount(column, share, minlength=NUM_EXCHANGES) for column in exchange.T]
         )
-        centre = _moved(first, np.broadcast_to(mean, (len(kept), NUM_STEP)))
+        centre = _moved(first, np.tile(mean, (len(kept), 1)))
         return BodyProposal(
             np.stack([KEPT_OF_FIT * kept, (1 - KEPT_OF_FIT) * own]),
             jax.tree.map(lambda *both: np.stack(both), first, centre),
@@ -149,11 +154,11 @@ def log_haar(turn: np.ndarray) -> np.ndarray:
     return np.where(angle < np.pi, inside, -np.inf)
 
 
-def _log_student(square: np.ndarray) -> np.ndarray:
-    """Log density of a standard Student's t of a step, by its squared length."""
-    nu, half = FREEDOM_OF_ROOTS, NUM_STEP / 2
+def _log_student(step: np.ndarray) -> np.ndarray:
+    """`(n,)`: log density of a standard Student's t at steps `(n, D)`."""
+    nu, half = FREEDOM_OF_ROOTS, step.shape[1] / 2
     level = gammaln(nu / 2 + half) - gammaln(nu / 2) - half * np.log(nu * np.pi)
-    return level - (nu / 2 + half) * np.log1p(square / nu)
+    return level - (nu / 2 + half) * np.log1p(np.sum(step**2, axis=1) / nu)
 
 
 def rotations_of(turn: np.ndarray) -> np.ndarray:
@@ -181,22 +186,24 @@ def _crossed(vector: np.ndarray) -> np.ndarray:
 
 
 def _moved(start: WorldBodies, step: np.ndarray) -> WorldBodies:
-    """WorldBodies `(n, ...)` after steps `(n, 12)`."""
+    """Bodies `(n, ...)` after steps `(n, 12)`."""
     point = WorldPoint(
         start.point.torso,
         rotations_of(step[:, TURN]) @ start.point.rotation,
         start.point.log_size + step[:, SIZE],
         start.point.place + step[:, PLACE],
+        start.point.pointing + step[:, SHIFTS_STEP].reshape(start.point.pointing.shape),
     )
     return WorldBodies(point, start.length + step[:, LENGTHS_STEP])
 
 
 def _step(start: WorldBodies, end: WorldBodies) -> np.ndarray:
-    """`(n, 12)`: the steps from bodies to others, with the shortest turns."""
+    """`(n, D)`: the steps from bodies to others, with the shortest turns."""
     turn = turns_of(end.point.rotation @ np.swapaxes(start.point.rotation, -1, -2))
     size = np.asarray(end.point.log_size - start.point.log_size)[:, None]
     place = end.point.place - start.point.place
-    return np.concatenate([turn, size, place, end.length - start.length], axis=1)
+    shift = (end.point.pointing - start.point.pointing).reshape(len(turn), -1)
+    return np.concatenate([turn, size, place, end.length - start.length, shift], axis=1)
 
 
 def fitted(posterior: InstantPosterior) -> BodyProposal:
@@ -205,8 +212,10 @@ def fitted(posterior: InstantPosterior) -> BodyProposal:
     points = _triangulated(posterior, range(len(posterior.detection.views)))
     _require_torso(posterior, points)
     torsos = np.asarray(posterior.model.torsos)
-    centre, factor = _Fit(posterior, torsos).run(_aligned(torsos, points), points)
-    # Evenly: what chooses among torsos are the limits, of which a fit knows nothing.
+    start = _aligned(torsos, points, posterior.root_prior.pointing.shape)
+    centre, factor = _Fit(posterior, torsos).run(start, points)
+    # Evenly: what chooses among torsos are the limits, of which a fit knows nothing. By the fits'
+    # own evidence, even tempered, fewer roots were effective.
     share = np.full(len(torsos), 1 / len(torsos))
     one = jax.tree.map(lambda leaf: np.asarray(leaf)[None], centre)
     factor = np.sqrt(WIDER) * factor[None]
@@ -242,8 +251,9 @@ def _require_torso(posterior: InstantPosterior, points: np.ndarray) -> None:
         )
 
 
-def _aligned(torsos: np.ndarray, points: np.ndarray) -> WorldPoint:
-    """Every torso on triangulated joints `(15, 3)`, NaN where not known, at the usual size."""
+def _aligned(torsos: np.ndarray, points: np.ndarray, shifts: tuple[int, ...]) -> WorldPoint:
+    """Every torso on triangulated joints `(15, 3)`, NaN where not known, at the usual size; no
+    shifts of so many images."""
     points = points[list(TORSO_INDEX)]
     known = np.isfinite(points).all(axis=1)
     middle = points[known].mean(axis=0)
@@ -252,19 +262,21 @@ def _aligned(torsos: np.ndarray, points: np.ndarray) -> WorldPoint:
     turn = align_torsos(own, points[known] - middle)
     place = middle - MEDIAN_SIZE * np.einsum("jab,jb->ja", turn, torsos[:, known].mean(axis=1))
     number = len(torsos)
-    return WorldPoint(np.arange(number), turn, np.full(number, np.log(MEDIAN_SIZE)), place)
+    size, none = np.full(number, np.log(MEDIAN_SIZE)), np.zeros((number, *shifts))
+    return WorldPoint(np.arange(number), turn, size, place, none)
 
 
-def _factor(covariance: np.ndarray) -> np.ndarray:
-    """Lower Cholesky factors of covariances `(J, 12, 12)`, none wider than `WIDEST`."""
-    level, axes = np.linalg.eigh(covariance / WIDEST / WIDEST[:, None])
+def _factor(covariance: np.ndarray, widest: np.ndarray) -> np.ndarray:
+    """Lower Cholesky factors of covariances `(J, D, D)`, none wider than `widest` `(D,)`."""
+    level, axes = np.linalg.eigh(covariance / widest / widest[:, None])
     level = np.clip(level, NARROWEST, 1.0)
-    return WIDEST[:, None] * np.linalg.cholesky((axes * level[:, None]) @ np.swapaxes(axes, 1, 2))
+    return widest[:, None] * np.linalg.cholesky((axes * level[:, None]) @ np.swapaxes(axes, 1, 2))
 
 
 class _Fit:
     """Robust least squares of all keypoints in all views, for every torso at once: of a step of the
-    body and of the limbs' joints, which hang on bones that are nearly stiff."""
+    body, of the images' shifts, and of the limbs' joints, which hang on bones that are nearly
+    stiff."""
 
     def __init__(self, posterior: InstantPosterior, torsos: np.ndarray) -> None:
         views, lengths = posterior.detected.views, posterior.model.lengths
@@ -276,55 +288,67 @@ class _Fit:
         self.detected = np.stack([np.asarray(view.keypoints) for view in views])
         self.spread = np.stack([np.asarray(view.spread) for view in views])
         self.bias = np.stack([np.asarray(view.bias) for view in views])
+        self.defined = [view.definition for view in views]
+        self.shift = np.asarray(posterior.root_prior.pointing).ravel()
+        self.widest = np.append(WIDEST, WIDEST_SHIFT * self.shift)
 
     def run(self, start: WorldPoint, seen: np.ndarray) -> tuple[WorldBodies, np.ndarray]:
-        """From roots and triangulated joints `(15, 3)` the fits, and factors `(J, 12, 12)` of their
+        """From roots and triangulated joints `(15, 3)` the fits, and factors `(J, D, D)` of their
         covariances."""
         body = WorldBodies(start, np.tile(self.mean, (len(self.torsos), 1)))
         limbs = np.tile(seen[list(LIMB_INDEX)], (len(self.torsos), 1, 1))
         limbs = np.where(np.isfinite(limbs), limbs, start.place[:, None])
+        number = len(self.widest)
         for _ in range(FIT_STEPS):
             slope, off = self._rows(body, limbs)
-            normal = np.einsum("jra,jrb->jab", slope, slope)
-            step = np.linalg.solve(normal, np.einsum("jra,jr->ja", slope, off)[..., None])[..., 0]
-            far = np.abs(step[:, :NUM_STEP] / WIDEST).max(axis=1, keepdims=True)
+            turned = np.swapaxes(slope, 1, 2)
+            step = np.linalg.solve(turned @ slope, turned @ off[..., None])[..., 0]
+            far = np.abs(step[:, :number] / self.widest).max(axis=1, keepdims=True)
             step *= np.minimum(1.0, 1 / np.maximum(far, 1e-9))
-            body = _moved(body, step[:, :NUM_STEP])
-            limbs = limbs + step[:, NUM_STEP:].reshape(limbs.shape)
+            body = _moved(body, step[:, :number])
+            limbs = limbs + step[:, number:].reshape(limbs.shape)
         slope, _ = self._rows(body, limbs)
-        covariance = np.linalg.pinv(np.einsum("jra,jrb->jab", slope, slope), hermitian=True)
-        return body, _factor(covariance[:, :NUM_STEP, :NUM_STEP])
+        covariance = np.linalg.pinv(np.swapaxes(slope, 1, 2) @ slope, hermitian=True)
+        return body, _factor(covariance[:, :number, :number], self.widest)
 
     def _rows(self, body: WorldBodies, limbs: np.ndarray) -> "_Part":
-        """The slopes `(J, rows, 39)` and residuals `(J, rows)` of least squares."""
+        """The slopes `(J, rows, D + 27)` and residuals `(J, rows)` of least squares."""
         number, size = len(limbs), np.exp(body.point.log_size)[:, None]
-        arm = size[..., None] * np.einsum("jab,jtb->jta", body.point.rotation, self.torsos)
+        arm = size[..., None] * self.torsos @ np.swapaxes(body.point.rotation, 1, 2)
         world = np.empty((number, NUM_JOINTS, 3))
         world[:, list(TORSO_INDEX)] = body.point.place[:, None] + arm
         world[:, list(LIMB_INDEX)] = limbs
-        moves = np.zeros((number, NUM_JOINTS, 3, NUM_STEP + 3 * len(LIMB_INDEX)))
+        moves = np.zeros((number, NUM_JOINTS, 3, len(self.widest) + 3 * len(LIMB_INDEX)))
         # A turn moves a joint by its cross product with where it is.
         identity = np.broadcast_to(np.eye(3), (*arm.shape, 3))
         of_root = np.concatenate([-_crossed(arm), arm[..., None], identity], axis=-1)
         moves[:, list(TORSO_INDEX), :, :NUM_ROOT] = of_root
         for row, joint in enumerate(LIMB_INDEX):
-            first = NUM_STEP + 3 * row
+            first = len(self.widest) + 3 * row
             moves[:, joint, :, first : first + 3] = np.eye(3)
-        parts = [self._seen(index, world, moves, size) for index in range(len(self.cameras))]
+        parts = [self._seen(index, body, world, moves) for index in range(len(self.cameras))]
         parts += [self._stiff(body, world, moves, size), self._believed(body, world, moves, size)]
         slope, off = zip(*parts, strict=True)
         return np.concatenate(slope, axis=1), np.concatenate(off, axis=1)
 
-    def _seen(self, index: int, world: np.ndarray, moves: np.ndarray, size: np.ndarray) -> "_Part":
+    def _seen(self, index: int, body: WorldBodies, world: np.ndarray, moves: np.ndarray) -> "_Part":
         """What one camera sees."""
-        camera, spread = self.cameras[index], self.spread[index]
-        unit = camera.focal[0] * size / camera.view(world)[..., 2]
+        camera, spread, size = self.cameras[index], self.spread[index], np.exp(body.point.log_size)
+        if (beside := self.defined[index]) is not None:
+            turn = size[:, None, None] * np.swapaxes(body.point.rotation, 1, 2)
+            world = world + np.asarray(beside) @ turn
+        unit = camera.focal[0] * size[:, None] / camera.view(world)[..., 2]
         sd = np.where(np.isfinite(spread), unit * spread / 2, np.inf)[..., None]
         target = self.detected[index] - self.bias[index] * unit[..., None]
+        slope = camera.slope(world) @ moves
+        if len(self.shift):
+            target = target - body.point.pointing[:, index, None]
+            first = NUM_BODY + 2 * index
+            slope[..., first : first + 2] = np.eye(2)
         off = (target - camera.project(world)) / sd
         square = np.sum(off**2, axis=-1) / ODD_FIT**2
         weight = np.sqrt(1 / (1 + square))[..., None]
-        slope = camera.slope(world) @ moves / sd[..., None] * weight[..., None]
+        slope = slope / sd[..., None] * weight[..., None]
         return _flat(slope), (off * weight).reshape(len(world), -1)
 
     def _stiff(
@@ -347,13 +371,16 @@ class _Fit:
     def _believed(
         self, body: WorldBodies, world: np.ndarray, moves: np.ndarray, size: np.ndarray
     ) -> "_Part":
-        """The priors of size and lengths, and that limbs are about where the body is."""
+        """The priors of size, lengths and shifts, and that limbs are about where the body is."""
         number = len(world)
-        own = np.zeros((number, 1 + len(self.mean), moves.shape[-1]))
-        own[:, 0, SIZE] = 1 / SIZE_SD
-        own[:, 1:, LENGTHS_STEP] = np.diag(1 / self.sd)
-        size_off = (np.log(MEDIAN_SIZE) - body.point.log_size)[:, None] / SIZE_SD
-        off = np.concatenate([size_off, (self.mean - body.length) / self.sd], axis=1)
+        means = np.concatenate([[np.log(MEDIAN_SIZE)], self.mean, 0 * self.shift])
+        sds = np.concatenate([[SIZE_SD], self.sd, self.shift])
+        shift = body.point.pointing.reshape(number, -1)
+        found = np.concatenate([body.point.log_size[:, None], body.length, shift], axis=1)
+        columns = [SIZE, *range(LENGTHS_STEP.start, len(self.widest))]
+        own = np.zeros((number, len(sds), moves.shape[-1]))
+        own[:, range(len(sds)), columns] = 1 / sds
+        off = (means - found) / sds
         joints, scale = list(LIMB_INDEX), LOOSE * size[..., None]
         loose = moves[:, joints] / scale[..., None]
         away = (body.point.place[:, None] - world[:, joints]) / scale
@@ -362,11 +389,11 @@ class _Fit:
 
 
 _Part = tuple[np.ndarray, np.ndarray]
-"""Slopes `(J, rows, 39)` and residuals `(J, rows)`."""
+"""Slopes `(J, rows, D + 27)` and residuals `(J, rows)`."""
 
 
 def _flat(slope: np.ndarray) -> np.ndarray:
-    """Slopes `(J, joints, axes, 39)` as rows."""
+    """Slopes `(J, joints, axes, D + 27)` as rows."""
     return slope.reshape(len(slope), -1, slope.shape[-1])
 
 

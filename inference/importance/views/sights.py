@@ -13,7 +13,8 @@ from poseterior.probmodel.errors.faults import MOVES_TORSO, ORDERS
 from poseterior.probmodel.errors.laws import Disc, ErrorLaw
 from poseterior.probmodel.instant import DetectedInstant, ViewFaults
 from poseterior.probmodel.rig import CameraRig
-from poseterior.probmodel.skeleton import TORSO_INDEX
+from poseterior.probmodel.roots import WorldRoot
+from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 
 
 class Sights(NamedTuple):
@@ -24,13 +25,15 @@ class Sights(NamedTuple):
     keypoint : `(..., 2)`
         Pixels, 0 where it does not count.
     spread
-        TorsoInWorld units, 1 where it does not count.
+        Body units, 1 where it does not count.
     bias : `(..., 2)`
-        TorsoInWorld units.
+        Body units.
     outlier
         The prior probability that it is an outlier, as if all were independent.
     counts
         Whether there is one.
+    definition : `(..., 3)`
+        Body units, body axes: how far from the joint lies what the detector calls so.
     """
 
     keypoint: jax.Array
@@ -38,10 +41,16 @@ class Sights(NamedTuple):
     bias: jax.Array
     outlier: jax.Array
     counts: jax.Array
+    definition: jax.Array
 
     def of(self, joint: jax.Array | int) -> "Sights":
-        """One joint's."""
+        """One joint's, or some joints'."""
         return Sights(*(part[:, joint] for part in self))
+
+    def sought(self, root: WorldRoot) -> jax.Array:
+        """`(C, 6, 3)`: what each view's detector looks for of a torso, in the world, mm."""
+        beside = root.camera.view(self.definition[:, jnp.array(TORSO_INDEX)])
+        return root.camera.world(root.view[None] + beside)
 
 
 def sights_of(detected: DetectedInstant, faulty: ViewFaults, exchange: jax.Array) -> Sights:
@@ -50,6 +59,7 @@ def sights_of(detected: DetectedInstant, faulty: ViewFaults, exchange: jax.Array
     for number, (view, prior) in enumerate(zip(detected.views, faulty.views, strict=True)):
         order = jnp.asarray(ORDERS)[exchange[number]]
         counts = view.counts[order]
+        defined = jnp.zeros((NUM_JOINTS, 3)) if view.definition is None else view.definition
         found.append(
             Sights(
                 jnp.asarray(view.keypoints)[order],
@@ -57,6 +67,7 @@ def sights_of(detected: DetectedInstant, faulty: ViewFaults, exchange: jax.Array
                 jnp.asarray(view.bias)[order],
                 jnp.where(counts, jnp.asarray(prior.outlier)[order], 0.0),
                 counts,
+                jnp.asarray(defined),
             )
         )
     return jax.tree.map(lambda *parts: jnp.stack(parts), *found)
@@ -82,9 +93,10 @@ class ViewJudge(NamedTuple):
         self, sights: Sights, point: jax.Array, size: Any
     ) -> tuple[jax.Array, jax.Array]:
         """`(C,)`, `(C,)`: log density of one joint's keypoints per square pixel, if they are none
-        and if they are outliers, where the joint is at a `point` `(3,)` of the world; 0 where there
-        is none."""
-        view = self.rig.view(point)
+        and if they are outliers, where the joint is at a `point` `(3,)` of the world, or at one
+        `(C, 3)` for each view; 0 where there is none."""
+        arm = jnp.broadcast_to(point, self.rig.centre.shape) - self.rig.centre
+        view = jnp.einsum("cab,cb->ca", self.rig.rotation, arm)
         ahead = view[:, 2] > 0
         depth = jnp.where(ahead, view[:, 2], 1.0)
         image = self.rig.focal[:, None] * view[:, :2] / depth[:, None] + self.rig.principal
@@ -110,12 +122,10 @@ class ViewJudge(NamedTuple):
         self, sights: Sights, points: jax.Array, size: Any, exchange: jax.Array
     ) -> jax.Array:
         """`(C, 7)`: log probability with density of the torso's keypoints in each view, if none and
-        if each of them is an outlier, where the torso is at `points` `(6, 3)` of the world."""
-        torso = jnp.array(TORSO_INDEX)
-        usual, stray = jax.vmap(self.log_densities, (1, 0, None), 1)(
-            Sights(*(part[:, torso] for part in sights)), points, size
-        )
-        share = sights.outlier[:, torso]
+        if each of them is an outlier, where the torso is as `Sights.sought` has it."""
+        seen = sights.of(jnp.array(TORSO_INDEX))
+        usual, stray = jax.vmap(self.log_densities, (1, 1, None), 1)(seen, points, size)
+        share = seen.outlier
         moved = jnp.asarray(MOVES_TORSO)[exchange][:, None]
         odds = jnp.where(moved, 0.0, share / (1 - share))
         itself = jnp.eye(len(TORSO_INDEX), dtype=bool)[None]

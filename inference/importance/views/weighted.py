@@ -11,6 +11,7 @@ import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
@@ -25,6 +26,7 @@ from poseterior.inference.draws import (
     Progress,
     Sampler,
 )
+from poseterior.inference.exact.groups import workers
 from poseterior.inference.exact.loops.numbers import words_of
 from poseterior.inference.importance.views.faults import drawn_faults
 from poseterior.inference.importance.views.limbs import (
@@ -52,7 +54,7 @@ from poseterior.probmodel.skeleton import UPPER_BONES
 
 NUM_BODIES = 1600
 """Roots, where nothing else is said."""
-PILOT_BODIES = 600, 400, 600
+PILOT_BODIES = 400, 400, 400
 """Roots of each pilot run, by which proposals are refined."""
 BODIES_AT_ONCE = 50
 """Roots that a program takes at a time, which bounds the memory."""
@@ -117,15 +119,18 @@ def weigh(
     bodies, exchange = proposal.draw(np.random.default_rng(words_of(draw_key)), number)
     words = np.asarray(jax.random.key_data(limb_key))
     given = posterior.model, posterior.detected, posterior.faults, posterior.root_prior, words
-    parts = []
-    for start in range(0, number, BODIES_AT_ONCE):
+
+    def some(start: int) -> Any:
         rows = np.minimum(np.arange(start, start + BODIES_AT_ONCE), number - 1)
-        some = bodies.take(rows)
-        found = weigh_bodies(*given, np.int64(start), *some.point, some.length, exchange[rows])
-        left = number - start
-        parts.append(jax.tree.map(lambda leaf, left=left: np.asarray(leaf)[:left], found))
+        own = bodies.take(rows)
+        found = weigh_bodies(*given, np.int64(start), *own.point, own.length, exchange[rows])
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[: number - start], found)
+
+    parts = []
+    for found in workers().map(some, range(0, number, BODIES_AT_ONCE)):
+        parts.append(found)
         if progress:
-            progress(min(start + BODIES_AT_ONCE, number), number)
+            progress(min(BODIES_AT_ONCE * len(parts), number), number)
     log_torso, columns = jax.tree.map(lambda *rows: np.concatenate(rows), *parts)
     limbs = Proposals(*columns)
     of_limbs = logsumexp(limbs.log_weight, axis=-1) - math.log(PER_LIMB)
@@ -235,6 +240,7 @@ def _in_the_world(camera: Pinhole, points: RootPoint, rng: np.random.Generator) 
         camera.rotation.T @ points.rotation,
         log_size,
         placed @ camera.rotation + camera.centre,
+        np.zeros((len(depth), 0, 2)),
     )
 
 

@@ -1,0 +1,261 @@
+"""One body from two calibrated cameras, judged by the two that are left out: writes
+reports/cameras.md.
+
+    python -m poseterior.reports.pages.cameras ../shared/data work
+
+The law and how far cameras point beside their calibration are learned from the other half of the
+film. `work` keeps what is judged, and a run that was stopped goes on there.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+
+from poseterior.inference.importance.views.weighted import WeightedViews
+from poseterior.inference.studies.intervals import TAIL, Interval, of_share
+from poseterior.probmodel import DetectorErrors, Likelihood, PoseModel
+from poseterior.probmodel.sessions import Session
+from poseterior.probmodel.sessions.session import HIPS, joints_seen
+from poseterior.probmodel.skeleton import LIMB_JOINTS
+from poseterior.reports.figures.colours import PALETTE
+from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
+from poseterior.reports.pages.filmed import PARTS, Film, film, learn_as
+from poseterior.reports.pages.honest import STRETCH
+from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
+from poseterior.reports.tables import Column, Sheet, sheet_of
+
+JUDGED_FRAMES = 4
+"""Instants of the film at which every pair of cameras is judged."""
+JUDGED_DRAWS, JUDGED_ROOTS = 1000, 800
+FROM_POSTERIOR, BY_TRIANGULATION = WAYS = "posterior", "triangulation"
+JUDGED_AXES = {"depth": slice(0, 1), "side": slice(1, None)}
+"""That of which a pair of cameras says least, and those across it."""
+PAIRS = list(itertools.combinations(range(4), 2))
+
+
+class Beliefs(NamedTuple):
+    """What is learned from the other half of the film: how detections err, in which the outliers
+    and exchanges are those of the embedded law; how far cameras point beside their calibration,
+    degrees; and mm by which a joint's detection strays, `(15,)`."""
+
+    likelihood: Likelihood
+    pointing: float
+    stray: np.ndarray
+
+
+class CameraStanding(NamedTuple):
+    """Of the limbs' joints, by axis `(8, A)`: the share of draws below the truth, whose errors they
+    are given, the error of the mean, and the width of the draws' 95 % intervals, mm."""
+
+    level: np.ndarray
+    error: np.ndarray
+    width: np.ndarray
+
+
+def beliefs(seen: Film) -> list[Beliefs]:
+    """By part of the film, from the rest of it."""
+    default = Likelihood.of(DetectorErrors.default())
+    found = []
+    for part in range(PARTS):
+        rest = seen.unseen(part)
+        learned = Likelihood.of(learn_as(rest, perspective=True).errors)
+        law = dataclasses.replace(learned, faults=default.faults)
+        found.append(Beliefs(law, rest.pointing, rest.stray))
+    return found
+
+
+def frames_of(session: Session, number: int) -> list[int]:
+    """So many rows, evenly over the film."""
+    return np.linspace(0, len(session) - 1, number).round().astype(int).tolist()
+
+
+def draws_of(
+    model: PoseModel, session: Session, row: int, cameras: Sequence[int], given: Beliefs
+) -> np.ndarray:
+    """`(n, 15, 3)`: joints in the world, mm."""
+    instant = session.instant(session.numbers[row], cameras).judged_by(given.likelihood)
+    posterior = dataclasses.replace(instant, pointing=given.pointing).posterior(model)
+    sampler = WeightedViews(num_roots=JUDGED_ROOTS)
+    draws = sampler.draw(posterior, jax.random.key(row), JUDGED_DRAWS)
+    size = np.exp(draws.points.log_size)[:, None, None]
+    return np.asarray(draws.points.place)[:, None] + size * np.asarray(draws.joints)
+
+
+def triangulated(
+    session: Session, row: int, cameras: Sequence[int], given: Beliefs
+) -> tuple[np.ndarray, np.ndarray]:
+    """Joints `(15, 3)` by some cameras, mm, and the covariances `(15, 3, 3)` that go with them."""
+    views = [session.straight[one] for one in cameras]
+    rows = list(cameras)
+    seen = joints_seen(views, session.keypoints[rows][:, [row]], session.score[rows][:, [row]])
+    return seen.points[0], seen.covariance[0] * given.stray[:, None, None] ** 2
+
+
+def true_errors(
+    session: Session, row: int, others: Sequence[int], given: Beliefs, rng: np.random.Generator
+) -> np.ndarray:
+    """`(n, 15, 3)` mm: errors of what other cameras triangulate, whose detections stray, and which
+    point beside, as is believed."""
+    rows = list(others)
+    views = [session.straight[one] for one in others]
+    scale = session.scale[rows, row][:, None, None, None]
+    size = len(rows), JUDGED_DRAWS
+    strays = given.stray[:, None] * rng.standard_normal((*size, 15, 2)) * scale
+    focal = np.array([view.focal[0] for view in views])[:, None, None, None]
+    point = np.tan(np.radians(given.pointing)) * focal * rng.standard_normal((*size, 1, 2))
+    xy, score = session.keypoints[rows][:, [row]], session.score[rows][:, [row]]
+    many = np.repeat(score, JUDGED_DRAWS, axis=1)
+    moved = joints_seen(views, xy + strays + point, many).points
+    return moved - joints_seen(views, xy, score).points
+
+
+def judged(
+    session: Session, row: int, cameras: Sequence[int], draws: np.ndarray, given: Beliefs
+) -> CameraStanding:
+    """Draws of joints `(n, 15, 3)` of the world by some cameras beside what the others say, rooted
+    at the hips' midpoint, the axis of which these cameras say least first."""
+    others = [one for one in range(len(session.cameras)) if one not in cameras]
+    errors = true_errors(session, row, others, given, np.random.default_rng([row, *cameras]))
+    _, doubt = triangulated(session, row, cameras, given)
+    _, axes = np.linalg.eigh(doubt[HIPS].mean(axis=0))
+    axes = axes[:, ::-1]
+    truth = triangulated(session, row, others, given)[0] @ axes
+    points, errors = draws @ axes, errors @ axes
+    truth, points, errors = (
+        (one - one[..., HIPS, :].mean(axis=-2, keepdims=True))[..., LIMB_JOINTS, :]
+        for one in (truth, points, errors)
+    )
+    low, high = np.quantile(points, [TAIL, 1 - TAIL], axis=0)
+    level = (points + errors < truth).mean(axis=0)
+    return CameraStanding(level, np.abs(points.mean(axis=0) - truth), high - low)
+
+
+def judge_pair(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict[str, Any]:
+    """By way, the standings of some cameras, lists of rows."""
+    model, session = PoseModel(), seen.session
+    rows = frames_of(session, JUDGED_FRAMES)
+    found: dict[str, list[Any]] = {way: [] for way in WAYS} | {"rows": rows}
+    for row in rows:
+        own = given[seen.part_of(row)]
+        rng = np.random.default_rng([row, len(cameras)])
+        mean, doubt = triangulated(session, row, cameras, own)
+        factor = np.linalg.cholesky(doubt)
+        normal = rng.standard_normal((JUDGED_DRAWS, 15, 3))
+        draws = {
+            FROM_POSTERIOR: draws_of(model, session, row, cameras, own),
+            BY_TRIANGULATION: mean + np.einsum("jab,njb->nja", factor, normal),
+        }
+        for way, joints in draws.items():
+            standing = judged(session, row, cameras, joints, own)
+            found[way].append([part.tolist() for part in standing])
+    return found
+
+
+def standings(found: dict[str, Any], way: str) -> CameraStanding:
+    """Of one way, with an axis for frames first."""
+    parts = zip(*found[way], strict=True)
+    return CameraStanding(*(np.array(list(part)) for part in parts))
+
+
+def covered(level: np.ndarray, rows: Sequence[int], within: float) -> Interval:
+    """How often central intervals hold the truth, by the levels `(n, ...)` of frames."""
+    held = np.abs(level - 0.5) < within / 2
+    return of_share(held.reshape(len(held), -1), np.array(rows) // STRETCH)
+
+
+def _share(one: Interval) -> str:
+    return f"{100 * one.value:.0f} ({100 * one.low:.0f}–{100 * one.high:.0f})"
+
+
+def _median(values: np.ndarray) -> str:
+    return f"{np.median(values):.0f}"
+
+
+def pair_table(found: dict[str, dict[str, Any]]) -> Sheet:
+    """Coverage, errors and widths of every pair of cameras, by way."""
+    columns = [Column("cameras", left=True), Column("way", left=True)]
+    for name in JUDGED_AXES:
+        columns += [Column(f"{name}: 50 %"), Column(f"{name}: 95 %")]
+        columns += [Column(f"{name}: error"), Column(f"{name}: width")]
+    rows = []
+    for cameras, ways in found.items():
+        for way in WAYS:
+            one, cells = standings(ways, way), []
+            for axis in JUDGED_AXES.values():
+                given = one.level[..., axis], ways["rows"]
+                cells += [_share(covered(*given, within)) for within in (0.5, 0.95)]
+                cells += [_median(part[..., axis]) for part in (one.error, one.width)]
+            rows.append([cameras, way, *cells])
+    return sheet_of(columns, rows)
+
+
+def pooled(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """All pairs together, frame by frame."""
+    pairs = list(found.values())
+    whole = {way: np.concatenate([one[way] for one in pairs], axis=2) for way in WAYS}
+    return {"rows": pairs[0]["rows"], **whole}
+
+
+def coverage_of_pairs(found: dict[str, dict[str, Any]]) -> Figure:
+    """Coverage and errors of every pair of cameras, by way."""
+    figure = page(10.5, 4.4)
+    left, right = figure.subplots(1, 2, sharey=True)
+    left.axvspan(92, 98, color=FAINT, alpha=0.2, lw=0)
+    left.axvline(95, color=INK, lw=0.6)
+    for number, way in enumerate(WAYS):
+        for row, one in enumerate(found.values()):
+            standing = standings(one, way)
+            share = covered(standing.level, one["rows"], 1 - 2 * TAIL)
+            place, colour = row + 0.25 * (number - 0.5), PALETTE[number]
+            label = way if not row else None
+            left.plot([100 * share.low, 100 * share.high], [place] * 2, color=colour, lw=1.4)
+            left.plot(100 * share.value, place, "o", ms=4, color=colour, label=label)
+            right.plot(np.median(standing.error), place, "o", ms=4, color=colour)
+    left.set_yticks(range(len(found)), [f"cameras {name}" for name in found])
+    left.set_ylim(len(found) - 0.5, -0.5)
+    left.set_xlabel("95 % intervals that hold the truth, %", fontsize=TEXT)
+    right.set_xlabel("error of the mean, each axis, mm (median)", fontsize=TEXT)
+    for axis in (left, right):
+        axis.tick_params(labelsize=SMALL)
+        tidy(axis)
+    left.legend(frameon=False, fontsize=SMALL)
+    return figure
+
+
+def named(cameras: Sequence[int]) -> str:
+    """As a user counts them."""
+    return ", ".join(str(one + 1) for one in cameras)
+
+
+def judge_all(seen: Film, work: Path) -> tuple[list[Beliefs], dict[str, dict[str, Any]]]:
+    """What is believed, and what every pair of cameras is worth."""
+    given = beliefs(seen)
+    files = {one: work / f"cameras-{''.join(map(str, one))}.json" for one in PAIRS}
+    return given, {
+        named(one): kept_json(file, judge_pair, seen, given, one) for one, file in files.items()
+    }
+
+
+def main(data: Data, work: Work) -> Page:
+    """Draws what is not there yet, then writes the page."""
+    seen = film(data)
+    given, sets = judge_all(seen, work)
+    values: dict[str, str | int | Sheet] = {
+        "frames": JUDGED_FRAMES,
+        "draws": f"{JUDGED_DRAWS:,}",
+        "roots": JUDGED_ROOTS,
+        "pointing": " and ".join(f"{one.pointing:.2f}" for one in given),
+        "together": pair_table({"all pairs": pooled(sets)}),
+        "pairs": pair_table(sets),
+    }
+    return Page("cameras", values, {"cameras": coverage_of_pairs(sets)})
+
+
+if __name__ == "__main__":
+    run(main)

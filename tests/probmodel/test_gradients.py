@@ -213,7 +213,7 @@ def walked(free: bool, name: str, *more: float) -> "Prepare":
         rows = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (one.point, one.pose))
         if free:
             rooted = RootedTarget.of(one.frame.posterior(known))
-            return Prepared(log, rooted, rooted.points_of(*rows)[0])
+            return Prepared(log, rooted, rooted.points_at(*rows)[0])
         target = Target.of(one.frame.posterior(known))
         return Prepared(log, target, target.points_of(rows[1])[0])
 

@@ -184,10 +184,12 @@ def viewed(settings: CoverageSettings, screen: Screen) -> None:
         console.OUT.print(people_table(people[name]))
     console.say(
         f"Of {len(views)} views of {found['hips'].people} people; intervals are over people."
-        f" {len(every) - len(of_them)} of {len(every)} views were left out, since the median joint"
-        f" is detected more than {person_views.ANOTHER:g} mm from where it truly is: these are of"
-        " somebody else, or of nobody."
     )
+    if strangers := len(every) - len(of_them):
+        console.say(
+            f"{strangers} of {len(every)} views were left out: their median joint is detected more"
+            f" than {person_views.ANOTHER:g} mm from where it truly is, on somebody else or nobody."
+        )
     console.say(f"Written to {out}: coverage.json, coverage.png")
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from poseterior.inference.draws import COMPLETE, Draws, Sampler, over_draws
 from poseterior.inference.importance.weighted import APART, WeightedSampler
+from poseterior.inference.resampling import effective, shares
 from poseterior.inference.results import result_of
-from poseterior.inference.studies.calibration.levels import effective_number
 from poseterior.inference.studies.judging.brought import Brought
 from poseterior.probmodel.errors.faults import ORDERS, Faults
 from poseterior.probmodel.failures import BadInput
@@ -164,16 +164,9 @@ def _given_both(
         draws = sampler.draw(again.between, key, number)
         draws = draws.take(slice(independent(draws)))
         log_weight = again.log_weight(draws)
-        if worth(log_weight) >= FEWEST_WEIGHTED:
+        if effective(shares(log_weight)) >= FEWEST_WEIGHTED:
             break
     return draws, log_weight
-
-
-def worth(log_weight: np.ndarray) -> float:
-    """The effective number of draws of such weights."""
-    if not np.isfinite(log_weight).any():
-        return 0.0
-    return effective_number(np.exp(log_weight - log_weight.max()))
 
 
 def _filled(values: np.ndarray, number: int) -> np.ndarray:

@@ -115,25 +115,39 @@ def true_errors(
     return moved - joints_seen(views, xy, score).points
 
 
-def judged(
-    session: Session, row: int, cameras: Sequence[int], draws: np.ndarray, given: Beliefs
-) -> CameraStanding:
-    """Draws of joints `(n, 15, 3)` of the world by some cameras beside what the others say, rooted
-    at the hips' midpoint, the axis of which these cameras say least first."""
+class TruthOfOthers(NamedTuple):
+    """What other cameras say of the limbs' joints `(8, 3)`, in `axes` of which the judged cameras
+    say least first, about the hips' midpoint; and the errors `(n, 8, 3)` that this may have."""
+
+    axes: np.ndarray
+    joints: np.ndarray
+    errors: np.ndarray
+
+
+def truth_beside(
+    session: Session, row: int, cameras: Sequence[int], doubt: np.ndarray, given: Beliefs
+) -> TruthOfOthers:
+    """What the others say beside some cameras, whose joints have the covariances `doubt`
+    `(15, 3, 3)`."""
     others = [one for one in range(len(session.cameras)) if one not in cameras]
     errors = true_errors(session, row, others, given, np.random.default_rng([row, *cameras]))
-    _, doubt = triangulated(session, row, cameras, given)
     _, axes = np.linalg.eigh(doubt[HIPS].mean(axis=0))
     axes = axes[:, ::-1]
-    truth = triangulated(session, row, others, given)[0] @ axes
-    points, errors = draws @ axes, errors @ axes
-    truth, points, errors = (
-        (one - one[..., HIPS, :].mean(axis=-2, keepdims=True))[..., LIMB_JOINTS, :]
-        for one in (truth, points, errors)
-    )
+    joints = triangulated(session, row, others, given)[0]
+    return TruthOfOthers(axes, _limbs(joints @ axes), _limbs(errors @ axes))
+
+
+def _limbs(joints: np.ndarray) -> np.ndarray:
+    """`(..., 8, 3)`: the limbs' joints about the hips' midpoint."""
+    return (joints - joints[..., HIPS, :].mean(axis=-2, keepdims=True))[..., LIMB_JOINTS, :]
+
+
+def judged(draws: np.ndarray, truth: TruthOfOthers) -> CameraStanding:
+    """Draws of joints `(n, 15, 3)` of the world beside what the other cameras say."""
+    points = _limbs(draws @ truth.axes)
     low, high = np.quantile(points, [TAIL, 1 - TAIL], axis=0)
-    level = (points + errors < truth).mean(axis=0)
-    return CameraStanding(level, np.abs(points.mean(axis=0) - truth), high - low)
+    level = (points + truth.errors < truth.joints).mean(axis=0)
+    return CameraStanding(level, np.abs(points.mean(axis=0) - truth.joints), high - low)
 
 
 def judge_pair(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict[str, Any]:
@@ -145,6 +159,7 @@ def judge_pair(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict
         own = given[seen.part_of(row)]
         rng = np.random.default_rng([row, len(cameras)])
         mean, doubt = triangulated(session, row, cameras, own)
+        truth = truth_beside(session, row, cameras, doubt, own)
         factor = np.linalg.cholesky(doubt)
         normal = rng.standard_normal((JUDGED_DRAWS, 15, 3))
         draws = {
@@ -152,8 +167,7 @@ def judge_pair(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict
             BY_TRIANGULATION: mean + np.einsum("jab,njb->nja", factor, normal),
         }
         for way, joints in draws.items():
-            standing = judged(session, row, cameras, joints, own)
-            found[way].append([part.tolist() for part in standing])
+            found[way].append([part.tolist() for part in judged(joints, truth)])
     return found
 
 

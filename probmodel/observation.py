@@ -302,7 +302,7 @@ class DetectedJoints(NamedTuple):
         alike = self.definition is None or len(self.definition) == 1
         return self.at(prior.root(point), faults, None if alike else point.torso)
 
-    def defined(self, torso: Any = None) -> Any:
+    def definition_of(self, torso: Any = None) -> Any:
         """`(15, 3)`: the definitions of the dictionary's torso of that index, or their mean; None
         where there are none."""
         if self.definition is None:
@@ -318,7 +318,7 @@ class DetectedJoints(NamedTuple):
         target = root.camera.to_plane(read.keypoints) - read.bias
         xp = jnp if isinstance(target, jax.Array) else np
         seen = xp.isfinite(read.spread)[:, None]
-        definition = self.defined(torso)
+        definition = self.definition_of(torso)
         turned = None if definition is None else root.camera.view(definition)
         target = xp.where(seen, target, 0.0)
         return Observation(root, target, read.spread, read.law, read.bias, turned)

@@ -34,9 +34,9 @@ def honesty_table(found: Honesty, middle: str, gap: np.ndarray) -> Sheet:
     ]
     caption = (
         f"{found.silent} of {found.views} views say nothing: no draws, or no true {middle}."
-        " Detected"
-        f" {middle} lie {gap[0]:.0f} mm to the right of the true ones and {gap[1]:.0f} mm below"
-        " them in the image (medians): what is placed about them is off by as much."
+        f" Detected {middle} lie {gap[0]:.0f} mm to the right of the true ones and"
+        f" {gap[1]:.0f} mm below them in the image (medians): what is placed about them is off by"
+        " as much."
     )
     title = f"People and cameras never seen, about the {middle}"
     return sheet_of(columns, rows, title=title, caption=caption)

@@ -159,8 +159,8 @@ def floats(text: str) -> np.ndarray | None:
 def require_depth(joints: np.ndarray, path: Path) -> None:
     """Raises `BadInput` where all joints of poses `(..., 15, 3)` have one coordinate in common, but
     not all of them: what a single camera saw. (A rig's pose of rest may lie in a plane.)"""
-    sizes = np.ptp(joints, axis=-2).reshape(-1, 3).max(axis=0, initial=0.0)
-    if (sizes == 0).any() and (sizes > 0).any():
+    flat = (joints == joints[..., :1, :]).reshape(-1, 3).all(axis=0)
+    if flat.any() and not flat.all():
         raise BadInput(
             f"{path}: all joints lie in one plane (one coordinate is the same for all), as those of"
             " a single camera do; give poses in space"

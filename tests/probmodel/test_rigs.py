@@ -2,6 +2,7 @@
 and poses without depth."""
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -300,6 +301,16 @@ def test_poses_in_a_plane_are_no_poses_in_space(
     for read in (read_data_set, read_poses):
         with pytest.raises(BadInput, match="lie in one plane"):
             read(tmp_path / "b.npz")
+
+
+def test_infinite_joints_are_no_plane_and_no_warning(tmp_path: Path) -> None:
+    """Infinity minus infinity would be a warning of NumPy's, in front of the sentence."""
+    poses = np.tile(POSE, (3, 1, 1)) + np.arange(3.0)[:, None, None]
+    poses[1, :, 0] = np.inf
+    np.save(tmp_path / "a.npy", poses)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(read_poses(tmp_path / "a.npy").joints) == 3
 
 
 # The files that users brought.

@@ -38,12 +38,8 @@ bench: $(VENV)/.done
 	$(BIN)/python -m poseterior.reports.pages.speed
 
 # The site, in build/site: a warning, or a link that leads nowhere, ends it.
-docs: $(VENV)/.docs
+docs: $(VENV)/.done
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet -c docs . build/site
-
-$(VENV)/.docs: $(VENV)/.done
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable ".[docs]"
-	@touch $@
 
 # Executes the notebooks whose outputs are stale (or all: make notebooks WHICH=all), and stores what they show.
 notebooks: $(VENV)/.done
@@ -57,15 +53,17 @@ dist:
 	build/maker/bin/python -m pip install --quiet --disable-pip-version-check build
 	build/maker/bin/python -m build --outdir dist .
 	$(PYTHON) -m venv build/clean
-	build/clean/bin/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock dist/*.whl
+	build/clean/bin/python -m pip install --quiet --disable-pip-version-check dist/*.whl
 	mkdir build/elsewhere
 	cd build/elsewhere && ../clean/bin/python -P ../../tests/installed.py
 
-# Not compiled to bytecode at once: most of what is installed is never imported, and it takes a sixth of the time.
+# What is installed is what the lock's hashes say, its own builder too. It is not compiled to bytecode at
+# once: most of it is never imported, and that takes a sixth of the time.
 $(VENV)/.done: pyproject.toml requirements.lock
 	@$(NEED_PYTHON)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint requirements.lock --editable ".[dev]"
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --require-hashes --requirement requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --disable-pip-version-check --editable .
 	@echo "compiling the loops, once"
 	@$(BIN)/poseterior demo --quiet --out $(VENV)/demo > /dev/null
 	@$(BIN)/poseterior hypotheses examples/skier.json --quiet --out $(VENV)/skier > /dev/null
@@ -80,12 +78,8 @@ mutants: $(VENV)/.done
 	$(BIN)/python -m tests.mutants
 
 # Faults by cosmic-ray: MUTANTS_NUMBER says how many (or MUTANTS_SECONDS how long), MUTANTS_SEED which.
-drawn-mutants: $(VENV)/.mutation
+drawn-mutants: $(VENV)/.done
 	$(BIN)/python -m tests.mutants.drawn
-
-$(VENV)/.mutation: $(VENV)/.done
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable ".[mutation]"
-	@touch $@
 
 # KILLS says how many of each command (or KILLS_SECONDS how long in all), KILLS_SEED which.
 kills: $(VENV)/.done
@@ -95,8 +89,14 @@ kills: $(VENV)/.done
 conditions: $(VENV)/.done
 	$(BIN)/python -m tests.conditions
 
-lock: $(VENV)/.done
-	$(BIN)/python -m pip freeze --exclude-editable > requirements.lock
+# The versions that stand in the lock are kept while they fit pyproject.toml; LOCK=--upgrade takes the newest.
+lock:
+	@$(NEED_PYTHON)
+	$(PYTHON) -m venv build/locker
+	build/locker/bin/python -m pip install --quiet --disable-pip-version-check uv
+	build/locker/bin/uv pip compile pyproject.toml $(LOCK) --extra dev --extra docs --extra mutation --universal \
+		--python-version 3.12 --generate-hashes --no-annotate --quiet --custom-compile-command "make lock" \
+		--output-file requirements.lock > /dev/null
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .mypy_cache

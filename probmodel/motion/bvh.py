@@ -124,7 +124,7 @@ def _parse_bvh_hierarchy(text: str, path: Path) -> list[_BvhJoint]:
                 continue
             case ["ROOT" | "JOINT", *words] if words:
                 pending = " ".join(words)
-            case ["End", "Site"] if stack:
+            case ["End", "Site" | "site"] if stack:
                 pending = joints[stack[-1]].name + END
             case ["{"] if pending is not None:
                 if len(joints) == MOST_JOINTS:

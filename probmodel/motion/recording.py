@@ -93,7 +93,7 @@ def read_text(path: Path) -> str:
     data = read_bytes(path, "motion capture", "check the path", largest=LARGEST_TEXT)
     if data.count(b"\n") > MOST_LINES:
         raise BadInput(f"{path} has more than {MOST_LINES:,} lines; split it into smaller files")
-    return data.decode("utf-8", errors="replace")
+    return data.decode("utf-8-sig", errors="replace")
 
 
 def require_frames(count: int, joints: int, path: Path) -> None:

@@ -1,14 +1,15 @@
 """Skeletons of animation: which of a rig's joints are our fifteen, by their names.
 
-Known are the names of the CMU conversions, of Mixamo, Rokoko, Xsens, Noitom, OptiTrack, Poser,
-Unity's humanoid, VRM, Unreal's mannequin, 3ds Max' Biped, Blender's Rigify, Bandai-Namco, SMPL, and
-those that `poseterior export` writes. A prefix that most share is stripped (`mixamorig:`, a
-subject's name). Each part of the body is looked for by itself, in the first naming of it that is
+Known are the names of the CMU conversions, of Mixamo, Rokoko, Xsens, Noitom, OptiTrack, Poser, Daz,
+Unity's humanoid, VRM, Unreal's mannequin, 3ds Max' Biped, Valve's, Blender's Rigify, Auto-Rig Pro,
+Character Creator, Maya's Advanced Skeleton, DeepMotion, Kinect, Bandai-Namco, SMPL, and
+those that `poseterior export` writes. A prefix or a suffix that most share is stripped
+(`mixamorig:`, a subject's name, `_JNT`). Each part of the body is looked for by itself, in the first naming of it that is
 there: a rig's LeftShoulder is the shoulder only where there is no LeftArm beyond it."""
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from poseterior.probmodel.failures import BadInput, shown
@@ -18,10 +19,16 @@ END = " end"
 """What is added to a joint's name to name its End Site."""
 SIDES = ("right", "left")
 _CENTRES = {
-    "pelvis": ("hips", "pelvis", "hip", "midhip"),
-    "thorax": ("lowerneck", "neck", "neck1", "neck01", "neckbase"),
-    "head": ("headtop", "headtopend", "headend", "headnub"),
+    "pelvis": ("hips", "pelvis", "hip", "midhip", "spinebase", "rootm", "rootx"),
+    "thorax": (
+        *("lowerneck", "necklower", "neck", "neck1", "neck01", "necktwist01", "neckbase"),
+        "spineshoulder",
+    ),
+    "head": ("headtop", "headtopend", "headend", "head1end", "headxend", "headnub"),
 }
+_MARKS = (("", ""), ("c", ""), ("", "m"), ("", "x"))
+"""What rigs put before or behind the names of what is in the middle: VRM, Maya's and Auto-Rig
+Pro."""
 _RIGIFY = {"pelvis": "spine", "thorax": "spine004", "head": "spine006end"}
 """Where the spine is numbered from the hips to the head."""
 _LIMB_NAMES = {
@@ -31,6 +38,8 @@ _LIMB_NAMES = {
         ("upperarm", "forearm", "hand"),
         ("uarm", "farm", "hand"),
         ("shldr", "forearm", "hand"),
+        ("shldrbend", "forearmbend", "hand"),
+        ("armstretch", "forearmstretch", "hand"),
         ("shoulder", "elbow", "wrist"),
         ("shoulder", "elbow", "hand"),
     ),
@@ -40,6 +49,9 @@ _LIMB_NAMES = {
         ("thigh", "shin", "foot"),
         ("thigh", "calf", "foot"),
         ("thigh", "leg", "foot"),
+        ("leg", "shin", "foot"),
+        ("thighbend", "shin", "foot"),
+        ("thighstretch", "legstretch", "foot"),
         ("hip", "knee", "ankle"),
         ("hip", "knee", "foot"),
     ),
@@ -47,6 +59,7 @@ _LIMB_NAMES = {
 """Our joints of a limb, and what rigs call them."""
 _PREFIX = re.compile(r"(?:.*:|mixamorig\d*[:_]?|bip\d*[ _]|def-|.*\|)", re.IGNORECASE)
 _FIRST_WORD = re.compile(r"[^_ .-]+[_ .-]+")
+_LAST_WORD = re.compile(rf"[_ .-]+[^_ .-]+?(?=(?:{END})?$)")
 
 
 def joints_of_rig(
@@ -105,27 +118,30 @@ def _given(names: Sequence[str], path: Path, given: Mapping[str, str]) -> dict[s
 
 
 def _plain(names: Sequence[str]) -> dict[str, int]:
-    """By name without prefix, in lower-case letters and digits, the first joint of that name."""
+    """By name without what most share, in lower-case letters and digits, the first joint of that
+    name."""
     stripped = [_PREFIX.sub("", name, count=1) for name in names]
-    while shared := _shared_prefix(stripped):
+    while shared := _shared(_FIRST_WORD.match, stripped):
         stripped = [name.removeprefix(shared) for name in stripped]
+    if shared := _shared(_LAST_WORD.search, stripped):
+        stripped = [name.replace(f"{shared}{END}", END).removesuffix(shared) for name in stripped]
     plain: dict[str, int] = {}
     for index, name in enumerate(stripped):
         plain.setdefault(re.sub(r"[^a-z0-9]", "", name.lower()), index)
     return plain
 
 
-def _shared_prefix(names: Sequence[str]) -> str:
-    """What more than half of the names begin with, up to a mark that sets words apart."""
-    firsts = Counter(match[0] for name in names if (match := _FIRST_WORD.match(name)))
-    prefix, count = max(firsts.items(), key=lambda item: item[1], default=("", 0))
-    return prefix if 2 * count > len(names) else ""
+def _shared(word: Callable[[str], re.Match[str] | None], names: Sequence[str]) -> str:
+    """The first or last word of more than half of the names, with the mark that sets it apart."""
+    words = Counter(match[0] for name in names if (match := word(name)))
+    shared, count = max(words.items(), key=lambda item: item[1], default=("", 0))
+    return shared if 2 * count > len(names) else ""
 
 
 def _centres(plain: Mapping[str, int]) -> dict[str, int]:
     found: dict[str, int | None] = {}
     for ours, theirs in _CENTRES.items():
-        ways = (f"{centre}{name}" for centre in ("", "c") for name in theirs)
+        ways = (f"{left}{name}{right}" for left, right in _MARKS for name in theirs)
         found[ours] = next((plain[way] for way in ways if way in plain), None)
     if _RIGIFY["thorax"] in plain:
         found |= {ours: plain.get(name) for ours, name in _RIGIFY.items()}

@@ -139,6 +139,51 @@ RIGS = {
             LETTERS,
         ).items()
     },
+    "Character Creator": rig(
+        "CC_Base_Hip CC_Base_Spine01 CC_Base_NeckTwist01 CC_Base_Head",
+        "Clavicle Upperarm Forearm Hand Thigh Calf Foot ToeBase",
+        "CC_Base_{side}_{part}",
+        LETTERS,
+    ),
+    "DeepMotion": rig(
+        "hips_JNT spine_JNT neck_JNT head_JNT",
+        "shoulder arm forearm hand upleg leg foot toebase",
+        "{side}_{part}_JNT",
+        SMALL,
+    ),
+    "Advanced Skeleton": rig(
+        "Root_M Spine1_M Neck_M Head_M HeadEnd_M",
+        "Scapula Shoulder Elbow Wrist Hip Knee Ankle Toes",
+        "{part}_{side}",
+        LETTERS,
+    ),
+    "Auto-Rig Pro": rig(
+        "root.x spine_01.x neck.x head.x",
+        "shoulder arm_stretch forearm_stretch hand thigh_stretch leg_stretch foot toes_01",
+        "{part}.{side}",
+        SMALL,
+    ),
+    "Valve": rig(
+        "ValveBiped.Bip01_Pelvis ValveBiped.Bip01_Spine ValveBiped.Bip01_Neck1"
+        " ValveBiped.Bip01_Head1",
+        "Clavicle UpperArm Forearm Hand Thigh Calf Foot Toe0",
+        "ValveBiped.Bip01_{side}_{part}",
+        LETTERS,
+    ),
+    "Daz": rig(
+        "hip abdomenLower neckLower head",
+        "Collar ShldrBend ForearmBend Hand ThighBend Shin Foot Toe",
+        sides=SMALL,
+    ),
+    "Kinect": rig(
+        "SpineBase SpineMid SpineShoulder Head",
+        "Clavicle Shoulder Elbow Wrist Hip Knee Ankle Foot",
+        "{part}{side}",
+    ),
+    "SOMA": rig(
+        "Hips Spine1 Neck1 Head HeadEnd", "Shoulder Arm ForeArm Hand Leg Shin Foot ToeBase"
+    ),
+    "numbered by Blender": {ours: f"{name}.001" for ours, name in CMU.items()},
     "Poser": rig(
         "hip abdomen neck head", "Collar Shldr ForeArm Hand Thigh Shin Foot Toe", sides=SMALL
     ),
@@ -187,6 +232,13 @@ def test_units_of_bvh_are_told_by_the_legs(tmp_path: Path, scale: float) -> None
     (motion,) = read_motion(tmp_path / "a.bvh")
     child = 0.6 if scale in (0.006, 0.6, 6.0) else 1.0
     np.testing.assert_allclose(motion.joints[0], child * 10 * REST, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("change", [("HIERARCHY", "\ufeffHIERARCHY"), ("End Site", "End site")])
+def test_what_writers_of_bvh_do_otherwise(tmp_path: Path, change: tuple[str, str]) -> None:
+    (tmp_path / "a.bvh").write_text(bvh(CMU).replace(*change), encoding="utf-8")
+    (motion,) = read_motion(tmp_path / "a.bvh")
+    np.testing.assert_allclose(motion.joints[0], 10 * REST, atol=1e-6)
 
 
 OWN = {

@@ -198,12 +198,24 @@ class ArrayFile:
                 f" {self.size:,}; {self.advice}"
             )
 
-    def _members(self) -> dict[str, zipfile.ZipInfo]:
+    def strangers(self) -> list[str]:
+        """What is in a ZIP archive of which nothing is an array; empty for all others."""
+        if self.magic != ZIP:
+            return []
+        try:
+            names = [info.filename for info in self._infos()]
+        except BadInput:
+            return []
+        return [] if any(name.endswith(".npy") for name in names) else names
+
+    def _infos(self) -> list[zipfile.ZipInfo]:
         with self._damage(self.source):
             self.require(ZIP)
             with zipfile.ZipFile(self.file) as archive:
-                infos = [info for info in archive.infolist() if not info.is_dir()]
-        return {self._printable(info.filename.removesuffix(".npy")): info for info in infos}
+                return [info for info in archive.infolist() if not info.is_dir()]
+
+    def _members(self) -> dict[str, zipfile.ZipInfo]:
+        return {self._printable(info.filename.removesuffix(".npy")): info for info in self._infos()}
 
     def _printable(self, name: str | bytes) -> str:
         """A name that may stand in a message. Raises `BadInput` where it cannot."""

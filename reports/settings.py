@@ -625,7 +625,7 @@ class BenchmarkJudgeSettings:
     `seconds`."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = ("benchmark judge draws.npz --target arm",)
-    draws: Annotated[Path, Argument(help="The draws, .npz or .npy.", show_default=False)]
+    draws: Annotated[Path, Argument(help="The draws, .npz, .npy or .nc.", show_default=False)]
     target: TargetName
 
     @functools.cached_property

@@ -173,6 +173,12 @@ _ROWS = (
         named_points.recognises_named,
         named_points.read_named,
     ),
+    Format(
+        "lists",
+        "lists of points in JSON (with a layout)",
+        point_arrays.recognises_lists,
+        point_arrays.read_lists,
+    ),
     Format("mpii", "MPII annotations", mpii.recognises, mpii.read),
     Format("mmpose", "MMPose or RTMPose JSON", mmpose.recognises, mmpose.read),
     Format(

@@ -6,7 +6,7 @@ COCO's seventeen points, or those that their category names (as MMPose's files o
 do), where the user's own names come first. Results carry a score for each point (AlphaPose's run to
 6 in some models; only their proportions matter), and how many numbers a record has tells which
 layout it is, as it does in annotations whose category names no points (Halpe's). OpenPifPaf's lists
-leave out the image."""
+leave out the image, and of a film are lines {"frame": 7, "predictions": […]}."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
@@ -41,6 +41,7 @@ def recognises_results(content: Content) -> bool:
     if not isinstance(records, list) or not records:
         return records == []
     head = records[0] if isinstance(records[0], dict) else {}
+    head = next(iter(_predicted(head)), head)
     flat = head.get("keypoints")
     return "image_id" in head or (
         isinstance(flat, list) and bool(flat) and isinstance(flat[0], int | float)
@@ -84,13 +85,23 @@ def read_annotations(content: Content, threshold: float) -> Iterator[Detection]:
 
 def read_results(content: Content, threshold: float) -> Iterator[Detection]:
     """One detection for each record of the list, numbered in the order of the file."""
-    for person, (where, record) in enumerate(_records(content.records(), "record", content.source)):
+    records = (one for value in content.records() for one in _predicted(value))
+    for person, (where, record) in enumerate(_records(records, "record", content.source)):
         _check_category(record, {PERSON}, where)
         image = image_name(record.get("image_id"), f"image_id of {where}")
         points, layout = _points(record, content, where)
         yield layout.detection(
             points, threshold, content.source, person, image, track=track_of(record)
         )
+
+
+def _predicted(value: Any) -> list[Any]:
+    """The records of a frame of OpenPifPaf's film; or the one that it is."""
+    people = value.get("predictions") if isinstance(value, dict) else None
+    if not isinstance(people, list):
+        return [value]
+    frame = {"image_id": value.get("frame")}
+    return [frame | one if isinstance(one, dict) else one for one in people]
 
 
 def _records(values: Iterable[Any], kind: str, source: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -103,7 +114,10 @@ def _points(
     record: dict[str, Any], content: Content, where: str, known: Sequence[Layout] = BY_COUNT
 ) -> tuple[FloatArray, Layout]:
     if "keypoints" not in record:
-        raise BadInput(f"{where} has no 'keypoints'; give a file of keypoints, not one of boxes.")
+        raise BadInput(
+            f"{where} has no 'keypoints', but {shown(list(record))}; give a file of keypoints, not"
+            " one of boxes."
+        )
     return flat_points(record["keypoints"], "keypoints", where, content, known)
 
 

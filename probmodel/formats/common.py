@@ -75,9 +75,16 @@ class Content:
 
     @cached_property
     def json(self) -> Any:
-        """The document, parsed once. Raises `BadInput` where it is not UTF-8, not JSON, nested too
-        deeply, or would fill the memory."""
-        return parsed(self.text, self.source)
+        """The document, parsed once; of JSON lines, a list of them. Raises `BadInput` where it is
+        not UTF-8, not JSON, nested too deeply, or would fill the memory."""
+        return [*self.records()] if self._of_lines else parsed(self.text, self.source)
+
+    @cached_property
+    def _of_lines(self) -> bool:
+        """Whether it is JSON lines: an object a line, which stand for an array of them."""
+        first, _, rest = self._document.lstrip().partition("\n")
+        whole = first.startswith("{") and first.rstrip().endswith("}")
+        return whole and rest.lstrip().startswith("{")
 
     @cached_property
     def first(self) -> Any:
@@ -90,6 +97,8 @@ class Content:
             return None
         text = self._document
         start = _skip(text, 0)
+        if self._of_lines:
+            return [next(self.records())]
         if text[start : start + 1] == "{":
             return self.json
         if text[start : start + 1] != "[":
@@ -106,6 +115,11 @@ class Content:
         """The elements of a document that is an array, parsed one by one, so that a long file need
         not be in memory as objects. Raises `BadInput` as `json` does, at the element where that is
         found out."""
+        if self._of_lines:
+            for number, line in enumerate(self._document.split("\n"), 1):
+                if line.strip():
+                    yield parsed(line, f"line {number} of {self.source}")
+            return
         if not isinstance(self.first, list):
             raise BadInput(f"{self.source} is {shown(self.first)} where a JSON array is needed.")
         text, decoder = self._document, json.JSONDecoder()

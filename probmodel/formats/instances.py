@@ -5,12 +5,13 @@ return, written as JSON.
     [[{"keypoints": [[x, y], …], "scores": […], "labels": […]}, …], …]  Hugging Face ViTPose
     {"keypoints": [[[x, y], …], …], "scores": [[…], …]}                 RTMLib
     {"pred_keypoints": [[[x, y, score], …], …]}                         Detectron2's Instances
+    {"preds": …} or {"bodyparts": …} likewise                           MMPose 0.x, DeepLabCut 3
     {"image": …, "keypoints": [[x, y], …]}                              one person, as people write
     {"filename": …, "annots": [{"keypoints": [[x, y, score], …]}, …]}   EasyMocap, BODY_25
 
-ViTPose has a list an image. Its labels number the points that it kept, where it was asked to leave
-out those of a low score. EasyMocap says the size of its image. How many points there are tells
-whose they are, unless the user says it."""
+Those of all people may stand in a list, one an image. ViTPose has a list an image. Its labels
+number the points that it kept, where it was asked to leave out those of a low score. EasyMocap says
+the size of its image. How many points there are tells whose they are, unless the user says it."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ from poseterior.probmodel.formats.common import (
     BY_COUNT,
     Content,
     chosen_layout,
+    flat_points,
     image_name,
     image_side,
     mapping,
@@ -34,7 +36,7 @@ from poseterior.probmodel.formats.common import (
 )
 from poseterior.probmodel.layouts import BODY_25, COCO_17, Layout
 
-_KEYS = ("pred_keypoints", "keypoints")
+_KEYS = ("pred_keypoints", "keypoints", "preds", "bodyparts")
 _IMAGES = ("image_id", "image", "filename", "file_name", "img_name")
 _SIDES = ("width", "height")
 
@@ -49,8 +51,16 @@ def recognises(content: Content) -> bool:
         return False
     if isinstance(document.get("annots"), list):
         return True
-    rows = next((document[key] for key in _KEYS if key in document), None)
-    return isinstance(rows, list) and bool(rows) and isinstance(rows[0], list)
+    return _depth(_rows(document)) >= (1 if document is content.first else 2)
+
+
+def _rows(record: dict[str, Any]) -> Any:
+    return next((record[key] for key in _KEYS if key in record), None)
+
+
+def _depth(rows: Any) -> int:
+    """How many lists stand in one another: 2 of one person's points, 3 of several people's."""
+    return 1 + _depth(rows[0]) if isinstance(rows, list) and rows else 0
 
 
 def read(content: Content, threshold: float) -> Iterator[Detection]:
@@ -88,27 +98,25 @@ def _people(content: Content) -> Iterator[ListedPerson]:
                 yield _record(record, str(index), f"person {place} of {where}")
         elif isinstance(value, dict) and "annots" in value:
             yield from _document(value, where)
+        elif isinstance(value, dict) and _depth(_rows(value)) == 3:
+            people = _columns(value, where)
+            yield from (person._replace(image=person.image or str(index)) for person in people)
         else:
             yield _record(value, None, where)
 
 
 def _document(document: dict[str, Any], source: str) -> Iterator[ListedPerson]:
     """The people of one object: EasyMocap's, of all people, or of one alone."""
-    rows = document.get("keypoints")
     if "annots" in document:
         image, size = _image(document, source), _size(document, source)
         people = sequence(document["annots"], f"'annots' of {source}")
         for index, value in enumerate(people):
             person = _record(value, image, f"person {index} of {source}")
             yield person._replace(size=size, known=(BODY_25, *BY_COUNT))
-    elif isinstance(rows, list) and rows and _is_row(rows[0]):
+    elif "keypoints" in document and _depth(_rows(document)) in (1, 2):
         yield _record(document, None, f"the person of {source}")
     else:
         yield from _columns(document, source)
-
-
-def _is_row(value: object) -> bool:
-    return isinstance(value, list) and bool(value) and not isinstance(value[0], list)
 
 
 def _image(record: dict[str, Any], where: str) -> str | None:
@@ -135,7 +143,8 @@ def _columns(document: dict[str, Any], source: str) -> Iterator[ListedPerson]:
         )
     each = [None] * len(people) if scores is None else scores
     for index, (rows, row) in enumerate(zip(people, each, strict=True)):
-        yield ListedPerson(None, f"person {index} of {source}", rows, row)
+        image = _image(document, source)
+        yield ListedPerson(image, f"person {index} of {source}", rows, row)
 
 
 def _record(value: object, image: str | None, where: str) -> ListedPerson:
@@ -149,6 +158,8 @@ def _points(person: ListedPerson, content: Content) -> tuple[FloatArray, Layout]
     """`(count, 3)` points in the layout's order."""
     where, scores, labels = person.where, person.scores, person.labels
     listed = sequence(person.rows, f"'keypoints' of {where}")
+    if _depth(listed) == 1:
+        return flat_points(listed, "keypoints", where, content, person.known)
     if isinstance(scores, list) and len(scores) != len(listed):
         raise BadInput(
             f"{where} has {len(listed)} keypoints but {len(scores)} scores; check what wrote it."

@@ -4,6 +4,7 @@ MediaPipe has no file of its own; people write one of these, and all are read:
 
     [{"x": …, "y": …, "z": …, "visibility": …} × 33]      one person; or a list of such lists
     {"landmarks": …}, {"pose_landmarks": …}, {"poseLandmarks": …}      the same, one level down
+    [{"frame": 7, "landmarks": …}, …], {"frames": […]}    a film, its frames numbered if they say so
     landmarks { landmark { x: … visibility: … } … }       its protobuf as text, a block a person
     x, y, z, visibility                                   a table (CSV): 33 rows a person, or a row
                                                           a frame, in the landmarks' order
@@ -25,6 +26,7 @@ from poseterior.probmodel.formats.common import (
     Content,
     cell_number,
     chosen_layout,
+    image_name,
     mapping,
     number,
     sequence,
@@ -36,19 +38,34 @@ from poseterior.probmodel.layouts import MEDIAPIPE_33
 MISSING_VISIBILITY = 0.5
 """The visibility up to which a landmark is missing."""
 WRAPPINGS = ("landmarks", "pose_landmarks", "poseLandmarks")
+FRAMES = ("frame", "frame_id", "frame_idx", "frame_number", "image", "image_id")
 _FIELDS = ("x", "y", "visibility")
 _BLOCK = re.compile(r"\b(?P<name>\w+)\s*\{|(?P<close>\})|(?P<field>\w+)\s*:\s*(?P<value>[^\s{}]+)")
 
 
 def recognises_json(content: Content) -> bool:
     """Landmarks with x, y and visibility, in a list, a list of lists, or one level down."""
-    document = content.first
+    document = _first(_frames(content.first))
     if isinstance(document, dict):
-        document = next((document[key] for key in WRAPPINGS if key in document), None)
+        key = _wrapping(document)
+        document = document if key is None else document[key]
+        if key is not None and not document:
+            return True  # nobody in the first frame
     for _ in range(2):
-        if isinstance(document, list) and document:
-            document = document[0]
+        document = _first(document)
     return isinstance(document, dict) and {"x", "y"} <= set(document) and "image_id" not in document
+
+
+def _first(value: Any) -> Any:
+    return value[0] if isinstance(value, list) and value else value
+
+
+def _frames(document: Any) -> Any:
+    return document.get("frames", document) if isinstance(document, dict) else document
+
+
+def _wrapping(document: Any) -> str | None:
+    return next((key for key in WRAPPINGS if key in document), None)
 
 
 def recognises_text(content: Content) -> bool:
@@ -67,22 +84,38 @@ def recognises_table(content: Content) -> bool:
 
 def read_json(content: Content, threshold: float) -> Iterator[Detection]:
     """Every person of the document."""
-    document = content.json
+    rows = [
+        (frame, _landmarks(value, f"person {person} of {content.source}"))
+        for person, (frame, value) in enumerate(_people(content))
+    ]
+    return _detections(content, rows, threshold)
+
+
+def _people(content: Content) -> Iterator[tuple[str | None, Any]]:
+    """The landmarks of everybody, and their frame."""
+    document = _frames(content.json)
+    head = _first(document)
+    if head is document or not isinstance(head, dict) or _wrapping(head) is None:
+        yield from ((None, value) for value in _persons(document, content.source))
+        return
+    for index, value in enumerate(document):
+        where = f"frame {index} of {content.source}"
+        frame = mapping(value, where)
+        said = next((frame[key] for key in FRAMES if key in frame), index)
+        yield from ((image_name(said, where), person) for person in _persons(frame, where))
+
+
+def _persons(document: Any, where: str) -> list[Any]:
+    """The landmarks of each person of a frame; nobody's may be empty, or null."""
     if isinstance(document, dict):
-        key = next((key for key in WRAPPINGS if key in document), None)
+        key = _wrapping(document)
         if key is None:
             raise BadInput(
-                f"{content.source} has none of {', '.join(WRAPPINGS)}; give MediaPipe's landmarks."
+                f"{where} has none of {', '.join(WRAPPINGS)}; give MediaPipe's landmarks."
             )
         document = document[key]
-    people = sequence(document, f"the landmarks of {content.source}")
-    if people and isinstance(people[0], dict):
-        people = [people]
-    rows = [
-        _landmarks(value, f"person {person} of {content.source}")
-        for person, value in enumerate(people)
-    ]
-    return _detections(content, [(None, row) for row in rows], threshold)
+    people = [] if document is None else sequence(document, f"the landmarks of {where}")
+    return [people] if people and isinstance(people[0], dict) else people
 
 
 def read_text(content: Content, threshold: float) -> Iterator[Detection]:

@@ -34,7 +34,7 @@ from poseterior.probmodel.skeleton import JOINTS
 
 FEWEST = 3
 """Joints that an object must name to be taken for a person; a camera needs as many."""
-_PEOPLE = ("poses", "people", "predictions", "pose")
+_PEOPLE = ("poses", "people", "predictions", "pose", "frames")
 """Where the people of a frame stand, or one person."""
 _LISTS = ("keypoints", "landmarks", "points", "joints")
 """Where a person's points stand."""

@@ -1,11 +1,11 @@
 """A table (CSV) with named columns: a row a frame, NAME_x, NAME_y and, where there is one,
-NAME_score (or confidence, conf, likelihood, visibility, p) for every point, in any order.
+NAME_score (or confidence, likelihood, visibility, …: `_SCORES`) for every point, in any order.
 
 This is nobody's own format, but what people make of tables of their own. Names are matched as
 people write them (`layouts.spoken_name`); others need a map of names. Cells are separated by
 commas, semicolons or tabs. A cell that is empty, or "nan", is a missing point; a point without a
-column for its score has one. A NAME_z beside a score is a depth, and not used; without one, the
-table is of positions in space."""
+column for its score has one. A NAME_z beside a score is a depth, and not used; without one, or
+beside the NAME_error of a triangulation (anipose's), the table is of positions in space."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,9 +29,16 @@ from poseterior.probmodel.skeleton import JOINTS
 
 FEWEST = 3
 """Joints that a header must name to be recognised; a camera needs as many."""
-_SCORES = ("score", "confidence", "conf", "likelihood", "visibility", "p")
-_COLUMN = re.compile(rf"(?P<name>.+?)[ _.](?P<part>x|y|z|{'|'.join(_SCORES)})", re.IGNORECASE)
-_FRAMES = ("frame", "frame_id", "frame_number", "image", "image_id", "file", "")
+_SCORES = (
+    *("score", "confidence", "conf", "likelihood", "visibility", "vis", "probability", "prob"),
+    *("p", "c", "v", "s"),
+)
+_PARTS = ("x", "y", "z", "error", *_SCORES)
+_COLUMN = re.compile(rf"(?P<name>.+?)[ _.](?P<part>{'|'.join(_PARTS)})", re.IGNORECASE)
+_FRAMES = (
+    *("frame", "frame_id", "frame_idx", "frame_index", "frame_number", "frame_num", "frameno"),
+    *("fnum", "image", "image_id", "image_name", "img_name", "file", "filename", "file_name", ""),
+)
 """Columns that name the rows, as people call them; an index of pandas has no name."""
 _PEOPLE = (*TRACKS, "person", "individual", "id")
 """Columns that say whose row it is."""
@@ -59,9 +66,11 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
             f"the first line of {content.source} names no column NAME_x with its NAME_y; write a"
             " header."
         )
-    if any("z" in places and "score" not in places for places in columns.values()):
+    deep = [places for places in columns.values() if "z" in places]
+    if any("score" not in places or "error" in places for places in deep):
+        known = "errors of a triangulation" if "error" in deep[0] else "no scores"
         raise BadInput(
-            f"{content.source} has columns NAME_z and no scores, as a table of 3D positions has,"
+            f"{content.source} has columns NAME_z and {known}, as a table of 3D positions has,"
             " which are for check, learn and evaluate; leave z out where x and y are of an image."
         )
     layout = named_layout(list(columns), content)

@@ -1,5 +1,5 @@
-"""Arrays of points in a .npy: of any detector, where the user names the order of the joints; of
-MoveNet; of FreeMoCap.
+"""Arrays of points in a .npy, or as lists in JSON: of any detector, where the user names the order
+of the joints; and in a .npy of MoveNet; of FreeMoCap.
 
     (frames, joints, 2 or 3)           x, y and perhaps a score; one frame has two axes
     (…, 1, 17, 3) or (…, 6, 56)        MoveNet's output: y, x, score, fractions of the image; 56 are
@@ -33,6 +33,19 @@ def recognises(content: Content) -> bool:
     return len(shape) in (2, 3) and shape[-1] in (2, 3)
 
 
+def recognises_lists(content: Content) -> bool:
+    """The same as lists in lists."""
+    head = content.first
+    for _ in range(2):
+        head = head[0] if isinstance(head, list) and head and isinstance(head[0], list) else head
+    return (
+        isinstance(head, list)
+        and head is not content.first
+        and len(head) in (2, 3)
+        and all(isinstance(value, int | float | None) for value in head)
+    )
+
+
 def recognises_movenet(content: Content) -> bool:
     """The shape of MoveNet's output."""
     shape = content.arrays.shape()
@@ -55,7 +68,22 @@ def recognises_rtmlib(content: Content) -> bool:
 
 def read(content: Content, threshold: float) -> Iterator[Detection]:
     """One detection for each frame."""
-    points = _numbers(content)
+    return _read(_numbers(content), content, threshold)
+
+
+def read_lists(content: Content, threshold: float) -> Iterator[Detection]:
+    """One detection for each frame; null is no number."""
+    try:
+        points = np.array(content.json, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise BadInput(
+            f"the lists of {content.source} are not all numbers of one shape, (frames, joints, 2 or"
+            " 3); write as many points for each person."
+        ) from None
+    return _read(arrays.plain(points, content.source), content, threshold)
+
+
+def _read(points: FloatArray, content: Content, threshold: float) -> Iterator[Detection]:
     points = points[None] if points.ndim == 2 else points
     if points.ndim != 3 or points.shape[2] not in (2, 3) or not points.size:
         raise BadInput(

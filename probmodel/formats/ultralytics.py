@@ -3,12 +3,13 @@
 A line of text is `class x y width height`, then x, y and, in most models, a score (of labels: how
 visible, 0, 1 or 2) for each of COCO's seventeen points, then perhaps the box's score and a number
 of the track; all coordinates are fractions of the image. JSON has pixels, or fractions where it was
-asked to normalise. Some versions put points with a score below one half at (0, 0) but leave them
-their score: such points are missing."""
+asked to normalise, of one image or in a list for each. Some versions put points with a score below
+one half at (0, 0) but leave them their score: such points are missing."""
 
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -43,12 +44,13 @@ def recognises_text(content: Content) -> bool:
 
 def recognises_json(content: Content) -> bool:
     """A list of objects whose keypoints are columns x and y."""
-    records = content.first
+    head = content.first
+    for _ in range(2):  # of people, or of images that are lists of people
+        head = head[0] if isinstance(head, list) and head else head
     return (
-        isinstance(records, list)
-        and bool(records)
-        and isinstance(records[0], dict)
-        and isinstance(records[0].get("keypoints"), dict)
+        isinstance(content.first, list)
+        and isinstance(head, dict)
+        and isinstance(head.get("keypoints"), dict)
     )
 
 
@@ -72,14 +74,23 @@ def read_text(content: Content, threshold: float) -> Iterator[Detection]:
 
 def read_json(content: Content, threshold: float) -> Iterator[Detection]:
     """One detection for each object, numbered in the order of the file."""
-    for person, value in enumerate(content.records()):
+    for person, (image, value) in enumerate(_records(content)):
         where = f"record {person} of {content.source}"
         columns = mapping(mapping(value, where).get("keypoints"), f"'keypoints' of {where}")
         x, y = (_column(columns.get(name), f"'{name}' of {where}") for name in "xy")
         seen = columns.get("visible")
         score = np.ones(COCO_17.count) if seen is None else _column(seen, f"'visible' of {where}")
         found = _detection(content, np.stack([x, y], axis=-1), score, threshold, person, where)
-        yield replace(found, track=track_of(value))
+        yield replace(found, track=track_of(value), image_id=image)
+
+
+def _records(content: Content) -> Iterator[tuple[str | None, Any]]:
+    """Everybody, and the image where there is a list for each."""
+    for index, value in enumerate(content.records()):
+        several = isinstance(value, list)
+        yield from (
+            (str(index) if several else None, one) for one in (value if several else [value])
+        )
 
 
 def _track(words: list[str]) -> str | None:

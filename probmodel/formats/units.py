@@ -78,6 +78,10 @@ def in_pixels(
             if _extent(person) > SMALLEST_BODY or (small and len(head) == LOOKED_AT):
                 break
         unit, rest = unit_of(head, centred=centred), itertools.chain(head, rest)
+    elif unit is Unit.FRACTIONS:
+        head = list(itertools.islice(rest, LOOKED_AT))
+        _require_an_image(head)
+        rest = itertools.chain(head, rest)
     for person in rest:
         yield person if unit is Unit.PIXELS else _scaled(person, unit, size)
 
@@ -107,6 +111,17 @@ def unit_of(people: Sequence[Detection], *, centred: bool = False) -> Unit:
             " the upper left corner (3D poses are for check, learn and evaluate)."
         )
     return Unit.FRACTIONS
+
+
+def _require_an_image(people: Sequence[Detection]) -> None:
+    """Raises `BadInput` where fractions lie about an origin, as MediaPipe's world landmarks do."""
+    xy = np.concatenate([np.empty((0, 2)), *map(_points, people)])
+    if len(xy) and (xy < 0).mean(axis=0).min() > MOST_NEGATIVE:
+        raise BadInput(
+            f"the coordinates of {people[0].source} lie on both sides of zero, as those in space"
+            " do, MediaPipe's world landmarks among them, and not fractions of an image; give the"
+            " landmarks of the image (3D poses are for check, learn and evaluate)."
+        )
 
 
 def _points(person: Detection) -> FloatArray:

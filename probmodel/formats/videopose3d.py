@@ -7,8 +7,8 @@ file saves it anew:
     cameras = ((f"{s}/{a}/{c}", xy) for s in z for a in z[s] for c, xy in enumerate(z[s][a]))
     numpy.savez(new, **dict(cameras))
 
-Human3.6M's 17 joints; other layouts are named by an array `layout`. Without a third column all
-scores are 1."""
+Human3.6M's 17 joints, where an array is named like these; others have the order that an array
+`layout` or the user names. Without a third column all scores are 1."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -16,9 +16,9 @@ from dataclasses import replace
 from poseterior.probmodel import arrays
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.formats.common import Content, said_layout
+from poseterior.probmodel.formats.common import Content, chosen_layout, said_layout
 from poseterior.probmodel.formats.hourglass import scored
-from poseterior.probmodel.layouts import H36M_17
+from poseterior.probmodel.layouts import H36M_17, Layout
 
 
 def recognises(content: Content) -> bool:
@@ -43,11 +43,11 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
     if content.layout is None and "layout" in found:
         name = arrays.first_text(content.arrays.read(["layout"])["layout"])
         content = replace(content, layout=name)
-    layout = said_layout(content) or H36M_17
     person = 0
     for name in (name for name in found if name != "layout"):
         where = f"{name} of {content.source}"
         points = arrays.plain(content.arrays.read([name])[name], where)
+        layout = _layout(name, points.shape, content, where)
         if points.ndim != 3 or points.shape[1] != layout.count or points.shape[2] not in (2, 3):
             raise BadInput(
                 f"{where} has the shape {points.shape}, not (frames, {layout.count}, 2 or 3) of"
@@ -59,3 +59,10 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
                 scored(rows, place), threshold, content.source, person, f"{name}/{frame}"
             )
             person += 1
+
+
+def _layout(name: str, shape: tuple[int, ...], content: Content, where: str) -> Layout:
+    """Human3.6M's, for an array that bears subject, action and camera; else the one that is said,
+    which 17 points do not tell."""
+    said = said_layout(content) or (H36M_17 if name.count("/") == 2 or len(shape) != 3 else None)
+    return said or chosen_layout(shape[1], content, where, ())

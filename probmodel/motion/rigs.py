@@ -4,8 +4,9 @@ Known are the names of the CMU conversions, of Mixamo, Rokoko, Xsens, Noitom, Op
 Unity's humanoid, VRM, Unreal's mannequin, 3ds Max' Biped, Valve's, Blender's Rigify, Auto-Rig Pro,
 Character Creator, Maya's Advanced Skeleton, DeepMotion, Kinect, Bandai-Namco, SMPL, and
 those that `poseterior export` writes. A prefix or a suffix that most share is stripped
-(`mixamorig:`, a subject's name, `_JNT`). Each part of the body is looked for by itself, in the first naming of it that is
-there: a rig's LeftShoulder is the shoulder only where there is no LeftArm beyond it."""
+(`mixamorig:`, a subject's name, `_JNT`). Each part of the body is looked for by itself, in the
+first naming of it that is there: a rig's LeftShoulder is the shoulder only where there is no
+LeftArm beyond it."""
 
 import re
 from collections import Counter

@@ -62,6 +62,11 @@ def hdf5(write: Callable[[h5py.File], object]) -> bytes:
     return file.getvalue()
 
 
+def lines(*records: object) -> bytes:
+    """JSON lines."""
+    return "\n".join(map(json.dumps, records)).encode() + b"\n"
+
+
 def landmarks(layout: Layout = MEDIAPIPE_33, visibility: float = 0.9) -> list[dict[str, float]]:
     xy = points(layout)[:, :2] / SIZE
     return [{"x": float(x), "y": float(y), "z": -0.1, "visibility": visibility} for x, y in xy]
@@ -430,6 +435,13 @@ def files() -> dict[str, list[bytes]]:
                 {"scores": [0.99], "pred_keypoints": [points(COCO_17, 0.2).tolist()]}
             ).encode(),
             json.dumps({"image": "a.jpg", "keypoints": points(COCO_17)[:, :2].tolist()}).encode(),
+            json.dumps({"keypoints": points(COCO_17).ravel().tolist()}).encode(),
+            *(
+                json.dumps(
+                    [{key: [points(COCO_17).tolist()] * 2, "bboxes": [[0] * 4] * 2}]
+                ).encode()
+                for key in ("preds", "bodyparts", "keypoints")
+            ),
             json.dumps(
                 {
                     "filename": "a.jpg",
@@ -444,6 +456,7 @@ def files() -> dict[str, list[bytes]]:
             json.dumps([listed_points(MEDIAPIPE_33, SIZE)]).encode(),
             json.dumps([mlkit()] * 2).encode(),
             json.dumps(posenet()).encode(),
+            json.dumps({"frames": [{"poses": [listed_points(COCO_17)]}] * 2}).encode(),
         ],
         "vision": [
             json.dumps(vision(VISION)).encode(),
@@ -482,6 +495,8 @@ def files() -> dict[str, list[bytes]]:
                 for layout in (COCO_17, HALPE_26, MPII_16)
             ),
             json.dumps([flat_record(COCO_17)] * 2).encode(),
+            lines(*results(*[points(COCO_17).ravel().tolist()] * 2)),
+            lines(*({"frame": n, "predictions": [flat_record(COCO_17)]} for n in (1, 2))),
         ],
         "alphapose": [
             json.dumps(
@@ -511,6 +526,10 @@ def files() -> dict[str, list[bytes]]:
             json.dumps(landmarks()).encode(),
             json.dumps([landmarks(), landmarks(visibility=4.0)]).encode(),
             json.dumps({"pose_landmarks": [landmarks()]}).encode(),
+            json.dumps([{"frame": n, "landmarks": landmarks()} for n in (3, 5)]).encode(),
+            json.dumps(
+                {"frames": [{"poseLandmarks": landmarks()}, {"poseLandmarks": []}]}
+            ).encode(),
         ],
         "mediapipe-text": [landmark_text().encode()],
         "mediapipe-csv": [
@@ -522,6 +541,7 @@ def files() -> dict[str, list[bytes]]:
         "csv": [
             named_columns().encode(),
             named_columns(score="").encode(),
+            named_columns(score="c").encode(),
             semicolons(named_columns()).encode(),
             tabs(named_columns()).encode(),
         ],
@@ -533,6 +553,7 @@ def files() -> dict[str, list[bytes]]:
         "ultralytics": [
             json.dumps([yolo(), yolo(track_id=4)]).encode(),
             json.dumps([yolo(SIZE)]).encode(),
+            json.dumps([[yolo(), yolo()], [yolo()]]).encode(),
         ],
         "deeplabcut-csv": [
             table(deeplabcut_rows()).encode(),

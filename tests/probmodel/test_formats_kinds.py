@@ -32,6 +32,7 @@ from tests.probmodel.test_formats_fuzz import (
     FILES,
     SIZE,
     files,
+    landmarks,
     listed_points,
     mmpose,
     named_columns,
@@ -213,6 +214,56 @@ def test_a_table_of_places_in_space_is_no_table_of_an_image() -> None:
     with pytest.raises(BadInput, match="NAME_z and no scores"):
         read(depths.replace("nose_score", "nose_other").encode())
     assert len(read(depths.encode())) == 2  # a depth beside a score
+    with pytest.raises(BadInput, match="NAME_z and errors of a triangulation"):  # anipose
+        read(depths.replace("LHip_x", "nose_error", 1).encode())
+
+
+@pytest.mark.parametrize("wrap", [lambda rows: rows, lambda rows: {"landmarks": [rows]}])
+def test_landmarks_in_space_are_no_fractions_of_an_image(wrap: Callable[[Any], Any]) -> None:
+    """MediaPipe's world landmarks lie about the hips; somebody half out of the image does not."""
+    rows = landmarks()
+    hips = [np.mean([rows[23][axis], rows[24][axis]]) for axis in "xy"]
+    world = [row | {"x": row["x"] - hips[0], "y": row["y"] - hips[1]} for row in rows]
+    with pytest.raises(BadInput, match="on both sides of zero, as those in space do"):
+        read(json.dumps(wrap(world)).encode(), image_size=SIZE)
+    outside = [row | {"x": row["x"] - hips[0]} for row in rows]
+    assert len(read(json.dumps(wrap(outside)).encode(), image_size=SIZE)) == 1
+
+
+def test_scores_and_frames_of_tables_as_programs_call_them() -> None:
+    """A score by its first letter is none of 1; SLEAP's frame_idx, with a row a track."""
+    head, *rows = named_columns(score="_c").splitlines()
+    (first, *rest) = [f"{track},{row}" for row in rows for track in ("track_0", "track_1")]
+    text = "\n".join(["track," + head.replace("frame", "frame_idx"), first, *rest])
+    people = read(text.encode())
+    assert [one.image_id for one in people] == ["0", "0", "1", "1"]
+    assert {one.track for one in people} == {"track_0", "track_1"}
+    assert people[0].score.max() == 0.5
+
+
+def test_lists_of_points_are_arrays() -> None:
+    rows = points(COCO_17)
+    for listed in (rows.tolist(), rows[None].repeat(2, 0).tolist()):
+        people = read(json.dumps(listed).encode(), layout="coco_17")
+        (same,) = read(npy(rows), layout="coco_17")
+        np.testing.assert_array_equal(people[-1].keypoints, same.keypoints)
+        with pytest.raises(BadInput, match="holds 17 points of a person; name their order"):
+            read(json.dumps(listed).encode())
+    with pytest.raises(BadInput, match="not all numbers of one shape"):
+        read(json.dumps([rows.tolist(), rows[:16].tolist()]).encode(), layout="coco_17")
+
+
+def test_the_order_of_an_array_is_asked_for_unless_videopose3d_named_it() -> None:
+    rows = points(COCO_17)[None]
+    with pytest.raises(BadInput, match="holds 17 points of a person; name their order"):
+        read(npz(keypoints=rows))
+    assert read(npz(keypoints=rows), layout="coco_17")[0].layout == "coco_17"
+
+
+def test_a_broken_line_of_json_is_named() -> None:
+    data = FILES["coco-results"][-2] + b'{"image_id": 1,\n'
+    with pytest.raises(BadInput, match="line 3 of a file is not valid JSON"):
+        read(data)
 
 
 @pytest.mark.parametrize("form", [npy, lambda rows: npz(walk=rows), lambda rows: npz(preds=rows)])

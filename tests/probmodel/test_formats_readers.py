@@ -1,8 +1,10 @@
 """Readers of every detector's files: the same person out of each, real files by hand, folders,
 corrections."""
 
+import io
 import json
 import pickle
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -451,6 +453,14 @@ def test_vision_counts_y_from_below() -> None:
         read(json.dumps(vision(VISION)).encode(), image_size=None)
 
 
+def zipped(*names: str) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name in names:
+            archive.writestr(name, "{}")
+    return file.getvalue()
+
+
 @pytest.mark.parametrize(
     ("data", "kind"),
     [
@@ -460,6 +470,10 @@ def test_vision_counts_y_from_below() -> None:
         (b"PathFileType\t4\t(X/Y/Z)\ta.trc\n", "a TRC file of markers; 3D poses are for check"),
         (b"\x02\x50" + bytes(600), "a C3D file of markers; 3D poses are for check"),
         (pickle.dumps([1]), "a pickle; pickles, which could run any code"),
+        ('{"people": []}'.encode("utf-16"), "UTF-16 text; save it as UTF-8"),
+        (zipped("xl/workbook.xml"), "an Excel workbook; save its sheet as CSV"),
+        (zipped("a/data.pkl", "a/version"), "a PyTorch checkpoint, which holds pickles; pickles,"),
+        (zipped("1_keypoints.json"), "a ZIP archive; unpack it"),
         (b"<!DOCTYPE html><html>", "a web page, perhaps of a download that failed"),
     ],
 )
@@ -616,7 +630,7 @@ REFUSALS = {
         "holds 'x' where a number",
     ),
     "videopose3d: shape": (
-        npz(walk=np.zeros((4, 16, 2))),
+        npz(**{"S1/walk/0": np.zeros((4, 16, 2))}),
         r"not \(frames, 17, 2 or 3\) of h36m_17",
     ),
     "videopose3d: own": (npz(positions_2d=np.zeros(3)), "pickles its arrays in a dictionary"),

@@ -199,6 +199,7 @@ FILMS: dict[str, bytes | list[bytes]] = {
     "movenet": npy(np.stack([_movenet(move)[None, None] for move in ALONE])),
     "freemocap": npy(_stack(MEDIAPIPE_33)[None]),
     "points": npy(_stack(COCO_17)),
+    "lists": dumped(_stack(COCO_17).tolist()),
     "heatmaps": npz(
         heatmaps=np.stack([blobs()] * 6), box=np.array([[2.0 + k, 0, 192, 192] for k in range(6)])
     ),
@@ -276,7 +277,7 @@ def test_there_is_a_film_in_every_format() -> None:
 
 @pytest.mark.parametrize("name", FILMS)
 def test_a_film_of_one_person_is_of_one_person(name: str, tmp_path: Path) -> None:
-    frames = frames_of(FILMS[name], tmp_path, "coco_17" if name == "points" else None)
+    frames = frames_of(FILMS[name], tmp_path, "coco_17" if name in ("points", "lists") else None)
     assert [len(frame.people) for frame in frames] == [1] * 6
     found = cast(frames)
     assert found.numbers == [[0]] * 6
@@ -296,7 +297,7 @@ def test_nobody_is_said_to_be_six_people(name: str, tmp_path: Path) -> None:
     if isinstance(film, list):
         pytest.skip("a file is a frame")
     path = written(film, tmp_path)
-    layout = "coco_17" if name == "points" else None
+    layout = "coco_17" if name in ("points", "lists") else None
     people = read_detections(path, image_size=SIZE, layout=layout)
     with pytest.raises(BadInput) as error:
         pick_person(people, 6)

@@ -342,15 +342,19 @@ class PoseModel:
         return {"upper": self.upper, "lower": self.lower}
 
 
+SHORTEST_FOCAL = 1.0
+"""Pixels; before a shorter one, all that a person may do is seen within a few of them."""
+
+
 def _checked(lens: Lens | None) -> Lens | None:
     """A lens as numbers. Raises `BadInput` where they cannot be those of one."""
     if lens is None:
         return None
     focal, principal = np.asarray(lens.focal, float), np.asarray(lens.principal, float)
     for one in focal.ravel().tolist():
-        if not 0 < one <= LARGEST_NUMBER:  # false for NaN too
+        if not SHORTEST_FOCAL <= one <= LARGEST_NUMBER:  # false for NaN too
             raise BadInput(
-                "a focal length must be positive, and at most"
+                f"a focal length must be positive, from {SHORTEST_FOCAL:g} to"
                 f" {LARGEST_NUMBER:g} pixels, not {one:g}"
             )
     if principal.shape != (2,) or not (np.abs(principal) <= LARGEST_NUMBER).all():

@@ -184,6 +184,7 @@ def test_a_lens_sees_as_a_pinhole_camera() -> None:
     ("focal", "principal", "said"),
     [
         (0.0, [0.0, 0.0], "a focal length must be positive"),
+        (0.8, [0.0, 0.0], "from 1 to 1e\\+09 pixels, not 0.8"),
         (math.nan, [0.0, 0.0], "a focal length must be positive"),
         (900.0, [math.inf, 0.0], "a principal point must be two finite numbers"),
         (900.0, [1.0], "a principal point must be two finite numbers"),

@@ -22,7 +22,7 @@ import numpy as np
 from poseterior.inference.exact.loops.numbers import words_of
 from poseterior.probmodel.chunks import CHUNK, in_chunks
 from poseterior.probmodel.errors.faults import Faults
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.posterior import Posterior
@@ -283,13 +283,16 @@ class Sampler(abc.ABC):
 
 
 def key_of(key: jax.Array | int) -> jax.Array:
-    """A key, or that of a number: what `jax.random.key` makes of it. Raises `BadInput` where JAX
-    has no 64-bit floats: limits are decided to the last bits, and draws would be others."""
+    """A key, or that of a number: what `jax.random.key` makes of it. Raises `BadInput` on what is
+    neither, and where JAX has no 64-bit floats: limits are decided to the last bits, and draws
+    would be others."""
     if not jax.config.jax_enable_x64:
         raise BadInput(
             "draws need 64-bit floats, which are switched off; take JAX_ENABLE_X64 out of the"
             " environment, or call jax.config.update('jax_enable_x64', True) first"
         )
+    if not isinstance(key, int | np.integer | np.ndarray | jax.Array):
+        raise BadInput(f"a key is a whole number, or jax.random.key of one, not {shown(key)}")
     return jax.random.key(key) if isinstance(key, int | np.integer) else key
 
 

@@ -211,9 +211,9 @@ def sample(
     Raises
     ------
     BadInput
-        On an unknown sampler or root, a sampler or several chains that need another root, a number
-        of samples or chains that cannot be, where the torso's seen joints do not determine a
-        camera, and where JAX has no 64-bit floats.
+        On what is no model, detection or key, an unknown sampler or root, a sampler or several
+        chains that need another root, a number of samples or chains that cannot be, where the
+        torso's seen joints do not determine a camera, and where JAX has no 64-bit floats.
     """
     chosen = sampler_of(
         root,
@@ -223,6 +223,11 @@ def sample(
         most_roots=most_roots,
         chains=require_chains(root, sampler, chains),
     )
+    if not isinstance(model, PoseModel):
+        raise BadInput(
+            "the prior of poses comes first, such as PoseModel(), and not"
+            f" {type(model).__name__}; the detection is second"
+        )
     posterior = estimated(frame).posterior(model, root)
     draws = chosen.draw(posterior, key_of(key), num_samples, progress)
     warm_up.finish()
@@ -230,8 +235,16 @@ def sample(
 
 
 def estimated(frame: Estimate | Detection) -> Estimate:
-    """An estimate, or that of a detection. Raises `BadInput` where too little was detected."""
-    return estimate_torso(frame) if isinstance(frame, Detection) else frame
+    """An estimate, or that of a detection. Raises `BadInput` on anything else, and where too little
+    was detected."""
+    if isinstance(frame, Detection):
+        return estimate_torso(frame)
+    if not isinstance(frame, Estimate):
+        raise BadInput(
+            f"one person's detection is needed, not {type(frame).__name__}: of a file"
+            " read_detections(path)[0], of points detections_of(array)[0]"
+        )
+    return frame
 
 
 def require_chains(root: str, sampler: str | None, chains: int) -> int:

@@ -103,6 +103,14 @@ def test_a_number_is_a_key_and_single_precision_is_refused() -> None:
     assert key_words(key_of(7)) == key_words(key_of(jax.random.key(7)))
     with jax.enable_x64(False), pytest.raises(poseterior.BadInput, match="64-bit floats"):
         key_of(7)
+    for wrong in (1.5, "seed", None):
+        with pytest.raises(poseterior.BadInput, match="a key is a whole number"):
+            key_of(wrong)
+
+
+def test_arguments_of_sample_in_another_order_are_said() -> None:
+    with pytest.raises(poseterior.BadInput, match="the prior of poses comes first"):
+        poseterior.sample(example().detection, poseterior.PoseModel, key=0)
 
 
 def test_a_detection_is_estimated_on_the_way() -> None:
@@ -112,3 +120,6 @@ def test_a_detection_is_estimated_on_the_way() -> None:
     frame = estimated(detection)
     assert frame.detection is detection
     assert estimated(frame) is frame
+    for wrong in ([detection], "frame.json", detection.keypoints, None, poseterior.PoseModel):
+        with pytest.raises(poseterior.BadInput, match=r"read_detections\(path\)\[0\]"):
+            estimated(wrong)

@@ -33,8 +33,8 @@ _SCORES = (
     *("score", "confidence", "conf", "likelihood", "visibility", "vis", "probability", "prob"),
     *("p", "c", "v", "s"),
 )
-_PARTS = ("x", "y", "z", "error", *_SCORES)
-_COLUMN = re.compile(rf"(?P<name>.+?)[ _.](?P<part>{'|'.join(_PARTS)})", re.IGNORECASE)
+_ENDINGS = ("x", "y", "z", "error", *_SCORES)
+_COLUMN = re.compile(rf"(?P<name>.+?)[ _.](?P<part>{'|'.join(_ENDINGS)})", re.IGNORECASE)
 _FRAMES = (
     *("frame", "frame_id", "frame_idx", "frame_index", "frame_number", "frame_num", "frameno"),
     *("fnum", "image", "image_id", "image_name", "img_name", "file", "filename", "file_name", ""),

@@ -32,7 +32,7 @@ from poseterior.probmodel.camera import Lens, Perspective, WeakPerspective
 from poseterior.probmodel.errors.detector import Exchange
 from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.pose import Pose
-from poseterior.probmodel.root_priors import CANDIDATES
+from poseterior.probmodel.root_priors import CANDIDATES, TorsoCameraPrior
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from tests import oracle
 from tests.inference import test_uncertain_root as sound
@@ -271,7 +271,7 @@ def ranks(model: PoseModel, simulations: int, believed: PoseModel | None = None)
     for seed in range(simulations):
         points, poses, detection = simulated(model, seed)
         likelihood, rng = Likelihood(Gaussian(), factor=0.25), np.random.default_rng(seed)
-        posterior = Posterior(believed, likelihood, detection)
+        posterior = Posterior(believed, likelihood, detection, TorsoCameraPrior.of(believed))
         roots = weigh_roots(posterior, key=key(seed), num_roots=400)
         drawn = roots.draw(rng, max(2, int(roots.effective / weighted.APART)))
         inside = np.abs(drawn[0].log_scale - SCALES.mean()) < np.ptp(SCALES) / 2

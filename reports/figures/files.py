@@ -75,8 +75,9 @@ def photo_focal(path: str | os.PathLike) -> float | None:
 
 def _said_focal(image: Image.Image) -> float | None:
     said = image.getexif().get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
-    known = isinstance(said, int) and said > 0  # 0 where it is not known
-    return said * math.hypot(*image.size) / FILM_DIAGONAL if known else None
+    if not isinstance(said, int) or said <= 0:  # 0 where it is not known
+        return None
+    return said * math.hypot(*image.size) / FILM_DIAGONAL
 
 
 def _of_image[Value](path: str | os.PathLike, asked: Callable[[Image.Image], Value]) -> Value:

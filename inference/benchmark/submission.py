@@ -76,6 +76,8 @@ def _posterior(path: Path) -> dict[str, np.ndarray]:
         names = [name.removeprefix(group) for name in found.names() if name.startswith(group)]
         wanted = [name for name in (*CHARTS, *WEIGHTS, *STATED) if name in names]
         arrays = found.read([group + name for name in wanted])
+    if not names:
+        raise BadInput(f"{path} has no group posterior, as ArviZ writes one; {DRAWS_ADVICE}")
     if not set(CHARTS) & set(wanted):
         raise BadInput(
             f"the group posterior of {path} has {shown(names)}, but none of {', '.join(CHARTS)};"

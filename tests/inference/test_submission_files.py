@@ -37,6 +37,10 @@ def test_variables_of_other_names_are_named(tmp_path: Path) -> None:
             file[f"posterior/x{number}"] = np.zeros((4, 50))
     with pytest.raises(BadInput, match=r"has \['x0', .* none of points, box, cube; give one of"):
         read_submission(tmp_path / "a.nc", benchmark.load("arm-soft"))
+    with h5py.File(tmp_path / "c.nc", "w") as file:
+        file["mcmc/chain"] = np.zeros((50, 4, 6))
+    with pytest.raises(BadInput, match="has no group posterior, as ArviZ writes one; write one wi"):
+        read_submission(tmp_path / "c.nc", benchmark.load("arm-soft"))
     (tmp_path / "b.nc").write_bytes(b"no")
     with pytest.raises(BadInput, match="is no file of draws"):
         read_submission(tmp_path / "b.nc", benchmark.load("arm-soft"))

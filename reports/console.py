@@ -157,6 +157,15 @@ def _spoken(sentence: str) -> str:
     return said if len(said) <= LONGEST else f"{said[:half]} … {said[-half:]}"
 
 
+def show(as_json: bool, value: Any, *shown: Any) -> None:
+    """Results on stdout: `value` as JSON, or else tables and sentences, one after the other."""
+    if as_json:
+        show_json(value)
+        return
+    for one in shown:
+        say(one) if isinstance(one, str) else OUT.print(one)
+
+
 def show_json(value: Any) -> None:
     """Prints a value as JSON on stdout."""
     print(json.dumps(value, indent=2, allow_nan=False))

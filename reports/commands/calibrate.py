@@ -62,15 +62,10 @@ def run(settings: CalibrateSettings, screen: Screen) -> None:
 
 def show(found: Learned, screen: Screen, times: ErrorTimes | None = None) -> None:
     """The law on stdout, and how long errors last where that is known."""
-    if screen.json:
-        said = {} if times is None else {"times": times_json(times)}
-        console.show_json(found.errors.document() | said)
-        return
-    console.OUT.print(errors_table(found))
-    console.OUT.print(definitions_table(found))
+    said = {} if times is None else {"times": times_json(times)}
     lines = summary_lines(found) + ([] if times is None else times_lines(times))
-    for line in lines:
-        console.say(line)
+    sheets = errors_table(found), definitions_table(found)
+    console.show(screen.json, found.errors.document() | said, *sheets, *lines)
 
 
 def times_of(settings: CalibrateSettings) -> ErrorTimes | None:

@@ -13,6 +13,7 @@ import typer
 from typer.models import OptionInfo
 
 from poseterior.reports import console, options, settings, signals
+from poseterior.reports.fields import OPTION
 from poseterior.reports.options import Screen
 
 COMMANDS: dict[str, type] = {
@@ -107,7 +108,7 @@ def declared(group: Any, given: object = None) -> Iterator[inspect.Parameter]:
             yield from declared(hint, None if default is dataclasses.MISSING else default)
             continue
         shared = get_origin(hint) is Annotated
-        option = copy.copy(hint.__metadata__[0] if shared else field.metadata[options.OPTION])
+        option = copy.copy(hint.__metadata__[0] if shared else field.metadata[OPTION])
         if isinstance(option, OptionInfo) and hasattr(group, "PANEL"):
             option.rich_help_panel = group.PANEL
         yield inspect.Parameter(

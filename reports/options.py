@@ -21,6 +21,7 @@ from typer import Argument, Option
 from poseterior.probmodel.errors import LAW_NAMES
 from poseterior.probmodel.failures import BadInput
 from poseterior.reports import configuration, console
+from poseterior.reports.fields import option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -56,27 +57,8 @@ MOST_ROOTS, FURTHER = 100_000, 16
 are drawn where these are too few."""
 LARGEST_SIDE = 10**6
 """Pixels; no image is larger."""
-OPTION = "option"
-"""Where a field of settings has its `typer.Option`."""
 SMALLEST_FACTOR = 1e-6
 """Areas of discs smaller than this, or larger than its inverse, would in the end overflow."""
-
-
-def option(default: Any, help: str, *flags: str, **given: Any) -> Any:
-    """A field of settings that is an option.
-
-    Parameters
-    ----------
-    default
-        Where it is not given.
-    help
-        What it is.
-    *flags
-        How it is written, where that is not its name.
-    **given
-        Anything else that `typer.Option` takes.
-    """
-    return dataclasses.field(default=default, metadata={OPTION: Option(*flags, help=help, **given)})
 
 
 class JudgedBy(enum.StrEnum):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
 from typer import Argument, Option
 
 from poseterior.probmodel.failures import BadInput
+from poseterior.reports.fields import option
 from poseterior.reports.options import (
     ROOTED,
     ROUTES,
@@ -47,7 +48,6 @@ from poseterior.reports.options import (
     Viewing,
     Workforce,
     map_of_names,
-    option,
 )
 
 if TYPE_CHECKING:

@@ -1,7 +1,5 @@
 """`poseterior calibrate`: how a detector errs, learned from what it says beside the truth."""
 
-import numpy as np
-
 from poseterior.inference.studies.errorlaws import (
     Definitions,
     ErrorTimes,
@@ -16,6 +14,7 @@ from poseterior.inference.studies.errorlaws import (
     times_of_session,
 )
 from poseterior.probmodel import BadInput
+from poseterior.probmodel.datasets.cases import evenly
 from poseterior.probmodel.sessions import Session
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure
@@ -89,7 +88,7 @@ def pairs_of(settings: CalibrateSettings, definitions: Definitions) -> tuple[Pai
     where perspective is asked of data that have no calibrated cameras."""
     if isinstance(settings.data, Session):
         exact = pairs_of_session(settings.data, perspective=True)
-        rows = thinned(len(exact), settings.frames)
+        rows = evenly(len(exact), settings.frames)
         if settings.perspective:
             return exact.take(rows), None
         return pairs_of_session(settings.data).take(rows), exact.take(rows)
@@ -99,9 +98,4 @@ def pairs_of(settings: CalibrateSettings, definitions: Definitions) -> tuple[Pai
             " out"
         )
     pairs = pairs_of_data(settings.data, seen_offsets(definitions, settings.data))
-    return pairs.take(thinned(len(pairs), settings.frames)), None
-
-
-def thinned(number: int, wanted: int) -> np.ndarray:
-    """`wanted` rows of so many, evenly; all where there are no more."""
-    return np.linspace(0, number - 1, min(number, wanted)).round().astype(int)
+    return pairs.take(evenly(len(pairs), settings.frames)), None

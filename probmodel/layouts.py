@@ -154,7 +154,7 @@ _RIGHT_ARM = ("right_shoulder", "right_elbow", "right_wrist")
 _LEFT_ARM = ("left_shoulder", "left_elbow", "left_wrist")
 _RIGHT_LEG = ("right_hip", "right_knee", "right_ankle")
 _LEFT_LEG = ("left_hip", "left_knee", "left_ankle")
-_LIMBS = (*_RIGHT_ARM, *_LEFT_ARM, *_RIGHT_LEG, *_LEFT_LEG)
+_ARMS_AND_LEGS = (*_RIGHT_ARM, *_LEFT_ARM, *_RIGHT_LEG, *_LEFT_LEG)
 _IN_PAIRS = _in_pairs("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 _COCO = ("nose", *_in_pairs("eye", "ear"), *_IN_PAIRS)
 _BOTH = ("thorax", "pelvis")
@@ -177,7 +177,7 @@ _H36M_TRUNK = ("spine", "thorax", "neck_or_nose", "head")
 COCO_17 = Layout("coco_17", _COCO, _BOTH)
 BODY_25 = Layout("body_25", (*_BODY_25, *_OPENPOSE_FACE, *_FEET), _BOTH)
 BODY_25B = Layout("body_25b", (*_COCO, "upper_neck", "head", *_FEET), _BOTH)
-COCO_18 = Layout("coco_18", ("nose", "thorax", *_LIMBS, *_OPENPOSE_FACE), _BOTH)
+COCO_18 = Layout("coco_18", ("nose", "thorax", *_ARMS_AND_LEGS, *_OPENPOSE_FACE), _BOTH)
 HALPE_26 = Layout("halpe_26", _HALPE, _BOTH)
 HALPE_136 = Layout("halpe_136", (*_HALPE, *(f"face_or_hand_{i}" for i in range(110))), _BOTH)
 WHOLEBODY_133 = Layout(
@@ -195,7 +195,7 @@ H36M_17 = Layout(
 )
 MEDIAPIPE_33 = Layout("mediapipe_33", _MEDIAPIPE, _BOTH)
 CROWDPOSE_14 = Layout("crowdpose_14", (*_IN_PAIRS, "head", "neck"), _BOTH)
-AIC_14 = Layout("aic_14", (*_LIMBS, "head", "neck"), _BOTH)
+AIC_14 = Layout("aic_14", (*_ARMS_AND_LEGS, "head", "neck"), _BOTH)
 
 _ALL = (
     *(COCO_17, COCO_18, BODY_25, BODY_25B, HALPE_26, HALPE_136),

@@ -54,7 +54,7 @@ CURVE = 100
 STRETCH = 10
 """Frames that are drawn anew together: they are alike."""
 ORDER = ("first half", "second half")
-AXES = ("x", "y", "depth")
+STANDING_AXES = ("x", "y", "depth")
 LIMB = 338.0
 """Millimetres: the person's mean limb bone."""
 HONEST_JOINTS = [
@@ -165,7 +165,7 @@ def table(outcomes: Found) -> Sheet:
         line = {
             "torso and camera": str(way),
             "cases": len(found),
-            **dict(zip(AXES, by_axis(found, "standing"), strict=True)),
+            **dict(zip(STANDING_AXES, by_axis(found, "standing"), strict=True)),
             "coordinates beyond all draws": f"{100 * beyond.mean():.0f} %",
             "cases with one": f"{100 * beyond.any(axis=(1, 2)).mean():.0f} %",
             "sd across / in depth, mm": f"{across:.0f} / {spread[2]:.0f}",
@@ -201,7 +201,7 @@ def ece_table(outcomes: Found) -> Sheet:
 def bare_table(outcomes: Found) -> Sheet:
     """A line a way: coverage by axis if the truth had no error of its own."""
     lines = [(str(way), *by_axis(found, "bare")) for way, found in outcomes.items()]
-    return sheet_of(("torso and camera", *AXES), lines)
+    return sheet_of(("torso and camera", *STANDING_AXES), lines)
 
 
 def paired(outcomes: Found) -> Found:
@@ -229,7 +229,7 @@ def parts_of(outcomes: Found, seen: Film) -> Sheet:
         for camera in sorted({one.camera for one in found}):
             some = [one for one in found if one.camera == camera]
             lines.append((str(way), f"camera {camera + 1}", *part_line(some)))
-    head = ("torso and camera", "judged in", "cases", *AXES, "sd across, mm")
+    head = ("torso and camera", "judged in", "cases", *STANDING_AXES, "sd across, mm")
     return sheet_of(head, lines)
 
 
@@ -319,7 +319,7 @@ def standings_figure(outcomes: Found) -> Figure:
     """By axis: how the truths' standings among the draws are distributed; uniform is right."""
     many = {way: found for way, found in outcomes.items() if len(found) >= CURVE}
     figure = page(8.4, 3.0, dpi=150)
-    for axis, name in zip(figure.subplots(1, 3), AXES, strict=True):
+    for axis, name in zip(figure.subplots(1, 3), STANDING_AXES, strict=True):
         axis.plot([0, 1], [0, 1], color=FAINT, lw=0.8, ls=":")
         for colour, (way, found) in zip(PALETTE, many.items(), strict=False):
             row = "xy".find(name) % 3

@@ -19,6 +19,9 @@ them."""
 NEAR = 4.0
 """Metres to the camera: within, intervals under weak perspective are too narrow
 (reports/strangers.md)."""
+ODD_FOCAL = 1.25
+"""So many times as long, or as short, as the photo says, a focal length is doubted: EXIF is in
+whole millimetres, and calibrations differ from it by some per cent."""
 STRAY_BONES = 2
 """Bones, the longest in the image, that say nothing of the distance: keypoints may be wrong."""
 
@@ -82,19 +85,39 @@ def farthest(person: Detection, size: tuple[int, int], model: PoseModel) -> floa
 
 
 def about_the_camera(
-    people: Sequence[Detection], size: tuple[int, int] | None, model: PoseModel
+    people: Sequence[Detection],
+    size: tuple[int, int] | None,
+    model: PoseModel,
+    exif: float | None = None,
 ) -> list[str]:
-    """Whether people stand too near for the weak perspective that the model believes in, if the
-    image's size is known."""
-    if model.lens is not None or size is None:
+    """Whether the focal length is another than the photo's EXIF says, pixels; or whether people
+    stand too near for the weak perspective that the model believes in, if the image's size is
+    known: by the user, since files may be of people who were cut out."""
+    if model.lens is not None:
+        return _about_the_focal_length(float(np.median(model.lens.focal)), model.lens.number, exif)
+    if size is None:
         return []
     metres = [farthest(person, size, model) for person in people]
     known = [one for one in metres if np.isfinite(one)]
     if not known or np.median(known) >= NEAR:
         return []
     return [
-        f"a usual camera took this within {np.median(known):.1f} m of a person, where perspective"
-        " is strong and intervals without it are too narrow: give --focal, in pixels or unknown"
+        f"if this image is a whole one, a usual camera took it within {np.median(known):.1f} m of a"
+        " person, where perspective is strong and intervals without it are too narrow: give"
+        f" --focal, {_known(exif)}"
+    ]
+
+
+def _known(exif: float | None) -> str:
+    return "in pixels or unknown" if exif is None else f"in pixels or exif ({exif:.0f} pixels)"
+
+
+def _about_the_focal_length(focal: float, number: int, exif: float | None) -> list[str]:
+    if number > 1 or exif is None or 1 / ODD_FOCAL < focal / exif < ODD_FOCAL:
+        return []
+    return [
+        f"the photo's EXIF says a focal length of {exif:.0f} pixels, not {focal:.0f}: is it whole,"
+        " or was it cut out of a larger one?"
     ]
 
 
@@ -105,5 +128,5 @@ def about(given: Person, model: PoseModel) -> list[str]:
     return [
         *about_the_image(person, detected.photo),
         *about_the_size(people, detected, model),
-        *about_the_camera([person], given.size, model),
+        *about_the_camera([person], detected.size, model, detected.photo_focal),
     ]

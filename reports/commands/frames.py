@@ -28,7 +28,7 @@ def run(settings: FramesSettings, screen: Screen) -> None:
         people = _first_people(settings)
         warnings = [
             *doubts.about_the_size(people, settings.detected, model),
-            *doubts.about_the_camera(people, settings.size, model),
+            *doubts.about_the_camera(people, settings.detected.size, model),
         ]
     estimating = estimation.estimating(model)
     with console.progress("who is who", screen.quiet):

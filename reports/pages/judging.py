@@ -16,7 +16,7 @@ from poseterior.inference.studies.judging.judge import judge_coverage
 from poseterior.inference.studies.judging.where import share_held
 from poseterior.inference.studies.judging.wrong import WRONGS, Instances, told
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
-from poseterior.reports.pages.recalibrated import recalibrated
+from poseterior.reports.pages.recalibrated import COVERED_DRAWS, on_ours
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
 LEVEL = 0.05
@@ -34,6 +34,7 @@ Tried = dict[str, dict[str, bool]]
 
 def main(data: Data, work: Work) -> Page:
     accused = kept_json(work / "right.json", accusations)
+    ours = on_ours(data, work)
     return Page(
         "judging",
         {
@@ -44,7 +45,11 @@ def main(data: Data, work: Work) -> Page:
             "accused": accused,
             "accused_share": _said([*[True] * accused, *[False] * (SEEDS - accused)]),
             "seeds": SEEDS,
-            **recalibrated(data, work),
+            "covered_draws": COVERED_DRAWS,
+            "on_ours": ours.held,
+            "recalibrated": ours.recalibrated,
+            "people": ours.people,
+            "poses": ours.poses,
         },
     )
 

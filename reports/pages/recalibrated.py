@@ -51,28 +51,39 @@ CAPTURES = {
 OF_PEOPLE = "motion capture of 18 people"
 
 
-def recalibrated(data: Path, work: Path) -> Mapping[str, Sheet | int]:
-    """What posteriors of real poses hold, and what recalibrated ones do."""
+class OnOurs(NamedTuple):
+    """What posteriors of real poses hold, what recalibrated ones hold of others, and of how many
+    people and poses the latter is."""
+
+    held: Sheet
+    recalibrated: Sheet
+    people: int
+    poses: int
+
+
+def on_ours(data: Path, work: Path) -> OnOurs:
+    """Of the data pack; the levels are kept in the folder."""
     found = {name: _levels(capture, data, work) for name, capture in CAPTURES.items()}
     people = np.array([case.subject for case in CAPTURES[OF_PEOPLE].cases(data)[0]])
-    return {
-        "on_ours": _held_table(found),
-        "recalibrated": _recalibrated_table(found[OF_PEOPLE][0], people),
-        "people": len(np.unique(people)),
-        "poses": len(people),
-        "covered_draws": COVERED_DRAWS,
-    }
+    return OnOurs(
+        _held_table(found),
+        _recalibrated_table(found[OF_PEOPLE][0], people),
+        len(np.unique(people)),
+        len(people),
+    )
 
 
 def _levels(capture: Capture, data: Path, work: Path) -> tuple[xr.DataArray, np.ndarray]:
     """Levels (simulation, quantity), and the recording of each simulation."""
     tree = kept(work / f"{Path(capture.path).stem}.nc", _covered, *capture.cases(data))
-    return tree["simulation"]["level"], tree["simulation"]["recording"].values
+    found = tree["simulation"].to_dataset()
+    return found["level"], found["recording"].values
 
 
 def _covered(cases: list[Case], source: dict[str, Any]) -> xr.DataTree:
-    few = {"num_samples": COVERED_DRAWS, "num_roots": COVERED_DRAWS}
-    return cover(PoseModel(), cases, source=source, **few)
+    return cover(
+        PoseModel(), cases, source=source, num_samples=COVERED_DRAWS, num_roots=COVERED_DRAWS
+    )
 
 
 def _held_table(found: Mapping[str, tuple[xr.DataArray, np.ndarray]]) -> Sheet:

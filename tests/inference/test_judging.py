@@ -276,10 +276,3 @@ def test_exact_draws_of_the_same_data_are_calibrated(moons: Any) -> None:
     exact = np.stack([moons.exact_moons(one, 100, rng) for one in seen])
     found = judge_coverage(exact, brought.truth, covariates=brought.covariates, false_alarm=RARE)
     assert found.verdict == CALIBRATED
-
-
-def test_a_nested_samplers_draws_are_wrong_without_their_weights() -> None:
-    brought = read_brought(POSTERIORS / "two_moons_nested.npz")
-    assert brought.log_weights is not None
-    equal = np.isfinite(brought.log_weights)
-    assert judge_coverage(brought.draws, brought.truth, equal).verdict == MISCALIBRATED

@@ -56,6 +56,7 @@ def folder(tmp_path: Path) -> Path:
     """With what the pages suppose that their reader has."""
     person = read_detections(example().path)[0]
     shutil.copy(example().path, tmp_path / "frame_keypoints.json")
+    shutil.copytree(ROOT / "examples" / "posteriors", tmp_path / "examples" / "posteriors")
     (tmp_path / "walk").mkdir()
     for number in range(2):
         shutil.copy(example().path, tmp_path / "walk" / f"frame_{number}.json")

@@ -1,25 +1,26 @@
 """Writes reports/judging.md: which test of coverage notices which wrong posterior, ours and those
 of others.
 
-    python -m poseterior.reports.pages.judging work
+    python -m poseterior.reports.pages.judging ../shared/data work
 
-The tests of sbi, bayesflow and pqm run where these are installed (`OTHERS`); what was kept in the
-folder is there when the page is made again without them."""
+The tests of sbi, bayesflow and pqm need these installed; what was kept in the folder, a file a
+try, is there when the page is made again without them."""
 
 import warnings
 from collections.abc import Callable, Mapping
-from itertools import product
+from pathlib import Path
 
 import numpy as np
 
 from poseterior.inference.studies.judging.judge import judge_coverage
 from poseterior.inference.studies.judging.where import share_held
 from poseterior.inference.studies.judging.wrong import WRONGS, Instances, told
-from poseterior.reports.pages.page import Page, Work, kept_json, run
+from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
+from poseterior.reports.pages.recalibrated import COVERED_DRAWS, on_ours
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
 LEVEL = 0.05
-SIZES = {100: 20, 300: 8}
+TRIES = {100: 20, 300: 8}
 """Instances, and how many times each is tried."""
 DRAWN = 100
 """Draws of an instance."""
@@ -27,25 +28,28 @@ SEEDS = 200
 NULLS = 300
 """Replicates of bayesflow's null."""
 OURS = ("ranks (SBC)", "highest density", "energy balls", "TARP", "classifier", "where", "verdict")
+Tried = dict[str, dict[str, bool]]
+"""By posterior and test, whether it rejected."""
 
 
-def main(work: Work) -> Page:
-    found = {
-        (name, size): kept_json(work / f"{size}-{row}.json", powers, name, size)
-        for (row, name), size in product(enumerate(WRONGS), SIZES)
-    }
-    tried = ", ".join(f"{times} at {size:,}" for size, times in SIZES.items())
+def main(data: Data, work: Work) -> Page:
     accused = kept_json(work / "right.json", accusations)
+    ours = on_ours(data, work)
     return Page(
         "judging",
         {
-            "at_100": _table(found, 100),
-            "at_300": _table(found, 300),
+            "at_100": _table(100, work),
+            "at_300": _table(300, work),
             "draws": DRAWN,
-            "tried": tried,
+            "tried": ", ".join(f"{times} at {size:,}" for size, times in TRIES.items()),
             "accused": accused,
             "accused_share": _said([*[True] * accused, *[False] * (SEEDS - accused)]),
             "seeds": SEEDS,
+            "covered_draws": COVERED_DRAWS,
+            "on_ours": ours.held,
+            "recalibrated": ours.recalibrated,
+            "people": ours.people,
+            "poses": ours.poses,
         },
     )
 
@@ -73,15 +77,16 @@ def accusations() -> int:
     return found
 
 
-def powers(fault: str, size: int) -> dict[str, list[bool]]:
-    """By test, whether it rejected at `LEVEL`, time after time."""
-    found: dict[str, list[bool]] = {}
-    for repetition in range(SIZES[size]):
-        rng = np.random.default_rng([49, size, list(WRONGS).index(fault), repetition])
-        case = told(fault, size, DRAWN, rng)
-        for name, test in TESTS.items():
-            for kind, rejects in test(case, repetition).items():
-                found.setdefault(f"{name}{kind}", []).append(bool(rejects))
+def tried(whose: str, size: int, repetition: int) -> Tried:
+    """What the tests of ours, or of others, say at `LEVEL`."""
+    found: Tried = {}
+    for row, fault in enumerate(WRONGS):
+        case = told(fault, size, DRAWN, np.random.default_rng([49, size, row, repetition]))
+        found[fault] = {
+            f"{name}{kind}": bool(rejects)
+            for name, test in TESTS[whose].items()
+            for kind, rejects in test(case, repetition).items()
+        }
     return found
 
 
@@ -150,27 +155,33 @@ def _pqm(case: Instances, seed: int) -> Mapping[str, bool]:
     return {"": float(np.mean(pqm_pvalue(*joint, num_refs=20, z_score_norm=True))) < LEVEL}
 
 
-TESTS: dict[str, Callable[[Instances, int], Mapping[str, bool]]] = {
-    "": _ours,
-    "sbi SBC (KS)": _sbi_ranks,
-    "sbi TARP": _sbi_tarp,
-    "bayesflow log γ": _bayesflow_gamma,
-    "bayesflow coverage bands": _bayesflow_coverage,
-    "pqm": _pqm,
+Test = Callable[[Instances, int], Mapping[str, bool]]
+TESTS: dict[str, dict[str, Test]] = {
+    "ours": {"": _ours},
+    "others": {
+        "sbi SBC (KS)": _sbi_ranks,
+        "sbi TARP": _sbi_tarp,
+        "bayesflow log γ": _bayesflow_gamma,
+        "bayesflow coverage bands": _bayesflow_coverage,
+        "pqm": _pqm,
+    },
 }
 
 
-def _table(found: Mapping[tuple[str, int], dict[str, list[bool]]], size: int) -> Sheet:
-    names = list(
-        dict.fromkeys(test for (_, one), tests in found.items() if one == size for test in tests)
-    )
-    rows = [(fault, *(_said(found[fault, size].get(name)) for name in names)) for fault in WRONGS]
+def _table(size: int, work: Path) -> Sheet:
+    rejected: dict[str, dict[str, list[bool]]] = {fault: {} for fault in WRONGS}
+    for repetition in range(TRIES[size]):
+        for whose in TESTS:
+            path = work / f"{whose}-{size}-{repetition}.json"
+            for fault, tests in kept_json(path, tried, whose, size, repetition).items():
+                for name, rejects in tests.items():
+                    rejected[fault].setdefault(name, []).append(rejects)
+    names = list(rejected["right"])
+    rows = [(fault, *(_said(tests[name]) for name in names)) for fault, tests in rejected.items()]
     return sheet_of([Column("posterior", left=True), *map(Column, names)], rows)
 
 
-def _said(rejected: list[bool] | None) -> str:
-    if not rejected:
-        return "–"
+def _said(rejected: list[bool]) -> str:
     share = share_held(np.array(rejected))
     return f"{share.value:.0%} ({share.low:.0%}–{share.high:.0%})"
 

@@ -1,7 +1,9 @@
 """The verdict on anybody's draws beside truths: right where it must be, silent where nothing is
 wrong, and a sentence for what cannot be judged."""
 
+import importlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from poseterior.inference.studies.calibration.uniformity import uniformity
 from poseterior.inference.studies.calibration.verdict import CALIBRATED, MISCALIBRATED
 from poseterior.inference.studies.judging import judge_coverage, recalibrate
 from poseterior.inference.studies.judging.files import read_brought
+from poseterior.inference.studies.judging.judge import judge_brought
 from poseterior.inference.studies.judging.repair import read_recalibration
 from poseterior.inference.studies.judging.where import leaves_of, locally
 from poseterior.inference.studies.judging.wrong import told
@@ -24,6 +27,8 @@ from poseterior.probmodel import BadInput
 
 RARE = 1e-4
 """Chance of a false alarm of each statistical test below; seeds are fixed."""
+POSTERIORS = Path(__file__).parents[2] / "examples" / "posteriors"
+"""Others' draws of the two moons, whose posterior is known."""
 
 
 def test_equal_weights_are_no_weights() -> None:
@@ -219,3 +224,55 @@ def test_discrete_quantities_have_uniform_levels() -> None:
     truth = (rng.uniform(size=(1200, 1)) < chance).astype(float)
     level = [rank_level(*one, rng) for one in zip(truth, draws[..., None], strict=True)]
     assert uniformity(np.array(level)[:, 0]).p_value > RARE
+
+
+@pytest.fixture
+def moons(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The module of the task, as the scripts beside it see it."""
+    monkeypatch.syspath_prepend(str(POSTERIORS))
+    return importlib.import_module("two_moons")
+
+
+def test_exact_moons_follow_their_density(moons: Any) -> None:
+    """Chance of each part of the box, summed over a grid of the likelihood; of a crescent a tenth
+    wider it is not."""
+    seen = np.array([-0.3, 0.1])
+    draws = moons.exact_moons(seen, 4000, np.random.default_rng(0))
+    axis = np.linspace(-1, 1, 1001)[:-1] + 0.001
+    grid = np.stack(np.meshgrid(axis, axis), axis=2).reshape(-1, 2)
+    edges = [np.linspace(-1, 1, 41)] * 2
+
+    def p_value(points: np.ndarray) -> float:
+        weights = np.exp(moons.log_likelihood_moons(points, seen))
+        chance = np.histogram2d(*grid.T, edges, weights=weights)[0] / weights.sum()
+        often = chance > 0.002
+        counts = np.histogram2d(*draws.T, edges)[0][often]
+        return stats.chisquare(counts, chance[often] / chance[often].sum() * counts.sum()).pvalue
+
+    assert p_value(grid) > RARE
+    assert p_value(grid / 1.1) < RARE
+
+
+@pytest.mark.parametrize(
+    ("name", "verdict"),
+    [
+        ("two_moons_barely_trained", MISCALIBRATED),
+        ("two_moons_trained", MISCALIBRATED),
+        ("two_moons_nested", CALIBRATED),
+    ],
+)
+def test_others_posteriors_are_judged(name: str, verdict: str) -> None:
+    """Networks of sbi, of which the better one is wrong by its log density alone, and weighted
+    draws of dynesty."""
+    found = judge_brought(read_brought(POSTERIORS / f"{name}.npz"))
+    assert found.verdict == verdict
+    assert (found.calibration.families["ranks (SBC)"] < 0.01) is name.endswith("barely_trained")
+
+
+def test_exact_draws_of_the_same_data_are_calibrated(moons: Any) -> None:
+    brought = read_brought(POSTERIORS / "two_moons_trained.npz")
+    rng = np.random.default_rng(0)
+    seen = np.column_stack([*brought.covariates.values()])
+    exact = np.stack([moons.exact_moons(one, 100, rng) for one in seen])
+    found = judge_coverage(exact, brought.truth, covariates=brought.covariates, false_alarm=RARE)
+    assert found.verdict == CALIBRATED

@@ -14,6 +14,8 @@ from poseterior.probmodel import BadInput
 from poseterior.reports.tables.judging import recalibrated_table
 from tests.conftest import Cli
 
+POSTERIORS = Path(__file__).parents[2] / "examples" / "posteriors"
+
 
 @pytest.fixture(scope="module")
 def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -45,6 +47,14 @@ def test_the_verdict_is_said_written_and_plotted(
     again = poseterior("coverage", "judge", out / "mine.nc", "--json", "--quiet")
     found = json.loads(again.out)["mine"]
     assert found["covered"]["quantity 0"][0]["nominal"] == 0.5
+
+
+def test_others_files_are_judged_together(poseterior: Cli) -> None:
+    names = ("two_moons_nested", "two_moons_barely_trained")
+    run = poseterior("coverage", "judge", *(POSTERIORS / f"{one}.npz" for one in names), "--json")
+    assert run.code == 0, run.err
+    found = json.loads(run.out)
+    assert [found[one]["verdict"] for one in names] == ["calibrated", "miscalibrated"]
 
 
 @pytest.mark.parametrize(

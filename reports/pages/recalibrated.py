@@ -1,0 +1,141 @@
+"""Where posteriors of real poses hold the truth, and what recalibration brings on people that it
+was not made from: tables of reports/judging.md."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy import stats
+
+from poseterior.inference.studies.calibration import cover
+from poseterior.inference.studies.calibration.quantities import MOVING_NAMES
+from poseterior.inference.studies.calibration.real import read_cases
+from poseterior.inference.studies.intervals import of_share
+from poseterior.inference.studies.judging.repair import recalibrate
+from poseterior.inference.studies.judging.where import SHOWN, central
+from poseterior.probmodel.datasets import Case
+from poseterior.probmodel.model import PoseModel
+from poseterior.reports.pages.page import kept
+from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
+
+COVERED_DRAWS = 200
+"""Draws of a pose, of as many roots."""
+PLACES = {
+    "across the image": tuple(f"{name} {axis}" for name in MOVING_NAMES for axis in "xy"),
+    "depth": tuple(f"{name} z" for name in MOVING_NAMES),
+    "head's depth": ("head z",),
+    "length of the head": ("length of head",),
+    "length of the forearm": ("length of forearm",),
+}
+
+
+class Capture(NamedTuple):
+    """Poses of a data set: its path in the data pack, the noise of detections, and how many."""
+
+    path: str
+    noise: str
+    poses: int
+
+    def cases(self, data: Path) -> tuple[list[Case], dict[str, Any]]:
+        """As they are seen, and where they come from."""
+        return read_cases(data / self.path, frames=self.poses, noise=self.noise)
+
+
+CAPTURES = {
+    "the calibrated cameras": Capture("multicamera", "none", 60),
+    "motion capture": Capture("cmu/actions_train.npz", "gaussian:0.01", 60),
+    "motion capture of 18 people": Capture("cmu/extremes", "gaussian:0.01", 90),
+}
+OF_PEOPLE = "motion capture of 18 people"
+
+
+class OnOurs(NamedTuple):
+    """What posteriors of real poses hold, what recalibrated ones hold of others, and of how many
+    people and poses the latter is."""
+
+    held: Sheet
+    recalibrated: Sheet
+    people: int
+    poses: int
+
+
+def on_ours(data: Path, work: Path) -> OnOurs:
+    """Of the data pack; the levels are kept in the folder."""
+    found = {name: _levels(capture, data, work) for name, capture in CAPTURES.items()}
+    people = np.array([case.subject for case in CAPTURES[OF_PEOPLE].cases(data)[0]])
+    return OnOurs(
+        _held_table(found),
+        _recalibrated_table(found[OF_PEOPLE][0], people),
+        len(np.unique(people)),
+        len(people),
+    )
+
+
+def _levels(capture: Capture, data: Path, work: Path) -> tuple[xr.DataArray, np.ndarray]:
+    """Levels (simulation, quantity), and the recording of each simulation."""
+    tree = kept(work / f"{Path(capture.path).stem}.nc", _covered, *capture.cases(data))
+    found = tree["simulation"].to_dataset()
+    return found["level"], found["recording"].values
+
+
+def _covered(cases: list[Case], source: dict[str, Any]) -> xr.DataTree:
+    return cover(
+        PoseModel(), cases, source=source, num_samples=COVERED_DRAWS, num_roots=COVERED_DRAWS
+    )
+
+
+def _held_table(found: Mapping[str, tuple[xr.DataArray, np.ndarray]]) -> Sheet:
+    rows = [
+        (
+            name,
+            *(
+                _share(central(level.sel(quantity=list(some)).values, 0.5), recording)
+                for some in PLACES.values()
+            ),
+        )
+        for name, (level, recording) in found.items()
+    ]
+    return sheet_of([Column("50 % intervals hold", left=True), *map(Column, PLACES)], rows)
+
+
+def _recalibrated_table(level: xr.DataArray, people: np.ndarray) -> Sheet:
+    """By kind and nominal level: what the draws' own intervals hold, and what those hold that were
+    recalibrated on everybody else."""
+    rows = []
+    for name, some in PLACES.items():
+        few = level.sel(quantity=list(some))
+        for nominal in SHOWN:
+            reach = _reach(few, people, nominal)
+            holds = np.abs(2 * few.values - 1) <= reach
+            taken = float(np.median(reach))
+            wider = stats.norm.ppf((1 + taken) / 2) / stats.norm.ppf((1 + nominal) / 2)
+            rows.append(
+                (
+                    name,
+                    f"{nominal:.0%}",
+                    _share(central(few.values, nominal), people),
+                    _share(holds, people),
+                    f"{taken:.0%}" if taken <= 1 else "no bound",
+                    f"{wider:.2f}" if taken < 1 else "∞",
+                )
+            )
+    head = [Column("", left=True), Column("nominal"), Column("own interval holds")]
+    head += [Column(name) for name in ("recalibrated holds", "interval taken", "times as wide")]
+    return sheet_of(head, rows)
+
+
+def _reach(level: xr.DataArray, people: np.ndarray, nominal: float) -> np.ndarray:
+    """`(simulation, quantity)`: the nominal level of the draws' own interval that holds as much of
+    everybody else."""
+    reach = np.empty(level.shape)
+    for who in np.unique(people):
+        repair = recalibrate(level[people != who])
+        reach[people == who] = [repair.reach(name, nominal) for name in repair.quantities]
+    return reach
+
+
+def _share(held: np.ndarray, cluster: np.ndarray) -> str:
+    share = of_share(held, cluster)
+    return f"{share.value:.0%} ({share.low:.0%}–{share.high:.0%})"

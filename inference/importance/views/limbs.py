@@ -305,7 +305,7 @@ def _spread(key: jax.Array, limbs: int, bones: int) -> jax.Array:
     and together they leave fewer gaps than independent ones."""
     moved = jax.random.uniform(key, (limbs, 1, bones, UNIFORMS))
     steps = np.outer(np.arange(PER_LIMB), LATTICE)
-    return (steps[None, :, None] + moved) % 1.0
+    return (jnp.asarray(steps)[None, :, None] + moved) % 1.0
 
 
 def _resampled(log_weight: jax.Array, offset: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -292,6 +292,15 @@ class Detected:
 
         return read_image(self.image)
 
+    @functools.cached_property
+    def photo_focal(self) -> float | None:
+        """The focal length that the image's EXIF says, pixels. Raises `BadInput` as `photo`."""
+        if self.image is None:
+            return None
+        from poseterior.reports.figures.files import photo_focal
+
+        return photo_focal(self.image)
+
     def frames(self, path: Path) -> "Iterator[DetectedFrame]":
         """The frames of a folder or file, lazily. Raises `BadInput` as `read_frames` does."""
         from poseterior.probmodel import read_frames
@@ -559,6 +568,10 @@ class CameraKind(enum.StrEnum):
     unknown = "unknown"
 
 
+EXIF = "exif"
+"""What `--focal` says where the photo says it."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rooting:
     """Whether torso and camera are a part of the posterior."""
@@ -607,9 +620,10 @@ class Viewing(Rooting):
     focal: Annotated[
         str | None,
         Option(
-            metavar="PIXELS|unknown",
-            help="Focal length of the camera in pixels of the image, or unknown: one of a few that"
-            " cameras have, drawn with the rest (--root uncertain).",
+            metavar="PIXELS|exif|unknown",
+            help="Focal length of the camera in pixels of the image; exif, where the photo says it"
+            " (--image); or unknown: one of a few that cameras have, drawn with the rest (--root"
+            " uncertain).",
             show_default="weak perspective",
         ),
     ] = None
@@ -622,13 +636,16 @@ class Viewing(Rooting):
         ),
     ] = None
 
-    def model(self, prior: Prior, size: tuple[int, int] | None = None) -> "PoseModel":
-        """As `Rooting.model`, for an image of this width and height, if they are known. Raises
-        `BadInput` also on a camera that cannot be, or whose optical axis nobody knows."""
-        lens = self._lens(size)
+    def model(
+        self, prior: Prior, size: tuple[int, int] | None = None, exif: float | None = None
+    ) -> "PoseModel":
+        """As `Rooting.model`, for an image of this width and height and with this focal length in
+        its EXIF, if they are known. Raises `BadInput` also on a camera that cannot be, or whose
+        optical axis nobody knows."""
+        lens = self._lens(size, exif)
         return prior.model(rooted=self.rooted, upright=concentration(self.upright), lens=lens)
 
-    def _lens(self, size: tuple[int, int] | None) -> "Lens | None":
+    def _lens(self, size: tuple[int, int] | None, exif: float | None) -> "Lens | None":
         import numpy as np
 
         from poseterior.probmodel import BadInput
@@ -638,7 +655,13 @@ class Viewing(Rooting):
             if self.principal is not None:
                 raise BadInput("--principal says nothing without a focal length; give --focal too")
             return None
-        focal = None if self.focal == CameraKind.unknown else parse_focal(self.focal)
+        if self.focal == EXIF and exif is None:
+            raise BadInput(
+                "--focal exif needs a photo (--image) whose EXIF says FocalLengthIn35mmFilm, which"
+                " many programs leave out; give pixels, or --focal unknown"
+            )
+        unknown = self.focal == CameraKind.unknown
+        focal = None if unknown else exif if self.focal == EXIF else parse_focal(self.focal)
         if size is None and focal is None:
             raise BadInput(
                 "--focal unknown needs the size of the image, by which cameras' focal lengths are"
@@ -729,7 +752,7 @@ def parse_focal(text: str) -> float:
         return float(text)
     except ValueError:
         raise BadInput(
-            f"--focal must be pixels of the image, such as 1650, or unknown, not {text!r}"
+            f"--focal must be pixels of the image, such as 1650, exif or unknown, not {text!r}"
         ) from None
 
 

@@ -25,7 +25,11 @@ def run(settings: FramesSettings, screen: Screen) -> None:
     console.output_folder(out)
     with console.progress("limits and torsos", screen.quiet):
         model = settings.rooting.model(settings.prior, settings.size)
-        warnings = doubts.about_the_size(_first_people(settings), settings.detected, model)
+        people = _first_people(settings)
+        warnings = [
+            *doubts.about_the_size(people, settings.detected, model),
+            *doubts.about_the_camera(people, settings.detected.size, model),
+        ]
     estimating = estimation.estimating(model)
     with console.progress("who is who", screen.quiet):
         items = People(
@@ -84,6 +88,6 @@ def run(settings: FramesSettings, screen: Screen) -> None:
 
 
 def _first_people(settings: FramesSettings) -> list[Detection]:
-    """Those by whom the size of all images is judged."""
+    """Those by whom the size of all images, and the distance of all people, is judged."""
     everyone = (one for frame in settings.detected.frames(settings.path) for one in frame.people)
     return list(itertools.islice(everyone, doubts.MOST_PEOPLE))

@@ -1,14 +1,16 @@
 """Figures and images as files."""
 
 import logging
+import math
 import os
 import warnings
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import ExifTags, Image, ImageOps
 
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.files import opened, replacing
@@ -27,6 +29,8 @@ PLUGINS = {"WEBP": "WebP"}
 """Of Pillow, where their names are spelled otherwise."""
 MAX_PIXELS = 60_000_000
 """Images above this are refused before they are decoded: a small file can claim any size."""
+FILM_DIAGONAL = math.hypot(36.0, 24.0)
+"""Millimetres."""
 
 
 def save_figure(figure: "Figure", path: str | os.PathLike) -> None:
@@ -59,6 +63,25 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
         Where there is no file, it is no image of `FORMATS`, is damaged, or has more than
         `MAX_PIXELS` pixels.
     """
+    return _of_image(path, lambda image: np.asarray(ImageOps.exif_transpose(image).convert("RGB")))
+
+
+def photo_focal(path: str | os.PathLike) -> float | None:
+    """The focal length, pixels, that a photo's EXIF says, None where it says none: that of film of
+    35 mm, whose frames measure `FILM_DIAGONAL`, with the same angle of view along the diagonal
+    (CIPA DCG-001). Raises `BadInput` as `read_image` does."""
+    return _of_image(path, _said_focal)
+
+
+def _said_focal(image: Image.Image) -> float | None:
+    said = image.getexif().get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
+    if not isinstance(said, int) or said <= 0:  # 0 where it is not known
+        return None
+    return said * math.hypot(*image.size) / FILM_DIAGONAL
+
+
+def _of_image[Value](path: str | os.PathLike, asked: Callable[[Image.Image], Value]) -> Value:
+    """What an image file is asked."""
     # Loaded one by one: else Pillow loads all plugins that it has where one of these is missing.
     for name in FORMATS:
         import_module(f"PIL.{PLUGINS.get(name, name.title())}ImagePlugin")
@@ -74,7 +97,7 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
             ):
                 if image.width * image.height > MAX_PIXELS:
                     raise BadInput(too_large)
-                return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+                return asked(image)
     except (Image.DecompressionBombWarning, Image.DecompressionBombError):
         raise BadInput(too_large) from None
     except BadInput:

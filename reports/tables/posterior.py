@@ -4,6 +4,7 @@ Lengths are in body units, with millimetres of a person of 1.7 m beside them. Ev
 columns.
 """
 
+import functools
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -359,6 +360,11 @@ def summary_json(result: "Result") -> dict[str, Any]:
     }
 
 
+def _seed(words: str) -> int:
+    """The seed that a JAX key was made of, whose words of 32 bits these are."""
+    return functools.reduce(lambda high, low: (high << 32) + int(low), words.split(), 0)
+
+
 def summary_lines(result: "Result") -> list[str]:
     """The summary as lines of at most 80 columns (the sentence of a run that is not complete may be
     longer)."""
@@ -372,7 +378,7 @@ def summary_lines(result: "Result") -> list[str]:
         f"{row['num_draws']:,} draws by {row['sampler']} in {fixed(1)(row['wall_time_s'])} s",
         f"{row['num_proposals']:,} proposals{accepted}",
         f"log evidence {evidence}",
-        f"limits {row['limits']} ({digest}), {row['measures']}, seed {row['seed']}",
+        f"limits {row['limits']} ({digest}), {row['measures']}, seed {_seed(row['seed'])}",
     ]
     if uncertain:
         roots = f"{row['effective_roots']:,.0f} effective roots of {row['num_roots']:,.0f}"

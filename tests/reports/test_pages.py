@@ -56,6 +56,7 @@ def test_there_are_pages() -> None:
         "routes",
         "samplers",
         "speed",
+        "strangers",
         "whole",
     ]
 

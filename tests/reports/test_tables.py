@@ -251,7 +251,7 @@ def test_summary_by_hand(tree: xr.DataTree) -> None:
         "2 draws by rejection in 9.2 s",
         "589,824 proposals, 0.17 % accepted",
         "log evidence −16.68 ± 0.03: one possible pose in 2e7 explains the joints seen",
-        "limits my limits (7793d399517d), upper angle, lower area, seed 0 7",
+        "limits my limits (7793d399517d), upper angle, lower area, seed 7",
     ]
     assert max(map(len, lines)) <= 80
 

@@ -1,0 +1,75 @@
+"""The views of reports/strangers.md: what was seen lies beside what is true as it was made."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from poseterior.inference.studies.person_views import beside
+from poseterior.probmodel import DetectorErrors
+from poseterior.probmodel.errors.laws import Student
+from poseterior.probmodel.skeleton import NUM_JOINTS, PARENTS
+from poseterior.reports.pages import strangers
+from tests.filmed import filmed, moving
+
+SPREAD, FREEDOM = 0.05, 8.0
+
+
+def law(**changes: object) -> DetectorErrors:
+    sure = dataclasses.replace(
+        DetectorErrors.default(),
+        law=Student(FREEDOM),
+        sigma=np.full(NUM_JOINTS, SPREAD),
+        inlier=np.ones(NUM_JOINTS),
+        definition=np.zeros((NUM_JOINTS, 3)),
+        definition_sd=np.zeros((NUM_JOINTS, 3)),
+    )
+    return dataclasses.replace(sure, **changes)
+
+
+def test_a_film_without_errors_is_seen_where_it_is() -> None:
+    session = filmed(moving(8), np.zeros((4, 8, NUM_JOINTS, 2)))
+    views = strangers.views_of_session(session, session.people, 16)
+    assert len(views) == 16
+    assert len({view.person for view in views}) == 4
+    for view in views:
+        limbs = beside(view)[list(strangers.JUDGED)]
+        assert np.abs(limbs).max() < 12.0  # mm: of the two focal lengths of a camera
+
+
+def test_each_half_of_a_film_is_the_others_rest() -> None:
+    session = filmed(moving(9), np.zeros((4, 9, NUM_JOINTS, 2)))
+    first, second = strangers.halves(session)
+    assert first.numbers + second.numbers == session.numbers
+
+
+def test_errors_have_the_moments_of_their_law() -> None:
+    """Of a Student law with df degrees of freedom the variance is df / (df − 2); each of 15 × 2,000
+    errors' squares has a relative deviation of 2, so that 7 % are six standard errors."""
+    rng = np.random.default_rng(0)
+    errors = np.stack([strangers._strays(law(), rng) for _ in range(2000)])
+    wanted = SPREAD**2 * FREEDOM / (FREEDOM - 2)
+    assert np.mean(errors**2) == pytest.approx(wanted, rel=0.07)
+    assert np.mean(errors**2) != pytest.approx(SPREAD**2, rel=0.07)  # those of a Gaussian
+    astray = law(inlier=np.zeros(NUM_JOINTS))
+    far = np.stack([strangers._strays(astray, rng) for _ in range(2000)])
+    radius = np.linalg.norm(far, axis=-1) / astray.outlier_radius
+    assert radius.max() <= 1.0
+    assert np.mean(radius**2) == pytest.approx(0.5, abs=0.01)  # all over the disc
+
+
+@pytest.mark.parametrize("metres", [1.0, 8.0])
+def test_a_body_is_seen_through_the_lens(metres: float) -> None:
+    """A nearly perfect detector sees joints where the pinhole has them, whole and in its place."""
+    rng = np.random.default_rng(3)
+    pose = np.zeros((NUM_JOINTS, 3))
+    for joint in range(1, NUM_JOINTS):
+        pose[joint] = pose[PARENTS[joint]] + 250 * rng.normal(size=3) / np.sqrt(3)
+    sharp = law(sigma=np.full(NUM_JOINTS, 1e-3))
+    view = strangers._seen(pose, np.zeros((NUM_JOINTS, 3)), sharp, metres, "ann", rng)
+    assert view.truth[0] == pytest.approx([0, 0, 1000 * metres])
+    bones = np.linalg.norm(view.truth[1:] - view.truth[list(PARENTS[1:])], axis=1)
+    own = np.linalg.norm(pose[1:] - pose[list(PARENTS[1:])], axis=1)
+    assert bones == pytest.approx(own)
+    seen = view.detection.seen
+    assert np.nanmax(np.abs(beside(view)[seen])) < 5.0

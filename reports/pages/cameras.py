@@ -47,7 +47,7 @@ MOVED = 0.5
 LIKELY = 0.5
 """Probability above which a fault counts as found."""
 WRIST = JOINT_INDEX["right_wrist"]
-NOTHING, MOVED_WRIST, EXCHANGED_LEGS = PLANTED = "nothing", "a wrist moved", "legs exchanged"
+UNTOUCHED, MOVED_WRIST, EXCHANGED_LEGS = PLANTED = "nothing", "a wrist moved", "legs exchanged"
 
 
 class Beliefs(NamedTuple):
@@ -239,11 +239,11 @@ def fault_table(found: dict[str, list[Any]]) -> Sheet:
     for kind, one in every.items():
         alarms = {MOVED_WRIST: one.outlier > LIKELY, EXCHANGED_LEGS: one.legs > LIKELY}
         hit, moved = "", ""
-        if kind != NOTHING:
+        if kind != UNTOUCHED:
             place = (np.arange(len(one.view)), one.view, WRIST)[: alarms[kind].ndim]
             hit = f"{alarms[kind][place].sum()} of {len(one.view)}"
             alarms[kind][place] = False
-            usual = every[NOTHING]
+            usual = every[UNTOUCHED]
             step = np.abs(one.mean - usual.mean)[:, other] / usual.width[:, other]
             moved = f"{np.median(step):.2f}"
         false = [f"{100 * alarm.mean():.1f} %" for alarm in alarms.values()]

@@ -7,7 +7,7 @@ they are the midpoints of shoulders and hips; `corrected` moves them to where th
 as every command that reads detections does. Offsets and their sources: reports/detectors.md."""
 
 import dataclasses
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from poseterior.probmodel.detections import FACE, Detection, FloatArray
-from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 
 MIDPOINTS = {"thorax": ("right_shoulder", "left_shoulder"), "pelvis": ("right_hip", "left_hip")}
 """Joints that lie midway between two others, for the detectors that do not have them or missed
@@ -61,19 +61,15 @@ class Layout:
     @cached_property
     def _body(self) -> tuple[list[int], list[int]]:
         """Which points are joints, and which joints they are."""
-        pairs = [
-            (index, JOINT_INDEX[name])
-            for index, name in enumerate(self.points)
-            if name in JOINT_INDEX
-        ]
-        return [index for index, _ in pairs], [joint for _, joint in pairs]
+        return self._places_of(JOINTS)
 
     @cached_property
     def _face(self) -> tuple[list[int], list[int]]:
-        pairs = [
-            (index, FACE.index(name)) for index, name in enumerate(self.points) if name in FACE
-        ]
-        return [index for index, _ in pairs], [row for _, row in pairs]
+        return self._places_of(FACE)
+
+    def _places_of(self, known: Sequence[str]) -> tuple[list[int], list[int]]:
+        places = [place for place, name in enumerate(self.points) if name in known]
+        return places, [known.index(self.points[place]) for place in places]
 
     def to_skeleton(self, points: FloatArray, threshold: float) -> tuple[FloatArray, FloatArray]:
         """`(15, 2)` keypoints and `(15,)` scores from `(count, 3)` rows of x, y, score.
@@ -149,90 +145,39 @@ def is_nowhere(xy: FloatArray) -> npt.NDArray[np.bool_]:
     return np.any([(xy == place).all(axis=-1) for place in NOWHERE], axis=0)
 
 
+def _in_pairs(*parts: str) -> tuple[str, ...]:
+    """The points of both sides, part after part, the left one first."""
+    return tuple(f"{side}_{part}" for part in parts for side in ("left", "right"))
+
+
 _RIGHT_ARM = ("right_shoulder", "right_elbow", "right_wrist")
 _LEFT_ARM = ("left_shoulder", "left_elbow", "left_wrist")
 _RIGHT_LEG = ("right_hip", "right_knee", "right_ankle")
 _LEFT_LEG = ("left_hip", "left_knee", "left_ankle")
-_IN_PAIRS = (
-    "left_shoulder",
-    "right_shoulder",
-    "left_elbow",
-    "right_elbow",
-    "left_wrist",
-    "right_wrist",
-    "left_hip",
-    "right_hip",
-    "left_knee",
-    "right_knee",
-    "left_ankle",
-    "right_ankle",
-)
-_COCO = (
-    "nose",
-    "left_eye",
-    "right_eye",
-    "left_ear",
-    "right_ear",
-    *_IN_PAIRS,
-)
+_ARMS_AND_LEGS = (*_RIGHT_ARM, *_LEFT_ARM, *_RIGHT_LEG, *_LEFT_LEG)
+_IN_PAIRS = _in_pairs("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+_COCO = ("nose", *_in_pairs("eye", "ear"), *_IN_PAIRS)
 _BOTH = ("thorax", "pelvis")
-_FEET = (
-    "left_big_toe",
-    "left_small_toe",
-    "left_heel",
-    "right_big_toe",
-    "right_small_toe",
-    "right_heel",
+_FEET = tuple(
+    f"{side}_{part}" for side in ("left", "right") for part in ("big_toe", "small_toe", "heel")
 )
-_HALPE = (
-    *_COCO,
-    "head",
-    "neck",
-    "hip_centre",
-    "left_big_toe",
-    "right_big_toe",
-    "left_small_toe",
-    "right_small_toe",
-    "left_heel",
-    "right_heel",
+_HALPE = (*_COCO, "head", "neck", "hip_centre", *_in_pairs("big_toe", "small_toe", "heel"))
+_OPENPOSE_FACE = ("right_eye", "left_eye", "right_ear", "left_ear")
+_MEDIAPIPE = (
+    *("nose", "left_eye_inner", "left_eye", "left_eye_outer"),
+    *("right_eye_inner", "right_eye", "right_eye_outer"),
+    *("left_ear", "right_ear", "mouth_left", "mouth_right"),
+    *_in_pairs("shoulder", "elbow", "wrist", "pinky", "index", "thumb"),
+    *_in_pairs("hip", "knee", "ankle", "heel", "foot_index"),
 )
+_BODY_25 = ("nose", "thorax", *_RIGHT_ARM, *_LEFT_ARM, "pelvis", *_RIGHT_LEG, *_LEFT_LEG)
+_MPII_TRUNK = ("pelvis", "thorax", "upper_neck", "head")
+_H36M_TRUNK = ("spine", "thorax", "neck_or_nose", "head")
 
 COCO_17 = Layout("coco_17", _COCO, _BOTH)
-BODY_25 = Layout(
-    "body_25",
-    (
-        "nose",
-        "thorax",
-        *_RIGHT_ARM,
-        *_LEFT_ARM,
-        "pelvis",
-        *_RIGHT_LEG,
-        *_LEFT_LEG,
-        "right_eye",
-        "left_eye",
-        "right_ear",
-        "left_ear",
-        *_FEET,
-    ),
-    _BOTH,
-)
+BODY_25 = Layout("body_25", (*_BODY_25, *_OPENPOSE_FACE, *_FEET), _BOTH)
 BODY_25B = Layout("body_25b", (*_COCO, "upper_neck", "head", *_FEET), _BOTH)
-COCO_18 = Layout(
-    "coco_18",
-    (
-        "nose",
-        "thorax",
-        *_RIGHT_ARM,
-        *_LEFT_ARM,
-        *_RIGHT_LEG,
-        *_LEFT_LEG,
-        "right_eye",
-        "left_eye",
-        "right_ear",
-        "left_ear",
-    ),
-    _BOTH,
-)
+COCO_18 = Layout("coco_18", ("nose", "thorax", *_ARMS_AND_LEGS, *_OPENPOSE_FACE), _BOTH)
 HALPE_26 = Layout("halpe_26", _HALPE, _BOTH)
 HALPE_136 = Layout("halpe_136", (*_HALPE, *(f"face_or_hand_{i}" for i in range(110))), _BOTH)
 WHOLEBODY_133 = Layout(
@@ -240,117 +185,23 @@ WHOLEBODY_133 = Layout(
 )
 MPII_16 = Layout(
     "mpii_16",
-    (
-        "right_ankle",
-        "right_knee",
-        "right_hip",
-        *_LEFT_LEG,
-        "pelvis",
-        "thorax",
-        "upper_neck",
-        "head",
-        "right_wrist",
-        "right_elbow",
-        "right_shoulder",
-        *_LEFT_ARM,
-    ),
+    (*_RIGHT_LEG[::-1], *_LEFT_LEG, *_MPII_TRUNK, *_RIGHT_ARM[::-1], *_LEFT_ARM),
     _BOTH,
 )
 H36M_17 = Layout(
     "h36m_17",
-    (
-        "pelvis",
-        *_RIGHT_LEG,
-        *_LEFT_LEG,
-        "spine",
-        "thorax",
-        "neck_or_nose",
-        "head",
-        *_LEFT_ARM,
-        *_RIGHT_ARM,
-    ),
+    ("pelvis", *_RIGHT_LEG, *_LEFT_LEG, *_H36M_TRUNK, *_LEFT_ARM, *_RIGHT_ARM),
     ("pelvis",),
 )
-MEDIAPIPE_33 = Layout(
-    "mediapipe_33",
-    (
-        "nose",
-        "left_eye_inner",
-        "left_eye",
-        "left_eye_outer",
-        "right_eye_inner",
-        "right_eye",
-        "right_eye_outer",
-        "left_ear",
-        "right_ear",
-        "mouth_left",
-        "mouth_right",
-        "left_shoulder",
-        "right_shoulder",
-        "left_elbow",
-        "right_elbow",
-        "left_wrist",
-        "right_wrist",
-        "left_pinky",
-        "right_pinky",
-        "left_index",
-        "right_index",
-        "left_thumb",
-        "right_thumb",
-        "left_hip",
-        "right_hip",
-        "left_knee",
-        "right_knee",
-        "left_ankle",
-        "right_ankle",
-        "left_heel",
-        "right_heel",
-        "left_foot_index",
-        "right_foot_index",
-    ),
-    _BOTH,
-)
-CROWDPOSE_14 = Layout(
-    "crowdpose_14",
-    (
-        *_IN_PAIRS,
-        "head",
-        "neck",
-    ),
-    _BOTH,
-)
-AIC_14 = Layout(
-    "aic_14",
-    (
-        *_RIGHT_ARM,
-        *_LEFT_ARM,
-        *_RIGHT_LEG,
-        *_LEFT_LEG,
-        "head",
-        "neck",
-    ),
-    _BOTH,
-)
+MEDIAPIPE_33 = Layout("mediapipe_33", _MEDIAPIPE, _BOTH)
+CROWDPOSE_14 = Layout("crowdpose_14", (*_IN_PAIRS, "head", "neck"), _BOTH)
+AIC_14 = Layout("aic_14", (*_ARMS_AND_LEGS, "head", "neck"), _BOTH)
 
-LAYOUTS = MappingProxyType(
-    {
-        layout.name: layout
-        for layout in (
-            COCO_17,
-            COCO_18,
-            BODY_25,
-            BODY_25B,
-            HALPE_26,
-            HALPE_136,
-            WHOLEBODY_133,
-            MPII_16,
-            H36M_17,
-            MEDIAPIPE_33,
-            CROWDPOSE_14,
-            AIC_14,
-        )
-    }
+_ALL = (
+    *(COCO_17, COCO_18, BODY_25, BODY_25B, HALPE_26, HALPE_136),
+    *(WHOLEBODY_133, MPII_16, H36M_17, MEDIAPIPE_33, CROWDPOSE_14, AIC_14),
 )
+LAYOUTS = MappingProxyType({layout.name: layout for layout in _ALL})
 """By name."""
 
 
@@ -446,27 +297,11 @@ def _same(point: FloatArray, other: FloatArray) -> bool:
 
 
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
-_JOINT_OF_PART = {
-    "shoulder": "shoulder",
-    "elbow": "elbow",
-    "wrist": "wrist",
-    "hip": "hip",
-    "knee": "knee",
-    "ankle": "ankle",
-    "eye": "eye",
-    "ear": "ear",
-}
+_SIDED_PARTS = {"shoulder", "elbow", "wrist", "hip", "knee", "ankle", "eye", "ear"}
 _WHOLE = {
-    "pelvis": "pelvis",
-    "hip_centre": "pelvis",
-    "hip_center": "pelvis",
-    "mid_hip": "pelvis",
-    "root": "pelvis",
-    "thorax": "thorax",
-    "chest": "thorax",
-    "head": "head",
-    "head_top": "head",
-    "top_head": "head",
+    **dict.fromkeys(("pelvis", "hip_centre", "hip_center", "mid_hip", "root"), "pelvis"),
+    **dict.fromkeys(("thorax", "chest"), "thorax"),
+    **dict.fromkeys(("head", "head_top", "top_head"), "head"),
     "nose": "nose",
 }
 
@@ -481,7 +316,7 @@ def spoken_name(name: str) -> str:
     if whole := _WHOLE.get("_".join(words)):
         return whole
     side, part = _sided(words)
-    return f"{side}_{_JOINT_OF_PART[part]}" if side and part in _JOINT_OF_PART else name
+    return f"{side}_{part}" if side and part in _SIDED_PARTS else name
 
 
 def _sided(words: list[str]) -> tuple[str, str]:

@@ -7,12 +7,13 @@ import gc
 import inspect
 from collections.abc import Iterator
 from importlib import import_module, metadata
-from typing import Annotated, Any, NoReturn, get_type_hints
+from typing import Annotated, Any, NoReturn, get_origin, get_type_hints
 
 import typer
 from typer.models import OptionInfo
 
 from poseterior.reports import console, options, settings, signals
+from poseterior.reports.fields import OPTION
 from poseterior.reports.options import Screen
 
 COMMANDS: dict[str, type] = {
@@ -106,14 +107,15 @@ def declared(group: Any, given: object = None) -> Iterator[inspect.Parameter]:
         if dataclasses.is_dataclass(hint):
             yield from declared(hint, None if default is dataclasses.MISSING else default)
             continue
-        option = copy.copy(hint.__metadata__[0])
+        shared = get_origin(hint) is Annotated
+        option = copy.copy(hint.__metadata__[0] if shared else field.metadata[OPTION])
         if isinstance(option, OptionInfo) and hasattr(group, "PANEL"):
             option.rich_help_panel = group.PANEL
         yield inspect.Parameter(
             field.name,
             inspect.Parameter.KEYWORD_ONLY,
             default=inspect.Parameter.empty if default is dataclasses.MISSING else default,
-            annotation=Annotated[hint.__origin__, option],
+            annotation=Annotated[hint.__origin__ if shared else hint, option],
         )
 
 

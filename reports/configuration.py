@@ -16,6 +16,8 @@ from typing import Any
 
 import typer
 
+from poseterior.probmodel.failures import BadInput
+
 LARGEST = 1 << 16
 """Bytes of a file; no command has so many options."""
 NOT_HERE = {"config", "help"}
@@ -41,7 +43,7 @@ def _defaults(context: typer.Context, path: Path) -> dict[str, Any]:
     found = {}
     for key, value in _table(path).items():
         if key not in known:
-            raise _bad_input(
+            raise BadInput(
                 f"{path} has the key {key!r}, but `{context.command_path}` has no such option;"
                 f" choose from {', '.join(known)}"
             )
@@ -56,7 +58,7 @@ def _table(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise _bad_input(f"{path} is not TOML ({error}); write lines such as seed = 1") from None
+        raise BadInput(f"{path} is not TOML ({error}); write lines such as seed = 1") from None
 
 
 def _typed(option: Any, value: object, where: str) -> str | bool:
@@ -64,14 +66,7 @@ def _typed(option: Any, value: object, where: str) -> str | bool:
     if getattr(option, "is_flag", False):
         if isinstance(value, bool):
             return value
-        raise _bad_input(f"{where} is a switch; give true or false")
+        raise BadInput(f"{where} is a switch; give true or false")
     if isinstance(value, bool) or not isinstance(value, str | int | float):
-        raise _bad_input(f"{where} must be a number or a text in quotes")
+        raise BadInput(f"{where} must be a number or a text in quotes")
     return str(value)
-
-
-def _bad_input(sentence: str) -> Exception:
-    # Imported here: the package behind it brings JAX along, and `--help` should not wait for that.
-    from poseterior.probmodel.failures import BadInput
-
-    return BadInput(sentence)

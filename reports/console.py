@@ -25,6 +25,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.reports.signals import Signals
 
 LONGEST = 600
@@ -156,17 +157,18 @@ def _spoken(sentence: str) -> str:
     return said if len(said) <= LONGEST else f"{said[:half]} … {said[-half:]}"
 
 
+def show(as_json: bool, value: Any, *shown: Any) -> None:
+    """Results on stdout: `value` as JSON, or else tables and sentences, one after the other."""
+    if as_json:
+        show_json(value)
+        return
+    for one in shown:
+        say(one) if isinstance(one, str) else OUT.print(one)
+
+
 def show_json(value: Any) -> None:
     """Prints a value as JSON on stdout."""
     print(json.dumps(value, indent=2, allow_nan=False))
-
-
-def _bad_input(sentence: str) -> Exception:
-    # Imported here, because the package behind it brings JAX along, and `--help` should not wait
-    # for that.
-    from poseterior.probmodel.failures import BadInput
-
-    return BadInput(sentence)
 
 
 def output_folder(path: Path) -> Path:
@@ -174,9 +176,9 @@ def output_folder(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        raise _bad_input(f"{path} is a file; --out needs the name of a folder") from None
+        raise BadInput(f"{path} is a file; --out needs the name of a folder") from None
     except (OSError, ValueError) as error:
-        raise _bad_input(
+        raise BadInput(
             f"cannot make the folder {path} ({_reason(error)}); choose another --out"
         ) from None
     _try_writing(path)
@@ -187,19 +189,17 @@ def output_file(path: Path) -> Path:
     """Checks, before any work is done, that a file can be written. Raises `BadInput` where it
     cannot."""
     if os.path.isdir(path):
-        raise _bad_input(f"{path} is a folder; --out needs the name of a file")
+        raise BadInput(f"{path} is a folder; --out needs the name of a file")
     if not os.path.isdir(path.parent):
-        raise _bad_input(
-            f"the folder {path.parent} does not exist; make it, or choose another --out"
-        )
+        raise BadInput(f"the folder {path.parent} does not exist; make it, or choose another --out")
     try:
         # Results are first written beside their place, under a longer name.
         (path.parent / f"{path.name}.partial").exists()
     except OSError as error:
-        raise _bad_input(f"cannot write {path} ({_reason(error)}); choose another --out") from None
+        raise BadInput(f"cannot write {path} ({_reason(error)}); choose another --out") from None
     if path.exists() and not path.is_file():
         # A device, say: results are renamed into place, which would put a file where it was.
-        raise _bad_input(f"{path} is not a regular file; choose another --out")
+        raise BadInput(f"{path} is not a regular file; choose another --out")
     _try_writing(path.parent)
     return path
 
@@ -210,7 +210,7 @@ def _try_writing(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise _bad_input(
+        raise BadInput(
             f"cannot write to the folder {folder} ({_reason(error)}); choose another --out"
         ) from None
 
@@ -302,8 +302,6 @@ def _verdict(error: Exception) -> tuple[str, int]:
     """The sentence and the exit code of a failure; no sentence where it is a bug."""
     if isinstance(error, _USAGE):
         return _usage(error), 2
-    from poseterior.probmodel.failures import BadInput, OutOfBudget
-
     if isinstance(error, BadInput):
         return str(error), 2
     if isinstance(error, OutOfBudget):

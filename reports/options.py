@@ -4,6 +4,7 @@ A group is a frozen class whose fields are options; a command's settings (`setti
 and options of its own, and `cli` makes one command line of them all. Nothing here imports JAX
 before it is needed, so that `--help` is quick."""
 
+import dataclasses
 import enum
 import functools
 import math
@@ -18,7 +19,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from typer import Argument, Option
 
 from poseterior.probmodel.errors import LAW_NAMES
+from poseterior.probmodel.failures import BadInput
 from poseterior.reports import configuration, console
+from poseterior.reports.fields import option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -86,10 +89,8 @@ Upright = Annotated[
     Option(
         min=1,
         max=90,
-        help=(
-            "How far a back is tilted from the image's vertical, standard deviation each way in"
-            " degrees (--root uncertain)."
-        ),
+        help="How far a back is tilted from the image's vertical, standard deviation each way in"
+        " degrees (--root uncertain).",
         show_default="any way round is as probable as any other",
     ),
 ]
@@ -196,19 +197,15 @@ class LearnedLaw(enum.StrEnum):
 class Screen:
     """How a command speaks: with progress or without, in tables or JSON."""
 
-    config: Annotated[
-        Path | None,
-        Option(
-            is_eager=True,
-            callback=configuration.take,
-            help="A TOML file of options by their names: num-samples = 1000. What is on the command"
-            " line wins.",
-        ),
-    ] = None
-    quiet: Annotated[bool, Option("--quiet", help="No progress.")] = False
-    json: Annotated[
-        bool, Option("--json", help="Results on stdout as JSON instead of a table.")
-    ] = False
+    config: Path | None = option(
+        None,
+        "A TOML file of options by their names: num-samples = 1000. What is on the command"
+        " line wins.",
+        is_eager=True,
+        callback=configuration.take,
+    )
+    quiet: bool = option(False, "No progress.", "--quiet")
+    json: bool = option(False, "Results on stdout as JSON instead of a table.", "--json")
 
 
 def anatomy_of(limits: str) -> "Anatomy":
@@ -226,12 +223,12 @@ class Prior:
 
     PANEL: ClassVar = "The prior"
     limits: Limits = None
-    upper: Annotated[
-        UpperMeasure, Option(help="Measure in which upper bones are uniform; angle is eq. 7.")
-    ] = UpperMeasure.angle
-    lower: Annotated[
-        LowerMeasure, Option(help="Measure in which lower bones are uniform; area is eq. 8.")
-    ] = LowerMeasure.area
+    upper: UpperMeasure = option(
+        UpperMeasure.angle, "Measure in which upper bones are uniform; angle is eq. 7."
+    )
+    lower: LowerMeasure = option(
+        LowerMeasure.area, "Measure in which lower bones are uniform; area is eq. 8."
+    )
 
     def anatomy(self, rooted: bool = False) -> "Anatomy":
         """The tables, by default those of the paper's posterior, or of one that is `rooted`, of
@@ -255,33 +252,23 @@ class Detected:
     """Detections in a file, and what the user knows of it that it does not say itself."""
 
     PANEL: ClassVar = "How detections are read"
-    format: Annotated[str, Option(help="The file's format; 'auto' looks at its content.")] = "auto"
-    threshold: Annotated[
-        float | None, Option(help="Joints with a score up to this are missing.", show_default="0")
-    ] = None
-    image: Annotated[
-        Path | None, Option(help="The image: it says its size, and lies behind pictures.")
-    ] = None
-    image_size: Annotated[
-        str | None,
-        Option(
-            metavar="WIDTHxHEIGHT", help="For coordinates that are fractions; --image says it too."
-        ),
-    ] = None
-    names: Annotated[
-        Path | None,
-        Option(
-            help="JSON object of a detector's own joint names → ours, or list in the file's order."
-        ),
-    ] = None
+    format: str = option("auto", "The file's format; 'auto' looks at its content.")
+    threshold: float | None = option(
+        None, "Joints with a score up to this are missing.", show_default="0"
+    )
+    image: Path | None = option(None, "The image: it says its size, and lies behind pictures.")
+    image_size: str | None = option(
+        None, "For coordinates that are fractions; --image says it too.", metavar="WIDTHxHEIGHT"
+    )
+    names: Path | None = option(
+        None, "JSON object of a detector's own joint names → ours, or list in the file's order."
+    )
     layout: JointOrder = None
-    correct: Annotated[
-        bool,
-        Option(
-            "--correct/--as-detected",
-            help="Move midpoints to where the skeleton's thorax and pelvis are.",
-        ),
-    ] = True
+    correct: bool = option(
+        True,
+        "Move midpoints to where the skeleton's thorax and pelvis are.",
+        "--correct/--as-detected",
+    )
 
     @functools.cached_property
     def photo(self) -> "np.ndarray | None":
@@ -337,7 +324,6 @@ class Detected:
 
 def read_names(path: Path) -> dict[str, str] | list[str]:
     """A map of names, or a list of them. Raises `BadInput` where the file holds neither."""
-    from poseterior.probmodel import BadInput
     from poseterior.probmodel.documents import read_json
 
     names = read_json(path, "map of names", "give a JSON object of names")
@@ -350,8 +336,6 @@ def read_names(path: Path) -> dict[str, str] | list[str]:
 def map_of_names(path: Path | None) -> dict[str, str] | None:
     """A map of names, if there is a file of them. Raises `BadInput` where it holds something
     else."""
-    from poseterior.probmodel import BadInput
-
     names = None if path is None else read_names(path)
     if isinstance(names, list):
         raise BadInput(f"{path} must hold an object of a file's names of joints → ours, not a list")
@@ -367,7 +351,7 @@ class Person:
         Path,
         Argument(help="Detections, of any detector (reports/detectors.md).", show_default=False),
     ]
-    person: Annotated[int, Option(help="Which person in the file, counted from 0.")] = 0
+    person: int = option(0, "Which person in the file, counted from 0.")
     detected: Detected = Detected()
 
     @functools.cached_property
@@ -433,48 +417,34 @@ class Estimation:
     """How torso, camera and discs come out of a detection."""
 
     PANEL: ClassVar = "Torso, camera and discs"
-    estimator: Annotated[
-        str,
-        Option(
-            help=(
-                "How torso and camera are estimated: dictionary, akhter-black, zhou, or FILE.npz"
-                " with `joints` (people, 15, 3), the poses of another estimator in camera axes."
-            )
-        ),
-    ] = "dictionary"
-    poses: Annotated[
-        str, Option(help="Pose dictionaries: 'default', or a .npz from `poseterior learn --poses`.")
-    ] = "default"
-    candidates: Annotated[
-        int, Option(min=1, help="Most torso-and-camera candidates kept; 1 is the paper's method.")
-    ] = 2
+    estimator: str = option(
+        "dictionary",
+        "How torso and camera are estimated: dictionary, akhter-black, zhou, or FILE.npz"
+        " with `joints` (people, 15, 3), the poses of another estimator in camera axes.",
+    )
+    poses: str = option(
+        "default", "Pose dictionaries: 'default', or a .npz from `poseterior learn --poses`."
+    )
+    candidates: int = option(
+        2, "Most torso-and-camera candidates kept; 1 is the paper's method.", min=1
+    )
     factor: Factor = 0.25
-    errors: Annotated[
-        str,
-        Option(
-            help=(
-                f"Law of a detection's error: {', '.join(LAW_NAMES)} (the paper's is disc), learned"
-                " (the embedded one of real detections), or FILE.json from `poseterior calibrate`."
-                " The last two have outliers, and need --root uncertain."
-            )
-        ),
-    ] = "disc"
-    outliers: Annotated[
-        float | None,
-        Option(help="How probable it is that a keypoint is an outlier (--root uncertain)."),
-    ] = None
-    exchanges: Annotated[
-        float | None,
-        Option(help="How probable it is that left and right are exchanged (--root uncertain)."),
-    ] = None
-    head: Annotated[
-        bool, Option(help="Whether a detected head counts in the likelihood (the paper: no).")
-    ] = True
+    errors: str = option(
+        "disc",
+        f"Law of a detection's error: {', '.join(LAW_NAMES)} (the paper's is disc), learned"
+        " (the embedded one of real detections), or FILE.json from `poseterior calibrate`."
+        " The last two have outliers, and need --root uncertain.",
+    )
+    outliers: float | None = option(
+        None, "How probable it is that a keypoint is an outlier (--root uncertain)."
+    )
+    exchanges: float | None = option(
+        None, "How probable it is that left and right are exchanged (--root uncertain)."
+    )
+    head: bool = option(True, "Whether a detected head counts in the likelihood (the paper: no).")
 
     def likelihood(self) -> "Likelihood":
         """How detections err. Raises `BadInput` on a bad factor, law or probability."""
-        import dataclasses
-
         from poseterior.probmodel.errors.faults import FaultPrior
 
         likelihood = self._law()
@@ -488,7 +458,7 @@ class Estimation:
         return dataclasses.replace(likelihood, faults=faults)
 
     def _law(self) -> "Likelihood":
-        from poseterior.probmodel import BadInput, Likelihood
+        from poseterior.probmodel import Likelihood
         from poseterior.probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
         from poseterior.probmodel.errors.detector import DetectorErrors
         from poseterior.probmodel.errors.laws import LAWS
@@ -577,15 +547,11 @@ class Rooting:
     """Whether torso and camera are a part of the posterior."""
 
     PANEL: ClassVar = Estimation.PANEL
-    root: Annotated[
-        RootKind,
-        Option(
-            help=(
-                "Torso and camera: fixed at an estimator's candidates (the paper), or uncertain and"
-                " drawn with the pose."
-            )
-        ),
-    ] = RootKind.uncertain
+    root: RootKind = option(
+        RootKind.uncertain,
+        "Torso and camera: fixed at an estimator's candidates (the paper), or uncertain and"
+        " drawn with the pose.",
+    )
     roots: Roots = 1000
     upright: Upright = None
 
@@ -596,8 +562,6 @@ class Rooting:
 
     def require_meaning(self, given: Set[str]) -> None:
         """Raises `BadInput` where an option was given that means nothing with this kind of root."""
-        from poseterior.probmodel import BadInput
-
         other = RootKind.fixed if self.rooted else RootKind.uncertain
         for name in ESTIMATED if self.rooted else ("roots", "most_roots"):
             if name in given:
@@ -617,24 +581,20 @@ class Rooting:
 class Viewing(Rooting):
     """As `Rooting`, of people whose camera may be known."""
 
-    focal: Annotated[
-        str | None,
-        Option(
-            metavar="PIXELS|exif|unknown",
-            help="Focal length of the camera in pixels of the image; exif, where the photo says it"
-            " (--image); or unknown: one of a few that cameras have, drawn with the rest (--root"
-            " uncertain).",
-            show_default="weak perspective",
-        ),
-    ] = None
-    principal: Annotated[
-        str | None,
-        Option(
-            metavar="X,Y",
-            help="Where the camera's optical axis meets the image, pixels (--focal).",
-            show_default="the image's centre",
-        ),
-    ] = None
+    focal: str | None = option(
+        None,
+        "Focal length of the camera in pixels of the image; exif, where the photo says it"
+        " (--image); or unknown: one of a few that cameras have, drawn with the rest (--root"
+        " uncertain).",
+        metavar="PIXELS|exif|unknown",
+        show_default="weak perspective",
+    )
+    principal: str | None = option(
+        None,
+        "Where the camera's optical axis meets the image, pixels (--focal).",
+        metavar="X,Y",
+        show_default="the image's centre",
+    )
 
     def model(
         self, prior: Prior, size: tuple[int, int] | None = None, exif: float | None = None
@@ -648,7 +608,6 @@ class Viewing(Rooting):
     def _lens(self, size: tuple[int, int] | None, exif: float | None) -> "Lens | None":
         import numpy as np
 
-        from poseterior.probmodel import BadInput
         from poseterior.probmodel.camera import Lens
 
         if self.focal is None:
@@ -700,9 +659,9 @@ class Sampling:
     PANEL: ClassVar = "Sampling"
     num_samples: NumSamples = 10_000
     seed: Seed = 0
-    max_proposals: Annotated[
-        int, Option(min=1, help="Most proposals for a person before the sampler gives up.")
-    ] = 1_000_000_000
+    max_proposals: int = option(
+        1_000_000_000, "Most proposals for a person before the sampler gives up.", min=1
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -710,12 +669,8 @@ class Workforce:
     """Who does the work."""
 
     PANEL: ClassVar = "Many machines"
-    workers: Annotated[
-        int, Option(min=1, help="Processes of this machine that share the work.")
-    ] = 1
-    scheduler: Annotated[
-        str | None, Option(help="Address of a dask scheduler, whose workers do it.")
-    ] = None
+    workers: int = option(1, "Processes of this machine that share the work.", min=1)
+    scheduler: str | None = option(None, "Address of a dask scheduler, whose workers do it.")
 
     def machines(self) -> "Machines":
         """The same, as `inference` takes it."""
@@ -728,15 +683,13 @@ class Workforce:
 class Drawing(Viewing):
     """As `Viewing`, where roots that are too few are drawn anew."""
 
-    most_roots: Annotated[
-        int | None,
-        Option(
-            min=1,
-            max=MOST_ROOTS,
-            help="From how many at most: where fewer than 20 count, as many as would do are drawn.",
-            show_default=f"{FURTHER} times --roots",
-        ),
-    ] = None
+    most_roots: int | None = option(
+        None,
+        "From how many at most: where fewer than 20 count, as many as would do are drawn.",
+        min=1,
+        max=MOST_ROOTS,
+        show_default=f"{FURTHER} times --roots",
+    )
 
     @property
     def most(self) -> int:
@@ -746,8 +699,6 @@ class Drawing(Viewing):
 
 def parse_focal(text: str) -> float:
     """Pixels from such as "1650". Raises `BadInput` otherwise."""
-    from poseterior.probmodel import BadInput
-
     try:
         return float(text)
     except ValueError:
@@ -760,8 +711,6 @@ def parse_point(text: str, option: str, example: str) -> "np.ndarray":
     """`(2,)` from such as "320,240.5". Raises `BadInput` otherwise."""
     import numpy as np
 
-    from poseterior.probmodel import BadInput
-
     try:
         x, y = map(float, text.split(","))
     except ValueError:
@@ -771,8 +720,6 @@ def parse_point(text: str, option: str, example: str) -> "np.ndarray":
 
 def parse_size(text: str, option: str, example: str) -> tuple[int, int]:
     """Width and height from such as "640x480". Raises `BadInput` otherwise."""
-    from poseterior.probmodel import BadInput
-
     width, _, height = text.partition("x")
     sides = [int(side) for side in (width, height) if side.isdecimal() and len(side) < 8]
     if len(sides) != 2 or not all(0 < side < LARGEST_SIDE for side in sides):
@@ -803,8 +750,6 @@ _OF_A_RESULT = re.compile(r"(hypotheses|run)\.json|.*\.nc")
 def require_other_files(values: Mapping[str, Any]) -> None:
     """Raises `BadInput` where what is to be written is something that is read, or, where that is a
     folder of results, a part of it."""
-    from poseterior.probmodel import BadInput
-
     outputs = {name: values.get(name) for name in OUTPUTS}
     given = [one for name, one in values.items() if name not in OUTPUTS]
     flat = [one for each in given for one in (each if isinstance(each, list) else [each])]

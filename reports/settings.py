@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
 
 from typer import Argument, Option
 
+from poseterior.probmodel.failures import BadInput
+from poseterior.reports.fields import option
 from poseterior.reports.options import (
     ROOTED,
     ROUTES,
@@ -75,7 +77,7 @@ class DemoSettings:
 
     drawn: ClassVar = RootKind.fixed
     EXAMPLES: ClassVar[tuple[str, ...]] = ("demo", "demo --open", "demo --out my-demo --seed 1")
-    out: Annotated[Path, Option(help="Folder for the results.")] = Path("demo")
+    out: Path = option(Path("demo"), "Folder for the results.")
     open: Open = False
     seed: Seed = 0
 
@@ -99,27 +101,20 @@ class HypothesesSettings:
         "hypotheses session/ --frame 20 --cameras 1,3 --errors learned",
     )
     person: PersonOrSession
-    frame: Annotated[
-        int | None, Option(help="Which frame of calibrated cameras; the first by default.")
-    ] = None
-    cameras: Annotated[str | None, Option(help="Which of them, such as 1,3; all by default.")] = (
-        None
+    frame: int | None = option(None, "Which frame of calibrated cameras; the first by default.")
+    cameras: str | None = option(None, "Which of them, such as 1,3; all by default.")
+    out: Path = option(
+        Path("out"), "Folder for posterior.nc, hypotheses.json, hypotheses.png, hypotheses.html."
     )
-    out: Annotated[
-        Path,
-        Option(help="Folder for posterior.nc, hypotheses.json, hypotheses.png, hypotheses.html."),
-    ] = Path("out")
     open: Open = False
     k: Hypotheses = 5
     composed: Composed = False
     double: Double = False
-    recalibrated: Annotated[
-        Path | None,
-        Option(
-            help="File of `coverage judge --recalibrate`: intervals with its guarantee, too.",
-            show_default="none",
-        ),
-    ] = None
+    recalibrated: Path | None = option(
+        None,
+        "File of `coverage judge --recalibrate`: intervals with its guarantee, too.",
+        show_default="none",
+    )
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
     rooting: Drawing = OPEN
@@ -135,7 +130,6 @@ class HypothesesSettings:
     def instant(self) -> "Instant":
         """What calibrated cameras saw. Raises `BadInput` where they cannot be read, and where there
         is no such frame or camera."""
-        from poseterior.probmodel import BadInput
         from poseterior.probmodel.sessions import read_session
 
         session = read_session(self.person.file, layout=self.person.detected.layout)
@@ -150,8 +144,6 @@ class HypothesesSettings:
 
     def check(self) -> None:
         """Raises `BadInput` where frames or cameras are chosen of a single view."""
-        from poseterior.probmodel import BadInput
-
         if not self.person.is_session and (self.frame is not None or self.cameras):
             raise BadInput(
                 f"--frame and --cameras are of calibrated cameras, and {self.person.file} is no"
@@ -171,21 +163,18 @@ class SampleSettings:
         "sample frame.json --root fixed --candidates 1 --sampler nuts --num-samples 1000",
     )
     person: Person
-    out: Annotated[
-        Path, Option(help="File to write; the page has its name, with .html at the end.")
-    ] = Path("posterior.nc")
+    out: Path = option(
+        Path("posterior.nc"), "File to write; the page has its name, with .html at the end."
+    )
     open: Open = False
-    sampler: Annotated[
-        str | None,
-        Option(
-            help=f"One of {', '.join(SAMPLERS)}; with --root uncertain {', '.join(ROOTED)}.",
-            show_default=f"the first; with --root uncertain {ROUTES[0]}",
-        ),
-    ] = None
-    chains: Annotated[
-        int,
-        Option(help="Independent runs of exact rejection, which share the samples (--root fixed)."),
-    ] = 1
+    sampler: str | None = option(
+        None,
+        f"One of {', '.join(SAMPLERS)}; with --root uncertain {', '.join(ROOTED)}.",
+        show_default=f"the first; with --root uncertain {ROUTES[0]}",
+    )
+    chains: int = option(
+        1, "Independent runs of exact rejection, which share the samples (--root fixed)."
+    )
     double: Double = False
     sampling: Sampling = Sampling()
     estimation: Estimation = Estimation()
@@ -225,27 +214,21 @@ class FramesSettings:
         Path,
         Argument(help="A folder of detections, or one file of many frames.", show_default=False),
     ]
-    out: Annotated[
-        Path,
-        Option(
-            help="Folder for the stream, depth.png and hypotheses.html; a run that was stopped"
-            " goes on there."
-        ),
-    ] = Path("out")
+    out: Path = option(
+        Path("out"),
+        "Folder for the stream, depth.png and hypotheses.html; a run that was stopped"
+        " goes on there.",
+    )
     open: Open = False
-    person: Annotated[
-        int | None,
-        Option(
-            min=0,
-            help="Whose film: one person alone, counted from 0 as they are first seen.",
-            show_default="everyone",
-        ),
-    ] = None
+    person: int | None = option(
+        None,
+        "Whose film: one person alone, counted from 0 as they are first seen.",
+        min=0,
+        show_default="everyone",
+    )
     k: Hypotheses = 5
     composed: Composed = False
-    keep: Annotated[
-        int, Option(help="How many draws of each person are written, 200 bytes each.")
-    ] = 0
+    keep: int = option(0, "How many draws of each person are written, 200 bytes each.")
     workforce: Workforce = Workforce()
     sampling: Sampling = Sampling()
     detected: Detected = Detected()
@@ -293,8 +276,6 @@ class FramesSettings:
 
     def check(self) -> None:
         """Reads all frames. Raises `BadInput` on a bad one, or where there is nobody."""
-        from poseterior.probmodel import BadInput
-
         if not self._film.sizes:
             raise BadInput(
                 f"{self.path} has no person in it; choose one in which the detector found some"
@@ -313,13 +294,11 @@ class ShowSettings:
         "show result --image photo.jpg --open",
     )
     person: PersonOrResult
-    out: Annotated[
-        Path | None,
-        Option(
-            help="The picture: .png, .pdf or .svg; of a result, the page.",
-            show_default="overlay.png, or hypotheses.html in the result's folder",
-        ),
-    ] = None
+    out: Path | None = option(
+        None,
+        "The picture: .png, .pdf or .svg; of a result, the page.",
+        show_default="overlay.png, or hypotheses.html in the result's folder",
+    )
     open: Open = False
     estimation: Estimation = Estimation()
     prior: Prior = Prior()
@@ -339,26 +318,16 @@ class DetectSettings:
     layout: Annotated[
         str, Option(help="Its joints: mpii_16, coco_17, halpe_26, ….", show_default=False)
     ]
-    out: Annotated[Path, Option(help="File to write.")] = Path("detections.json")
-    box: Annotated[
-        str | None, Option(metavar="X,Y,WIDTH,HEIGHT", help="The person; else the image.")
-    ] = None
-    boxes: Annotated[
-        Path | None, Option(help="COCO detection results: the people of all images.")
-    ] = None
-    least_score: Annotated[float, Option(help="Boxes with a lower score are left out.")] = 0.5
-    input_size: Annotated[
-        str | None, Option(metavar="WIDTHxHEIGHT", help="Where the network has none.")
-    ] = None
-    pixels: Annotated[str, Option(help="How pixels are normalised: imagenet, unit or bytes.")] = (
-        "imagenet"
+    out: Path = option(Path("detections.json"), "File to write.")
+    box: str | None = option(None, "The person; else the image.", metavar="X,Y,WIDTH,HEIGHT")
+    boxes: Path | None = option(None, "COCO detection results: the people of all images.")
+    least_score: float = option(0.5, "Boxes with a lower score are left out.")
+    input_size: str | None = option(None, "Where the network has none.", metavar="WIDTHxHEIGHT")
+    pixels: str = option("imagenet", "How pixels are normalised: imagenet, unit or bytes.")
+    method: str = option("soft", "Where a joint is in its heatmap: soft or quarter.")
+    threshold: float = option(
+        0.002, "Joints with a score, their heatmap's mean, up to this are missing."
     )
-    method: Annotated[str, Option(help="Where a joint is in its heatmap: soft or quarter.")] = (
-        "soft"
-    )
-    threshold: Annotated[
-        float, Option(help="Joints with a score, their heatmap's mean, up to this are missing.")
-    ] = 0.002
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -366,7 +335,7 @@ class PriorSettings:
     """Poses from the prior: what anatomy allows before anything was seen."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = ("prior --num-samples 1000 --out prior.nc",)
-    out: Annotated[Path, Option(help="File to write.")] = Path("prior.nc")
+    out: Path = option(Path("prior.nc"), "File to write.")
     num_samples: NumSamples = 10_000
     seed: Seed = 0
     prior: Prior = Prior()
@@ -408,24 +377,17 @@ class MeasureSettings:
     result: Annotated[
         Path, Argument(help="posterior.nc, its folder, or a stream's.", show_default=False)
     ]
-    measure: Annotated[
-        list[str] | None,
-        Option(
-            help="A name, or an expression; may be given again.",
-            show_default="all that have a name",
-        ),
-    ] = None
-    interval: Annotated[float, Option(help="Probability of the intervals, which are central.")] = (
-        0.95
+    measure: list[str] | None = option(
+        None, "A name, or an expression; may be given again.", show_default="all that have a name"
     )
-    height: Annotated[
-        float | None,
-        Option(help="The person's height in metres, if it is known.", show_default="in body units"),
-    ] = None
-    person: Annotated[int | None, Option(help="Whose film, in a stream of several people.")] = None
-    out: Annotated[
-        Path, Option(help="The table: .csv, or .nc with every draw; the picture lies beside it.")
-    ] = Path("measures.csv")
+    interval: float = option(0.95, "Probability of the intervals, which are central.")
+    height: float | None = option(
+        None, "The person's height in metres, if it is known.", show_default="in body units"
+    )
+    person: int | None = option(None, "Whose film, in a stream of several people.")
+    out: Path = option(
+        Path("measures.csv"), "The table: .csv, or .nc with every draw; the picture lies beside it."
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -455,57 +417,37 @@ class ExportSettings:
         ),
     ]
     to: Annotated[ExportFormat, Option(help="The format.", show_default=False)]
-    out: Annotated[
-        Path | None, Option(help="File to write.", show_default="the result's name, here")
-    ] = None
-    height: Annotated[
-        float,
-        Option(
-            help="The person's height in metres: head, back, upper and lower leg, and a tenth for"
-            " feet and hips."
-        ),
-    ] = 1.75
-    unit: Annotated[
-        LengthUnit | None,
-        Option(help="Of lengths.", show_default="mm; m for BVH and glTF"),
-    ] = None
-    k: Annotated[
-        int | None,
-        Option(help="How many hypotheses.", show_default="all that were chosen, or 5"),
-    ] = None
-    draws: Annotated[int | None, Option(help="So many single draws of a posterior.nc instead.")] = (
-        None
+    out: Path | None = option(None, "File to write.", show_default="the result's name, here")
+    height: float = option(
+        1.75,
+        "The person's height in metres: head, back, upper and lower leg, and a tenth for"
+        " feet and hips.",
     )
-    person: Annotated[int | None, Option(help="Whose film, in a stream of several people.")] = None
-    what: Annotated[
-        FilmPose | None,
-        Option(
-            help="Of each frame of a stream: the mean of the draws, made a body again, or the"
-            " heaviest hypothesis.",
-            show_default="mean",
-        ),
-    ] = None
-    smooth: Annotated[
-        str | None,
-        Option(
-            metavar="FILTER",
-            help="Of a stream (with --rate): butterworth:6 (Hz, no lag), savgol:15 (frames) or"
-            " one-euro:1 (Hz, looks back only).",
-            show_default="no filter",
-        ),
-    ] = None
-    rate: Annotated[
-        float | None,
-        Option(help="Frames a second of the film.", show_default="30, which is then said"),
-    ] = None
-    measure: Annotated[
-        list[str] | None,
-        Option(
-            help="A measure, as of `measure`, for a column of CSV, .mot or .sto; may be given"
-            " again.",
-            show_default="none in CSV; all that have a name",
-        ),
-    ] = None
+    unit: LengthUnit | None = option(None, "Of lengths.", show_default="mm; m for BVH and glTF")
+    k: int | None = option(None, "How many hypotheses.", show_default="all that were chosen, or 5")
+    draws: int | None = option(None, "So many single draws of a posterior.nc instead.")
+    person: int | None = option(None, "Whose film, in a stream of several people.")
+    what: FilmPose | None = option(
+        None,
+        "Of each frame of a stream: the mean of the draws, made a body again, or the"
+        " heaviest hypothesis.",
+        show_default="mean",
+    )
+    smooth: str | None = option(
+        None,
+        "Of a stream (with --rate): butterworth:6 (Hz, no lag), savgol:15 (frames) or"
+        " one-euro:1 (Hz, looks back only).",
+        metavar="FILTER",
+        show_default="no filter",
+    )
+    rate: float | None = option(
+        None, "Frames a second of the film.", show_default="30, which is then said"
+    )
+    measure: list[str] | None = option(
+        None,
+        "A measure, as of `measure`, for a column of CSV, .mot or .sto; may be given again.",
+        show_default="none in CSV; all that have a name",
+    )
 
     def check(self) -> None:
         """Raises `BadInput` on a filter or a measure that is none, or has no room."""
@@ -517,7 +459,6 @@ class ExportSettings:
         """Those that are exported. Raises `BadInput` where there is no such measure, or the format
         has no room for it."""
         from poseterior.inference.measured import chosen_measures
-        from poseterior.probmodel import BadInput
         from poseterior.reports.exports import OF_MEASURES, WITH_MEASURES
 
         if self.to in OF_MEASURES:
@@ -549,35 +490,24 @@ class CompareSettings:
         "compare frame.json --root uncertain --samplers weighted-roots,emcee --exact-draws 500",
     )
     person: Person
-    samplers: Annotated[
-        str | None,
-        Option(
-            help="Names with commas between them; a wrong one lists them all.",
-            show_default=f"{CONTESTANTS}; with --root uncertain {ROUTES[0]}",
-        ),
-    ] = None
-    out: Annotated[Path, Option(help="Folder for comparison.nc, comparison.png and the runs.")] = (
-        Path("comparison")
+    samplers: str | None = option(
+        None,
+        "Names with commas between them; a wrong one lists them all.",
+        show_default=f"{CONTESTANTS}; with --root uncertain {ROUTES[0]}",
     )
-    seconds: Annotated[
-        float, Option(help="Seconds for each baseline, from each of its starts.")
-    ] = 30.0
-    max_evaluations: Annotated[
-        int | None,
-        Option(
-            min=1, help="Most evaluations of the density for each of them.", show_default="no limit"
-        ),
-    ] = None
+    out: Path = option(Path("comparison"), "Folder for comparison.nc, comparison.png and the runs.")
+    seconds: float = option(30.0, "Seconds for each baseline, from each of its starts.")
+    max_evaluations: int | None = option(
+        None, "Most evaluations of the density for each of them.", min=1, show_default="no limit"
+    )
     num_samples: NumSamples = 10_000
-    exact_draws: Annotated[
-        int | None,
-        Option(
-            min=100,
-            max=1_000_000,
-            help="By how many exact draws they are judged.",
-            show_default="20,000; with --root uncertain 1,000, some minutes",
-        ),
-    ] = None
+    exact_draws: int | None = option(
+        None,
+        "By how many exact draws they are judged.",
+        min=100,
+        max=1_000_000,
+        show_default="20,000; with --root uncertain 1,000, some minutes",
+    )
     seed: Seed = 0
     estimation: Estimation = Estimation()
     rooting: Viewing = Viewing()
@@ -606,7 +536,7 @@ class BenchmarkDrawsSettings:
         "benchmark draws --target arm --num-samples 1000 --out arm.npz",
     )
     target: TargetName
-    out: Annotated[Path, Option(help="File to write.")] = Path("draws.npz")
+    out: Path = option(Path("draws.npz"), "File to write.")
     num_samples: NumSamples = 10_000
 
     def check(self) -> None:
@@ -668,41 +598,33 @@ class EvaluateSettings:
         ),
     ]
     of: Judged = JudgedBy.coordinates
-    missing: Annotated[str, Option(help="Numbers of limb joints made missing, at random.")] = "0"
-    rotate: Annotated[str, Option(help="Degrees by which the image is turned.")] = "0"
-    root: Annotated[
-        str,
-        Option(
-            help="Torso and camera: fixed (the estimators'), uncertain, or true (the truth's own)."
-        ),
-    ] = "uncertain"
+    missing: str = option("0", "Numbers of limb joints made missing, at random.")
+    rotate: str = option("0", "Degrees by which the image is turned.")
+    root: str = option(
+        "uncertain",
+        "Torso and camera: fixed (the estimators'), uncertain, or true (the truth's own).",
+    )
     roots: Roots = MANY_ROOTED.roots
     upright: Upright = None
     perspective: KnownLenses = False
-    k: Annotated[str, Option(help="Numbers of hypotheses of which the best counts.")] = "5,20"
+    k: str = option("5,20", "Numbers of hypotheses of which the best counts.")
     composed: Composed = False
-    out: Annotated[
-        Path, Option(help="Folder for the results; a run that was stopped goes on there.")
-    ] = Path("evaluation")
-    frames: Annotated[
-        int | None, Option(help="How many frames, as many of each action.", show_default="all")
-    ] = None
-    noise: Annotated[
-        str,
-        Option(
-            help="Of synthetic cameras: none, gaussian:SIZE, heavy-tailed:SIZE (of body height)."
-        ),
-    ] = "none"
-    detections: Annotated[str, Option(help="Human3.6M's 2D file, data_2d_h36m_NAME.npz.")] = "gt"
+    out: Path = option(
+        Path("evaluation"), "Folder for the results; a run that was stopped goes on there."
+    )
+    frames: int | None = option(
+        None, "How many frames, as many of each action.", show_default="all"
+    )
+    noise: str = option(
+        "none", "Of synthetic cameras: none, gaussian:SIZE, heavy-tailed:SIZE (of body height)."
+    )
+    detections: str = option("gt", "Human3.6M's 2D file, data_2d_h36m_NAME.npz.")
     names: RigNames = None
     layout: JointOrder = None
-    predictions: Annotated[
-        list[Path] | None,
-        Option(help="Poses of another method, a row of Table 1; may be given again."),
-    ] = None
-    bias: Annotated[bool, Option(help="Whether the bias of its motion capture is studied too.")] = (
-        True
+    predictions: list[Path] | None = option(
+        None, "Poses of another method, a row of Table 1; may be given again."
     )
+    bias: bool = option(True, "Whether the bias of its motion capture is studied too.")
     workforce: Workforce = Workforce()
     sampling: Sampling = Sampling(num_samples=1000, max_proposals=20_000_000)
     estimation: Estimation = Estimation(estimator="akhter-black,zhou,dictionary", candidates=1)
@@ -749,66 +671,48 @@ class CoverageSettings:
         "coverage --dataset views.npz --camera unknown --errors learned --out seen",
         "coverage --dataset recordings.npz --of measures --out measured",
     )
-    sampler: Annotated[
-        str | None,
-        Option(
-            help="A name, as of `sample`, or a file: `joints` (simulations, draws, 15, 3).",
-            show_default=f"{SAMPLERS[0]}; with --root uncertain {ROUTES[0]}",
-        ),
-    ] = None
+    sampler: str | None = option(
+        None,
+        "A name, as of `sample`, or a file: `joints` (simulations, draws, 15, 3).",
+        show_default=f"{SAMPLERS[0]}; with --root uncertain {ROUTES[0]}",
+    )
     of: Judged = JudgedBy.coordinates
-    out: Annotated[
-        Path, Option(help="Folder for coverage.nc and coverage.png; a run goes on there.")
-    ] = Path("coverage")
-    num_simulations: Annotated[int, Option(help="Poses of the prior, each seen once.")] = 1000
-    simulate_only: Annotated[
-        bool,
-        Option("--simulate-only", help="Write simulations.nc, for samplers that run elsewhere."),
-    ] = False
-    dataset: Annotated[
-        Path | None,
-        Option(
-            "--dataset",
-            "--poses",
-            help="Real poses: motion capture, Human3.6M, calibrated cameras, a plain .npz, or one"
-            " of views of people.",
-            rich_help_panel=REAL,
-        ),
-    ] = None
-    frames: Annotated[int, Option(help="How many of them.", rich_help_panel=REAL)] = 100
-    estimator: Annotated[
-        str,
-        Option(
-            help="Their torso and camera: true, dictionary, akhter-black or zhou.",
-            rich_help_panel=REAL,
-        ),
-    ] = "true"
-    noise: Annotated[
-        str,
-        Option(
-            help="Their 2D errors: likelihood, none, gaussian:SIZE, heavy-tailed:SIZE (of body"
-            " height).",
-            rich_help_panel=REAL,
-        ),
-    ] = "likelihood"
-    missing: Annotated[
-        int, Option(min=0, help="Limb joints that are not seen.", rich_help_panel=REAL)
-    ] = 0
+    out: Path = option(
+        Path("coverage"), "Folder for coverage.nc and coverage.png; a run goes on there."
+    )
+    num_simulations: int = option(1000, "Poses of the prior, each seen once.")
+    simulate_only: bool = option(
+        False, "Write simulations.nc, for samplers that run elsewhere.", "--simulate-only"
+    )
+    dataset: Path | None = option(
+        None,
+        "Real poses: motion capture, Human3.6M, calibrated cameras, a plain .npz, or one"
+        " of views of people.",
+        "--dataset",
+        "--poses",
+        rich_help_panel=REAL,
+    )
+    frames: int = option(100, "How many of them.", rich_help_panel=REAL)
+    estimator: str = option(
+        "true",
+        "Their torso and camera: true, dictionary, akhter-black or zhou.",
+        rich_help_panel=REAL,
+    )
+    noise: str = option(
+        "likelihood",
+        "Their 2D errors: likelihood, none, gaussian:SIZE, heavy-tailed:SIZE (of body height).",
+        rich_help_panel=REAL,
+    )
+    missing: int = option(0, "Limb joints that are not seen.", min=0, rich_help_panel=REAL)
     perspective: KnownLenses = False
-    camera: Annotated[
-        CameraKind,
-        Option(
-            help="What is believed of the cameras of views of people (an .npz with detection and"
-            " truth).",
-            rich_help_panel=REAL,
-        ),
-    ] = CameraKind.weak
-    errors: Annotated[
-        str,
-        Option(
-            help="Law of the errors of views of people, as of `hypotheses`.", rich_help_panel=REAL
-        ),
-    ] = "disc"
+    camera: CameraKind = option(
+        CameraKind.weak,
+        "What is believed of the cameras of views of people (an .npz with detection and truth).",
+        rich_help_panel=REAL,
+    )
+    errors: str = option(
+        "disc", "Law of the errors of views of people, as of `hypotheses`.", rich_help_panel=REAL
+    )
     rooting: Rooting = MANY_ROOTED
     factor: Factor = 0.25
     workforce: Workforce = Workforce()
@@ -824,8 +728,6 @@ class CoverageSettings:
 
     def require_meaning(self, given: Set[str]) -> None:
         """Raises `BadInput` where an option was given that the chosen way does not know."""
-        from poseterior.probmodel import BadInput
-
         views = ["camera", "errors"]
         real = ["frames", "estimator", "noise", "missing", "perspective", *views]
         draws = ["sampler", "num_samples", "max_proposals", "roots", "upright"]
@@ -867,32 +769,23 @@ class CoverageJudgeSettings:
         "coverage judge network.npz mcmc.npz --json",
     )
     files: Annotated[list[Path], Argument(help="Draws and truths.", show_default=False)]
-    out: Annotated[
-        Path | None,
-        Option(help="Folder for NAME.nc and NAME.png of each file.", show_default="none"),
-    ] = None
-    circular: Annotated[
-        list[str] | None,
-        Option(
-            help="A quantity that is an angle, in radians; may be repeated.", show_default="none"
-        ),
-    ] = None
-    false_alarm: Annotated[
-        float, Option(min=1e-4, max=0.5, help="Chance that a right posterior is accused.")
-    ] = 0.01
-    recalibrate: Annotated[
-        Path | None,
-        Option(help="File of recalibrated intervals to write, for `hypotheses --recalibrated`."),
-    ] = None
-    by: Annotated[
-        str | None, Option(help="A covariate whose groups are recalibrated one by one.")
-    ] = None
+    out: Path | None = option(
+        None, "Folder for NAME.nc and NAME.png of each file.", show_default="none"
+    )
+    circular: list[str] | None = option(
+        None, "A quantity that is an angle, in radians; may be repeated.", show_default="none"
+    )
+    false_alarm: float = option(
+        0.01, "Chance that a right posterior is accused.", min=1e-4, max=0.5
+    )
+    recalibrate: Path | None = option(
+        None, "File of recalibrated intervals to write, for `hypotheses --recalibrated`."
+    )
+    by: str | None = option(None, "A covariate whose groups are recalibrated one by one.")
     seed: Seed = 0
 
     def require_meaning(self, given: Set[str]) -> None:
         """Raises `BadInput` where --by comes without --recalibrate, or two files would be one."""
-        from poseterior.probmodel import BadInput
-
         if self.by and not self.recalibrate:
             raise BadInput("--by means nothing without --recalibrate; give that, or leave it out")
         if self.recalibrate and len(self.files) > 1:
@@ -923,31 +816,22 @@ class CalibrateSettings:
             show_default=False,
         ),
     ]
-    out: Annotated[Path, Option(help="File to write; the picture lies beside it.")] = Path(
-        "errors.json"
+    out: Path = option(Path("errors.json"), "File to write; the picture lies beside it.")
+    law: LearnedLaw = option(
+        LearnedLaw.gaussian, "Of errors that are no outliers; --errors takes gaussian."
     )
-    law: Annotated[
-        LearnedLaw, Option(help="Of errors that are no outliers; --errors takes gaussian.")
-    ] = LearnedLaw.gaussian
     perspective: KnownLenses = False
-    fps: Annotated[
-        float | None,
-        Option(
-            help="Frames a second of a session whose frames follow each other: then it is said how"
-            " long errors last, too.",
-            show_default="not said",
-        ),
-    ] = None
-    frames: Annotated[
-        int, Option(min=1, help="Most detected people to learn from, evenly over all.")
-    ] = 2000
-    noise: Annotated[
-        str,
-        Option(
-            help="Of synthetic cameras: none, gaussian:SIZE, heavy-tailed:SIZE (of body height)."
-        ),
-    ] = "none"
-    detections: Annotated[str, Option(help="Human3.6M's 2D file, data_2d_h36m_NAME.npz.")] = "gt"
+    fps: float | None = option(
+        None,
+        "Frames a second of a session whose frames follow each other: then it is said how"
+        " long errors last, too.",
+        show_default="not said",
+    )
+    frames: int = option(2000, "Most detected people to learn from, evenly over all.", min=1)
+    noise: str = option(
+        "none", "Of synthetic cameras: none, gaussian:SIZE, heavy-tailed:SIZE (of body height)."
+    )
+    detections: str = option("gt", "Human3.6M's 2D file, data_2d_h36m_NAME.npz.")
     layout: JointOrder = None
     seed: Seed = 0
 
@@ -983,7 +867,6 @@ class CalibrateSettings:
     def check(self) -> None:
         """Reads the data. Raises `BadInput` where they are none, or no film where a rate is
         given."""
-        from poseterior.probmodel import BadInput
         from poseterior.probmodel.sessions import Session
 
         if self.fps is not None and not isinstance(self.data, Session):
@@ -1010,15 +893,10 @@ class LearnSettings:
             help="Motion capture: ASF/AMC folder, .bvh, .trc, .c3d, .npz.", show_default=False
         ),
     ]
-    out: Annotated[Path, Option(help="File to write.")] = Path("limits.npz")
-    poses: Annotated[
-        Path | None, Option(help="File for pose dictionaries, of which estimators build.")
-    ] = None
-    mirror: Annotated[bool, Option(help="Whether what one side did is possible for the other.")] = (
-        True
+    out: Path = option(Path("limits.npz"), "File to write.")
+    poses: Path | None = option(None, "File for pose dictionaries, of which estimators build.")
+    mirror: bool = option(True, "Whether what one side did is possible for the other.")
+    wider: float = option(
+        1.0, "Factor by which the usual margins around what was seen are widened."
     )
-    wider: Annotated[
-        float,
-        Option(help="Factor by which the usual margins around what was seen are widened."),
-    ] = 1.0
     names: RigNames = None

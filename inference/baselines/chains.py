@@ -1,6 +1,7 @@
 """Markov chains as a method: any kernel that moves walkers, several runs apart, with a burn-in and
 bounded memory."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -133,6 +134,15 @@ class Walk:
         self.evaluations, self._stride, self._done, self._warm = (
             int(count) for count in state["counts"]
         )
+
+
+def walking(
+    kernel: Callable[[Any], Kernel], *, steps: int, runs: int = 1, ensemble: bool = False
+) -> Callable[[Any, jax.Array, np.ndarray], Walk]:
+    """How the walk of a kernel, which is made for a target, is built of target, key and starts."""
+    return lambda target, key, starts: Walk(
+        kernel(target), key, starts, runs=runs, ensemble=ensemble, steps=steps
+    )
 
 
 def settled(state: Any) -> Any:

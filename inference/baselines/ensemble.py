@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from poseterior.inference.baselines.chains import Kernel, Trace, Walk, settled
-from poseterior.inference.baselines.run import Baseline, Method
+from poseterior.inference.baselines.chains import Kernel, Trace, settled, walking
+from poseterior.inference.baselines.run import Baseline
 from poseterior.inference.baselines.target import Density
 
 RUNS = 4
@@ -210,12 +210,9 @@ def _emcee(target: Density, moves: Any) -> Kernel:
     return EmceeKernel(target, moves())
 
 
-def _ensembles(target: Density, key: jax.Array, starts: np.ndarray, kernel: Any) -> Method:
-    return Walk(kernel(target), key, starts, runs=RUNS, ensemble=True, steps=ENSEMBLE_STEPS)
-
-
 def _row(kernel: Any, note: str) -> Baseline:
-    return Baseline(functools.partial(_ensembles, kernel=kernel), RUNS * WALKERS, note)
+    build = walking(kernel, steps=ENSEMBLE_STEPS, runs=RUNS, ensemble=True)
+    return Baseline(build, RUNS * WALKERS, note)
 
 
 ENSEMBLES = {

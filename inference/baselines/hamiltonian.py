@@ -8,6 +8,7 @@ weights can be trusted is Pareto k̂ (Vehtari et al. 2024), which is reported. C
 Limits are steps without a slope: a path takes no notice of them until its end is judged, which is
 exact, and may be refused."""
 
+import functools
 import warnings
 from typing import Any
 
@@ -130,7 +131,7 @@ def _pareto_k(log_weight: np.ndarray) -> float:
             return np.nan
 
 
-def _hamiltonian(target: Slopes, key: jax.Array, starts: np.ndarray, kernel: str) -> Smoothed:
+def _hamiltonian(target: Slopes, key: jax.Array, starts: np.ndarray, kernel: str) -> Method:
     from numpyro.infer import HMC, NUTS
 
     def potential(point: jax.Array) -> jax.Array:
@@ -147,21 +148,14 @@ def _hamiltonian(target: Slopes, key: jax.Array, starts: np.ndarray, kernel: str
     return Smoothed(target, Walk(stepper, key, starts, runs=1, ensemble=False, steps=NUTS_STEPS))
 
 
-def _build(kernel: str) -> Any:
-    def build(target: Slopes, key: jax.Array, starts: np.ndarray) -> Method:
-        return _hamiltonian(target, key, starts, kernel)
-
-    return build
-
-
 GRADIENTS = {
     "nuts": Baseline(
-        _build("nuts"),
+        functools.partial(_hamiltonian, kernel="nuts"),
         CHAINS,
         "NumPyro NUTS on soft walls, reweighted; paths of 127 steps at most, 200 steps of warm-up",
     ),
     "hmc": Baseline(
-        _build("hmc"),
+        functools.partial(_hamiltonian, kernel="hmc"),
         CHAINS,
         "NumPyro HMC on soft walls, reweighted; paths of 32 steps, 200 steps of warm-up",
     ),

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from poseterior.inference.baselines.chains import Trace, Walk
+from poseterior.inference.baselines.chains import Trace, walking
 from poseterior.inference.baselines.ensemble import NumPyroKernel
-from poseterior.inference.baselines.run import Baseline, Method
+from poseterior.inference.baselines.run import Baseline
 from poseterior.inference.baselines.target import Density
 from poseterior.probmodel.transport import CUBE_DIM
 
@@ -137,22 +137,14 @@ class AdaptiveKernel(NumPyroKernel):
         return state._replace(z=clouds[:, 0], potential_energy=potential[:, 0], adapt_state=adapted)
 
 
-def _metropolis(target: Density, key: jax.Array, starts: np.ndarray) -> Method:
-    return Walk(MetropolisKernel(target), key, starts, runs=1, ensemble=False, steps=WALK_STEPS)
-
-
-def _adaptive(target: Density, key: jax.Array, starts: np.ndarray) -> Method:
-    return Walk(AdaptiveKernel(target), key, starts, runs=1, ensemble=False, steps=ADAPTIVE_STEPS)
-
-
 WALKS = {
     "random-walk": Baseline(
-        _metropolis,
+        walking(MetropolisKernel, steps=WALK_STEPS),
         WALKERS,
         "random-walk Metropolis, covariance of the starts, scale tuned to 0.234",
     ),
     "sa": Baseline(
-        _adaptive,
+        walking(AdaptiveKernel, steps=ADAPTIVE_STEPS),
         ADAPTIVE_WALKERS * 2 * CUBE_DIM,
         "NumPyro sample-adaptive MCMC with a diagonal covariance, clouds of 2d points in the"
         " support",

@@ -7,7 +7,6 @@ inside. nautilus samples exp(-GRADE · max(misfit - 1, 0)), whose draws inside a
 posterior; its evidence times their share is the evidence. Its neural networks are left out: they
 were trained for minutes before there was a draw, in six dimensions."""
 
-import functools
 import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from poseterior.inference.baselines.run import Baseline, Drawn, Method
+from poseterior.inference.baselines.run import Baseline, Drawn
 from poseterior.inference.baselines.target import Target
 from poseterior.inference.resampling import systematic
 from poseterior.probmodel.chunks import in_chunks
@@ -236,13 +235,9 @@ class Weighted(NamedTuple):
         return int(self.weight.sum() / self.weight.max()) if len(self.weight) else 0
 
 
-def _nested(target: Target, key: jax.Array, starts: np.ndarray, method: Any) -> Method:
-    return method(target, key)
-
-
 NESTED = {
     "nss": Baseline(
-        functools.partial(_nested, method=NestedSlice),
+        lambda target, key, starts: NestedSlice(target, key),
         0,
         "BlackJAX nested slice sampling of -misfit, 500 live points, 50 replaced at a time, 2d"
         " slice steps each",
@@ -250,7 +245,7 @@ NESTED = {
         discs=True,
     ),
     "nautilus": Baseline(
-        functools.partial(_nested, method=Nautilus),
+        lambda target, key, starts: Nautilus(target, key),
         0,
         "nautilus on a likelihood graded by the misfit, 500 live points, ellipsoids without"
         " networks, exploration left out",

@@ -17,7 +17,6 @@ begin with.
 
 import dataclasses
 import functools
-from collections.abc import Callable
 from typing import Self
 
 import jax
@@ -26,7 +25,7 @@ import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
 
-from poseterior.inference.baselines.target import LimbChart, active_coordinates
+from poseterior.inference.baselines.target import LimbChart, active_coordinates, everywhere
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.errors.faults import ORDERS, FaultPrior, Faults
 from poseterior.probmodel.failures import BadInput
@@ -126,51 +125,40 @@ class RootedTarget:
         return self.limbs.dim + len(ROOT_COORDINATES)
 
     @jax.jit
-    def log_density(self, points: ArrayLike) -> jax.Array:
+    @everywhere()
+    def log_density(self, point: jax.Array) -> jax.Array:
         """`(...)`: log joint density of root, pose and detection at points `(..., d)` of R^d, per
         unit of R^d; what no seen joint depends on is integrated out, and so are faults."""
-
-        def one(point: jax.Array) -> jax.Array:
-            return self._log_prior(point) + self._summed.log_likelihood(*self._placed(point))
-
-        return self._everywhere(one, points)
+        return _known(self._log_prior(point) + self._summed.log_likelihood(*self._placed(point)))
 
     @jax.jit
-    def log_smooth(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
+    @everywhere()
+    def log_smooth(self, point: jax.Array, sharpness: ArrayLike) -> jax.Array:
         """As of `Slopes`, of a detector without faults."""
-
-        def one(point: jax.Array) -> jax.Array:
-            observation, joints = self._observed(point)
-            smooth = observation.log_unit(joints) + observation.log_smooth(joints, sharpness)
-            return self._log_prior(point) + smooth
-
-        return self._everywhere(one, points)
+        observation, joints = self._observed(point)
+        smooth = observation.log_unit(joints) + observation.log_smooth(joints, sharpness)
+        return _known(self._log_prior(point) + smooth)
 
     @jax.jit
-    def log_walls(self, points: ArrayLike, sharpness: ArrayLike) -> jax.Array:
+    @everywhere()
+    def log_walls(self, point: jax.Array, sharpness: ArrayLike) -> jax.Array:
         """As of `Slopes`, of a detector without faults."""
-
-        def one(point: jax.Array) -> jax.Array:
-            observation, joints = self._observed(point)
-            return observation.log_walls(joints, sharpness)
-
-        return self._everywhere(one, points)
+        observation, joints = self._observed(point)
+        return _known(observation.log_walls(joints, sharpness))
 
     @jax.jit
-    def log_volume(self, points: ArrayLike) -> jax.Array:
+    @everywhere()
+    def log_volume(self, point: jax.Array) -> jax.Array:
         """`(...)`: log of the base measure of roots (counting × Haar's × log scale × area of the
         image) per unit of R^7, at points `(..., d)` of R^d."""
-        return jnp.vectorize(self._log_volume, signature="(d)->()")(jnp.asarray(points))
+        return self._log_volume(point)
 
     @jax.jit
-    def misfit(self, points: ArrayLike) -> jax.Array:
+    @everywhere()
+    def misfit(self, point: jax.Array) -> jax.Array:
         """`(...)`: the largest distance of a seen joint, the torso's among them, from its
         detection, in reaches, at points of R^d; under the pattern of faults that explains most."""
-
-        def one(point: jax.Array) -> jax.Array:
-            return self._summed.misfit(*self._placed(point))
-
-        return jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
+        return self._summed.misfit(*self._placed(point))
 
     @jax.jit
     def roots(self, points: ArrayLike) -> RootPoint:
@@ -291,11 +279,10 @@ class RootedTarget:
         root, joints = self._placed(point)
         return self.detected.under(self.prior, root, Faults.none()), joints
 
-    def _everywhere(self, one: Callable[[jax.Array], jax.Array], points: ArrayLike) -> jax.Array:
-        """The log of a density at points `(..., d)`, also far out, where scales overflow and it is
-        0."""
-        found = jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
-        return jnp.where(jnp.isnan(found), -jnp.inf, found)
+
+def _known(log_density: jax.Array) -> jax.Array:
+    """The log of a density also far out, where scales overflow and it is 0."""
+    return jnp.where(jnp.isnan(log_density), -jnp.inf, log_density)
 
 
 @jax.jit

@@ -16,6 +16,7 @@ direction in its unit square, uniform. Three charts:
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any, Protocol, Self
 
 import jax
@@ -78,6 +79,21 @@ class Density(Protocol):
         """Points `(n, d)` of R^d of the draws of a result with one chain."""
 
 
+def everywhere(signature: str = "(d)->()") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Makes of a method that says something of one point `(d,)` one of points `(..., d)`, with
+    what comes after it the same for all of them."""
+
+    def of_points(one: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(one)
+        def method(target: Any, points: ArrayLike, *given: Any) -> Any:
+            each = jnp.vectorize(lambda point: one(target, point, *given), signature=signature)
+            return each(jnp.asarray(points))
+
+        return method
+
+    return of_points
+
+
 class Slopes(Density, Protocol):
     """What samplers that follow slopes ask of a target besides."""
 
@@ -113,7 +129,7 @@ class LimbChart:
     def log_base(self, points: jax.Array) -> jax.Array:
         """`(...)`: normalised log density of the prior at points of R^d: logits of Beta
         variables."""
-        return log_density_of_logits(*self._shape, points)
+        return log_density_of_logits(*self.shape, points)
 
     def pose(self, points: jax.Array) -> Pose:
         """Poses at points of R^d, with what is not active in the middle of its range."""
@@ -155,8 +171,9 @@ class LimbChart:
         return alpha, beta
 
     @property
-    def _shape(self) -> tuple[jax.Array, jax.Array]:
-        """Beta parameters `(d,)`, `(d,)` of the active fractions."""
+    def shape(self) -> tuple[jax.Array, jax.Array]:
+        """Beta parameters alpha, beta `(d,)` of the active fractions: those of lengths, and 1 of
+        all else, which is uniform."""
         alpha, beta = self._whole_shape
         return alpha[jnp.array(self.active)], beta[jnp.array(self.active)]
 
@@ -281,7 +298,7 @@ class Target(LimbChart):
         Array
             `(number, d)`.
         """
-        fraction = jax.random.beta(key, *self._shape, (number, self.dim))
+        fraction = jax.random.beta(key, *self.shape, (number, self.dim))
         return _logit(fraction)
 
     def roots(self, points: ArrayLike) -> np.ndarray:

@@ -20,7 +20,7 @@ from poseterior.inference.baselines.metropolis import (
     metropolis,
     root_of_covariance,
 )
-from poseterior.inference.baselines.run import Baseline, Drawn, Method
+from poseterior.inference.baselines.run import Baseline, Drawn
 from poseterior.inference.baselines.target import Target
 
 POPULATIONS = 4
@@ -192,13 +192,9 @@ def _moves(
     return after.point, jnp.mean(accepted, axis=0)
 
 
-def _tempering(target: Target, key: jax.Array, starts: np.ndarray) -> Method:
-    return Tempering(target, key)
-
-
 TEMPERINGS = {
     "smc": Baseline(
-        _tempering,
+        lambda target, key, starts: Tempering(target, key),
         0,
         "SMC that tempers τ (BlackJAX's step and systematic resampling), 4 × 256 particles, 60"
         " moves a stage",

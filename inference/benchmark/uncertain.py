@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
+from poseterior.inference.baselines.target import everywhere
 from poseterior.inference.benchmark.root import BoxedRoot
 from poseterior.inference.benchmark.target import FrozenTarget
 from poseterior.probmodel.errors.faults import Faults
@@ -81,45 +82,33 @@ class UncertainTarget:
         return self.log_base(points) + self.log_likelihood(points)
 
     @jax.jit
-    def log_likelihood(self, points: ArrayLike) -> jax.Array:
+    @everywhere()
+    def log_likelihood(self, point: jax.Array) -> jax.Array:
         """`(...)`: log of the likelihood over its peak at points `(..., d)` of R^d."""
-
-        def one(point: jax.Array) -> jax.Array:
-            observation, joints = self._observed(point)
-            return self._log_growth(observation) + jnp.sum(observation.log_ratios(joints))
-
-        return jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
+        observation, joints = self._observed(point)
+        return self._log_growth(observation) + jnp.sum(observation.log_ratios(joints))
 
     @jax.jit
-    def log_graded(self, points: ArrayLike, hardness: ArrayLike) -> jax.Array:
+    @everywhere()
+    def log_graded(self, point: jax.Array, hardness: ArrayLike) -> jax.Array:
         """`(...)`: log of a likelihood with slopes for walls, as `FrozenTarget.log_graded`."""
-
-        def one(point: jax.Array) -> jax.Array:
-            observation, joints = self._observed(point)
-            each = observation.log_graded(joints, hardness)
-            return self._log_growth(observation) + jnp.sum(each)
-
-        return jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
+        observation, joints = self._observed(point)
+        each = observation.log_graded(joints, hardness)
+        return self._log_growth(observation) + jnp.sum(each)
 
     @jax.jit
-    def misfit(self, points: ArrayLike) -> jax.Array:
+    @everywhere()
+    def misfit(self, point: jax.Array) -> jax.Array:
         """`(...)`: the largest distance of a seen joint from its detection, in reaches."""
-
-        def one(point: jax.Array) -> jax.Array:
-            observation, joints = self._observed(point)
-            return observation.misfit(joints)
-
-        return jnp.vectorize(one, signature="(d)->()")(jnp.asarray(points))
+        observation, joints = self._observed(point)
+        return observation.misfit(joints)
 
     @jax.jit
-    def joints(self, points: ArrayLike) -> jax.Array:
+    @everywhere("(d)->(j,x)")
+    def joints(self, point: jax.Array) -> jax.Array:
         """`(..., 15, 3)`: joints at points of R^d, camera axes, body units; what no seen joint
         depends on lies anywhere."""
-
-        def one(point: jax.Array) -> jax.Array:
-            return self._observed(point)[1]
-
-        return jnp.vectorize(one, signature="(d)->(j,x)")(jnp.asarray(points))
+        return self._observed(point)[1]
 
     @jax.jit
     def log_base(self, points: ArrayLike) -> jax.Array:

@@ -347,23 +347,11 @@ class DataSet:
     def spread(self, frames: int) -> "DataSet":
         """`frames` cases, as many of each action as of any other while there are that many, evenly
         over its frames."""
-        return self.take(
-            np.sort(
-                np.concatenate(
-                    [
-                        rows[
-                            np.linspace(0, len(rows) - 1, min(share, len(rows))).round().astype(int)
-                        ]
-                        for rows, share in zip(
-                            self._by_action(), shares(frames, len(self.actions)), strict=True
-                        )
-                    ]
-                )
-            )
-        )
-
-    def _by_action(self) -> list[np.ndarray]:
-        return [np.flatnonzero(self.action == action) for action in self.actions]
+        chosen = []
+        for action, share in zip(self.actions, shares(frames, len(self.actions)), strict=True):
+            rows = np.flatnonzero(self.action == action)
+            chosen.append(rows[evenly(len(rows), share)])
+        return self.take(np.sort(np.concatenate(chosen)))
 
     @cached_property
     def sha256(self) -> str:
@@ -386,6 +374,11 @@ class DataSet:
 
 def _metres(height: float) -> str:
     return f"{height / 1000:,.0f}" if height > 10_000 else f"{height / 1000:.2g}"
+
+
+def evenly(number: int, wanted: int) -> np.ndarray:
+    """Rows of `number`, so many as are wanted or all there are, evenly over them."""
+    return np.linspace(0, number - 1, min(wanted, number)).round().astype(int)
 
 
 def shares(frames: int, parts: int) -> list[int]:

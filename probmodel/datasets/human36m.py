@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from poseterior.probmodel.datasets.cases import DataSet, shares
+from poseterior.probmodel.datasets.cases import DataSet, evenly, shares
 from poseterior.probmodel.datasets.pickles import read_object
 from poseterior.probmodel.datasets.views import resection
 from poseterior.probmodel.detections import LARGEST_NUMBER
@@ -141,7 +141,7 @@ def _thinned(takes: list[_Take], number: int | None) -> list[_Take]:
     if number is None:
         return takes
     edges = np.cumsum([0, *(len(take.poses) for take in takes)])
-    rows = np.linspace(0, edges[-1] - 1, min(number, edges[-1])).round().astype(int)
+    rows = evenly(edges[-1], number)
     own = [rows[(rows >= low) & (rows < high)] - low for low, high in itertools.pairwise(edges)]
     return [
         take._replace(poses=take.poses[some], keypoints=take.keypoints[some])

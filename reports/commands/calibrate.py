@@ -1,7 +1,5 @@
 """`poseterior calibrate`: how a detector errs, learned from what it says beside the truth."""
 
-import numpy as np
-
 from poseterior.inference.studies.errorlaws import (
     Definitions,
     ErrorTimes,
@@ -16,6 +14,7 @@ from poseterior.inference.studies.errorlaws import (
     times_of_session,
 )
 from poseterior.probmodel import BadInput
+from poseterior.probmodel.datasets.cases import evenly
 from poseterior.probmodel.sessions import Session
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure
@@ -62,15 +61,10 @@ def run(settings: CalibrateSettings, screen: Screen) -> None:
 
 def show(found: Learned, screen: Screen, times: ErrorTimes | None = None) -> None:
     """The law on stdout, and how long errors last where that is known."""
-    if screen.json:
-        said = {} if times is None else {"times": times_json(times)}
-        console.show_json(found.errors.document() | said)
-        return
-    console.OUT.print(errors_table(found))
-    console.OUT.print(definitions_table(found))
+    said = {} if times is None else {"times": times_json(times)}
     lines = summary_lines(found) + ([] if times is None else times_lines(times))
-    for line in lines:
-        console.say(line)
+    sheets = errors_table(found), definitions_table(found)
+    console.show(screen.json, found.errors.document() | said, *sheets, *lines)
 
 
 def times_of(settings: CalibrateSettings) -> ErrorTimes | None:
@@ -94,7 +88,7 @@ def pairs_of(settings: CalibrateSettings, definitions: Definitions) -> tuple[Pai
     where perspective is asked of data that have no calibrated cameras."""
     if isinstance(settings.data, Session):
         exact = pairs_of_session(settings.data, perspective=True)
-        rows = thinned(len(exact), settings.frames)
+        rows = evenly(len(exact), settings.frames)
         if settings.perspective:
             return exact.take(rows), None
         return pairs_of_session(settings.data).take(rows), exact.take(rows)
@@ -104,9 +98,4 @@ def pairs_of(settings: CalibrateSettings, definitions: Definitions) -> tuple[Pai
             " out"
         )
     pairs = pairs_of_data(settings.data, seen_offsets(definitions, settings.data))
-    return pairs.take(thinned(len(pairs), settings.frames)), None
-
-
-def thinned(number: int, wanted: int) -> np.ndarray:
-    """`wanted` rows of so many, evenly; all where there are no more."""
-    return np.linspace(0, number - 1, min(number, wanted)).round().astype(int)
+    return pairs.take(evenly(len(pairs), settings.frames)), None

@@ -51,10 +51,10 @@ def run(settings: CompareSettings, screen: Screen) -> None:
     with console.progress("picture", screen.quiet):
         save_figure(comparison_figure(found.tree), out / "comparison.png")
     sheet = comparison_table(found.tree)
-    if screen.json:
-        console.show_json({"samplers": sheet.json(), "out": str(out)})
-    else:
-        console.OUT.print(sheet if console.OUT.width >= WIDE else sheet.only(NARROW))
-        for entry in found.entries:
-            console.say(f"{entry.label}: {entry.sentence}")
-        console.say(f"Written to {out}: comparison.nc, comparison.png{kept}")
+    console.show(
+        screen.json,
+        {"samplers": sheet.json(), "out": str(out)},
+        sheet if console.OUT.width >= WIDE else sheet.only(NARROW),
+        *(f"{entry.label}: {entry.sentence}" for entry in found.entries),
+        f"Written to {out}: comparison.nc, comparison.png{kept}",
+    )

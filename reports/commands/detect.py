@@ -48,17 +48,16 @@ def run(settings: DetectSettings, screen: Screen) -> None:
             f"{settings.boxes} has no person's box for any of the images; check its image ids"
         )
     write_detections(out, people)
-    if screen.json:
-        rows = [
-            {"image": person.image_id, "person": person.person, "joints": int(person.seen.sum())}
-            for person in people
-        ]
-        console.show_json({"people": rows, "layout": settings.layout, "out": str(out)})
-    else:
-        console.OUT.print(tables.people_table(people))
-        console.say(
-            f"Written to {out}; look at it with: poseterior show {out} --image {settings.images[0]}"
-        )
+    rows = [
+        {"image": person.image_id, "person": person.person, "joints": int(person.seen.sum())}
+        for person in people
+    ]
+    console.show(
+        screen.json,
+        {"people": rows, "layout": settings.layout, "out": str(out)},
+        tables.people_table(people),
+        f"Written to {out}; look at it with: poseterior show {out} --image {settings.images[0]}",
+    )
 
 
 def read_boxes(path: Path, least_score: float) -> dict[str, list[Box]]:

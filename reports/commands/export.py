@@ -32,15 +32,14 @@ def run(settings: ExportSettings, screen: Screen) -> None:
         TARGETS[to].write(clip, out, unit)
     for sentence in _doubts(clip, settings):
         console.warn(sentence)
-    if screen.json:
-        console.show_json(_as_json(clip, unit, out))
-    else:
-        origin = "camera" if clip.placed else "pelvis"
-        what = _what(settings) if clip.film else ""
-        console.say(
-            f"Written to {out}: {_words(clip)}{what}, in {unit}, y up, the {origin} at the origin,"
-            f" {clip.rate:g} a second."
-        )
+    origin = "camera" if clip.placed else "pelvis"
+    what = _what(settings) if clip.film else ""
+    console.show(
+        screen.json,
+        _as_json(clip, unit, out),
+        f"Written to {out}: {_words(clip)}{what}, in {unit}, y up, the {origin} at the origin,"
+        f" {clip.rate:g} a second.",
+    )
 
 
 def _doubts(clip: Clip, settings: ExportSettings) -> Iterator[str]:

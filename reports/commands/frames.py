@@ -69,18 +69,17 @@ def run(settings: FramesSettings, screen: Screen) -> None:
             film = film_page(tree, settings.path.name, fragments=items.fragments, measured=measured)
             write_page(film, page)
             figures.save_figure(figures.film_figure(summary), out / "depth.png")
-    if screen.json:
-        found = tables.stream_json(summary)
-        console.show_json(found | {"fragments": items.fragments, "out": str(out)})
-    else:
-        for line in tables.stream_lines(summary, items.fragments):
-            console.say(line)
-        for sheet in (tables.people_of_film(summary), tables.film_table(summary)):
-            console.OUT.print(sheet)
-        pictures = "depth.png, hypotheses.html"
-        said = f": {pictures}" if filmed else f", without {pictures}: no frame has a pose"
-        opens = "open_stream opens it" + (", draws_of its draws" if kept else "")
-        console.say(f"Written to {out}{said}; poseterior.{opens}")
+    pictures = "depth.png, hypotheses.html"
+    said = f": {pictures}" if filmed else f", without {pictures}: no frame has a pose"
+    opens = "open_stream opens it" + (", draws_of its draws" if kept else "")
+    console.show(
+        screen.json,
+        tables.stream_json(summary) | {"fragments": items.fragments, "out": str(out)},
+        *tables.stream_lines(summary, items.fragments),
+        tables.people_of_film(summary),
+        tables.film_table(summary),
+        f"Written to {out}{said}; poseterior.{opens}",
+    )
     for sentence in warnings:
         console.warn(sentence)
     if settings.open and filmed:

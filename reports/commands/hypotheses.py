@@ -1,7 +1,6 @@
 """`poseterior hypotheses`: a detector's file → posterior draws, k diverse hypotheses, a picture, a
 page that turns and a table."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -49,7 +48,8 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         warnings = doubts.about(settings.person, model)
     recalibrated = _recalibrated(settings.recalibrated) if settings.recalibrated else None
     out = console.output_folder(settings.out)
-    with console.progress(_task(settings), screen.quiet) as step:
+    task = "roots and their limbs" if settings.rooting.rooted else "exact draws"
+    with console.progress(task, screen.quiet) as step:
         result = sample_to_file(
             out / "posterior.nc",
             model,
@@ -67,7 +67,9 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         raise OutOfBudget(result.sentence)
     with console.progress("hypotheses and their pictures", screen.quiet):
         chosen = _chosen(settings, model, frame, result.shown)
-        console.write_text(out / "hypotheses.json", _as_text(chosen, result, sampling.seed))
+        person = int(result.tree.attrs["person"])
+        text = instants.as_text(chosen, result, sampling.seed, person=person)
+        console.write_text(out / "hypotheses.json", text)
         picture = hypotheses_figure(result.shown.tree, chosen, image=photo, truth=truth)
         save_figure(picture, out / "hypotheses.png")
         page = person_page(result, chosen, image=photo, truth=truth, warnings=warnings)
@@ -106,22 +108,6 @@ def _chosen(
         return hypotheses(shown, k, seed=seed)
     posterior = frame.posterior(model, settings.rooting.root.prior)
     return composed(shown, posterior, k, seed=seed)
-
-
-def _task(settings: HypothesesSettings) -> str:
-    return "roots and their limbs" if settings.rooting.rooted else "exact draws"
-
-
-def _as_text(chosen: list[Hypothesis], result: Result, seed: int) -> str:
-    attrs = result.tree.attrs
-    about = {key: attrs[key] for key in ("source", "limits", "measures", "versions")}
-    whole = {
-        "hypotheses": [hypothesis.as_json() for hypothesis in chosen],
-        "seed": seed,
-        "person": int(attrs["person"]),
-        **about,
-    }
-    return json.dumps(whole, indent=1) + "\n"
 
 
 def summary(chosen: list[Hypothesis], result: Result, out: Path) -> dict:

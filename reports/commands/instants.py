@@ -2,7 +2,6 @@
 hypotheses, a picture of every view and a table, in the world's axes and mm."""
 
 import json
-from pathlib import Path
 
 from poseterior.inference import Result
 from poseterior.inference.draws import COMPLETE
@@ -39,33 +38,26 @@ def run(settings: HypothesesSettings, screen: Screen) -> None:
         raise OutOfBudget(result.sentence)
     result.save(out / "posterior.nc", double=settings.double)
     chosen = hypotheses(result, settings.k, seed=sampling.seed)
-    console.write_text(out / "hypotheses.json", _as_text(chosen, result, sampling.seed))
+    unit = "mm, the axes of the calibration"
+    text = as_text(chosen, result, sampling.seed, unit=unit)
+    console.write_text(out / "hypotheses.json", text)
     save_figure(views_figure(result.tree, chosen), out / "hypotheses.png")
-    _show(result, chosen, out, screen)
+    places, views = places_table(result.tree), views_table(result.tree)
+    weights = [one.weight for one in chosen]
+    console.show(
+        screen.json,
+        {"joints": places.json(), "views": views.json(), "weights": weights, "out": str(out)},
+        places,
+        views,
+        f"Written to {out}: posterior.nc, hypotheses.json, hypotheses.png",
+    )
     if result.status != COMPLETE:
         raise OutOfBudget(f"{result.sentence} (what there is, is saved in {out})")
 
 
-def _as_text(chosen: list[Hypothesis], result: Result, seed: int) -> str:
+def as_text(chosen: list[Hypothesis], result: Result, seed: int, **own: str | int) -> str:
+    """The text of hypotheses.json, with what it says of its `own`."""
     attrs = result.tree.attrs
     about = {key: attrs[key] for key in ("source", "limits", "measures", "versions")}
-    whole = {
-        "hypotheses": [hypothesis.as_json() for hypothesis in chosen],
-        "unit": "mm, the axes of the calibration",
-        "seed": seed,
-        **about,
-    }
-    return json.dumps(whole, indent=1) + "\n"
-
-
-def _show(result: Result, chosen: list[Hypothesis], out: Path, screen: Screen) -> None:
-    places, views = places_table(result.tree), views_table(result.tree)
-    if screen.json:
-        weights = [one.weight for one in chosen]
-        console.show_json(
-            {"joints": places.json(), "views": views.json(), "weights": weights, "out": str(out)}
-        )
-        return
-    console.OUT.print(places)
-    console.OUT.print(views)
-    console.say(f"Written to {out}: posterior.nc, hypotheses.json, hypotheses.png")
+    listed = [hypothesis.as_json() for hypothesis in chosen]
+    return json.dumps({"hypotheses": listed, "seed": seed, **own, **about}, indent=1) + "\n"

@@ -43,6 +43,10 @@ def run(settings: LearnSettings, screen: Screen) -> None:
         "length_low": np.round(anatomy.lengths.low, 4).tolist(),
         "length_high": np.round(anatomy.lengths.high, 4).tolist(),
     }
+    said = [
+        f"Learned limits {found['sha256'][:12]}, {found['torsos']} torsos and five ranges of bone"
+        " lengths."
+    ]
     if poses is not None and dictionary is not None:
         dictionary.save(poses)
         found |= {
@@ -50,16 +54,9 @@ def run(settings: LearnSettings, screen: Screen) -> None:
             "directions": len(dictionary.bases),
             "atoms": len(dictionary.atoms),
         }
-    if screen.json:
-        console.show_json(found)
-        return
-    console.say(
-        f"Learned limits {found['sha256'][:12]}, {found['torsos']} torsos and five ranges of bone"
-        " lengths."
-    )
-    if poses is not None:
-        console.say(
+        said.append(
             f"Learned {found['directions']} principal directions and {found['atoms']} atoms of"
             " poses."
         )
-    console.say(f"Written to {out}" if poses is None else f"Written to {out} and {poses}")
+    written = f"Written to {out}" if poses is None else f"Written to {out} and {poses}"
+    console.show(screen.json, found, *said, written)

@@ -48,12 +48,10 @@ def run(settings: MeasureSettings, screen: Screen) -> None:
         )
         save_figure(figure, picture)
         _write(found, summed, out)
-    if screen.json:
-        about = {"interval": settings.interval, "out": str(out), "picture": str(picture)}
-        console.show_json({"measures": _json(found, summed), **about})
-        return
-    console.OUT.print((measures_table if numbers is None else measured_film_table)(summed))
-    console.say(f"Written to {out} and {picture}")
+    about = {"interval": settings.interval, "out": str(out), "picture": str(picture)}
+    sheet = (measures_table if numbers is None else measured_film_table)(summed)
+    written = f"Written to {out} and {picture}"
+    console.show(screen.json, {"measures": _json(found, summed), **about}, sheet, written)
 
 
 def _of_person(found: xr.Dataset, person: int | None, path: Path) -> tuple[xr.Dataset, list[int]]:

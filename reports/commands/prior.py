@@ -18,11 +18,9 @@ def run(settings: PriorSettings, screen: Screen) -> None:
         tree = sample_prior(model, key=key, num_samples=number, progress=step)
     save_tree(tree, out)
     about = {key: tree.attrs[key] for key in ("limits", "measures")}
-    found = {"num_samples": number, **about, "out": str(out)}
-    if screen.json:
-        console.show_json(found)
-    else:
-        console.say(
-            f"{number} poses from the prior ({found['measures']}; limits {model.limits.name})."
-        )
-        console.say(f"Written to {out}")
+    console.show(
+        screen.json,
+        {"num_samples": number, **about, "out": str(out)},
+        f"{number} poses from the prior ({about['measures']}; limits {model.limits.name}).",
+        f"Written to {out}",
+    )

@@ -57,22 +57,12 @@ def run(settings: SampleSettings, screen: Screen) -> None:
     with console.progress("page", screen.quiet):
         photo, number = settings.person.detected.photo, result.shown.num_draws
         chosen = hypotheses(result.shown, min(NUM_HYPOTHESES, number), seed=sampling.seed)
-        write_page(
-            person_page(result, chosen, image=photo, warnings=warnings),
-            page,
-        )
-    if screen.json:
-        found = {
-            "candidates": tables.candidates_table(result.tree).json(),
-            "out": str(out),
-            "page": str(page),
-        }
-        console.show_json(tables.summary_json(result) | found)
-    else:
-        for line in tables.summary_lines(result):
-            console.say(line)
-        console.OUT.print(tables.candidates_table(result.tree))
-        console.say(f"Written to {out} and {page.name}")
+        write_page(person_page(result, chosen, image=photo, warnings=warnings), page)
+    sheet = tables.candidates_table(result.tree)
+    found = {"candidates": sheet.json(), "out": str(out), "page": str(page)}
+    lines = tables.summary_lines(result)
+    written = f"Written to {out} and {page.name}"
+    console.show(screen.json, tables.summary_json(result) | found, *lines, sheet, written)
     for sentence in warnings:
         console.warn(sentence)
     if settings.open:

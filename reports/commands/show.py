@@ -37,10 +37,7 @@ def _show_result(settings: ShowSettings, screen: Screen) -> Path:
         raise BadInput("the page of a result is HTML; give --out a name that ends in .html")
     with console.progress("the page", screen.quiet):
         write_page(page_of(path, photo), out)
-    if screen.json:
-        console.show_json({"out": str(out)})
-    else:
-        console.say(f"Written to {out}")
+    console.show(screen.json, {"out": str(out)}, f"Written to {out}")
     return out
 
 
@@ -61,16 +58,13 @@ def _show_reading(settings: ShowSettings, screen: Screen) -> Path:
     radius = _radius(person, settings.estimation, model)
     picture = figures.overlay_figure(person, radius, image=shown, warned=bool(warnings))
     figures.save_figure(picture, out)
-    if screen.json:
-        console.show_json(_json(person, radius, verdict, warnings, out))
-    else:
-        console.OUT.print(tables.reading_table(person, radius))
-        judged = len(verdict.gains)
-        console.say(
-            f"{person.layout}, {people_said(people)} in {person.source}, reading judged by"
-            f" {judged}."
-            f" Written to {out}"
-        )
+    console.show(
+        screen.json,
+        _json(person, radius, verdict, warnings, out),
+        tables.reading_table(person, radius),
+        f"{person.layout}, {people_said(people)} in {person.source}, reading judged by"
+        f" {len(verdict.gains)}. Written to {out}",
+    )
     for sentence in warnings:
         console.warn(sentence)
     return out

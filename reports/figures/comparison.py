@@ -23,8 +23,8 @@ from poseterior.reports.figures.style import (
     INK,
     LEGEND,
     SMALL,
-    TITLE,
     Style,
+    entitle,
     note,
     page,
     tidy,
@@ -104,10 +104,6 @@ def _runs(labels: Sequence[str]) -> list[PlottedRun]:
     ]
 
 
-def _title(axes: Axes, words: str) -> None:
-    axes.set_title(words, loc="left", fontsize=TITLE, fontweight="bold", color=INK)
-
-
 def _shown(draws: xr.Dataset, label: str) -> np.ndarray:
     values = draws["value"].sel(sampler=label).values
     return values[np.isfinite(values).all(axis=1)]
@@ -130,7 +126,7 @@ def _ranks(axes: Axes, draws: xr.Dataset, runs: Sequence[PlottedRun]) -> None:
         axes.plot(levels, off[:, worst], **run.line)
     axes.axhline(0, color=EXACT_COLOUR, lw=2, zorder=1)
     axes.set(xlabel="rank among the exact draws", ylabel="share of draws below − rank", xlim=(0, 1))
-    _title(axes, "Ranks, worst coordinate")
+    entitle(axes, "Ranks, worst coordinate")
 
 
 def _depth(axes: Axes, draws: xr.Dataset, tree: xr.DataTree, runs: Sequence[PlottedRun]) -> None:
@@ -157,7 +153,7 @@ def _depth(axes: Axes, draws: xr.Dataset, tree: xr.DataTree, runs: Sequence[Plot
     axes.set_yticks(range(len(runs)), [run.label for run in runs])
     axes.set_ylim(len(runs) - 0.5, -0.5)
     axes.set_xlabel("← towards the camera     body units     away →")
-    _title(axes, f"Depth of the {spoken(joint)}: median, half, 90 % of the draws")
+    entitle(axes, f"Depth of the {spoken(joint)}: median, half, 90 % of the draws")
 
 
 def _modes(axes: Axes, tree: xr.DataTree, runs: Sequence[PlottedRun]) -> None:
@@ -174,7 +170,7 @@ def _modes(axes: Axes, tree: xr.DataTree, runs: Sequence[PlottedRun]) -> None:
         axes.plot(place + aside, modes["share"].sel(sampler=run.label), **run.dot)
     axes.set_xticks(place, [str(mode) for mode in modes.mode.values], rotation=30, ha="right")
     axes.set_ylabel("share of draws")
-    _title(axes, "Depth flips: each bone t(owards) the camera or a(way)")
+    entitle(axes, "Depth flips: each bone t(owards) the camera or a(way)")
 
 
 def _course(axes: Axes, course: xr.Dataset, epsilon: float, runs: Sequence[PlottedRun]) -> None:
@@ -191,4 +187,4 @@ def _course(axes: Axes, course: xr.Dataset, epsilon: float, runs: Sequence[Plott
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.set_major_formatter(lambda value, _: f"{value:g}")
-    _title(axes, "Distance to the exact draws")
+    entitle(axes, "Distance to the exact draws")

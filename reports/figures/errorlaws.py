@@ -9,7 +9,7 @@ from poseterior.inference.studies.errorlaws import Learned
 from poseterior.inference.studies.errorlaws.mixture import log_density, quadratic
 from poseterior.probmodel.skeleton import JOINTS, NUM_JOINTS
 from poseterior.reports.figures.colours import PALETTE
-from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, note, page, tidy
+from poseterior.reports.figures.style import FAINT, INK, SMALL, entitle, note, page, tidy
 
 REGION_LEVELS = (0.5, 0.95)
 """Of the inliers, within the circles."""
@@ -93,7 +93,7 @@ def _draw_sizes(axes: Axes, found: Learned) -> None:
     axes.set(xlim=(0, edges[-1]), ylim=(1e-6, 2.0))
     axes.set_xlabel("size of the residual, spreads", fontsize=SMALL + 1)
     axes.set_ylabel("density", fontsize=SMALL + 1)
-    axes.set_title("All joints", loc="left", fontsize=TITLE, fontweight="bold", color=INK)
+    entitle(axes, "All joints")
     axes.legend(fontsize=SMALL + 0.5, frameon=False)
     axes.tick_params(labelsize=SMALL)
     tidy(axes)

@@ -14,7 +14,7 @@ from poseterior.inference.stream import frame_and_person
 from poseterior.probmodel.formats.frames import frame_numbers
 from poseterior.probmodel.skeleton import JOINT_INDEX
 from poseterior.reports.figures.colours import COLOURS
-from poseterior.reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, TITLE, page, tidy
+from poseterior.reports.figures.style import DPI, FAINT, INK, SMALL, TEXT, entitle, page, tidy
 from poseterior.reports.tables.words import spoken
 
 SHOWN_ENDS = ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
@@ -51,7 +51,7 @@ def film_figure(summary: xr.Dataset) -> Figure:
             _draw_bands(axis, bands[:, JOINT_INDEX[end]], end)
         said = f", person {person}" if len(people) > 1 else ""
         title = f"Depth behind the pelvis{said}"
-        axes[0, column].set_title(title, loc="left", fontsize=TITLE, fontweight="bold", color=INK)
+        entitle(axes[0, column], title)
         axes[-1, column].set_xlabel(
             "frame     (median, half of the draws, 90 % of them; body units)",
             fontsize=SMALL,

@@ -35,9 +35,9 @@ from poseterior.reports.figures.style import (
     FAINT,
     INK,
     SMALL,
-    TITLE,
     Style,
     blank,
+    entitle,
     footnote,
     note,
     page,
@@ -239,7 +239,7 @@ def _panel(figure: Figure, corner: tuple[float, float], size: np.ndarray, title:
     """Empty axes of a size at a place of the page, inches."""
     whole = figure.get_size_inches()
     axis = figure.add_axes((*(np.array(corner) / whole), *(size / whole)))
-    axis.set_title(title, loc="left", fontsize=TITLE, fontweight="bold", color=INK, pad=5)
+    entitle(axis, title, pad=5)
     axis.set_aspect("equal", adjustable="box", anchor="NW")
     blank(axis)
     return axis

@@ -17,7 +17,7 @@ from poseterior.probmodel.detections import FACE, Detection
 from poseterior.probmodel.skeleton import JOINTS
 from poseterior.reports.figures.body import draw_detection, draw_image
 from poseterior.reports.figures.colours import COLOURS
-from poseterior.reports.figures.style import DPI, INK, LEGEND, TITLE, Style, blank, note, page
+from poseterior.reports.figures.style import DPI, LEGEND, Style, blank, entitle, note, page
 from poseterior.reports.figures.window import corners_of
 from poseterior.reports.tables.words import spoken, undetected
 
@@ -82,7 +82,7 @@ def overlay_figure(
     _write_labels(axis, detection, height)
     title = f"{detection.layout}, person {detection.person}"
     title += " (see the warnings)" if warned else ""
-    axis.set_title(title, loc="left", fontsize=TITLE, fontweight="bold", color=INK)
+    entitle(axis, title)
     joints = zip(JOINTS, detection.seen, strict=True)
     lost = [undetected(name) for name, seen in joints if not seen]
     words = "purple: right, green: left" + (f"; not detected: {', '.join(lost)}" if lost else "")

@@ -35,6 +35,12 @@ def page(
     return figure
 
 
+def entitle(axes: Axes, words: str, **options: Any) -> None:
+    """Writes the title of a panel, bold, at its left."""
+    given: Style = {"loc": "left", "fontsize": TITLE, "fontweight": "bold", "color": INK}
+    axes.set_title(words, **given | options)
+
+
 def tidy(axes: Axes) -> None:
     """Takes the upper and the right edge away."""
     axes.spines[["top", "right"]].set_visible(False)

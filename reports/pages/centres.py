@@ -36,7 +36,7 @@ from poseterior.reports.figures.composition import gains_figure
 from poseterior.reports.pages.evaluation import CLASSES, EVALUATION_NOISE, gain, protocol_of
 from poseterior.reports.pages.motion import ESTIMATOR
 from poseterior.reports.pages.page import Data, Page, Values, run
-from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables import Sheet, sheet_from
 
 K, CENTRE_FRAMES = 5, 160
 CHOSEN = ("draws", "composed", "centres, which are no poses")
@@ -138,30 +138,17 @@ def rows_of(data: Path, say: Callable[[str], None]) -> list[CentreRow]:
 
 def table(rows: list[CentreRow]) -> Sheet:
     """Errors and gains."""
-    head = (
-        "torso and camera",
-        "error law",
-        "single",
-        f"best of {K} draws",
-        f"best of {K} composed",
-        f"best of {K} centres",
-        "gain of draws on the single estimate",
-        "of composed",
-        "of centres",
-        "of composed on draws, a draw in place of the truth",
-        "frames",
-    )
-    return sheet_of(
-        head,
-        [
-            (
-                *row.way,
-                *(f"{mean:.1f}" for mean in row.means),
-                *(_words(one) for one in (*row.gains, row.own)),
-                row.frames,
-            )
-            for row in rows
-        ],
+    means = ("single", *(f"best of {K} {way}" for way in ("draws", "composed", "centres")))
+    gains = ("gain of draws on the single estimate", "of composed", "of centres")
+    return sheet_from(
+        dict(zip(("torso and camera", "error law"), row.way, strict=True))
+        | {head: f"{mean:.1f}" for head, mean in zip(means, row.means, strict=True)}
+        | {head: _words(one) for head, one in zip(gains, row.gains, strict=True)}
+        | {
+            "of composed on draws, a draw in place of the truth": _words(row.own),
+            "frames": row.frames,
+        }
+        for row in rows
     )
 
 

@@ -17,7 +17,7 @@ from poseterior.probmodel import Detection, Estimate, Likelihood, PoseModel
 from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
-from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables import Sheet, sheet_from
 
 ROOT_NUMBERS = (250, 1000, 4000, 16_000)
 """Of roots, and of draws."""
@@ -76,19 +76,17 @@ def _drawn(model: PoseModel, frame: Estimate, number: int, seed: int) -> tuple[f
 
 def table_of(costs: Sequence[RootCost]) -> Sheet:
     """A line for each number of roots under each law."""
-    lines = [
-        (
-            one.law,
-            f"{one.roots:,}",
-            f"{np.median(one.seconds):.2g}",
-            f"{np.median(one.effective):,.0f}",
-            f"{np.median(one.rates):,.0f}",
-            f"{one.rates.min():,.0f} to {one.rates.max():,.0f}",
-        )
+    return sheet_from(
+        {
+            "errors": one.law,
+            "roots": f"{one.roots:,}",
+            "seconds": f"{np.median(one.seconds):.2g}",
+            "effective draws": f"{np.median(one.effective):,.0f}",
+            "effective a second": f"{np.median(one.rates):,.0f}",
+            "range": f"{one.rates.min():,.0f} to {one.rates.max():,.0f}",
+        }
         for one in costs
-    ]
-    head = ("errors", "roots", "seconds", "effective draws", "effective a second", "range")
-    return sheet_of(head, lines)
+    )
 
 
 def plot_costs(costs: Sequence[RootCost]) -> Figure:

@@ -107,16 +107,8 @@ def draws_table(drawn: Scores) -> Sheet:
         columns = (single, best, single - best, any_draw)
         found = (clustered(column, drawn.trial[method, missing]) for column in columns)
         rows.append((ESTIMATE_NAMES[method], str(missing), *found, drawn.lost[method, missing]))
-    head = (
-        "estimator",
-        "missing",
-        "single",
-        "best of five",
-        "gap",
-        "best of all draws",
-        "no draws",
-    )
-    return sheet_of(head, rows)
+    heads = ("single", "best of five", "gap", "best of all draws")
+    return sheet_of(("estimator", "missing", *heads, "no draws"), rows)
 
 
 Fits = list[tuple[Candidate, ...]]

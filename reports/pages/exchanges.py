@@ -39,7 +39,8 @@ from poseterior.reports.pages.faults import (
     with_detection,
 )
 from poseterior.reports.pages.page import Page, People, Values, run
-from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables import Sheet, sheet_from, sheet_of
+from poseterior.reports.tables.sheet import NOTHING
 
 EXCHANGE_PEOPLE, EXCHANGE_ROOTS = 200, 250
 EXCHANGE_BUDGET = 10_000_000
@@ -114,32 +115,27 @@ def table(people: list[Told]) -> Sheet:
         )
         for low, high in itertools.pairwise(edges)
     ]
-    head = (
-        "legs apart, radii",
-        "people",
-        f"legs told with probability ≥ {SURE}",
-        "median probability",
-        "median nats in favour",
-        "some exchange, median probability",
-        "of hips too, median",
-    )
-    return sheet_of(head, [*lines, _line("all", people)])
+    whole = _line("all", people)
+    # Of a group of nobody nothing is known.
+    blank = dict.fromkeys(whole, NOTHING) | {"people": 0}
+    return sheet_from([*(blank | line for line in lines), whole])
 
 
-def _line(name: str, people: list[Told]) -> tuple[str | int, ...]:
+def _line(name: str, people: list[Told]) -> dict[str, str | int]:
     if not people:
-        return (name, 0, "–", "–", "–", "–", "–")
+        return {"legs apart, radii": name}
     probability = np.stack([one.probability for one in people])
     legs = probability[:, LEGS_EXCHANGED]
-    return (
-        name,
-        len(people),
-        f"{(legs >= SURE).sum()} of {len(people)}",
-        f"{np.median(legs):.3f}",
-        f"{np.median([one.gain for one in people]):.1f}",
-        f"{np.median(1 - probability[:, 0]):.3f}",
-        f"{np.median(probability[:, MOVES_TORSO].sum(axis=1)):.3f}",
-    )
+    other = probability[:, MOVES_TORSO].sum(axis=1)
+    return {
+        "legs apart, radii": name,
+        "people": len(people),
+        f"legs told with probability ≥ {SURE}": f"{(legs >= SURE).sum()} of {len(people)}",
+        "median probability": f"{np.median(legs):.3f}",
+        "median nats in favour": f"{np.median([one.gain for one in people]):.1f}",
+        "some exchange, median probability": f"{np.median(1 - probability[:, 0]):.3f}",
+        "of hips too, median": f"{np.median(other):.3f}",
+    }
 
 
 def found(gain: np.ndarray, alarms: float, axis: int = -1) -> np.ndarray:

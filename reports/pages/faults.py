@@ -22,9 +22,10 @@ from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, EXCHANGES, ORDERS
 from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 from poseterior.reports.figures.colours import PALETTE
-from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
+from poseterior.reports.figures.style import FAINT, SMALL, entitle, page
 from poseterior.reports.pages.page import Page, People, run
-from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables import Sheet, sheet_from
+from poseterior.reports.tables.sheet import fixed, percents
 
 FAULT_PEOPLE, FAULT_ROOTS, FAULT_DRAWS = 40, 400, 1000
 OUTLIERS, EXCHANGED = 0.05, 0.05
@@ -126,27 +127,17 @@ def table(outcomes: dict[str, list[JudgedFaults]], without: dict[str, list[Judge
         share = of_share(sure[:, None], np.arange(len(people)))
         shifts = [_shift(some, calm) for some in (people, without[name])]
         lost = sum(one.effective == 0 for one in without[name])
-        lines.append(
-            (
-                name,
-                f"{100 * share.value:.0f} % ({100 * share.low:.0f}–{100 * share.high:.0f})",
-                f"{np.median([found(name, one) for one in people]):.3f}",
-                f"{shifts[0]:.2f}",
-                f"{shifts[1]:.2f}" if np.isfinite(shifts[1]) else "–",
-                lost,
-                f"{np.median([one.effective for one in people]):.0f}",
-            )
-        )
-    head = (
-        "what was done",
-        f"found with probability ≥ {SURE}",
-        "median probability",
-        "other joints moved by",
-        "the same without faults in the model",
-        "no pose without",
-        "effective roots",
-    )
-    return sheet_of(head, lines)
+        line = {
+            "what was done": name,
+            f"found with probability ≥ {SURE}": percents(share),
+            "median probability": f"{np.median([found(name, one) for one in people]):.3f}",
+            "other joints moved by": fixed(2)(shifts[0]),
+            "the same without faults in the model": fixed(2)(shifts[1]),
+            "no pose without": lost,
+            "effective roots": f"{np.median([one.effective for one in people]):.0f}",
+        }
+        lines.append(line)
+    return sheet_from(lines)
 
 
 def _shift(people: list[JudgedFaults], calm: np.ndarray) -> float:
@@ -169,13 +160,7 @@ def probabilities_figure(outcomes: dict[str, list[JudgedFaults]]) -> Figure:
             np.linspace(0, 1, len(level)), level, "o-", ms=3, lw=1.2, color=colour, label=label
         )
     axis.axhline(SURE, color=FAINT, lw=0.8, ls=":")
-    axis.set_title(
-        "Faults of a detector, and their posterior probability",
-        loc="left",
-        fontsize=TITLE,
-        fontweight="bold",
-        color=INK,
-    )
+    entitle(axis, "Faults of a detector, and their posterior probability")
     axis.set_xlabel("share of people", fontsize=SMALL)
     axis.set_ylabel("probability", fontsize=SMALL)
     axis.tick_params(labelsize=SMALL)

@@ -30,7 +30,7 @@ from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.sessions.session import HIPS
 from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
 from poseterior.reports.figures.colours import PALETTE
-from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
+from poseterior.reports.figures.style import FAINT, SMALL, Style, entitle, page
 from poseterior.reports.pages.filmed import (
     FILM_DRAWS,
     FILM_ROOTS,
@@ -45,7 +45,8 @@ from poseterior.reports.pages.filmed import (
     learn_as,
 )
 from poseterior.reports.pages.page import Data, Page, Work, run
-from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables import Sheet, sheet_from, sheet_of
+from poseterior.reports.tables.sheet import percents
 
 BEST = 5
 CURVE = 100
@@ -53,6 +54,7 @@ CURVE = 100
 STRETCH = 10
 """Frames that are drawn anew together: they are alike."""
 ORDER = ("first half", "second half")
+STANDING_AXES = ("x", "y", "depth")
 LIMB = 338.0
 """Millimetres: the person's mean limb bone."""
 HONEST_JOINTS = [
@@ -154,43 +156,31 @@ def coverage(standing: np.ndarray, cluster: np.ndarray) -> Interval:
 
 def table(outcomes: Found) -> Sheet:
     """A line a way: coverage by axis, truths beyond all draws, widths, errors."""
-    lines: list[tuple[Any, ...]] = []
+    lines = []
     for way, found in outcomes.items():
         standing = np.stack([one.standing for one in found if one.drawn])
         beyond = (standing == 0) | (standing == 1)
         spread = LIMB * np.nanmean([one.spread for one in found], axis=(0, 1))
-        lines.append(
-            (
-                str(way),
-                len(found),
-                *by_axis(found, "standing"),
-                f"{100 * beyond.mean():.0f} %",
-                f"{100 * beyond.any(axis=(1, 2)).mean():.0f} %",
-                f"{np.hypot(*spread[:2]) / np.sqrt(2):.0f} / {spread[2]:.0f}",
-                f"{np.nanmean([one.mean for one in found]):.0f}",
-                f"{np.nanmean([one.best for one in found]):.0f}",
-            )
-        )
-    head = (
-        "torso and camera",
-        "cases",
-        "x",
-        "y",
-        "depth",
-        "coordinates beyond all draws",
-        "cases with one",
-        "sd across / in depth, mm",
-        "error of mean, mm",
-        f"best of {BEST}, mm",
-    )
-    return sheet_of(head, lines)
+        across = np.hypot(*spread[:2]) / np.sqrt(2)
+        line = {
+            "torso and camera": str(way),
+            "cases": len(found),
+            **dict(zip(STANDING_AXES, by_axis(found, "standing"), strict=True)),
+            "coordinates beyond all draws": f"{100 * beyond.mean():.0f} %",
+            "cases with one": f"{100 * beyond.any(axis=(1, 2)).mean():.0f} %",
+            "sd across / in depth, mm": f"{across:.0f} / {spread[2]:.0f}",
+            "error of mean, mm": f"{np.nanmean([one.mean for one in found]):.0f}",
+            f"best of {BEST}, mm": f"{np.nanmean([one.best for one in found]):.0f}",
+        }
+        lines.append(line)
+    return sheet_from(lines)
 
 
 def by_axis(found: Sequence[HonestCase], column: str) -> list[str]:
     """Coverage in x, y and depth, cameras drawn anew."""
     standing = np.stack([getattr(one, column) for one in found])
     camera = np.array([one.camera for one in found])
-    return [share(coverage(standing[:, :, axis], camera)) for axis in range(3)]
+    return [percents(coverage(standing[:, :, axis], camera)) for axis in range(3)]
 
 
 def ece_table(outcomes: Found) -> Sheet:
@@ -211,7 +201,7 @@ def ece_table(outcomes: Found) -> Sheet:
 def bare_table(outcomes: Found) -> Sheet:
     """A line a way: coverage by axis if the truth had no error of its own."""
     lines = [(str(way), *by_axis(found, "bare")) for way, found in outcomes.items()]
-    return sheet_of(("torso and camera", "x", "y", "depth"), lines)
+    return sheet_of(("torso and camera", *STANDING_AXES), lines)
 
 
 def paired(outcomes: Found) -> Found:
@@ -239,7 +229,7 @@ def parts_of(outcomes: Found, seen: Film) -> Sheet:
         for camera in sorted({one.camera for one in found}):
             some = [one for one in found if one.camera == camera]
             lines.append((str(way), f"camera {camera + 1}", *part_line(some)))
-    head = ("torso and camera", "judged in", "cases", "x", "y", "depth", "sd across, mm")
+    head = ("torso and camera", "judged in", "cases", *STANDING_AXES, "sd across, mm")
     return sheet_of(head, lines)
 
 
@@ -247,7 +237,7 @@ def part_line(some: Sequence[HonestCase]) -> tuple[Any, ...]:
     """How many cases, coverage by axis, and the draws' standard deviation to the side."""
     standing = np.stack([one.standing for one in some])
     stretch = np.array([one.frame // STRETCH for one in some])
-    axes = (share(coverage(standing[:, :, axis], stretch)) for axis in range(3))
+    axes = (percents(coverage(standing[:, :, axis], stretch)) for axis in range(3))
     across = LIMB * np.sqrt(
         np.mean(np.nanmean([one.spread[:, :2] for one in some], axis=(0, 1)) ** 2)
     )
@@ -269,7 +259,7 @@ def law_table(seen: Film) -> Sheet:
         )
         for name, law in (("as fitted", fitted), ("as written", found.errors)):
             standing = standings(law, rest, found.truth_fit.mixture.sigma)
-            row = map(share, shares_within(standing, rest.recording))
+            row = map(percents, shares_within(standing, rest.recording))
             lines.append((f"{ORDER[1 - part]} → {ORDER[part]}, {name}", *row))
     heads = (f"{100 * level:.0f} %" for level in LEVELS)
     return sheet_of(("learned from → judged on", *heads), lines)
@@ -305,13 +295,6 @@ def doubts(cases: Sequence[FilmedCase]) -> tuple[float, float]:
     return float(across), float(depth)
 
 
-def share(interval: Interval) -> str:
-    """A share with its interval, in percent."""
-    low = 100 * interval.low
-    high = 100 * interval.high
-    return f"{100 * interval.value:.0f} % ({low:.0f}–{high:.0f})"
-
-
 def costs(outcomes: Found) -> Sheet:
     """A line a way: time a frame, effective roots, cases without draws."""
     lines = []
@@ -321,39 +304,31 @@ def costs(outcomes: Found) -> Sheet:
         effective = [one.effective for one in there]
         few = "–" if way.root != UNCERTAIN else f"{np.median(effective):.0f} ({min(effective):.0f})"
         too_few = sum(one.effective < FEWEST_EFFECTIVE for one in there)
-        lines.append((str(way), f"{seconds:.1f}", few, too_few, len(found) - len(there)))
-    head = (
-        "torso and camera",
-        "seconds",
-        "effective roots (fewest)",
-        f"cases below {FEWEST_EFFECTIVE}",
-        "cases without a pose",
-    )
-    return sheet_of(head, lines)
+        line = {
+            "torso and camera": str(way),
+            "seconds": f"{seconds:.1f}",
+            "effective roots (fewest)": few,
+            f"cases below {FEWEST_EFFECTIVE}": too_few,
+            "cases without a pose": len(found) - len(there),
+        }
+        lines.append(line)
+    return sheet_from(lines)
 
 
 def standings_figure(outcomes: Found) -> Figure:
     """By axis: how the truths' standings among the draws are distributed; uniform is right."""
     many = {way: found for way, found in outcomes.items() if len(found) >= CURVE}
     figure = page(8.4, 3.0, dpi=150)
-    for axis, name in zip(figure.subplots(1, 3), ("x", "y", "depth"), strict=True):
+    for axis, name in zip(figure.subplots(1, 3), STANDING_AXES, strict=True):
         axis.plot([0, 1], [0, 1], color=FAINT, lw=0.8, ls=":")
         for colour, (way, found) in zip(PALETTE, many.items(), strict=False):
             row = "xy".find(name) % 3
             standing = np.stack([one.standing[:, row] for one in found if one.drawn]).ravel()
             at = np.sort(standing)
             level = np.arange(1, len(at) + 1) / len(at)
-            style = "-" if way.moved else "--"
-            axis.step(
-                at,
-                level,
-                color=colour,
-                lw=1.3,
-                ls=style,
-                where="post",
-                label=str(way).replace("`", ""),
-            )
-        axis.set_title(name, loc="left", fontsize=TITLE, fontweight="bold", color=INK)
+            line: Style = {"color": colour, "lw": 1.3, "ls": "-" if way.moved else "--"}
+            axis.step(at, level, where="post", label=str(way).replace("`", ""), **line)
+        entitle(axis, name)
         axis.set_xlabel("share of draws below the truth", fontsize=SMALL)
         axis.tick_params(labelsize=SMALL)
         axis.set(xlim=(0, 1), ylim=(0, 1))

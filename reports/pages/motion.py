@@ -43,7 +43,7 @@ from poseterior.reports.figures.coverage import coverage_figure
 from poseterior.reports.pages.evaluation import CLASSES, EVALUATION_NOISE, protocol_of
 from poseterior.reports.pages.page import Data, Page, Values, Work, kept, run
 from poseterior.reports.pages.real import ERRORS, Held, hold_out, others
-from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables import Sheet, sheet_from
 from poseterior.reports.tables.coverage import reasons_table, settings_table, share
 from poseterior.reports.tables.evaluation import RELATIONS_CAPTION, relations_table
 
@@ -175,29 +175,18 @@ def margins_table(trees: dict[Given, xr.DataTree]) -> Sheet:
     rows = []
     for given, tree in trees.items():
         found = summary(tree)
-        rows.append(
-            (
-                given.root,
-                f"{given.margin:g}",
-                f"{tree.attrs['possible']:.0%}",
-                share(found.excluded),
-                share(found.covered["lateral", 0.95]),
-                share(found.covered["depth", 0.95]),
-                f"{found.lateral:.0f}, {found.depth:.0f}",
-                found.without_draws,
-            )
-        )
-    head = (
-        "torso and camera",
-        "margins, times the usual",
-        "possible, of all poses",
-        "truth excluded",
-        "lateral 95 %",
-        "depth 95 %",
-        "spread lateral, depth (mm)",
-        "no draws",
-    )
-    return sheet_of(head, rows)
+        row = {
+            "torso and camera": given.root,
+            "margins, times the usual": f"{given.margin:g}",
+            "possible, of all poses": f"{tree.attrs['possible']:.0%}",
+            "truth excluded": share(found.excluded),
+            "lateral 95 %": share(found.covered["lateral", 0.95]),
+            "depth 95 %": share(found.covered["depth", 0.95]),
+            "spread lateral, depth (mm)": f"{found.lateral:.0f}, {found.depth:.0f}",
+            "no draws": found.without_draws,
+        }
+        rows.append(row)
+    return sheet_from(rows)
 
 
 def compared(work: Path, data: Path) -> Values:

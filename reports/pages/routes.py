@@ -41,7 +41,7 @@ from poseterior.reports.figures.style import FAINT, INK, SMALL, TITLE, page
 from poseterior.reports.pages.costs import WANTED, costs_of, plot_costs, table_of
 from poseterior.reports.pages.filmed import film
 from poseterior.reports.pages.page import Data, Page, run
-from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables import Sheet, sheet_from, sheet_of
 
 ROUTE_FRAMES = (10, 30, 50, 70, 90)
 """Of every camera."""
@@ -158,31 +158,19 @@ def table(cases: list[JudgedFrame], found: list[Found]) -> Sheet:
     lines = []
     for case, one in zip(cases, found, strict=True):
         fast = one.judged[FAST]
-        lines.append(
-            (
-                case.name,
-                case.law,
-                len(one.exact.limbs),
-                f"{len(one.exact.limbs) / one.seconds[0]:.1f}",
-                f"{100 * one.exact.cut_off:.1f} %",
-                f"{one.effective:.0f}",
-                f"{one.gap:+.1f}",
-                f"{smallest(fast):.2g}",
-                fast.verdict,
-            )
-        )
-    head = (
-        "frame",
-        "errors",
-        "exact draws",
-        "a second",
-        "cut off",
-        "effective roots",
-        "log evidences apart, se",
-        "smallest p, corrected",
-        "verdict",
-    )
-    return sheet_of(head, lines)
+        line = {
+            "frame": case.name,
+            "errors": case.law,
+            "exact draws": len(one.exact.limbs),
+            "a second": f"{len(one.exact.limbs) / one.seconds[0]:.1f}",
+            "cut off": f"{100 * one.exact.cut_off:.1f} %",
+            "effective roots": f"{one.effective:.0f}",
+            "log evidences apart, se": f"{one.gap:+.1f}",
+            "smallest p, corrected": f"{smallest(fast):.2g}",
+            "verdict": fast.verdict,
+        }
+        lines.append(line)
+    return sheet_from(lines)
 
 
 def counts(found: list[Found]) -> Sheet:

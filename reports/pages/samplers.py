@@ -77,8 +77,8 @@ def summary(trees: Mapping[str, xr.DataTree]) -> Sheet:
         "frame",
         Column("d", form=str),
         "log evidence",
-        Column("exact draws/s, of 10,000", form=_whole),
-        Column("of 100,000", form=_whole),
+        Column("exact draws/s, of 10,000", form="{:,.0f}".format),
+        Column("of 100,000", form="{:,.0f}".format),
         Column("best earned/s", "earned", _best),
         Column("ratio", "earned ratio", _ratio),
         Column("best settled/s", "settled", _best),
@@ -88,10 +88,6 @@ def summary(trees: Mapping[str, xr.DataTree]) -> Sheet:
         "lines that differ",
     )
     return sheet_of(columns, [_summary_line(name, tree) for name, tree in trees.items()])
-
-
-def _whole(value: float) -> str:
-    return f"{value:,.0f}"
 
 
 def _seconds(value: float) -> str:

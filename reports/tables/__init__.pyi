@@ -17,6 +17,7 @@ from .posterior import summary_lines as summary_lines
 from .posterior import values as values
 from .sheet import Column as Column
 from .sheet import Sheet as Sheet
+from .sheet import sheet_from as sheet_from
 from .sheet import sheet_of as sheet_of
 from .words import facing_words as facing_words
 from .words import pose_facing as pose_facing

@@ -7,7 +7,7 @@ from poseterior.inference.benchmark.catalogue import targets
 from poseterior.inference.benchmark.references import reference
 from poseterior.inference.benchmark.verdicts import Assessment
 from poseterior.inference.studies.comparison.judge import AGREES, DIFFERS, JUDGE_LEVEL
-from poseterior.reports.tables.sheet import Column, Sheet, number, plus_minus, significant
+from poseterior.reports.tables.sheet import Column, Sheet, number, plus_minus, significant, written
 
 CLEAR = 0.01
 """Modes of more mass are counted."""
@@ -35,16 +35,14 @@ def targets_table() -> Sheet:
         Column("target", left=True, whole=True),
         Column("dim"),
         Column("law", left=True),
-        Column("log evidence", lambda one: (one["log_evidence"], one["log_evidence_se"]), _digits),
+        Column(
+            "log evidence", lambda one: "{log_evidence:.3f} ± {log_evidence_se:.3f}".format(**one)
+        ),
         Column("modes > 1 %", "modes"),
         Column("largest", "largest_mode", lambda mass: f"{mass:.0%}"),
         Column("what it is", "about", left=True),
     )
     return Sheet(columns, records)
-
-
-def _digits(both: tuple[float, float]) -> str:
-    return f"{both[0]:.3f} ± {both[1]:.3f}"
 
 
 def tests_table(found: Assessment) -> Sheet:
@@ -54,15 +52,11 @@ def tests_table(found: Assessment) -> Sheet:
     columns = (
         Column("test", "name", left=True),
         Column("p", "p_value", significant(2)),
-        Column("effective draws", "size", _size),
+        Column("effective draws", "size", written("{:,.0f}")),
         Column("decides", left=True),
         Column("takes for granted", "assumption", left=True),
     )
     return Sheet(columns, decisive + others)
-
-
-def _size(value: float) -> str:
-    return f"{value:,.0f}" if math.isfinite(value) else "–"
 
 
 def verdict_sentences(found: Assessment) -> list[str]:

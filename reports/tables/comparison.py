@@ -22,6 +22,7 @@ from poseterior.reports.tables.sheet import (
     fixed,
     number,
     significant,
+    written,
 )
 
 NARROW = ("sampler", "verdict", "ESS", "earned/s", "R-hat", "missed", "depth off")
@@ -117,10 +118,6 @@ def _seen(record: Record) -> str:
     return NOTHING if shift is None or spread is None else f"{shift:.2f} sd, {spread:.0%}"
 
 
-def _share(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:.1%}"
-
-
 COMPARED_COLUMNS: tuple[Column, ...] = (
     Column("sampler", left=True, whole=True),
     Column("verdict", left=True, whole=True),
@@ -129,7 +126,7 @@ COMPARED_COLUMNS: tuple[Column, ...] = (
     Column("settled/s", _settled),
     Column("R-hat", "rhat_worst", fixed(2)),
     Column("smallest p", "smallest_p", significant(2)),
-    Column("missed", "missed_mass", _share),
+    Column("missed", "missed_mass", written("{:.1%}")),
     Column("would see", _seen),
     Column("depth off", "depth_mm", fixed(0, " mm")),
     Column("to 0.1 sd", _reached),

@@ -22,7 +22,7 @@ from poseterior.inference.studies.evaluation.scores import (
     usable,
 )
 from poseterior.probmodel.root_priors import CANDIDATES
-from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, sheet_of
+from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, percents, sheet_of
 
 PAPERS_FRAMES = 26_385
 """Of the paper's evaluation on Human3.6M."""
@@ -273,7 +273,7 @@ def _percents(value: Interval | float | None) -> str:
     """A share with its interval, in percent."""
     if value is None or isinstance(value, float):
         return NOTHING if value is None or np.isnan(value) else f"{value:.1%}".replace("%", " %")
-    return f"{100 * value.value:.0f} % ({100 * value.low:.0f}–{100 * value.high:.0f})"
+    return percents(value)
 
 
 def _ece(value: Interval | float | None) -> str:

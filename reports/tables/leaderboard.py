@@ -25,7 +25,7 @@ from poseterior.inference.studies.comparison.judge import (
 )
 from poseterior.inference.studies.comparison.mixing import CHAINS_APART
 from poseterior.reports.tables.comparison import gift_sentence
-from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, number
+from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, fixed, number, written
 
 EVALUATIONS, SECONDS = "evaluations", "seconds"
 """What runs are made equal in."""
@@ -114,10 +114,10 @@ def board(lines: Sequence[Line], target: str, budget: str) -> Sheet:
         Column("to 0.1 sd", _reached),
         Column("evaluations", lambda one: one.get("evaluations"), _count),
         Column("CPU s", lambda one: one.get("seconds"), _rate),
-        Column("R-hat", lambda one: one.get("rhat_worst"), _ratio),
-        Column("missed mass", lambda one: one.get("missed_mass"), _share),
-        Column("worst W1", lambda one: one.get("worst_w1"), _sd),
-        Column("evidence off", lambda one: one.get("evidence_error"), _nats),
+        Column("R-hat", lambda one: one.get("rhat_worst"), fixed(2)),
+        Column("missed mass", lambda one: one.get("missed_mass"), written("{:.1%}")),
+        Column("worst W1", lambda one: one.get("worst_w1"), fixed(2, " sd")),
+        Column("evidence off", lambda one: one.get("evidence_error"), written("{:+.2f} nats")),
     )
     gifts = [gift for gift in map(_gift, chosen) if gift]
     return Sheet(columns, chosen, caption=". ".join(gifts))
@@ -142,30 +142,13 @@ def _earned(cost: str, unit: float = 1.0) -> Any:
     return lambda one: unit * one["earned"] / one[cost] if one.get(cost) else None
 
 
-def _count(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:,.0f}"
+_count = written("{:,.0f}")
 
 
 def _rate(value: float | None) -> str:
     if value is None:
         return NOTHING
     return f"{value:,.0f}" if value >= 100 else f"{value:.2g}"
-
-
-def _ratio(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:.2f}"
-
-
-def _share(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:.1%}"
-
-
-def _sd(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:.2f} sd"
-
-
-def _nats(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:+.2f} nats"
 
 
 def _reached(line: Line) -> str:

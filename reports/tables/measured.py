@@ -6,7 +6,7 @@ import numpy as np
 
 from poseterior.inference.studies.measured import LARGE, MeasureScore
 from poseterior.reports.tables.measures import DIGITS, SIGNS
-from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, sheet_of
+from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, percents, sheet_of
 from poseterior.reports.tables.words import spoken
 
 SCORES_CAPTION = (
@@ -38,7 +38,7 @@ def measure_scores_table(
         for way, scores in found.items()
         for one in scores
     ]
-    covered = Column("covered", form=_covered, whole=True)
+    covered = Column("covered", form=percents, whole=True)
     numbers = [Column(head, form=_two) for head in ("rank", "area")]
     head: list[str | Column] = ["measure", covered, "error", "width", *numbers, "of"]
     return sheet_of(head, rows, name="measures", title=title, caption=caption)
@@ -50,8 +50,3 @@ def _number(value: float, unit: str) -> str:
 
 def _two(value: float) -> str:
     return f"{value:.2f}".replace("-", "−") if np.isfinite(value) else NOTHING
-
-
-def _covered(interval: tuple[float, float, float]) -> str:
-    value, low, high = (100 * one for one in interval)
-    return f"{value:.0f} % ({low:.0f}–{high:.0f})" if np.isfinite(low) else f"{value:.0f} %"

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from poseterior.inference.studies.person_views import LEVELS, Honesty
-from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, sheet_of
+from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, sheet_of, written
 
 WAYS_OFF = ("to the side", "down", "in depth")
 
@@ -28,9 +28,9 @@ def honesty_table(found: Honesty, middle: str, gap: np.ndarray) -> Sheet:
     columns = [
         Column("limbs' joints", left=True),
         *(Column(f"{level:.0%} intervals cover", left=True) for level in LEVELS),
-        Column("ECE", form=_number("{:.3f}")),
-        Column(f"{LEVELS[-1]:.0%} wide (mm)", form=_number("{:.0f}")),
-        Column("error of the mean (mm)", form=_number("{:.0f}")),
+        Column("ECE", form=written("{:.3f}")),
+        Column(f"{LEVELS[-1]:.0%} wide (mm)", form=written("{:.0f}")),
+        Column("error of the mean (mm)", form=written("{:.0f}")),
     ]
     caption = (
         f"{found.silent} of {found.views} views say nothing: no draws, or no true {middle}."
@@ -49,7 +49,7 @@ def people_table(people: Mapping[str, Honesty]) -> Sheet:
         (name, people[name].views, *people[name].covered[1])
         for name in sorted(known, key=known.get)  # type: ignore[arg-type]
     ]
-    axes = [Column(f"{axis} {LEVELS[-1]:.0%}", form=_number("{:.0%}")) for axis in WAYS_OFF]
+    axes = [Column(f"{axis} {LEVELS[-1]:.0%}", form=written("{:.0%}")) for axis in WAYS_OFF]
     return sheet_of([Column("person", left=True), Column("views", form=str), *axes], rows)
 
 
@@ -84,8 +84,3 @@ def _values(value: Any) -> Any:
 def _share(found: Honesty, level: int, axis: int) -> str:
     value, low, high = (part[level, axis] for part in (found.covered, found.low, found.high))
     return f"{value:.0%} ({low:.0%} to {high:.0%})" if np.isfinite(value) else NOTHING
-
-
-def _number(form: str) -> Any:
-    """How a number is written; nothing where it is not known."""
-    return lambda value: form.format(value) if np.isfinite(value) else NOTHING

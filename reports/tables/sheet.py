@@ -34,14 +34,27 @@ def shown(value: Any) -> str:
     return NOTHING if value is None else f"{value:,}" if isinstance(value, int) else str(value)
 
 
+def written(form: str) -> Callable[[float | None], str]:
+    """Writes a number in a form, such as "{:.1%}"; nothing where it is not known."""
+    return lambda value: (
+        NOTHING if value is None or not math.isfinite(value) else form.format(value)
+    )
+
+
 def fixed(digits: int, unit: str = "") -> Callable[[float | None], str]:
     """Writes a number with so many decimal places."""
-    return lambda value: NOTHING if value is None else f"{value:.{digits}f}{unit}"
+    return written(f"{{:.{digits}f}}{unit}")
 
 
 def significant(digits: int, unit: str = "") -> Callable[[float | None], str]:
     """Writes a number with so many significant digits."""
-    return lambda value: NOTHING if value is None else f"{value:.{digits}g}{unit}"
+    return written(f"{{:.{digits}g}}{unit}")
+
+
+def percents(interval: tuple[float, float, float]) -> str:
+    """Writes a share `(value, low, high)` in whole percent, with its interval where it has one."""
+    value, low, high = (100 * one for one in interval)
+    return f"{value:.0f} % ({low:.0f}–{high:.0f})" if math.isfinite(low) else f"{value:.0f} %"
 
 
 def signed(value: float) -> str:
@@ -227,6 +240,13 @@ def sheet_of(head: Sequence[str | Column], rows: Iterable[Sequence[Any]], **abou
     if len(set(keys)) < len(keys):
         raise ValueError(f"two columns of one name: {', '.join(keys)}")
     return Sheet(columns, [dict(zip(keys, row, strict=True)) for row in rows], **about)
+
+
+def sheet_from(rows: Iterable[Mapping[str, Any]], **about: str) -> Sheet:
+    """As `sheet_of`, from rows of which each value stands under its key, the same in all of
+    them."""
+    listed = list(rows)
+    return sheet_of(list(listed[0]), [list(row.values()) for row in listed], **about)
 
 
 def _plain(value: Any) -> Any:

@@ -1,6 +1,7 @@
 """What `--help` and the pages tell people to type is what the commands take; one option means one
 thing."""
 
+import dataclasses
 import json
 import re
 import shlex
@@ -22,6 +23,7 @@ from poseterior.inference.studies.judging import recalibrate
 from poseterior.probmodel import Anatomy, read_detections
 from poseterior.probmodel.root_priors import ROOT_PRIORS
 from poseterior.reports import cli, options
+from poseterior.reports.fields import OPTION
 from tests.conftest import Cli
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, table
 from tests.reports.test_cli import native, openpose
@@ -158,12 +160,13 @@ def test_help_names_what_is_accepted() -> None:
     assert ROOTED_SAMPLERS[:2] == options.ROUTES
     assert {kind.prior for kind in options.RootKind} == {*ROOT_PRIORS}
     assert ROOTED_SAMPLERS == options.ROOTED
-    assert all(
-        name in cli.COMMANDS["sample"].__annotations__["sampler"].__metadata__[0].help
-        for name in SAMPLERS
-    )
-    said = options.Estimation.__annotations__["estimator"].__metadata__[0].help
-    assert all(name in said for name in ESTIMATORS)
+    assert all(name in help_of(cli.COMMANDS["sample"], "sampler") for name in SAMPLERS)
+    assert all(name in help_of(options.Estimation, "estimator") for name in ESTIMATORS)
+
+
+def help_of(group: type, name: str) -> str:
+    (field,) = (field for field in dataclasses.fields(group) if field.name == name)
+    return field.metadata[OPTION].help
 
 
 def test_the_version(poseterior: Cli) -> None:

@@ -13,7 +13,7 @@ from poseterior.inference.baselines.target import COORDINATES, Target
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.posterior import Posterior
-from poseterior.probmodel.skeleton import JOINTS, NUM_LENGTHS
+from poseterior.probmodel.skeleton import JOINTS
 
 
 @dataclass(frozen=True)
@@ -72,13 +72,14 @@ class PosteriorTarget:
 
     def prior_points(self, rng: np.random.Generator, number: int) -> np.ndarray:
         """`(number, d)` draws of the prior as points of R^d."""
-        return self.points_of_box(rng.beta(*self._shape, (number, self.dim)))
+        alpha, beta = map(np.asarray, self.density.shape)
+        return self.points_of_box(rng.beta(alpha, beta, (number, self.dim)))
 
     def prior_transform(self, cube: np.ndarray) -> np.ndarray:
         """Points `(..., d)` of R^d from the unit cube: uniform ones become draws of the prior."""
         from scipy.special import betaincinv
 
-        return self.points_of_box(betaincinv(*self._shape, cube))
+        return self.points_of_box(betaincinv(*map(np.asarray, self.density.shape), cube))
 
     def points_of_box(self, box: np.ndarray) -> np.ndarray:
         """Points `(..., d)` of R^d from fractions of ranges, and of the directions' squares."""
@@ -94,17 +95,6 @@ class PosteriorTarget:
     @property
     def _seen(self) -> np.ndarray:
         return np.flatnonzero(self.density.observation.seen)
-
-    @property
-    def _shape(self) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters alpha, beta `(d,)` of the fractions: Beta distributions of lengths, and
-        uniform ones of all else."""
-        lengths = self.density.model.lengths
-        active = np.array(self.density.active)
-        ones = np.ones(len(COORDINATES) - NUM_LENGTHS)
-        alpha = np.concatenate([lengths.alpha, ones])
-        beta = np.concatenate([lengths.beta, ones])
-        return alpha[active], beta[active]
 
     def _over(self, function: Callable[[np.ndarray], ArrayLike], points: np.ndarray) -> np.ndarray:
         """A function of rows, at points `(..., d)`; compiled for so many rows at a time."""

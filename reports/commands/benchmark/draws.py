@@ -21,10 +21,8 @@ def run(settings: BenchmarkDrawsSettings, screen: Screen) -> None:
     with replacing(settings.out) as partial, partial.open("wb") as file:
         np.savez(file, allow_pickle=False, points=points, **evidence)
     same = same_bits(target)
-    if screen.json:
-        about = {"target": target.name, **evidence, "same_bits": same}
-        console.show_json({**about, "out": str(settings.out)})
-        return
-    console.say(f"{len(points):,} exact draws of {target.name} written to {settings.out}")
+    about = {"target": target.name, **evidence, "same_bits": same, "out": str(settings.out)}
+    said = [f"{len(points):,} exact draws of {target.name} written to {settings.out}"]
     if not same:
-        console.say("Their law is the reference's, their bits are not: another kind of processor")
+        said.append("Their law is the reference's, their bits are not: another kind of processor")
+    console.show(screen.json, about, *said)

@@ -12,10 +12,5 @@ def run(settings: BenchmarkJudgeSettings, screen: Screen) -> None:
 
     with console.progress(f"tests against exact draws of {settings.target}", screen.quiet):
         found = verdict(load(settings.target), settings.submission)
-    if screen.json:
-        console.show_json(verdict_record(found))
-        return
-    if found.judgement.tests:
-        console.OUT.print(tests_table(found))
-    for sentence in verdict_sentences(found):
-        console.say(sentence)
+    sheets = [tests_table(found)] if found.judgement.tests else []
+    console.show(screen.json, verdict_record(found), *sheets, *verdict_sentences(found))

@@ -10,7 +10,4 @@ def run(settings: BenchmarkListSettings, screen: Screen) -> None:
     from poseterior.reports.tables.benchmark import targets_table
 
     sheet = targets_table()
-    if screen.json:
-        console.show_json({"targets": sheet.json()})
-    else:
-        console.OUT.print(sheet)
+    console.show(screen.json, {"targets": sheet.json()}, sheet)

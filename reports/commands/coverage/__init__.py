@@ -19,6 +19,7 @@ from poseterior.reports.figures.coverage import coverage_figure, ranks_figure
 from poseterior.reports.figures.person_views import levels_figure
 from poseterior.reports.options import Estimation, JudgedBy, Screen
 from poseterior.reports.settings import CoverageSettings
+from poseterior.reports.tables import Sheet
 from poseterior.reports.tables.coverage import (
     brief_table,
     calibration_json,
@@ -64,12 +65,13 @@ def simulated(settings: CoverageSettings, screen: Screen) -> None:
     simulation = tree["simulation"].to_dataset()
     found = calibration.judge(simulation, of=settings.of)
     save_figure(ranks_figure(simulation, found.sentence, of=settings.of), out / "coverage.png")
-    if screen.json:
-        console.show_json(calibration_json(found) | {"out": str(out)})
-        return
-    console.OUT.print(uniformity_table(found))
-    console.say(f"{found.verdict}: {found.sentence}")
-    console.say(f"Written to {out}: coverage.nc, coverage.png")
+    console.show(
+        screen.json,
+        calibration_json(found) | {"out": str(out)},
+        uniformity_table(found),
+        f"{found.verdict}: {found.sentence}",
+        f"Written to {out}: coverage.nc, coverage.png",
+    )
 
 
 def write_simulations(settings: CoverageSettings, screen: Screen) -> None:
@@ -90,15 +92,13 @@ def write_simulations(settings: CoverageSettings, screen: Screen) -> None:
             root=settings.rooting.root.prior,
         )
         tree = instances_tree(some)
-    save_tree(tree, out / "simulations.nc")
-    if screen.json:
-        console.show_json({"num_simulations": num_simulations, "out": str(out)})
-    else:
-        path = out / "simulations.nc"
-        console.say(
-            f"{num_simulations} simulations written to {path}; judge draws of them with --sampler"
-            " FILE"
-        )
+    path = out / "simulations.nc"
+    save_tree(tree, path)
+    console.show(
+        screen.json,
+        {"num_simulations": num_simulations, "out": str(out)},
+        f"{num_simulations} simulations written to {path}; judge draws of them with --sampler FILE",
+    )
 
 
 def real(settings: CoverageSettings, screen: Screen) -> None:
@@ -134,15 +134,12 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
     save_figure(curves, out / "coverage.png")
     if settings.of == JudgedBy.measures:
         measured = measure_scores_table({"": calibration.measure_scores(tree)})
-        if screen.json:
-            console.show_json({"measures": measured.json(), "out": str(out)})
-            return
-        console.OUT.print(measured)
-        console.say(f"Written to {out}: coverage.nc, coverage.png")
-    elif screen.json:
-        console.show_json(summary_json(found) | {"out": str(out)})
+        result: dict[str, Any] = {"measures": measured.json()}
+        shown: list[Sheet | str] = [measured]
     else:
-        _say(found, out)
+        result, shown = summary_json(found), _shown(found)
+    written = f"Written to {out}: coverage.nc, coverage.png"
+    console.show(screen.json, result | {"out": str(out)}, *shown, written)
 
 
 def viewed(settings: CoverageSettings, screen: Screen) -> None:
@@ -176,21 +173,19 @@ def viewed(settings: CoverageSettings, screen: Screen) -> None:
     said = honesty_json(found, people, gaps)
     console.write_text(out / "coverage.json", json.dumps(said, indent=1) + "\n")
     save_figure(levels_figure(about), out / "coverage.png")
-    if screen.json:
-        console.show_json(said | {"out": str(out)})
-        return
+    shown: list[Sheet | str] = []
     for name in found:
-        console.OUT.print(honesty_table(found[name], name, gaps[name]))
-        console.OUT.print(people_table(people[name]))
-    console.say(
+        shown += [honesty_table(found[name], name, gaps[name]), people_table(people[name])]
+    shown.append(
         f"Of {len(views)} views of {found['hips'].people} people; intervals are over people."
     )
     if strangers := len(every) - len(of_them):
-        console.say(
+        shown.append(
             f"{strangers} of {len(every)} views were left out: their median joint is detected more"
             f" than {person_views.ANOTHER:g} mm from where it truly is, on somebody else or nobody."
         )
-    console.say(f"Written to {out}: coverage.json, coverage.png")
+    written = f"Written to {out}: coverage.json, coverage.png"
+    console.show(screen.json, said | {"out": str(out)}, *shown, written)
 
 
 def _drawer(settings: CoverageSettings) -> str:
@@ -212,18 +207,14 @@ def _asked(settings: CoverageSettings, out: Path) -> dict[str, Any]:
     }
 
 
-def _say(found: CoverageSummary, out: Path) -> None:
-    console.OUT.print(brief_table(found))
-    excluded = share(found.excluded)
-    console.say(
-        f"{excluded} of {found.size} true poses are excluded; {found.without_draws} posteriors lack"
-        " draws."
-    )
-    if found.reasons:
-        console.OUT.print(reasons_table(found.reasons, found.size))
-    console.say(
+def _shown(found: CoverageSummary) -> list[Sheet | str]:
+    reasons = [reasons_table(found.reasons, found.size)] if found.reasons else []
+    return [
+        brief_table(found),
+        f"{share(found.excluded)} of {found.size} true poses are excluded; {found.without_draws}"
+        " posteriors lack draws.",
+        *reasons,
         f"ECE {found.ece.whole.value:.3f}, that of a right posterior {found.ece.floor:.3f}; spread"
         f" to the side {found.lateral:.0f} mm, in depth {found.depth:.0f} mm; log evidence"
-        f" {found.evidence:.1f} (medians)"
-    )
-    console.say(f"Written to {out}: coverage.nc, coverage.png")
+        f" {found.evidence:.1f} (medians)",
+    ]

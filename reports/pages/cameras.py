@@ -35,7 +35,7 @@ from poseterior.reports.tables import Column, Sheet, sheet_of
 
 JUDGED_FRAMES = 8
 """Instants of the film at which every pair of cameras is judged."""
-FAULTY_FRAMES = 12
+FAULTY_FRAMES = 32
 """Instants that get each fault, in one camera after the other."""
 JUDGED_DRAWS, JUDGED_ROOTS = 1000, 800
 FROM_POSTERIOR, BY_TRIANGULATION = WAYS = "posterior", "triangulation"

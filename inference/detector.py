@@ -186,12 +186,7 @@ class Network:
         self,
         image: np.ndarray,
         boxes: Sequence[Sequence[float]] | None = None,
-        *,
-        threshold: float = THRESHOLD,
-        method: str = "soft",
-        source: str = "image",
-        image_id: str | None = None,
-        first_person: int = 0,
+        **settings: Any,
     ) -> list[Detection]:
         """One detection for each person's box.
 
@@ -201,10 +196,9 @@ class Network:
             `(H, W, 3)` bytes.
         boxes
             x, y, width, height in pixels of each person; by default the whole image is one.
-        threshold, method
-            As in `heatmaps.decode`.
-        source, image_id, first_person
-            What the image is called, and the number of its first person.
+        settings
+            Of `decode`: `threshold` and `method` as in `heatmaps.decode`; what the image is called,
+            `source` and `image_id`; and the number of its `first_person`.
 
         Raises
         ------
@@ -212,18 +206,7 @@ class Network:
             Where a box has no size or lies far from the image, or the network's output is no
             heatmaps, or it takes too long.
         """
-        return [
-            found.detection
-            for found in self.decode(
-                image,
-                boxes,
-                threshold=threshold,
-                method=method,
-                source=source,
-                image_id=image_id,
-                first_person=first_person,
-            )
-        ]
+        return [found.detection for found in self.decode(image, boxes, **settings)]
 
     def decode(
         self,

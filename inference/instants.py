@@ -13,12 +13,12 @@ import xarray as xr
 from poseterior.inference.draws import MAX_PROPOSALS, Draws, Progress, key_of
 from poseterior.inference.importance.views.weighted import NUM_BODIES
 from poseterior.inference.results import (
-    BASE_MEASURE,
     NAMES,
     Result,
-    WhenRead,
+    common_columns,
+    densities,
     in_draws,
-    log_density,
+    observed_data,
     provenance,
 )
 from poseterior.inference.sampler import sampler_of
@@ -100,15 +100,12 @@ def tree_of_views(draws: Draws) -> xr.DataTree:
         for name in COLUMNS_OF_VIEWS
         if name in columns
     }
-    density = WhenRead((len(draws),), lambda: log_density(draws))
-    lp = in_draws(draws, {"lp": ((), "", density)})
-    lp["lp"].attrs["base_measure"] = f"{draws.prior.base_measure} x {BASE_MEASURE}"
     labels = {"view": [view.label for view in posterior.detection.views]}
     tree = xr.DataTree.from_dict(
         {
             "posterior": in_draws(draws, named).assign_coords(labels),
-            "sample_stats": lp,
-            "observed_data": observed_views(posterior.detection).assign_coords(labels),
+            "sample_stats": densities(draws),
+            "observed_data": observed_data(posterior.detection, "view").assign_coords(labels),
             "constant_data": cameras_of(posterior.detection).assign_coords(labels),
         }
     )
@@ -124,30 +121,9 @@ def tree_of_views(draws: Draws) -> xr.DataTree:
 
 def columns_of_views(draws: Draws) -> dict[str, np.ndarray]:
     """Draws as columns `(n, ...)`, those of `COLUMNS_OF_VIEWS` that there are."""
-    point, own = draws.points, draws.prior.columns(draws.points)
-    size = own["size"][:, None, None]
-    columns = own | {
-        "joints": np.asarray(point.place)[:, None] + size * draws.joints,
-        "bone_length": draws.bone_length,
-        "keypoints": draws.keypoints,
-    }
-    if draws.root_index is not None:
-        columns["root_index"] = draws.root_index
-    if draws.posterior.faults.any:
-        columns |= {"outlier": draws.faults.outlier, "exchange": draws.faults.exchange}
-    return columns
-
-
-def observed_views(instant: Instant) -> xr.Dataset:
-    """The detections with names, in straightened pixels; NaN and score 0 where a joint is
-    missing."""
-    return xr.Dataset(
-        {
-            "keypoints": (("view", "joint", "uv"), instant.keypoints, {"units": "pixels"}),
-            "score": (("view", "joint"), instant.score),
-        },
-        coords={name: NAMES[name] for name in ("joint", "uv")},
-    )
+    columns = common_columns(draws)
+    size = columns["size"][:, None, None]
+    return columns | {"joints": columns["place"][:, None] + size * draws.joints}
 
 
 def cameras_of(instant: Instant) -> xr.Dataset:

@@ -9,11 +9,10 @@ from numpyro.infer import Predictive
 from numpyro.infer.util import log_density
 
 from poseterior.inference.draws import key_words
-from poseterior.inference.results import provenance
+from poseterior.inference.results import NAMES, VARIABLES, provenance
 from poseterior.probmodel.chunks import CHUNK
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
-from poseterior.probmodel.skeleton import JOINTS, LENGTH_GROUPS
 
 
 def sample_prior(
@@ -40,24 +39,11 @@ def sample_prior(
     coords = {"chain": [0], "draw": np.arange(num_samples)}
     prior = xr.Dataset(
         {
-            "joints": (
-                ("chain", "draw", "joint", "axis"),
-                drawn["joints"],
-                {"units": "body units"},
-            ),
-            "bone_length": (
-                ("chain", "draw", "length_group"),
-                drawn["bone_length"],
-                {"units": "body units"},
-            ),
-            "torso": (("chain", "draw"), drawn["torso"]),
+            name: (("chain", "draw", *dims), drawn[name], {"units": unit} if unit else {})
+            for name, (dims, unit) in VARIABLES.items()
+            if name in ("joints", "bone_length", "torso")
         },
-        coords=coords
-        | {
-            "joint": list(JOINTS),
-            "axis": list("xyz"),
-            "length_group": list(LENGTH_GROUPS),
-        },
+        coords=coords | {dim: NAMES[dim] for dim in ("joint", "axis", "length_group")},
     )
     stats = xr.Dataset({"lp": (("chain", "draw"), drawn["lp"])}, coords=coords)
     tree = xr.DataTree.from_dict({"prior": prior, "sample_stats_prior": stats})

@@ -30,6 +30,7 @@ from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.documents import shortest
 from poseterior.probmodel.errors.faults import ORDERS
 from poseterior.probmodel.files import replacing
+from poseterior.probmodel.instant import Instant
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import DetectedJoints
 from poseterior.probmodel.posterior import Posterior, log_joints
@@ -205,12 +206,9 @@ def tree_of(draws: Draws, block: int = 0) -> xr.DataTree:
     computed when they are first read, since most readers want neither."""
     posterior, columns = draws.posterior, columns_of(draws)
     named = {name: (*VARIABLES[name], columns[name]) for name in VARIABLES if name in columns}
-    lp = WhenRead((len(draws),), lambda: log_density(draws))
-    densities = in_draws(draws, {"lp": ((), "", lp)})
-    densities["lp"].attrs["base_measure"] = f"{draws.prior.base_measure} x {BASE_MEASURE}"
     groups = {
         "posterior": in_draws(draws, named),
-        "sample_stats": densities,
+        "sample_stats": densities(draws),
         **_predictions(draws, block),
         "observed_data": observed_data(posterior.detection),
         "constant_data": constant_data(posterior, draws.known),
@@ -284,18 +282,31 @@ def in_draws(draws: Draws, named: Mapping[str, Column]) -> xr.Dataset:
 
 def columns_of(draws: Draws) -> dict[str, np.ndarray]:
     """Draws as columns `(n, ...)`, those of `VARIABLES` that there are."""
-    posterior, faults = draws.posterior, draws.faults
-    columns = draws.prior.columns(draws.points) | {
+    return common_columns(draws) | {
         "joints": draws.joints,
+        "candidate": draws.prior.sides(draws.points, draws.posterior.candidates),
+    }
+
+
+def common_columns(draws: Draws) -> dict[str, np.ndarray]:
+    """The columns that draws have whatever was detected: of one view, or of several."""
+    columns = draws.prior.columns(draws.points) | {
         "bone_length": draws.bone_length,
         "keypoints": draws.keypoints,
-        "candidate": draws.prior.sides(draws.points, posterior.candidates),
     }
     if draws.root_index is not None:
         columns["root_index"] = draws.root_index
-    if posterior.faults.any:
-        columns |= {"outlier": faults.outlier, "exchange": faults.exchange}
+    if draws.posterior.faults.any:
+        columns |= {"outlier": draws.faults.outlier, "exchange": draws.faults.exchange}
     return columns
+
+
+def densities(draws: Draws) -> xr.Dataset:
+    """The log joint density of draws with names, computed when it is first read."""
+    lp = WhenRead((len(draws),), lambda: log_density(draws))
+    found = in_draws(draws, {"lp": ((), "", lp)})
+    found["lp"].attrs["base_measure"] = f"{draws.prior.base_measure} x {BASE_MEASURE}"
+    return found
 
 
 def log_density(draws: Draws) -> np.ndarray:
@@ -389,14 +400,15 @@ def focal_of(draws: Draws) -> np.ndarray | None:
     return np.full(len(draws), focal) if rows is None else focal[rows]
 
 
-def observed_data(detection: Detection) -> xr.Dataset:
-    """The detection with names; NaN and score 0 where a joint is missing."""
+def observed_data(detection: Detection | Instant, *views: str) -> xr.Dataset:
+    """What was detected, with names, the dimension of `views` first where there is one; NaN and
+    score 0 where a joint is missing."""
     return xr.Dataset(
         {
-            "keypoints": (("joint", "uv"), detection.keypoints, {"units": "pixels"}),
-            "score": (("joint",), detection.score),
+            "keypoints": ((*views, "joint", "uv"), detection.keypoints, {"units": "pixels"}),
+            "score": ((*views, "joint"), detection.score),
         },
-        coords={"joint": list(JOINTS), "uv": list("uv")},
+        coords={name: NAMES[name] for name in ("joint", "uv")},
     )
 
 

@@ -33,6 +33,8 @@ from poseterior.probmodel.skeleton import BONES, NUM_LOWER
 
 CELL_ARRAYS = 3
 """Arrays of `Cells`."""
+LEAVES = ("limits", "lengths", "torsos", "cells", "hinges", "upright", "lens")
+"""Fields of a `PoseModel` that hold arrays: its children as a pytree."""
 LENGTH_OF_BONE = tuple(bone.length_group for bone in BONES)
 
 
@@ -122,26 +124,13 @@ class PoseModel:
             object.__setattr__(self, name, value)  # the way to fill a frozen dataclass
 
     def tree_flatten(self) -> tuple[tuple, tuple[str, str]]:
-        regions = self.cells, self.hinges
-        children = self.limits, self.lengths, self.torsos, *regions, self.upright, self.lens
-        return children, (self.upper, self.lower)
+        return tuple(getattr(self, name) for name in LEAVES), (self.upper, self.lower)
 
     @classmethod
     def tree_unflatten(cls, measures: tuple[str, str], children: tuple) -> "PoseModel":
         model = object.__new__(cls)
-        limits, lengths, torsos, cells, hinges, upright, lens = children
         upper, lower = measures
-        model._set(
-            limits=limits,
-            lengths=lengths,
-            torsos=torsos,
-            cells=cells,
-            hinges=hinges,
-            upper=upper,
-            lower=lower,
-            upright=upright,
-            lens=lens,
-        )
+        model._set(**dict(zip(LEAVES, children, strict=True)), upper=upper, lower=lower)
         return model
 
     @classmethod
@@ -161,31 +150,22 @@ class PoseModel:
         return cls(AnatomicalLimits.default(), **fields)
 
     @classmethod
-    def from_anatomy(
-        cls,
-        anatomy: Anatomy,
-        *,
-        upper: str = "angle",
-        lower: str = "area",
-        upright: float = 0.0,
-        lens: Lens | None = None,
-    ) -> "PoseModel":
+    def from_anatomy(cls, anatomy: Anatomy, **fields: Any) -> "PoseModel":
         """The model with the limits, lengths and torsos of one learned file.
 
         Parameters
         ----------
         anatomy
             What is learned.
-        upper, lower, upright, lens
-            As in `PoseModel`.
+        fields
+            Others of `PoseModel`, by name.
 
         Returns
         -------
         PoseModel
             The model.
         """
-        prior = anatomy.limits, anatomy.lengths, anatomy.torsos
-        return cls(*prior, upper=upper, lower=lower, upright=upright, lens=lens)
+        return cls(anatomy.limits, anatomy.lengths, anatomy.torsos, **fields)
 
     def seen_by(self, lens: Lens | None) -> "PoseModel":
         """The same model of people in front of another camera.

@@ -15,24 +15,28 @@ from poseterior.probmodel.camera import Perspective, WeakPerspective
 from poseterior.probmodel.rig import PlacedBody
 
 
-class Root(NamedTuple):
-    """A torso in front of a camera, a pytree.
+class Root[Seen: (WeakPerspective | Perspective, PlacedBody)](NamedTuple):
+    """A torso in front of a camera, or in the world of several; a pytree.
 
     Attributes
     ----------
     torso : `(6, 3)`
         Body units, body axes, pelvis at the origin.
     camera
-        The camera that sees it.
+        The camera that sees it, or the body before its cameras.
     """
 
     torso: np.ndarray | jax.Array
-    camera: WeakPerspective | Perspective
+    camera: Seen
 
     @property
     def view(self) -> jax.Array:
-        """`(6, 3)`: the torso in camera axes."""
+        """`(6, 3)`: the torso in camera axes, or in the world's; body units."""
         return self.camera.view(self.torso)
+
+
+WorldRoot = Root[PlacedBody]
+"""That of a body in the world of several cameras."""
 
 
 @dataclass(frozen=True)
@@ -106,26 +110,6 @@ class RootPoint(NamedTuple):
     def take(self, rows: Any) -> "RootPoint":
         """Some of a batch."""
         return jax.tree.map(lambda part: np.asarray(part)[rows], self)
-
-
-class WorldRoot(NamedTuple):
-    """A torso in the world of several cameras, a pytree.
-
-    Attributes
-    ----------
-    torso : `(6, 3)`
-        Body units, body axes, pelvis at the origin.
-    camera
-        The body before its cameras.
-    """
-
-    torso: np.ndarray | jax.Array
-    camera: PlacedBody
-
-    @property
-    def view(self) -> jax.Array:
-        """`(6, 3)`: the torso in the world's axes, body units."""
-        return self.camera.view(self.torso)
 
 
 class WorldPoint(NamedTuple):

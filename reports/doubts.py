@@ -16,8 +16,8 @@ MOST_PEOPLE = 8
 """People of a file by whom its reading is judged, evenly spread, the one that is shown among
 them."""
 
-NEAR = 4.0
-"""Metres to the camera: within, intervals under weak perspective are too narrow
+FAR_ENOUGH = 4.0
+"""Metres to the camera: nearer, intervals under weak perspective are too narrow
 (reports/strangers.md)."""
 ODD_FOCAL = 1.25
 """So many times as long, or as short, as the photo says, a focal length is doubted: EXIF is in
@@ -99,7 +99,7 @@ def about_the_camera(
         return []
     metres = [farthest(person, size, model) for person in people]
     known = [one for one in metres if np.isfinite(one)]
-    if not known or np.median(known) >= NEAR:
+    if not known or np.median(known) >= FAR_ENOUGH:
         return []
     return [
         f"if this image is a whole one, a usual camera took it within {np.median(known):.1f} m of a"

@@ -163,15 +163,7 @@ class Estimating:
         BadInput
             As `estimate_torsos` does.
         """
-        return estimate_torsos(
-            detections,
-            self.method,
-            torsos=self.torsos,
-            limits=self.limits,
-            poses=self.poses,
-            num_candidates=self.num_candidates,
-            likelihood=self.likelihood,
-        )
+        return estimate_torsos(detections, **vars(self))
 
     def require(self, detection: Detection) -> None:
         """Refuses people whom no estimate is tried for.

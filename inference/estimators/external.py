@@ -99,19 +99,11 @@ def fit_poses(
             found += candidates_both_ways([detection], np.stack([joints[0], twin]), pair, torso)
         else:
             order = np.argsort(outcome.objective, kind="stable")
-            found.append(
-                tuple(
-                    candidate_from_pose(
-                        detection,
-                        joints[row],
-                        torso,
-                        objective=float(outcome.objective[row]),
-                        iterations=int(outcome.iterations[row]),
-                        converged=bool(outcome.converged[row]),
-                    )
-                    for row in order
-                )
+            ways = (
+                candidate_from_pose(detection, joints[row], torso, **outcome.of(row))
+                for row in order
             )
+            found.append(tuple(ways))
     return found
 
 

@@ -5,7 +5,7 @@ An estimator looks for a pose on both sides of the depth ambiguity. Where both s
 side, the twin is the same pose under the mirrored camera, as well as the torso joints allow."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,10 @@ class Outcome(NamedTuple):
     iterations: np.ndarray
     converged: np.ndarray
 
+    def of(self, row: int) -> dict[str, Any]:
+        """Of one of the fits, by the names of a `Candidate`."""
+        return {name: part[row].item() for name, part in self._asdict().items()}
+
 
 def candidates_both_ways(
     detections: Sequence[Detection], joints: np.ndarray, outcome: Outcome, torso: np.ndarray
@@ -36,22 +40,14 @@ def candidates_both_ways(
     found = []
     for number, detection in enumerate(detections):
         rows = sorted((2 * number, 2 * number + 1), key=lambda row: outcome.objective[row])
-        pair = [_candidate(detection, joints[row], outcome, row, torso) for row in rows]
+        pair = [
+            candidate_from_pose(detection, joints[row], torso, **outcome.of(row)) for row in rows
+        ]
         if _apart(*pair) <= SAME_ANGLE:
-            pair[1] = _candidate(
-                detection, mirrored(detection, pair[0], joints[rows[0]]), outcome, rows[0], torso
-            )
+            twin = mirrored(detection, pair[0], joints[rows[0]])
+            pair[1] = candidate_from_pose(detection, twin, torso, **outcome.of(rows[0]))
         found.append(tuple(pair) if _apart(*pair) > SAME_ANGLE else (pair[0],))
     return found
-
-
-def _candidate(
-    detection: Detection, joints: np.ndarray, outcome: Outcome, row: int, torso: np.ndarray
-) -> Candidate:
-    objective, iterations, converged = (part[row].item() for part in outcome)
-    return candidate_from_pose(
-        detection, joints, torso, objective=objective, iterations=iterations, converged=converged
-    )
 
 
 def _apart(one: Candidate, other: Candidate) -> float:

@@ -1,5 +1,7 @@
 """The candidate that a whole pose makes, for estimators that fit poses rather than torsos."""
 
+from typing import Any
+
 import numpy as np
 
 from poseterior.probmodel.body import align_torsos
@@ -11,20 +13,15 @@ from poseterior.probmodel.skeleton import TORSO_INDEX
 
 
 def candidate_from_pose(
-    detection: Detection,
-    joints: np.ndarray,
-    torso: np.ndarray,
-    *,
-    objective: float = np.nan,
-    iterations: int = 0,
-    converged: bool = True,
+    detection: Detection, joints: np.ndarray, torso: np.ndarray, **ending: Any
 ) -> Candidate:
     """The candidate that a whole pose makes: `joints` `(15, 3)` in camera axes and pixels, x and y
     its projections.
 
     Body axes and body unit are those in which its torso lies best on `torso` `(6, 3)`, of which
     both are known. (A mean limb length of one would define the unit too, but estimators foreshorten
-    limbs.) Raises `BadInput` where the torso has no size."""
+    limbs.) How the estimator came to its `ending` is a `Candidate`'s `objective`, `iterations` and
+    `converged`. Raises `BadInput` where the torso has no size."""
     own = joints[list(TORSO_INDEX)] - joints[0]
     rotation = align_torsos(own[None], torso)[0].T
     unit = float(np.sum(own @ rotation * torso) / np.sum(torso**2))
@@ -44,7 +41,5 @@ def candidate_from_pose(
         camera=camera,
         reprojection_error=error,
         pose=pose,
-        objective=objective,
-        iterations=iterations,
-        converged=converged,
+        **ending,
     )

@@ -188,35 +188,18 @@ def propose_roots(
         accepted = len(torso.points.torso)
         wanted += asked if plan.likely and not torso.enough else min(accepted, asked)
         if accepted:
-            roots = _roots_of(posterior, plan, torso, asked, rng)
-            parts.append(roots._replace(pattern=np.full(len(roots.chance), index)))
+            parts.append(_roots_of(posterior, plan, index, torso, asked, rng))
     made = np.array([torso.proposals for torso in torsos])
     proposals = pilot_proposals + int(made.sum())
     if not parts:
-        return ProposedRoots(
-            points=torsos[0].points,
-            faults=Faults.none(0),
-            log_weight=np.zeros(0),
-            pattern=np.zeros(0, int),
-            made=made,
-            chance=np.zeros(0),
-            wanted=number,
-            proposals=proposals,
-        )
+        nothing = np.zeros(0)
+        none = PatternRoots(torsos[0].points, Faults.none(0), nothing, nothing.astype(int), nothing)
+        return ProposedRoots(**none._asdict(), made=made, wanted=number, proposals=proposals)
     roots = jax.tree.map(lambda *rows: np.concatenate(rows), parts[0], *parts[1:])
     held = len(roots.log_weight)
-    whole = ProposedRoots(
-        points=roots.points,
-        faults=roots.faults,
-        # The mean over the roots there are, not over those asked for, is to be the
-        # evidence.
-        log_weight=roots.log_weight + np.log(held / number),
-        pattern=roots.pattern,
-        made=made,
-        chance=roots.chance,
-        wanted=wanted,
-        proposals=proposals,
-    )
+    # The mean over the roots there are, not over those asked for, is to be the evidence.
+    roots = roots._replace(log_weight=roots.log_weight + np.log(held / number))
+    whole = ProposedRoots(**roots._asdict(), made=made, wanted=wanted, proposals=proposals)
     return whole.at(rng.permutation(held))
 
 
@@ -273,12 +256,13 @@ def _oversampling(estimate: np.ndarray) -> int:
 def _roots_of(
     posterior: Posterior,
     plan: PatternPlan,
+    index: int,
     torso: TorsoDraws,
     asked: int,
     rng: np.random.Generator,
 ) -> PatternRoots:
-    """So many roots of a pattern as were `asked` for, or all that there are, those of
-    larger first-stage weight the rather, each with faults."""
+    """So many roots of the pattern of that `index` as were `asked` for, or all that
+    there are, those of larger first-stage weight the rather, each with faults."""
     pattern = plan.pattern
     pool = _part_of_pool(posterior.model, plan.oversampling)
     score = fit_score(posterior, pool, pattern, torso.points)
@@ -289,7 +273,8 @@ def _roots_of(
     weight += np.log(asked / plan.share) + torso.log_share[rows]
     weight -= np.log(chance)
     chance = chance * torso.inclusion[rows]
-    return PatternRoots(torso.points.take(rows), faults, weight, np.zeros(len(rows), int), chance)
+    number = np.full(len(rows), index)
+    return PatternRoots(torso.points.take(rows), faults, weight, number, chance)
 
 
 def _part_of_pool(model: PoseModel, oversampling: int) -> np.ndarray:

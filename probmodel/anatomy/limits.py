@@ -221,23 +221,20 @@ class AnatomicalLimits:
             )
         occupied = _unpack_bits(arrays["occupied"], "occupied", path)
         has_plane = _unpack_bits(arrays["has_plane"], "has_plane", path)
+        shapes = {key: _SHAPES[key] for key in ("reference", "fallback")}
+        shapes |= {key: (int(has_plane.sum()), *_SHAPES[key][3:]) for key in _PLANES}
         tables: dict[str, Any] = {}
-        for key in ("reference", "fallback"):
-            if arrays[key].shape != _SHAPES[key] or arrays[key].dtype.kind != "f":
+        for key, shape in shapes.items():
+            if arrays[key].shape != shape or arrays[key].dtype.kind != "f":
                 raise BadInput(
-                    f"{path}: {key} has shape {arrays[key].shape}, not {_SHAPES[key]}; is it"
-                    " another model?"
+                    f"{path}: {key} has shape {arrays[key].shape}, not {shape}; is it another"
+                    " model?"
                 )
             tables[key] = doubles(arrays[key])
         for key in _PLANES:
-            expected = (int(has_plane.sum()), *_SHAPES[key][3:])
-            if arrays[key].shape != expected or arrays[key].dtype.kind != "f":
-                raise BadInput(
-                    f"{path}: {key} has shape {arrays[key].shape}, not {expected}; is it another"
-                    " model?"
-                )
-            tables[key] = np.full(_SHAPES[key], np.nan)
-            tables[key][has_plane] = doubles(arrays[key])
+            whole = np.full(_SHAPES[key], np.nan)
+            whole[has_plane] = tables[key]
+            tables[key] = whole
         name = str(arrays["name"]) if "name" in arrays else path.stem
         limits = cls(**tables, occupied=occupied, name=name)
         limits.verify(str(path))

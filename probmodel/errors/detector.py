@@ -478,13 +478,11 @@ class _Joints:
             raise BadInput(f"{source}: {name} lacks 'sigma'; {_ADVICE}")
         self.sigma[joint] = _finite(entry["sigma"], f"sigma of {name}", source)
         self.inlier[joint] = _finite(entry.get("inlier", 1.0), f"inlier of {name}", source)
-        self.bias[joint] = _numbers(entry.get("bias", [0, 0]), 2, f"bias of {name}", source)
-        place = _numbers(entry.get("definition", [0, 0, 0]), 3, f"definition of {name}", source)
-        self.definition[joint] = place
-        sd = _numbers(entry.get("definition_sd", [0, 0, 0]), 3, f"definition_sd of {name}", source)
-        self.definition_sd[joint] = sd
-        if "se" in entry:
-            self.se[joint] = _numbers(entry["se"], 4, f"se of {name}", source)
+        self.bias[joint] = 0.0
+        for key, count in (("bias", 2), ("definition", 3), ("definition_sd", 3), ("se", 4)):
+            if key in entry:
+                row = _numbers(entry[key], count, f"{key} of {name}", source)
+                getattr(self, key)[joint] = row
         self.pairs[joint] = _count(entry.get("pairs", 0), f"pairs of {name}", source)
 
 

@@ -61,7 +61,7 @@ TURNED, TILTED = 180.0, 20.0
 """Degrees, at most either way, by which it is turned about the person and looks up or down."""
 OFF = (0.0, 60.0, 120.0, np.inf)
 """Millimetres by which joints are detected off, about the shoulders."""
-EMBEDDED, OTHER_HALF, OTHER_DETECTOR = "embedded", "other half", "other detector"
+EMBEDDED_LAW, OTHER_HALF, OTHER_DETECTOR = "embedded", "other half", "other detector"
 UNKNOWN, WEAK = "unknown", "weak"
 
 
@@ -254,7 +254,7 @@ def real(data: Path, work: Path) -> Judging:
     views[room] = even(list(filter(of_the_person, every)), ROOM_VIEWS)
     for name, own in views.items():
         for camera in (UNKNOWN, WEAK):
-            laws[Line(name, EMBEDDED, camera)] = [embedded] * len(own)
+            laws[Line(name, EMBEDDED_LAW, camera)] = [embedded] * len(own)
     return Judging(views, laws)
 
 
@@ -262,7 +262,11 @@ def simulated(data: Path, law: DetectorErrors) -> Judging:
     """Views of captured subjects by a detector that errs as a law says."""
     embedded = DetectorErrors.default()
     views = {f"{far:g} m": captured(data, law, far) for far in DISTANCES}
-    lines = {(EMBEDDED, UNKNOWN): embedded, (EMBEDDED, WEAK): embedded, ("its own", UNKNOWN): law}
+    lines = {
+        (EMBEDDED_LAW, UNKNOWN): embedded,
+        (EMBEDDED_LAW, WEAK): embedded,
+        ("its own", UNKNOWN): law,
+    }
     return Judging(
         views,
         {
@@ -370,7 +374,7 @@ def by_detection(judging: Judging, outcomes: Kept, middle: str) -> Sheet:
     level, off = [], []
     for name, views in judging.views.items():
         for view, one in zip(
-            views, read(outcomes[Line(name, EMBEDDED, UNKNOWN)], middle), strict=True
+            views, read(outcomes[Line(name, EMBEDDED_LAW, UNKNOWN)], middle), strict=True
         ):
             gap = beside(view)
             gap -= gap[MIDDLES[middle]].mean(axis=0)
@@ -394,7 +398,7 @@ def parts_of_errors(judging: Judging, outcomes: Kept, middle: str) -> Sheet:
     have in common beyond that, and the rest; root mean squares by axis."""
     lines = []
     for name, views in judging.views.items():
-        kept = read(outcomes[Line(name, EMBEDDED, UNKNOWN)], middle)
+        kept = read(outcomes[Line(name, EMBEDDED_LAW, UNKNOWN)], middle)
         error = np.stack([one.error for one in kept])[:, list(JUDGED)]
         constant = np.nanmean(error, axis=0)
         rest = error - constant

@@ -11,7 +11,7 @@ import xarray as xr
 from poseterior.inference.draws import OUT_OF_BUDGET
 from poseterior.inference.hypothesis import diverse
 from poseterior.inference.studies.calibration import assess, simulate
-from poseterior.inference.studies.calibration.assess import Answer, failure
+from poseterior.inference.studies.calibration.assess import Answer, Standing
 from poseterior.inference.studies.calibration.choices import (
     CHOICES,
     CHOOSE,
@@ -396,7 +396,7 @@ def test_a_posterior_without_draws_is_a_miss() -> None:
 
 
 def test_a_posterior_that_is_not_complete_is_not_without_draws() -> None:
-    lost = failure(OUT_OF_BUDGET, "no draws")
+    lost = Standing(OUT_OF_BUDGET, "no draws")
     half = {
         name: np.full_like(part, 0.5)
         for name, part in lost._asdict().items()

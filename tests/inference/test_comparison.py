@@ -698,6 +698,16 @@ def test_the_tree_of_a_comparison_holds_every_sampler(tmp_path):
     tree.to_netcdf(tmp_path / "comparison.nc")
 
 
+def test_a_sampler_of_torso_and_camera_may_bring_no_draw():
+    joints = np.zeros((1, 10, 15, 3))
+    exact = Sample(np.zeros((1, 10, len(NAMES))), np.zeros((1, 10, 8), bool))
+    rooted = exact.with_roots(joints, np.ones((1, 10)), joints[:, :, 0, :2])
+    none = Entry.without_draws("random-walk", "", "the budget was too small", (10, 1.0))
+    tree = comparison_tree([none], rooted, {})
+    assert np.isnan(tree["draws"].value).all()
+    assert tree["draws"].sizes["coordinate"] == len(rooted.names)
+
+
 def test_a_tree_without_poses_is_refused():
     import xarray as xr
 

@@ -12,7 +12,7 @@ from poseterior.probmodel import Detection, Lens, PoseModel
 from poseterior.probmodel.camera import FOCAL_MEDIAN
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.skeleton import BONES, NUM_JOINTS
-from poseterior.reports.doubts import MILLIMETRES, NEAR, about_the_camera, farthest
+from poseterior.reports.doubts import FAR_ENOUGH, MILLIMETRES, about_the_camera, farthest
 from poseterior.reports.figures.files import photo_focal
 from poseterior.reports.options import Prior, Viewing
 
@@ -51,7 +51,7 @@ def test_two_wrong_keypoints_say_nothing(model: PoseModel) -> None:
     for bone in [bone for bone in BONES if bone.name.endswith("forearm")][:2]:
         wrong[bone.end] += 900.0
     stray = dataclasses.replace(seen, keypoints=wrong)
-    assert farthest(stray, SIZE, model) > NEAR
+    assert farthest(stray, SIZE, model) > FAR_ENOUGH
 
 
 def test_a_near_camera_is_spoken_of(model: PoseModel) -> None:

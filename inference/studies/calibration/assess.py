@@ -59,6 +59,10 @@ class Answer(NamedTuple):
     points: RootPoint | None = None
 
 
+_UNKNOWN = np.full(len(MOVING), np.nan)
+"""What is said of the joints that move, where nothing can be."""
+
+
 class Standing(NamedTuple):
     """The truth of one instance among its draws.
 
@@ -67,44 +71,22 @@ class Standing(NamedTuple):
     the truth is, by joint that moves, over all axes, in the image plane, in depth; `stand_in` `(10,
     9)`: as `whole`, of draws. `spread_lateral`, `spread_depth` `(9,)`: standard deviations of the
     draws, body units. `measures`: of joint angles, lengths and steps, lengths in body units. NaN
-    throughout where `status` is "failed" or the sampler's own word for it.
+    throughout, and by default, where `status` is "failed" or the sampler's own word for it: the
+    posterior brought too few draws.
     """
 
     status: str
     sentence: str
-    num_draws: int
-    log_evidence: float
-    level: np.ndarray
-    whole: np.ndarray
-    lateral: np.ndarray
-    depth: np.ndarray
-    stand_in: np.ndarray
-    spread_lateral: np.ndarray
-    spread_depth: np.ndarray
-    measures: MeasureStandings
-
-
-def failure(
-    status: str, sentence: str, num_draws: int = 0, log_evidence: float = np.nan
-) -> Standing:
-    """The standing of an instance whose posterior brought too few draws."""
-    blank = np.full(len(MOVING), np.nan)
-    level = np.full(len(QUANTITIES), np.nan)
-    stand_in = np.full((ECE_STAND_INS, len(MOVING)), np.nan)
-    return Standing(
-        status=status,
-        sentence=sentence,
-        num_draws=num_draws,
-        log_evidence=log_evidence,
-        level=level,
-        whole=blank,
-        lateral=blank,
-        depth=blank,
-        stand_in=stand_in,
-        spread_lateral=blank,
-        spread_depth=blank,
-        measures=no_standings(),
-    )
+    num_draws: int = 0
+    log_evidence: float = np.nan
+    level: np.ndarray = np.full(len(QUANTITIES), np.nan)
+    whole: np.ndarray = _UNKNOWN
+    lateral: np.ndarray = _UNKNOWN
+    depth: np.ndarray = _UNKNOWN
+    stand_in: np.ndarray = np.full((ECE_STAND_INS, len(MOVING)), np.nan)
+    spread_lateral: np.ndarray = _UNKNOWN
+    spread_depth: np.ndarray = _UNKNOWN
+    measures: MeasureStandings = no_standings()
 
 
 def assess(
@@ -137,7 +119,7 @@ def assess(
             posterior.sentence
             or f"{len(draws)} independent draws, at least {FEWEST_DRAWS} are needed"
         )
-        return failure(status, said, len(draws), posterior.log_evidence)
+        return Standing(status, said, len(draws), posterior.log_evidence)
     level = dict.fromkeys(QUANTITIES, np.nan)
     both = np.concatenate([instance.joints[None], draws])
     seen = both.copy()  # as the truth is known: with its errors

@@ -134,15 +134,11 @@ def calibrate(
         "reference": reference,
         "quantities": len(QUANTITIES),
     }
+    starts = range(0, num_simulations, SIMULATIONS_PER_BLOCK)
+    parts = [range(num_simulations)[first : first + SIMULATIONS_PER_BLOCK] for first in starts]
     blocks = [
-        Block(
-            number,
-            f"simulations {first} to {min(first + SIMULATIONS_PER_BLOCK, num_simulations) - 1}",
-            {},
-            min(SIMULATIONS_PER_BLOCK, num_simulations - first),
-            range(first, min(first + SIMULATIONS_PER_BLOCK, num_simulations)),
-        )
-        for number, first in enumerate(range(0, num_simulations, SIMULATIONS_PER_BLOCK))
+        Block(number, f"simulations {some[0]} to {some[-1]}", {}, len(some), some)
+        for number, some in enumerate(parts)
     ]
     task = _Simulated(model, draw, seed, reference, likelihood, root)
     return _run(task, blocks, settings, out, machines, progress)

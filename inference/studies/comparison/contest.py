@@ -1,10 +1,9 @@
-"""Several samplers on one frame, each from two starts, judged by exact draws.
+"""The lines of a contest: what a sampler drew, from one start, judged by exact draws.
 
-found = compare_candidate(model, frame, ["rejection", "emcee"], seconds=30)
-found.tree["summary"].to_dataframe()
+known = truth(model, frame, key=key)
+entry, _ = enter_baseline(model, known, "emcee", start, key=key, allowance=Allowance(seconds=30))
 """
 
-import contextlib
 import dataclasses
 import math
 import time
@@ -25,19 +24,19 @@ from poseterior.inference.baselines.catalogue import (
     draws_of,
     starting_points,
 )
-from poseterior.inference.baselines.run import Allowance, Clock, Run, check_law, check_packages, run
+from poseterior.inference.baselines.run import Allowance, Clock, Run, check_packages, run
 from poseterior.inference.baselines.target import Density, Target
 from poseterior.inference.benchmark.external.entries import external_sampler, external_samplers
 from poseterior.inference.benchmark.external.posterior import PosteriorTarget
 from poseterior.inference.draws import COMPLETE
 from poseterior.inference.exact.mixture import ExactRejection
-from poseterior.inference.results import Result, save_tree, tree_of
+from poseterior.inference.importance.weighted import APART
+from poseterior.inference.results import Result, tree_of
 from poseterior.inference.sampler import SAMPLERS, sample
-from poseterior.inference.store import locked
 from poseterior.inference.studies.comparison.cost import course
 from poseterior.inference.studies.comparison.judge import judge
 from poseterior.inference.studies.comparison.pace import pace
-from poseterior.inference.studies.comparison.record import SHOWN_DRAWS, Entry, comparison_tree
+from poseterior.inference.studies.comparison.record import SHOWN_DRAWS, Entry
 from poseterior.inference.studies.comparison.sample import Sample, read_sample, sample_of
 from poseterior.probmodel.failures import BadInput, OutOfBudget
 from poseterior.probmodel.model import PoseModel
@@ -86,101 +85,6 @@ class Comparison(NamedTuple):
     tree: xr.DataTree
 
 
-def compare_candidate(
-    model: PoseModel,
-    frame: Estimate,
-    samplers: Sequence[str],
-    *,
-    seed: int = 0,
-    seconds: float | None = 30.0,
-    max_evaluations: int | None = None,
-    num_samples: int = 10_000,
-    exact_draws: int = EXACT_REFERENCE,
-    out: Path | None = None,
-    stage: Stage = contextlib.nullcontext,
-) -> Comparison:
-    """Lets samplers draw from a frame's posterior, under the candidate with the largest weight, and
-    judges each by exact draws.
-
-    Parameters
-    ----------
-    model
-        The prior of poses.
-    frame
-        The detection with its candidates.
-    samplers
-        Names of `SAMPLERS`, and of `benchmark.external_samplers()`.
-    seed
-        Of all draws.
-    seconds, max_evaluations
-        What each baseline may spend from each of its starts; None: no limit.
-    num_samples
-        Draws of exact rejection as an entrant.
-    exact_draws
-        Draws that all are judged by.
-    out
-        A folder: `comparison.nc` is written there after every sampler, and what baselines have done
-        is kept in `runs`, where the next call takes it up.
-    stage
-        Called with what is done next, in words; what it returns is entered meanwhile.
-
-    Returns
-    -------
-    Comparison
-        A line for every sampler and start.
-
-    Raises
-    ------
-    BadInput
-        On a sampler that does not exist, does not draw under the law of errors or whose package is
-        missing, before any work is done; where `runs` holds another run, or another process is
-        writing to `out`.
-    OutOfBudget
-        Where there are no exact draws.
-    """
-    check_names([*samplers])
-    for name in {*samplers} & {*BASELINES}:
-        check_law(name, BASELINES[name], frame.likelihood.law)
-    allowance = Allowance(max_evaluations, seconds)
-    key = jax.random.key(seed)
-    with locked(out) if out else contextlib.nullcontext():
-        with stage("exact draws"):
-            known = truth(model, frame, key=jax.random.fold_in(key, 0), number=exact_draws)
-        attributes = {
-            "source": frame.detection.source,
-            "person": frame.detection.person,
-            "seed": seed,
-            "seconds": math.inf if seconds is None else seconds,
-            "exact_draws": known.sample.num_draws,
-        }
-        found = Comparison([], xr.DataTree())
-        for name, start in [(one, start) for one in samplers for start in starts_of(one)]:
-            # Its own key, whoever else is asked, so that runs can be taken up.
-            own = jax.random.fold_in(key, _number_of(name))
-            place = place_of(out, name, start)
-            with stage(f"{name} {start}".strip()):
-                if name in BASELINES:
-                    entry, _ = enter_baseline(
-                        model,
-                        known,
-                        name,
-                        start,
-                        key=own,
-                        allowance=allowance,
-                        num_samples=ENDLESS,
-                        save_to=place,
-                    )
-                elif name in SAMPLERS:
-                    entry = enter_exact(model, known, name, key=own, num_samples=num_samples)
-                else:
-                    entry = enter_external(model, known, name, key=own, allowance=allowance)
-            entries = [*found.entries, entry]
-            found = Comparison(entries, comparison_tree(entries, known.sample, attributes))
-            if out:
-                save_tree(found.tree, out / "comparison.nc")
-    return found
-
-
 def truth_of(frame: Estimate, result: Result) -> Truth:
     """Exact draws to judge by. Raises `OutOfBudget` where they are not complete."""
     if result.status != COMPLETE:
@@ -218,7 +122,7 @@ def truth(
     return truth_of(frame, result)
 
 
-def check_names(names: list[str]) -> None:
+def check_names(names: Sequence[str]) -> None:
     """Raises `BadInput` on a sampler that does not exist or whose package is missing, before any
     work is done."""
     known = (*SAMPLERS, *external_samplers())
@@ -234,7 +138,7 @@ def check_names(names: list[str]) -> None:
             external_sampler(name).require(name)
 
 
-def _number_of(name: str) -> int:
+def number_of(name: str) -> int:
     """By which a sampler's key is made, whoever else there is."""
     return 1 + SAMPLERS.index(name) if name in SAMPLERS else zlib.crc32(name.encode())
 
@@ -262,10 +166,22 @@ def enter_exact(
     started = clock()
     ExactRejection(name).draw(known.frame.posterior(model, CANDIDATES), key, num_samples)
     seconds = clock() - started
+    return enter_draws(known, name, result, (result.tree.attrs["num_proposals"], seconds))
+
+
+def enter_draws(
+    known: Truth, name: str, result: Result, cost: tuple[float, float], *, thinned: bool = False
+) -> Entry:
+    """A line of draws that needed no start, for so many proposals and seconds; where they are
+    `thinned`, those that are not independent are left out."""
     attributes = result.tree.attrs
     evidence = attributes["log_evidence"], attributes["log_evidence_se"]
+    if not result.num_draws:
+        return Entry.without_draws(name, "", result.sentence, cost, evidence)
     found = read_sample(result.tree, f"the draws of {name}")
-    work = Work(attributes["num_proposals"], seconds, 1.0, found.num_draws, 0)
+    if thinned:
+        found = found.first(min(1.0, attributes["effective_roots"] / APART / found.num_draws))
+    work = Work(*cost, 1.0, found.num_draws, 0)
     return entry_of(name, "", found, known, work=work, evidence=evidence, sentence=result.sentence)
 
 

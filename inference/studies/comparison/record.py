@@ -193,7 +193,8 @@ def _draws(entries: list[Entry], exact: Sample) -> xr.Dataset:
     """Some draws of every sampler, NaN where it has fewer, and some exact ones."""
     table = np.full((len(entries), SHOWN_DRAWS, len(exact.names)), np.nan, np.float32)
     for row, entry in enumerate(entries):
-        table[row, : len(entry.draws)] = entry.draws[:SHOWN_DRAWS]
+        if len(entry.draws):  # where there are none, nobody knows of how many coordinates
+            table[row, : len(entry.draws)] = entry.draws[:SHOWN_DRAWS]
     known = exact.flat[:: max(1, exact.num_draws // EXACT_SHOWN)][:EXACT_SHOWN].astype(np.float32)
     return xr.Dataset(
         {

@@ -2,7 +2,7 @@
 from."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -86,15 +86,8 @@ class Pairs:
 
     def take(self, rows: np.ndarray) -> "Pairs":
         """Some of the people."""
-        return Pairs(
-            name=self.name,
-            detected=self.detected[rows],
-            truth=self.truth[rows],
-            doubt=self.doubt[rows],
-            score=self.score[rows],
-            recording=self.recording[rows],
-            placed=self.placed,
-        )
+        columns = ("detected", "truth", "doubt", "score", "recording")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     @cached_property
     def sha256(self) -> str:

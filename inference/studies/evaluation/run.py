@@ -8,9 +8,9 @@ A run that was stopped, or whose workers died, is resumed and ends with the same
     tree = open_evaluation("out")       # the same, for xarray
 """
 
+import functools
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -80,7 +80,8 @@ def evaluate(
                 done += block.size
                 said(done, wanted)
 
-        fill(store, machines, _Judging(protocol), _blocks(data, conditions), take, apart=True)
+        task = functools.partial(_judged, protocol)
+        fill(store, machines, task, _blocks(data, conditions), take, apart=True)
     return {
         condition: {
             name: np.concatenate([one[name].values for one in _in_order(found, condition)])
@@ -127,15 +128,10 @@ class _Work(NamedTuple):
     data: DataSet
 
 
-@dataclass(frozen=True)
-class _Judging:
-    """The task of a block."""
-
-    protocol: Protocol
-
-    def __call__(self, work: _Work) -> Groups:
-        values = judge_block(self.protocol, work.condition, work.data, work.first)
-        return {FRAMES_GROUP: self.protocol.dataset(values)}
+def _judged(protocol: Protocol, work: _Work) -> Groups:
+    """What comes out of a block."""
+    values = judge_block(protocol, work.condition, work.data, work.first)
+    return {FRAMES_GROUP: protocol.dataset(values)}
 
 
 def _blocks(data: DataSet, conditions: Sequence[Condition]) -> Iterator[Block]:

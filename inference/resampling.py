@@ -14,6 +14,8 @@ WEIGHTS = ("weights", "log_weights")
 NEGLIGIBLE = math.log(np.finfo(float).tiny)
 """Log of the smallest share of the largest weight that counts. Nested samplers give points of no
 likelihood a log weight that is finite, such as -1e300."""
+BISECTIONS = 40
+"""By which a power of weights is found."""
 
 
 def weights_of(
@@ -109,6 +111,21 @@ def effective(share: np.ndarray) -> float:
     none has any."""
     square = float(np.sum(share**2))
     return 1 / square if square else 0.0
+
+
+def tempered(log_weight: np.ndarray, wanted: float) -> np.ndarray:
+    """Weights `(n,)` with sum one, raised to the power, at most one, by which they are worth so
+    many equal ones (or as near to that as they come); zeros where none is finite."""
+    finite, low, high = np.isfinite(log_weight), 0.0, 1.0
+    power = high
+    for _ in range(BISECTIONS):
+        share = shares(np.where(finite, power * log_weight, -np.inf))
+        if effective(share) >= wanted:
+            low = power
+        else:
+            high = power
+        power = (low + high) / 2
+    return shares(np.where(finite, power * log_weight, -np.inf))
 
 
 def systematic(weight: np.ndarray, number: int, offset: float) -> np.ndarray:

@@ -1,5 +1,5 @@
-"""One body from two calibrated cameras, judged by the two that are left out: writes
-reports/cameras.md.
+"""One body from two calibrated cameras, judged by the two that are left out, and faults planted in
+one view of four: writes reports/cameras.md.
 
     python -m poseterior.reports.pages.cameras ../shared/data work
 
@@ -17,12 +17,15 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
+from poseterior.inference.draws import Draws
 from poseterior.inference.importance.views.weighted import WeightedViews
 from poseterior.inference.studies.intervals import TAIL, Interval, of_share
 from poseterior.probmodel import DetectorErrors, Likelihood, PoseModel
+from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, ORDERS
+from poseterior.probmodel.instant import CameraView, Instant
 from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.sessions.session import HIPS, joints_seen
-from poseterior.probmodel.skeleton import LIMB_JOINTS
+from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
 from poseterior.reports.pages.filmed import PARTS, Film, film, learn_as
@@ -30,13 +33,21 @@ from poseterior.reports.pages.honest import STRETCH
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
-JUDGED_FRAMES = 4
+JUDGED_FRAMES = 8
 """Instants of the film at which every pair of cameras is judged."""
+FAULTY_FRAMES = 32
+"""Instants that get each fault, in one camera after the other."""
 JUDGED_DRAWS, JUDGED_ROOTS = 1000, 800
 FROM_POSTERIOR, BY_TRIANGULATION = WAYS = "posterior", "triangulation"
 JUDGED_AXES = {"depth": slice(0, 1), "side": slice(1, None)}
 """That of which a pair of cameras says least, and those across it."""
 PAIRS = list(itertools.combinations(range(4), 2))
+MOVED = 0.5
+"""Body units by which a wrist's keypoint is moved."""
+LIKELY = 0.5
+"""Probability above which a fault counts as found."""
+WRIST = JOINT_INDEX["right_wrist"]
+UNTOUCHED, MOVED_WRIST, EXCHANGED_LEGS = PLANTED = "nothing", "a wrist moved", "legs exchanged"
 
 
 class Beliefs(NamedTuple):
@@ -80,9 +91,17 @@ def draws_of(
 ) -> np.ndarray:
     """`(n, 15, 3)`: joints in the world, mm."""
     instant = session.instant(session.numbers[row], cameras).judged_by(given.likelihood)
-    posterior = dataclasses.replace(instant, pointing=given.pointing).posterior(model)
+    return in_world(drawn_of(model, dataclasses.replace(instant, pointing=given.pointing), row))
+
+
+def drawn_of(model: PoseModel, instant: Instant, seed: int) -> Draws:
+    """Draws of an instant."""
     sampler = WeightedViews(num_roots=JUDGED_ROOTS)
-    draws = sampler.draw(posterior, jax.random.key(row), JUDGED_DRAWS)
+    return sampler.draw(instant.posterior(model), jax.random.key(seed), JUDGED_DRAWS)
+
+
+def in_world(draws: Draws) -> np.ndarray:
+    """`(n, 15, 3)`: joints of draws in the world, mm."""
     size = np.exp(draws.points.log_size)[:, None, None]
     return np.asarray(draws.points.place)[:, None] + size * np.asarray(draws.joints)
 
@@ -169,6 +188,73 @@ def judge_pair(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict
         for way, joints in draws.items():
             found[way].append([part.tolist() for part in judged(joints, truth)])
     return found
+
+
+def planted(view: CameraView, kind: str, unit: float) -> CameraView:
+    """A view with a fault; `unit` pixels are a body unit there."""
+    person = view.detection
+    keypoints = person.keypoints.copy()
+    if kind == MOVED_WRIST:
+        keypoints[WRIST, 0] += MOVED * unit
+    if kind == EXCHANGED_LEGS:
+        keypoints = keypoints[ORDERS[EXCHANGE_INDEX["legs"]]]
+    return dataclasses.replace(view, detection=dataclasses.replace(person, keypoints=keypoints))
+
+
+class FaultyInstants(NamedTuple):
+    """For instants with a fault each: probabilities of outliers `(n, 4, 15)`, of exchanged legs
+    `(n, 4)`, the `view` `(n,)` that has the fault, and of the limbs' joints the `mean` `(n, 8, 3)`
+    and the `width` of the 95 % intervals, mm."""
+
+    outlier: np.ndarray
+    legs: np.ndarray
+    view: np.ndarray
+    mean: np.ndarray
+    width: np.ndarray
+
+
+def find_faults(seen: Film, given: list[Beliefs], kind: str) -> list[Any]:
+    """For each instant what `FaultyInstants` have, as lists."""
+    model, session, found = PoseModel(), seen.session, []
+    for number, row in enumerate(frames_of(session, FAULTY_FRAMES)):
+        own, view = given[seen.part_of(row)], number % len(session.cameras)
+        instant = session.instant(session.numbers[row]).judged_by(own.likelihood)
+        views = list(instant.views)
+        views[view] = planted(views[view], kind, session.unit * session.scale[view, row])
+        draws = drawn_of(model, Instant(instant.source, tuple(views), own.pointing), row)
+        legs = np.asarray(draws.faults.exchange) == EXCHANGE_INDEX["legs"]
+        outlier = np.asarray(draws.faults.outlier).mean(axis=0)
+        limbs = in_world(draws)[:, LIMB_JOINTS]
+        low, high = np.quantile(limbs, [TAIL, 1 - TAIL], axis=0)
+        parts = outlier, legs.mean(axis=0), np.array(view), limbs.mean(axis=0), high - low
+        found.append([part.tolist() for part in parts])
+    return found
+
+
+def fault_table(found: dict[str, list[Any]]) -> Sheet:
+    """How often faults are found, and where there are none, and how far they move the joints that
+    have none."""
+    rows, every = [], {kind: _faulty(cases) for kind, cases in found.items()}
+    other = [row for row, joint in enumerate(LIMB_JOINTS) if joint != WRIST]
+    for kind, one in every.items():
+        alarms = {MOVED_WRIST: one.outlier > LIKELY, EXCHANGED_LEGS: one.legs > LIKELY}
+        hit, moved = "", ""
+        if kind != UNTOUCHED:
+            place = (np.arange(len(one.view)), one.view, WRIST)[: alarms[kind].ndim]
+            hit = f"{alarms[kind][place].sum()} of {len(one.view)}"
+            alarms[kind][place] = False
+            usual = every[UNTOUCHED]
+            step = np.abs(one.mean - usual.mean)[:, other] / usual.width[:, other]
+            moved = f"{np.median(step):.2f}"
+        false = [f"{100 * alarm.mean():.1f} %" for alarm in alarms.values()]
+        rows.append([kind, hit, *false, moved])
+    head = ["planted in one view of four", "found", "other keypoints called outliers"]
+    head += ["other views' legs called exchanged", "other joints move, of their width"]
+    return sheet_of([Column(head[0], left=True), *map(Column, head[1:])], rows)
+
+
+def _faulty(cases: list[Any]) -> FaultyInstants:
+    return FaultyInstants(*(np.array(list(part)) for part in zip(*cases, strict=True)))
 
 
 def standings(found: dict[str, Any], way: str) -> CameraStanding:
@@ -260,6 +346,12 @@ def main(data: Data, work: Work) -> Page:
     """Draws what is not there yet, then writes the page."""
     seen = film(data)
     given, sets = judge_all(seen, work)
+    faults = {
+        kind: kept_json(
+            work / f"faults-{kind.replace(' ', '-')}.json", find_faults, seen, given, kind
+        )
+        for kind in PLANTED
+    }
     values: dict[str, str | int | Sheet] = {
         "frames": JUDGED_FRAMES,
         "draws": f"{JUDGED_DRAWS:,}",
@@ -267,6 +359,9 @@ def main(data: Data, work: Work) -> Page:
         "pointing": " and ".join(f"{one.pointing:.2f}" for one in given),
         "together": pair_table({"all pairs": pooled(sets)}),
         "pairs": pair_table(sets),
+        "faults": fault_table(faults),
+        "faulty": FAULTY_FRAMES,
+        "moved": f"{MOVED:g}",
     }
     return Page("cameras", values, {"cameras": coverage_of_pairs(sets)})
 

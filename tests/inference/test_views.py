@@ -12,10 +12,16 @@ from scipy import stats
 
 from poseterior.inference.draws import place
 from poseterior.inference.importance.views import weighted
-from poseterior.inference.importance.views.limbs import _resampled
-from poseterior.inference.importance.views.roots import fitted, log_haar, rotations_of, turns_of
+from poseterior.inference.importance.views.limbs import PER_LIMB, _resampled, _spread
+from poseterior.inference.importance.views.roots import (
+    BodyProposal,
+    fitted,
+    log_haar,
+    rotations_of,
+    turns_of,
+)
 from poseterior.inference.importance.views.weighted import WeightedViews, weigh_refined
-from poseterior.inference.resampling import shares
+from poseterior.inference.resampling import effective, shares, tempered
 from poseterior.probmodel import (
     BadInput,
     Detection,
@@ -178,6 +184,54 @@ def test_rows_come_as_often_as_their_weights_say() -> None:
     assert np.abs(times - wanted).max() < 1
     nothing, _ = _resampled(np.full(5, -np.inf), 0.5)
     assert np.isneginf(nothing)
+
+
+def test_numbers_of_proposals_are_uniform_and_leave_fewer_gaps() -> None:
+    """Each by itself over 400 keys (Kolmogorov and Smirnov's p above 0.001, which is the rate of
+    false alarms; of a lattice that is not moved it is below), and their means scatter less than
+    half as those of independent numbers do."""
+    keys = jax.random.split(jax.random.key(3), 400)
+    found = np.asarray(jax.vmap(_spread, (0, None, None))(keys, 1, 2))[:, 0]
+    assert found.shape == (400, PER_LIMB, 2, 3)
+    assert stats.kstest(found[:, 7, 1, 2], "uniform").pvalue > 0.001
+    assert stats.kstest(np.tile(found[0, 7, 1, 2], 400), "uniform").pvalue < 0.001
+    hill = np.exp(-np.sum((found - 0.5) ** 2, axis=-1) / 0.1)
+    alone = np.exp(-np.sum((np.random.default_rng(3).random(found.shape) - 0.5) ** 2, -1) / 0.1)
+    assert hill.mean(axis=1).std() < alone.mean(axis=1).std() / 2
+    np.testing.assert_allclose(hill.mean(), alone.mean(), rtol=0.02)
+
+
+def test_weights_are_tempered_until_enough_count() -> None:
+    log_weight = np.append(np.random.default_rng(2).normal(0, 5, 400), -np.inf)
+    few, more = shares(log_weight), tempered(log_weight, 50)
+    assert effective(few) < 10
+    assert effective(more) == pytest.approx(50, rel=1e-6)
+    assert more[-1] == 0
+    np.testing.assert_array_equal(np.argsort(more), np.argsort(few))
+    np.testing.assert_array_equal(tempered(log_weight, 1.0), few)
+    np.testing.assert_array_equal(tempered(np.full(3, -np.inf), 2), np.zeros(3))
+
+
+def test_refined_proposals_are_drawn_by_their_density(model: PoseModel) -> None:
+    """By the mean ratio of the first proposal's density to theirs, which is one, within four
+    standard errors (false alarms: 6 in 100,000). The control draws from narrower ones."""
+    points, _, world = bodies(model, 1, seed=3)
+    instant = seen(straight(2), world[0], math.exp(points.log_size[0]), FAULTY, seed=1)
+    posterior = dataclasses.replace(instant, pointing=0.4).posterior(model)
+    first, rng = fitted(posterior), np.random.default_rng(5)
+    share = tempered(rng.normal(0, 3, 300), 50)
+    refined = first.refined(*first.draw(rng, 300), share)
+
+    def mass(drawn_from: BodyProposal) -> tuple[float, float]:
+        drawn = drawn_from.draw(np.random.default_rng(1), 5_000)
+        ratio = np.exp(first.log_density(*drawn) - refined.log_density(*drawn))
+        return ratio.mean(), ratio.std() / math.sqrt(len(ratio))
+
+    found, error = mass(refined)
+    assert abs(found - 1) < 4 * error < 0.1
+    narrow = dataclasses.replace(refined, factor=0.9 * refined.factor)
+    wrong, error = mass(narrow)
+    assert abs(wrong - 1) > 4 * error
 
 
 # --- what is refused

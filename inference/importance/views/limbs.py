@@ -45,7 +45,10 @@ CHAIN_LENGTHS = [
 HEAD_LENGTH = UPPER_BONES[0].length_group
 BONE_STARTS = np.array([TORSO_INDEX.index(bone.start) for bone in UPPER_BONES])
 """`(5,)`: where the upper bones begin, among the torso's joints."""
-UNIFORMS = 3
+LATTICE = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+"""By which the numbers of a bone's proposal step from one to the next: Roberts' (2018) sequence of
+the cube, of which any run is spread out, so that wrists are for elbows of any weight."""
+UNIFORMS = len(LATTICE)
 """Numbers that a bone's proposal takes."""
 
 
@@ -288,12 +291,21 @@ def _limbs(
         local, _, weight = _upper(uniforms, judge, body, upper[0], body.size * length[HEAD_LENGTH])
         return Proposals(weight, local, local)
 
-    numbers = jax.random.uniform(chain_key, (NUM_LOWER, PER_LIMB, 2, UNIFORMS))
+    numbers = _spread(chain_key, NUM_LOWER, 2)
     offsets = jax.random.uniform(order_key, (NUM_LOWER,))
     lengths = body.size * length[jnp.array(CHAIN_LENGTHS)]
     chains = jax.vmap(chain)(numbers, offsets, chained, below, lengths)
-    heads = jax.vmap(head)(jax.random.uniform(head_key, (PER_LIMB, UNIFORMS)))
+    heads = jax.vmap(head)(_spread(head_key, 1, 1)[0, :, 0])
     return jax.tree.map(lambda one, many: jnp.concatenate([one[None], many]), heads, chains)
+
+
+def _spread(key: jax.Array, limbs: int, bones: int) -> jax.Array:
+    """`(limbs, P, bones, 3)`: numbers of the proposals for each bone, a lattice that is moved at
+    random (Cranley & Patterson 1976): each by itself is uniform, so that means are without bias,
+    and together they leave fewer gaps than independent ones."""
+    moved = jax.random.uniform(key, (limbs, 1, bones, UNIFORMS))
+    steps = np.outer(np.arange(PER_LIMB), LATTICE)
+    return (jnp.asarray(steps)[None, :, None] + moved) % 1.0
 
 
 def _resampled(log_weight: jax.Array, offset: jax.Array) -> tuple[jax.Array, jax.Array]:

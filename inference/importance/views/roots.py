@@ -31,8 +31,12 @@ FREEDOM_OF_ROOTS = 20.0
 """Degrees of freedom of the proposals."""
 WIDER = 1.2
 """How much wider than the fit's covariance they are."""
-KEPT_OF_FIT = 0.2
+NARROWER = 0.8
+"""The covariance of refined proposals over that of the first ones."""
+KEPT_OF_FIT = 0.1
 """What proposals keep of the first ones when a pilot run has refined them."""
+OTHER_TORSOS = 0.2
+"""What refined proposals give to all torsos evenly."""
 OF_PRIOR_EXCHANGES = 0.1
 """What proposals of exchanges keep of the prior."""
 FEWEST_JOINTS = 3
@@ -52,11 +56,6 @@ STIFF = 0.01
 """Body units, by which bones may be off in a fit."""
 LOOSE = 2.0
 """Body units, within which a joint lies that hardly any view sees."""
-BELIEVED_TORSOS = 0.8
-"""What torsos get by a pilot run, at most."""
-OWN_WEIGHT = 30.0
-"""Effective roots of a pilot run by which it is believed as much as the fit: fewer say little of
-the covariance of so many coordinates."""
 
 
 class WorldBodies(NamedTuple):
@@ -121,25 +120,22 @@ class BodyProposal:
         self, bodies: WorldBodies, exchange: np.ndarray, share: np.ndarray
     ) -> "BodyProposal":
         """Proposals around a pilot run's bodies `(n, ...)`, which have these shares `(n,)` of the
-        posterior, beside the first ones."""
+        posterior, beside the first ones. They are as wide as the fit's, whatever the torso: so few
+        bodies say where the posterior is, and hardly how it scatters in so many coordinates."""
         first, torso = self.centre.take(0), bodies.point.torso
-        step = _step(first.take(torso), bodies)
-        trust = effective(share) / (effective(share) + OWN_WEIGHT)
-        mean = trust * (share @ step)
-        scatter = np.einsum("n,na,nb->ab", share, step - mean, step - mean)
-        wide = self.factor[0] @ np.swapaxes(self.factor[0], -1, -2)
-        spread = trust * WIDER * scatter + (1 - trust) * wide
-        kept = self.share[0] / self.share[0].sum()
-        believed = trust * BELIEVED_TORSOS
-        own = believed * np.bincount(torso, share, minlength=len(kept)) + (1 - believed) * kept
+        mean = share @ _step(first.take(torso), bodies)
+        trust = effective(share) / (effective(share) + len(mean))
+        even = self.share[0] / self.share[0].sum()
+        own = np.bincount(torso, share, minlength=len(even))
+        own = (1 - OTHER_TORSOS) * own + OTHER_TORSOS * even
         seen = np.stack(
             [np.bincount(column, share, minlength=NUM_EXCHANGES) for column in exchange.T]
         )
-        centre = _moved(first, np.tile(mean, (len(kept), 1)))
+        centre = _moved(first, np.tile(trust * mean, (len(even), 1)))
         return BodyProposal(
-            np.stack([KEPT_OF_FIT * kept, (1 - KEPT_OF_FIT) * own]),
+            np.stack([KEPT_OF_FIT * even, (1 - KEPT_OF_FIT) * own]),
             jax.tree.map(lambda *both: np.stack(both), first, centre),
-            np.stack([self.factor[0], np.linalg.cholesky(spread)]),
+            np.stack([self.factor[0], np.sqrt(NARROWER) * self.factor[0]]),
             (1 - KEPT_OF_FIT) * seen + KEPT_OF_FIT * self.exchange,
         )
 

@@ -42,7 +42,7 @@ from poseterior.inference.importance.weighted import (
     blocks_of,
     require_number,
 )
-from poseterior.inference.resampling import shares, times
+from poseterior.inference.resampling import tempered, times
 from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.instant import InstantPosterior
 from poseterior.probmodel.pose import Pose
@@ -54,8 +54,10 @@ from poseterior.probmodel.skeleton import UPPER_BONES
 
 NUM_BODIES = 1600
 """Roots, where nothing else is said."""
-PILOT_BODIES = 400, 400, 400
+PILOT_BODIES = (200,) * 6
 """Roots of each pilot run, by which proposals are refined."""
+PILOT_EFFECTIVE = 50
+"""Effective roots by which they are: weights of fewer are tempered until they are as many."""
 BODIES_AT_ONCE = 50
 """Roots that a program takes at a time, which bounds the memory."""
 LIMBS_OF_BODY = PER_LIMB * len(UPPER_BONES)
@@ -148,7 +150,8 @@ def weigh_refined(
     pilots: list[WeighedRoots] = []
     for run, bodies in enumerate(PILOT_BODIES):
         pilots.append(weigh(posterior, proposal, jax.random.fold_in(key, run), bodies))
-        share = shares(np.concatenate([pilot.log_weight for pilot in pilots]))
+        log_weight = np.concatenate([pilot.log_weight for pilot in pilots])
+        share = tempered(log_weight, PILOT_EFFECTIVE)
         if share.any():
             drawn = [(pilot.bodies, pilot.exchange) for pilot in pilots]
             whole = jax.tree.map(lambda *rows: np.concatenate(rows), *drawn)

@@ -53,8 +53,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 def process(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
     """Runs the command as a process of its own."""
-    code = "from poseterior.reports.cli import command; command()"
-    command = [sys.executable, "-c", code, *map(str, arguments)]
+    command = [sys.executable, "-m", "poseterior", *map(str, arguments)]
     options = {
         "stdout": subprocess.PIPE,
         "stderr": subprocess.PIPE,

@@ -1,0 +1,5 @@
+"""`python -m poseterior` is `poseterior`."""
+
+from poseterior.reports.cli import command
+
+command()

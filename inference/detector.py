@@ -186,7 +186,12 @@ class Network:
         self,
         image: np.ndarray,
         boxes: Sequence[Sequence[float]] | None = None,
-        **settings: Any,
+        *,
+        threshold: float = THRESHOLD,
+        method: str = "soft",
+        source: str = "image",
+        image_id: str | None = None,
+        first_person: int = 0,
     ) -> list[Detection]:
         """One detection for each person's box.
 
@@ -196,9 +201,10 @@ class Network:
             `(H, W, 3)` bytes.
         boxes
             x, y, width, height in pixels of each person; by default the whole image is one.
-        settings
-            Of `decode`: `threshold` and `method` as in `heatmaps.decode`; what the image is called,
-            `source` and `image_id`; and the number of its `first_person`.
+        threshold, method
+            As in `heatmaps.decode`.
+        source, image_id, first_person
+            What the image is called, and the number of its first person.
 
         Raises
         ------
@@ -206,7 +212,18 @@ class Network:
             Where a box has no size or lies far from the image, or the network's output is no
             heatmaps, or it takes too long.
         """
-        return [found.detection for found in self.decode(image, boxes, **settings)]
+        return [
+            found.detection
+            for found in self.decode(
+                image,
+                boxes,
+                threshold=threshold,
+                method=method,
+                source=source,
+                image_id=image_id,
+                first_person=first_person,
+            )
+        ]
 
     def decode(
         self,

@@ -201,7 +201,8 @@ REFUSALS = [
     bad("empty file", "", "f.json is empty; check what wrote it"),
     bad("not JSON", "keypoints: 1", r"f.json is of a shape that is not known here"),
     bad("cut JSON", native()[:-40], "f.json is not valid JSON"),
-    bad("not text", b"\xff\xfe\x00binary", "f.json is not UTF-8 text"),
+    bad("not text", b"{\x80binary", "f.json is not UTF-8 text"),
+    bad("other text", b"\xff\xfe\x00binary", "f.json looks like UTF-16 text; save it as UTF-8"),
     bad(
         "another shape",
         '{"detections": []}',

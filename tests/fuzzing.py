@@ -61,6 +61,7 @@ from poseterior.reports.commands import check
 from poseterior.reports.commands.detect import read_boxes
 from poseterior.reports.exports.results import Wanted, read_clip
 from poseterior.reports.figures import read_image
+from poseterior.reports.figures.files import photo_focal
 from poseterior.reports.options import Detected
 from tests.filmed import cameras as filmed_by
 from tests.filmed import moving, write_qualisys, write_toml
@@ -133,6 +134,7 @@ def targets() -> dict[str, Target]:
         "boxes": Target("a.json", lambda path: read_boxes(path, 0.5), [_boxes()]),
         "names": Target("a.json", _names, [b'{"LHip": "left_hip", "RHip": "right_hip"}']),
         "image": Target("a.png", read_image, _images()),
+        "focal length of a photo": Target("a.jpg", photo_focal, _images()),
         "export .json": Target("a.json", _exported, [_hypotheses()]),
         "export .nc": Target("a.nc", _exported, [_tree()]),
         "saved run": Target("a.npz", _taken_up, [_saved()]),
@@ -378,12 +380,14 @@ def _boxes() -> bytes:
 
 
 def _images() -> list[bytes]:
-    from PIL import Image
+    from PIL import ExifTags, Image
 
-    kept = []
+    image, kept = Image.new("RGB", (20, 30), (200, 10, 30)), []
+    exif = image.getexif()
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 30
     for kind in ("PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP"):
         file = io.BytesIO()
-        Image.new("RGB", (20, 30), (200, 10, 30)).save(file, kind)
+        image.save(file, kind, exif=exif)
         kept.append(file.getvalue())
     return kept
 

@@ -26,7 +26,7 @@ include_patterns = [
     "notebooks/*.ipynb",
     "reports/*.md",
     "probmodel/data/*.md",
-    "examples/*.md",
+    "examples/**.md",
 ]
 exclude_patterns = [".*", "build", "dist", "tests"]
 extensions = [

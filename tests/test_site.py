@@ -38,7 +38,7 @@ def entries(page: Path) -> set[Path]:
 
 def pages() -> set[Path]:
     """What is there to read."""
-    patterns = ("*.md", "docs/**/*.md", "reports/*.md", "examples/*.md", "notebooks/*")
+    patterns = ("*.md", "docs/**/*.md", "reports/*.md", "examples/**/*.md", "notebooks/*")
     found = {one for pattern in patterns for one in ROOT.glob(pattern)}
     return {one.resolve() for one in found if one.suffix in (".md", ".ipynb")} - {INDEX}
 

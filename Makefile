@@ -62,7 +62,7 @@ dist:
 $(VENV)/.done: pyproject.toml requirements.lock
 	@$(NEED_PYTHON)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --require-hashes --requirement requirements.lock
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --no-deps --require-hashes --requirement requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --disable-pip-version-check --editable .
 	@echo "compiling the loops, once"
 	@$(BIN)/poseterior demo --quiet --out $(VENV)/demo > /dev/null

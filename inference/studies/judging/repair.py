@@ -7,8 +7,8 @@ the levels of instances whose truth is known (Vovk, Gammerman & Shafer 2005; per
 A central interval of the draws holds the truth where the level lies near one half; so how far out
 the intervals must reach is a quantile of ``|2 level - 1|`` over the instances. One more instance
 that is exchangeable with them is held with at least the nominal chance, at every sample size,
-whatever the posterior; where too few instances or too extreme levels leave no bound, the interval has none.
-What comes out is intervals, one quantity at a time, and no posterior any more."""
+whatever the posterior; where too few instances or too extreme levels leave no bound, the interval
+has none. What comes out is intervals, one quantity at a time, and no posterior any more."""
 
 import json
 from dataclasses import dataclass

@@ -18,6 +18,7 @@ import numpy as np
 from poseterior import inference
 from poseterior.probmodel import Estimate, Likelihood, PoseModel
 from poseterior.probmodel.body import bone_lengths
+from poseterior.probmodel.datasets.cases import evenly
 from poseterior.probmodel.datasets.person_views import PersonView
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.root_priors import UNCERTAIN
@@ -205,11 +206,7 @@ def even(views: Sequence[PersonView], number: int) -> list[PersonView]:
     most = next(
         (n for n in range(counts[-1], 0, -1) if sum(min(n, c) for c in counts) <= number), 1
     )
-    return [
-        some[row]
-        for some in own.values()
-        for row in np.linspace(0, len(some) - 1, min(most, len(some))).round().astype(int)
-    ]
+    return [some[row] for some in own.values() for row in evenly(len(some), most)]
 
 
 def by_person(views: Sequence[PersonView], judged: Sequence[ViewLevels]) -> dict[str, Honesty]:

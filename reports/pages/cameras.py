@@ -21,6 +21,7 @@ from poseterior.inference.draws import Draws
 from poseterior.inference.importance.views.weighted import WeightedViews
 from poseterior.inference.studies.intervals import TAIL, Interval, of_share
 from poseterior.probmodel import DetectorErrors, Likelihood, PoseModel
+from poseterior.probmodel.datasets.cases import evenly
 from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, ORDERS
 from poseterior.probmodel.instant import CameraView, Instant
 from poseterior.probmodel.sessions import Session
@@ -83,7 +84,7 @@ def beliefs(seen: Film) -> list[Beliefs]:
 
 def frames_of(session: Session, number: int) -> list[int]:
     """So many rows, evenly over the film."""
-    return np.linspace(0, len(session) - 1, number).round().astype(int).tolist()
+    return evenly(len(session), number).tolist()
 
 
 def draws_of(

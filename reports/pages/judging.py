@@ -17,6 +17,7 @@ from poseterior.inference.studies.judging.where import share_held
 from poseterior.inference.studies.judging.wrong import WRONGS, Instances, told
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
 from poseterior.reports.pages.recalibrated import COVERED_DRAWS, on_ours
+from poseterior.reports.tables.coverage import share
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
 LEVEL = 0.05
@@ -182,8 +183,7 @@ def _table(size: int, work: Path) -> Sheet:
 
 
 def _said(rejected: list[bool]) -> str:
-    share = share_held(np.array(rejected))
-    return f"{share.value:.0%} ({share.low:.0%}–{share.high:.0%})"
+    return share(share_held(np.array(rejected)))
 
 
 if __name__ == "__main__":

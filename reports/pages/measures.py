@@ -15,11 +15,8 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from poseterior.inference.studies.calibration import cover
 from poseterior.inference.studies.calibration.coverage import measure_standings
-from poseterior.inference.studies.calibration.posteriors import sampler_of
-from poseterior.inference.studies.calibration.real import TRUE, instances
-from poseterior.inference.studies.calibration.record import case_columns, standings_tree
-from poseterior.inference.studies.calibration.run import stand
 from poseterior.inference.studies.intervals import TAIL
 from poseterior.inference.studies.measured import (
     ALL_MEASURES,
@@ -31,7 +28,6 @@ from poseterior.inference.studies.measured import (
     standings_of,
 )
 from poseterior.probmodel import Likelihood, PoseModel
-from poseterior.probmodel.anatomy.population import Anatomy
 from poseterior.probmodel.datasets import Case, from_motions
 from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.measures import MEASURES
@@ -66,8 +62,6 @@ MEASURED_WAYS = {
 }
 MOCAP = "motion capture"
 STRANGERS_POSES, STRANGERS_DRAWS, STRANGERS_ROOTS = 108, 500, 1000
-STRANGERS_BUDGET = 100_000_000
-"""Most proposals for a pose."""
 COMPARED = (
     "elbow_flexion",
     "shoulder_elevation",
@@ -151,44 +145,27 @@ def _standings(seen: Film, case: FilmedCase, found: FilmedDraws) -> MeasureStand
 
 
 def strangers(data: Path) -> list[Case]:
-    """Poses, the same number of each person, of captured people from whom no limits were learned,
-    with a detector's errors."""
+    """Poses, as many of each person as of any other, of captured people from whom no limits were
+    learned, with a detector's errors."""
     motions = read_motion(data / "cmu" / "extremes")
-    people = dict.fromkeys(motion.subject for motion in motions)
-    each, noise = STRANGERS_POSES // len(people), ERRORS["detector"]
-    return [
-        case
-        for seed, name in enumerate(people)
-        for case in from_motions(
-            [one for one in motions if one.subject == name],
-            name,
-            frames=each,
-            noise=noise,
-            seed=seed,
-        )
-    ]
+    return list(from_motions(motions, "CMU", frames=STRANGERS_POSES, noise=ERRORS["detector"]))
 
 
 def possible(cases: Sequence[Case]) -> float:
-    """The share of poses that the embedded wide limits allow."""
+    """The share of poses that the limits allow."""
     poses = np.stack([case.pose / case.unit for case in cases])
-    return float(np.mean(Anatomy.embedded("wide").limits.check(poses).pose_valid))
+    return float(np.mean(PoseModel().limits.check(poses).pose_valid))
 
 
 def captured(cases: Sequence[Case]) -> xr.DataTree:
     """Where the truths of captured people stand among draws under the embedded wide limits."""
-    model = PoseModel.from_anatomy(Anatomy.embedded("wide"))
-    draw = sampler_of(
-        None,
-        model,
-        STRANGERS_DRAWS,
-        max_proposals=STRANGERS_BUDGET,
-        root=UNCERTAIN,
+    return cover(
+        PoseModel(),
+        cases,
+        num_samples=STRANGERS_DRAWS,
+        likelihood=Likelihood(Gaussian()),
         num_roots=STRANGERS_ROOTS,
     )
-    known = instances(cases, model, TRUE, likelihood=Likelihood(Gaussian()))
-    standings = stand(draw, known, seed=0)
-    return standings_tree(standings, {}, case_columns(cases, [[] for _ in cases]))
 
 
 def overview(found: dict[str, Measured]) -> Sheet:

@@ -18,6 +18,7 @@ from poseterior.inference.studies.judging.where import SHOWN, central
 from poseterior.probmodel.datasets import Case
 from poseterior.probmodel.model import PoseModel
 from poseterior.reports.pages.page import kept
+from poseterior.reports.tables.coverage import share
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
 COVERED_DRAWS = 200
@@ -91,7 +92,7 @@ def _held_table(found: Mapping[str, tuple[xr.DataArray, np.ndarray]]) -> Sheet:
         (
             name,
             *(
-                _share(central(level.sel(quantity=list(some)).values, 0.5), recording)
+                share(of_share(central(level.sel(quantity=list(some)).values, 0.5), recording))
                 for some in PLACES.values()
             ),
         )
@@ -115,8 +116,8 @@ def _recalibrated_table(level: xr.DataArray, people: np.ndarray) -> Sheet:
                 (
                     name,
                     f"{nominal:.0%}",
-                    _share(central(few.values, nominal), people),
-                    _share(holds, people),
+                    share(of_share(central(few.values, nominal), people)),
+                    share(of_share(holds, people)),
                     f"{taken:.0%}" if taken <= 1 else "no bound",
                     f"{wider:.2f}" if taken < 1 else "∞",
                 )
@@ -134,8 +135,3 @@ def _reach(level: xr.DataArray, people: np.ndarray, nominal: float) -> np.ndarra
         repair = recalibrate(level[people != who])
         reach[people == who] = [repair.reach(name, nominal) for name in repair.quantities]
     return reach
-
-
-def _share(held: np.ndarray, cluster: np.ndarray) -> str:
-    share = of_share(held, cluster)
-    return f"{share.value:.0%} ({share.low:.0%}–{share.high:.0%})"

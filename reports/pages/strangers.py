@@ -46,8 +46,10 @@ from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import page as blank_page
 from poseterior.reports.figures.style import tidy
+from poseterior.reports.pages.filmed import PARTS, Film
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
 from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables.sheet import percents
 
 HALF_VIEWS, ROOM_VIEWS, CAPTURED_VIEWS = 12, 30, 12
 """Of each half of the film by each detector, of the operating room, and of motion capture at each
@@ -87,12 +89,6 @@ def mediapipe(session: Session, data: Path) -> Session:
         for camera in landmarks
     )
     return dataclasses.replace(session, people=people)
-
-
-def halves(session: Session) -> list[Session]:
-    """A film, cut in two."""
-    middle = len(session) // 2
-    return [session.take([*range(middle)]), session.take([*range(middle, len(session))])]
 
 
 def calibrated(session: Session, path: Path) -> DetectorErrors:
@@ -236,13 +232,14 @@ def real(data: Path, work: Path) -> Judging:
     laws: dict[Line, list[DetectorErrors]] = {}
     for detector, session in detectors.items():
         name = f"film, {detector}"
+        truth, seen = Film(film), Film(session)
         parts = [
-            views_of_session(truth, own.people, HALF_VIEWS)
-            for truth, own in zip(halves(film), halves(session), strict=True)
+            views_of_session(truth.part(part), seen.part(part).people, HALF_VIEWS)
+            for part in range(PARTS)
         ]
         learned = [
-            calibrated(rest, work / f"law-{detector}-{number}.json")
-            for number, rest in enumerate(reversed(halves(session)))
+            calibrated(seen.unseen(part), work / f"law-{detector}-{part}.json")
+            for part in range(PARTS)
         ]
         views[name] = [*itertools.chain(*parts)]
         own_laws = [law for law, part in zip(learned, parts, strict=True) for _ in part]
@@ -303,12 +300,8 @@ def read(kept: list[dict[str, Any]], middle: str) -> list[ViewLevels]:
 
 def cells(found: Honesty) -> list[str]:
     """Coverage at both levels by axis, with intervals over people; ECE, width and error."""
-    wide = [
-        f"{100 * value:.0f} ({100 * low:.0f}–{100 * high:.0f})"
-        for value, low, high in zip(found.covered[1], found.low[1], found.high[1], strict=True)
-    ]
     return [
-        *wide,
+        *map(percents, zip(found.covered[1], found.low[1], found.high[1], strict=True)),
         " / ".join(f"{100 * value:.0f}" for value in found.covered[0]),
         " / ".join(f"{value:.3f}" for value in found.ece),
         " / ".join(f"{value:.0f}" for value in found.width),

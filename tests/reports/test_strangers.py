@@ -37,12 +37,6 @@ def test_a_film_without_errors_is_seen_where_it_is() -> None:
         assert np.abs(limbs).max() < 12.0  # mm: of the two focal lengths of a camera
 
 
-def test_each_half_of_a_film_is_the_others_rest() -> None:
-    session = filmed(moving(9), np.zeros((4, 9, NUM_JOINTS, 2)))
-    first, second = strangers.halves(session)
-    assert first.numbers + second.numbers == session.numbers
-
-
 def test_errors_have_the_moments_of_their_law() -> None:
     """Of a Student law with df degrees of freedom the variance is df / (df − 2); each of 15 × 2,000
     errors' squares has a relative deviation of 2, so that 7 % are six standard errors."""

@@ -120,7 +120,7 @@ class BodyProposal:
         self, bodies: WorldBodies, exchange: np.ndarray, share: np.ndarray
     ) -> "BodyProposal":
         """Proposals around a pilot run's bodies `(n, ...)`, which have these shares `(n,)` of the
-        posterior, beside the first ones. They are as wide as the fit's, whatever the torso: so few
+        posterior, beside the first ones. They are hardly narrower, whatever the torso: so few
         bodies say where the posterior is, and hardly how it scatters in so many coordinates."""
         first, torso = self.centre.take(0), bodies.point.torso
         mean = share @ _step(first.take(torso), bodies)

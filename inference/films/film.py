@@ -183,8 +183,9 @@ def film_of(
             | {"study": FILM, "rate": rate, "cutoff": cutoff, "k": k, "person": str(person)},
         )
         seed = [int(word) for word in str(tree.attrs["seed"]).split()]
-        film = _paths(drawn, paths, progress)
-        parts = filled(film.parts, film.seen, rate, np.random.default_rng(seed))
+        random = np.random.default_rng(seed)
+        film = _paths(drawn, paths, rate, random, progress)
+        parts = filled(film.parts, film.seen, rate, random)
         film = film._replace(parts=_without_quick(parts, rate, cutoff))
         task = _Writing(drawn, film, film.chosen(k), k)
         made_of = {"frames": _fingerprint(drawn)}
@@ -315,7 +316,13 @@ class _Paths(NamedTuple):
         return diverse(paths.reshape(len(paths), -1, 3).astype(np.float32), k)
 
 
-def _paths(moments: list[_Moment], paths: int, progress: Progress | None) -> _Paths:
+def _paths(
+    moments: list[_Moment],
+    paths: int,
+    rate: float,
+    random: np.random.Generator,
+    progress: Progress | None,
+) -> _Paths:
     """Paths through the frames that have draws; blanks in the others."""
     seen = np.array([one.drawn is not None for one in moments])
     draws = [_rows(one.drawn, paths) for one in moments if one.drawn is not None]
@@ -326,14 +333,16 @@ def _paths(moments: list[_Moment], paths: int, progress: Progress | None) -> _Pa
     joints, length, _ = map(np.stack, zip(*own, strict=True))
     body = taken_apart(joints, length, like)[1]
 
+    after = np.diff(np.flatnonzero(seen), prepend=0) / rate
+
     def frames() -> Iterator[Frame]:
         for done, one in enumerate(draws):
             parts = taken_apart(one.joints, one.bone_length, like)[0]
-            yield Frame(parts._replace(place=one.place), one.joints)
+            yield Frame(parts._replace(place=one.place), one.joints, float(after[done]))
             if progress is not None:
                 progress(done + 1, len(draws))
 
-    found = Parts(*map(np.stack, zip(*coupled(frames(), body), strict=True)))
+    found = Parts(*map(np.stack, zip(*coupled(frames(), body, random), strict=True)))
     blank = Parts(*(np.empty((len(seen), *part.shape[1:])) for part in found))
     for part, values in zip(blank, found, strict=True):
         part[seen] = values

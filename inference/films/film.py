@@ -55,7 +55,7 @@ FASTEST = 10_000.0
 MOST_FILLED = 10
 """Times as many frames as there are poses: more would be no film."""
 NUM_PATHS = 400
-FRAMES = "frames"
+FRAMES_FOLDER = "frames"
 """The folder, in that of a film, of what is drawn for it frame by frame."""
 FILM, FILLED = "film", "filled"
 """What such a stream calls itself, and the status of its frames without a pose of their own."""
@@ -108,7 +108,7 @@ def sample_film(
         model,
         frames,
         key=key,
-        out=Path(out) / FRAMES,
+        out=Path(out) / FRAMES_FOLDER,
         estimating=estimating,
         num_roots=num_roots,
         num_samples=num_paths,

@@ -36,8 +36,8 @@ def run(settings: FilmSettings, screen: Screen) -> None:
     about = open_stream(out).attrs
     if not screen.json:
         console.say(
-            f"{about['keep']} paths, each of one body; film_draws opens them. Depth in a frame is as"
-            " open as in a single one: what paths add is how it changes, and gaps"
+            f"{about['keep']} paths, each of one body; film_draws opens them. Depth in a frame is"
+            " as open as in a single one: what paths add is how it changes, and gaps"
         )
     if about["step"] > 1:
         warnings.append(

@@ -1,5 +1,5 @@
-"""`poseterior film`: paths of one person, gaps, times, refusals before anything is drawn, and that a
-second call goes on."""
+"""`poseterior film`: paths of one person, gaps, times, refusals before anything is drawn, and that
+a second call goes on."""
 
 import json
 from pathlib import Path

@@ -1,15 +1,18 @@
-"""Which draw of a frame goes on which draw of the frame before.
+"""Which draw of a frame goes on which draw of the frames before.
 
 Frames are drawn one by one, and each keeps its draws: torsos, and by themselves the limbs, are put
-into such an order that the rows of all frames are paths which move as little as can be. Every order
-is an assignment that is best for its frame and the one before (Crouse 2016, as SciPy solves it).
-A limb that goes to another torso goes to one like its own, and where it is seen in the image as
-well as before.
+into such an order that the rows of all frames are paths which move as little as can be from where
+they were of late. Every order is an assignment that is best for its frame (Crouse 2016, as SciPy
+solves it). A limb that goes to another torso goes to one like its own, and where it is seen in the
+image as well as before.
 
 Nothing is said of how errors of neighbouring frames hang together, which nobody knows well: errors
-that last are the safe side, and under them a second frame says nothing that the first did not.
+that last are the safe side, and under them a second frame says nothing that the first did not. But
+where in its posterior the truth lies changes as the person moves, and paths change with it: they
+forget where among the draws they were, within `LASTING` seconds.
 """
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -19,19 +22,32 @@ from scipy.optimize import linear_sum_assignment
 from poseterior.inference.films.parts import LIMB_BONES, Parts, PathBodies
 from poseterior.probmodel.skeleton import BONES, TORSO_INDEX
 
+RECENT = 0.1
+"""Seconds over which it is told where paths were of late. The means of many frames do not stray by
+themselves, as single draws would, the more the fewer there are."""
+LASTING = 0.5
+"""Seconds in which paths forget. Chosen by captured people: intervals of changes over half a second
+hold what they should (reports/films.md)."""
 OWN_TORSO, OWN_IMAGE = 0.25, 1.0
 """What weighs, beside a limb's own motion (squares of chords), that its torso is turned otherwise
 (square of the angle), and that it falls elsewhere in the image (square, body units)."""
 
 
 class Frame(NamedTuple):
-    """The draws of a frame: their parts, and where their joints are `(n, 15, 3)`."""
+    """The draws of a frame: their parts, where their joints are `(n, 15, 3)`, and how many seconds
+    after the frame before."""
 
     parts: Parts
     joints: np.ndarray
+    after: float
 
 
-def coupled(frames: Iterable[Frame], body: PathBodies) -> list[Parts]:
+def coupled(
+    frames: Iterable[Frame],
+    body: PathBodies,
+    random: np.random.Generator,
+    lasting: float = LASTING,
+) -> list[Parts]:
     """Paths of bodies, whose frames are the draws of each in another order.
 
     Parameters
@@ -40,6 +56,10 @@ def coupled(frames: Iterable[Frame], body: PathBodies) -> list[Parts]:
         In the order of time.
     body
         Of each path.
+    random
+        By which paths forget where among the draws they were.
+    lasting
+        Seconds within which they do.
 
     Returns
     -------
@@ -47,22 +67,46 @@ def coupled(frames: Iterable[Frame], body: PathBodies) -> list[Parts]:
         Of every frame, row by row of the `body`.
     """
     found: list[Parts] = []
+    recent: Parts | None = None
     for frame in frames:
-        found.append(_following(found[-1] if found else None, frame, body))
+        if recent is not None:
+            share = math.sqrt(2 * frame.after / lasting)
+            recent = _astray(recent, found[-1], share, random)
+        now = _following(recent, frame, body)
+        found.append(now)
+        old = 0.0 if recent is None else math.exp(-frame.after / RECENT)
+        recent = Parts(
+            *(old * was + (1 - old) * part for was, part in zip(recent or now, now, strict=True))
+        )
     return found
 
 
-def _following(before: Parts | None, frame: Frame, body: PathBodies) -> Parts:
+def _astray(recent: Parts, now: Parts, share: float, random: np.random.Generator) -> Parts:
+    """Where paths were, moved by a share of the differences between draws: of torsos, and of each
+    limb by itself."""
+    number = len(now.turn)
+
+    def differences(part: np.ndarray) -> np.ndarray:
+        one, other = random.permutation(number), random.permutation(number)
+        return share / math.sqrt(2) * (part[one] - part[other])
+
+    turn, direction = recent.turn + differences(now.turn), recent.direction.copy()
+    for bones in LIMB_BONES:
+        direction[:, bones] += differences(now.direction[:, bones])
+    return recent._replace(turn=turn, direction=direction)
+
+
+def _following(recent: Parts | None, frame: Frame, body: PathBodies) -> Parts:
     drawn = frame.parts
     torso = np.arange(len(drawn.turn))
-    if before is not None:
-        torso = _assigned(_squares(before.turn, drawn.turn) / 2)
+    if recent is not None:
+        torso = _assigned(_squares(recent.turn, drawn.turn) / 2)
     turn, direction = drawn.turn[torso], np.empty_like(drawn.direction)
     own = OWN_TORSO / 2 * _squares(turn, drawn.turn)
     for bones in LIMB_BONES:
         cost = own + OWN_IMAGE * _beside(turn, body, frame, bones)
-        if before is not None:
-            cost += _squares(before.direction[:, bones], drawn.direction[:, bones])
+        if recent is not None:
+            cost += _squares(recent.direction[:, bones], drawn.direction[:, bones])
         direction[:, bones] = drawn.direction[_assigned(cost)][:, bones]
     return Parts(turn, direction, drawn.place[torso])
 

@@ -56,7 +56,7 @@ FASTEST = 10_000.0
 MOST_FILLED = 10
 """Times as many frames as there are poses: more would be no film."""
 NUM_PATHS = 400
-FRAMES = "frames"
+FRAMES_FOLDER = "frames"
 """The folder, in that of a film, of what is drawn for it frame by frame."""
 FILM, FILLED = "film", "filled"
 """What such a stream calls itself, and the status of its frames without a pose of their own."""
@@ -110,7 +110,7 @@ def sample_film(
         model,
         frames,
         key=key,
-        out=Path(out) / FRAMES,
+        out=Path(out) / FRAMES_FOLDER,
         estimating=estimating,
         num_roots=num_roots,
         most_roots=most_roots,
@@ -185,9 +185,9 @@ def film_of(
             | {"cutoff": cutoff, "k": k, "person": str(person)},
         )
         seed = [int(word) for word in str(tree.attrs["seed"]).split()]
-        film = _paths(drawn, paths, progress)
-        pace = rate / step
-        parts = filled(film.parts, film.seen, pace, np.random.default_rng(seed))
+        pace, random = rate / step, np.random.default_rng(seed)
+        film = _paths(drawn, paths, pace, random, progress)
+        parts = filled(film.parts, film.seen, pace, random)
         film = film._replace(parts=_without_quick(parts, pace, cutoff))
         task = _Writing(drawn, film, film.chosen(k), k)
         made_of = {"frames": _fingerprint(drawn)}
@@ -338,7 +338,13 @@ class _Paths(NamedTuple):
         return diverse(paths.reshape(len(paths), -1, 3).astype(np.float32), k)
 
 
-def _paths(moments: list[_Moment], paths: int, progress: Progress | None) -> _Paths:
+def _paths(
+    moments: list[_Moment],
+    paths: int,
+    rate: float,
+    random: np.random.Generator,
+    progress: Progress | None,
+) -> _Paths:
     """Paths through the frames that have draws; blanks in the others."""
     seen = np.array([one.drawn is not None for one in moments])
     draws = [_rows(one.drawn, paths) for one in moments if one.drawn is not None]
@@ -349,14 +355,16 @@ def _paths(moments: list[_Moment], paths: int, progress: Progress | None) -> _Pa
     joints, length, _ = map(np.stack, zip(*own, strict=True))
     body = taken_apart(joints, length, like)[1]
 
+    after = np.diff(np.flatnonzero(seen), prepend=0) / rate
+
     def frames() -> Iterator[Frame]:
         for done, one in enumerate(draws):
             parts = taken_apart(one.joints, one.bone_length, like)[0]
-            yield Frame(parts._replace(place=one.place), one.joints)
+            yield Frame(parts._replace(place=one.place), one.joints, float(after[done]))
             if progress is not None:
                 progress(done + 1, len(draws))
 
-    found = Parts(*map(np.stack, zip(*coupled(frames(), body), strict=True)))
+    found = Parts(*map(np.stack, zip(*coupled(frames(), body, random), strict=True)))
     blank = Parts(*(np.empty((len(seen), *part.shape[1:])) for part in found))
     for part, values in zip(blank, found, strict=True):
         part[seen] = values

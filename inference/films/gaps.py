@@ -29,7 +29,7 @@ _BENDS = ((1, 1.0), (2, 0.5))
 """Half waves over a gap, and their sizes."""
 
 
-def stray(what: str, seconds: float) -> float:
+def straying(what: str, seconds: float) -> float:
     """`STRAYING` of a gap of any length."""
     return math.exp(np.interp(math.log(seconds), np.log(GAP_SECONDS), np.log(STRAYING[what])))
 
@@ -52,7 +52,7 @@ def _fill(parts: Parts, before: int, after: int, rate: float, random: np.random.
     def astray(what: str, size: int, like: tuple[int, ...]) -> np.ndarray:
         waves = np.stack([share * np.sin(math.pi * half * way) for half, share in _BENDS])
         bends = random.standard_normal((len(_BENDS), *like))
-        return stray(what, seconds) / math.sqrt(size) * np.tensordot(waves, bends, (0, 0))
+        return straying(what, seconds) / math.sqrt(size) * np.tensordot(waves, bends, (0, 0))
 
     n = parts.place.shape[1]
     turned = Rotation.from_rotvec(astray("turn", 3, (n, 3)).reshape(-1, 3)).as_matrix()

@@ -1,7 +1,7 @@
 """`poseterior film`: whole paths of one person in a film, a stream whose draws follow each other in
 time, and its page."""
 
-from poseterior.inference.films.film import FRAMES, film_of
+from poseterior.inference.films.film import FRAMES_FOLDER, film_of
 from poseterior.inference.stream import open_stream
 from poseterior.reports import console
 from poseterior.reports.commands import frames
@@ -18,7 +18,7 @@ def run(settings: FilmSettings, screen: Screen) -> None:
     warnings: list[str] = []
     names, stream, person = None, settings.path, settings.person
     if not settings.drawn_before:
-        stream, names, person = out / FRAMES, settings.names, None
+        stream, names, person = out / FRAMES_FOLDER, settings.names, None
         people, warnings = frames.draw(settings, stream, screen, alone=True)
         fragments = people.fragments
     with console.progress("paths", screen.quiet) as step:

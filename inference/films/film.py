@@ -44,6 +44,7 @@ from poseterior.inference.stream import (
 )
 from poseterior.probmodel.body import mean_torso
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats.frames import named_by
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.motion.lowpass import butterworth
 from poseterior.probmodel.skeleton import TORSO_INDEX
@@ -284,11 +285,12 @@ def _drawn(
     names = list(frames or names)
     order, numbers = in_time(names)
     number_of = numbers or range(len(order))
+    counted = [names[at] for at in order]
     draws = dict(all_draws(folder))
     moments = {}
     for number, at in zip(number_of, order, strict=True):
-        name = f"{names[at]}/{who}" if who else names[at]
-        moments[number] = _moment(name, held.get(names[at]), summary, draws)
+        row = held.get(names[at])
+        moments[number] = _moment(_item(names[at], who), row, summary, draws)
     there = [number for number, one in moments.items() if one.drawn is not None]
     if not there:
         raise BadInput(f"{folder} has no frame with a pose of that person; look at its summary")
@@ -300,10 +302,15 @@ def _drawn(
             " them have a pose of that person; number them one by one, or give a part of them"
         )
     film = [
-        moments.get(number, _Moment(f"{number} (not there)/{who}".rstrip("/")))
+        moments.get(number) or _Moment(_item(named_by(number, counted, number_of), who))
         for number in range(first, last + 1, step)
     ]
     return film, step
+
+
+def _item(frame: str, who: str) -> str:
+    """What a person in a frame is called in a stream."""
+    return f"{frame}/{who}" if who else frame
 
 
 def _moment(
@@ -417,8 +424,9 @@ class _Writing:
 
 def _without_pose(moment: _Moment) -> str:
     """Why a frame has no pose of its own."""
-    why = "" if moment.summary is None else str(moment.summary.sentence.values)
-    return f"filled from the frames before and after{why and f': {why}'}"
+    own = moment.summary
+    why = "nobody was detected there" if own is None else str(own.sentence.values)
+    return f"filled from the frames before and after: {why}"
 
 
 def _fingerprint(moments: list[_Moment]) -> str:

@@ -17,7 +17,13 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import chi2, norm
 
 from poseterior.inference.estimators import Estimating
-from poseterior.inference.films.film import CUTOFF, FRAMES_FOLDER, film_draws, sample_film
+from poseterior.inference.films.film import (
+    CUTOFF,
+    FRAMES_FOLDER,
+    NUM_PATHS,
+    film_draws,
+    sample_film,
+)
 from poseterior.inference.stream import Item, all_draws, open_stream
 from poseterior.probmodel import Detection, DetectorErrors, Likelihood, PoseModel
 from poseterior.probmodel.body import body_unit
@@ -325,6 +331,15 @@ def _cells(way: str, films: list[TrueFilm], judged: list[PathsJudged]) -> list[s
     return [*shares, wide, f"{means[0]:.0f}", f"{means[1]:.1f}", f"{true:.1f}"]
 
 
+def inside_limits(groups: list[list[TrueFilm]], work: Path) -> float:
+    """The share of poses of paths that the limits allow."""
+    limits, found = PoseModel().limits, []
+    for film in (film for films in groups for film in films):
+        some = film_draws(drawn(film, work)).joints.values[0, ::20].astype(float)
+        found.append(limits.check(some.reshape(-1, NUM_JOINTS, 3)).pose_valid.mean())
+    return float(np.mean(found))
+
+
 def picture(film: TrueFilm, out: Path) -> Figure:
     """Depth of a wrist and an ankle: what frames say one by one, and paths, beside the truth."""
     ways, rows = ways_of(film, out)
@@ -358,7 +373,15 @@ def main(data: Data, work: Work) -> Page:
         f"captured, {rate:g} a second": captured_films(data, law, rate, RATED_PEOPLE)
         for rate in OTHER_RATES
     }
+    constant, slow, quick = (f"{100 * share:.0f}" for share in ERROR_SHARES)
     values: dict[str, str | int | Sheet] = {
+        "constant": constant,
+        "slow": slow,
+        "quick": quick,
+        "lasting": f"{LASTING:g}",
+        "cutoff": f"{CUTOFF:g}",
+        "paths": NUM_PATHS,
+        "inside": f"{100 * inside_limits([*real.values(), *made.values()], work):.0f}",
         "real": table(real, work),
         "captured": table(made, work),
         "people": len(held),

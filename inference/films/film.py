@@ -87,14 +87,26 @@ def sample_film(
 
     Parameters
     ----------
-    model, frames, key, estimating, num_roots, most_roots, machines
+    model, frames
         As `sample_frames` takes them; torso and camera are uncertain.
-    rate, cutoff, k, progress
-        As `film_of` takes them.
+    rate
+        As `film_of` takes it.
+    key
+        Of all draws.
     out
         Folder for the film; what is drawn of the frames goes to `frames` in it.
+    estimating
+        As `sample_frames` takes it.
     num_paths
         How many paths.
+    num_roots, most_roots
+        As `sample_frames` takes them.
+    cutoff, k
+        As `film_of` takes them.
+    machines
+        Who draws.
+    progress
+        Called now and then while the paths are made.
 
     Returns
     -------

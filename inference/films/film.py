@@ -305,7 +305,11 @@ def _drawn(
         moments[number] = _moment(_item(names[at], who), row, summary, draws)
     there = [number for number, one in moments.items() if one.drawn is not None]
     if not there:
-        raise BadInput(f"{folder} has no frame with a pose of that person; look at its summary")
+        row = next(iter(held.values()))
+        raise BadInput(
+            f"{folder} has no frame with a pose of that person, of whom {items[row]} says:"
+            f" {summary.sentence.values[row]}"
+        )
     first, last = there[0], there[-1]
     step = math.gcd(*(number - first for number in moments)) or 1
     if (last - first) // step >= MOST_FILLED * len(there):

@@ -51,6 +51,7 @@ def test_a_film_is_whole_paths_and_a_second_call_goes_on(poseterior: Cli, tmp_pa
     np.testing.assert_array_equal(film_draws(out).joints.values, found.joints.values)
     assert "5 frames of 1 person: 3 complete, 2 filled" in again.out
     assert "12 paths" in again.out
+    assert "–" not in again.out, "the evidence is that of frames with a pose of their own"
 
     exported = poseterior("export", out, "--to", "npz", "--out", tmp_path / "x.npz")
     assert "5 with a pose" in exported.out, exported

@@ -353,9 +353,9 @@ class AnatomicalLimits:
         if 0 in joints.shape:
             empty = np.zeros((*joints.shape[:-2], len(BONE_NAMES)))
             return Check(empty == 0, empty.astype(int), empty)
-        local, column, row = self._located(joints)
-        upper_limit, upper_excess = self._check_upper(local.upper, column, row)
-        lower_limit, lower_excess = self._check_lower(local.lower, column[:, 1:], row[:, 1:])
+        upper, lower, column, row = self._located(joints)
+        upper_limit, upper_excess = self._check_upper(upper, column, row)
+        lower_limit, lower_excess = self._check_lower(lower, column[:, 1:], row[:, 1:])
         shape = (*joints.shape[:-2], len(BONE_NAMES))
         limit = np.concatenate([upper_limit, lower_limit], axis=-1).reshape(shape)
         excess = np.concatenate([upper_excess, lower_excess], axis=-1).reshape(shape)
@@ -382,20 +382,20 @@ class AnatomicalLimits:
         """
         joints = _credible(joints)
         found = self.check(joints)
-        local, column, row = self._located(joints)
-        upper = [self._distance(bone, local.upper[:, bone], False) for bone in range(NUM_UPPER)]
-        lower = self._lower_margin(local.lower, column[:, 1:], row[:, 1:])
-        free = np.column_stack([*upper, lower]).reshape(found.excess.shape)
-        return np.where(found.valid, free, -found.excess)
+        upper, lower, column, row = self._located(joints)
+        free = [self._distance(bone, upper[:, bone], False) for bone in range(NUM_UPPER)]
+        bent = self._lower_margin(lower, column[:, 1:], row[:, 1:])
+        margin = np.column_stack([*free, bent]).reshape(found.excess.shape)
+        return np.where(found.valid, margin, -found.excess)
 
-    def _located(self, joints: np.ndarray) -> tuple[Articulation, np.ndarray, np.ndarray]:
-        """Local directions of all poses in a row, and the cells of their upper bones. Raises
-        `BadInput` on a bone of length zero."""
+    def _located(self, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Local directions `(n, 5, 3)` and `(n, 4, 3)` of all poses in a row, and the cells (two
+        `(n, 5)`) of their upper bones. Raises `BadInput` on a bone of length zero."""
         locate = functools.partial(_locate, jnp.asarray(self.reference), jnp.asarray(self.fallback))
         local, column, row = in_chunks(locate, joints.reshape(-1, NUM_JOINTS, 3))
         if not np.all(local.length > 0):
             raise BadInput("a pose has a bone of length zero, which has no direction to check")
-        return local, column, row
+        return local.upper, local.lower, column, row
 
     def _check_upper(
         self, upper: np.ndarray, column: np.ndarray, row: np.ndarray

@@ -53,7 +53,7 @@ from poseterior.inference.studies.calibration.simulations import (
 from poseterior.probmodel.anatomy.limits import AnatomicalLimits
 from poseterior.probmodel.datasets import Case
 from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, require_some
 from poseterior.probmodel.measures import MEASURES
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import require_root_prior
@@ -122,8 +122,7 @@ def calibrate(
         Where the sampler is not one, its draws have other dimensions, `out` holds another run, or
         another process is writing to it.
     """
-    if num_simulations < 1:
-        raise BadInput(f"the number of simulations must be at least 1, not {num_simulations}")
+    require_some(num_simulations, "simulations")
     sampler = _named(sampler, root)
     if sampler == WEIGHTED:
         draw = independent_roots(model, num_samples, num_roots, max_proposals=max_proposals)

@@ -605,6 +605,10 @@ class Viewing(Rooting):
         lens = self._lens(size, exif)
         return prior.model(rooted=self.rooted, upright=concentration(self.upright), lens=lens)
 
+    def model_of(self, prior: Prior, person: Person) -> "PoseModel":
+        """As `model`, for the image of a person."""
+        return self.model(prior, person.size, person.detected.photo_focal)
+
     def _lens(self, size: tuple[int, int] | None, exif: float | None) -> "Lens | None":
         import numpy as np
 

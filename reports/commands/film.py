@@ -1,0 +1,36 @@
+"""`poseterior film`: whole paths of one person in a film, a stream whose draws follow each other in
+time, and its page."""
+
+from poseterior.inference.films.film import FRAMES, film_of
+from poseterior.reports import console
+from poseterior.reports.commands import frames
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import FilmSettings
+
+
+def run(settings: FilmSettings, screen: Screen) -> None:
+    """Writes the film. Raises `BadInput` on a bad file, a rate that cannot be, several people of
+    whom none is chosen, and where the folder holds another run."""
+    out = settings.out
+    console.output_folder(out)
+    fragments: list[str] = []
+    warnings: list[str] = []
+    names, stream, person = None, settings.path, settings.person
+    if not settings.drawn_before:
+        stream, names, person = out / FRAMES, settings.names, None
+        people, warnings = frames.draw(settings, stream, screen, alone=True)
+        fragments = people.fragments
+    with console.progress("paths", screen.quiet) as step:
+        film_of(
+            stream,
+            rate=settings.fps,
+            out=out,
+            person=person,
+            frames=names,
+            cutoff=settings.cutoff,
+            k=settings.k,
+            progress=step,
+        )
+    frames.show(settings, fragments, screen)
+    for sentence in warnings:
+        console.warn(sentence)

@@ -119,6 +119,12 @@ JointOrder = Annotated[
         help="Order of a detector's joints, where files do not say it: coco_17, halpe_26, ….",
     ),
 ]
+CameraNoise = Annotated[
+    str,
+    Option(help="Of synthetic cameras: none, gaussian:SIZE, heavy-tailed:SIZE (of body height)."),
+]
+Keypoints2D = Annotated[str, Option(help="Human3.6M's 2D file, data_2d_h36m_NAME.npz.")]
+WhoseFilm = Annotated[int | None, Option(help="Whose film, in a stream of several people.")]
 RigNames = Annotated[
     Path | None,
     Option(

@@ -14,7 +14,7 @@ Draws are written only where they are asked for (`keep`): ten thousand of a fram
 import hashlib
 import itertools
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -354,12 +354,17 @@ def all_draws(folder: str | os.PathLike) -> Iterator[tuple[str, xr.Dataset]]:
 def _with_draws(folder: str | os.PathLike) -> Store:
     """A stream in which draws were kept. Raises `BadInput` where it is none."""
     store = Store.open(Path(folder), _STREAM)
-    if not store.settings.get("keep"):
+    require_draws(folder, store.settings)
+    return store
+
+
+def require_draws(folder: str | os.PathLike, settings: Mapping[str, Any]) -> None:
+    """Raises `BadInput` where no draws were kept in a stream of such settings."""
+    if not settings.get("keep"):
         raise BadInput(
             f"no draws were kept in {folder}; draw again into another folder with `keep`"
             " (on the command line --keep), how many draws of each frame are written"
         )
-    return store
 
 
 def _held(summary: xr.Dataset, drawn: xr.Dataset, index: int) -> xr.Dataset:

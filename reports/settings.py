@@ -308,7 +308,10 @@ class FilmSettings(_ManyFrames):
         "film video.json --fps 30 --person 1 --focal 1650 --principal 540,960",
         "film walk-posterior --fps 60 --out walk-film",
     )
-    fps: Annotated[float, Option(help="Frames a second.", show_default=False)]
+    fps: Annotated[
+        float,
+        Option(help="Frames a second, as their names number them.", show_default=False),
+    ]
     out: Path = option(
         Path("out"),
         "Folder for the film, depth.png and hypotheses.html, and in frames/ what is drawn frame by"
@@ -330,8 +333,12 @@ class FilmSettings(_ManyFrames):
         return (self.path / "run.json").is_file()
 
     def check(self) -> None:
-        """As of `FramesSettings`, where draws are still to be made."""
+        """As of `FramesSettings`, where draws are still to be made. Raises `BadInput` on a film
+        that cannot be made of them, too."""
+        from poseterior.inference.films.film import require_film
+
         if not self.drawn_before:
+            require_film(self.fps, self.cutoff, self.k, self.keep)
             super().check()
 
 

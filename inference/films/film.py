@@ -38,6 +38,7 @@ from poseterior.inference.stream import (
     in_time,
     nothing_drawn,
     open_stream,
+    require_draws,
     rows_of_person,
     sample_frames,
 )
@@ -55,7 +56,7 @@ FASTEST = 10_000.0
 MOST_FILLED = 10
 """Times as many frames as there are poses: more would be no film."""
 NUM_PATHS = 400
-FRAMES = "frames"
+FRAMES_FOLDER = "frames"
 """The folder, in that of a film, of what is drawn for it frame by frame."""
 FILM, FILLED = "film", "filled"
 """What such a stream calls itself, and the status of its frames without a pose of their own."""
@@ -75,6 +76,7 @@ def sample_film(
     estimating: Estimating | None = None,
     num_paths: int = NUM_PATHS,
     num_roots: int = NUM_PATHS,
+    most_roots: int | None = None,
     cutoff: float = CUTOFF,
     k: int = 5,
     machines: Machines = HERE,
@@ -84,7 +86,7 @@ def sample_film(
 
     Parameters
     ----------
-    model, frames, key, estimating, num_roots, machines
+    model, frames, key, estimating, num_roots, most_roots, machines
         As `sample_frames` takes them; torso and camera are uncertain.
     rate, cutoff, k, progress
         As `film_of` takes them.
@@ -103,14 +105,15 @@ def sample_film(
     BadInput
         As both do.
     """
-    _require(rate, cutoff)
+    require_film(rate, cutoff, k, num_paths)
     drawn = sample_frames(
         model,
         frames,
         key=key,
-        out=Path(out) / FRAMES,
+        out=Path(out) / FRAMES_FOLDER,
         estimating=estimating,
         num_roots=num_roots,
+        most_roots=most_roots,
         num_samples=num_paths,
         keep=num_paths,
         k=1,
@@ -141,7 +144,7 @@ def film_of(
     stream
         A folder of `sample_frames`, of which draws were kept: as many as there will be paths.
     rate
-        Frames a second.
+        Frames a second, as their names number them: of 60, frames 0, 2, 4 and so on are 30.
     out
         Another folder, for the film.
     person
@@ -169,24 +172,23 @@ def film_of(
         or nobody with a pose; where frames are numbered with many more gaps than frames; and as
         `open_stream` and `sample_frames`.
     """
-    _require(rate, cutoff)
     source, folder = Path(stream), Path(out)
-    tree = open_stream(source)
+    tree = _frames_of(source)
     paths = int(tree.attrs["keep"])
-    drawn = _drawn(source, tree, person, frames)
-    if not 1 <= k <= max(paths, 1):
-        raise BadInput(f"{k} hypotheses cannot be chosen among {paths} paths; choose another k")
+    require_film(rate, cutoff, k, paths)
+    drawn, step = _drawn(source, tree, person, frames)
     with locked(folder):
         store = Store.begin(
             folder,
             {str(name): value for name, value in tree.attrs.items()}
-            | {"study": FILM, "rate": rate, "cutoff": cutoff, "k": k, "person": str(person)},
+            | {"study": FILM, "rate": rate, "step": step}
+            | {"cutoff": cutoff, "k": k, "person": str(person)},
         )
         seed = [int(word) for word in str(tree.attrs["seed"]).split()]
-        random = np.random.default_rng(seed)
-        film = _paths(drawn, paths, rate, random, progress)
-        parts = filled(film.parts, film.seen, rate, random)
-        film = film._replace(parts=_without_quick(parts, rate, cutoff))
+        pace, random = rate / step, np.random.default_rng(seed)
+        film = _paths(drawn, paths, pace, random, progress)
+        parts = filled(film.parts, film.seen, pace, random)
+        film = film._replace(parts=_without_quick(parts, pace, cutoff))
         task = _Writing(drawn, film, film.chosen(k), k)
         made_of = {"frames": _fingerprint(drawn)}
         blocks = [
@@ -229,17 +231,35 @@ def film_draws(folder: str | os.PathLike) -> xr.Dataset:
     held = [one for _, one in all_draws(folder)]
     found = xr.concat(held, dim="frame", data_vars=["joints", "place"], coords="minimal")
     found = found.transpose("chain", "draw", "frame", ...)
-    seconds = np.arange(found.sizes["frame"]) / about["rate"]
+    seconds = np.arange(found.sizes["frame"]) * about["step"] / about["rate"]
     return found.assign_coords(time=("frame", seconds)).assign_attrs(about)
 
 
-def _require(rate: float, cutoff: float) -> None:
+def require_film(rate: float, cutoff: float, k: int, paths: int) -> None:
+    """Raises `BadInput` on numbers of which no film is made, whatever its frames are: see
+    `film_of`."""
     if not 0 < rate <= FASTEST:  # false for NaN too
         raise BadInput(
             f"{rate:g} frames a second are no film; give a rate above 0, and at most {FASTEST:g}"
         )
     if not 0 < cutoff < math.inf:
         raise BadInput(f"motion cannot be cut off at {cutoff:g} Hz; give a cutoff above 0")
+    if not 1 <= k <= paths:
+        raise BadInput(
+            f"{k} hypotheses cannot be chosen among {paths} paths; choose at least one, and at most"
+            " as many as there are paths"
+        )
+
+
+def _frames_of(folder: Path) -> xr.DataTree:
+    """A stream of which a film can be made: its draws were kept, and are no paths yet."""
+    tree = open_stream(folder)
+    if tree.attrs["study"] == FILM:
+        raise BadInput(
+            f"{folder} is a film already; give what it was made of, the folder of its frames"
+        )
+    require_draws(folder, tree.attrs)
+    return tree
 
 
 class _Moment(NamedTuple):
@@ -253,8 +273,9 @@ class _Moment(NamedTuple):
 
 def _drawn(
     folder: Path, tree: xr.DataTree, person: int | None, frames: Sequence[str] | None
-) -> list[_Moment]:
-    """All frames in the order of time, from the first with a pose to the last."""
+) -> tuple[list[_Moment], int]:
+    """All frames in the order of time, from the first with a pose to the last, and by how much
+    their numbers grow from one to the next."""
     summary = tree["summary"].to_dataset()
     items = [str(name) for name in summary.frame.values]
     names, rows = rows_of_person(items, person, folder)
@@ -278,10 +299,11 @@ def _drawn(
             f"the frames of {folder} are numbered from {first} to {last}, and only {len(there)} of"
             " them have a pose of that person; number them one by one, or give a part of them"
         )
-    return [
+    film = [
         moments.get(number, _Moment(f"{number} (not there)/{who}".rstrip("/")))
         for number in range(first, last + 1, step)
     ]
+    return film, step
 
 
 def _moment(

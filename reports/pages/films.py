@@ -17,7 +17,13 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import chi2, norm
 
 from poseterior.inference.estimators import Estimating
-from poseterior.inference.films.film import CUTOFF, FRAMES, film_draws, sample_film
+from poseterior.inference.films.film import (
+    CUTOFF,
+    FRAMES_FOLDER,
+    NUM_PATHS,
+    film_draws,
+    sample_film,
+)
 from poseterior.inference.stream import Item, all_draws, open_stream
 from poseterior.probmodel import Detection, DetectorErrors, Likelihood, PoseModel
 from poseterior.probmodel.body import body_unit
@@ -38,14 +44,14 @@ from poseterior.reports.tables.words import spoken
 
 CAPTURED_RATE, CAPTURED_SECONDS = 30.0, 2.0
 CAPTURED_PEOPLE = 12
-OTHER_RATES = (15.0, 120.0)
+OTHER_RATES = (15.0, 60.0)
 """Frames a second at which some of the captured people are filmed, too."""
 RATED_PEOPLE = 3
 METRES = 4.0
 """From the simulated camera to the pelvis."""
 AS_DEFINED = np.zeros((NUM_JOINTS, 3))
 """The simulated detector means the joints that the model has."""
-SHARES, LASTING = (0.4, 0.5, 0.1), 0.15
+ERROR_SHARES, LASTING = (0.4, 0.5, 0.1), 0.15
 """Of the variance of simulated errors: what stays the same, what lasts (seconds), and what is new
 in every frame; about as on the film."""
 LAGS = (0.1, 0.5)
@@ -58,7 +64,9 @@ HEAVIEST = "frame by frame, the heaviest hypothesis"
 ALONE = "frame by frame, all draws"
 SMOOTHED = "frame by frame, each draw smoothed"
 FILM_WAY = "film"
-ENDS = [JOINT_INDEX[name] for name in ("right_wrist", "left_wrist", "right_ankle", "left_ankle")]
+LIMB_TIPS = [
+    JOINT_INDEX[name] for name in ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
+]
 
 
 class TrueFilm(NamedTuple):
@@ -148,7 +156,7 @@ def lasting_errors(
     law: DetectorErrors, frames: int, rate: float, rng: np.random.Generator
 ) -> np.ndarray:
     """`(frames, 15, 2)` body units: errors whose every frame is as the law says, outliers among
-    them, in three parts as `SHARES` has them."""
+    them, in three parts as `ERROR_SHARES` has them."""
     assert isinstance(law.law, Student)
     z = _lasting((NUM_JOINTS, 3), frames, rate, rng)
     freedom = law.law.df
@@ -169,7 +177,7 @@ def _lasting(
     for row in range(1, frames):
         slow[row] = kept * slow[row - 1] + np.sqrt(1 - kept**2) * slow[row]
     parts = rng.standard_normal(shape), slow, rng.standard_normal((frames, *shape))
-    return sum(np.sqrt(share) * part for share, part in zip(SHARES, parts, strict=True))
+    return sum(np.sqrt(share) * part for share, part in zip(ERROR_SHARES, parts, strict=True))
 
 
 def drawn(film: TrueFilm, work: Path) -> Path:
@@ -195,7 +203,7 @@ def ways_of(film: TrueFilm, out: Path) -> tuple[Ways, np.ndarray]:
     paths = film_draws(out)
     rows = np.array([int(str(name)) for name in paths.frame.values])
     unit = body_unit(film.truth[np.isfinite(film.truth).all(axis=(1, 2))])
-    alone = {int(name): one.joints.values[0] for name, one in all_draws(out / FRAMES)}
+    alone = {int(name): one.joints.values[0] for name, one in all_draws(out / FRAMES_FOLDER)}
     there = np.array([len(alone[row]) > 0 for row in rows])
     each = np.full(paths.joints.shape[1:], np.nan)
     for at, row in enumerate(rows):
@@ -203,7 +211,7 @@ def ways_of(film: TrueFilm, out: Path) -> tuple[Ways, np.ndarray]:
             each[:, at] = alone[row]
     smooth = each.copy()
     smooth[:, there] = butterworth(each[:, there].swapaxes(0, 1), film.rate, CUTOFF).swapaxes(0, 1)
-    heaviest = open_stream(out / FRAMES)["hypotheses"].joints.values[:, 0]
+    heaviest = open_stream(out / FRAMES_FOLDER)["hypotheses"].joints.values[:, 0]
     found = {
         HEAVIEST: heaviest[rows][None],
         ALONE: each,
@@ -218,7 +226,7 @@ def about_hips(joints: np.ndarray) -> np.ndarray:
     return joints - joints[..., HIPS, :].mean(axis=-2, keepdims=True)
 
 
-class Judged(NamedTuple):
+class PathsJudged(NamedTuple):
     """What a way is worth on one film.
 
     Attributes
@@ -236,7 +244,9 @@ class Judged(NamedTuple):
     jitter: float
 
 
-def judge(paths: np.ndarray, film: TrueFilm, rows: np.ndarray, rng: np.random.Generator) -> Judged:
+def judge(
+    paths: np.ndarray, film: TrueFilm, rows: np.ndarray, rng: np.random.Generator
+) -> PathsJudged:
     """A way's paths `(n, frames, 15, 3)` against the truth, whose own errors they are given."""
     truth = about_hips(film.truth[rows])
     own = film.sigma[rows][:, :, None] * _truths_errors(len(paths), film.rate, len(rows), rng)
@@ -248,7 +258,7 @@ def judge(paths: np.ndarray, film: TrueFilm, rows: np.ndarray, rng: np.random.Ge
         covered.append(_held(noisy[:, step:] - noisy[:, :-step], true[step:] - true[:-step]))
     mean = paths.mean(axis=0)
     gone = np.linalg.norm(mean[:, JUDGED_ENDS] - true, axis=-1)
-    return Judged(np.array(covered), width, float(np.nanmean(gone)), jitter(mean))
+    return PathsJudged(np.array(covered), width, float(np.nanmean(gone)), jitter(mean))
 
 
 def _truths_errors(number: int, rate: float, frames: int, rng: np.random.Generator) -> np.ndarray:
@@ -272,13 +282,13 @@ def _width(paths: np.ndarray) -> np.ndarray:
 
 def jitter(path: np.ndarray) -> float:
     """mm: median third difference of the ends of limbs of a path `(frames, 15, 3)`."""
-    third = np.diff(path[:, ENDS], 3, axis=0)
+    third = np.diff(path[:, LIMB_TIPS], 3, axis=0)
     return float(np.nanmedian(np.linalg.norm(third, axis=-1)))
 
 
-def rows_of(films: list[TrueFilm], work: Path) -> dict[str, list[Judged]]:
+def rows_of(films: list[TrueFilm], work: Path) -> dict[str, list[PathsJudged]]:
     """By way, what it is worth on each film."""
-    found: dict[str, list[Judged]] = {}
+    found: dict[str, list[PathsJudged]] = {}
     for number, film in enumerate(films):
         ways, rows = ways_of(film, drawn(film, work))
         for name, paths in ways.items():
@@ -308,7 +318,7 @@ HEAD = (
 )
 
 
-def _cells(way: str, films: list[TrueFilm], judged: list[Judged]) -> list[str]:
+def _cells(way: str, films: list[TrueFilm], judged: list[PathsJudged]) -> list[str]:
     covered = 100 * np.mean([one.covered for one in judged], axis=0)
     shares = [" / ".join(f"{axis:.0f}" for axis in row) for row in covered]
     width = np.mean([one.width for one in judged], axis=0)
@@ -319,6 +329,15 @@ def _cells(way: str, films: list[TrueFilm], judged: list[Judged]) -> list[str]:
     means = [float(np.mean([getattr(one, name) for one in judged])) for name in ("error", "jitter")]
     true = float(np.mean([jitter(about_hips(film.truth)) for film in films]))
     return [*shares, wide, f"{means[0]:.0f}", f"{means[1]:.1f}", f"{true:.1f}"]
+
+
+def inside_limits(groups: list[list[TrueFilm]], work: Path) -> float:
+    """The share of poses of paths that the limits allow."""
+    limits, found = PoseModel().limits, []
+    for film in (film for films in groups for film in films):
+        some = film_draws(drawn(film, work)).joints.values[0, ::20].astype(float)
+        found.append(limits.check(some.reshape(-1, NUM_JOINTS, 3)).pose_valid.mean())
+    return float(np.mean(found))
 
 
 def picture(film: TrueFilm, out: Path) -> Figure:
@@ -354,7 +373,15 @@ def main(data: Data, work: Work) -> Page:
         f"captured, {rate:g} a second": captured_films(data, law, rate, RATED_PEOPLE)
         for rate in OTHER_RATES
     }
+    constant, slow, quick = (f"{100 * share:.0f}" for share in ERROR_SHARES)
     values: dict[str, str | int | Sheet] = {
+        "constant": constant,
+        "slow": slow,
+        "quick": quick,
+        "lasting": f"{LASTING:g}",
+        "cutoff": f"{CUTOFF:g}",
+        "paths": NUM_PATHS,
+        "inside": f"{100 * inside_limits([*real.values(), *made.values()], work):.0f}",
         "real": table(real, work),
         "captured": table(made, work),
         "people": len(held),

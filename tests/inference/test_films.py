@@ -375,23 +375,18 @@ def filmed(number: int, drawn, like) -> tuple[np.ndarray, list[Frame], PathBodie
 
 def test_changes_hold_and_are_known_better_than_from_frames_alone(drawn, like):
     """Forty films. Central 90 % intervals of sixty draws hold the coordinates of a frame as often
-    in paths as in the frames, and changes over an eighth of a second at least as often, from intervals
-    two thirds as wide. The control, draws smoothed in any order, holds far too little.
+    in paths as in the frames, and changes over an eighth of a second at least as often, from
+    intervals two thirds as wide. The control, draws smoothed in any order, holds far too little.
 
-    Films' shares have a standard deviation of 0.11 (measured), their mean of 0.018: a right coverage
-    is within 0.06 of 0.9 but for one run in a thousand, one of 0.75 is found always."""
+    Films' shares have a standard deviation of 0.11 (measured), their mean of 0.018: a right
+    coverage is within 0.06 of 0.9 but for one run in a thousand, one of 0.75 is found always."""
     shares, widths = [], []
     for number in range(FILMS):
         truth, frames, body = filmed(number, drawn, like)
         random = np.random.default_rng(number)
         ways = (
             Parts(*map(np.stack, zip(*(frame.parts for frame in frames), strict=True))),
-            Parts(
-                *map(
-                    np.stack,
-                    zip(*coupled(frames, body, np.random.default_rng(number)), strict=True),
-                )
-            ),
+            Parts(*map(np.stack, zip(*coupled(frames, body, random), strict=True))),
         )
         smooth = ways[0].over_time(lambda part: butterworth(part, RATE, film.CUTOFF))
         alone, paths, control = (put_together(way, body) for way in (*ways, smooth))

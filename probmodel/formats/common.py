@@ -305,7 +305,7 @@ def image_name(value: object, where: str) -> str | None:
     raise BadInput(f"{where} is {shown(value)} where a whole number or a name is needed.")
 
 
-FRAMES = (
+FRAME_NAMES = (
     *("frame", "frame_id", "frame_idx", "frame_index", "frame_number", "frame_num", "frameno"),
     *("fnum", "image", "image_id", "image_name", "img_name", "file", "filename", "file_name"),
 )

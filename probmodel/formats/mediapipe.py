@@ -23,7 +23,7 @@ from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.documents import require_modest
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.formats.common import (
-    FRAMES,
+    FRAME_NAMES,
     Content,
     cell_number,
     chosen_layout,
@@ -101,7 +101,7 @@ def _people(content: Content) -> Iterator[tuple[str | None, Any]]:
     for index, value in enumerate(document):
         where = f"frame {index} of {content.source}"
         frame = mapping(value, where)
-        said = next((frame[key] for key in FRAMES if key in frame), index)
+        said = next((frame[key] for key in FRAME_NAMES if key in frame), index)
         yield from ((image_name(said, where), person) for person in _persons(frame, where))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.common import (
-    FRAMES,
+    FRAME_NAMES,
     TRACKS,
     Content,
     named_layout,
@@ -36,7 +36,7 @@ _SCORES = (
 )
 _ENDINGS = ("x", "y", "z", "error", *_SCORES)
 _COLUMN = re.compile(rf"(?P<name>.+?)[ _.](?P<part>{'|'.join(_ENDINGS)})", re.IGNORECASE)
-_ROWS = (*FRAMES, "")
+_ROWS = (*FRAME_NAMES, "")
 """Columns that name the rows; an index of pandas has no name."""
 _PEOPLE = (*TRACKS, "person", "individual", "id")
 """Columns that say whose row it is."""

@@ -27,6 +27,7 @@ from tests.mutants import ROOT
 from tests.mutants.__main__ import Copy
 
 BY_HAND = "tests/inference/test_importance_by_hand.py"
+STATISTICS = "tests/inference/test_statistics_by_hand.py"
 ROOTS = "tests/inference/test_uncertain_root.py"
 COMPARISON = "tests/inference/test_comparison.py"
 CALIBRATION = "tests/inference/test_calibration.py"
@@ -37,16 +38,16 @@ CORE: dict[str, tuple[str, ...]] = {
         "tests/inference/test_uncertain_rejection.py",
     ),
     "inference/importance/two_stage.py": (ROOTS, "tests/inference/test_uncertain_two_stage.py"),
-    "inference/resampling.py": (ROOTS, "tests/inference/test_benchmark.py"),
-    "inference/studies/comparison/modes.py": (COMPARISON,),
-    "inference/studies/comparison/mixing.py": (COMPARISON,),
-    "inference/studies/comparison/permutation.py": (COMPARISON,),
-    "inference/studies/comparison/power.py": (COMPARISON,),
-    "inference/studies/comparison/ranks.py": (COMPARISON,),
-    "inference/studies/calibration/uniformity.py": (CALIBRATION,),
-    "inference/studies/calibration/verdict.py": (CALIBRATION,),
+    "inference/resampling.py": (STATISTICS, ROOTS, "tests/inference/test_benchmark.py"),
+    "inference/studies/comparison/modes.py": (STATISTICS, COMPARISON),
+    "inference/studies/comparison/mixing.py": (STATISTICS, COMPARISON),
+    "inference/studies/comparison/permutation.py": (STATISTICS, COMPARISON),
+    "inference/studies/comparison/power.py": (STATISTICS, COMPARISON),
+    "inference/studies/comparison/ranks.py": (STATISTICS, COMPARISON),
+    "inference/studies/calibration/uniformity.py": (STATISTICS, CALIBRATION),
+    "inference/studies/calibration/verdict.py": (STATISTICS, CALIBRATION),
 }
-"""Files, and the tests that should see what is wrong with them."""
+"""Files, and the tests that should see what is wrong with them, quick ones first."""
 DULL = ("Decorator", "Number", "NoOp", "Bit", "Shift", "Floor", "Mod", "Pow", "Is", "_Not")
 """What is in the names of operators whose faults say little: of caches and tuning constants, or
 that no array survives, whatever tests look at."""

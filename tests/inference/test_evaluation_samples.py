@@ -54,7 +54,8 @@ def normal() -> tuple[np.ndarray, np.ndarray]:
 
 
 WITHOUT_MEASURES = mock.patch(
-    "poseterior.inference.studies.evaluation.samples.standings_of", lambda *_: no_standings()
+    "poseterior.inference.studies.evaluation.samples.standings_of",
+    mock.Mock(return_value=no_standings()),
 )
 """Joint angles and lengths are most of the work, and asked for by
 `test_predictions_are_scored_as_samples`."""

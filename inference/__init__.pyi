@@ -9,6 +9,9 @@ from .estimators import estimate_torso as estimate_torso
 from .estimators import estimate_torsos as estimate_torsos
 from .evidences import Evidence as Evidence
 from .evidences import evidence as evidence
+from .films.film import film_draws as film_draws
+from .films.film import film_of as film_of
+from .films.film import sample_film as sample_film
 from .hypothesis import Hypothesis as Hypothesis
 from .hypothesis import diverse as diverse
 from .hypothesis import grid_poses as grid_poses

@@ -14,7 +14,7 @@ Draws are written only where they are asked for (`keep`): ten thousand of a fram
 import hashlib
 import itertools
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,7 +27,7 @@ import xarray as xr
 from poseterior.inference.composition import compose
 from poseterior.inference.draws import MAX_PROPOSALS, Draws, key_of, key_words
 from poseterior.inference.estimators import Estimating
-from poseterior.inference.hypothesis import diverse
+from poseterior.inference.hypothesis import Hypothesis, diverse
 from poseterior.inference.machines import HERE, Machines, in_threads
 from poseterior.inference.results import provenance
 from poseterior.inference.sampler import MANY_ROOTS, DetectionSampler, sampler_of
@@ -35,7 +35,7 @@ from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.formats.frames import DetectedFrame
+from poseterior.probmodel.formats.frames import DetectedFrame, frame_numbers
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.people import cast_of
 from poseterior.probmodel.posterior import Estimate
@@ -48,7 +48,7 @@ from poseterior.probmodel.skeleton import (
     NUM_LENGTHS,
 )
 
-DRAW_BYTES = 4 * (3 * NUM_JOINTS + NUM_LENGTHS)
+DRAW_BYTES = 4 * (3 * NUM_JOINTS + NUM_LENGTHS + 3)
 """Of a draw that is kept, in single precision."""
 BLOCK_BYTES = 64_000_000
 """About how much a block holds; more frames a block where fewer draws are kept."""
@@ -79,6 +79,15 @@ class Item(NamedTuple):
     frame: Estimate | Detection | str
 
 
+class PoseDraws(NamedTuple):
+    """Draws of a frame: joints `(n, 15, 3)`, `bone_length` `(n, 5)`, and where the pelvis is before
+    the camera, `(n, 3)`, NaN where no focal length is known; body units."""
+
+    joints: np.ndarray
+    bone_length: np.ndarray
+    place: np.ndarray
+
+
 class FrameDraws(NamedTuple):
     """What is kept of a frame: see `open_stream`."""
 
@@ -100,6 +109,54 @@ class FrameDraws(NamedTuple):
     chosen: np.ndarray
     joints: np.ndarray
     bone_length: np.ndarray
+    places: np.ndarray
+
+    def drawn(self, draws: PoseDraws, chosen: Sequence[Hypothesis]) -> "FrameDraws":
+        """With what is said of some draws, and as many of them as are kept."""
+        number, k = len(draws.joints), len(chosen)
+        kept = min(len(self.joints), number)
+        found = self._replace(
+            num_draws=number,
+            mean=draws.joints.mean(axis=0),
+            sd=draws.joints.std(axis=0),
+            place=draws.place.mean(axis=0),
+            place_sd=draws.place.std(axis=0),
+            depth=np.quantile(draws.joints[:, :, 2], LEVELS, axis=0).T,
+        )
+        found.hypotheses[:k] = [one.joints for one in chosen]
+        found.weight[:k] = [one.weight for one in chosen]
+        found.chosen[:k] = [one.draw for one in chosen]
+        found.standing[:k] = draws.place[found.chosen[:k]]
+        found.joints[:kept], found.bone_length[:kept], found.places[:kept] = (
+            part[:kept] for part in draws
+        )
+        return found
+
+
+def nothing_drawn(name: str, status: str, sentence: str, k: int, keep: int) -> FrameDraws:
+    """A frame without draws, with room for so many hypotheses and kept draws."""
+    blank = np.full((NUM_JOINTS, 3), np.nan)
+    return FrameDraws(
+        name,
+        status,
+        sentence,
+        num_draws=0,
+        log_evidence=-np.inf,
+        log_evidence_se=np.inf,
+        effective_roots=np.nan,
+        mean=blank,
+        sd=blank,
+        place=blank[0],
+        place_sd=blank[0],
+        depth=np.full((NUM_JOINTS, len(LEVELS)), np.nan),
+        hypotheses=np.full((k, NUM_JOINTS, 3), np.nan),
+        standing=np.full((k, 3), np.nan),
+        weight=np.zeros(k),
+        chosen=np.full(k, -1),
+        joints=np.full((keep, NUM_JOINTS, 3), np.nan, np.float32),
+        bone_length=np.full((keep, NUM_LENGTHS), np.nan, np.float32),
+        places=np.full((keep, 3), np.nan, np.float32),
+    )
 
 
 def sample_frames(
@@ -174,8 +231,7 @@ def sample_frames(
     if estimating:
         estimating([])  # refuses what would fail for everybody
     folder = Path(out)
-    size = BLOCK_BYTES // (DRAW_BYTES * max(keep, 1))
-    size = max(1, min(MOST_IN_BLOCK, size))
+    size = frames_of_block(keep)
     words = np.asarray(jax.random.key_data(key))
     chosen = sampler_of(
         root, sampler, num_roots=num_roots, most_roots=most_roots, max_proposals=max_proposals
@@ -267,7 +323,8 @@ def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
     Returns
     -------
     Dataset
-        `joints` `(chain, draw, joint, axis)` and `bone_length`, as ArviZ takes them.
+        `joints` `(chain, draw, joint, axis)`, `bone_length`, and `place` `(chain, draw, axis)` of
+        the pelvis (NaN where no focal length is known), as ArviZ takes them.
 
     Raises
     ------
@@ -297,12 +354,17 @@ def all_draws(folder: str | os.PathLike) -> Iterator[tuple[str, xr.Dataset]]:
 def _with_draws(folder: str | os.PathLike) -> Store:
     """A stream in which draws were kept. Raises `BadInput` where it is none."""
     store = Store.open(Path(folder), _STREAM)
-    if not store.settings.get("keep"):
+    require_draws(folder, store.settings)
+    return store
+
+
+def require_draws(folder: str | os.PathLike, settings: Mapping[str, Any]) -> None:
+    """Raises `BadInput` where no draws were kept in a stream of such settings."""
+    if not settings.get("keep"):
         raise BadInput(
             f"no draws were kept in {folder}; draw again into another folder with `keep`"
             " (on the command line --keep), how many draws of each frame are written"
         )
-    return store
 
 
 def _held(summary: xr.Dataset, drawn: xr.Dataset, index: int) -> xr.Dataset:
@@ -416,6 +478,36 @@ def frame_and_person(name: str) -> tuple[str, str]:
     return (frame, person) if slash else (name, "")
 
 
+def in_time(frames: list[str]) -> tuple[list[int], list[int] | None]:
+    """The order of frames by their numbers, and these; their own order, and None, where their names
+    have none."""
+    numbers = frame_numbers(frames)
+    if numbers is None:
+        return list(range(len(frames))), None
+    order = sorted(range(len(frames)), key=lambda at: numbers[at])
+    return order, [numbers[at] for at in order]
+
+
+def rows_of_person(
+    names: list[str], person: int | None, path: Path
+) -> tuple[list[str], list[int | None]]:
+    """The names of all frames, and in which row of the stream the person stands in each (None: in
+    none). Items are called `frame/person` where a detector's file was read."""
+    parts = [frame_and_person(name) for name in names]
+    people = sorted({who for _, who in parts}, key=lambda who: (len(who), who))
+    if person is None and len(people) > 1:
+        raise BadInput(
+            f"{path} is a film of {len(people)} people; choose one with `person` (on the command"
+            f" line --person), of {', '.join(people[:20])}"
+        )
+    who = people[0] if person is None else str(person)
+    if who not in people:
+        raise BadInput(f"{path} has no person {who}; choose one of {', '.join(people[:20])}")
+    rows = {frame: row for row, (frame, one) in enumerate(parts) if one == who}
+    frames = list(dict.fromkeys(frame for frame, _ in parts))
+    return frames, [rows.get(frame) for frame in frames]
+
+
 @dataclass(frozen=True)
 class _Drawing:
     """The task of a block: draws and hypotheses of its frames, of which it is told the number of
@@ -433,7 +525,7 @@ class _Drawing:
         first, items = block
         names, frames = [item.name for item in items], self._estimates(items)
         rows = in_threads(self._drawn, range(first, first + len(items)), names, frames)
-        return _groups(rows, self.k)
+        return groups_of(rows, self.k)
 
     def _estimates(self, items: list[Item]) -> list[Estimate | str]:
         """Detections are estimated together, or one by one where that fails for one of them."""
@@ -455,54 +547,20 @@ class _Drawing:
             draws = self.draw(frame, key)
         except BadInput as error:  # a torso of which too little is seen for a root of its own
             return self._nothing(name, BAD_INPUT, str(error))
-        joints, number = draws.joints, len(draws.joints)
         drawn = self._nothing(name, draws.status, draws.sentence)._replace(
             log_evidence=draws.log_evidence,
             log_evidence_se=draws.log_evidence_se,
             effective_roots=draws.effective_roots,
         )
-        if number == 0:
+        if not len(draws):
             return drawn
-        k = min(self.k, number)
+        k, joints = min(self.k, len(draws)), draws.joints
         places = _places(draws, self.lens if frame.lens is None else frame.lens)
         chosen = compose(draws, k) if self.composed else diverse(joints.astype(np.float32), k)
-        for row, one in enumerate(chosen):
-            drawn.hypotheses[row], drawn.weight[row] = one.joints, one.weight
-            drawn.standing[row] = places[one.draw]
-            drawn.chosen[row] = one.draw
-        kept = min(self.keep, number)
-        drawn.joints[:kept], drawn.bone_length[:kept] = joints[:kept], draws.bone_length[:kept]
-        return drawn._replace(
-            num_draws=number,
-            mean=joints.mean(axis=0),
-            sd=joints.std(axis=0),
-            place=places.mean(axis=0),
-            place_sd=places.std(axis=0),
-            depth=np.quantile(joints[:, :, 2], LEVELS, axis=0).T,
-        )
+        return drawn.drawn(PoseDraws(joints, draws.bone_length, places), chosen)
 
     def _nothing(self, name: str, status: str, sentence: str) -> FrameDraws:
-        blank = np.full((NUM_JOINTS, 3), np.nan)
-        return FrameDraws(
-            name,
-            status,
-            sentence,
-            num_draws=0,
-            log_evidence=-np.inf,
-            log_evidence_se=np.inf,
-            effective_roots=np.nan,
-            mean=blank,
-            sd=blank,
-            place=blank[0],
-            place_sd=blank[0],
-            depth=np.full((NUM_JOINTS, len(LEVELS)), np.nan),
-            hypotheses=np.full((self.k, NUM_JOINTS, 3), np.nan),
-            standing=np.full((self.k, 3), np.nan),
-            weight=np.zeros(self.k),
-            chosen=np.full(self.k, -1),
-            joints=np.full((self.keep, NUM_JOINTS, 3), np.nan, np.float32),
-            bone_length=np.full((self.keep, NUM_LENGTHS), np.nan, np.float32),
-        )
+        return nothing_drawn(name, status, sentence, self.k, self.keep)
 
 
 def _places(draws: Draws, lens: Lens | None) -> np.ndarray:
@@ -523,7 +581,13 @@ def _alone(estimating: Estimating, person: Detection) -> Estimate | str:
         return str(error)
 
 
-def _groups(rows: list[FrameDraws], k: int) -> Groups:
+def frames_of_block(keep: int) -> int:
+    """How many frames a block holds, of each of which so many draws are kept."""
+    return max(1, min(MOST_IN_BLOCK, BLOCK_BYTES // (DRAW_BYTES * max(keep, 1))))
+
+
+def groups_of(rows: list[FrameDraws], k: int) -> Groups:
+    """What a block holds of its frames."""
     fields = {name: [getattr(row, name) for row in rows] for name in FrameDraws._fields}
     names = {"frame": fields["name"], "joint": list(JOINTS), "axis": list("xyz")}
     scalars = ("num_draws", "log_evidence", "log_evidence_se", "effective_roots")
@@ -547,6 +611,7 @@ def _groups(rows: list[FrameDraws], k: int) -> Groups:
     posterior = {
         "joints": column("joints", "draw", "joint", "axis", **units),
         "bone_length": column("bone_length", "draw", "length_group", **units),
+        "place": column("places", "draw", "axis", **units),
     }
     return {
         "summary": xr.Dataset(summary, coords=names | {"level": list(LEVELS)}),

@@ -21,6 +21,7 @@ COMMANDS: dict[str, type] = {
     "hypotheses": settings.HypothesesSettings,
     "sample": settings.SampleSettings,
     "frames": settings.FramesSettings,
+    "film": settings.FilmSettings,
     "show": settings.ShowSettings,
     "detect": settings.DetectSettings,
     "measure": settings.MeasureSettings,

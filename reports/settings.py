@@ -66,6 +66,8 @@ OPEN = Drawing(root=RootKind.uncertain)
 MANY_ROOTED = Rooting(roots=200)
 """Where many people are drawn from, each has fewer roots: about a second of one core."""
 OPEN_MANY = Drawing(root=RootKind.uncertain, roots=MANY_ROOTED.roots)
+OPEN_FILM = Drawing(root=RootKind.uncertain, roots=400)
+"""As many roots as paths."""
 REAL = "Real poses (with --dataset)"
 """The part of the help for options of `coverage` that mean nothing without a data set."""
 
@@ -198,27 +200,13 @@ class _Film(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FramesSettings:
-    """Posterior draws and hypotheses of everyone in many frames, written as they come; goes on
-    where it was stopped."""
+class _ManyFrames:
+    """What `frames` and `film` have in common."""
 
-    EXAMPLES: ClassVar[tuple[str, ...]] = (
-        "frames walk/ --keep 200 --out walk-posterior",
-        "frames video.json --out result --num-samples 1000 --keep 100",
-        "frames street.json --person 1 --out one-of-them",
-        "frames walk/ --out walk-uncertain --roots 400 --upright 20",
-        "frames walk/ --focal 1650 --principal 240,320",
-        "frames walk/ --root fixed --out walk-of-the-paper",
-    )
     path: Annotated[
         Path,
         Argument(help="A folder of detections, or one file of many frames.", show_default=False),
     ]
-    out: Path = option(
-        Path("out"),
-        "Folder for the stream, depth.png and hypotheses.html; a run that was stopped"
-        " goes on there.",
-    )
     open: Open = False
     person: int | None = option(
         None,
@@ -227,8 +215,6 @@ class FramesSettings:
         show_default="everyone",
     )
     k: Hypotheses = 5
-    composed: Composed = False
-    keep: int = option(0, "How many draws of each person are written, 200 bytes each.")
     workforce: Workforce = Workforce()
     sampling: Sampling = Sampling()
     detected: Detected = Detected()
@@ -250,6 +236,11 @@ class FramesSettings:
             sizes |= {person.image_size for person in frame.people}
             unnamed |= any(person.image_id is None for person in frame.people)
         return _Film(names, sizes, unnamed and not self.path.is_dir())
+
+    @property
+    def names(self) -> list[str]:
+        """Of all frames."""
+        return self._film.names
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -280,6 +271,72 @@ class FramesSettings:
             raise BadInput(
                 f"{self.path} has no person in it; choose one in which the detector found some"
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramesSettings(_ManyFrames):
+    """Posterior draws and hypotheses of everyone in many frames, written as they come; goes on
+    where it was stopped."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "frames walk/ --keep 200 --out walk-posterior",
+        "frames video.json --out result --num-samples 1000 --keep 100",
+        "frames street.json --person 1 --out one-of-them",
+        "frames walk/ --out walk-uncertain --roots 400 --upright 20",
+        "frames walk/ --focal 1650 --principal 240,320",
+        "frames walk/ --root fixed --out walk-of-the-paper",
+    )
+    out: Path = option(
+        Path("out"),
+        "Folder for the stream, depth.png and hypotheses.html; a run that was stopped"
+        " goes on there.",
+    )
+    composed: Composed = False
+    keep: int = option(0, "How many draws of each person are written, 200 bytes each.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmSettings(_ManyFrames):
+    """Whole paths of one person in a film: one body, motion that goes on from frame to frame, gaps
+    filled; every frame keeps its own posterior. Goes on where it was stopped."""
+
+    EXAMPLES: ClassVar[tuple[str, ...]] = (
+        "film walk/ --fps 60 --out walk-film",
+        "film video.json --fps 30 --person 1 --focal 1650 --principal 540,960",
+        "film walk-posterior --fps 60 --out walk-film",
+    )
+    fps: Annotated[
+        float,
+        Option(help="Frames a second, as their names number them.", show_default=False),
+    ]
+    out: Path = option(
+        Path("out"),
+        "Folder for the film, depth.png and hypotheses.html, and in frames/ what is drawn frame by"
+        " frame; a run that was stopped goes on there.",
+    )
+    cutoff: float = option(4.0, "Motion quicker than so many Hz is taken away.")
+    sampling: Sampling = Sampling(num_samples=400)
+    estimation: Estimation = Estimation(errors="learned")
+    rooting: Drawing = OPEN_FILM
+
+    @property
+    def keep(self) -> int:
+        """All draws of a frame, which are as many as there are paths."""
+        return self.sampling.num_samples
+
+    @property
+    def drawn_before(self) -> bool:
+        """Whether the path is a stream of `frames`, whose draws were kept."""
+        return (self.path / "run.json").is_file()
+
+    def check(self) -> None:
+        """As of `FramesSettings`, where draws are still to be made. Raises `BadInput` on a film
+        that cannot be made of them, too."""
+        from poseterior.inference.films.film import require_film
+
+        if not self.drawn_before:
+            require_film(self.fps, self.cutoff, self.k, self.keep)
+            super().check()
 
 
 @dataclass(frozen=True, kw_only=True)

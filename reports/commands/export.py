@@ -46,7 +46,7 @@ def _doubts(clip: Clip, settings: ExportSettings) -> Iterator[str]:
     """What a file does not say of a film."""
     if not clip.film:
         return
-    if settings.rate is None:
+    if not clip.timed:
         yield (
             f"nobody says how many frames a second this film has; {clip.rate:g} are assumed, and"
             " all times and speeds hang on it: give --rate"

@@ -2,6 +2,8 @@
 where it was stopped, and its film as a page."""
 
 import itertools
+from collections.abc import Sequence
+from pathlib import Path
 
 from rich.filesize import decimal
 
@@ -13,39 +15,67 @@ from poseterior.reports import console, doubts, figures, tables
 from poseterior.reports.interactive.film import film_page
 from poseterior.reports.interactive.page import write_page
 from poseterior.reports.options import Screen
-from poseterior.reports.settings import FramesSettings
+from poseterior.reports.settings import FilmSettings, FramesSettings
 
 
 def run(settings: FramesSettings, screen: Screen) -> None:
     """Writes the stream. Raises `BadInput` on a bad file, or where the folder holds another run;
     frames that cannot be estimated are counted, and their reasons written."""
+    out = settings.out
+    console.output_folder(out)
+    people, warnings = draw(settings, out, screen, composed=settings.composed)
+    show(settings, people.fragments, screen)
+    for sentence in warnings:
+        console.warn(sentence)
+
+
+def draw(
+    settings: FramesSettings | FilmSettings,
+    out: Path,
+    screen: Screen,
+    *,
+    composed: bool = False,
+    alone: bool = False,
+) -> tuple[People, list[str]]:
+    """Writes the draws of everyone, or of one person `alone`; says who they are, and what is
+    doubtful about them."""
     import jax
 
-    out, sampling, estimation = settings.out, settings.sampling, settings.estimation
-    console.output_folder(out)
+    sampling = settings.sampling
     with console.progress("limits and torsos", screen.quiet):
         model = settings.rooting.model(settings.prior, settings.size)
-        people = _first_people(settings)
+        first = _first_people(settings)
         warnings = [
-            *doubts.about_the_size(people, settings.detected, model),
-            *doubts.about_the_camera(people, settings.detected.size, model),
+            *doubts.about_the_size(first, settings.detected, model),
+            *doubts.about_the_camera(first, settings.detected.size, model),
         ]
-    estimating = estimation.estimating(model)
+    estimating = settings.estimation.estimating(model)
+    person = settings.person
+
+    def of(person: int | None) -> People:
+        return People(lambda: settings.detected.frames(settings.path), estimating.require, person)
+
     with console.progress("who is who", screen.quiet):
-        items = People(
-            lambda: settings.detected.frames(settings.path), estimating.require, settings.person
-        )
-    warnings += settings.doubts(items.cast)
-    if items.cast.size > 1 and settings.person is None and not screen.json:
-        console.say(f"{items.described()}; --person draws one of them alone")
+        people = of(person)
+        seen = people.cast.frames
+        if alone and person is None and len(seen) > 1:
+            person = seen.index(max(seen))
+            people = of(person)
+            warnings.append(
+                f"there are {len(seen)} people in {settings.path}; this film is of person"
+                f" {person}, who is seen most: --person chooses another"
+            )
+    warnings += settings.doubts(people.cast)
+    if len(seen) > 1 and person is None and not screen.json:
+        console.say(f"{people.described()}; --person draws one of them alone")
     kept = min(settings.keep, sampling.num_samples)
     if kept > 0 and not screen.json:
-        size = decimal(len(items) * kept * DRAW_BYTES)
+        size = decimal(len(people) * kept * DRAW_BYTES)
         console.say(f"{kept:,} draws are kept of each person: at most {size} in {out}")
     with console.progress("people", screen.quiet) as step:
         sample_frames(
             model,
-            items,
+            people,
             key=jax.random.key(sampling.seed),
             out=out,
             estimating=estimating,
@@ -54,39 +84,43 @@ def run(settings: FramesSettings, screen: Screen) -> None:
             most_roots=settings.rooting.most,
             num_samples=sampling.num_samples,
             k=settings.k,
-            composed=settings.composed,
+            composed=composed,
             keep=settings.keep,
             max_proposals=sampling.max_proposals,
             machines=settings.workforce.machines(),
-            progress=lambda done: step(done, len(items)),
+            progress=lambda done: step(done, len(people)),
         )
+    return people, warnings
+
+
+def show(settings: FramesSettings | FilmSettings, fragments: Sequence[str], screen: Screen) -> None:
+    """The tables, the picture and the page of the stream in `settings.out`."""
+    out = settings.out
     with console.progress("the film", screen.quiet):
         tree = open_stream(out)
         summary, page = tree["summary"].to_dataset(), out / "hypotheses.html"
         filmed = bool((summary.num_draws > 0).any())
         if filmed:
-            measured = measures(out, *USUAL) if kept else None
-            film = film_page(tree, settings.path.name, fragments=items.fragments, measured=measured)
+            measured = measures(out, *USUAL) if tree.attrs["keep"] else None
+            film = film_page(tree, settings.path.name, fragments=fragments, measured=measured)
             write_page(film, page)
             figures.save_figure(figures.film_figure(summary), out / "depth.png")
     pictures = "depth.png, hypotheses.html"
     said = f": {pictures}" if filmed else f", without {pictures}: no frame has a pose"
-    opens = "open_stream opens it" + (", draws_of its draws" if kept else "")
+    opens = "open_stream opens it" + (", draws_of its draws" if tree.attrs["keep"] else "")
     console.show(
         screen.json,
-        tables.stream_json(summary) | {"fragments": items.fragments, "out": str(out)},
-        *tables.stream_lines(summary, items.fragments),
+        tables.stream_json(summary) | {"fragments": list(fragments), "out": str(out)},
+        *tables.stream_lines(summary, fragments),
         tables.people_of_film(summary),
         tables.film_table(summary),
         f"Written to {out}{said}; poseterior.{opens}",
     )
-    for sentence in warnings:
-        console.warn(sentence)
     if settings.open and filmed:
         console.open_page(page)
 
 
-def _first_people(settings: FramesSettings) -> list[Detection]:
+def _first_people(settings: FramesSettings | FilmSettings) -> list[Detection]:
     """Those by whom the size of all images, and the distance of all people, is judged."""
     everyone = (one for frame in settings.detected.frames(settings.path) for one in frame.people)
     return list(itertools.islice(everyone, doubts.MOST_PEOPLE))

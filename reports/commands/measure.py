@@ -8,10 +8,10 @@ import xarray as xr
 
 from poseterior.inference.measured import measure_intervals, measures
 from poseterior.inference.results import save_tree
+from poseterior.inference.stream import in_time, rows_of_person
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.measures import USUAL
 from poseterior.reports import console
-from poseterior.reports.exports.results import in_time, rows_of_person
 from poseterior.reports.figures import save_figure
 from poseterior.reports.figures.measures import bands_figure, densities_figure
 from poseterior.reports.options import Screen

@@ -56,6 +56,7 @@ class Clip:
     numbers : when each is taken, in frames; they grow. None where nobody says: one follows the
         other.
     rate : frames a second.
+    timed : whether that is known, and not assumed.
     placed : whether the pelvis is where it stands before the camera.
     measures : joint angles, lengths and steps that are asked for.
     """
@@ -67,6 +68,7 @@ class Clip:
     film: bool = False
     numbers: list[int] | None = None
     rate: float = RATE
+    timed: bool = False
     placed: bool = False
     measures: tuple[MeasureColumn, ...] = ()
 

@@ -11,12 +11,11 @@ import numpy as np
 from poseterior.inference.hypothesis import diverse
 from poseterior.inference.measured import require_height
 from poseterior.inference.store import SETTINGS
-from poseterior.inference.stream import all_draws, frame_and_person, open_stream
+from poseterior.inference.stream import all_draws, in_time, open_stream, rows_of_person
 from poseterior.probmodel.arrays import possible, read_netcdf
 from poseterior.probmodel.datasets import body_height
 from poseterior.probmodel.documents import read_json
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.formats.frames import frame_numbers
 from poseterior.probmodel.measures import Measure
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, PARENTS
 from poseterior.reports.exports.bodies import Body
@@ -54,7 +53,7 @@ class Wanted(NamedTuple):
 class _Poses(NamedTuple):
     """As in `Clip`, but in camera axes and body units; `measured` are the poses from which the body
     unit is told, `body` what a film's poses are to be made of, `draws` all draws of one person,
-    `items` a film's in the stream."""
+    `items` a film's in the stream, `rate` frames a second where the result says it."""
 
     joints: np.ndarray
     names: list[str]
@@ -67,6 +66,7 @@ class _Poses(NamedTuple):
     body: Body | None = None
     draws: np.ndarray | None = None
     items: list[str | None] | None = None
+    rate: float | None = None
 
 
 def read_clip(path: Path, wanted: Wanted) -> Clip:
@@ -80,6 +80,7 @@ def read_clip(path: Path, wanted: Wanted) -> Clip:
     """
     require_height(wanted.height)
     found = _read(path, wanted)
+    rate = found.rate if wanted.rate is None else wanted.rate
     _require_bodies(found.measured, path)
     metres = wanted.height / float(np.median(body_height(found.measured)))
     clip = Clip(
@@ -89,14 +90,15 @@ def read_clip(path: Path, wanted: Wanted) -> Clip:
         None if found.spread is None else metres * found.spread,
         found.film,
         found.numbers,
+        timed=rate is not None,
         placed=found.placed,
-    ).at_rate(RATE if wanted.rate is None else wanted.rate)
+    ).at_rate(RATE if rate is None else rate)
     if wanted.measures:
         columns = _measures(path, wanted.measures, found, metres)
         clip = dataclasses.replace(clip, measures=columns)
     joints = clip.joints
     if wanted.smoother is not None:
-        joints = _smoothed(clip, wanted.smoother, wanted.rate)
+        joints = _smoothed(clip, wanted.smoother)
     if found.body is not None:
         joints = found.body.grown(metres).posed(joints)
     return dataclasses.replace(clip, joints=viewed(joints))
@@ -112,11 +114,11 @@ def _measures(
     return of_frames(found.items, dict(all_draws(path)), chosen, metres)
 
 
-def _smoothed(clip: Clip, smoother: Smoother, rate: float | None) -> np.ndarray:
+def _smoothed(clip: Clip, smoother: Smoother) -> np.ndarray:
     """The joints of a film, filtered. Raises `BadInput` where the filter cannot be."""
     if not clip.film:
         raise BadInput("--smooth is for films, and these poses do not follow each other; leave it")
-    if rate is None:
+    if not clip.timed:
         raise BadInput(
             f"--smooth {smoother} needs to know how many frames a second there are; give --rate as"
             " in the film"
@@ -266,37 +268,8 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
         placed=placed,
         body=None if exact else body,
         items=[None if row is None else names[row] for row in (rows[at] for at in order)],
+        rate=tree.attrs.get("rate"),
     )
-
-
-def in_time(frames: list[str]) -> tuple[list[int], list[int] | None]:
-    """The order of frames by their numbers, and these; their own order, and None, where their names
-    have none."""
-    numbers = frame_numbers(frames)
-    if numbers is None:
-        return list(range(len(frames))), None
-    order = sorted(range(len(frames)), key=lambda at: numbers[at])
-    return order, [numbers[at] for at in order]
-
-
-def rows_of_person(
-    names: list[str], person: int | None, path: Path
-) -> tuple[list[str], list[int | None]]:
-    """The names of all frames, and in which row of the stream the person stands in each (None: in
-    none). Items are called `frame/person` where a detector's file was read."""
-    parts = [frame_and_person(name) for name in names]
-    people = sorted({who for _, who in parts}, key=lambda who: (len(who), who))
-    if person is None and len(people) > 1:
-        raise BadInput(
-            f"{path} is a film of {len(people)} people; choose one with --person, of"
-            f" {', '.join(people[:20])}"
-        )
-    who = people[0] if person is None else str(person)
-    if who not in people:
-        raise BadInput(f"{path} has no person {who}; choose one of {', '.join(people[:20])}")
-    rows = {frame: row for row, (frame, one) in enumerate(parts) if one == who}
-    frames = list(dict.fromkeys(frame for frame, _ in parts))
-    return frames, [rows.get(frame) for frame in frames]
 
 
 def _spread_out(values: np.ndarray, rows: list[int | None]) -> np.ndarray:

@@ -9,26 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.motion.lowpass import butterworth
 
-_TWICE = (math.sqrt(2) - 1) ** 0.25
-"""By how much a Butterworth filter of second order that runs there and back lowers the (analogue)
-frequency at which half of the power is left."""
 _ORDER = 2
-"""Of the Butterworth filter, and of the polynomials of Savitzky and Golay."""
+"""Of the polynomials of Savitzky and Golay."""
 _SPEEDS = 1.0
 """Hz: the cutoff of speeds in the one-euro filter."""
 _GROWTH = 2.0
 """Hz for each metre a second: how its cutoff grows with speed."""
-
-
-def butterworth(values: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
-    """Second order, there and back: no lag, and half of the power is left at `cutoff` Hz."""
-    from scipy.signal import butter, sosfiltfilt
-
-    once = rate / math.pi * math.atan(math.tan(math.pi * cutoff / rate) / _TWICE)
-    sections = butter(_ORDER, once, fs=rate, output="sos")
-    padding = min(3 * (2 * len(sections) + 1), len(values) - 1)
-    return sosfiltfilt(sections, values, axis=0, padlen=padding)
 
 
 def savgol(values: np.ndarray, rate: float, window: float) -> np.ndarray:

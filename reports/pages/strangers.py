@@ -147,22 +147,29 @@ def captured(data: Path, law: DetectorErrors, metres: float) -> list[PersonView]
         rng = np.random.default_rng([number, round(10 * metres)])
         joints = np.concatenate([one.joints for one in motions if one.subject == subject])
         pose = joints[rng.integers(len(joints))]
-        found.append(_seen(pose - pose[0], definition, law, metres, subject, rng))
+        turn, errors = camera_turn(rng), strays_of(law, rng)
+        found.append(seen_from(turn, pose - pose[0], definition, errors, metres, subject))
     return found
 
 
-def _seen(
-    pose: np.ndarray,
-    definition: np.ndarray,
-    law: DetectorErrors,
-    metres: float,
-    subject: str,
-    rng: np.random.Generator,
-) -> PersonView:
+def camera_turn(rng: np.random.Generator) -> np.ndarray:
+    """`(3, 3)`: from the axes of motion capture to those of a camera somewhere about the person."""
     angles = rng.uniform(-TURNED, TURNED), rng.uniform(-TILTED, TILTED)
     down = Rotation.from_euler("x", 180, degrees=True)
     turn = (Rotation.from_euler("x", angles[1], degrees=True) * down).as_matrix()
-    turn = turn @ Rotation.from_euler("y", angles[0], degrees=True).as_matrix()
+    return turn @ Rotation.from_euler("y", angles[0], degrees=True).as_matrix()
+
+
+def seen_from(
+    turn: np.ndarray,
+    pose: np.ndarray,
+    definition: np.ndarray,
+    errors: np.ndarray,
+    metres: float,
+    subject: str,
+) -> PersonView:
+    """A pose `(15, 3)` in mm before a camera that is turned so, and so far from the origin;
+    detected with a person's `definition`, and with `errors` `(15, 2)` in body units."""
     unit, place = float(body_unit(pose[None])), np.array([0.0, 0.0, 1000 * metres])
     truth = pose @ turn.T + place
     torso = (truth - truth[0])[None, list(TORSO_INDEX)] / unit
@@ -171,13 +178,13 @@ def _seen(
     focal, middle = FOCAL_OF_IMAGE * IMAGE, np.full(2, IMAGE / 2)
     pixels = focal * points[:, :2] / points[:, 2:] + middle
     size = focal * unit / points[:, 2:]
-    keypoints = np.where(points[:, 2:] > 0, pixels + size * _strays(law, rng), np.nan)
+    keypoints = np.where(points[:, 2:] > 0, pixels + size * errors, np.nan)
     score = (points[:, 2] > 0).astype(float)
     person = Detection(keypoints, score, "skeleton_15", "motion capture", 0)
     return PersonView(person, truth, np.zeros(NUM_JOINTS), Lens(focal, middle), IMAGE, subject)
 
 
-def _strays(law: DetectorErrors, rng: np.random.Generator) -> np.ndarray:
+def strays_of(law: DetectorErrors, rng: np.random.Generator) -> np.ndarray:
     """`(15, 2)` body units: a detection's errors, outliers among them."""
     assert isinstance(law.law, Student)
     freedom = law.law.df

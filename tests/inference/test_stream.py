@@ -277,7 +277,7 @@ def test_what_is_kept_is_as_large_as_is_said(model, items, tmp_path):
     """The values of one frame's draws, in bytes."""
     sample_frames(model, items[:1], key=key(0), out=tmp_path, **SETTINGS)
     draws = draws_of(tmp_path, items[0].name)
-    values = draws.joints.nbytes + draws.bone_length.nbytes
+    values = draws.joints.nbytes + draws.bone_length.nbytes + draws.place.nbytes
     assert values == SETTINGS["keep"] * stream.DRAW_BYTES
 
 

@@ -108,7 +108,7 @@ def test_every_command_that_reads_detections_has_all_of_its_options() -> None:
         for group in (options.Detected, options.Estimation, options.Prior)
         for option in cli.declared(group)
     }
-    for name in ("hypotheses", "sample", "frames", "show", "compare"):
+    for name in ("hypotheses", "sample", "frames", "film", "show", "compare"):
         own = {option.name for option in cli.declared(cli.COMMANDS[name])}
         assert own >= reading, f"{name} lacks {reading - own}"
 
@@ -125,17 +125,24 @@ OF_THEIR_OWN = {
     "layout": {"detect"},  # of a network, which has to say it
     "threshold": {"detect"},  # a network's scores are its heatmaps' means
     # Studies of many poses: lists of what is compared, and less work for each of them.
-    "num_samples": {"evaluate", "coverage"},
+    "num_samples": {"evaluate", "coverage", "film"},
     "max_proposals": {"evaluate", "coverage"},
     "candidates": {"evaluate"},
     "k": {"evaluate", "export"},
-    "person": {"export", "frames", "measure"},  # of a film, not of a file of detections
+    "person": {"export", "frames", "film", "measure"},  # of a film, not of a file of detections
     "estimator": {"evaluate", "coverage"},
     "missing": {"evaluate", "coverage"},
-    "errors": {"coverage"},  # of views of people alone
+    "errors": {"coverage", "film"},  # of views of people alone; of a detector, which films need
     "frames": {"evaluate", "coverage", "calibrate"},
-    "root": {"evaluate", "hypotheses", "sample", "frames"},  # open where a person is asked about
-    "roots": {"frames", "evaluate", "coverage"},
+    "root": {
+        "evaluate",
+        "hypotheses",
+        "sample",
+        "frames",
+        "film",
+    },  # open where a person is asked about
+    "fps": {"calibrate"},  # of a session whose frames may not follow each other
+    "roots": {"frames", "film", "evaluate", "coverage"},
     "noise": {"evaluate", "coverage"},
     "dataset": {"evaluate", "coverage", "calibrate"},
     "sampler": {"coverage"},  # draws in a file, too

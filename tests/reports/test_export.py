@@ -794,7 +794,7 @@ REFUSALS = [
     ("no rate", "# --to csv --person 0 --smooth savgol", "needs to know how many frames a second"),
     ("too quick", "# --to csv --person 0 --rate 10 --smooth butterworth:6", "less than 5 Hz"),
     ("person", "@ --to bvh --person 0", "is of one person; leave --person out"),
-    ("two people", "# --to bvh", "a film of 2 people; choose one with --person, of 0, 1"),
+    ("two people", "# --to bvh", "a film of 2 people; choose one with `person`"),
     ("nobody", "# --to bvh --person 7", "has no person 7; choose one of 0, 1"),
     ("draws of a film", "# --to bvh --person 0 --draws 3", "is a stream: .* leave --draws and --k"),
     ("empty folder", "empty --to bvh", "empty is a folder without a result; give a hypo"),

@@ -126,7 +126,7 @@ def test_a_stream_is_asked_whose_and_for_its_draws(
 ) -> None:
     done = poseterior("measure", str(stream), "--out", str(tmp_path / "a.csv"))
     assert done.code == 2
-    assert "choose one with --person" in done.err
+    assert "(on the command line --person)" in done.err
     given = {"num_samples": 10, "k": 1, "root": "candidates"}
     items = [Item("f/0", example_estimate)]
     sample_frames(PoseModel.paper(), items, key=key(0), out=tmp_path / "bare", **given)

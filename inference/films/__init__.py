@@ -1,0 +1,1 @@
+"""Films: whole paths of one person, in which every frame keeps its own posterior."""

@@ -1,0 +1,48 @@
+"""`poseterior film`: whole paths of one person in a film, a stream whose draws follow each other in
+time, and its page."""
+
+from poseterior.inference.films.film import FRAMES_FOLDER, film_of
+from poseterior.inference.stream import open_stream
+from poseterior.reports import console
+from poseterior.reports.commands import frames
+from poseterior.reports.options import Screen
+from poseterior.reports.settings import FilmSettings
+
+
+def run(settings: FilmSettings, screen: Screen) -> None:
+    """Writes the film. Raises `BadInput` on a bad file, a rate that cannot be, several people of
+    whom none is chosen, and where the folder holds another run."""
+    out = settings.out
+    console.output_folder(out)
+    fragments: list[str] = []
+    warnings: list[str] = []
+    names, stream, person = None, settings.path, settings.person
+    if not settings.drawn_before:
+        stream, names, person = out / FRAMES_FOLDER, settings.names, None
+        people, warnings = frames.draw(settings, stream, screen, alone=True)
+        fragments = people.fragments
+    with console.progress("paths", screen.quiet) as step:
+        film_of(
+            stream,
+            rate=settings.fps,
+            out=out,
+            person=person,
+            frames=names,
+            cutoff=settings.cutoff,
+            k=settings.k,
+            progress=step,
+        )
+    frames.show(settings, fragments, screen)
+    about = open_stream(out).attrs
+    if not screen.json:
+        console.say(
+            f"{about['keep']} paths, each of one body; film_draws opens them. Depth in a frame is"
+            " as open as in a single one: what paths add is how it changes, and gaps"
+        )
+    if about["step"] > 1:
+        warnings.append(
+            f"the frames are numbered by {about['step']}: at {settings.fps:g} numbers a second they"
+            f" are {settings.fps / about['step']:g} frames a second"
+        )
+    for sentence in warnings:
+        console.warn(sentence)

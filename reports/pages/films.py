@@ -1,0 +1,397 @@
+"""Do the paths of films hold, and what are they beside what people use? Writes reports/films.md.
+
+    python -m poseterior.reports.pages.films ../shared/data work
+
+The person on the beam, judged by three other cameras, and captured people of whom no limits were
+learned. `work` keeps the draws, and a run that was stopped goes on there.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.interpolate import CubicSpline
+from scipy.stats import chi2, norm
+
+from poseterior.inference.estimators import Estimating
+from poseterior.inference.films.film import (
+    CUTOFF,
+    FRAMES_FOLDER,
+    NUM_PATHS,
+    film_draws,
+    sample_film,
+)
+from poseterior.inference.stream import Item, all_draws, open_stream
+from poseterior.probmodel import Detection, DetectorErrors, Likelihood, PoseModel
+from poseterior.probmodel.body import body_unit
+from poseterior.probmodel.camera import Lens
+from poseterior.probmodel.datasets.sessions import judged_views
+from poseterior.probmodel.errors.laws import Student
+from poseterior.probmodel.layouts import corrected
+from poseterior.probmodel.motion import Motion, read_motion
+from poseterior.probmodel.motion.lowpass import butterworth
+from poseterior.probmodel.sessions import read_session
+from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS
+from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
+from poseterior.reports.pages.page import Data, Page, Work, run
+from poseterior.reports.pages.strangers import camera_turn, seen_from
+from poseterior.reports.tables import Sheet, sheet_of
+from poseterior.reports.tables.sheet import NOTHING
+from poseterior.reports.tables.words import spoken
+
+CAPTURED_RATE, CAPTURED_SECONDS = 30.0, 2.0
+CAPTURED_PEOPLE = 12
+OTHER_RATES = (15.0, 60.0)
+"""Frames a second at which some of the captured people are filmed, too."""
+RATED_PEOPLE = 3
+METRES = 4.0
+"""From the simulated camera to the pelvis."""
+AS_DEFINED = np.zeros((NUM_JOINTS, 3))
+"""The simulated detector means the joints that the model has."""
+ERROR_SHARES, LASTING = (0.4, 0.5, 0.1), 0.15
+"""Of the variance of simulated errors: what stays the same, what lasts (seconds), and what is new
+in every frame; about as on the film."""
+LAGS = (0.1, 0.5)
+"""Seconds over which changes are judged."""
+LEVEL = 0.95
+SHOWN_PATHS = 6
+JUDGED_ENDS = [bone.end for bone in BONES]
+HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
+HEAVIEST = "frame by frame, the heaviest hypothesis"
+ALONE = "frame by frame, all draws"
+SMOOTHED = "frame by frame, each draw smoothed"
+FILM_WAY = "film"
+LIMB_TIPS = [
+    JOINT_INDEX[name] for name in ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
+]
+
+
+class TrueFilm(NamedTuple):
+    """A film and its truth.
+
+    Attributes
+    ----------
+    name : what it is of.
+    people : what was detected in each frame.
+    truth : `(frames, 15, 3)` mm, the camera's axes; NaN where it is not known.
+    sigma : `(frames, 15)` mm, standard deviations of its own errors.
+    lens : the camera's; None where nothing is to be known of it.
+    rate : frames a second.
+    """
+
+    name: str
+    people: list[Detection]
+    truth: np.ndarray
+    sigma: np.ndarray
+    lens: Lens | None
+    rate: float
+
+
+def beam(data: Path, *, focal: bool) -> list[TrueFilm]:
+    """The film of every camera, and what the three others say."""
+    session = read_session(data / "multicamera")
+    found = []
+    for view in judged_views(session):
+        camera = session.straight[view.camera]
+        people = [
+            corrected(
+                dataclasses.replace(
+                    session.people[view.camera][row],
+                    keypoints=session.keypoints[view.camera][row],
+                )
+            )
+            for row in view.rows
+        ]
+        variance = np.trace(view.world.covariance, axis1=-2, axis2=-1) / 3
+        found.append(
+            TrueFilm(
+                f"beam-{session.labels[view.camera]}{'-focal' if focal else ''}",
+                people,
+                camera.view(view.world.points),
+                np.sqrt(variance) * session.stray,
+                Lens(float(camera.focal[0]), camera.principal) if focal else None,
+                60.0,
+            )
+        )
+    return found
+
+
+def captured_films(data: Path, law: DetectorErrors, rate: float, people: int) -> list[TrueFilm]:
+    """The first subjects that limits were not learned from, each in the middle of a recording,
+    before a camera that stands still, by a detector whose errors last."""
+    motions = read_motion(data / "cmu" / "extremes")
+    longest = {one.subject: one for one in sorted(motions, key=lambda one: len(one.joints))}
+    seconds = {name: len(one.joints) / one.frame_rate for name, one in longest.items()}
+    some = [longest[name] for name in sorted(longest) if seconds[name] >= CAPTURED_SECONDS]
+    some = some[:people]
+    return [_captured(motion, law, rate, number) for number, motion in enumerate(some)]
+
+
+def _captured(motion: Motion, law: DetectorErrors, rate: float, number: int) -> TrueFilm:
+    rng = np.random.default_rng([number, round(rate)])
+    # Captured at 30 frames a second; what is between them, splines say.
+    times = np.arange(0, CAPTURED_SECONDS - 1 / motion.frame_rate, 1 / rate)
+    known = np.arange(len(motion.joints)) / motion.frame_rate
+    joints = CubicSpline(known, motion.joints - motion.joints[0, 0])(times)
+    errors = lasting_errors(law, len(joints), rate, rng)
+    turn = camera_turn(rng)
+    views = [
+        seen_from(turn, pose, AS_DEFINED, error, METRES, motion.subject)
+        for pose, error in zip(joints, errors, strict=True)
+    ]
+    return TrueFilm(
+        f"captured-{motion.subject}-{rate:g}",
+        [one.detection for one in views],
+        np.stack([one.truth for one in views]),
+        np.zeros((len(views), NUM_JOINTS)),
+        None,
+        rate,
+    )
+
+
+def lasting_errors(
+    law: DetectorErrors, frames: int, rate: float, rng: np.random.Generator
+) -> np.ndarray:
+    """`(frames, 15, 2)` body units: errors whose every frame is as the law says, outliers among
+    them, in three parts as `ERROR_SHARES` has them."""
+    assert isinstance(law.law, Student)
+    z = _lasting((NUM_JOINTS, 3), frames, rate, rng)
+    freedom = law.law.df
+    stretch = np.sqrt(freedom / chi2.ppf(norm.cdf(z[..., 2]), freedom))
+    error = law.bias + (law.sigma * stretch)[..., None] * z[..., :2]
+    far = law.outlier_radius * np.sqrt(rng.random((frames, NUM_JOINTS)))
+    angle = rng.uniform(0, 2 * np.pi, far.shape)
+    stray = far[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return np.where((rng.random(far.shape) < law.inlier)[..., None], error, stray)
+
+
+def _lasting(
+    shape: tuple[int, ...], frames: int, rate: float, rng: np.random.Generator
+) -> np.ndarray:
+    """`(frames, *shape)`: standard normals in every frame, in three parts."""
+    kept = np.exp(-1 / (rate * LASTING))
+    slow = rng.standard_normal((frames, *shape))
+    for row in range(1, frames):
+        slow[row] = kept * slow[row - 1] + np.sqrt(1 - kept**2) * slow[row]
+    parts = rng.standard_normal(shape), slow, rng.standard_normal((frames, *shape))
+    return sum(np.sqrt(share) * part for share, part in zip(ERROR_SHARES, parts, strict=True))
+
+
+def drawn(film: TrueFilm, work: Path) -> Path:
+    """The folder of a film's paths, drawn where there is none."""
+    out = work / film.name
+    if not (out / "run.json").exists():
+        model, law = PoseModel(), Likelihood.of(DetectorErrors.default())
+        model = model if film.lens is None else model.seen_by(film.lens)
+        items = [Item(f"{row:04d}", person) for row, person in enumerate(film.people)]
+        sample_film(
+            model, items, rate=film.rate, key=0, out=out, estimating=Estimating(likelihood=law)
+        )
+        print(film.name, flush=True)
+    return out
+
+
+Ways = Mapping[str, np.ndarray]
+"""By the name of a way, paths `(n, frames, 15, 3)`, mm about the hips."""
+
+
+def ways_of(film: TrueFilm, out: Path) -> tuple[Ways, np.ndarray]:
+    """Ways to a motion, and the rows of the truth that their frames are."""
+    paths = film_draws(out)
+    rows = np.array([int(str(name)) for name in paths.frame.values])
+    unit = body_unit(film.truth[np.isfinite(film.truth).all(axis=(1, 2))])
+    alone = {int(name): one.joints.values[0] for name, one in all_draws(out / FRAMES_FOLDER)}
+    there = np.array([len(alone[row]) > 0 for row in rows])
+    each = np.full(paths.joints.shape[1:], np.nan)
+    for at, row in enumerate(rows):
+        if there[at]:
+            each[:, at] = alone[row]
+    smooth = each.copy()
+    smooth[:, there] = butterworth(each[:, there].swapaxes(0, 1), film.rate, CUTOFF).swapaxes(0, 1)
+    heaviest = open_stream(out / FRAMES_FOLDER)["hypotheses"].joints.values[:, 0]
+    found = {
+        HEAVIEST: heaviest[rows][None],
+        ALONE: each,
+        SMOOTHED: smooth,
+        FILM_WAY: paths.joints.values[0].astype(float),
+    }
+    return {name: unit * about_hips(one) for name, one in found.items()}, rows
+
+
+def about_hips(joints: np.ndarray) -> np.ndarray:
+    """Joints about the midpoint of the hips."""
+    return joints - joints[..., HIPS, :].mean(axis=-2, keepdims=True)
+
+
+class PathsJudged(NamedTuple):
+    """What a way is worth on one film.
+
+    Attributes
+    ----------
+    covered : `(1 + lags, 3)` how often 95 % intervals hold coordinates, and changes over `LAGS`.
+    width : `(3,)` mm, their median width.
+    error : mm, of the mean path, mean over joints and frames.
+    jitter : mm, median length of third differences of the mean path's wrists and ankles, at 60
+        frames a second or the film's rate if it is less.
+    """
+
+    covered: np.ndarray
+    width: np.ndarray
+    error: float
+    jitter: float
+
+
+def judge(
+    paths: np.ndarray, film: TrueFilm, rows: np.ndarray, rng: np.random.Generator
+) -> PathsJudged:
+    """A way's paths `(n, frames, 15, 3)` against the truth, whose own errors they are given."""
+    truth = about_hips(film.truth[rows])
+    own = film.sigma[rows][:, :, None] * _truths_errors(len(paths), film.rate, len(rows), rng)
+    noisy = about_hips(paths + np.nan_to_num(own))[:, :, JUDGED_ENDS]
+    true = truth[:, JUDGED_ENDS]
+    covered, width = [_held(noisy, true)], _width(noisy)
+    for lag in LAGS:
+        step = round(lag * film.rate)
+        covered.append(_held(noisy[:, step:] - noisy[:, :-step], true[step:] - true[:-step]))
+    mean = paths.mean(axis=0)
+    gone = np.linalg.norm(mean[:, JUDGED_ENDS] - true, axis=-1)
+    return PathsJudged(np.array(covered), width, float(np.nanmean(gone)), jitter(mean))
+
+
+def _truths_errors(number: int, rate: float, frames: int, rng: np.random.Generator) -> np.ndarray:
+    return np.stack([_lasting((NUM_JOINTS, 3), frames, rate, rng) for _ in range(number)])
+
+
+def _held(paths: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """`(3,)`: how often intervals hold what is known of the truth."""
+    ends = (1 - LEVEL) / 2, (1 + LEVEL) / 2
+    low, high = np.quantile(paths, ends, axis=0)
+    known = np.isfinite(truth) & np.isfinite(low)
+    inside = (low <= truth) & (truth <= high)
+    return np.array([inside[..., axis][known[..., axis]].mean() for axis in range(3)])
+
+
+def _width(paths: np.ndarray) -> np.ndarray:
+    ends = (1 - LEVEL) / 2, (1 + LEVEL) / 2
+    low, high = np.quantile(paths, ends, axis=0)
+    return np.nanmedian(high - low, axis=(0, 1))
+
+
+def jitter(path: np.ndarray) -> float:
+    """mm: median third difference of the ends of limbs of a path `(frames, 15, 3)`."""
+    third = np.diff(path[:, LIMB_TIPS], 3, axis=0)
+    return float(np.nanmedian(np.linalg.norm(third, axis=-1)))
+
+
+def rows_of(films: list[TrueFilm], work: Path) -> dict[str, list[PathsJudged]]:
+    """By way, what it is worth on each film."""
+    found: dict[str, list[PathsJudged]] = {}
+    for number, film in enumerate(films):
+        ways, rows = ways_of(film, drawn(film, work))
+        for name, paths in ways.items():
+            rng = np.random.default_rng(number)
+            found.setdefault(name, []).append(judge(paths, film, rows, rng))
+    return found
+
+
+def table(groups: Mapping[str, list[TrueFilm]], work: Path) -> Sheet:
+    """A line for each group of films and way; coverage is a mean over films."""
+    lines = [
+        (f"{name}, {way}", *_cells(way, films, judged))
+        for name, films in groups.items()
+        for way, judged in rows_of(films, work).items()
+    ]
+    return sheet_of(HEAD, lines)
+
+
+HEAD = (
+    "films, and the way",
+    "coordinates",
+    *(f"changes in {lag:g} s" for lag in LAGS),
+    "95 % wide, mm",
+    "error of the mean, mm",
+    "jitter, mm",
+    "the truth's",
+)
+
+
+def _cells(way: str, films: list[TrueFilm], judged: list[PathsJudged]) -> list[str]:
+    covered = 100 * np.mean([one.covered for one in judged], axis=0)
+    shares = [" / ".join(f"{axis:.0f}" for axis in row) for row in covered]
+    width = np.mean([one.width for one in judged], axis=0)
+    if way == HEAVIEST:
+        shares, wide = [NOTHING] * len(covered), NOTHING
+    else:
+        wide = " / ".join(f"{axis:.0f}" for axis in width)
+    means = [float(np.mean([getattr(one, name) for one in judged])) for name in ("error", "jitter")]
+    true = float(np.mean([jitter(about_hips(film.truth)) for film in films]))
+    return [*shares, wide, f"{means[0]:.0f}", f"{means[1]:.1f}", f"{true:.1f}"]
+
+
+def inside_limits(groups: list[list[TrueFilm]], work: Path) -> float:
+    """The share of poses of paths that the limits allow."""
+    limits, found = PoseModel().limits, []
+    for film in (film for films in groups for film in films):
+        some = film_draws(drawn(film, work)).joints.values[0, ::20].astype(float)
+        found.append(limits.check(some.reshape(-1, NUM_JOINTS, 3)).pose_valid.mean())
+    return float(np.mean(found))
+
+
+def picture(film: TrueFilm, out: Path) -> Figure:
+    """Depth of a wrist and an ankle: what frames say one by one, and paths, beside the truth."""
+    ways, rows = ways_of(film, out)
+    truth = about_hips(film.truth[rows])
+    figure = page(11.0, 5.0)
+    panels = figure.subplots(2, 2, sharex=True, sharey="row")
+    seconds = rows / film.rate
+    for row, joint in zip(panels, ("right_wrist", "left_ankle"), strict=True):
+        at = JOINT_INDEX[joint]
+        for axis, way in zip(row, (ALONE, FILM_WAY), strict=True):
+            depth = ways[way][:, :, at, 2]
+            low, high = np.nanquantile(depth, ((1 - LEVEL) / 2, (1 + LEVEL) / 2), axis=0)
+            axis.fill_between(seconds, low, high, color=FAINT, alpha=0.35, lw=0)
+            axis.plot(seconds, depth[:SHOWN_PATHS].T, lw=0.8, alpha=0.8)
+            axis.plot(seconds, truth[:, at, 2], color=INK, lw=2.0)
+            axis.set_title(f"{spoken(joint)}: {way}", fontsize=TEXT, loc="left")
+            tidy(axis)
+        row[0].set_ylabel("depth behind the hips, mm", fontsize=SMALL)
+    for axis in panels[-1]:
+        axis.set_xlabel("seconds", fontsize=SMALL)
+    return figure
+
+
+def main(data: Data, work: Work) -> Page:
+    """Draws what is left to be drawn, then writes the page."""
+    law = DetectorErrors.default()
+    real = {"beam": beam(data, focal=False), "beam, `--focal`": beam(data, focal=True)}
+    held = captured_films(data, law, CAPTURED_RATE, CAPTURED_PEOPLE)
+    made = {f"captured, {CAPTURED_RATE:g} a second": held}
+    made |= {
+        f"captured, {rate:g} a second": captured_films(data, law, rate, RATED_PEOPLE)
+        for rate in OTHER_RATES
+    }
+    constant, slow, quick = (f"{100 * share:.0f}" for share in ERROR_SHARES)
+    values: dict[str, str | int | Sheet] = {
+        "constant": constant,
+        "slow": slow,
+        "quick": quick,
+        "lasting": f"{LASTING:g}",
+        "cutoff": f"{CUTOFF:g}",
+        "paths": NUM_PATHS,
+        "inside": f"{100 * inside_limits([*real.values(), *made.values()], work):.0f}",
+        "real": table(real, work),
+        "captured": table(made, work),
+        "people": len(held),
+        "rated": RATED_PEOPLE,
+        "metres": f"{METRES:g}",
+        "seconds": f"{CAPTURED_SECONDS:g}",
+    }
+    first = real["beam, `--focal`"][0]
+    return Page("films", values, {"films": picture(first, drawn(first, work))})
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,105 @@
+"""`poseterior film`: paths of one person, gaps, times, refusals before anything is drawn, and that
+a second call goes on."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from poseterior.inference import film_draws, open_stream
+from poseterior.probmodel.skeleton import BONES
+from tests.conftest import Cli
+from tests.reports.test_frames_command import film
+
+OPTIONS = ("--num-samples", 12, "--k", 2, "--root", "fixed", "--errors", "disc", "--quiet")
+NAMES = ["walk_08.png", "walk_10.png", "walk_16.png"]
+
+
+def lengths(joints: np.ndarray) -> np.ndarray:
+    """Of all bones of poses `(..., 15, 3)`."""
+    ends = np.array([(bone.start, bone.end) for bone in BONES])
+    return np.linalg.norm(joints[..., ends[:, 0], :] - joints[..., ends[:, 1], :], axis=-1)
+
+
+def test_a_film_is_whole_paths_and_a_second_call_goes_on(poseterior: Cli, tmp_path: Path) -> None:
+    """Two of five frames are not there, every second one is numbered, and a bystander is seen."""
+    path, out = film(tmp_path / "film.json", NAMES), tmp_path / "out"
+    run = poseterior("film", path, "--fps", 20, "--out", out, *OPTIONS, "--json")
+    assert run.code == 0, run
+    assert "2 people in" in run.err
+    assert "this film is of person 1, who is seen most: --person chooses another" in run.err
+    assert "numbered by 2: at 20 numbers a second they are 10 frames a second" in run.err
+    said = json.loads(run.out)
+    assert said["status"] == {"complete": 3, "filled": 2}
+    assert [frame["frame"] for frame in said["frames"]][2:4] == [
+        "12 (not there)/1",
+        "14 (not there)/1",
+    ]
+    assert "filled from the frames before and after" in said["frames"][2]["sentence"]
+    found = film_draws(out)
+    assert found.joints.shape == (1, 12, 5, 15, 3)
+    assert found.time.values == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    bones = lengths(found.joints.values[0].astype(float))
+    assert np.ptp(bones, axis=1).max() < 1e-5, "a path is of one body"
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*.nc")}
+    again = poseterior("film", path, "--fps", 20, "--out", out, *OPTIONS)
+    assert again.code == 0, again
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*.nc")} == before
+    assert "5 frames of 1 person: 3 complete, 2 filled" in again.out
+    assert "12 paths" in again.out
+    block = out / "block-000000.nc"
+    made = open_stream(out)["summary"]["mean"].values
+    block.write_bytes(block.read_bytes()[:1000])
+    assert poseterior("film", path, "--fps", 20, "--out", out, *OPTIONS).code == 0
+    np.testing.assert_array_equal(open_stream(out)["summary"]["mean"].values, made)
+
+    exported = poseterior("export", out, "--to", "npz", "--out", tmp_path / "x.npz")
+    assert "5 with a pose" in exported.out, exported
+    with np.load(tmp_path / "x.npz") as arrays:
+        assert arrays["times"] == pytest.approx(found.time.values)
+    for arguments, words in [
+        ((path, "--fps", 20, "--cutoff", 3, "--out", out), "holds another run (its cutoff is 4"),
+        ((out, "--fps", 20, "--out", tmp_path / "y"), "is a film already"),
+        ((out / "frames", "--fps", 20, "--person", 3, "--out", tmp_path / "y"), "no person 3"),
+        ((out / "frames", "--fps", 20, "--out", out / "frames"), "would replace"),
+        ((out / "frames", "--fps", 20, "--k", 13, "--out", tmp_path / "y"), "among 12 paths"),
+    ]:
+        refused = poseterior("film", *arguments, *(() if "--k" in arguments else OPTIONS))
+        assert refused.code == 2, refused
+        assert words in refused.err, refused
+        assert refused.err.count("\n") == 1
+
+
+def test_what_can_be_no_film_is_said_before_anything_is_drawn(
+    poseterior: Cli, tmp_path: Path
+) -> None:
+    path, out = film(tmp_path / "film.json", NAMES), tmp_path / "out"
+    for arguments, words in [
+        (("--fps", 0), "0 frames a second are no film"),
+        (("--fps", "nan"), "nan frames a second are no film"),
+        (("--fps", 1e9), "at most 10000"),
+        (("--fps", 20, "--cutoff", -1), "cannot be cut off at -1 Hz"),
+        (("--fps", 20, "--k", 13), "13 hypotheses cannot be chosen among 12 paths"),
+    ]:
+        run = poseterior("film", path, "--out", out, *OPTIONS, *arguments)
+        assert run.code == 2, run
+        assert words in run.err, run
+        assert run.err.count("\n") == 1
+        assert not out.exists()
+
+
+def test_a_stream_is_made_a_film_if_its_draws_were_kept(poseterior: Cli, tmp_path: Path) -> None:
+    """One frame is a film of one; without --keep there are no draws to be put in order."""
+    path = film(tmp_path / "film.json", NAMES[:1])
+    for keep, name in ((12, "kept"), (0, "none")):
+        drawn = ("--keep", keep, "--out", tmp_path / name)
+        assert poseterior("frames", path, *drawn, *OPTIONS).code == 0
+    out = tmp_path / "out"
+    run = poseterior("film", tmp_path / "kept", "--fps", 20, "--k", 2, "--out", out, "--quiet")
+    assert run.code == 0, run
+    assert film_draws(out).joints.shape == (1, 12, 1, 15, 3)
+    run = poseterior("film", tmp_path / "none", "--fps", 20, "--out", out / "none", "--quiet")
+    assert run.code == 2
+    assert "no draws were kept" in run.err
+    assert "--keep" in run.err

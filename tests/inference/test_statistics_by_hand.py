@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy import integrate, stats
 
 from poseterior.inference.resampling import (
@@ -13,11 +14,13 @@ from poseterior.inference.resampling import (
     effective,
     inclusion,
     let_pass,
+    logs_of,
     merged,
     shares,
     systematic,
     tempered,
     times,
+    weights_of,
 )
 from poseterior.inference.studies.calibration.uniformity import (
     ECDF_LEVELS,
@@ -25,12 +28,20 @@ from poseterior.inference.studies.calibration.uniformity import (
     difference,
     uniformity,
 )
-from poseterior.inference.studies.calibration.verdict import _bounded
+from poseterior.inference.studies.calibration.verdict import (
+    CALIBRATED,
+    CANNOT_TELL,
+    MISCALIBRATED,
+    Calibration,
+    _bounded,
+    judge,
+)
 from poseterior.inference.studies.comparison.mixing import Mixing, mean_ess, mixing
 from poseterior.inference.studies.comparison.modes import counts_by_mode, modes, same_shares
 from poseterior.inference.studies.comparison.permutation import _some, permutation_tests
 from poseterior.inference.studies.comparison.power import _noncentrality, _shift, _wider, seen
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate, scores
+from poseterior.probmodel import BadInput
 
 NOTHING = -np.inf
 
@@ -106,6 +117,31 @@ def test_the_same_draw_has_the_sum_of_its_weights(order: tuple[int, ...]) -> Non
     assert dict(zip(draws[:, 0], total, strict=True)) == pytest.approx(
         {1.0: math.log(4), 2.0: math.log(2)}
     )
+
+
+def test_weights_of_a_file_become_logs() -> None:
+    given = {"weights": np.array([[0.0, 1.0], [3.0, 2.0]])}
+    expected = [NOTHING, 0, math.log(3), math.log(2)]
+    np.testing.assert_allclose(weights_of(given, (4,), "a.npz"), expected)
+    np.testing.assert_array_equal(logs_of(np.array([NOTHING, 5.0]), "log_weights"), [NOTHING, 5])
+    assert weights_of({"draws": np.zeros(4)}, (4,), "a.npz") is None
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"weights": np.ones(4), "log_weights": np.ones(4)}, "has both weights and log_weights"),
+        ({"weights": np.ones(3)}, "are 3 for 4 draws"),
+        ({"weights": np.array([1.0, np.nan, 1, 1])}, "a number that is not finite"),
+        ({"log_weights": np.array([1.0, np.inf, 1, 1])}, "a number that is not finite"),
+        ({"weights": np.array([1.0, -1, -2, 0])}, "2 of 4 weights of a.npz are negative"),
+        ({"weights": np.zeros(4)}, "all weights of a.npz are zero"),
+        ({"log_weights": np.full(4, NOTHING)}, "all weights of a.npz are zero"),
+    ],
+)
+def test_what_is_no_weight_is_refused(given: dict[str, np.ndarray], said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        weights_of(given, (4,), "a.npz")
 
 
 def test_draws_pass_by_their_weight_over_the_largest() -> None:
@@ -378,3 +414,62 @@ def test_a_distribution_function_stands_beside_the_uniform_one() -> None:
 def test_no_p_value_is_said_to_be_zero() -> None:
     assert _bounded(0.0123) == "= 0.012"
     assert _bounded(0.0) == _bounded(1e-300) == "< 1e-300"
+
+
+EVEN = (np.arange(200) + 0.5) / 200
+
+
+def judged(one: np.ndarray, other: np.ndarray, failed: int) -> Calibration:
+    """The verdict on two quantities, of which the last so many simulations failed."""
+    levels = np.stack([one, other], axis=1)
+    levels[len(levels) - failed :] = np.nan
+    dims = ("simulation", "quantity")
+    return judge(xr.Dataset({"level": (dims, levels)}, coords={"quantity": ["one", "other"]}))
+
+
+MIXED = np.random.default_rng(6).permutation(EVEN)
+
+
+@pytest.mark.parametrize(
+    ("other", "failed", "verdict", "said"),
+    [
+        (MIXED, 0, CALIBRATED, "no test of 2 rejects at 0.01 with 200 simulations"),
+        (MIXED, 2, CALIBRATED, "with 198 simulations; the sampler failed on 2 of 200 simulations"),
+        (MIXED, 3, CANNOT_TELL, "failed on 3 of 200 simulations; no test rejects on the others"),
+        (0.25 + MIXED / 2, 0, MISCALIBRATED, "with 200 simulations"),
+        (0.25 + MIXED / 2, 2, MISCALIBRATED, "the sampler failed on 2 of 200 simulations"),
+        (0.25 + MIXED / 2, 3, MISCALIBRATED, "200 simulations, whatever these would have said"),
+        (0.7 * MIXED, 80, CANNOT_TELL, "failed on 80 of 200 simulations; that alone may be why"),
+    ],
+)
+def test_one_failure_in_a_hundred_is_forgiven(
+    other: np.ndarray, failed: int, verdict: str, said: str
+) -> None:
+    """Of more, which ones may depend on the truth: 80 levels that are not known may lie in the
+    three tenths where none of the others lies, but 3 cannot fill the outer half."""
+    found = judged(MIXED[::-1], other, failed)
+    assert found.verdict == verdict, found.sentence
+    assert found.sentence.endswith(said) or said in found.sentence
+    p_values = [uniformity(one[: 200 - failed]).p_value for one in (MIXED[::-1], other)]
+    assert found.tests.p_value.values == pytest.approx(p_values)
+    assert found.tests.adjusted.values.min() == pytest.approx(min(1.0, 2 * min(p_values)))
+    assert found.families == {"ranks (SBC)": pytest.approx(min(1.0, 2 * min(p_values)))}
+
+
+@pytest.mark.parametrize(
+    ("number", "failed", "said"),
+    [
+        (99, 0, "there are 99 simulations; the tests need at least 100"),
+        (99, 9, "there are 99 simulations, 9 of them failed; "),
+        (100, 100, "there are 100 simulations, 100 of them failed; "),
+    ],
+)
+def test_too_few_simulations_say_nothing(number: int, failed: int, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        judged(EVEN[:number], EVEN[:number], failed)
+
+
+@pytest.mark.parametrize("values", [[], [0.5, -0.1], [1.1], [np.nan]])
+def test_what_is_no_level_is_refused(values: list[float]) -> None:
+    with pytest.raises(ValueError, match="values from 0 to 1, at least one"):
+        uniformity(np.array(values))

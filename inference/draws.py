@@ -22,7 +22,7 @@ import numpy as np
 from poseterior.inference.exact.loops.numbers import words_of
 from poseterior.probmodel.chunks import CHUNK, in_chunks
 from poseterior.probmodel.errors.faults import Faults
-from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.failures import BadInput, require_some, shown
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.posterior import Posterior
@@ -257,8 +257,7 @@ class Sampler(abc.ABC):
         """As `draw`, `block` draws at a time where the sampler can: each is a sample of the
         posterior, and forgotten once it has been given; what its attributes say is of all until
         then. There is one block at least, and the last one is the one that is not complete."""
-        if number < 1:
-            raise BadInput(f"the number of samples must be at least 1, not {number}")
+        require_some(number, "samples")
         started = time.perf_counter()
         for draws in self._blocks(posterior, key, number, block, progress):
             about = {

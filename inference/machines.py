@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from poseterior.probmodel.failures import BadInput, installing
+from poseterior.probmodel.failures import BadInput, installing, require_some
 
 SCHEDULER_PATIENCE = "15s"
 """How long a scheduler may take to answer."""
@@ -89,8 +89,7 @@ class Machines:
             Where a block kills every worker that gets it; of a scheduler, where there is none, it
             has no worker or dies, or dask.distributed is not installed.
         """
-        if self.workers < 1:
-            raise BadInput(f"the number of workers must be at least 1, not {self.workers}")
+        require_some(self.workers, "workers")
         waiting = iter(work)
         if self.workers == 1 and self.scheduler is None and not apart:
             for label, _, payload in waiting:

@@ -11,7 +11,7 @@ from numpyro.infer.util import log_density
 from poseterior.inference.draws import key_words
 from poseterior.inference.results import NAMES, VARIABLES, provenance
 from poseterior.probmodel.chunks import CHUNK
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import require_some
 from poseterior.probmodel.model import PoseModel
 
 
@@ -27,8 +27,7 @@ def sample_prior(
 
     Raises `BadInput` on a number of samples below one.
     """
-    if num_samples < 1:
-        raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
+    require_some(num_samples, "samples")
     parts = []
     for chunk in range(-(-num_samples // CHUNK)):
         parts.append(jax.tree.map(np.asarray, _draw(jax.random.fold_in(key, chunk), model)))

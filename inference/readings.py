@@ -18,7 +18,7 @@ import numpy as np
 
 from poseterior.inference.estimators import estimate_torso
 from poseterior.inference.face import log_face_likelihood
-from poseterior.probmodel.detections import FACE, Detection
+from poseterior.probmodel.detections import FACE, Detection, mapped
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.pose import Pose
@@ -334,8 +334,4 @@ def weigh(
 
 def stretched(detection: Detection, factor: float) -> Detection:
     """`detection` with x multiplied, as it is where the width of the image is wrong."""
-    stretch = np.array([factor, 1.0])
-    face = detection.face
-    if face is not None:
-        face = np.column_stack([face[:, :2] * stretch, face[:, 2]])
-    return dataclasses.replace(detection, keypoints=detection.keypoints * stretch, face=face)
+    return mapped(detection, lambda places: places * np.array([factor, 1.0]))

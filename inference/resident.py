@@ -15,7 +15,7 @@ from poseterior.inference.draws import MAX_PROPOSALS, key_of
 from poseterior.inference.exact.device.group import device_groups, place_group
 from poseterior.inference.exact.mixture import RootSampler
 from poseterior.inference.exact.rates import Budget
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, require_some
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.posterior import Estimate
@@ -78,8 +78,7 @@ def resident_draws(
     BadInput
         On a number of samples below one, and on a candidate that there is not.
     """
-    if num_samples < 1:
-        raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
+    require_some(num_samples, "samples")
     posterior = frame.posterior(model, CANDIDATES)
     if not 0 <= candidate < len(posterior.candidates):
         raise BadInput(

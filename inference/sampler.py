@@ -19,7 +19,7 @@ from poseterior.inference.importance.views.weighted import WeightedViews
 from poseterior.inference.importance.weighted import NUM_ROOTS, WeightedSampler
 from poseterior.inference.results import Result, result_of
 from poseterior.probmodel.detections import Detection
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, require_some
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate, require_root_prior
 from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN, WORLD
@@ -109,8 +109,7 @@ class DetectionSampler:
     num_samples: int
 
     def __post_init__(self) -> None:
-        if self.num_samples < 1:
-            raise BadInput(f"the number of samples must be at least 1, not {self.num_samples}")
+        require_some(self.num_samples, "samples")
         if isinstance(self.sampler, BaselineSampler):
             own = [name for name, kind in MAKERS[self.root].items() if kind is not BaselineSampler]
             raise BadInput(

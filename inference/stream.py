@@ -358,7 +358,7 @@ def _with_draws(folder: str | os.PathLike) -> Store:
     return store
 
 
-def require_draws(folder: str | os.PathLike, settings: Mapping[str, Any]) -> None:
+def require_draws(folder: str | os.PathLike, settings: Mapping[Any, Any]) -> None:
     """Raises `BadInput` where no draws were kept in a stream of such settings."""
     if not settings.get("keep"):
         raise BadInput(

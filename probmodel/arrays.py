@@ -514,7 +514,19 @@ def first_text(array: np.ndarray) -> str:
     return first.decode("utf-8", errors="replace") if isinstance(first, bytes) else str(first)
 
 
-def read_tables(path: str | os.PathLike, what: str, advice: str) -> dict[str, np.ndarray]:
+def npz_names(path: str | os.PathLike, what: str, advice: str) -> set[str]:
+    """What the arrays of an .npz are called; nothing where the file is no such one."""
+    try:
+        with opened(path, what, advice) as file:
+            found = ArrayFile(file, str(path))
+            return set(found.names()) if found.magic == ZIP else set()
+    except BadInput:
+        return set()
+
+
+def read_tables(
+    path: str | os.PathLike, what: str, advice: str, needed: Sequence[str] = ()
+) -> dict[str, np.ndarray]:
     """All arrays of an .npz.
 
     Parameters
@@ -523,18 +535,24 @@ def read_tables(path: str | os.PathLike, what: str, advice: str) -> dict[str, np
         The file, whatever its name.
     what, advice
         What it should be, and what to do where it is not: both go into the sentence.
+    needed
+        Arrays that it must have.
 
     Raises
     ------
     BadInput
-        Where there is no such file, it is not an .npz, is damaged, or holds more than can be.
+        Where there is no such file, it is not an .npz, is damaged, holds more than can be, or lacks
+        an array.
     """
     with opened(path, what, advice) as file:
         found = ArrayFile(file, str(path), what, advice)
         if found.magic == NPY:
             raise BadInput(f"{path} is a single array, not an .npz of named ones; {advice}")
         found.require(ZIP)
-        return found.read()
+        arrays = found.read()
+    if missing := [name for name in needed if name not in arrays]:
+        raise BadInput(f"{path} is no {what}, it lacks {', '.join(missing)}; {advice}")
+    return arrays
 
 
 def read_array(path: str | os.PathLike, what: str, advice: str) -> np.ndarray:

@@ -5,9 +5,10 @@ The usual way in is `read_detections` of `probmodel.formats`; `Detection` is wha
 returns. What the scores mean for the likelihood: `probmodel.errors.likelihood`."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from html import escape
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -152,6 +153,17 @@ def people_said(detections: Sequence[Detection]) -> str:
     if images > 1:
         return f"{count} detections of people in {images} frames"
     return "1 person" if count == 1 else f"{count} people"
+
+
+def mapped(
+    detection: Detection, elsewhere: Callable[[FloatArray], FloatArray], **changes: Any
+) -> Detection:
+    """`detection` with keypoints and face where `elsewhere` takes places `(n, 2)` of the image, and
+    other `changes` of fields."""
+    face = detection.face
+    if face is not None:
+        face = np.column_stack([elsewhere(face[:, :2]), face[:, 2]])
+    return replace(detection, keypoints=elsewhere(detection.keypoints), face=face, **changes)
 
 
 def pick_person(detections: Sequence[Detection], person: int) -> Detection:

@@ -16,6 +16,12 @@ class OutOfBudget(RuntimeError):
     3)."""
 
 
+def require_some(number: int, what: str) -> None:
+    """Raises `BadInput` where a number of something is below one."""
+    if number < 1:
+        raise BadInput(f"the number of {what} must be at least 1, not {number}")
+
+
 def installing(extra: str) -> str:
     """How an extra of this package is installed, for a message. It is on no index, so that its name
     alone would install nothing."""

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from numpyro.distributions import Distribution, constraints
-from numpyro.distributions.transforms import Transform, biject_to
+from numpyro.distributions.transforms import ParameterFreeTransform, biject_to
 
 LOG_HALF_SPHERE = 2 * math.log(math.pi)
 """Log of the surface of half the sphere of quaternions, π²."""
@@ -55,7 +55,7 @@ def rodrigues(rotation: ArrayLike) -> jax.Array:
     return jnp.vectorize(one, signature="(i,j)->(x)")(jnp.asarray(rotation))
 
 
-class _Rotations(constraints.Constraint):
+class _Rotations(constraints.ParameterFreeConstraint):
     """Matrices `(3, 3)` that are orthonormal, up to rounding, with determinant one."""
 
     event_dim = 2
@@ -70,19 +70,11 @@ class _Rotations(constraints.Constraint):
         """The identity, for every event of `prototype`."""
         return jnp.broadcast_to(jnp.eye(3), jnp.shape(prototype))
 
-    def tree_flatten(self) -> tuple[tuple, tuple]:
-        return (), ((), {})
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Rotations)
-
-    __hash__ = None  # type: ignore[assignment]
-
 
 rotations = _Rotations()
 
 
-class RotationTransform(Transform):
+class RotationTransform(ParameterFreeTransform):
     """R³ → SO(3) without the half turns: x ↦ the rotation of the quaternion (1, x)."""
 
     domain = constraints.real_vector
@@ -106,14 +98,6 @@ class RotationTransform(Transform):
 
     def inverse_shape(self, shape: tuple[int, ...]) -> tuple[int, ...]:
         return shape[:-1]
-
-    def tree_flatten(self) -> tuple[tuple, tuple]:
-        return (), ((), {})
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, RotationTransform)
-
-    __hash__ = None  # type: ignore[assignment]
 
 
 @biject_to.register(_Rotations)

@@ -119,6 +119,12 @@ JointOrder = Annotated[
         help="Order of a detector's joints, where files do not say it: coco_17, halpe_26, ….",
     ),
 ]
+CameraNoise = Annotated[
+    str,
+    Option(help="Of synthetic cameras: none, gaussian:SIZE, heavy-tailed:SIZE (of body height)."),
+]
+Keypoints2D = Annotated[str, Option(help="Human3.6M's 2D file, data_2d_h36m_NAME.npz.")]
+WhoseFilm = Annotated[int | None, Option(help="Whose film, in a stream of several people.")]
 RigNames = Annotated[
     Path | None,
     Option(
@@ -604,6 +610,10 @@ class Viewing(Rooting):
         optical axis nobody knows."""
         lens = self._lens(size, exif)
         return prior.model(rooted=self.rooted, upright=concentration(self.upright), lens=lens)
+
+    def model_of(self, prior: Prior, person: Person) -> "PoseModel":
+        """As `model`, for the image of a person."""
+        return self.model(prior, person.size, person.detected.photo_focal)
 
     def _lens(self, size: tuple[int, int] | None, exif: float | None) -> "Lens | None":
         import numpy as np

@@ -16,6 +16,7 @@ from poseterior.reports.options import (
     ROUTES,
     SAMPLERS,
     CameraKind,
+    CameraNoise,
     Composed,
     Detected,
     Double,
@@ -28,6 +29,7 @@ from poseterior.reports.options import (
     JointOrder,
     Judged,
     JudgedBy,
+    Keypoints2D,
     KnownLenses,
     LearnedLaw,
     LengthUnit,
@@ -46,6 +48,7 @@ from poseterior.reports.options import (
     Seed,
     Upright,
     Viewing,
+    WhoseFilm,
     Workforce,
     map_of_names,
 )
@@ -441,7 +444,7 @@ class MeasureSettings:
     height: float | None = option(
         None, "The person's height in metres, if it is known.", show_default="in body units"
     )
-    person: int | None = option(None, "Whose film, in a stream of several people.")
+    person: WhoseFilm = None
     out: Path = option(
         Path("measures.csv"), "The table: .csv, or .nc with every draw; the picture lies beside it."
     )
@@ -483,7 +486,7 @@ class ExportSettings:
     unit: LengthUnit | None = option(None, "Of lengths.", show_default="mm; m for BVH and glTF")
     k: int | None = option(None, "How many hypotheses.", show_default="all that were chosen, or 5")
     draws: int | None = option(None, "So many single draws of a posterior.nc instead.")
-    person: int | None = option(None, "Whose film, in a stream of several people.")
+    person: WhoseFilm = None
     what: FilmPose | None = option(
         None,
         "Of each frame of a stream: the mean of the draws, made a body again, or the"
@@ -672,10 +675,8 @@ class EvaluateSettings:
     frames: int | None = option(
         None, "How many frames, as many of each action.", show_default="all"
     )
-    noise: str = option(
-        "none", "Of synthetic cameras: none, gaussian:SIZE, heavy-tailed:SIZE (of body height)."
-    )
-    detections: str = option("gt", "Human3.6M's 2D file, data_2d_h36m_NAME.npz.")
+    noise: CameraNoise = "none"
+    detections: Keypoints2D = "gt"
     names: RigNames = None
     layout: JointOrder = None
     predictions: list[Path] | None = option(
@@ -885,10 +886,8 @@ class CalibrateSettings:
         show_default="not said",
     )
     frames: int = option(2000, "Most detected people to learn from, evenly over all.", min=1)
-    noise: str = option(
-        "none", "Of synthetic cameras: none, gaussian:SIZE, heavy-tailed:SIZE (of body height)."
-    )
-    detections: str = option("gt", "Human3.6M's 2D file, data_2d_h36m_NAME.npz.")
+    noise: CameraNoise = "none"
+    detections: Keypoints2D = "gt"
     layout: JointOrder = None
     seed: Seed = 0
 

@@ -21,7 +21,7 @@ from poseterior.probmodel.anatomy.limits import AnatomicalLimits
 from poseterior.probmodel.anatomy.population import Anatomy
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, require_some
 from poseterior.probmodel.learning.dictionaries import PoseDictionary
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.roots import Candidate
@@ -87,8 +87,7 @@ def estimate_torsos(
     BadInput
         On an unknown method, and where too little was detected for a camera or a pose.
     """
-    if num_candidates < 1:
-        raise BadInput(f"the number of candidates must be at least 1, not {num_candidates}")
+    require_some(num_candidates, "candidates")
     estimator = _estimator(str(method))
     learned = _learned(torsos, limits, poses)
     found: list[tuple[Candidate, ...]] = []

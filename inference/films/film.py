@@ -44,6 +44,7 @@ from poseterior.inference.stream import (
 )
 from poseterior.probmodel.body import mean_torso
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.formats.frames import named_by
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.motion.lowpass import butterworth
 from poseterior.probmodel.skeleton import TORSO_INDEX
@@ -86,14 +87,26 @@ def sample_film(
 
     Parameters
     ----------
-    model, frames, key, estimating, num_roots, most_roots, machines
+    model, frames
         As `sample_frames` takes them; torso and camera are uncertain.
-    rate, cutoff, k, progress
-        As `film_of` takes them.
+    rate
+        As `film_of` takes it.
+    key
+        Of all draws.
     out
         Folder for the film; what is drawn of the frames goes to `frames` in it.
+    estimating
+        As `sample_frames` takes it.
     num_paths
         How many paths.
+    num_roots, most_roots
+        As `sample_frames` takes them.
+    cutoff, k
+        As `film_of` takes them.
+    machines
+        Who draws.
+    progress
+        Called now and then while the paths are made.
 
     Returns
     -------
@@ -284,14 +297,19 @@ def _drawn(
     names = list(frames or names)
     order, numbers = in_time(names)
     number_of = numbers or range(len(order))
+    counted = [names[at] for at in order]
     draws = dict(all_draws(folder))
     moments = {}
     for number, at in zip(number_of, order, strict=True):
-        name = f"{names[at]}/{who}" if who else names[at]
-        moments[number] = _moment(name, held.get(names[at]), summary, draws)
+        row = held.get(names[at])
+        moments[number] = _moment(_item(names[at], who), row, summary, draws)
     there = [number for number, one in moments.items() if one.drawn is not None]
     if not there:
-        raise BadInput(f"{folder} has no frame with a pose of that person; look at its summary")
+        row = next(iter(held.values()))
+        raise BadInput(
+            f"{folder} has no frame with a pose of that person, of whom {items[row]} says:"
+            f" {summary.sentence.values[row]}"
+        )
     first, last = there[0], there[-1]
     step = math.gcd(*(number - first for number in moments)) or 1
     if (last - first) // step >= MOST_FILLED * len(there):
@@ -300,10 +318,15 @@ def _drawn(
             " them have a pose of that person; number them one by one, or give a part of them"
         )
     film = [
-        moments.get(number, _Moment(f"{number} (not there)/{who}".rstrip("/")))
+        moments.get(number) or _Moment(_item(named_by(number, counted, number_of), who))
         for number in range(first, last + 1, step)
     ]
     return film, step
+
+
+def _item(frame: str, who: str) -> str:
+    """What a person in a frame is called in a stream."""
+    return f"{frame}/{who}" if who else frame
 
 
 def _moment(
@@ -417,8 +440,9 @@ class _Writing:
 
 def _without_pose(moment: _Moment) -> str:
     """Why a frame has no pose of its own."""
-    why = "" if moment.summary is None else str(moment.summary.sentence.values)
-    return f"filled from the frames before and after{why and f': {why}'}"
+    own = moment.summary
+    why = "nobody was detected there" if own is None else str(own.sentence.values)
+    return f"filled from the frames before and after: {why}"
 
 
 def _fingerprint(moments: list[_Moment]) -> str:

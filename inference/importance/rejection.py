@@ -77,7 +77,7 @@ from poseterior.inference.importance.weighted import (
     require_number,
 )
 from poseterior.probmodel.errors.faults import Faults
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import require_some
 from poseterior.probmodel.pose import GroupDraws, Pose
 from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.roots import RootPoint
@@ -347,8 +347,7 @@ def reject_roots(
         range.
     """
     require_number(num_roots)
-    if num_samples < 1:
-        raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
+    require_some(num_samples, "samples")
     require_camera(posterior.detection)
     require_distance(posterior)
     round_key, choice_key = jax.random.split(key)

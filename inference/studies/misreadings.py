@@ -27,7 +27,7 @@ from poseterior.inference.readings import (
 )
 from poseterior.inference.studies.scenes import camera
 from poseterior.probmodel.body import body_unit
-from poseterior.probmodel.detections import FACE, Detection
+from poseterior.probmodel.detections import FACE, Detection, mapped
 from poseterior.probmodel.layouts import COCO_17, H36M_17, Layout
 from poseterior.probmodel.motion import read_motion
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
@@ -110,12 +110,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 def mirrored(detection: Detection, axis: int, size: float = 640.0) -> Detection:
     """x counted from the other side (axis 0), or y (axis 1)."""
     turned = np.arange(2) == axis
-    sign = np.where(turned, -1.0, 1.0)
-    shift = np.where(turned, size, 0.0)
-    face = detection.face
-    if face is not None:
-        face = np.column_stack([face[:, :2] * sign + shift, face[:, 2]])
-    return dataclasses.replace(detection, keypoints=detection.keypoints * sign + shift, face=face)
+    return mapped(detection, lambda places: np.where(turned, size - places, places))
 
 
 def _read_as(points: np.ndarray, layout: Layout) -> Detection:

@@ -18,10 +18,10 @@ import numpy as np
 from poseterior import inference
 from poseterior.probmodel import Estimate, Likelihood, PoseModel
 from poseterior.probmodel.body import bone_lengths
-from poseterior.probmodel.datasets.cases import evenly
 from poseterior.probmodel.datasets.person_views import PersonView
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.root_priors import UNCERTAIN
+from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.sessions.session import turn_to_sight
 from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS
 

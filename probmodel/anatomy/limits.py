@@ -349,28 +349,53 @@ class AnatomicalLimits:
         BadInput
             On another shape, a coordinate that is not finite, or a bone of length zero.
         """
-        joints = np.asarray(joints, float)
-        if joints.shape[-2:] != (NUM_JOINTS, 3):
-            raise BadInput(
-                f"poses have shape {joints.shape}; the check needs (..., {NUM_JOINTS}, 3)"
-            )
-        if not np.isfinite(joints).all():
-            raise BadInput(
-                "a pose has a coordinate that is not finite; the check needs all fifteen joints"
-            )
-        batch = joints.shape[:-2]
-        if 0 in batch:
-            empty = np.zeros((*batch, len(BONE_NAMES)))
+        joints = _credible(joints)
+        if 0 in joints.shape:
+            empty = np.zeros((*joints.shape[:-2], len(BONE_NAMES)))
             return Check(empty == 0, empty.astype(int), empty)
+        upper, lower, column, row = self._located(joints)
+        upper_limit, upper_excess = self._check_upper(upper, column, row)
+        lower_limit, lower_excess = self._check_lower(lower, column[:, 1:], row[:, 1:])
+        shape = (*joints.shape[:-2], len(BONE_NAMES))
+        limit = np.concatenate([upper_limit, lower_limit], axis=-1).reshape(shape)
+        excess = np.concatenate([upper_excess, lower_excess], axis=-1).reshape(shape)
+        return Check(limit == 0, limit, excess)
+
+    def margin(self, joints: ArrayLike) -> np.ndarray:
+        """How far bones of poses are from what is impossible for them.
+
+        Parameters
+        ----------
+        joints : `(..., 15, 3)`
+            As `check` takes them, at least one pose.
+
+        Returns
+        -------
+        ndarray
+            `(..., 9)`, degrees: the least turn by which the bone alone breaks a limit; where it
+            breaks one, 0 less the excess of `check`.
+
+        Raises
+        ------
+        BadInput
+            As `check`.
+        """
+        joints = _credible(joints)
+        found = self.check(joints)
+        upper, lower, column, row = self._located(joints)
+        free = [self._distance(bone, upper[:, bone], False) for bone in range(NUM_UPPER)]
+        bent = self._lower_margin(lower, column[:, 1:], row[:, 1:])
+        margin = np.column_stack([*free, bent]).reshape(found.excess.shape)
+        return np.where(found.valid, margin, -found.excess)
+
+    def _located(self, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Local directions `(n, 5, 3)` and `(n, 4, 3)` of all poses in a row, and the cells (two
+        `(n, 5)`) of their upper bones. Raises `BadInput` on a bone of length zero."""
         locate = functools.partial(_locate, jnp.asarray(self.reference), jnp.asarray(self.fallback))
         local, column, row = in_chunks(locate, joints.reshape(-1, NUM_JOINTS, 3))
         if not np.all(local.length > 0):
             raise BadInput("a pose has a bone of length zero, which has no direction to check")
-        upper_limit, upper_excess = self._check_upper(local.upper, column, row)
-        lower_limit, lower_excess = self._check_lower(local.lower, column[:, 1:], row[:, 1:])
-        limit = np.concatenate([upper_limit, lower_limit], axis=-1).reshape(*batch, -1)
-        excess = np.concatenate([upper_excess, lower_excess], axis=-1).reshape(*batch, -1)
-        return Check(limit == 0, limit, excess)
+        return local.upper, local.lower, column, row
 
     def _check_upper(
         self, upper: np.ndarray, column: np.ndarray, row: np.ndarray
@@ -380,19 +405,20 @@ class AnatomicalLimits:
         for bone in range(NUM_UPPER):
             outside = ~valid[..., bone]
             if outside.any():
-                excess[outside, bone] = self._distance(bone, upper[..., bone, :][outside])
+                excess[outside, bone] = self._distance(bone, upper[..., bone, :][outside], True)
         return np.where(valid, 0, LIMITS.index("occupancy")), excess
 
-    def _distance(self, bone: int, vectors: np.ndarray) -> np.ndarray:
-        """Degrees from unit vectors `(n, 3)` to the nearest occupied cell, whose borders are
-        sampled every 0.5°."""
-        if bone not in self._trees:
-            self._trees[bone] = cKDTree(_cell_points(np.asarray(self.occupied)[bone]))
-        chord, _ = self._trees[bone].query(vectors)
+    def _distance(self, bone: int, vectors: np.ndarray, occupied: bool) -> np.ndarray:
+        """Degrees from unit vectors `(n, 3)` to the nearest cell that is occupied, or is not, whose
+        borders are sampled every 0.5°."""
+        if (bone, occupied) not in self._trees:
+            cells = np.asarray(self.occupied)[bone] == occupied
+            self._trees[bone, occupied] = cKDTree(_cell_points(cells))
+        chord, _ = self._trees[bone, occupied].query(vectors)
         return np.degrees(2 * np.arcsin(np.clip(chord / 2, 0, 1)))
 
     @cached_property
-    def _trees(self) -> dict[int, cKDTree]:
+    def _trees(self) -> dict[tuple[int, bool], cKDTree]:
         return {}
 
     def _check_lower(
@@ -413,9 +439,36 @@ class AnatomicalLimits:
             broken, [np.full(no_plane.shape, np.nan), plane_excess, box_excess], 0.0
         )
 
+    def _lower_margin(self, lower: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+        """Degrees `(n, 4)` from a possible bone to its plane or the nearest side of its box."""
+        where = (np.arange(NUM_LOWER), column, row)
+        coordinate = _arcsine(np.einsum("...ij,...j->...i", self._host_triples[where], lower))
+        bounds = np.asarray(self.bounds)[where]
+        sides = np.where(np.abs(bounds) < 1, _arcsine(bounds), np.inf * np.sign(bounds))
+        return np.min(
+            [
+                _arcsine(-np.asarray(self.offset)[where]) - coordinate[..., 0],
+                *np.moveaxis(coordinate[..., 1:] - sides[..., 0::2], -1, 0),
+                *np.moveaxis(sides[..., 1::2] - coordinate[..., 1:], -1, 0),
+            ],
+            axis=0,
+        )
+
     @cached_property
     def _host_triples(self) -> np.ndarray:
         return np.asarray(self.triples())
+
+
+def _credible(joints: ArrayLike) -> np.ndarray:
+    """Poses `(..., 15, 3)` as numbers. Raises `BadInput` as `AnatomicalLimits.check`."""
+    joints = np.asarray(joints, float)
+    if joints.shape[-2:] != (NUM_JOINTS, 3):
+        raise BadInput(f"poses have shape {joints.shape}; the check needs (..., {NUM_JOINTS}, 3)")
+    if not np.isfinite(joints).all():
+        raise BadInput(
+            "a pose has a coordinate that is not finite; the check needs all fifteen joints"
+        )
+    return joints
 
 
 def _unpack_bits(bits: np.ndarray, key: str, path: Path) -> np.ndarray:

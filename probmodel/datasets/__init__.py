@@ -19,7 +19,7 @@ from poseterior.probmodel.datasets.noise import EXACT, Noise
 from poseterior.probmodel.datasets.plain import is_plain, read_plain, write_plain
 from poseterior.probmodel.datasets.sessions import from_session
 from poseterior.probmodel.datasets.views import VIEWS, View
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, require_some
 from poseterior.probmodel.motion import KINDS, holds_motion, read_motion
 from poseterior.probmodel.sessions import is_session, read_session
 
@@ -90,8 +90,8 @@ def read_data_set(
         there are no calibrated cameras.
     """
     path = Path(path)
-    if frames is not None and frames < 1:
-        raise BadInput(f"the number of frames must be at least 1, not {frames}")
+    if frames is not None:
+        require_some(frames, "frames")
     if perspective and not is_session(path):
         raise BadInput(
             f"perspective needs calibrated cameras, which {path} has not; leave it out, or give a"

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from poseterior.probmodel.datasets.cases import DataSet, body_height, shares
+from poseterior.probmodel.datasets.cases import DataSet, body_height
 from poseterior.probmodel.datasets.noise import EXACT, Noise
 from poseterior.probmodel.datasets.views import CENTRE, VIEWS, View
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.motion import Motion
+from poseterior.probmodel.rows import shares
 
 RATE = 30.0
 """Frames a second that are chosen from; neighbouring frames of faster capture say the same."""

@@ -21,6 +21,7 @@ from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import LARGEST_NUMBER, Detection
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.layouts import MIDPOINTS, corrected, weights_of, without_midpoints
+from poseterior.probmodel.rows import evenly, shares
 from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS, PARENTS
 
 _TALL = (
@@ -374,13 +375,3 @@ class DataSet:
 
 def _metres(height: float) -> str:
     return f"{height / 1000:,.0f}" if height > 10_000 else f"{height / 1000:.2g}"
-
-
-def evenly(number: int, wanted: int) -> np.ndarray:
-    """Rows of `number`, so many as are wanted or all there are, evenly over them."""
-    return np.linspace(0, number - 1, min(wanted, number)).round().astype(int)
-
-
-def shares(frames: int, parts: int) -> list[int]:
-    """`frames` shared out evenly."""
-    return [frames // parts + (part < frames % parts) for part in range(parts)]

@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from poseterior.probmodel.datasets.cases import DataSet, evenly, shares
+from poseterior.probmodel.datasets.cases import DataSet
 from poseterior.probmodel.datasets.pickles import read_object
 from poseterior.probmodel.datasets.views import resection
 from poseterior.probmodel.detections import LARGEST_NUMBER
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.layouts import H36M_17
+from poseterior.probmodel.rows import evenly, shares
 from poseterior.probmodel.skeleton import JOINTS
 
 FILE_3D = "data_3d_h36m.npz"

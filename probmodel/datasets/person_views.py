@@ -14,11 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from poseterior.probmodel.arrays import ZIP, ArrayFile, read_tables
+from poseterior.probmodel.arrays import npz_names, read_tables
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput, shown
-from poseterior.probmodel.files import opened
 from poseterior.probmodel.layouts import LAYOUTS, corrected
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 
@@ -62,12 +61,7 @@ class PersonView(NamedTuple):
 
 def is_person_views(path: Path) -> bool:
     """Whether it is an .npz with `detection` and `truth`."""
-    try:
-        with opened(path, _WHAT, _ADVICE) as file:
-            found = ArrayFile(file, str(path))
-            return found.magic == ZIP and {"detection", "truth"} <= set(found.names())
-    except BadInput:
-        return False
+    return {"detection", "truth"} <= npz_names(path, _WHAT, _ADVICE)
 
 
 def read_person_views(path: Path) -> list[PersonView]:
@@ -88,10 +82,7 @@ def read_person_views(path: Path) -> list[PersonView]:
     BadInput
         Where an array is missing, or not of its kind.
     """
-    arrays = read_tables(path, _WHAT, _ADVICE)
-    missing = [name for name in NEEDED if name not in arrays]
-    if missing:
-        raise BadInput(f"{path} lacks {', '.join(missing)}; {_ADVICE}")
+    arrays = read_tables(path, _WHAT, _ADVICE, NEEDED)
     layout = LAYOUTS.get(str(arrays.get("layout", "coco_17")))
     if layout is None:
         raise BadInput(f"{path}: there is no layout {shown(str(arrays['layout']))}")

@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from poseterior.probmodel.arrays import ZIP, ArrayFile, doubles, possible, read_tables, write_tables
+from poseterior.probmodel.arrays import doubles, npz_names, possible, read_tables, write_tables
 from poseterior.probmodel.datasets.cases import COLUMNS, DataSet
 from poseterior.probmodel.datasets.views import resection
 from poseterior.probmodel.detections import LARGEST_NUMBER, is_label
 from poseterior.probmodel.failures import BadInput, shown
-from poseterior.probmodel.files import opened
 from poseterior.probmodel.motion.recording import require_depth
 from poseterior.probmodel.skeleton import NUM_JOINTS
 
@@ -27,21 +26,13 @@ _WHAT, _ADVICE = "data set", f"give an .npz with {', '.join(NEEDED)}"
 
 def is_plain(path: Path) -> bool:
     """Whether it is an .npz with `poses` or `keypoints`."""
-    try:
-        with opened(path, _WHAT, _ADVICE) as file:
-            found = ArrayFile(file, str(path))
-            return found.magic == ZIP and bool({"poses", "keypoints"} & set(found.names()))
-    except BadInput:
-        return False
+    return bool({"poses", "keypoints"} & npz_names(path, _WHAT, _ADVICE))
 
 
 def read_plain(path: Path) -> DataSet:
     """Reads a plain .npz. Raises `BadInput` as `DataSet` does, and where an array is missing or is
     not of its kind."""
-    arrays = read_tables(path, _WHAT, _ADVICE)
-    missing = [name for name in NEEDED if name not in arrays]
-    if missing:
-        raise BadInput(f"{path} lacks {', '.join(missing)}; {_ADVICE}")
+    arrays = read_tables(path, _WHAT, _ADVICE, NEEDED)
     poses, keypoints = (
         _numbers(arrays[name], name, (NUM_JOINTS, size), path)
         for name, size in (("poses", 3), ("keypoints", 2))

@@ -18,7 +18,7 @@ from poseterior.probmodel.formats.common import (
     Content,
     flat_points,
     image_name,
-    image_side,
+    image_size,
     mapping,
     named_layout,
     sequence,
@@ -180,10 +180,7 @@ def _image_sizes(document: dict[str, Any], source: str) -> dict[str | None, tupl
     for where, image in _records(
         sequence(document.get("images", []), f"'images' of {source}"), "image", source
     ):
-        if image.get("width") is not None and image.get("height") is not None:
-            width, height = (
-                image_side(image[side], f"'{side}' of {where}") for side in ("width", "height")
-            )
-            sizes[image_name(image.get("id"), f"'id' of {where}")] = (width, height)
+        if size := image_size(image, where):
+            sizes[image_name(image.get("id"), f"'id' of {where}")] = size
     sizes.pop(None, None)  # an image without an id is nobody's image
     return sizes

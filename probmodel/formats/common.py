@@ -305,6 +305,11 @@ def image_name(value: object, where: str) -> str | None:
     raise BadInput(f"{where} is {shown(value)} where a whole number or a name is needed.")
 
 
+FRAME_NAMES = (
+    *("frame", "frame_id", "frame_idx", "frame_index", "frame_number", "frame_num", "frameno"),
+    *("fnum", "image", "image_id", "image_name", "img_name", "file", "filename", "file_name"),
+)
+"""What people and detectors call the number or the name of a frame, the likelier first."""
 TRACKS = ("track", "track_id", "person_id", "personID", "instance_id", "idx", "pid")
 """What detectors and trackers call the number by which they follow a person through a film."""
 
@@ -340,6 +345,16 @@ def image_side(value: object, where: str) -> int:
             f"{where} is {shown(value)} where a positive whole number of pixels is needed."
         )
     return int(side)
+
+
+def image_size(
+    record: Mapping[str, Any], where: str, sides: tuple[str, str] = ("width", "height")
+) -> tuple[int, int] | None:
+    """Width and height of the image of a record, where it has both of its `sides`."""
+    if any(record.get(side) is None for side in sides):
+        return None
+    width, height = (image_side(record[side], f"'{side}' of {where}") for side in sides)
+    return width, height
 
 
 def said_layout(content: Content) -> Layout | None:

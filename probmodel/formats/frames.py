@@ -162,6 +162,30 @@ def frame_numbers(names: Sequence[str]) -> list[int] | None:
     return found if (max(found) - min(found)) // step < MOST_NUMBERED else None
 
 
+def named_by(number: int, names: Sequence[str], numbers: Sequence[int]) -> str:
+    """What a frame of another number would be called.
+
+    Parameters
+    ----------
+    number
+        That frame's.
+    names, numbers
+        Of frames in the order of time, two at least, as `frame_numbers` counts them.
+
+    Returns
+    -------
+    str
+        The first one's name with the number in place of its own.
+    """
+    first, last = (list(re.finditer(r"\d+", name)) for name in (names[0], names[-1]))
+    ends = (numbers[0], numbers[-1])
+    counts = [
+        one for one, other in zip(first, last, strict=True) if (int(one[0]), int(other[0])) == ends
+    ]
+    start, end = counts[-1].span()
+    return f"{names[0][:start]}{number:0{end - start}}{names[0][end:]}"
+
+
 def _whole(texts: Sequence[str]) -> list[int] | None:
     """Numbers that are written as decimals; None where one is not whole, or no number."""
     if not all(re.fullmatch(r"\d+(\.0*)?", text) for text in texts):

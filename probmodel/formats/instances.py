@@ -26,7 +26,7 @@ from poseterior.probmodel.formats.common import (
     chosen_layout,
     flat_points,
     image_name,
-    image_side,
+    image_size,
     mapping,
     number,
     said_layout,
@@ -38,7 +38,6 @@ from poseterior.probmodel.layouts import BODY_25, COCO_17, Layout
 
 _KEYS = ("pred_keypoints", "keypoints", "preds", "bodyparts")
 _IMAGES = ("image_id", "image", "filename", "file_name", "img_name")
-_SIDES = ("width", "height")
 
 
 def recognises(content: Content) -> bool:
@@ -108,7 +107,7 @@ def _people(content: Content) -> Iterator[ListedPerson]:
 def _document(document: dict[str, Any], source: str) -> Iterator[ListedPerson]:
     """The people of one object: EasyMocap's, of all people, or of one alone."""
     if "annots" in document:
-        image, size = _image(document, source), _size(document, source)
+        image, size = _image(document, source), image_size(document, source)
         people = sequence(document["annots"], f"'annots' of {source}")
         for index, value in enumerate(people):
             person = _record(value, image, f"person {index} of {source}")
@@ -122,13 +121,6 @@ def _document(document: dict[str, Any], source: str) -> Iterator[ListedPerson]:
 def _image(record: dict[str, Any], where: str) -> str | None:
     key = next((key for key in _IMAGES if record.get(key) is not None), None)
     return None if key is None else image_name(record[key], f"'{key}' of {where}")
-
-
-def _size(record: dict[str, Any], where: str) -> tuple[int, int] | None:
-    if any(record.get(side) is None for side in _SIDES):
-        return None
-    width, height = (image_side(record[side], f"'{side}' of {where}") for side in _SIDES)
-    return width, height
 
 
 def _columns(document: dict[str, Any], source: str) -> Iterator[ListedPerson]:

@@ -23,6 +23,7 @@ from poseterior.probmodel.detections import Detection, FloatArray
 from poseterior.probmodel.documents import require_modest
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.formats.common import (
+    FRAME_NAMES,
     Content,
     cell_number,
     chosen_layout,
@@ -38,7 +39,6 @@ from poseterior.probmodel.layouts import MEDIAPIPE_33
 MISSING_VISIBILITY = 0.5
 """The visibility up to which a landmark is missing."""
 WRAPPINGS = ("landmarks", "pose_landmarks", "poseLandmarks")
-FRAMES = ("frame", "frame_id", "frame_idx", "frame_number", "image", "image_id")
 _FIELDS = ("x", "y", "visibility")
 _BLOCK = re.compile(r"\b(?P<name>\w+)\s*\{|(?P<close>\})|(?P<field>\w+)\s*:\s*(?P<value>[^\s{}]+)")
 
@@ -101,7 +101,7 @@ def _people(content: Content) -> Iterator[tuple[str | None, Any]]:
     for index, value in enumerate(document):
         where = f"frame {index} of {content.source}"
         frame = mapping(value, where)
-        said = next((frame[key] for key in FRAMES if key in frame), index)
+        said = next((frame[key] for key in FRAME_NAMES if key in frame), index)
         yield from ((image_name(said, where), person) for person in _persons(frame, where))
 
 

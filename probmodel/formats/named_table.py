@@ -15,6 +15,7 @@ import numpy as np
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.common import (
+    FRAME_NAMES,
     TRACKS,
     Content,
     named_layout,
@@ -35,11 +36,8 @@ _SCORES = (
 )
 _ENDINGS = ("x", "y", "z", "error", *_SCORES)
 _COLUMN = re.compile(rf"(?P<name>.+?)[ _.](?P<part>{'|'.join(_ENDINGS)})", re.IGNORECASE)
-_FRAMES = (
-    *("frame", "frame_id", "frame_idx", "frame_index", "frame_number", "frame_num", "frameno"),
-    *("fnum", "image", "image_id", "image_name", "img_name", "file", "filename", "file_name", ""),
-)
-"""Columns that name the rows, as people call them; an index of pandas has no name."""
+_ROWS = (*FRAME_NAMES, "")
+"""Columns that name the rows; an index of pandas has no name."""
 _PEOPLE = (*TRACKS, "person", "individual", "id")
 """Columns that say whose row it is."""
 Columns = dict[str, dict[str, int]]
@@ -74,7 +72,7 @@ def read(content: Content, threshold: float) -> Iterator[Detection]:
             " which are for check, learn and evaluate; leave z out where x and y are of an image."
         )
     layout = named_layout(list(columns), content)
-    frame, who = (_column(header, known) for known in (_FRAMES, _PEOPLE))
+    frame, who = (_column(header, known) for known in (_ROWS, _PEOPLE))
     for person, row in enumerate(rows):
         where = f"row {person + 2} of {content.source}"
         if len(row) != len(header):

@@ -25,7 +25,7 @@ from poseterior.probmodel.formats.common import (
     BY_COUNT,
     Content,
     flat_points,
-    image_side,
+    image_size,
     mapping,
     said_layout,
     sequence,
@@ -167,16 +167,9 @@ def _bodies(content: Content) -> Iterator[BodyPoints]:
             where = f"person {person} of {source}"
             fields = mapping(record, where)
             flat, key = _flat_list(fields, where)
-            image, size = str(frame) if listed else None, _canvas(document, source)
+            image, size = str(frame) if listed else None, image_size(document, source, CANVAS)
             yield BodyPoints(flat, key, where, image, size, track_of(fields))
             person += 1
-
-
-def _canvas(document: dict[str, Any], source: str) -> tuple[int, int] | None:
-    if any(document.get(key) is None for key in CANVAS):
-        return None
-    width, height = (image_side(document[key], f"'{key}' of {source}") for key in CANVAS)
-    return width, height
 
 
 def _flat_list(person: dict[str, Any], where: str) -> tuple[list[Any], str]:

@@ -4,14 +4,13 @@ Readers yield people as the file has them, and `in_pixels`, which all of them go
 nobody is a pixel tall. Fractions become pixels by the size of the image, the file's own or else the
 user's; what is neither, metres perhaps, is refused."""
 
-import dataclasses
 import enum
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from poseterior.probmodel.detections import Detection, FloatArray
+from poseterior.probmodel.detections import Detection, FloatArray, mapped
 from poseterior.probmodel.failures import BadInput
 
 OUTSIDE = 0.5
@@ -152,8 +151,4 @@ def _scaled(person: Detection, unit: Unit, size: tuple[int, int] | None) -> Dete
             " the image are needed; leave them as the detector wrote them."
         )
     shift, scale = (1.0, np.array(size) / 2) if unit is Unit.CENTRED else (0.0, np.array(size))
-    face = person.face
-    if face is not None:
-        face = np.column_stack([(face[:, :2] + shift) * scale, face[:, 2]])
-    keypoints = (person.keypoints + shift) * scale
-    return dataclasses.replace(person, keypoints=keypoints, face=face, image_size=size)
+    return mapped(person, lambda places: (places + shift) * scale, image_size=size)

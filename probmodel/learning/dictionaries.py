@@ -79,13 +79,8 @@ class PoseDictionary:
         """Reads what `save` wrote. Raises `BadInput` on anything else, or another skeleton."""
         path = Path(path)
         advice = "write one with `poseterior learn --poses`"
-        arrays = read_tables(path, "file of pose dictionaries", advice)
         fields = [field.name for field in dataclasses.fields(cls)]
-        missing = [name for name in ("joints", *fields) if name not in arrays]
-        if missing:
-            raise BadInput(
-                f"{path} is no file of pose dictionaries, it lacks {', '.join(missing)}; {advice}"
-            )
+        arrays = read_tables(path, "file of pose dictionaries", advice, ("joints", *fields))
         if tuple(arrays["joints"].tolist()) != JOINTS:
             raise BadInput(
                 f"{path} holds pose dictionaries for another skeleton, of {arrays['joints'].size}"

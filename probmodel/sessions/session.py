@@ -30,6 +30,7 @@ from poseterior.probmodel.formats.frames import (
     sorted_files,
 )
 from poseterior.probmodel.layouts import MIDPOINTS, midpoints_of
+from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.sessions.calibrations import is_calibration, read_cameras
 from poseterior.probmodel.sessions.pinhole import Pinhole
 from poseterior.probmodel.sessions.triangulation import Triangulated, residuals, triangulate
@@ -366,9 +367,8 @@ def read_session(
     views = [_by_number(folder, layout) for folder in folders]
     _require_same_frames(views, folders)
     numbers = sorted(views[0])
-    if frames is not None and frames < len(numbers):
-        rows = np.linspace(0, len(numbers) - 1, frames).round().astype(int)
-        numbers = [numbers[row] for row in rows]
+    if frames is not None:
+        numbers = [numbers[row] for row in evenly(len(numbers), frames)]
     labels = tuple(folder.name for folder in folders)
     session = _matched(path, tuple(cameras), labels, numbers, views)
     _require_fit(session, calibration)

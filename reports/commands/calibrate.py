@@ -14,7 +14,7 @@ from poseterior.inference.studies.errorlaws import (
     times_of_session,
 )
 from poseterior.probmodel import BadInput
-from poseterior.probmodel.datasets.cases import evenly
+from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.sessions import Session
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure

@@ -29,9 +29,7 @@ def run(settings: CompareSettings, screen: Screen) -> None:
     check(samplers)
     out = console.output_folder(settings.out)
     with console.progress("torso and camera", screen.quiet):
-        model = settings.rooting.model(
-            settings.prior, settings.person.size, settings.person.detected.photo_focal
-        )
+        model = settings.rooting.model_of(settings.prior, settings.person)
         frame = settings.estimation.estimate(settings.person.detection, model)
     kept = ", runs" if {*samplers} & {*BASELINES} else ""
     found = routes.compare(

@@ -41,9 +41,7 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
         instants.run(settings, screen)
         return
     with console.progress("torso and camera", screen.quiet):
-        model = settings.rooting.model(
-            settings.prior, settings.person.size, settings.person.detected.photo_focal
-        )
+        model = settings.rooting.model_of(settings.prior, settings.person)
         frame = settings.estimation.estimate(settings.person.detection, model)
         warnings = doubts.about(settings.person, model)
     recalibrated = _recalibrated(settings.recalibrated) if settings.recalibrated else None

@@ -31,9 +31,7 @@ def run(settings: SampleSettings, screen: Screen) -> None:
     if page == out:
         raise BadInput(f"{out} is the name of the page; give --out a name that ends in .nc")
     with console.progress("torso and camera", screen.quiet):
-        model = settings.rooting.model(
-            settings.prior, settings.person.size, settings.person.detected.photo_focal
-        )
+        model = settings.rooting.model_of(settings.prior, settings.person)
         frame = settings.estimation.estimate(settings.person.detection, model)
         warnings = doubts.about(settings.person, model)
     with console.progress(_task(settings), screen.quiet) as step:

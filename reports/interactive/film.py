@@ -9,6 +9,7 @@ import xarray as xr
 from poseterior.inference.stream import LEVELS, frame_and_person
 from poseterior.inference.summaries import unrolled
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from poseterior.reports.figures.colours import hypothesis_colours, measure_colour
 from poseterior.reports.interactive.page import assemble, packed
@@ -84,8 +85,7 @@ def _shown(frames: int, k: int, people: int, measures: int) -> np.ndarray:
     """Which frames a page holds."""
     numbers = NUM_JOINTS * (3 * k + len(LEVELS)) + measures * len(LEVELS)
     of_frame = people * 4 * numbers * 4 / 3  # base64 has a third more
-    number = max(1, min(frames, int(MOST_BYTES / of_frame)))
-    return np.unique(np.linspace(0, frames - 1, number).round().astype(int))
+    return evenly(frames, max(1, int(MOST_BYTES / of_frame)))
 
 
 def _named(measured: xr.Dataset | None) -> list[dict[str, str]]:

@@ -15,6 +15,7 @@ from poseterior.inference.draws import COMPLETE
 from poseterior.inference.hypothesis import Hypothesis
 from poseterior.inference.measured import measure_intervals, measures
 from poseterior.inference.results import Result
+from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 from poseterior.reports.figures.colours import LIMB_OF, hypothesis_colours
 from poseterior.reports.figures.window import Window, cropped, window_of
@@ -36,7 +37,8 @@ from poseterior.reports.tables.sheet import percent, signed
 from poseterior.reports.tables.words import facing_words, pose_facing, spoken, undetected
 
 MAX_DRAWS = 1000
-"""Draws that a page holds; marginals are of all that are shown."""
+"""Draws that a page holds, evenly, since those of a chain follow each other; marginals are of all
+that are shown."""
 BINS = 48
 LONGEST_SIDE, QUALITY = 1400, 85
 """Of the photo: pixels, and JPEG's."""
@@ -74,7 +76,7 @@ def person_page(
     """
     tree = result.shown.tree
     window = window_of(tree, image)
-    shown = _spread_evenly(len(values(tree, "posterior", "joints")))
+    shown = evenly(len(values(tree, "posterior", "joints")), MAX_DRAWS)
     points = values(tree, "observed_data", "keypoints")
     data = {
         "draws": packed(values(tree, "posterior", "joints")[shown]),
@@ -105,11 +107,6 @@ def person_page(
             measures_table(measure_intervals(measures(tree))),
         ],
     )
-
-
-def _spread_evenly(number: int) -> np.ndarray:
-    """At most `MAX_DRAWS` rows of so many: the draws of a chain follow each other."""
-    return np.unique(np.linspace(0, number - 1, min(number, MAX_DRAWS)).round().astype(int))
 
 
 def _hypotheses(tree: xr.DataTree, hypotheses: Sequence[Hypothesis]) -> list[dict[str, Any]]:

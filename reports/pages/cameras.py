@@ -21,9 +21,9 @@ from poseterior.inference.draws import Draws
 from poseterior.inference.importance.views.weighted import WeightedViews
 from poseterior.inference.studies.intervals import TAIL, Interval, of_share
 from poseterior.probmodel import DetectorErrors, Likelihood, PoseModel
-from poseterior.probmodel.datasets.cases import evenly
 from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, ORDERS
 from poseterior.probmodel.instant import CameraView, Instant
+from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.sessions.session import HIPS, joints_seen
 from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS

@@ -232,7 +232,7 @@ class PathsJudged(NamedTuple):
     Attributes
     ----------
     covered : `(1 + lags, 3)` how often 95 % intervals hold coordinates, and changes over `LAGS`.
-    width : `(3,)` mm, their median width.
+    width : `(1 + lags, 3)` mm, their median widths.
     error : mm, of the mean path, mean over joints and frames.
     jitter : mm, median length of third differences of the mean path's wrists and ankles, at 60
         frames a second or the film's rate if it is less.
@@ -252,13 +252,15 @@ def judge(
     own = film.sigma[rows][:, :, None] * _truths_errors(len(paths), film.rate, len(rows), rng)
     noisy = about_hips(paths + np.nan_to_num(own))[:, :, JUDGED_ENDS]
     true = truth[:, JUDGED_ENDS]
-    covered, width = [_held(noisy, true)], _width(noisy)
+    kinds = [(noisy, true)]
     for lag in LAGS:
         step = round(lag * film.rate)
-        covered.append(_held(noisy[:, step:] - noisy[:, :-step], true[step:] - true[:-step]))
+        kinds.append((noisy[:, step:] - noisy[:, :-step], true[step:] - true[:-step]))
+    covered = np.array([_held(*one) for one in kinds])
+    width = np.array([_width(one) for one, _ in kinds])
     mean = paths.mean(axis=0)
     gone = np.linalg.norm(mean[:, JUDGED_ENDS] - true, axis=-1)
-    return PathsJudged(np.array(covered), width, float(np.nanmean(gone)), jitter(mean))
+    return PathsJudged(covered, width, float(np.nanmean(gone)), jitter(mean))
 
 
 def _truths_errors(number: int, rate: float, frames: int, rng: np.random.Generator) -> np.ndarray:
@@ -311,7 +313,8 @@ HEAD = (
     "films, and the way",
     "coordinates",
     *(f"changes in {lag:g} s" for lag in LAGS),
-    "95 % wide, mm",
+    "95 % wide, mm: coordinates",
+    *(f"changes, {lag:g} s" for lag in LAGS),
     "error of the mean, mm",
     "jitter, mm",
     "the truth's",
@@ -323,12 +326,12 @@ def _cells(way: str, films: list[TrueFilm], judged: list[PathsJudged]) -> list[s
     shares = [" / ".join(f"{axis:.0f}" for axis in row) for row in covered]
     width = np.mean([one.width for one in judged], axis=0)
     if way == HEAVIEST:
-        shares, wide = [NOTHING] * len(covered), NOTHING
+        shares = wide = [NOTHING] * len(covered)
     else:
-        wide = " / ".join(f"{axis:.0f}" for axis in width)
+        wide = [" / ".join(f"{axis:.0f}" for axis in row) for row in width]
     means = [float(np.mean([getattr(one, name) for one in judged])) for name in ("error", "jitter")]
     true = float(np.mean([jitter(about_hips(film.truth)) for film in films]))
-    return [*shares, wide, f"{means[0]:.0f}", f"{means[1]:.1f}", f"{true:.1f}"]
+    return [*shares, *wide, f"{means[0]:.0f}", f"{means[1]:.1f}", f"{true:.1f}"]
 
 
 def inside_limits(groups: list[list[TrueFilm]], work: Path) -> float:

@@ -21,7 +21,7 @@ from poseterior.reports.tables.coverage import share
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
 LEVEL = 0.05
-TRIES = {100: 20, 300: 8}
+TRIES = {100: 60, 300: 14, 1000: 4}
 """Instances, and how many times each is tried."""
 DRAWN = 100
 """Draws of an instance."""
@@ -41,6 +41,7 @@ def main(data: Data, work: Work) -> Page:
         {
             "at_100": _table(100, work),
             "at_300": _table(300, work),
+            "at_1000": _table(1000, work),
             "draws": DRAWN,
             "tried": ", ".join(f"{times} at {size:,}" for size, times in TRIES.items()),
             "accused": accused,

@@ -50,7 +50,8 @@ def people_of_film(summary: xr.Dataset) -> Sheet:
     records = []
     for person in sorted(set(owner.tolist()), key=lambda name: (len(name), name)):
         own = owner == person
-        evidence = summary.log_evidence.values[own & there]
+        evidence = summary.log_evidence.values[own]
+        evidence = evidence[np.isfinite(evidence)]  # of those that were drawn, not filled
         records.append(
             {
                 "person": person,

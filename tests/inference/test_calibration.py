@@ -708,6 +708,23 @@ def test_too_few_draws_are_a_failure(model: PoseModel) -> None:
     assert "3 independent draws, at least 9" in found.sentence
 
 
+def test_how_near_a_limit_draws_are_does_not_tell_which_is_the_truth(model: PoseModel) -> None:
+    """As a covariate of levels must not: it is the same whichever of them is called the truth,
+    though the least distances of poses themselves differ."""
+    both = np.stack([instance.joints for instance in simulate(model, 0, 0, 20)])
+    least = np.nanmin(model.limits.margin(both), axis=1)
+    order = np.argsort(least)
+    frame = simulate(model, 0, 0, 1)[0].frame
+
+    def told(rows: np.ndarray) -> float:
+        instance = Instance(frame, both[rows[0]])
+        answer = Answer(both[rows[1:]])
+        return assess(instance, answer, RNG(0), limits=model.limits).nearest_limit
+
+    assert told(order) == told(order[::-1]) == pytest.approx(np.median(least))
+    assert least[order[-1]] > 2 * least[order[0]]
+
+
 def test_the_log_density_is_the_models(model: PoseModel) -> None:
     """Outside the discs it is -inf, and so is its level at the bottom: the truth of another
     detection."""

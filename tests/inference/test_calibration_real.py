@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from poseterior.inference.draws import OUT_OF_BUDGET
+from poseterior.inference.draws import COMPLETE, OUT_OF_BUDGET
 from poseterior.inference.hypothesis import diverse
+from poseterior.inference.results import save_tree
 from poseterior.inference.studies.calibration import assess, simulate
-from poseterior.inference.studies.calibration.assess import Answer, Standing
+from poseterior.inference.studies.calibration.assess import FAILED, Answer, Standing
 from poseterior.inference.studies.calibration.choices import (
     CHOICES,
     CHOOSE,
@@ -42,17 +43,22 @@ from poseterior.inference.studies.calibration.exclusions import (
     ranking,
 )
 from poseterior.inference.studies.calibration.posteriors import sampler_of
-from poseterior.inference.studies.calibration.quantities import MOVING, of_both
+from poseterior.inference.studies.calibration.quantities import MOVING, QUANTITIES, of_both
 from poseterior.inference.studies.calibration.real import (
     TRUE,
     by_the_likelihood,
     instances,
     true_candidate,
 )
-from poseterior.inference.studies.calibration.record import case_columns, standings_tree
+from poseterior.inference.studies.calibration.record import (
+    case_columns,
+    seen_columns,
+    standings_tree,
+)
 from poseterior.inference.studies.calibration.run import cover, stand
 from poseterior.inference.studies.calibration.simulations import Instance
 from poseterior.inference.studies.intervals import resampled
+from poseterior.inference.studies.judging.files import read_judged
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.camera import Lens, WeakPerspective
 from poseterior.probmodel.datasets import Case
@@ -411,6 +417,28 @@ def test_a_posterior_that_is_not_complete_is_not_without_draws() -> None:
     found = summary(standings_tree([few, lost], {}, columns))
     assert (found.size, found.without_draws) == (2, 1)
     assert found.depth == pytest.approx(150)
+
+
+def test_covariates_are_those_of_the_instances_that_were_judged(tmp_path: Path) -> None:
+    known = Standing(COMPLETE, "", level=np.full(len(QUANTITIES), 0.5), nearest_limit=3.0)
+    standings = [known, Standing(FAILED, "no draws"), known._replace(nearest_limit=4.0)]
+    columns = {"hidden": np.array([1, 2, 1]), "score": np.array([0.5, 0.6, 0.7])}
+    save_tree(standings_tree(standings, {}, columns), tmp_path / "coverage.nc")
+    found = read_judged(tmp_path / "coverage.nc")
+    assert isinstance(found, tuple)
+    level, covariates = found
+    assert level.simulation.values.tolist() == [0, 2]
+    assert {name: column.tolist() for name, column in covariates.items()} == {
+        "score": [0.5, 0.7],
+        "nearest_limit": [3.0, 4.0],
+    }
+
+
+def test_what_is_hidden_is_counted(cases: list[Case]) -> None:
+    seen = seen_columns(
+        [case.hiding(missing).detection for case in cases[:1] for missing in (0, 3)]
+    )
+    assert np.diff(seen["hidden"]) == [3]
 
 
 def test_detections_of_the_likelihood_stay_in_their_discs(

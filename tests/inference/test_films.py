@@ -255,8 +255,7 @@ def walk(model, tmp_path_factory: pytest.TempPathFactory):
 def test_a_film_is_a_stream_of_paths(walk, tmp_path):
     out = film_of(walk, rate=25.0, out=tmp_path / "film", k=3)
     found = film_draws(out)
-    names = [f"frame_{at}/0" for at in (3, 4)] + ["5 (not there)/0", "frame_6/0"]
-    assert list(found.frame.values) == [*names, "7 (not there)/0", "frame_8/0"]
+    assert list(found.frame.values) == [f"frame_{at}/0" for at in range(3, 9)]
     np.testing.assert_allclose(found.time, np.arange(6) / 25)
     joints = found.joints.values[0].astype(float)
     assert joints.shape == (30, 6, 15, 3)

@@ -22,7 +22,7 @@ from poseterior.inference.studies.judging.files import read_brought
 from poseterior.inference.studies.judging.judge import judge_brought
 from poseterior.inference.studies.judging.repair import read_recalibration
 from poseterior.inference.studies.judging.where import leaves_of, locally
-from poseterior.inference.studies.judging.wrong import told
+from poseterior.inference.studies.judging.wrong import WRONGS, locally_wrong, told
 from poseterior.probmodel import BadInput
 
 RARE = 1e-4
@@ -86,6 +86,24 @@ def test_a_right_posterior_is_not_accused(weighted: bool) -> None:
     assert found.local is not None
     assert set(found.covered) == {"quantity 0", "quantity 1", "quantity 2"}
     assert all(one.low <= 0.5 <= one.high for one, _, _ in found.covered.values())
+
+
+def test_the_last_three_are_right_on_average(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Levels of 6,000 instances are uniform in every number (chance of a false alarm 1e-3 over all
+    nine), and so are not those of the control: a width that is wrong by the product of two numbers
+    which are seen together, so that it is positive in 68 %."""
+
+    def least(fault: str) -> float:
+        case = told(fault, 6000, 39, np.random.default_rng(11))
+        below = (case.draws < case.truth[:, None]).sum(axis=1)
+        counts = [np.bincount(rank // 5, minlength=8) for rank in below.T]
+        return min(stats.chisquare(count).pvalue for count in counts)
+
+    for fault in [*WRONGS][-3:]:
+        assert least(fault) > 1e-3 / 9, fault
+    spoilt = locally_wrong(True, lambda seen: np.sign(seen[:, 0] * seen[:, 1]))
+    monkeypatch.setitem(WRONGS, "control", spoilt)
+    assert least("control") < 1e-6
 
 
 def test_what_is_wrong_everywhere_and_right_on_average_is_found_where_it_is() -> None:

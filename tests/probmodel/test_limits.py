@@ -125,6 +125,18 @@ def turned(joints: np.ndarray, bone: int, turns: Rotation) -> np.ndarray:
     return moved
 
 
+def all_ways(joints: np.ndarray, bone: int, degrees: float) -> np.ndarray:
+    """Poses with one bone turned so far, about axes all around it."""
+    vector = joints[BONES[bone].end] - joints[BONES[bone].start]
+    first = np.cross(vector, [0.3, -0.5, 0.8])
+    second = np.cross(vector, first)
+    around = np.linspace(0, 2 * np.pi, 1440, endpoint=False)[:, None]
+    axes = np.cos(around) * first / np.linalg.norm(first) + np.sin(
+        around
+    ) * second / np.linalg.norm(second)
+    return turned(joints, bone, Rotation.from_rotvec(axes * np.radians(degrees)))
+
+
 @pytest.mark.parametrize(
     ("name", "pose_of"),
     [
@@ -140,17 +152,29 @@ def test_excess_is_the_least_turn_that_mends_the_bone(
     limits, joints, bone = simple_limits(), pose_of(), BONE_NAMES.index(name)
     excess = limits.check(joints).excess[bone]
     assert excess > 5
-    vector = joints[BONES[bone].end] - joints[BONES[bone].start]
-    first = np.cross(vector, [0.3, -0.5, 0.8])
-    second = np.cross(vector, first)
-    around = np.linspace(0, 2 * np.pi, 1440, endpoint=False)[:, None]
-    axes = np.cos(around) * first / np.linalg.norm(first) + np.sin(
-        around
-    ) * second / np.linalg.norm(second)
-    too_little = turned(joints, bone, Rotation.from_rotvec(axes * np.radians(excess - 0.05)))
-    enough = turned(joints, bone, Rotation.from_rotvec(axes * np.radians(excess + 0.05)))
-    assert not limits.check(too_little).valid[:, bone].any()
-    assert limits.check(enough).valid[:, bone].any()
+    assert limits.margin(joints)[bone] == -excess
+    assert not limits.check(all_ways(joints, bone, excess - 0.05)).valid[:, bone].any()
+    assert limits.check(all_ways(joints, bone, excess + 0.05)).valid[:, bone].any()
+
+
+@pytest.mark.parametrize(
+    ("name", "pose_of"),
+    [
+        ("head", lambda: body(upper={"head": angles(-70.0, 14.0)})),
+        ("right_upper_arm", lambda: body(upper={"right_upper_arm": angles(170.0, -22.0)})),
+        ("left_lower_leg", lambda: body(lower={"left_lower_leg": angles(57.0, 33.0)})),
+        ("right_forearm", lambda: body(lower={"right_forearm": angles(180.0, 30.0)})),
+        ("left_forearm", lambda: body(lower={"left_forearm": angles(150.0, 10.0)})),
+    ],
+)
+def test_margin_is_the_least_turn_that_breaks_a_limit(
+    name: str, pose_of: Callable[[], np.ndarray]
+) -> None:
+    limits, joints, bone = simple_limits(), pose_of(), BONE_NAMES.index(name)
+    margin = limits.margin(joints)[bone]
+    assert margin > 2
+    assert limits.check(all_ways(joints, bone, margin - 0.05)).valid[:, bone].all()
+    assert not limits.check(all_ways(joints, bone, margin + 0.05)).valid[:, bone].all()
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from poseterior.probmodel import BadInput, Detection, read_detections, read_fram
 from poseterior.probmodel.detections import pick_person
 from poseterior.probmodel.formats import FORMATS
 from poseterior.probmodel.formats.common import track_of
-from poseterior.probmodel.formats.frames import DetectedFrame, frame_numbers
+from poseterior.probmodel.formats.frames import DetectedFrame, frame_numbers, named_by
 from poseterior.probmodel.formats.point_arrays import NUMBERS_A_PERSON
 from poseterior.probmodel.layouts import BODY_25, COCO_17, COCO_18, H36M_17, MEDIAPIPE_33, MPII_16
 from poseterior.probmodel.people import Cast, cast_of, distances
@@ -599,6 +599,24 @@ NANO = 1699999999123456789
 )  # fmt: skip
 def test_numbers_are_read_from_names(names: list[str], numbers: list[int] | None) -> None:
     assert frame_numbers(names) == numbers
+
+
+@pytest.mark.parametrize(
+    ("names", "number", "named"),
+    [
+        (["walk_08.png", "walk_16.png"], 12, "walk_12.png"),
+        (["8.mp4", "12.mp4"], 9, "9.mp4"),
+        (["0.0", "12.0"], 5, "5.0"),
+        (["cam2_12_v12", "cam2_14_v12"], 13, "cam2_13_v12"),
+        (["1_8", "2_9", "3_12"], 10, "1_10"),
+    ],
+)
+def test_frames_that_are_not_there_have_names_that_count_them(
+    names: list[str], number: int, named: str
+) -> None:
+    numbers = frame_numbers(names)
+    assert numbers is not None
+    assert named_by(number, names, numbers) == named
 
 
 def test_names_in_a_folder_are_those_of_its_files(tmp_path: Path) -> None:

@@ -19,11 +19,12 @@ from poseterior.inference.results import Result
 from poseterior.inference.saved import read_result
 from poseterior.inference.stream import LEVELS
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
 from poseterior.reports.interactive import film, saved
 from poseterior.reports.interactive.film import film_page
 from poseterior.reports.interactive.page import write_page
-from poseterior.reports.interactive.person import MAX_DRAWS, _spread_evenly, person_page
+from poseterior.reports.interactive.person import MAX_DRAWS, person_page
 from poseterior.reports.tables import values
 from poseterior.reports.tables.posterior import still
 from tests.conftest import Cli
@@ -275,9 +276,9 @@ def test_truth_and_photo_are_shown_where_given(
 
 
 def test_chains_are_shown_from_end_to_end() -> None:
-    rows = _spread_evenly(25_000)
-    assert (rows[0], rows[-1], len(rows)) == (0, 24_999, MAX_DRAWS)
-    assert _spread_evenly(7).tolist() == list(range(7))
+    rows = evenly(25_000, MAX_DRAWS)
+    assert (rows[0], rows[-1], len(set(rows))) == (0, 24_999, MAX_DRAWS)
+    assert evenly(7, MAX_DRAWS).tolist() == list(range(7))
 
 
 def test_words_say_what_is_open(example_result: Result, page: str) -> None:

@@ -29,6 +29,7 @@ from poseterior.inference.studies.calibration.quantities import (
 )
 from poseterior.inference.studies.calibration.simulations import Instance
 from poseterior.inference.studies.measured import MeasureStandings, no_standings, standings_of
+from poseterior.probmodel.anatomy.limits import AnatomicalLimits
 from poseterior.probmodel.datasets.cases import strays
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
@@ -70,7 +71,9 @@ class Standing(NamedTuple):
     looked at. `whole`, `lateral`, `depth` `(9,)`: share of draws nearer to the draws' median than
     the truth is, by joint that moves, over all axes, in the image plane, in depth; `stand_in` `(10,
     9)`: as `whole`, of draws. `spread_lateral`, `spread_depth` `(9,)`: standard deviations of the
-    draws, body units. `measures`: of joint angles, lengths and steps, lengths in body units. NaN
+    draws, body units. `measures`: of joint angles, lengths and steps, lengths in body units.
+    `nearest_limit`: degrees from the bone that is nearest to a limit of its own to that limit, the
+    median over draws and truth together, which therefore says nothing of which is the truth. NaN
     throughout, and by default, where `status` is "failed" or the sampler's own word for it: the
     posterior brought too few draws.
     """
@@ -79,6 +82,7 @@ class Standing(NamedTuple):
     sentence: str
     num_draws: int = 0
     log_evidence: float = np.nan
+    nearest_limit: float = np.nan
     level: np.ndarray = np.full(len(QUANTITIES), np.nan)
     whole: np.ndarray = _UNKNOWN
     lateral: np.ndarray = _UNKNOWN
@@ -96,6 +100,7 @@ def assess(
     *,
     model: PoseModel | None = None,
     reference: np.ndarray | None = None,
+    limits: AnatomicalLimits | None = None,
 ) -> Standing:
     """Ranks the truth among the draws in every way; a truth that errs among draws with such errors.
 
@@ -106,6 +111,8 @@ def assess(
         by numbers of the root where the draws have one each.
     reference
         A pose `(15, 3)` that depends on what was seen alone: to rank by the distance from it too.
+    limits
+        To say how near the draws are to one of these.
 
     Raises
     ------
@@ -149,6 +156,7 @@ def assess(
         sentence=posterior.sentence,
         num_draws=len(draws),
         log_evidence=posterior.log_evidence,
+        nearest_limit=np.nan if limits is None else _nearest(limits, seen),
         level=np.array([*level.values()]),
         whole=median_levels(truth, cloud),
         lateral=median_levels(truth[:, :2], cloud[..., :2]),
@@ -158,6 +166,11 @@ def assess(
         spread_depth=spread[:, 2],
         measures=standings_of(seen[0], seen[1:], draws, rng),
     )
+
+
+def _nearest(limits: AnatomicalLimits, joints: np.ndarray) -> float:
+    """Degrees, of poses `(n, 15, 3)` as `Standing.nearest_limit` has them."""
+    return float(np.median(np.nanmin(limits.margin(joints), axis=1)))
 
 
 def _with_truth(candidate: Candidate, points: RootPoint) -> RootPoint:

@@ -35,7 +35,7 @@ from poseterior.inference.studies.calibration.quantities import of_pose
 from poseterior.inference.studies.calibration.simulations import Instance
 from poseterior.inference.studies.comparison.mixing import mean_ess, mixing
 from poseterior.probmodel.arrays import read_array, read_netcdf, read_tables
-from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.failures import BadInput, require_some, shown
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 from poseterior.probmodel.skeleton import NUM_JOINTS
@@ -57,8 +57,7 @@ def sampler_of(
 ) -> Sampler:
     """The sampler of that name, or the draws of a file. Raises `BadInput` where there is none such,
     its package is missing, or it holds the root fixed where it shall be uncertain."""
-    if num_samples < 1:
-        raise BadInput(f"the number of samples must be at least 1, not {num_samples}")
+    require_some(num_samples, "samples")
     if name is not None and Path(name).suffix.lower() in DRAWS_SUFFIXES:
         return FromFile.read(Path(name))
     if name in BASELINES and root == CANDIDATES:

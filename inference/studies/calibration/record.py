@@ -1,8 +1,8 @@
 """Standings as a DataTree: `coverage.nc`, laid out as ArviZ looks for it.
 
-`/simulation` has everything by instance, failures too; `/covariates` what is seen of real poses, by
-which `coverage judge` says where they are covered; `/prior_sbc` the levels of those that were
-judged, with `chain` and `draw` as ArviZ's plots of calibration want them (a draw is a simulation).
+`/simulation` has everything by instance, failures too; `/covariates` what is seen of each, by which
+`coverage judge` says where truths are covered; `/prior_sbc` the levels of those that were judged,
+with `chain` and `draw` as ArviZ's plots of calibration want them (a draw is a simulation).
 """
 
 from collections.abc import Sequence
@@ -27,13 +27,20 @@ from poseterior.probmodel.datasets import Case
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.measures import MEASURES
 from poseterior.probmodel.observation import Observation
-from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, LENGTH_GROUPS, TORSO_JOINTS
+from poseterior.probmodel.skeleton import (
+    JOINT_INDEX,
+    JOINTS,
+    LENGTH_GROUPS,
+    NUM_JOINTS,
+    TORSO_JOINTS,
+)
 
-SEEN_OF = ("shoulders", "forearms", "shins", "score")
-"""Of real poses: how long shoulders, the shorter forearm and the shorter shin look beside the
-torso, and the least score of a joint seen."""
+SEEN_OF = ("shoulders", "forearms", "shins", "score", "hidden")
+"""How long shoulders, the shorter forearm and the shorter shin look beside the torso, the least
+score of a joint seen, and how many joints are not."""
+COVARIATES = (*SEEN_OF, "nearest_limit")
 JOINTWISE = ("whole", "lateral", "depth", "spread_lateral", "spread_depth")
-SCALARS = ("status", "sentence", "num_draws", "log_evidence")
+SCALARS = ("status", "sentence", "num_draws", "log_evidence", "nearest_limit")
 
 
 def standings_tree(
@@ -47,10 +54,12 @@ def standings_tree(
 
 def coverage_tree(simulation: xr.Dataset, attributes: dict[str, Any]) -> xr.DataTree:
     """The tree of a table of standings."""
-    seen = [name for name in SEEN_OF if name in simulation]
-    groups = {"simulation": simulation.drop_vars(seen), "prior_sbc": levels(simulation)}
-    if seen:
-        groups["covariates"] = simulation[seen]
+    known = [name for name in COVARIATES if name in simulation]
+    groups = {
+        "simulation": simulation.drop_vars(known),
+        "prior_sbc": levels(simulation),
+        "covariates": simulation[known],
+    }
     tree = xr.DataTree.from_dict(groups)
     tree.attrs.update(attributes)
     return tree
@@ -95,13 +104,18 @@ def case_columns(
 ) -> dict[str, np.ndarray]:
     """The further variables of real poses: the recording, the body unit in mm, and why the truth is
     excluded, where it is."""
-    seen = [as_seen(case.detection) for case in cases]
     return {
         "recording": np.array([case.recording for case in cases]),
         "unit_mm": np.array([case.unit for case in cases]),
         "reasons": np.array([as_text(one) for one in reasons]),
-        **{name: np.array([one[name] for one in seen]) for name in SEEN_OF},
+        **seen_columns([case.detection for case in cases]),
     }
+
+
+def seen_columns(detections: Sequence[Detection]) -> dict[str, np.ndarray]:
+    """What is seen of people, by the names of `SEEN_OF`."""
+    seen = [as_seen(detection) for detection in detections]
+    return {name: np.array([one[name] for one in seen]) for name in SEEN_OF}
 
 
 def as_seen(detection: Detection) -> dict[str, float]:
@@ -116,7 +130,8 @@ def as_seen(detection: Detection) -> dict[str, float]:
         "shins": [_apart(places, f"{side}_knee", f"{side}_ankle") for side in ("right", "left")],
     }
     found = {name: _least(np.array(values) / torso) for name, values in sizes.items()}
-    return found | {"score": _least(detection.score[detection.seen])}
+    hidden = NUM_JOINTS - int(detection.seen.sum())
+    return found | {"score": _least(detection.score[detection.seen]), "hidden": hidden}
 
 
 def _apart(places: np.ndarray, one: str, other: str) -> float:

@@ -39,8 +39,10 @@ from poseterior.inference.studies.calibration.posteriors import (
 )
 from poseterior.inference.studies.calibration.quantities import QUANTITIES
 from poseterior.inference.studies.calibration.record import (
+    COVARIATES,
     case_columns,
     coverage_tree,
+    seen_columns,
     standings_table,
 )
 from poseterior.inference.studies.calibration.simulations import (
@@ -48,9 +50,10 @@ from poseterior.inference.studies.calibration.simulations import (
     Instance,
     simulate,
 )
+from poseterior.probmodel.anatomy.limits import AnatomicalLimits
 from poseterior.probmodel.datasets import Case
 from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, require_some
 from poseterior.probmodel.measures import MEASURES
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import require_root_prior
@@ -119,8 +122,7 @@ def calibrate(
         Where the sampler is not one, its draws have other dimensions, `out` holds another run, or
         another process is writing to it.
     """
-    if num_simulations < 1:
-        raise BadInput(f"the number of simulations must be at least 1, not {num_simulations}")
+    require_some(num_simulations, "simulations")
     sampler = _named(sampler, root)
     if sampler == WEIGHTED:
         draw = independent_roots(model, num_samples, num_roots, max_proposals=max_proposals)
@@ -244,8 +246,17 @@ class _Simulated:
             root=self.root,
         )
         poses = references(some, self.reference)
-        found = stand(self.draw, some, self.seed, numbers.start, model=self.model, poses=poses)
-        return {SIMULATION_GROUP: standings_table(found, numbers.start)}
+        found = stand(
+            self.draw,
+            some,
+            self.seed,
+            numbers.start,
+            model=self.model,
+            poses=poses,
+            limits=self.model.limits,
+        )
+        seen = seen_columns([instance.frame.detection for instance in some])
+        return {SIMULATION_GROUP: standings_table(found, numbers.start, seen)}
 
 
 @dataclass(frozen=True)
@@ -262,7 +273,7 @@ class _Covered:
     def __call__(self, block: tuple[int, Sequence[Case]]) -> Groups:
         first, cases = block
         known = real.instances(cases, self.model, self.estimator, likelihood=self.likelihood)
-        found = stand(self.draw, known, self.seed, first)
+        found = stand(self.draw, known, self.seed, first, limits=self.model.limits)
         reasons = exclusions(self.model, cases, known, self.root)
         return {SIMULATION_GROUP: standings_table(found, first, case_columns(cases, reasons))}
 
@@ -275,14 +286,15 @@ def stand(
     *,
     model: PoseModel | None = None,
     poses: Iterable[np.ndarray | None] | None = None,
+    limits: AnatomicalLimits | None = None,
 ) -> list[Standing]:
-    """The standings of instances in a row, numbered from `first`; `model` and reference `poses` as
-    in `assess`."""
+    """The standings of instances in a row, numbered from `first`; `model`, reference `poses` and
+    `limits` as in `assess`."""
 
     def one(index: int, instance: Instance, pose: np.ndarray | None) -> Standing:
         answer = draw(index, instance, jax.random.fold_in(jax.random.key(seed), index))
         rng = np.random.default_rng([seed, index, 1])
-        return assess(instance, answer, rng, model=model, reference=pose)
+        return assess(instance, answer, rng, model=model, reference=pose, limits=limits)
 
     numbers = range(first, first + len(instances))
     return in_threads(one, numbers, instances, poses or [None] * len(instances))
@@ -376,6 +388,7 @@ def _common(
         "likelihood": f"{likelihood.words} {likelihood.sha256}",
         "max_proposals": max_proposals,
         "measured": len(MEASURES),
+        "covariates": len(COVARIATES),
         **provenance(model),
     }
 

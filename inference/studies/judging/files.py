@@ -77,16 +77,17 @@ def read_brought(path: Path, circular: tuple[str, ...] = ()) -> Brought:
 def read_judged(
     path: Path, circular: tuple[str, ...] = ()
 ) -> Brought | tuple[xr.DataArray, dict[str, np.ndarray]]:
-    """As `read_brought`; of a coverage.nc, whose draws are gone, its levels and covariates. Raises
-    `BadInput` as it."""
+    """As `read_brought`; of a coverage.nc, whose draws are gone, levels and covariates of those
+    that were judged. Raises `BadInput` as it."""
     if not path.is_dir() and _is_tree(path):
         with xr.open_datatree(path, engine="netcdf4") as tree:
             table = _group(tree, "simulation").load()
             if "posterior" not in tree.children and "level" in table:
+                judged = table["level"].notnull().any("quantity").values
                 columns = _group(tree, COVARIATES_GROUP).load()
-                known = {str(name): columns[name].values for name in columns.data_vars}
+                known = {str(name): columns[name].values[judged] for name in columns.data_vars}
                 varied = {name: one for name, one in known.items() if len(np.unique(one)) > 1}
-                return table["level"], varied
+                return table["level"][judged], varied
     return read_brought(path, circular)
 
 

@@ -20,6 +20,11 @@ TAUGHT_DRAWS = 8
 RANKED_DRAWS = 200
 """Of an instance, at most."""
 ROUNDS_OF_TREES = 60
+LEAVES = 4
+"""Of a tree; deeper ones learn the noise of some hundred instances."""
+MOST_MULTIPLIED = 8
+"""Quantities, the first of them, whose products are shown too: a tree does not see by itself what
+two have in common."""
 
 
 def learned_levels(shown: Sequence[np.ndarray | None], seed: int) -> np.ndarray:
@@ -36,7 +41,7 @@ def learned_levels(shown: Sequence[np.ndarray | None], seed: int) -> np.ndarray:
     lessons = [known[row][: 1 + TAUGHT_DRAWS] for row in taught]
     is_truth = np.concatenate([np.arange(len(lesson)) == 0 for lesson in lessons])
     learner = HistGradientBoostingClassifier(
-        max_iter=ROUNDS_OF_TREES, max_leaf_nodes=15, random_state=seed, early_stopping=False
+        max_iter=ROUNDS_OF_TREES, max_leaf_nodes=LEAVES, random_state=seed, early_stopping=False
     )
     learner.fit(np.concatenate(lessons), is_truth)
     exams = [known[row] for row in asked]
@@ -61,7 +66,9 @@ def features(one: One, context: np.ndarray, rng: np.random.Generator) -> np.ndar
     spread = np.sqrt(np.average((everything - middle) ** 2, axis=0, weights=each))
     some = everything[np.concatenate([[0], 1 + rows])]
     alike = (some - middle) / np.where(spread > 0, spread, 1.0)
-    return np.hstack([some, alike, np.broadcast_to(context, (len(some), len(context)))])
+    left, right = np.triu_indices(min(alike.shape[1], MOST_MULTIPLIED))
+    products = alike[:, left] * alike[:, right]
+    return np.hstack([some, alike, products, np.broadcast_to(context, (len(some), len(context)))])
 
 
 def as_numbers(covariates: Columns, size: int) -> np.ndarray:

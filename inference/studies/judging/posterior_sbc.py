@@ -21,7 +21,7 @@ from poseterior.inference.sampler import estimated, sampler_of
 from poseterior.inference.studies.judging.brought import Brought
 from poseterior.inference.studies.judging.judge import Judged, judge_brought
 from poseterior.inference.studies.judging.seen_again import seen_again
-from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.failures import BadInput, require_some
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.root_priors import UNCERTAIN
 
@@ -78,8 +78,7 @@ def posterior_sbc(
         On fewer replicates, on data that the model does not know, on a sampler that draws chains
         of poses, or fewer independent draws than there are replicates.
     """
-    if num_replicates < 1:
-        raise BadInput(f"the number of replicates must be at least 1, not {num_replicates}")
+    require_some(num_replicates, "replicates")
     number = num_samples or SAMPLED
     if isinstance(model, PoseModel):
         posterior = estimated(data).posterior(model, root)

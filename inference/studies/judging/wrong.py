@@ -102,10 +102,11 @@ WRONGS: dict[str, Fault] = {
     "width wrong by one covariate": locally_wrong(True, lambda seen: np.sign(seen[:, 0])),
     "place wrong by one covariate": locally_wrong(False, lambda seen: np.sign(seen[:, 1])),
     "width wrong by two together": locally_wrong(
-        True, lambda seen: np.sign(seen[:, 0] * seen[:, 1])
+        True, lambda seen: np.sign(seen[:, 1] * seen[:, 2])
     ),
 }
-"""By name; the last three are right on average only."""
+"""By name; the last three are right on average only: numbers 1 and 2 are seen independently of each
+other, so that either sign of their product is as likely."""
 
 
 def told(fault: str, number: int, draws: int, rng: np.random.Generator) -> Instances:

@@ -13,6 +13,7 @@ from poseterior.inference.studies.calibration.record import instances_tree
 from poseterior.inference.studies.calibration.verdict import FEWEST_SIMULATIONS
 from poseterior.probmodel import BadInput, Likelihood
 from poseterior.probmodel.datasets.person_views import read_person_views
+from poseterior.probmodel.failures import require_some
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure
 from poseterior.reports.figures.coverage import coverage_figure, ranks_figure
@@ -77,8 +78,7 @@ def simulated(settings: CoverageSettings, screen: Screen) -> None:
 def write_simulations(settings: CoverageSettings, screen: Screen) -> None:
     """Only the simulations, for samplers that run elsewhere: simulations.nc."""
     num_simulations = settings.num_simulations
-    if num_simulations < 1:
-        raise BadInput(f"the number of simulations must be at least 1, not {num_simulations}")
+    require_some(num_simulations, "simulations")
     out = console.output_folder(settings.out)
     with console.progress("simulations", screen.quiet):
         model, seed = settings.rooting.model(settings.prior), settings.sampling.seed

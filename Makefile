@@ -77,7 +77,8 @@ fuzz: $(VENV)/.done
 mutants: $(VENV)/.done
 	$(BIN)/python -m tests.mutants
 
-# Faults by cosmic-ray: MUTANTS_NUMBER says how many (or MUTANTS_SECONDS how long), MUTANTS_SEED which.
+# Faults by cosmic-ray: MUTANTS_NUMBER says how many (or MUTANTS_SECONDS how long), MUTANTS_SEED which,
+# MUTANTS_NAMES in which files.
 drawn-mutants: $(VENV)/.done
 	$(BIN)/python -m tests.mutants.drawn
 

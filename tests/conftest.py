@@ -85,6 +85,17 @@ Cli = Callable[..., Run]
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 
 
+@pytest.fixture(scope="session", autouse=True)
+def few_trials() -> Iterator[None]:
+    """The nearest miss, which a sentence tells where draws are lacking, is looked for among fewer
+    poses: compiled without optimisation, so many would take two seconds each time."""
+    from poseterior.inference.exact import reach
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reach, "TRIALS", 1 << 10)
+        yield
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of real motion capture, detections and published tables, which is not part of the

@@ -352,7 +352,7 @@ def test_shipped_draws_have_the_moments_that_are_known(name: str) -> None:
     worst_mean, worst_sd = off(name, points)
     asked = 2 * (len(NAMES) + len(ROOT_NAMES))  # means and deviations
     assert max(worst_mean, worst_sd) < stats.norm.isf(ODDS / len(TARGETS) / 2 / asked)
-    assert off(name, points + 0.2)[0] > 20, "the test would see a shift"
+    assert off(name, points[:1000] + 0.2)[0] > 20, "the test would see a shift"
     assert benchmark.submit(target, points=points).given == len(points)
 
 
@@ -442,7 +442,7 @@ def test_an_evidence_that_is_off_is_caught() -> None:
     stated = benchmark.reference("arm").log_evidence + 0.2
     found = verdict(
         "arm",
-        points=drawn("arm")[:1500],
+        points=drawn("arm")[:300],
         log_evidence=np.array(stated),
         log_evidence_se=np.array(0.02),
     )
@@ -452,7 +452,7 @@ def test_an_evidence_that_is_off_is_caught() -> None:
 
 
 def test_an_evidence_without_its_error_is_not_judged() -> None:
-    found = verdict("arm", points=drawn("arm")[:1500], log_evidence=np.array(-1.0))
+    found = verdict("arm", points=drawn("arm")[:300], log_evidence=np.array(-1.0))
     assert found.judgement.verdict == AGREES
     assert found.judgement.evidence is None
 
@@ -461,7 +461,7 @@ def test_an_evidence_without_its_error_is_not_judged() -> None:
 def test_the_evidence_decides_nothing_about_draws(verdict_of_draws: str) -> None:
     """A wrong one and a right one leave the same verdict and sentence, whatever it is."""
     points = {
-        AGREES: drawn("arm")[:600],
+        AGREES: drawn("arm")[:300],
         CANNOT_TELL: drawn("arm")[:60],
         DIFFERS: np.repeat(drawn("arm")[:4], 60, axis=0)[None],
     }[verdict_of_draws]
@@ -478,6 +478,7 @@ def test_the_evidence_decides_nothing_about_draws(verdict_of_draws: str) -> None
     assert wrong.p_value < 1e-10 < 0.5 < right.p_value
 
 
+@functools.cache
 def weighed(number: int = 50_000) -> tuple[np.ndarray, np.ndarray]:
     """Draws of the prior of `arm-soft` and their log likelihood, those outside too."""
     target = benchmark.load("arm-soft")

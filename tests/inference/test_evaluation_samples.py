@@ -8,6 +8,7 @@ fixed.
 import dataclasses
 import functools
 from typing import Any
+from unittest import mock
 
 import jax
 import numpy as np
@@ -26,6 +27,7 @@ from poseterior.inference.studies.evaluation.samples import (
     of_samples,
 )
 from poseterior.inference.studies.evaluation.scores import SampleScores, sample_scores
+from poseterior.inference.studies.measured import no_standings
 from poseterior.probmodel import Anatomy, BadInput
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.datasets import DataSet, from_motions
@@ -51,6 +53,15 @@ def normal() -> tuple[np.ndarray, np.ndarray]:
     return both[:, 0], both[:, 1:]
 
 
+WITHOUT_MEASURES = mock.patch(
+    "poseterior.inference.studies.evaluation.samples.standings_of",
+    mock.Mock(return_value=no_standings()),
+)
+"""Joint angles and lengths are most of the work, and asked for by
+`test_predictions_are_scored_as_samples`."""
+
+
+@WITHOUT_MEASURES
 def scored(samples: np.ndarray, recordings: int = 50) -> SampleScores:
     truths = normal()[0]
     rows = [
@@ -158,6 +169,7 @@ def test_coverage_is_right_with_few_samples_too() -> None:
     assert [axis.value for axis in found.axes] == pytest.approx([0.95] * 3, abs=3.5 * ERROR)
 
 
+@WITHOUT_MEASURES
 def test_a_truth_that_errs_stands_where_it_would_without_errors() -> None:
     """Truths from the samples' own law, told with errors twice as large: covered as often as is
     said where samples are given such errors, and in 62 % (by hand) of cases where they are not.

@@ -3,9 +3,11 @@
     make drawn-mutants                                   40 of them
     MUTANTS_NUMBER=200 MUTANTS_SEED=3 make drawn-mutants
     MUTANTS_SECONDS=600 make drawn-mutants               as many as are begun in that time
+    MUTANTS_NAMES=modes,verdict make drawn-mutants       of files whose names hold such a word
 
 Each is planted in a copy, as ours are (`tests.mutants`), and is killed where one of the quick tests
-of its file fails, or does not end. A survivor is either as good as the product (a bound that may be
+of its file fails. Tests that do not end say nothing where the machine is busy: those faults are
+listed apart. A survivor is either as good as the product (a bound that may be
 generous, a message) or a hole; they are listed by file, with the line. The exit code is 0 as long
 as there was something to judge: who reads the list decides."""
 
@@ -25,8 +27,10 @@ from cosmic_ray.plugins import get_operator, operator_names
 
 from tests.mutants import ROOT
 from tests.mutants.__main__ import Copy
+from tests.mutants.server import TIME_UP
 
 BY_HAND = "tests/inference/test_importance_by_hand.py"
+STATISTICS = "tests/inference/test_statistics_by_hand.py"
 ROOTS = "tests/inference/test_uncertain_root.py"
 COMPARISON = "tests/inference/test_comparison.py"
 CALIBRATION = "tests/inference/test_calibration.py"
@@ -37,21 +41,24 @@ CORE: dict[str, tuple[str, ...]] = {
         "tests/inference/test_uncertain_rejection.py",
     ),
     "inference/importance/two_stage.py": (ROOTS, "tests/inference/test_uncertain_two_stage.py"),
-    "inference/resampling.py": (ROOTS, "tests/inference/test_benchmark.py"),
-    "inference/studies/comparison/modes.py": (COMPARISON,),
-    "inference/studies/comparison/mixing.py": (COMPARISON,),
-    "inference/studies/comparison/permutation.py": (COMPARISON,),
-    "inference/studies/comparison/power.py": (COMPARISON,),
-    "inference/studies/comparison/ranks.py": (COMPARISON,),
-    "inference/studies/calibration/uniformity.py": (CALIBRATION,),
-    "inference/studies/calibration/verdict.py": (CALIBRATION,),
+    "inference/resampling.py": (STATISTICS, ROOTS, "tests/inference/test_benchmark.py"),
+    "inference/studies/comparison/modes.py": (STATISTICS, COMPARISON),
+    "inference/studies/comparison/mixing.py": (STATISTICS, COMPARISON),
+    "inference/studies/comparison/permutation.py": (STATISTICS, COMPARISON),
+    "inference/studies/comparison/power.py": (STATISTICS, COMPARISON),
+    "inference/studies/comparison/ranks.py": (STATISTICS, COMPARISON),
+    "inference/studies/calibration/uniformity.py": (STATISTICS, CALIBRATION),
+    "inference/studies/calibration/verdict.py": (STATISTICS, CALIBRATION),
 }
-"""Files, and the tests that should see what is wrong with them."""
+"""Files, and the tests that should see what is wrong with them, quick ones first."""
 DULL = ("Decorator", "Number", "NoOp", "Bit", "Shift", "Floor", "Mod", "Pow", "Is", "_Not")
 """What is in the names of operators whose faults say little: of caches and tuning constants, or
 that no array survives, whatever tests look at."""
 LONGEST = 300.0
 """Seconds after which tests are given up."""
+KILLED = "killed"
+OUTCOMES = {0: "SURVIVED", TIME_UP: "no end"}
+"""What the exit codes of tests say of a fault; any other one killed it."""
 QUICK = ("-x", "-m", "not slow and not sweep")
 """What pytest is told beside."""
 
@@ -95,9 +102,11 @@ def main() -> int:
     number = int(os.environ.get("MUTANTS_NUMBER", "40"))
     seed = int(os.environ.get("MUTANTS_SEED", "0"))
     ends = time.monotonic() + float(os.environ.get("MUTANTS_SECONDS", "inf"))
-    every = [one for file in CORE for one in all_of(file)]
+    words = os.environ.get("MUTANTS_NAMES", "").split(",")
+    files = [file for file in CORE if any(word in file for word in words)]
+    every = [one for file in files for one in all_of(file)]
     chosen = random.Random(seed).sample(every, min(number, len(every)))
-    planted, survivors = Counter[str](), []
+    said: dict[Drawn, str] = {}
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy = Copy(Path(folder))
         try:
@@ -106,19 +115,20 @@ def main() -> int:
                     break
                 with copy.planted(fault, count):
                     code, used = copy.run([*CORE[fault.file], *QUICK], LONGEST)
-                planted[fault.file] += 1
-                if not code:
-                    survivors.append(fault)
-                said = "SURVIVED" if not code else "killed"
-                print(f"{fault.file} | {fault.line} | {said} | {used:.0f} s", flush=True)
+                said[fault] = OUTCOMES.get(code, KILLED)
+                print(f"{fault.file} | {fault.line} | {said[fault]} | {used:.0f} s", flush=True)
         finally:
             copy.close()
-    print(f"{planted.total()} of {len(every)} were planted, {len(survivors)} survived")
-    for file, count in planted.items():
-        own = [one for one in survivors if one.file == file]
-        print(f"{file}: {count - len(own)} of {count} killed")
-        print(*(f"    {one.line}" for one in own), sep="\n", end="\n" if own else "")
-    return 0 if planted else 2
+    counted = (f"{number} {word}" for word, number in Counter(said.values()).items())
+    print(f"{len(said)} of {len(every)} were planted: {', '.join(counted)}")
+    for file in files:
+        own = {fault: word for fault, word in said.items() if fault.file == file}
+        killed = [*own.values()].count(KILLED)
+        print(f"{file}: {killed} of {len(own)} killed")
+        for one, word in own.items():
+            if word != KILLED:
+                print(f"    {word}: {one.line}")
+    return 0 if said else 2
 
 
 if __name__ == "__main__":

@@ -42,9 +42,9 @@ def draws(name: str, count: int = 5) -> jax.Array:
 
 
 def in_support(law: dist.Distribution, value: object) -> np.ndarray:
-    """NumPyro's own interval, of the lengths, promotes ranks in silence."""
+    """NumPyro's own interval, of the lengths, promotes ranks in silence; supports have no hash."""
     with jax.numpy_rank_promotion("allow"):
-        return np.asarray(law.support(value))
+        return np.asarray(jax.jit(lambda value: law.support(value))(value))
 
 
 def unchecked(law: dist.Distribution) -> dist.Distribution:
@@ -60,14 +60,19 @@ def unchecked(law: dist.Distribution) -> dist.Distribution:
 
 @pytest.mark.parametrize("name", EVERY)
 def test_shapes(name: str) -> None:
+    """As they are traced: numbers are looked at below, and operations one by one would each be
+    compiled."""
     law = TABLE[name]
     shape = law.batch_shape + law.event_shape
-    assert law.sample(KEY).shape == shape
-    value = law.sample(KEY, (4, 2))
-    assert value.shape == (4, 2, *shape)
-    assert law.log_prob(value).shape == (4, 2, *law.batch_shape)
-    assert law.log_prob(value[0, 0]).shape == law.batch_shape
-    assert in_support(law, value).shape == (4, 2, *law.batch_shape)
+    one = jax.eval_shape(law.sample, KEY)
+    several = jax.eval_shape(lambda key: law.sample(key, (4, 2)), KEY)
+    assert one.shape == shape
+    assert several.shape == (4, 2, *shape)
+    assert jax.eval_shape(law.log_prob, several).shape == (4, 2, *law.batch_shape)
+    assert jax.eval_shape(law.log_prob, one).shape == law.batch_shape
+    with jax.numpy_rank_promotion("allow"):
+        held = jax.eval_shape(lambda value: law.support(value), several)
+    assert held.shape == (4, 2, *law.batch_shape)
 
 
 @pytest.mark.slow
@@ -81,9 +86,10 @@ def test_same_key_same_draws_and_another_key_others(name: str) -> None:
 
 @pytest.mark.parametrize("name", EVERY)
 def test_draws_are_in_the_support(name: str) -> None:
-    law, value = TABLE[name], TABLE[name].sample(KEY, (500,))
+    law = TABLE[name]
+    value = jax.jit(lambda key: law.sample(key, (500,)))(KEY)
     assert in_support(law, value).all()
-    assert np.isfinite(law.log_prob(value)).all()
+    assert np.isfinite(jax.jit(law.log_prob)(value)).all()
 
 
 @pytest.mark.sweep
@@ -154,12 +160,16 @@ def test_vmap_over_parameters_equals_a_batch(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in EVERY if name != "torso"])
 def test_gradients_are_finite(name: str) -> None:
     """Of the log density at draws, at their antipodes (mostly outside) and at a wild point."""
-    law, value = unchecked(TABLE[name]), draws(name)
-    for x in (value, -value, jnp.full_like(value, 1e3)):
-        gradient = jax.grad(
-            lambda x: jnp.where(jnp.isfinite(law.log_prob(x)), law.log_prob(x), 0.0).sum()
-        )(x)
-        assert np.isfinite(gradient).all()
+    law, value = unchecked(TABLE[name]), np.asarray(draws(name))
+
+    @jax.jit
+    @jax.grad
+    def gradient(x: jax.Array) -> jax.Array:
+        log_prob = law.log_prob(x)
+        return jnp.where(jnp.isfinite(log_prob), log_prob, 0.0).sum()
+
+    for x in (value, -value, np.full_like(value, 1e3)):
+        assert np.isfinite(gradient(x)).all()
 
 
 def outside(name: str) -> list[np.ndarray]:
@@ -203,8 +213,9 @@ def test_no_density_outside(name: str) -> None:
     """-inf, not NaN and not a number, whether or not arguments are checked."""
     law = unchecked(TABLE[name])
     assert law._validate_args is False
+    log_prob = jax.jit(law.log_prob)
     for x in outside(name):
-        assert (np.asarray(law.log_prob(x)) == -np.inf).all(), x
+        assert (np.asarray(log_prob(x)) == -np.inf).all(), x
         assert not np.asarray(in_support(law, x)).any()
 
 
@@ -215,7 +226,7 @@ def test_support_and_density_agree_everywhere(name: str) -> None:
     u = np.random.default_rng(0).normal(size=(2000, *[1] * len(law.batch_shape), 3))
     u /= np.linalg.norm(u, axis=-1, keepdims=True)
     u = np.broadcast_to(u, (2000, *law.batch_shape, 3))
-    np.testing.assert_array_equal(np.isfinite(law.log_prob(u)), in_support(law, u))
+    np.testing.assert_array_equal(np.isfinite(jax.jit(law.log_prob)(u)), in_support(law, u))
 
 
 @pytest.mark.slow

@@ -10,6 +10,8 @@ import pytest
 
 from poseterior.inference import draws_of, open_stream
 from poseterior.probmodel import Detection, PoseModel, write_detections
+from poseterior.reports import figures
+from poseterior.reports.commands import frames
 from tests.conftest import Cli
 from tests.scenes import prior_scene
 
@@ -28,6 +30,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ).detection
         write_detections(path / f"frame_{index}.json", [detection])
     return path
+
+
+@pytest.fixture
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither a page nor a figure, for what is said beside them."""
+    for module, name in ((frames, "film_page"), (frames, "write_page"), (figures, "film_figure")):
+        monkeypatch.setattr(module, name, lambda *_, **__: None)
+    monkeypatch.setattr(figures, "save_figure", lambda *_: None)
 
 
 def test_a_folder_becomes_a_stream_and_a_second_call_goes_on(
@@ -102,6 +112,7 @@ def film(path: Path, names: list[str], *, tracked: bool = True) -> Path:
 NAMES = ["walk_08.png", "walk_09.png", "walk_12.png"]
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_film_in_one_file_is_as_long_as_it_is_and_a_bystander_costs_nothing(
     poseterior: Cli, tmp_path: Path
 ) -> None:
@@ -120,8 +131,10 @@ def test_a_film_in_one_file_is_as_long_as_it_is_and_a_bystander_costs_nothing(
 
 @pytest.mark.parametrize("tracked", [True, False])
 def test_everyone_is_described_and_who_is_not_there_named(
-    poseterior: Cli, tmp_path: Path, tracked: bool
+    poseterior: Cli, tmp_path: Path, tracked: bool, request: pytest.FixtureRequest
 ) -> None:
+    if not tracked:
+        request.getfixturevalue("without_pictures")
     path = film(tmp_path / "film.json", NAMES, tracked=tracked)
     run = poseterior("frames", path, "--person", 2, "--out", tmp_path / "no", *OPTIONS)
     assert run.code == 2
@@ -134,6 +147,7 @@ def test_everyone_is_described_and_who_is_not_there_named(
     assert ("who is who is told by where people are" in run.err) != tracked
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_records_without_frames_and_names_without_numbers_are_said(
     poseterior: Cli, tmp_path: Path
 ) -> None:
@@ -178,6 +192,7 @@ def test_an_uncertain_root_is_said_with_its_number(
     assert "its root is 'uncertain', not 'candidates'" in other.err
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_refusals(poseterior: Cli, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert poseterior("frames", folder, "--out", out, *OPTIONS).code == 0

@@ -46,6 +46,7 @@ def test_there_are_pages() -> None:
         "exchanges",
         "facing",
         "faults",
+        "films",
         "honest",
         "judging",
         "leaderboard",

@@ -21,7 +21,7 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.estimators import Estimating
-from poseterior.inference.films.coupling import Frame, coupled
+from poseterior.inference.films.coupling import LASTING, Frame, coupled
 from poseterior.inference.films.gaps import filled
 from poseterior.inference.films.parts import Parts, PathBodies, put_together, taken_apart
 from poseterior.inference.hypothesis import Hypothesis, diverse
@@ -195,7 +195,7 @@ def film_of(
             folder,
             {str(name): value for name, value in tree.attrs.items()}
             | {"study": FILM, "rate": rate, "step": step}
-            | {"cutoff": cutoff, "k": k, "person": str(person)},
+            | {"cutoff": cutoff, "lasting": LASTING, "k": k, "person": str(person)},
         )
         seed = [int(word) for word in str(tree.attrs["seed"]).split()]
         pace, random = rate / step, np.random.default_rng(seed)

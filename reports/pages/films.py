@@ -51,7 +51,7 @@ METRES = 4.0
 """From the simulated camera to the pelvis."""
 AS_DEFINED = np.zeros((NUM_JOINTS, 3))
 """The simulated detector means the joints that the model has."""
-ERROR_SHARES, LASTING = (0.4, 0.5, 0.1), 0.15
+ERROR_SHARES, ERRORS_LAST = (0.4, 0.5, 0.1), 0.15
 """Of the variance of simulated errors: what stays the same, what lasts (seconds), and what is new
 in every frame; about as on the film."""
 LAGS = (0.1, 0.5)
@@ -172,7 +172,7 @@ def _lasting(
     shape: tuple[int, ...], frames: int, rate: float, rng: np.random.Generator
 ) -> np.ndarray:
     """`(frames, *shape)`: standard normals in every frame, in three parts."""
-    kept = np.exp(-1 / (rate * LASTING))
+    kept = np.exp(-1 / (rate * ERRORS_LAST))
     slow = rng.standard_normal((frames, *shape))
     for row in range(1, frames):
         slow[row] = kept * slow[row - 1] + np.sqrt(1 - kept**2) * slow[row]
@@ -381,7 +381,7 @@ def main(data: Data, work: Work) -> Page:
         "constant": constant,
         "slow": slow,
         "quick": quick,
-        "lasting": f"{LASTING:g}",
+        "lasting": f"{ERRORS_LAST:g}",
         "cutoff": f"{CUTOFF:g}",
         "paths": NUM_PATHS,
         "inside": f"{100 * inside_limits([*real.values(), *made.values()], work):.0f}",

@@ -59,7 +59,7 @@ def test_errors_of_a_film_last_and_are_in_every_frame_as_the_law_says() -> None:
     some = np.stack([films.lasting_errors(law(), 1 + lag, rate, rng) for _ in range(400)])
     assert np.mean(some**2) == pytest.approx(SPREAD**2 * FREEDOM / (FREEDOM - 2), rel=0.08)
     constant, slow, _ = films.ERROR_SHARES
-    wanted = constant + slow * np.exp(-lag / (rate * films.LASTING))
+    wanted = constant + slow * np.exp(-lag / (rate * films.ERRORS_LAST))
     first, last = some[:, 0].ravel(), some[:, lag].ravel()
     assert np.corrcoef(first, last)[0, 1] == pytest.approx(wanted, abs=0.05)
 

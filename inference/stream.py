@@ -11,6 +11,7 @@ blocks are made on. Memory holds a few blocks, however many frames there are.
 Draws are written only where they are asked for (`keep`): ten thousand of a frame are 2 MB.
 """
 
+import copy
 import hashlib
 import itertools
 import os
@@ -418,6 +419,12 @@ class People:
                 f"there is no person {person} in these frames, but {self.described()}; choose one"
                 " of them"
             )
+
+    def of(self, person: int) -> "People":
+        """One of these people alone; who is who is not told again."""
+        found = copy.copy(self)
+        found._person = person
+        return found
 
     def __len__(self) -> int:
         """How many items there are."""

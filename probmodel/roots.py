@@ -142,6 +142,7 @@ class WorldPoint(NamedTuple):
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation nearest to a mean of rotations `(3, 3)`, least squares."""
+    """The rotations nearest to matrices `(..., 3, 3)`, such as means of some, least squares."""
     u, _, vt = np.linalg.svd(matrix)
-    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    u[..., -1] *= np.linalg.det(u @ vt)[..., None]
+    return u @ vt

@@ -47,6 +47,7 @@ from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.frames import named_by
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.motion.lowpass import butterworth
+from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.skeleton import TORSO_INDEX
 
 CUTOFF = 4.0
@@ -355,9 +356,8 @@ class _Paths(NamedTuple):
 
     def chosen(self, k: int) -> list[Hypothesis]:
         """Diverse paths."""
-        frames = len(self.seen)
-        some = np.unique(np.linspace(0, frames - 1, min(frames, _CHOSEN_BY)).round().astype(int))
-        paths = self.joints(some.tolist()).swapaxes(0, 1)
+        some = evenly(len(self.seen), _CHOSEN_BY).tolist()
+        paths = self.joints(some).swapaxes(0, 1)
         return diverse(paths.reshape(len(paths), -1, 3).astype(np.float32), k)
 
 

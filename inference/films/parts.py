@@ -12,6 +12,7 @@ import numpy as np
 
 from poseterior.probmodel.body import align_torsos
 from poseterior.probmodel.kinematics import upper_axes
+from poseterior.probmodel.roots import nearest_rotation
 from poseterior.probmodel.skeleton import (
     BONES,
     LOWER_BONES,
@@ -54,7 +55,7 @@ class Parts(NamedTuple):
         """A linear function of each, along the first axis; directions and rotations made such
         again."""
         turn, direction, place = map(function, self)
-        return Parts(rotations(turn), _units(direction), place)
+        return Parts(nearest_rotation(turn), _units(direction), place)
 
 
 class PathBodies(NamedTuple):
@@ -117,13 +118,6 @@ def put_together(parts: Parts, body: PathBodies) -> np.ndarray:
     for row, bone in enumerate(BONES):
         joints[..., bone.end, :] = joints[..., bone.start, :] - bones[..., row, :]
     return np.einsum("...ij,...bj->...bi", parts.turn, joints)
-
-
-def rotations(matrices: np.ndarray) -> np.ndarray:
-    """The rotations nearest to matrices `(..., 3, 3)`, least squares."""
-    u, _, vt = np.linalg.svd(matrices)
-    u[..., -1] *= np.linalg.det(u @ vt)[..., None]
-    return u @ vt
 
 
 def _units(vectors: np.ndarray) -> np.ndarray:

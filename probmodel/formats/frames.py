@@ -180,7 +180,7 @@ def named_by(number: int, names: Sequence[str], numbers: Sequence[int]) -> str:
     first, last = (list(re.finditer(r"\d+", name)) for name in (names[0], names[-1]))
     ends = (numbers[0], numbers[-1])
     counts = [
-        one for one, other in zip(first, last, strict=True) if (int(one[0]), int(other[0])) == ends
+        one for one, other in zip(first, last, strict=False) if (int(one[0]), int(other[0])) == ends
     ]
     start, end = counts[-1].span()
     return f"{names[0][:start]}{number:0{end - start}}{names[0][end:]}"

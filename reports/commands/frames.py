@@ -51,16 +51,12 @@ def draw(
         ]
     estimating = settings.estimation.estimating(model)
     person = settings.person
-
-    def of(person: int | None) -> People:
-        return People(lambda: settings.detected.frames(settings.path), estimating.require, person)
-
     with console.progress("who is who", screen.quiet):
-        people = of(person)
+        people = People(lambda: settings.detected.frames(settings.path), estimating.require, person)
         seen = people.cast.frames
         if alone and person is None and len(seen) > 1:
             person = seen.index(max(seen))
-            people = of(person)
+            people = people.of(person)
             warnings.append(
                 f"there are {len(seen)} people in {settings.path}; this film is of person"
                 f" {person}, who is seen most: --person chooses another"

@@ -25,6 +25,7 @@ from poseterior.inference.films.film import (
     sample_film,
 )
 from poseterior.inference.stream import Item, all_draws, open_stream
+from poseterior.inference.studies.intervals import TAIL
 from poseterior.probmodel import Detection, DetectorErrors, Likelihood, PoseModel
 from poseterior.probmodel.body import body_unit
 from poseterior.probmodel.camera import Lens
@@ -56,7 +57,6 @@ ERROR_SHARES, ERRORS_LAST = (0.4, 0.5, 0.1), 0.15
 in every frame; about as on the film."""
 LAGS = (0.1, 0.5)
 """Seconds over which changes are judged."""
-LEVEL = 0.95
 SHOWN_PATHS = 6
 JUDGED_ENDS = [bone.end for bone in BONES]
 HIPS = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
@@ -256,8 +256,9 @@ def judge(
     for lag in LAGS:
         step = round(lag * film.rate)
         kinds.append((noisy[:, step:] - noisy[:, :-step], true[step:] - true[:-step]))
-    covered = np.array([_held(*one) for one in kinds])
-    width = np.array([_width(one) for one, _ in kinds])
+    ends = [intervals(one) for one, _ in kinds]
+    covered = np.array([_held(end, true) for end, (_, true) in zip(ends, kinds, strict=True)])
+    width = np.array([np.nanmedian(high - low, axis=(0, 1)) for low, high in ends])
     mean = paths.mean(axis=0)
     gone = np.linalg.norm(mean[:, JUDGED_ENDS] - true, axis=-1)
     return PathsJudged(covered, width, float(np.nanmean(gone)), jitter(mean))
@@ -267,19 +268,17 @@ def _truths_errors(number: int, rate: float, frames: int, rng: np.random.Generat
     return np.stack([_lasting((NUM_JOINTS, 3), frames, rate, rng) for _ in range(number)])
 
 
-def _held(paths: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """`(3,)`: how often intervals hold what is known of the truth."""
-    ends = (1 - LEVEL) / 2, (1 + LEVEL) / 2
-    low, high = np.quantile(paths, ends, axis=0)
+def intervals(paths: np.ndarray) -> np.ndarray:
+    """`(2, ...)`: both ends of central 95 % intervals of paths `(n, ...)`."""
+    return np.quantile(paths, (TAIL, 1 - TAIL), axis=0)
+
+
+def _held(ends: np.ndarray, truth: np.ndarray) -> list[float]:
+    """By axis, how often intervals hold what is known of the truth."""
+    low, high = ends
     known = np.isfinite(truth) & np.isfinite(low)
     inside = (low <= truth) & (truth <= high)
-    return np.array([inside[..., axis][known[..., axis]].mean() for axis in range(3)])
-
-
-def _width(paths: np.ndarray) -> np.ndarray:
-    ends = (1 - LEVEL) / 2, (1 + LEVEL) / 2
-    low, high = np.quantile(paths, ends, axis=0)
-    return np.nanmedian(high - low, axis=(0, 1))
+    return [float(inside[..., axis][known[..., axis]].mean()) for axis in range(3)]
 
 
 def jitter(path: np.ndarray) -> float:
@@ -354,7 +353,7 @@ def picture(film: TrueFilm, out: Path) -> Figure:
         at = JOINT_INDEX[joint]
         for axis, way in zip(row, (ALONE, FILM_WAY), strict=True):
             depth = ways[way][:, :, at, 2]
-            low, high = np.nanquantile(depth, ((1 - LEVEL) / 2, (1 + LEVEL) / 2), axis=0)
+            low, high = intervals(depth)
             axis.fill_between(seconds, low, high, color=FAINT, alpha=0.35, lw=0)
             axis.plot(seconds, depth[:SHOWN_PATHS].T, lw=0.8, alpha=0.8)
             axis.plot(seconds, truth[:, at, 2], color=INK, lw=2.0)

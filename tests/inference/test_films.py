@@ -15,13 +15,13 @@ from poseterior.inference.films.parts import (
     Parts,
     PathBodies,
     put_together,
-    rotations,
     taken_apart,
 )
 from poseterior.inference.stream import Item, all_draws
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.body import bone_lengths, mean_torso
 from poseterior.probmodel.motion.lowpass import butterworth
+from poseterior.probmodel.roots import nearest_rotation
 from poseterior.probmodel.skeleton import BONES, TORSO_INDEX
 from tests.inference.test_stream import content
 from tests.scenes import key, prior_scene
@@ -233,8 +233,10 @@ def test_rotations_are_the_nearest():
     random = np.random.default_rng(0)
     turns = Rotation.random(20, random).as_matrix()
     noisy = turns + 0.01 * random.standard_normal(turns.shape)
-    np.testing.assert_allclose(rotations(noisy), Rotation.from_matrix(noisy).as_matrix(), atol=1e-9)
-    np.testing.assert_allclose(np.linalg.det(rotations(-noisy)), 1)
+    np.testing.assert_allclose(
+        nearest_rotation(noisy), Rotation.from_matrix(noisy).as_matrix(), atol=1e-9
+    )
+    np.testing.assert_allclose(np.linalg.det(nearest_rotation(-noisy)), 1)
 
 
 # --- films of streams

@@ -17,6 +17,7 @@ import xarray as xr
 from PIL import Image
 
 from poseterior.inference import ESTIMATORS, SAMPLERS
+from poseterior.inference.films.film import CUTOFF, NUM_PATHS
 from poseterior.inference.importance.weighted import MOST_ROOTS
 from poseterior.inference.sampler import ROOTED_SAMPLERS
 from poseterior.inference.studies.judging import recalibrate
@@ -24,6 +25,7 @@ from poseterior.probmodel import Anatomy, read_detections
 from poseterior.probmodel.root_priors import ROOT_PRIORS
 from poseterior.reports import cli, options
 from poseterior.reports.fields import OPTION
+from poseterior.reports.settings import FilmSettings
 from tests.conftest import Cli
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, table
 from tests.reports.test_cli import native, openpose
@@ -164,6 +166,9 @@ def test_one_option_means_one_thing() -> None:
 def test_help_names_what_is_accepted() -> None:
     assert tuple(SAMPLERS) == options.SAMPLERS
     assert MOST_ROOTS == options.MOST_ROOTS
+    defaults = {field.name: field.default for field in dataclasses.fields(FilmSettings)}
+    assert defaults["cutoff"] == CUTOFF
+    assert defaults["sampling"].num_samples == defaults["rooting"].roots == NUM_PATHS
     assert ROOTED_SAMPLERS[:2] == options.ROUTES
     assert {kind.prior for kind in options.RootKind} == {*ROOT_PRIORS}
     assert ROOTED_SAMPLERS == options.ROOTED

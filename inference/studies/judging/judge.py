@@ -92,8 +92,8 @@ class Judged:
 
     @property
     def quantities(self) -> list[str]:
-        """Those of the user's own, without what is made of all of them."""
-        return own_quantities(self.level)
+        """Those of the user's own that were looked at, without what is made of all of them."""
+        return own_quantities(self.level.dropna("quantity", how="all"))
 
     @property
     def tree(self) -> xr.DataTree:

@@ -21,7 +21,7 @@ from poseterior.reports.tables.coverage import share
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
 LEVEL = 0.05
-TRIES = {100: 60, 300: 14, 1000: 4}
+TRIES = {100: 60, 300: 35, 1000: 12}
 """Instances, and how many times each is tried."""
 DRAWN = 100
 """Draws of an instance."""

@@ -2,6 +2,7 @@
 wrong, and a sentence for what cannot be judged."""
 
 import importlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from poseterior.inference.studies.calibration.uniformity import uniformity
 from poseterior.inference.studies.calibration.verdict import CALIBRATED, MISCALIBRATED
 from poseterior.inference.studies.judging import judge_coverage, recalibrate
 from poseterior.inference.studies.judging.files import read_brought
-from poseterior.inference.studies.judging.judge import judge_brought
+from poseterior.inference.studies.judging.judge import judge_brought, judge_levels
 from poseterior.inference.studies.judging.repair import read_recalibration
 from poseterior.inference.studies.judging.where import leaves_of, locally
 from poseterior.inference.studies.judging.wrong import WRONGS, locally_wrong, told
@@ -244,11 +245,25 @@ def test_discrete_quantities_have_uniform_levels() -> None:
     assert uniformity(np.array(level)[:, 0]).p_value > RARE
 
 
+def test_quantities_that_nobody_looked_at_are_none_of_the_users() -> None:
+    level = xr.DataArray(
+        np.column_stack([np.random.default_rng(11).uniform(size=100), np.full(100, np.nan)]),
+        dims=("simulation", "quantity"),
+        coords={"quantity": ["wrist z", "log scale"]},
+    )
+    assert judge_levels(level, {}).quantities == ["wrist z"]
+
+
 @pytest.fixture
-def moons(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The module of the task, as the scripts beside it see it."""
+def beside(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Any]:
+    """A module of a task, as the scripts beside it see it."""
     monkeypatch.syspath_prepend(str(POSTERIORS))
-    return importlib.import_module("two_moons")
+    return importlib.import_module
+
+
+@pytest.fixture
+def moons(beside: Callable[[str], Any]) -> Any:
+    return beside("two_moons")
 
 
 def test_exact_moons_follow_their_density(moons: Any) -> None:
@@ -277,6 +292,7 @@ def test_exact_moons_follow_their_density(moons: Any) -> None:
         ("two_moons_barely_trained", MISCALIBRATED),
         ("two_moons_trained", MISCALIBRATED),
         ("two_moons_nested", CALIBRATED),
+        ("slcp_barely_trained", MISCALIBRATED),
     ],
 )
 def test_others_posteriors_are_judged(name: str, verdict: str) -> None:
@@ -285,6 +301,25 @@ def test_others_posteriors_are_judged(name: str, verdict: str) -> None:
     found = judge_brought(read_brought(POSTERIORS / f"{name}.npz"))
     assert found.verdict == verdict
     assert (found.calibration.families["ranks (SBC)"] < 0.01) is name.endswith("barely_trained")
+
+
+def test_exact_draws_of_slcp_are_calibrated(
+    beside: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Truths of the simulator among draws of the closed form; one degree of freedom more is
+    noticed."""
+    slcp = beside("slcp")
+    rng = np.random.default_rng(0)
+    truth, seen = slcp.simulated(120, rng)
+    context = dict(zip(slcp.SEEN, seen.T, strict=True))
+
+    def verdict(false_alarm: float) -> str:
+        draws = np.stack([slcp.exact_slcp(one, 60, rng) for one in seen])
+        return judge_coverage(draws, truth, covariates=context, false_alarm=false_alarm).verdict
+
+    assert verdict(RARE) == CALIBRATED
+    monkeypatch.setattr(slcp, "FREEDOM", slcp.FREEDOM + 1)
+    assert verdict(0.01) == MISCALIBRATED
 
 
 def test_exact_draws_of_the_same_data_are_calibrated(moons: Any) -> None:

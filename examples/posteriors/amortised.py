@@ -1,8 +1,7 @@
-"""Draws of a network of SLCP (bayesflow 2.1) beside truths, in bayesflow's own dictionaries, as
-files that `poseterior coverage judge` reads.
+"""Draws of a network of SLCP (bayesflow 2.1) beside truths, in bayesflow's own dictionaries, as a
+file that `poseterior coverage judge` reads.
 
     python examples/posteriors/amortised.py coupling_flow 500 5 slcp_barely_trained.npz
-    python examples/posteriors/amortised.py flow_matching 20000 30 slcp_trained.npz
 
 Network, simulations to learn from, epochs, file. Needs bayesflow and one of Keras's backends."""
 

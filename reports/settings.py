@@ -145,7 +145,7 @@ class HypothesesSettings:
                 f"--cameras {self.cameras} is no list of numbers; give one such as 1,3"
             ) from None
         frame = session.numbers[0] if self.frame is None else self.frame
-        return session.instant(frame, chosen).judged_by(self.estimation.likelihood())
+        return session.instant(frame, chosen).judged_by(self.estimation.likelihood("learned"))
 
     def check(self) -> None:
         """Raises `BadInput` where frames or cameras are chosen of a single view."""

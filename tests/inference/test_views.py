@@ -259,7 +259,11 @@ def test_densities_are_those_of_scipys_students_at_the_bodies(
     for row, torso in enumerate(steps.torso):
         fit, body = second.fit.take(torso), bodies_.take(row)
         turn = Rotation.from_matrix(body.point.rotation @ fit.point.rotation.T).as_rotvec()
-        step = [turn, [body.point.log_size - fit.point.log_size], body.point.place - fit.point.place]
+        step = [
+            turn,
+            [body.point.log_size - fit.point.log_size],
+            body.point.place - fit.point.place,
+        ]
         shift = (body.point.pointing - fit.point.pointing).ravel()
         step = np.concatenate([*step, body.length - fit.length, shift])
         factor, total = second.factor[torso], 0.0

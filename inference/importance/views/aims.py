@@ -22,7 +22,7 @@ TRUST_STEPS = 8
 """Of reweighting lines of sight that do not meet."""
 ODD = 3.0
 """Standard deviations beyond which a line of sight counts less and less."""
-NEWTON_STEPS = 6
+NEWTON_STEPS = 4
 LEAST_SHARE = 0.1
 """Of either mode."""
 SEEN_WRONGLY = 0.05

@@ -308,7 +308,9 @@ def _looking_ahead(
 ) -> tuple[UpperReach, Reach]:
     """An upper bone that all views aim so that the one below it, some mm long, reaches its own
     joint, and what that says of where it ends."""
-    every, next_of_all = (jax.tree.map(lambda leaf: leaf[0], joint.aims) for joint in (bone.target, after))
+    every, next_of_all = (
+        jax.tree.map(lambda leaf: leaf[0], joint.aims) for joint in (bone.target, after)
+    )
     aim, reach = with_next(every, next_of_all, length)
     aims = jax.tree.map(lambda rows, one: rows.at[0].set(one), bone.target.aims, aim)
     return bone._replace(target=bone.target._replace(aims=aims)), reach

@@ -273,7 +273,7 @@ def test_densities_are_those_of_scipys_students_at_the_bodies(
             total += share[torso] * law.pdf(step)
         angle = np.linalg.norm(turn)
         total /= (1 - math.cos(angle)) / (4 * math.pi**2 * angle**2)
-        total *= np.prod([rates[one] for rates, one in zip(second.exchange, steps.exchange[row])])
+        total *= np.prod(second.exchange[range(2), steps.exchange[row]])
         wanted.append(math.log(total))
     np.testing.assert_allclose(second.log_density(steps), wanted, rtol=0, atol=1e-8)
 

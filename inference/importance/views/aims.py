@@ -93,7 +93,8 @@ def with_next(aim: SpatialAim, after: SpatialAim, length: jax.Array) -> tuple[Sp
     bend = jnp.sum(1 / aim.precision) / (2 * length)
     variance = jnp.sum((after.axes.T @ along) ** 2 / after.precision)
     sharp = 1 / (variance + bend**2)
-    normal = (aim.axes * aim.precision) @ aim.axes.T + sharp * along[:, None] * along
+    normal = (aim.axes * aim.precision[None]) @ aim.axes.T
+    normal = normal + sharp * jnp.outer(along, along)
     step = sharp * (length - jnp.linalg.norm(apart)) * along
     precision, axes = jnp.linalg.eigh(normal)
     found = SpatialAim(aim.point + jnp.linalg.solve(normal, step), axes, precision)

@@ -420,23 +420,23 @@ def test_the_evidence_is_that_of_another_route(
     """Of the torso and one limb; both estimates are unbiased, and agree within four standard
     errors (false alarms: 8 in 100,000). The control counts one view twice."""
     law = DetectorErrors(
-        Gaussian(), np.full(15, 0.4), np.ones(15), np.zeros((15, 2)), definition=DEFINED
+        Gaussian(), np.full(15, 0.2), np.ones(15), np.zeros((15, 2)), definition=DEFINED
     )
-    likelihood = Likelihood.of(law) if pointing else Likelihood(Gaussian(), factor=0.8)
+    likelihood = Likelihood.of(law) if pointing else Likelihood(Gaussian(), factor=0.4)
     points, _, world = bodies(model, 1, seed=11)
-    simple = Likelihood(Gaussian(), factor=0.8)
+    simple = Likelihood(Gaussian(), factor=0.4)
     instant = seen(straight(2), world[0], math.exp(points.log_size[0]), simple, seed=2)
     instant = dataclasses.replace(instant, pointing=pointing).judged_by(likelihood)
     posterior = only(instant, {0, 1, 2, 5, 9, 12} | joints).posterior(model)
-    wanted, wanted_se = evidence_by_the_prior(posterior, key=5, number=400_000)
-    roots = weigh_refined(posterior, jax.random.key(1), 3000)
-    found, found_se = roots.evidence_of(np.arange(3000))
+    wanted, wanted_se = evidence_by_the_prior(posterior, key=5, number=1_500_000)
+    roots = weigh_refined(posterior, jax.random.key(1), 6000)
+    found, found_se = roots.evidence_of(np.arange(6000))
     error = math.hypot(wanted_se, found_se)
     assert error < 0.15
     assert abs(found - wanted) < 4 * error, (found, wanted, error)
     twice = Instant("twice", (*instant.views, instant.views[1]), pointing)
     control = only(twice, {0, 1, 2, 5, 9, 12} | joints).posterior(model)
-    other = weigh_refined(control, jax.random.key(1), 3000).evidence_of(np.arange(3000))[0]
+    other = weigh_refined(control, jax.random.key(1), 6000).evidence_of(np.arange(6000))[0]
     assert abs(other - wanted) > 4 * error
 
 

@@ -103,7 +103,7 @@ class HypothesesSettings:
         "hypotheses frame.json --root fixed --limits limits.npz --candidates 1",
         "hypotheses frame.json --root fixed --estimator zhou",
         "hypotheses frame.json --recalibrated wider.json",
-        "hypotheses session/ --frame 20 --cameras 1,3 --errors learned",
+        "hypotheses session/ --frame 20 --cameras 1,3",
     )
     person: PersonOrSession
     frame: int | None = option(None, "Which frame of calibrated cameras; the first by default.")

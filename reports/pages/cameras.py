@@ -48,12 +48,13 @@ JUDGED_AXES = {
 the camera that three leave out."""
 SETS = {number: list(itertools.combinations(range(4), number)) for number in JUDGED_AXES}
 """By number, the cameras that are judged by the others."""
-MOVED = 0.5
-"""Body units by which a wrist's keypoint is moved."""
 LIKELY = 0.5
 """Probability above which a fault counts as found."""
 WRIST = JOINT_INDEX["right_wrist"]
-UNTOUCHED, MOVED_WRIST, EXCHANGED_LEGS = PLANTED = "nothing", "a wrist moved", "legs exchanged"
+UNTOUCHED, EXCHANGED_LEGS = "nothing", "legs exchanged"
+MOVED = {"a wrist moved": 0.5, "a wrist moved far": 1.0}
+"""Body units by which a wrist's keypoint is moved."""
+PLANTED = UNTOUCHED, *MOVED, EXCHANGED_LEGS
 
 
 class Beliefs(NamedTuple):
@@ -223,8 +224,8 @@ def planted(view: CameraView, kind: str, unit: float) -> CameraView:
     """A view with a fault; `unit` pixels are a body unit there."""
     person = view.detection
     keypoints = person.keypoints.copy()
-    if kind == MOVED_WRIST:
-        keypoints[WRIST, 0] += MOVED * unit
+    if kind in MOVED:
+        keypoints[WRIST, 0] += MOVED[kind] * unit
     if kind == EXCHANGED_LEGS:
         keypoints = keypoints[ORDERS[EXCHANGE_INDEX["legs"]]]
     return dataclasses.replace(view, detection=dataclasses.replace(person, keypoints=keypoints))
@@ -266,20 +267,35 @@ def fault_table(found: dict[str, list[Any]]) -> Sheet:
     rows, every = [], {kind: _faulty(cases) for kind, cases in found.items()}
     other = [row for row, joint in enumerate(LIMB_JOINTS) if joint != WRIST]
     for kind, one in every.items():
-        alarms = {MOVED_WRIST: one.outlier > LIKELY, EXCHANGED_LEGS: one.legs > LIKELY}
+        outlier, legs = alarms = one.outlier > LIKELY, one.legs > LIKELY
         hit, moved = "", ""
         if kind != UNTOUCHED:
-            place = (np.arange(len(one.view)), one.view, WRIST)[: alarms[kind].ndim]
-            hit = f"{alarms[kind][place].sum()} of {len(one.view)}"
-            alarms[kind][place] = False
+            alarm = outlier if kind in MOVED else legs
+            place = (np.arange(len(one.view)), one.view, WRIST)[: alarm.ndim]
+            hit = f"{alarm[place].sum()} of {len(one.view)}"
+            alarm[place] = False
             usual = every[UNTOUCHED]
             step = np.abs(one.mean - usual.mean)[:, other] / usual.width[:, other]
             moved = f"{np.median(step):.2f}"
-        false = [f"{100 * alarm.mean():.1f} %" for alarm in alarms.values()]
+        false = [f"{100 * alarm.mean():.1f} %" for alarm in alarms]
         rows.append([kind, hit, *false, moved])
     head = ["planted in one view of four", "found", "other keypoints called outliers"]
     head += ["other views' legs called exchanged", "other joints move, of their width"]
     return sheet_of([Column(head[0], left=True), *map(Column, head[1:])], rows)
+
+
+def price_of_an_outlier(given: list[Beliefs]) -> dict[str, str]:
+    """How many nats it costs to call a right wrist's keypoint an outlier, and how many standard
+    deviations a body unit is there."""
+    found = []
+    for one in given:
+        law = one.likelihood.learned
+        assert law is not None
+        wrong, sd = one.likelihood.faults.outlier[WRIST], float(law.sigma[WRIST])
+        area = np.pi * one.likelihood.faults.reach**2
+        found.append((np.log((1 - wrong) / (2 * np.pi * sd**2)) - np.log(wrong / area), 1 / sd))
+    nats, deviations = np.mean(found, axis=0)
+    return {"nats": f"{nats:.0f}", "deviations": f"{deviations:.0f}"}
 
 
 def _faulty(cases: list[Any]) -> FaultyInstants:
@@ -398,7 +414,8 @@ def main(data: Data, work: Work) -> Page:
         "triples": triples[1],
         "faults": fault_table(faults),
         "faulty": FAULTY_FRAMES,
-        "moved": f"{MOVED:g}",
+        "moved": " and ".join(f"{far:g}" for far in MOVED.values()),
+        **price_of_an_outlier(given),
     }
     return Page("cameras", values, {"cameras": coverage_figure(sets[2] | sets[3])})
 

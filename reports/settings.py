@@ -493,6 +493,9 @@ class ExportSettings:
         " heaviest hypothesis.",
         show_default="mean",
     )
+    path_number: int | None = option(
+        None, "Of a film: this one of its paths, counted from 0, instead.", metavar="NUMBER"
+    )
     smooth: str | None = option(
         None,
         "Of a stream (with --rate): butterworth:6 (Hz, no lag), savgol:15 (frames) or"

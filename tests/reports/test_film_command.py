@@ -57,7 +57,9 @@ def test_a_film_is_whole_paths_and_a_second_call_goes_on(poseterior: Cli, tmp_pa
     assert "5 with a pose" in exported.out, exported
     with np.load(tmp_path / "x.npz") as arrays:
         assert arrays["times"] == pytest.approx(found.time.values)
-    alone = poseterior("export", out, "--to", "npz", "--path-number", 7, "--out", tmp_path / "7.npz")
+    alone = poseterior(
+        "export", out, "--to", "npz", "--path-number", 7, "--out", tmp_path / "7.npz"
+    )
     assert "path 7" in alone.out, alone
     with np.load(tmp_path / "7.npz") as arrays:
         bones_of_path = lengths(arrays["joints"])
@@ -75,7 +77,10 @@ def test_a_film_is_whole_paths_and_a_second_call_goes_on(poseterior: Cli, tmp_pa
         assert refused.err.count("\n") == 1
     for arguments, words in [
         ((out, "--path-number", 12), "has no path 12; choose one from 0 to 11"),
-        ((out, "--path-number", 1, "--what", "mean"), "a path is whole; leave --what or --path-number out"),
+        (
+            (out, "--path-number", 1, "--what", "mean"),
+            "a path is whole; leave --what or --path-number out",
+        ),
         ((out / "frames", "--person", 1, "--path-number", 1), "make a film of it"),
     ]:
         refused = poseterior("export", *arguments, "--to", "npz", "--out", tmp_path / "no.npz")

@@ -284,13 +284,12 @@ def _limbs(
             uniforms[:, 0], judge, body, bone, lengths[0]
         )
         ahead = jax.vmap(reach.log_share)(end)
-        level, rows = _resampled(of_upper + ahead, offset)
+        level, rows = _resampled(of_upper, ahead, offset)
         elbows = local[rows], end[rows]
         lower, of_lower = jax.vmap(_lower, (0, None, None, None, 0, None))(
             uniforms[:, 1], judge, bone, below, elbows, (lengths[1], body.size)
         )
-        weight = jnp.where(jnp.isneginf(level), -jnp.inf, level - ahead[rows] + of_lower)
-        return Proposals(weight, elbows[0], lower)
+        return Proposals(level + of_lower, elbows[0], lower)
 
     def head(uniforms: jax.Array) -> Proposals:
         local, _, weight = _upper(uniforms, judge, body, upper[0], body.size * length[HEAD_LENGTH])
@@ -325,16 +324,19 @@ def _spread(key: jax.Array, limbs: int, bones: int) -> jax.Array:
     return (jnp.asarray(steps)[None, :, None] + moved) % 1.0
 
 
-def _resampled(log_weight: jax.Array, offset: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Log of the mean weight `()`, and as many rows, each as often as its share of the weights
-    `(P,)` says, rounded by one `offset` for all (systematic): what comes of the rows, times the
-    mean, is without bias."""
-    level = jax.nn.logsumexp(log_weight)
-    share = jnp.exp(log_weight - jnp.where(jnp.isneginf(level), 0.0, level))
-    number = len(log_weight)
+def _resampled(
+    log_weight: jax.Array, ahead: jax.Array, offset: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """As many rows as there are weights `(P,)`, each as often as its share of weights times what
+    lies `ahead` of it says, rounded by one `offset` for all (systematic); and the logs of the
+    weights that they have then: what comes of the rows, times these, is without bias."""
+    wanted = log_weight + ahead
+    level = jax.nn.logsumexp(wanted)
+    nothing, number = jnp.isneginf(level), len(wanted)
+    share = jnp.exp(wanted - jnp.where(nothing, 0.0, level))
     points = (jnp.arange(number) + offset) / number
     rows = jnp.sum(jnp.cumsum(share)[None, :-1] < points[:, None], axis=1)
-    return level - jnp.log(number), rows
+    return jnp.where(nothing, -jnp.inf, level - jnp.log(number) - ahead[rows]), rows
 
 
 def _upper_bone(model: PoseModel, body: TorsoInWorld, every: SeenJoint, row: int) -> UpperReach:

@@ -66,8 +66,9 @@ def _of_children() -> float:
 
 
 def waits_table(found: dict[str, Wait]) -> Sheet:
-    """Waits, and how many times the first of them each is by the clock."""
-    floor = next(iter(found.values())).seconds
-    rows = [(what, *wait, wait.seconds / floor) for what, wait in found.items()]
-    heads = "seconds", "seconds of all processors", "times the first line"
+    """Waits, and how much work each is, as a multiple of the first of them: work hardly depends on
+    what else the machine does."""
+    floor = next(iter(found.values())).processor
+    rows = [(what, *wait, wait.processor / floor) for what, wait in found.items()]
+    heads = "seconds", "seconds of all processors", "times those of the first line"
     return sheet_of(["one process each", *(Column(head, form=digits) for head in heads)], rows)

@@ -525,13 +525,15 @@ def test_a_round_costs_its_attempts_and_its_limbs(monkeypatch: pytest.MonkeyPatc
 
 
 def test_what_a_bound_cuts_off_is_a_share_of_the_posterior() -> None:
-    """Weights of a half and of two bounds: one of 2.5 lies above."""
+    """Weights of a half and of two bounds: one of 2.5 lies above. Two roots are taken; the relative
+    variance of the evidence is Σ w² / (Σ w)² - 1/n of all ten that were tried."""
     nothing: Any = None
-    taken = Taken(some_roots(1), Faults.none(1), [{}])
+    taken = Taken(some_roots(2), Faults.none(2), [{}, {}])
     log_weight = np.array([math.log(0.5), math.log(2.0), -math.inf])
     found = _result(nothing, [taken], log_weight - 3, -3.0, 10, 1, 10)
     assert found.cut_off == pytest.approx(1 / 2.5)
     assert found.log_evidence == pytest.approx(math.log(0.25) - 3)
+    assert found.log_evidence_se**2 == pytest.approx((0.25 + 4) / 2.5**2 - 1 / 10)
 
 
 def test_the_bound_has_room_above_the_largest_weight() -> None:

@@ -342,7 +342,8 @@ def prior_poses(model: PoseModel, words: list[int], *, lower: bool = True) -> Po
     key = np.array(words, np.uint32)
     if lower:
         return Pose(*map(np.asarray, _prior(model, key)))
-    return Pose(*map(np.asarray, _prior_above(model, key)), Pose.blank(POOL_SIZE).lower)
+    length, upper = map(np.asarray, _prior_above(model, key))
+    return Pose(length, upper, Pose.blank(POOL_SIZE).lower)
 
 
 @kept

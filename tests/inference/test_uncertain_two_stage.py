@@ -135,8 +135,8 @@ def placed_pool(model: PoseModel) -> np.ndarray:
     """As `pool_of`, by the prior's draws and the model's joints."""
     poses, torso = prior_poses(model, [3, 4]), np.asarray(model.torsos)[0]
     above = prior_poses(model, [3, 4], lower=False)
-    np.testing.assert_array_equal(above.length, poses.length)
-    np.testing.assert_array_equal(above.upper, poses.upper)
+    np.testing.assert_allclose(above.length, poses.length, rtol=1e-12)
+    np.testing.assert_allclose(above.upper, poses.upper, atol=1e-12)
     joints = np.asarray(model.joints(torso, *poses))
     starts = np.array([limb.bones[0].start for limb in LIMBS])
     axes = np.asarray(upper_axes(torso))[[limb.upper for limb in LIMBS]]
